@@ -1,0 +1,100 @@
+"""What a simulated body is made of: tissues, structures and the scene that holds them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import trimesh
+
+
+@dataclass(frozen=True)
+class Tissue:
+    """Acoustic properties of one tissue.
+
+    Attributes
+    ----------
+    name : str
+    speed_m_s : float
+        Speed of sound, m/s.
+    impedance_mrayl : float
+        Characteristic impedance, MRayl (10^6 kg m^-2 s^-1).
+    attenuation_db_cm_mhz : float
+        Amplitude attenuation, one way, dB/cm at 1 MHz.
+    scatterer_density, scatterer_mean, scatterer_sd : float
+        A lattice point scatters with probability `scatterer_density`; its amplitude is then normal with this
+        mean and standard deviation, relative to the simulator's scatterer level (Burger et al. 2013, eq. 15).
+    attenuation_power : float
+        Exponent b of alpha f^b.
+    roughness : float
+        0 is a mirror; otherwise the surface normal is drawn from a power-cosine lobe of exponent 1 / roughness.
+    thickness_mm : float
+        Standard deviation of the depth over which the surface reflects, mm.
+    specularity : float
+        Exponent n of the echo's lobe max(0, cos)^n; larger is more mirror-like.
+    texture_contrast_db : float
+        Standard deviation of the slow variation of scatterer amplitude within the tissue, dB; 0 is uniform.
+    texture_mm : tuple of 3 floats
+        Correlation lengths of that variation along the world's x, y and z, mm.
+
+    Raises
+    ------
+    ValueError
+        When a value is not finite or outside its physical range; the message names tissue and field.
+    """
+
+    name: str
+    speed_m_s: float = 1540.0
+    impedance_mrayl: float = 1.63
+    attenuation_db_cm_mhz: float = 0.5
+    scatterer_density: float = 0.6
+    scatterer_mean: float = 0.0
+    scatterer_sd: float = 0.3
+    attenuation_power: float = 1.0
+    roughness: float = 0.02
+    thickness_mm: float = 0.0
+    specularity: float = 8.0
+    texture_contrast_db: float = 0.0
+    texture_mm: tuple[float, float, float] = (4.0, 4.0, 4.0)
+
+    @property
+    def scatter_power(self) -> float:
+        """Variance of the scatterers, which the speckle's power follows: p (sd^2 + mean^2) - p^2 mean^2."""
+        p, m, s = self.scatterer_density, self.scatterer_mean, self.scatterer_sd
+        return p * (s * s + m * m) - (p * m) ** 2
+
+
+@dataclass(frozen=True)
+class Structure:
+    """One closed surface and the tissue inside it; vertices in mm, winding irrelevant."""
+
+    mesh: trimesh.Trimesh
+    tissue: Tissue
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A body: where structures overlap, the later one owns the point; `background` fills the rest.
+
+    Attributes
+    ----------
+    structures : tuple of Structure
+        May be empty: the scene is then all background.
+    background : Tissue
+    name : str
+    """
+
+    structures: tuple[Structure, ...]
+    background: Tissue
+    name: str
+
+    @cached_property
+    def tissues(self) -> tuple[Tissue, ...]:
+        """Background first, then by first use; `Frame.segmentation` is an index into this plus one."""
+        return tuple(dict.fromkeys((self.background, *(s.tissue for s in self.structures))))
+
+    @cached_property
+    def structure_tissues(self) -> tuple[int, ...]:
+        """For each structure the index of its tissue in `tissues`."""
+        index = {tissue: i for i, tissue in enumerate(self.tissues)}
+        return tuple(index[s.tissue] for s in self.structures)
