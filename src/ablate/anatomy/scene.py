@@ -2,10 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import trimesh
+
+#: Lowest and highest value of each number of a tissue; generous, because stiff cases are meant to run.
+TISSUE_RANGES: dict[str, tuple[float, float]] = {
+    "speed_m_s": (1.0, 1e5),
+    "impedance_mrayl": (1e-6, 1e4),
+    "attenuation_db_cm_mhz": (0.0, 1e4),
+    "scatterer_density": (0.0, 1.0),
+    "scatterer_mean": (-1e3, 1e3),
+    "scatterer_sd": (0.0, 1e3),
+    "attenuation_power": (0.0, 4.0),
+    "roughness": (0.0, 10.0),
+    "thickness_mm": (0.0, 100.0),
+    "specularity": (0.0, 1e6),
+    "texture_contrast_db": (0.0, 40.0),
+}
 
 
 @dataclass(frozen=True)
@@ -57,11 +73,30 @@ class Tissue:
     texture_contrast_db: float = 0.0
     texture_mm: tuple[float, float, float] = (4.0, 4.0, 4.0)
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise ValueError(f"tissue name must be a non-empty string, not {self.name!r}")
+        for field in fields(self):
+            if field.name in TISSUE_RANGES:
+                low, high = TISSUE_RANGES[field.name]
+                _check_number(self.name, field.name, getattr(self, field.name), low, high)
+        if len(self.texture_mm) != 3:
+            raise ValueError(f"tissue {self.name!r}: texture_mm must be 3 lengths, not {self.texture_mm!r}")
+        for length_mm in self.texture_mm:
+            _check_number(self.name, "texture_mm", length_mm, 1e-3, 1e6)
+
     @property
     def scatter_power(self) -> float:
         """Variance of the scatterers, which the speckle's power follows: p (sd^2 + mean^2) - p^2 mean^2."""
         p, m, s = self.scatterer_density, self.scatterer_mean, self.scatterer_sd
         return p * (s * s + m * m) - (p * m) ** 2
+
+
+def _check_number(tissue: str, field: str, value: object, low: float, high: float) -> None:
+    """Raise ValueError unless `value` is a finite number in [low, high]."""
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not is_number or not math.isfinite(value) or not low <= value <= high:  # type: ignore[arg-type,operator]
+        raise ValueError(f"tissue {tissue!r}: {field} must be between {low:g} and {high:g}, not {value!r}")
 
 
 @dataclass(frozen=True)
