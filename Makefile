@@ -1,0 +1,43 @@
+# Two commands do all the set-up: `make sweep` and `make test`. Everything else is for people who stay.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+export MLFLOW_DISABLE_TELEMETRY := true
+
+.DEFAULT_GOAL := help
+.PHONY: help sweep test test-all lint ui bench
+
+help: ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+$(STAMP): pyproject.toml constraints.txt
+	@echo "Creating the environment in $(VENV) (about 2 GB, one to three minutes) ..."
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "ablate needs Python 3.11 or newer; make PYTHON=python3.12 ...")'
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; about 10 minutes on two cores
+	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h hydra/launcher=joblib
+
+test: $(STAMP) ## style, types and tests
+	$(BIN)/ruff check src tests
+	$(BIN)/ruff format --check src tests
+	$(BIN)/mypy
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow"
+
+test-all: $(STAMP) ## the same with the slow tests
+	$(BIN)/ruff check src tests
+	$(BIN)/mypy
+	OMP_NUM_THREADS=1 $(BIN)/pytest
+
+lint: $(STAMP) ## mend what the linter can mend
+	$(BIN)/ruff check --fix src tests
+	$(BIN)/ruff format src tests
+
+ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
+	$(BIN)/mlflow ui --backend-store-uri sqlite:///runs/mlflow.db --host 127.0.0.1 --port 5000 --workers 1
+
+bench: $(STAMP) ## milliseconds of each stage of the simulator
+	$(BIN)/python -m ablate.ultrasound.benchmark

@@ -1,0 +1,201 @@
+"""Typed schema of conf/, and the way from a composed configuration to the values the rooms take.
+
+The schema is made from the rooms' own frozen dataclasses, so a key, its type and its default stand in one place.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+from dataclasses import MISSING, dataclass, field
+from enum import Enum, StrEnum
+from pathlib import Path
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import DictConfig, OmegaConf
+
+from ablate.dataset.encoding import Encoding
+from ablate.dataset.split import SplitBy
+from ablate.networks.spec import GeneratorSpec
+from ablate.training.settings import TrainingSettings
+from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+
+T = TypeVar("T")
+
+
+class Task(StrEnum):
+    """What one call of the program does; see README."""
+
+    study = "study"
+    simulate = "simulate"
+    describe = "describe"
+    plan = "plan"
+    compare = "compare"
+
+
+class SceneKind(StrEnum):
+    """`fetal`: the built-in anatomy; `folder`: a folder with meshes and a scene.yaml."""
+
+    fetal = "fetal"
+    folder = "folder"
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """Which anatomy.
+
+    `triangles` and `anatomy_seed` shape the built-in one, `folder` is the path of your own.
+    """
+
+    kind: SceneKind = SceneKind.fetal
+    folder: str | None = None
+    triangles: int = 675_000
+    anatomy_seed: int = 0
+
+
+@dataclass(frozen=True)
+class DatasetSettings:
+    """Which pairs are simulated and how they are split; the paper's 6,669 frames, 6,000 of them for training.
+
+    `grid` replaces the counts of the scene's heights, angles, tilts and rolls; `validation` and `test` are shares of
+    the sites (`split=site`) or frames; `press_mm` is how far the probe is pressed in; `workers` 0 is one a core.
+    """
+
+    frames: int = 6669
+    grid: tuple[int, int, int, int] | None = (13, 19, 9, 3)
+    split: SplitBy = SplitBy.site
+    validation: float = 0.05
+    test: float = 0.1
+    seed: int = 0
+    press_mm: float = 8.0
+    shard: int = 16
+    workers: int = 0
+
+
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """What is computed on the test frames: `noise_draws` for `noise_sd`, `pictures` frames shown in figures."""
+
+    noise_draws: int = 8
+    noise_frames: int = 10
+    pictures: int = 4
+    timed_frames: int = 20
+
+
+@dataclass(frozen=True)
+class TrackingSettings:
+    """Where runs are tracked; `uri` null is the SQLite file `mlflow.db` in `runs_dir`."""
+
+    uri: str | None = None
+    experiment: str = "ablate"
+
+
+@dataclass(frozen=True)
+class StudySettings:
+    """A whole job, as the rooms take it. `model` is the composed generator; see conf/ for every value."""
+
+    task: Task = Task.study
+    preset: str = "paper"
+    variant: str = "sa2h"
+    seed: int = 0
+    encoding: Encoding = Encoding.echogenicity
+    encoding_seed: int = 0
+    reference: str = "sa2h"
+    scene: SceneSettings = SceneSettings()
+    probe: ConvexProbe = ConvexProbe()
+    simulator: SimulatorSettings = SimulatorSettings()
+    dataset: DatasetSettings = DatasetSettings()
+    model: GeneratorSpec = GeneratorSpec()
+    training: TrainingSettings = TrainingSettings()
+    evaluation: EvaluationSettings = EvaluationSettings()
+    tracking: TrackingSettings = TrackingSettings()
+    study_name: str | None = None
+    runs_dir: str = "runs"
+
+    @property
+    def scene_name(self) -> str:
+        if self.scene.kind is SceneKind.fetal:
+            return "fetal"
+        return Path(self.scene.folder or "").resolve().name
+
+    @property
+    def study(self) -> str:
+        return self.study_name or f"{self.preset}-{self.scene_name}"
+
+    @property
+    def runs(self) -> Path:
+        return Path(self.runs_dir).resolve()
+
+    @property
+    def study_dir(self) -> Path:
+        return self.runs / self.study
+
+
+def schema(cls: type) -> type:
+    """A mutable dataclass with the fields of a frozen one, as OmegaConf needs it for typed configurations."""
+    hints = get_type_hints(cls)
+    fields: list[tuple[str, Any, Any]] = []
+    for f in dataclasses.fields(cls):
+        hint = hints[f.name]
+        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+            made = schema(hint)
+            fields.append((f.name, made, field(default_factory=made)))
+        elif f.default is not MISSING:
+            fields.append((f.name, hint, field(default_factory=_constant(f.default))))
+        else:
+            fields.append((f.name, hint, field(default="???")))
+    return dataclasses.make_dataclass(cls.__name__, fields)
+
+
+def _constant(value: Any) -> Any:
+    return lambda: list(value) if isinstance(value, tuple) else value
+
+
+def register() -> None:
+    """Make the schema known to Hydra as `schema`, the first entry of conf/config.yaml."""
+    ConfigStore.instance().store(name="schema", node=schema(StudySettings))
+
+
+def settings(config: DictConfig) -> StudySettings:
+    """The frozen values behind a composed configuration.
+
+    Raises
+    ------
+    ValueError
+        When a value is outside its allowed range; the message names it.
+    """
+    plain = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    assert isinstance(plain, dict)
+    return build(StudySettings, {str(k): v for k, v in plain.items()})
+
+
+def build(cls: type[T], values: dict[str, Any]) -> T:
+    """A frozen dataclass from plain values: dicts become dataclasses, lists tuples, strings enums."""
+    hints = get_type_hints(cls)
+    return cls(**{name: _convert(hints[name], value) for name, value in values.items()})
+
+
+def _convert(hint: Any, value: Any) -> Any:
+    if get_origin(hint) in (Union, types.UnionType):
+        if value is None:
+            return None
+        hint = next(a for a in get_args(hint) if a is not type(None))
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type) and isinstance(value, dict):
+        return build(hint, value)
+    if get_origin(hint) is tuple:
+        return tuple(value)
+    if isinstance(hint, type) and issubclass(hint, Enum) and not isinstance(value, Enum):
+        return hint[value]
+    return value
+
+
+def plain(value: Any) -> Any:
+    """The inverse of `build`, fit for JSON: dataclasses as dicts, tuples as lists, enums by name."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    return value

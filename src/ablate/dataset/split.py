@@ -1,0 +1,100 @@
+"""Which frames train, validate and test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum, StrEnum
+
+import numpy as np
+
+
+class Part(IntEnum):
+    """Value stored in the data set's `split` array."""
+
+    train = 0
+    validation = 1
+    test = 2
+
+
+class SplitBy(StrEnum):
+    """`site` keeps all frames of a probe site on one side; `frame` draws frames freely, as the paper did."""
+
+    site = "site"
+    frame = "frame"
+
+
+def choose_frames(sites: Sequence[int], frames: int, seed: int) -> np.ndarray:
+    """Indices of `frames` poses, as equally spread over the sites as the number allows.
+
+    Parameters
+    ----------
+    sites : (n,) int
+        Site of every candidate pose.
+    frames : int
+    seed : int
+
+    Returns
+    -------
+    (frames,) int64, increasing
+
+    Raises
+    ------
+    ValueError
+        When `frames` is below one or above the number of candidates.
+    """
+    site = np.asarray(sites)
+    if not 1 <= frames <= len(site):
+        raise ValueError(
+            f"dataset.frames={frames}: allowed are 1 to {len(site)}, the poses that the probe sites offer; "
+            "more sites or orientations: dataset.grid=[heights,angles,tilts,rolls]"
+        )
+    rng = np.random.default_rng([seed, 1])
+    order = rng.permutation(len(site))
+    rank = np.empty(len(site), np.int64)  # how many poses of the same site come before, in that order
+    for s in np.unique(site):
+        members = order[site[order] == s]
+        rank[members] = np.arange(len(members))
+    position = np.argsort(order)
+    return np.sort(np.lexsort((position, rank))[:frames])
+
+
+def split_frames(
+    sites: Sequence[int], by: SplitBy, validation: float, test: float, seed: int
+) -> np.ndarray:
+    """Part of every frame.
+
+    Parameters
+    ----------
+    sites : (n,) int
+    by : SplitBy
+    validation, test : float
+        Fractions of the sites (or frames); at least one each where there are three or more.
+    seed : int
+
+    Returns
+    -------
+    (n,) uint8 of `Part`
+
+    Raises
+    ------
+    ValueError
+        When the fractions leave nothing to train on, or there are fewer than three sites (or frames).
+    """
+    site = np.asarray(sites)
+    units = np.unique(site) if by is SplitBy.site else np.arange(len(site))
+    member = site if by is SplitBy.site else np.arange(len(site))
+    if not (0 < validation < 1 and 0 < test < 1 and validation + test < 1):
+        raise ValueError(
+            f"dataset.validation={validation} and dataset.test={test}: each above 0 and together below 1"
+        )
+    n_validation, n_test = (max(1, round(f * len(units))) for f in (validation, test))
+    if n_validation + n_test >= len(units):
+        raise ValueError(
+            f"dataset.split={by}: {len(units)} {by}s cannot be split into train, validation and test; "
+            "ask for more frames or sites"
+        )
+    order = np.random.default_rng([seed, 2]).permutation(units)
+    part = np.full(len(site), Part.train, np.uint8)
+    part[np.isin(member, order[:n_test])] = Part.test
+    part[np.isin(member, order[n_test : n_test + n_validation])] = Part.validation
+    return part
