@@ -1,0 +1,255 @@
+"""Does each component do what it is for? Shadows, structure, checkerboards and the spread of noise.
+
+Every function returns None where the image offers nothing to measure, so that no NaN reaches a log.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from ablate.metrics.fidelity import check_pair
+from ablate.metrics.patch_histograms import as_patches, patches_inside
+
+SHADOW, ENHANCEMENT = 0.6, 1.4  # of the median attenuation at a depth
+FEWEST_PIXELS = 100  # speckle of 22 grey levels then leaves 2 in a mean
+SMOOTH_SIGMA_PX = 4.0
+BLOCK = 32  # px, of the spectra
+RING_PX = 3  # how far around a spectral line its background is taken
+
+
+def relative_attenuation(
+    attenuation: np.ndarray, mask: np.ndarray, depth_mm: np.ndarray, bin_mm: float = 1.0
+) -> np.ndarray:
+    """Attenuation map over its median at the same depth.
+
+    Parameters
+    ----------
+    attenuation : (H, W) float in [0, 1]
+        The integral attenuation map A.
+    mask : (H, W) bool
+        The fan; medians are over its pixels.
+    depth_mm : (H, W) float, mm
+        Distance of each pixel from the probe's face, along its scanline.
+    bin_mm : float
+        Width of a depth bin, mm.
+
+    Returns
+    -------
+    (H, W) float32
+        1 at the median, under 1 in shadow; NaN outside the fan and where the median is 0.
+    """
+    depth_bin = np.maximum(depth_mm[mask] / bin_mm, 0.0).astype(np.int64)
+    values = np.ascontiguousarray(attenuation[mask], dtype=np.float32)
+    # Positive floats sort as their bit patterns do, so one sort of (bin, value) orders every bin at once.
+    keys = np.sort((depth_bin << 32) | np.maximum(values, 0.0).view(np.int32))
+    counts = np.bincount(depth_bin)
+    first = np.cumsum(counts) - counts
+    last = max(len(keys) - 1, 0)
+    middle = [np.minimum(first + np.maximum(k, 0) // 2, last) for k in (counts - 1, counts)]
+    ordered = (keys & 0x7FFFFFFF).astype(np.int32).view(np.float32)
+    median = (ordered[middle[0]] + ordered[middle[1]]) / 2 if len(keys) else np.zeros(0, np.float32)
+    relative = np.full(attenuation.shape, np.nan, dtype=np.float32)
+    at_pixel = median[depth_bin]
+    relative[mask] = np.divide(values, at_pixel, out=np.full_like(values, np.nan), where=at_pixel > 0)
+    return relative
+
+
+def shadow_contrast(
+    prediction: np.ndarray,
+    target: np.ndarray,
+    attenuation: np.ndarray,
+    mask: np.ndarray,
+    tissue_mask: np.ndarray,
+    depth_mm: np.ndarray,
+) -> float | None:
+    """Error in shadow minus error in enhancement, in tissue: are shadows as deep as they should be?
+
+    Mean of prediction - target where A is under 0.6 of the median at that depth, minus the same mean where A is
+    over 1.4 of it. 0 is right, positive means shadows too bright; a global offset cancels.
+
+    Parameters
+    ----------
+    prediction, target : (H, W) uint8
+        Grey levels.
+    attenuation : (H, W) float in [0, 1]
+        The integral attenuation map A.
+    mask, tissue_mask : (H, W) bool
+        The fan; pixels of tissue rather than fluid.
+    depth_mm : (H, W) float, mm
+        Distance from the probe's face along the scanline.
+
+    Returns
+    -------
+    float or None
+        Grey levels; None when shadow or enhancement has fewer than 100 pixels.
+
+    Raises
+    ------
+    ValueError
+        When shapes or dtypes do not fit.
+    """
+    check_pair(prediction, target)
+    for name, array in (("attenuation", attenuation), ("mask", mask), ("depth_mm", depth_mm)):
+        if array.shape != target.shape:
+            raise ValueError(f"{name} must be {target.shape}, got {array.shape}")
+    inside = mask & tissue_mask
+    relative = relative_attenuation(attenuation, mask, depth_mm)[inside]
+    error = np.subtract(prediction, target, dtype=np.int16)[inside]
+    shadow, enhanced = error[relative < SHADOW], error[relative > ENHANCEMENT]
+    if min(shadow.size, enhanced.size) < FEWEST_PIXELS:
+        return None
+    return float(shadow.mean(dtype=np.float64) - enhanced.mean(dtype=np.float64))
+
+
+@lru_cache(maxsize=4)
+def _smoothed_mask(mask_bytes: bytes, shape: tuple[int, int], sigma_px: float) -> np.ndarray:
+    """The mask's own Gaussian average; the same for all frames of a probe, so it is kept."""
+    mask = np.frombuffer(mask_bytes, dtype=np.bool_).reshape(shape)
+    return np.maximum(_smooth(mask.astype(np.float32), sigma_px), np.finfo(np.float32).tiny)
+
+
+def _smooth(image: np.ndarray, sigma_px: float) -> np.ndarray:
+    return gaussian_filter(image, sigma_px, mode="constant", truncate=3.0)
+
+
+def mae_smooth(
+    prediction: np.ndarray, target: np.ndarray, mask: np.ndarray, sigma_px: float = SMOOTH_SIGMA_PX
+) -> float:
+    """MAE inside the fan after a Gaussian: wrong structure and level, without wrong speckle.
+
+    The Gaussian is normalised inside the mask, so the black outside does not bleed in.
+
+    Parameters
+    ----------
+    prediction, target : (H, W) uint8
+        Grey levels.
+    mask : (H, W) bool
+        The fan.
+    sigma_px : float
+        Standard deviation of the Gaussian, px; it is cut off at 3 of them.
+
+    Returns
+    -------
+    float
+        Grey levels.
+
+    Raises
+    ------
+    ValueError
+        When shapes or dtypes do not fit, or the mask is empty.
+    """
+    check_pair(prediction, target, mask)
+    difference = np.subtract(prediction, target, dtype=np.float32) * mask
+    smooth = _smooth(difference, sigma_px) / _smoothed_mask(mask.tobytes(), mask.shape, sigma_px)
+    return float(np.abs(smooth[mask]).mean(dtype=np.float64))
+
+
+def _mean_spectrum(image: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """(BLOCK, BLOCK // 2 + 1): mean power spectrum of the Hann-windowed blocks, grey levels^2."""
+    window = np.outer(np.hanning(BLOCK), np.hanning(BLOCK)).astype(np.float32)
+    cut = as_patches(image, BLOCK)[blocks].astype(np.float32).reshape(-1, BLOCK, BLOCK)
+    cut -= cut.mean(axis=(1, 2), keepdims=True)
+    spectrum = np.fft.rfft2(cut * window)
+    power = (spectrum.real**2 + spectrum.imag**2).mean(axis=0, dtype=np.float64)
+    # Rounding to 8 bits has this power whatever the image; it keeps empty blocks finite.
+    return power / np.square(window).sum() + 1.0 / 12.0
+
+
+def line_excess_db(image: np.ndarray, blocks: np.ndarray, period_px: int = 2) -> float:
+    """Power on the spectral lines of a grid of `period_px` over the power around them, dB.
+
+    Parameters
+    ----------
+    image : (H, W) uint8
+        Grey levels.
+    blocks : (H // 32, W // 32) bool
+        Blocks that count.
+    period_px : int
+        2 is the last up-sampling's grid; 4, 8 are those of earlier ones.
+
+    Returns
+    -------
+    float
+        dB, the mean over the lines (multiples of 1 / period_px along both axes, without zero frequency).
+    """
+    half = _mean_spectrum(image, blocks)
+    # The other half follows from symmetry: P(-f) = P(f).
+    mirrored = np.roll(half[::-1, -2:0:-1], 1, axis=0)
+    power = np.hstack((half, mirrored))
+    lines = np.arange(0, BLOCK, BLOCK // period_px)
+    offsets = np.arange(-RING_PX, RING_PX + 1)
+    near = np.maximum(np.abs(offsets)[:, None], np.abs(offsets)[None, :])
+    ratios = []
+    for row in lines:
+        for column in lines:
+            if row or column:
+                around = power[np.ix_((row + offsets) % BLOCK, (column + offsets) % BLOCK)]
+                ratios.append(around[near <= 1].mean() / np.median(around[near > 1]))
+    return float(10.0 * np.log10(np.mean(ratios)))
+
+
+def nyquist_excess(
+    prediction: np.ndarray, target: np.ndarray, mask: np.ndarray, period_px: int = 2
+) -> float | None:
+    """Checkerboard of up-sampling: the prediction's excess at the Nyquist lines over the target's, dB.
+
+    Strided transposed convolutions leave a pattern of period 2 px, and its multiples from earlier levels
+    (Odena et al. 2016). The excess is against neighbouring frequencies of the same image, so blur or contrast
+    alone do not move it.
+
+    Parameters
+    ----------
+    prediction, target : (H, W) uint8
+        Grey levels.
+    mask : (H, W) bool
+        The fan; only blocks of 32 px wholly inside count.
+    period_px : int
+        Period looked for, px: 2, 4 or 8.
+
+    Returns
+    -------
+    float or None
+        dB; 0 is right. None when no block lies inside the fan.
+
+    Raises
+    ------
+    ValueError
+        When shapes or dtypes do not fit, or the period is another.
+    """
+    check_pair(prediction, target)
+    if period_px not in (2, 4, 8):
+        raise ValueError(f"period_px must be 2, 4 or 8, got {period_px}")
+    blocks = patches_inside(mask, BLOCK)
+    if not blocks.any():
+        return None
+    return line_excess_db(prediction, blocks, period_px) - line_excess_db(target, blocks, period_px)
+
+
+def noise_sd(draws: np.ndarray, mask: np.ndarray) -> float | None:
+    """How much an image varies between draws of its noise: root mean variance over pixels.
+
+    Parameters
+    ----------
+    draws : (k, H, W) uint8
+        The same frame with k noises, or simulated with k scatterer seeds.
+    mask : (H, W) bool
+        Pixels that count, usually tissue.
+
+    Returns
+    -------
+    float or None
+        Grey levels; None when the mask is empty.
+
+    Raises
+    ------
+    ValueError
+        When there are fewer than two draws or the mask does not fit.
+    """
+    if draws.ndim != 3 or draws.shape[0] < 2 or draws.shape[1:] != mask.shape:
+        raise ValueError(f"draws must be (k >= 2, {mask.shape[0]}, {mask.shape[1]}), got {draws.shape}")
+    if not mask.any():
+        return None
+    return float(np.sqrt(draws[:, mask].astype(np.float64).var(axis=0, ddof=1).mean()))
