@@ -34,8 +34,8 @@ def frechet_distance(X: np.ndarray, Y: np.ndarray) -> float:
     """Squared Frechet distance between Gaussians fitted to two sets of features.
 
     |mu_x - mu_y|^2 + Tr(S_x + S_y - 2 (S_x S_y)^(1/2)) (Dowson and Landau 1982; Heusel et al. 2017). With
-    S = R^T R from a QR of the centred features, Tr (S_x S_y)^(1/2) is the nuclear norm of R_x R_y^T. This needs
-    no matrix root, never forms a covariance (whose squaring loses half the digits), is the small problem when
+    S = R^T R from a QR of the centred features, Tr (S_x S_y)^(1/2) is the nuclear norm of R_x R_y^T. This
+    needs no matrix root, never forms a covariance (whose squaring loses half the digits), is the small problem when
     n < d, and gives 0 for identical sets to rounding.
 
     Parameters
@@ -109,8 +109,8 @@ def bootstrap_interval(
     """Bootstrap interval of a distance at this sample size.
 
     Resampling with replacement biases both distances upwards (repeated samples), as small n does. So the
-    spread of the resampled values is taken and put around the estimate: the interval is for the value expected
-    at this n, which is what two models evaluated on the same frames are compared by.
+    spread of the resampled values is taken and put around the estimate: the interval is for the value
+    expected at this n, which is what two models evaluated on the same frames are compared by.
 
     Parameters
     ----------

@@ -102,8 +102,8 @@ def evaluate_image(pair: Pair) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        Metrics that the frame offers nothing for (no shadow in it, no tissue mask) are left out; `psnr` may be
-        inf, nothing is NaN.
+        Metrics that the frame offers nothing for (no shadow in it, no tissue mask) are left out; `psnr` may
+        be inf, nothing is NaN.
 
     Raises
     ------

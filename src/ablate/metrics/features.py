@@ -13,7 +13,7 @@ BAND_EDGES = (1 / 24, 1 / 12, 1 / 6, 1 / 3, 1 / np.sqrt(2.0))  # cycles/px, octa
 
 # One unit of each feature is about one standard deviation between patches of different tissue, so that no
 # feature rules the distance. Fixed, so that values of two studies can be compared.
-GREY_UNIT, CORRELATION_UNIT, LOG10_POWER_UNIT, FRACTION_UNIT = 32.0, 0.25, 0.5, 0.1
+GREY_UNIT, GRADIENT_UNIT, CORRELATION_UNIT, LOG10_POWER_UNIT, FRACTION_UNIT = 48.0, 4.0, 0.4, 0.75, 0.2
 QUANTISATION_VARIANCE = 1.0 / 12.0  # grey levels^2, of rounding to 8 bits; keeps flat patches finite
 
 FEATURE_NAMES: tuple[str, ...] = (
@@ -32,12 +32,14 @@ FEATURE_NAMES: tuple[str, ...] = (
 
 
 def _moments(x: np.ndarray) -> np.ndarray:
-    """(n, 9): mean, sd, skewness, excess kurtosis and quantiles of patches (n, PATCH * PATCH)."""
+    """(n, 9): mean, sd, log skewness and kurtosis, and quantiles of patches (n, PATCH * PATCH)."""
     mean = x.mean(axis=1, keepdims=True)
     centred = x - mean
     variance = np.mean(centred**2, axis=1) + QUANTISATION_VARIANCE
-    skewness = np.mean(centred**3, axis=1) / variance**1.5
-    kurtosis = np.mean(centred**4, axis=1) / variance**2 - 3.0
+    # A single bright pixel in a black patch has a kurtosis of thousands: both are taken as logarithms.
+    cubed = np.mean(centred**3, axis=1) / variance**1.5
+    skewness = np.sign(cubed) * np.log1p(np.abs(cubed))
+    kurtosis = np.log1p(np.mean(centred**4, axis=1) / variance**2)
     quantiles = np.quantile(x, QUANTILES, axis=1)
     columns = (mean[:, 0] / GREY_UNIT, np.sqrt(variance) / GREY_UNIT, skewness, kurtosis)
     return np.column_stack((*columns, *(quantiles / GREY_UNIT)))
@@ -52,7 +54,7 @@ def _spatial(x: np.ndarray) -> np.ndarray:
         for c in (centred, centred.swapaxes(1, 2))
         for lag in LAGS_PX
     ]
-    gradients = [np.abs(np.diff(x, axis=axis)).mean(axis=(1, 2)) / GREY_UNIT for axis in (2, 1)]
+    gradients = [np.abs(np.diff(x, axis=axis)).mean(axis=(1, 2)) / GRADIENT_UNIT for axis in (2, 1)]
     return np.column_stack((*correlations, *gradients))
 
 

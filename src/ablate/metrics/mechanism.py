@@ -67,8 +67,8 @@ def shadow_contrast(
 ) -> float | None:
     """Error in shadow minus error in enhancement, in tissue: are shadows as deep as they should be?
 
-    Mean of prediction - target where A is under 0.6 of the median at that depth, minus the same mean where A is
-    over 1.4 of it. 0 is right, positive means shadows too bright; a global offset cancels.
+    Mean of prediction - target where A is under 0.6 of the median at that depth, minus the same mean where A
+    is over 1.4 of it. 0 is right, positive means shadows too bright; a global offset cancels.
 
     Parameters
     ----------

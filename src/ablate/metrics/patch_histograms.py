@@ -40,11 +40,11 @@ def patches_inside(mask: np.ndarray, patch: int = 20) -> np.ndarray:
     -------
     (H // patch, W // patch) bool
     """
-    return as_patches(mask, patch).all(axis=-1)
+    return np.asarray(as_patches(mask, patch).all(axis=-1))
 
 
 def _bin_of_grey_level(bins: int) -> np.ndarray:
-    """Bin of each grey level over `linspace(0, 255, bins + 1)`, last bin closed, as `numpy.histogram` does."""
+    """Bin of each grey level over `linspace(0, 255, bins + 1)`, last closed, as `numpy.histogram` has it."""
     edges = np.linspace(0.0, PEAK, bins + 1)
     return np.minimum(np.searchsorted(edges, np.arange(256), side="right") - 1, bins - 1)
 
