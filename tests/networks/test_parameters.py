@@ -1,0 +1,51 @@
+"""The parameter counts of the paper's Table II, to the parameter."""
+
+from __future__ import annotations
+
+import pytest
+
+from ablate.networks import Generator, GeneratorSpec, count_discriminator, count_generator, count_parameters
+
+UNET = {"family": "unet", "depth": 8, "concat": "input", "upsampling": "transposed", "noise": "none"}
+# Both networks together; the paper prints them in millions, to one digit.
+TABLE = {
+    "sa2h": ({}, 14_450_964, 14.5),
+    "sa2h-att": ({"attenuation": "none"}, 14_415_947, 14.4),
+    "sa2h-concat": ({"concat": "input"}, 14_384_130, 14.4),
+    "sa2h-conv": ({"upsampling": "transposed"}, 16_164_308, 16.2),
+    "sa2h-noise": ({"noise": "input"}, 14_450_388, 14.5),
+    "lsa2h": ({**UNET, "extra_input": "low"}, 57_171_266, 57.2),
+    "nsa2h": ({**UNET, "extra_input": "noise"}, 57_170_242, 57.2),
+}
+
+
+@pytest.mark.parametrize("variant", TABLE)
+def test_both_networks_together_have_the_papers_count(variant: str) -> None:
+    changes, total, millions = TABLE[variant]
+    spec = GeneratorSpec(**changes)
+    assert count_generator(spec) + count_discriminator(spec) == total
+    assert round(total / 1e6, 1) == millions
+
+
+def test_counting_on_the_meta_device_counts_the_real_network() -> None:
+    spec = GeneratorSpec(width=0.1, depth=3)
+    assert count_generator(spec) == count_parameters(Generator(spec))
+
+
+@pytest.mark.parametrize("noise", ["input", "none"])
+def test_a_variant_without_injected_noise_has_no_weight_for_it(noise: str) -> None:
+    with_noise = count_generator(GeneratorSpec())
+    channels = 2 * (256 + 128 + 128 + 64)
+    stem = 64 * 9 if noise == "input" else 0
+    assert count_generator(GeneratorSpec(noise=noise)) == with_noise - channels + stem  # type: ignore[arg-type]
+
+
+def test_the_narrowest_network_keeps_four_channels() -> None:
+    generator = Generator(GeneratorSpec(width=1e-6))
+    assert {layer.out_channels for stage in generator.network.stages().down for layer in stage} == {4}
+
+
+def test_the_discriminator_follows_the_generators_width_unless_told() -> None:
+    narrow = GeneratorSpec(width=0.25)
+    assert count_discriminator(narrow) == count_discriminator(GeneratorSpec(), width=0.25)
+    assert count_discriminator(narrow, width=1.0) == 2_764_737

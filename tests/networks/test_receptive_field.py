@@ -1,0 +1,73 @@
+"""The receptive field of the layer list against the support of the gradient."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, patch_size, receptive_field
+
+UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none"}
+
+
+def measured_extent(gradient: Tensor) -> int:
+    """Side of the smallest square that holds all of a (1, 1, H, W) gradient."""
+    columns = gradient[0, 0].abs().sum(0).nonzero().flatten()
+    rows = gradient[0, 0].abs().sum(1).nonzero().flatten()
+    return int(max(columns[-1] - columns[0], rows[-1] - rows[0])) + 1
+
+
+def make_linear(network: nn.Module, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Positive weights and no norm: no contribution cancels, and no statistics reach across the image."""
+    for room in ("local", "unet", "discriminator"):
+        monkeypatch.setattr(f"ablate.networks.{room}.instance_norm", lambda features: features)
+    for parameter in network.parameters():
+        fan_in = parameter[0].numel() if parameter.ndim == 4 else 1
+        nn.init.constant_(parameter, 1.0 / fan_in)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"depth": 2},
+        {"depth": 3},
+        {"depth": 3, "concat": "input"},
+        {"depth": 3, "upsampling": "transposed"},
+        {"depth": 4},
+        {**UNET, "depth": 2},
+        {**UNET, "depth": 4},
+    ],
+)
+def test_generator(changes: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = GeneratorSpec(**changes, width=0.01)
+    generator = Generator(spec).double()
+    make_linear(generator, monkeypatch)
+    expected = receptive_field(spec)
+    period = 2**spec.depth
+    size = (expected // period + 3) * period
+    extents = []
+    for phase in range(period):
+        maps = torch.full((2, 1, 1, size, size), 1e-3, dtype=torch.float64, requires_grad=True)
+        pixel = size // 2 // period * period + phase
+        generator(maps[0], maps[1])[0, 0, pixel, pixel].backward()
+        assert maps.grad is not None
+        extents.append(max(measured_extent(maps.grad[:1, 0]), measured_extent(maps.grad[1:, 0])))
+    assert max(extents) == expected
+
+
+def test_a_level_more_doubles_what_is_seen() -> None:
+    fields = [receptive_field(GeneratorSpec(depth=depth)) for depth in range(2, 9)]
+    ratios = [deep / shallow for shallow, deep in pairwise(fields)]
+    assert all(1.8 < ratio < 2.4 for ratio in ratios)
+
+
+def test_discriminator_judges_patches_of_70(monkeypatch: pytest.MonkeyPatch) -> None:
+    discriminator = PatchDiscriminator(2, width=0.01).double()
+    make_linear(discriminator, monkeypatch)
+    image = torch.full((1, 1, 256, 256), 1e-3, dtype=torch.float64, requires_grad=True)
+    discriminator(image.detach(), image)[0, 0, 15, 15].backward()
+    assert image.grad is not None
+    assert measured_extent(image.grad) == patch_size(discriminator) == 70

@@ -1,0 +1,55 @@
+"""The values behind a variant: what is accepted, and what is refused by name."""
+
+from __future__ import annotations
+
+import pytest
+
+from ablate.networks import GeneratorSpec, Noise, conditions, draws_noise, inputs
+
+UNET = {"family": "unet", "depth": 8, "concat": "input", "upsampling": "transposed", "noise": "none"}
+
+
+def test_plain_strings_become_enums_and_equal_specs_compare_equal() -> None:
+    assert GeneratorSpec(noise="input").noise is Noise.input  # type: ignore[arg-type]
+    assert GeneratorSpec(noise="inject") == GeneratorSpec()  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"family": "gan"}, "family='gan': allowed are local, unet"),
+        ({"noise": "yes"}, "noise='yes': allowed are inject, input, none"),
+        ({"depth": 1}, "depth=1: allowed are 2 to 8"),
+        ({"depth": 9}, "depth=9"),
+        ({"depth": 3.5}, "depth=3.5: allowed are whole numbers"),
+        ({"width": 0.0}, "width=0.0"),
+        ({"width": float("inf")}, "width=inf"),
+        ({"noise_start": float("nan")}, "noise_start=nan"),
+        ({"noise": "none", "noise_start": 0.3}, "nothing is injected"),
+        ({"noise": "input", "extra_input": "noise"}, "one noise channel"),
+        ({**UNET, "concat": "every_level"}, "allowed is concat=input"),
+        ({**UNET, "upsampling": "texture"}, "allowed is upsampling=transposed"),
+        ({**UNET, "noise": "inject"}, "noise=inject with family=unet"),
+    ],
+)
+def test_what_is_not_a_network_is_refused_by_name(changes: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        GeneratorSpec(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "channels", "stochastic"),
+    [
+        ({}, ("segmentation", "attenuation"), True),
+        ({"attenuation": "none"}, ("segmentation",), True),
+        ({"noise": "input"}, ("segmentation", "attenuation", "noise"), True),
+        ({"noise": "none"}, ("segmentation", "attenuation"), False),
+        ({**UNET, "extra_input": "low"}, ("segmentation", "attenuation", "low"), False),
+        ({**UNET, "extra_input": "noise"}, ("segmentation", "attenuation", "noise"), True),
+    ],
+)
+def test_inputs_name_the_channels(changes: dict, channels: tuple[str, ...], stochastic: bool) -> None:
+    spec = GeneratorSpec(**changes)
+    assert inputs(spec) == channels
+    assert conditions(spec) == tuple(name for name in channels if name != "noise")
+    assert draws_noise(spec) is stochastic
