@@ -35,7 +35,7 @@ def frechet_distance(X: np.ndarray, Y: np.ndarray) -> float:
 
     |mu_x - mu_y|^2 + Tr(S_x + S_y - 2 (S_x S_y)^(1/2)) (Dowson and Landau 1982; Heusel et al. 2017). With
     S = R^T R from a QR of the centred features, Tr (S_x S_y)^(1/2) is the nuclear norm of R_x R_y^T. This
-    needs no matrix root, never forms a covariance (whose squaring loses half the digits), is the small problem when
+    needs no matrix root, never forms a covariance (whose squaring loses half the digits), is small when
     n < d, and gives 0 for identical sets to rounding.
 
     Parameters
@@ -78,7 +78,8 @@ def kernel_distance(X: np.ndarray, Y: np.ndarray) -> float:
     Returns
     -------
     float
-        0 in expectation when both sets come from one distribution; it may be slightly negative.
+        0 in expectation for independent samples of one distribution; slightly negative by chance, or when
+        rows of X and Y show the same frames.
 
     Raises
     ------

@@ -1,0 +1,153 @@
+"""Frechet and kernel distance against closed forms, scipy and torchmetrics."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+import torch
+from torchmetrics.image.fid import FrechetInceptionDistance
+from torchmetrics.image.kid import KernelInceptionDistance
+
+from ablate.metrics import bootstrap_interval, frechet_distance, kernel_distance
+
+
+class Identity(torch.nn.Module):
+    """Passes feature matrices through torchmetrics, which then supplies an independent formula."""
+
+    def __init__(self, d):
+        super().__init__()
+        self.num_features = d
+
+    def forward(self, x):
+        return x.flatten(1)
+
+
+def with_moments(mean, covariance, n, rng):
+    """A sample whose mean and covariance are exactly these."""
+    d = len(mean)
+    x = rng.standard_normal((n, d))
+    x -= x.mean(axis=0)
+    x = x @ np.linalg.inv(np.linalg.cholesky(np.cov(x.T))).T
+    return x @ np.linalg.cholesky(covariance).T + mean
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e4])
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_closed_form_of_commuting_gaussians(offset, scale):
+    rng = np.random.default_rng(0)
+    sd_x, sd_y = np.array([1.0, 2.0, 0.5]), np.array([1.5, 0.1, 0.5])
+    shift = np.array([0.3, 0.0, -1.0])
+    x = with_moments(np.zeros(3), np.diag(sd_x**2), 50, rng) * scale + offset
+    y = with_moments(shift, np.diag(sd_y**2), 70, rng) * scale + offset
+    expected = scale**2 * (np.sum(shift**2) + np.sum((sd_x - sd_y) ** 2))
+    assert frechet_distance(x, y) == pytest.approx(expected, rel=1e-7 if offset == 0 else 1e-4)
+
+
+@pytest.mark.parametrize(("n", "m", "d"), [(40, 60, 5), (12, 30, 20), (8, 9, 20), (2, 2, 3), (30, 30, 1)])
+def test_agrees_with_scipys_matrix_root(n, m, d):
+    rng = np.random.default_rng(n * d)
+    x, y = rng.standard_normal((n, d)), rng.standard_normal((m, d)) * 1.3 + 0.2
+    a, b = (np.atleast_2d(np.cov(z.T)) for z in (x, y))
+    # The eigenvalues of S_x S_y are real and non-negative; only rounding makes them complex.
+    root_trace = np.sqrt(np.maximum(scipy.linalg.eigvals(a @ b).real, 0)).sum()
+    expected = np.sum((x.mean(0) - y.mean(0)) ** 2) + np.trace(a) + np.trace(b) - 2 * root_trace
+    assert frechet_distance(x, y) == pytest.approx(expected, abs=1e-5)
+    assert frechet_distance(x, y) == pytest.approx(frechet_distance(y, x), abs=1e-9)
+
+
+def test_agrees_with_torchmetrics_fid():
+    rng = np.random.default_rng(1)
+    x, y = rng.standard_normal((64, 12)), rng.gamma(2.0, size=(80, 12))
+    metric = FrechetInceptionDistance(Identity(12), normalize=True, input_img_size=(12, 1, 1))
+    metric.used_custom_model = True
+    metric.set_dtype(torch.float64)
+    metric.update(torch.from_numpy(x)[:, :, None, None], real=True)
+    metric.update(torch.from_numpy(y)[:, :, None, None], real=False)
+    assert frechet_distance(x, y) == pytest.approx(float(metric.compute()), rel=1e-5)
+
+
+@pytest.mark.filterwarnings("ignore:Metric `Kernel Inception Distance` will save")
+def test_agrees_with_torchmetrics_kid():
+    rng = np.random.default_rng(2)
+    x, y = rng.standard_normal((40, 12)), rng.standard_normal((40, 12)) + 0.3
+    metric = KernelInceptionDistance(Identity(12), subsets=1, subset_size=40, normalize=True)
+    metric.set_dtype(torch.float64)
+    metric.update(torch.from_numpy(x)[:, :, None, None], real=True)
+    metric.update(torch.from_numpy(y)[:, :, None, None], real=False)
+    assert kernel_distance(x, y) == pytest.approx(float(metric.compute()[0]), rel=1e-5)
+
+
+@pytest.mark.parametrize("n", [3, 10, 300])
+def test_identical_sets_are_at_distance_zero(n):
+    x = np.random.default_rng(n).standard_normal((n, 32)) + 100
+    assert frechet_distance(x, x) == pytest.approx(0, abs=1e-9)
+
+
+def test_stiff_covariances_keep_their_digits():
+    """Standard deviations over ten decades: forming covariances would leave the small ones to rounding."""
+    rng = np.random.default_rng(5)
+    sd = np.logspace(-5, 5, 6)
+    x = with_moments(np.zeros(6), np.eye(6), 40, rng) * sd
+    assert frechet_distance(x, x) / sd[-1] ** 2 < 1e-13
+    y = with_moments(np.zeros(6), np.eye(6), 40, rng) * sd * np.array([1, 1, 1, 1, 1, 2.0])
+    assert frechet_distance(x, y) == pytest.approx(sd[-1] ** 2, rel=1e-9)
+
+
+def test_invariant_under_rotation_and_row_order():
+    rng = np.random.default_rng(6)
+    x, y = rng.standard_normal((30, 8)), rng.standard_normal((25, 8)) * 2
+    q, _ = np.linalg.qr(rng.standard_normal((8, 8)))
+    assert frechet_distance(x @ q, y @ q) == pytest.approx(frechet_distance(x, y), rel=1e-10)
+    assert frechet_distance(x[::-1], y) == pytest.approx(frechet_distance(x, y), rel=1e-10)
+
+
+def test_kernel_distance_is_unbiased_where_frechet_is_not():
+    rng = np.random.default_rng(7)
+    pairs = [rng.standard_normal((2, 30, 16)) for _ in range(60)]
+    kernel = np.array([kernel_distance(x, y) for x, y in pairs])
+    frechet = np.array([frechet_distance(x, y) for x, y in pairs])
+    assert abs(kernel.mean()) < 3 * kernel.std() / np.sqrt(len(pairs))
+    assert frechet.mean() > 20 * frechet.std() / np.sqrt(len(pairs))
+
+
+@pytest.mark.parametrize("distance", [frechet_distance, kernel_distance])
+@pytest.mark.parametrize(
+    ("x", "message"),
+    [
+        (np.ones((1, 3)), "at least 2"),
+        (np.ones((0, 3)), "at least 2"),
+        (np.ones(3), r"\(n, d\)"),
+        (np.ones((4, 2)), "one feature dimension"),
+        (np.full((4, 3), np.nan), "not finite"),
+    ],
+)
+def test_bad_features_are_refused(distance, x, message):
+    with pytest.raises(ValueError, match=message):
+        distance(x, np.ones((4, 3)))
+
+
+def test_interval_covers_the_value_expected_at_this_size():
+    """At fixed n the estimator has an expectation; about 90 % of intervals should hold it."""
+    d, n, runs = 4, 60, 60
+    draws = [np.random.default_rng(k).standard_normal((2, n, d)) * [[[1.0]], [[1.5]]] for k in range(400)]
+    expected = np.mean([frechet_distance(x, y) for x, y in draws])
+    hits = 0
+    for x, y in draws[:runs]:
+        low, high = bootstrap_interval(frechet_distance, x, y, level=0.9, resamples=100)
+        assert low < high
+        hits += low <= expected <= high
+    assert hits / runs > 0.78
+
+
+def test_interval_by_groups_is_wider_when_rows_of_a_group_are_alike():
+    rng = np.random.default_rng(9)
+    groups = np.repeat(np.arange(10), 8)
+    x = (rng.standard_normal((10, 3)))[groups] + 0.1 * rng.standard_normal((80, 3))
+    y = 1.0 + rng.standard_normal((10, 3))[groups] + 0.1 * rng.standard_normal((80, 3))
+    free = bootstrap_interval(frechet_distance, x, y)
+    grouped = bootstrap_interval(frechet_distance, x, y, groups=groups)
+    assert grouped == bootstrap_interval(frechet_distance, x, y, groups=groups), "same seed, same interval"
+    assert np.ptp(grouped) > 1.5 * np.ptp(free)
+    with pytest.raises(ValueError, match="at least 2 groups"):
+        bootstrap_interval(frechet_distance, x, y, groups=np.zeros(80))
+    with pytest.raises(ValueError, match="one label a row"):
+        bootstrap_interval(frechet_distance, x, y, groups=groups[:-1])

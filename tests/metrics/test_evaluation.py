@@ -1,0 +1,61 @@
+"""One image, all metrics: names, what is left out, extremes, speed."""
+
+import time
+from itertools import product
+
+import numpy as np
+import pytest
+
+from ablate.metrics import IMAGE_METRICS, Pair, evaluate_image, psnr
+
+NAMES = {
+    "psnr", "psnr_fan", "mae", "mae_fan", "pchi2", "pchi2_fan", "pchi2_tissue", "shadow_contrast", "mae_smooth",
+    "nyquist_excess",
+}  # fmt: skip
+
+
+def pair_of(frame, prediction, **changes):
+    values = {
+        "mask": frame.mask, "tissue_mask": frame.tissue, "attenuation": frame.attenuation, "depth_mm": frame.depth_mm
+    }  # fmt: skip
+    return Pair(prediction, frame.image, **(values | changes))
+
+
+def test_names_are_those_that_runs_log(make_frame):
+    frame = make_frame(0)
+    values = evaluate_image(pair_of(frame, make_frame(1).image))
+    assert set(values) == set(IMAGE_METRICS) == NAMES
+    assert values["psnr"] == psnr(make_frame(1).image, frame.image)
+    assert values["pchi2"] < values["pchi2_fan"], "patches outside the fan are right for nothing"
+
+
+def test_metrics_without_their_input_are_left_out(make_frame):
+    frame = make_frame(0)
+    bare = evaluate_image(Pair(frame.image, frame.image, frame.mask))
+    assert set(bare) == NAMES - {"pchi2_tissue", "shadow_contrast"}
+    outside = evaluate_image(pair_of(frame, frame.image, mask=np.zeros_like(frame.mask)))
+    assert set(outside) == {"psnr", "mae", "pchi2"}
+    with pytest.raises(ValueError, match="depth_mm must be"):
+        pair_of(frame, frame.image, depth_mm=frame.depth_mm[1:])
+
+
+def test_extreme_images_give_no_nan(make_frame):
+    frame = make_frame(0, shape=(100, 140))
+    black, white = np.zeros_like(frame.image), np.full_like(frame.image, 255)
+    checker = (np.indices(black.shape).sum(0) % 2 * 255).astype(np.uint8)
+    for a, b in product((black, white, checker, frame.image), repeat=2):
+        values = evaluate_image(Pair(a, b, frame.mask, frame.tissue, frame.attenuation, frame.depth_mm))
+        assert not any(np.isnan(v) for v in values.values())
+        assert all(np.isfinite(v) for k, v in values.items() if not k.startswith("psnr"))
+
+
+@pytest.mark.slow
+def test_a_full_size_frame_takes_well_under_a_second(make_frame):
+    frame, other = (make_frame(k, shape=(1000, 1386)) for k in (0, 1))
+    evaluate_image(pair_of(frame, other.image))
+    times = []
+    for _ in range(5):
+        start = time.perf_counter()
+        evaluate_image(pair_of(frame, other.image))
+        times.append(time.perf_counter() - start)
+    assert min(times) < 0.2

@@ -1,0 +1,132 @@
+"""The texture descriptor sorts textures as an eye does; Inception's wrapper cuts and checks as it says."""
+
+import hashlib
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+from skimage.feature import local_binary_pattern
+
+from ablate.metrics import FEATURE_NAMES, frechet_distance, inception_features, speckle_features
+from ablate.metrics.features import _local_binary_patterns
+from ablate.metrics.inception import four_crops
+
+
+@pytest.fixture(scope="module")
+def frames(make_frame):
+    return {k: np.stack([make_frame(2 * i + k).image for i in range(8)]) for k in (0, 1)}
+
+
+def test_shape_order_and_determinism(make_frame, frames):
+    mask = make_frame(0).mask
+    features = speckle_features(frames[0], mask)
+    assert features.shape[1] == len(FEATURE_NAMES) == 35
+    assert np.isfinite(features).all()
+    np.testing.assert_array_equal(features, speckle_features(frames[0], mask))
+    patches = len(features) // 8
+    np.testing.assert_array_equal(features[patches : 2 * patches], speckle_features(frames[0][1:2], mask))
+
+
+def test_known_features():
+    image = np.full((1, 48, 48), 96, np.uint8)
+    values = dict(zip(FEATURE_NAMES, speckle_features(image)[0], strict=True))
+    assert values["mean"] == values["quantile_50"] == pytest.approx(2.0)
+    assert values["gradient_axial"] == values["correlation_lateral_1px"] == 0
+    assert values["lbp_8"] == pytest.approx(5.0)
+    stripes = np.tile(np.array([[0], [200]], np.uint8), (24, 48))[None]
+    values = dict(zip(FEATURE_NAMES, speckle_features(stripes)[0], strict=True))
+    assert values["correlation_axial_1px"] == pytest.approx(-1 / 0.4, rel=0.03)
+    assert values["correlation_axial_2px"] == pytest.approx(1 / 0.4, rel=0.05)
+    assert values["gradient_lateral"] == 0
+    assert values["band_axial_3"] > values["band_lateral_3"] + 3
+
+
+def test_local_binary_patterns_are_scikit_images():
+    image = np.random.default_rng(0).integers(0, 256, (40, 50)).astype(np.uint8)
+    ours = _local_binary_patterns(image)[1:-1, 1:-1]
+    # Radius 1 with 8 points interpolates the diagonals; 'nearest' neighbours are what a 3 x 3 window has.
+    padded = np.kron(image, np.ones((1, 1), np.uint8))
+    theirs = np.zeros_like(ours)
+    for i in range(1, 39):
+        for j in range(1, 49):
+            ring = [
+                padded[i + a, j + b]
+                for a, b in ((-1, -1), (-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1))
+            ]
+            signs = [int(v >= image[i, j]) for v in ring]
+            changes = sum(signs[k] != signs[k - 1] for k in range(8))
+            theirs[i - 1, j - 1] = sum(signs) if changes <= 2 else 9
+    np.testing.assert_array_equal(ours, theirs)
+    smooth = np.add.outer(np.arange(30), np.arange(30)).astype(np.uint8)
+    reference = local_binary_pattern(smooth, 8, 1, "uniform")
+    np.testing.assert_array_equal(_local_binary_patterns(smooth)[2:-2, 2:-2], reference[2:-2, 2:-2])
+
+
+def test_distance_orders_textures(make_frame, frames):
+    """Other speckle < slight blur < strong blur; and other speckle < another level."""
+    mask = make_frame(0).mask
+    target = speckle_features(frames[0], mask)
+
+    def distance(images):
+        return frechet_distance(speckle_features(images * mask, mask), target)
+
+    resimulated = distance(frames[1])
+    blurred = [distance(gaussian_filter(frames[1], (0, s, s))) for s in (1.0, 3.0)]
+    brighter = distance(np.minimum(frames[1], 215) + np.uint8(40))
+    assert resimulated > 0
+    assert 10 * resimulated < blurred[0] < blurred[1]
+    assert 10 * resimulated < brighter
+
+
+@pytest.mark.parametrize(
+    ("images", "mask", "message"),
+    [
+        (np.zeros((50, 50), np.uint8), None, "uint8"),
+        (np.zeros((1, 50, 50)), None, "uint8"),
+        (np.zeros((1, 50, 50), np.uint8), np.ones((50, 51), bool), "mask must be"),
+        (np.zeros((1, 50, 50), np.uint8), np.zeros((50, 50), bool), "no patch"),
+        (np.zeros((1, 40, 40), np.uint8), None, "no patch"),
+    ],
+)
+def test_what_has_no_texture_is_refused(images, mask, message):
+    with pytest.raises(ValueError, match=message):
+        speckle_features(images, mask)
+
+
+class CornerNet(torch.nn.Module):
+    """Stands for Inception: returns the corners' grey levels, so that the cropping is visible."""
+
+    def forward(self, x: torch.Tensor, return_features: bool = False) -> torch.Tensor:
+        assert return_features
+        return torch.stack([x[:, 0, 0, 0], x[:, 1, -1, -1], x[:, 2, 0, -1]], dim=1)
+
+
+@pytest.fixture
+def corner_net(tmp_path):
+    path = tmp_path / "net.pt"
+    torch.jit.save(torch.jit.script(CornerNet()), str(path))
+    return path, hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_inception_protocol(corner_net):
+    path, digest = corner_net
+    images = np.random.default_rng(0).integers(0, 256, (3, 600, 700)).astype(np.uint8)
+    features = inception_features(images, path, batch=5, sha256=digest)
+    assert features.shape == (12, 3)
+    top, left = 44, 94
+    assert features[4, 0] == images[1, top, left]
+    assert features[7, 1] == images[1, top + 511, left + 511]
+    assert features[5, 2] == images[1, top, left + 511]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_other_weights_may_not_be_called_inception(corner_net, tmp_path):
+    images = np.zeros((1, 512, 512), np.uint8)
+    with pytest.raises(ValueError, match="SHA-256"):
+        inception_features(images, corner_net[0])
+    with pytest.raises(FileNotFoundError, match="no Inception weights"):
+        inception_features(images, tmp_path / "absent.pt")
+    with pytest.raises(ValueError, match="too small"):
+        four_crops(np.zeros((1, 250, 346), np.uint8))

@@ -1,0 +1,112 @@
+"""Mechanism metrics on pictures made to have, and to lack, what each looks for."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from ablate.metrics import mae_smooth, noise_sd, nyquist_excess, shadow_contrast
+from ablate.metrics.mechanism import relative_attenuation
+
+
+def contrast(prediction, frame):
+    return shadow_contrast(
+        prediction, frame.image, frame.attenuation, frame.mask, frame.tissue, frame.depth_mm
+    )
+
+
+def shifted(image, mask, grey):
+    return np.where(mask, np.clip(image.astype(int) + grey, 0, 255), image).astype(np.uint8)
+
+
+def test_relative_attenuation_is_over_the_median_of_each_depth(make_frame):
+    frame = make_frame(shape=(90, 120))
+    relative = relative_attenuation(frame.attenuation, frame.mask, frame.depth_mm, bin_mm=3.0)
+    bins = (frame.depth_mm / 3.0).astype(int)
+    for k in np.unique(bins[frame.mask]):
+        here = frame.mask & (bins == k)
+        expected = frame.attenuation[here] / np.median(frame.attenuation[here])
+        np.testing.assert_allclose(relative[here], expected, rtol=1e-6)
+    assert np.isnan(relative[~frame.mask]).all()
+
+
+def test_missing_shadows_are_measured_in_grey_levels(make_frame):
+    target = make_frame(0)
+    flat = make_frame(0, shadow_grey=0.0, enhanced_grey=0.0)
+    deep = flat.image[target.shadow & target.tissue].astype(float)
+    expected = np.mean(deep - target.image[target.shadow & target.tissue])
+    found = contrast(flat.image, target)
+    assert found > 80, "a renderer without shadows must stand out"
+    assert found == pytest.approx(expected + 40, abs=4)
+    assert abs(contrast(make_frame(1).image, target)) < 4, "other speckle is not another shadow"
+
+
+def test_a_global_offset_cancels_in_shadow_contrast(make_frame):
+    target = make_frame(0, shadow_grey=-30.0, enhanced_grey=20.0)
+    assert contrast(shifted(target.image, target.mask, 12), target) == pytest.approx(0, abs=2)
+
+
+def test_nothing_to_measure_is_none_and_not_nan(make_frame):
+    frame = make_frame(0)
+    none = np.zeros_like(frame.mask)
+    level = np.full_like(frame.attenuation, 0.5)
+    for attenuation, mask, tissue in (
+        (level, frame.mask, frame.tissue),
+        (np.zeros_like(level), frame.mask, frame.tissue),
+        (frame.attenuation, frame.mask, none),
+        (frame.attenuation, none, frame.tissue),
+    ):
+        assert shadow_contrast(frame.image, frame.image, attenuation, mask, tissue, frame.depth_mm) is None
+    assert nyquist_excess(frame.image, frame.image, none) is None
+    assert noise_sd(np.stack([frame.image] * 2), none) is None
+
+
+def test_smooth_error_sees_structure_and_not_speckle(make_frame):
+    target, again = make_frame(0), make_frame(1)
+    offset = shifted(target.image, target.mask, 8)
+    assert mae_smooth(target.image, target.image, target.mask) == 0
+    pixel_error = np.abs(again.image.astype(float) - target.image)[target.mask].mean()
+    assert mae_smooth(again.image, target.image, target.mask) < 0.45 * pixel_error
+    difference = (offset.astype(float) - target.image)[target.mask]
+    assert mae_smooth(offset, target.image, target.mask) == pytest.approx(difference.mean(), abs=0.05)
+
+
+def test_smooth_error_equals_normalised_convolution_in_double(make_frame):
+    a, b = make_frame(0, shape=(60, 80)), make_frame(1, shape=(60, 80))
+    mask = a.mask
+    smooth = [
+        gaussian_filter(np.where(mask, x.image, 0).astype(float), 4, mode="constant", truncate=3.0)
+        for x in (a, b)
+    ]
+    weight = gaussian_filter(mask.astype(float), 4, mode="constant", truncate=3.0)
+    expected = np.abs((smooth[0] - smooth[1])[mask] / weight[mask]).mean()
+    assert mae_smooth(a.image, b.image, mask) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("period", [2, 4, 8])
+def test_a_checkerboard_is_seen_at_its_period(make_frame, period):
+    target, again = make_frame(0), make_frame(1)
+    comb = np.zeros(target.image.shape, int)
+    comb[::period, ::period] = 20
+    checkered = shifted(again.image, again.mask, comb - comb.mean().astype(int))
+    clean = nyquist_excess(again.image, target.image, target.mask, period)
+    assert abs(clean) < 1.0
+    assert nyquist_excess(checkered, target.image, target.mask, period) > clean + 3
+
+
+def test_blur_contrast_and_level_are_no_checkerboard(make_frame):
+    target = make_frame(0)
+    blurred = gaussian_filter(target.image, 0.7)
+    for harmless in (blurred, target.image // 2, shifted(target.image, target.mask, 20)):
+        assert abs(nyquist_excess(harmless, target.image, target.mask)) < 1.5
+    assert nyquist_excess(np.zeros_like(target.image), np.full_like(target.image, 255), target.mask) == 0
+
+
+def test_noise_sd_recovers_a_known_spread():
+    rng = np.random.default_rng(0)
+    draws = np.clip(np.round(128 + 9 * rng.standard_normal((6, 80, 80))), 0, 255).astype(np.uint8)
+    mask = np.zeros((80, 80), bool)
+    mask[:40] = True
+    assert noise_sd(draws, mask) == pytest.approx(np.sqrt(81 + 1 / 12), rel=0.02)
+    assert noise_sd(np.stack([draws[0]] * 3), mask) == 0
+    with pytest.raises(ValueError, match="k >= 2"):
+        noise_sd(draws[:1], mask)
