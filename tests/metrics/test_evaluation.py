@@ -9,16 +9,14 @@ import pytest
 from ablate.metrics import IMAGE_METRICS, Pair, evaluate_image, psnr
 
 NAMES = {
-    "psnr", "psnr_fan", "mae", "mae_fan", "pchi2", "pchi2_fan", "pchi2_tissue", "shadow_contrast", "mae_smooth",
-    "nyquist_excess",
+    "psnr", "psnr_fan", "mae", "mae_fan", "pchi2", "pchi2_fan", "pchi2_tissue",
+    "shadow_contrast", "mae_smooth", "nyquist_excess",
 }  # fmt: skip
 
 
 def pair_of(frame, prediction, **changes):
-    values = {
-        "mask": frame.mask, "tissue_mask": frame.tissue, "attenuation": frame.attenuation, "depth_mm": frame.depth_mm
-    }  # fmt: skip
-    return Pair(prediction, frame.image, **(values | changes))
+    values = {"mask": frame.mask, "tissue_mask": frame.tissue, "attenuation": frame.attenuation}
+    return Pair(prediction, frame.image, **(values | {"depth_mm": frame.depth_mm} | changes))
 
 
 def test_names_are_those_that_runs_log(make_frame):
