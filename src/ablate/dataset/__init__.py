@@ -1,1 +1,31 @@
+"""Probe sites, pairs on disk, and the crops that training sees."""
 
+from ablate.dataset.contact_sheet import write_contact_sheet
+from ablate.dataset.crops import Crops, CropSettings, crop_loader
+from ablate.dataset.encoding import Encoding, label_values
+from ablate.dataset.pairs import Pairs, create_pairs, fill_pairs, open_pairs
+from ablate.dataset.simulate import Recipe, simulate_pairs
+from ablate.dataset.sites import Pose, probe_poses, resample_grid
+from ablate.dataset.split import Part, SplitBy, choose_frames, split_frames
+
+__all__ = [
+    "CropSettings",
+    "Crops",
+    "Encoding",
+    "Pairs",
+    "Part",
+    "Pose",
+    "Recipe",
+    "SplitBy",
+    "choose_frames",
+    "create_pairs",
+    "crop_loader",
+    "fill_pairs",
+    "label_values",
+    "open_pairs",
+    "probe_poses",
+    "resample_grid",
+    "simulate_pairs",
+    "split_frames",
+    "write_contact_sheet",
+]

@@ -1,1 +1,17 @@
+"""Runs in MLflow; the only room that knows it."""
 
+from ablate.tracking.provenance import environment, git_state, hardware
+from ablate.tracking.store import RunLog, Status, Store, child_run, default_uri, open_store, parent_run
+
+__all__ = [
+    "RunLog",
+    "Status",
+    "Store",
+    "child_run",
+    "default_uri",
+    "environment",
+    "git_state",
+    "hardware",
+    "open_store",
+    "parent_run",
+]

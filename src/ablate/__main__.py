@@ -1,0 +1,51 @@
+"""The one entry: `python -m ablate`, and the console script `ablate`."""
+
+from __future__ import annotations
+
+import sys
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from ablate.config import Task, register
+from ablate.studies.sweep import ConfigurationError, configuration_dir, job_from_hydra, jobs_of
+
+_HYDRAS_OWN = {"--help", "-h", "--hydra-help", "--version", "--cfg", "-c", "--info", "-i", "--shell-completion", "-sc"}
+
+
+def main() -> None:
+    """Check the whole command line, then run its task; a bad input is one line on stderr and exit code 2."""
+    if _HYDRAS_OWN & set(sys.argv[1:]):
+        _launch()
+        return
+    try:
+        jobs = jobs_of(sys.argv[1:])
+        task = jobs[0].settings.task
+        from ablate.studies import tasks  # heavy imports only after the command line is known to compose
+
+        if task is Task.study:
+            code = tasks.study(jobs, _launch)
+        else:
+            code = tasks.TASKS[task](jobs)
+    except ConfigurationError as error:
+        sys.exit(f"ablate: {error}")
+    except KeyboardInterrupt:
+        sys.exit("ablate: interrupted; the same command continues where it stopped")
+    sys.exit(code)
+
+
+def _launch() -> None:
+    register()
+    hydra.main(version_base="1.3", config_path=str(configuration_dir()), config_name="config")(_job)()
+
+
+def _job(config: DictConfig) -> None:
+    """One job of a sweep, possibly in a process or on a machine of its own."""
+    from ablate.studies.run import run_job
+
+    run_job(job_from_hydra(config, list(HydraConfig.get().overrides.task)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""The data set behind a study: where it lies, how it is made, what a job reads of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from ablate.anatomy import ANATOMY_VERSION, Scene, SiteGrid, Tissue, fetal_abdomen, fetal_sites, load_scene, load_sites
+from ablate.config import SceneKind, StudySettings, build, plain
+from ablate.dataset import (
+    Pairs,
+    Recipe,
+    choose_frames,
+    create_pairs,
+    open_pairs,
+    probe_poses,
+    resample_grid,
+    simulate_pairs,
+    split_frames,
+    write_contact_sheet,
+)
+from ablate.networks import GeneratorSpec, conditions
+from ablate.ultrasound import SIMULATOR_VERSION, fan_mask
+
+_INCIDENTAL_SIMULATOR = ("device", "plan")
+
+
+@dataclass(frozen=True)
+class Data:
+    """A data set on disk with the tissues behind its labels; no scene is loaded for it."""
+
+    pairs: Pairs
+    tissues: tuple[Tissue, ...]
+
+
+def maps_needed(models: Iterable[GeneratorSpec]) -> frozenset[str]:
+    """Arrays that a study reads: L only where a variant does; A always, the mechanism metrics need it."""
+    read = {name for spec in models for name in conditions(spec)}
+    return frozenset(read | {"segmentation", "attenuation", "high", "high_again"})
+
+
+def dataset_hash(settings: StudySettings) -> str:
+    """Hash over scene, probe, simulator settings and version, sites, split and seed."""
+    return hashlib.sha256(json.dumps(_about(settings), sort_keys=True).encode()).hexdigest()[:16]
+
+
+def dataset_folder(settings: StudySettings) -> Path:
+    return settings.runs / "data" / f"{settings.scene_name}-{dataset_hash(settings)}"
+
+
+def _about(settings: StudySettings) -> dict[str, Any]:
+    chosen = plain(settings.dataset)
+    return {
+        "scene": _scene_identity(settings),
+        "probe": plain(settings.probe),
+        "simulator": {k: v for k, v in plain(settings.simulator).items() if k not in _INCIDENTAL_SIMULATOR},
+        "simulator_version": SIMULATOR_VERSION,
+        "dataset": {k: v for k, v in chosen.items() if k not in ("workers", "shard")},
+    }
+
+
+def _scene_identity(settings: StudySettings) -> dict[str, Any]:
+    scene = settings.scene
+    if scene.kind is SceneKind.fetal:
+        return {
+            "kind": "fetal_abdomen",
+            "triangles": scene.triangles,
+            "seed": scene.anatomy_seed,
+            "version": ANATOMY_VERSION,
+        }
+    digest = hashlib.sha256()
+    for path in sorted(Path(scene.folder or "").iterdir()):
+        if path.suffix.lower() in {".yaml", ".obj", ".stl", ".ply", ".off", ".glb"}:
+            digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return {"kind": "folder", "files": digest.hexdigest(), "version": ANATOMY_VERSION}
+
+
+def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
+    """The scene and its own grid of probe sites."""
+    scene = settings.scene
+    if scene.kind is SceneKind.fetal:
+        return fetal_abdomen(triangles=scene.triangles, seed=scene.anatomy_seed), fetal_sites()
+    folder = Path(scene.folder or "")
+    return load_scene(folder), load_sites(folder)
+
+
+def prepare_data(settings: StudySettings, maps: frozenset[str]) -> Data:
+    """Simulate what is missing of the study's pairs; returns at once when nothing is."""
+    folder = dataset_folder(settings)
+    if (folder / "about.json").exists():
+        data = open_data(settings)
+        if not data.pairs.missing(maps):
+            return data
+    tqdm.write(f"Simulating pairs into {folder}")
+    scene, grid = build_scene(settings)
+    chosen = settings.dataset
+    poses = probe_poses(scene, resample_grid(grid, chosen.grid), chosen.press_mm)
+    picked = choose_frames([p.site for p in poses], chosen.frames, chosen.seed)
+    sites = np.array([poses[i].site for i in picked])
+    split = split_frames(sites, chosen.split, chosen.validation, chosen.test, chosen.seed)
+    order = np.argsort(split, kind="stable")  # validation and test frames lie together: few shards hold both
+    pairs = create_pairs(
+        folder,
+        np.stack([poses[picked[i]].probe_to_world for i in order]),
+        sites[order],
+        split[order],
+        fan_mask(settings.probe, settings.simulator.image_shape),
+        chosen.shard,
+        [t.name for t in scene.tissues],
+        {**_about(settings), "tissues": [plain(t) for t in scene.tissues]},
+    )
+    recipe = Recipe(scene, settings.probe, settings.simulator, chosen.seed)
+    todo = sum(len(pairs.frames_of_shard(s)) for s in pairs.missing(maps))
+    with tqdm(total=todo, unit="frame", desc="simulate", mininterval=1.0) as bar:
+        simulate_pairs(recipe, pairs, maps, chosen.workers, lambda n: bar.update(n) and None)
+    write_contact_sheet(pairs, folder / "contact_sheet.png")
+    return open_data(settings)
+
+
+def open_data(settings: StudySettings) -> Data:
+    """The study's data set as it lies on disk.
+
+    Raises
+    ------
+    FileNotFoundError
+        When it has not been simulated.
+    """
+    folder = dataset_folder(settings)
+    pairs = open_pairs(folder)
+    about = json.loads((folder / "about.json").read_text())
+    return Data(pairs, tuple(build(Tissue, t) for t in about["tissues"]))

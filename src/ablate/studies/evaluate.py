@@ -1,0 +1,123 @@
+"""One trained generator on frames it has never seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from ablate.anatomy import Tissue
+from ablate.config import EvaluationSettings
+from ablate.dataset import Pairs, Part
+from ablate.metrics import Pair, evaluate_image, frechet_distance, kernel_distance, noise_sd, speckle_features
+from ablate.ultrasound import ConvexProbe, fan_depth_mm
+
+# (frames of the data set, number of the noise draw) -> (k, H, W) uint8
+Render = Callable[[np.ndarray, int], np.ndarray]
+_BATCH = 8
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What one generator scored on one part of the data.
+
+    Attributes
+    ----------
+    per_image : DataFrame
+        Columns frame, site, metric, value.
+    scalars : dict
+        Mean of each per-image metric, and what only a set of images has (`fd_speckle`, `noise_sd`, ...).
+    """
+
+    per_image: pd.DataFrame
+    scalars: dict[str, float]
+
+
+def tissue_labels(tissues: tuple[Tissue, ...]) -> np.ndarray:
+    """Labels of solid tissue: what scatters, and is neither fluid nor gas."""
+    solid = [i + 1 for i, t in enumerate(tissues) if t.scatter_power > 0.02 and t.impedance_mrayl > 0.5]
+    return np.asarray(solid, np.uint8)
+
+
+def evaluate(
+    pairs: Pairs,
+    part: Part,
+    tissues: tuple[Tissue, ...],
+    probe: ConvexProbe,
+    render: Render,
+    settings: EvaluationSettings,
+    draws_noise: bool,
+) -> Evaluation:
+    """Score `render` against the simulated frames of one part.
+
+    Parameters
+    ----------
+    pairs : Pairs
+    part : Part
+    tissues : tuple of Tissue
+    probe : ConvexProbe
+    render : callable (frames (k,) int64, noise draw) -> (k, H, W) uint8
+    settings : EvaluationSettings
+    draws_noise : bool
+        Whether a second draw can differ; `noise_sd` is 0 where it cannot.
+
+    Returns
+    -------
+    Evaluation
+    """
+    mask, solid = pairs.mask(), tissue_labels(tissues)
+    depth = fan_depth_mm(probe, pairs.shape)
+    frames = pairs.frames(part)
+    rows: list[dict[str, object]] = []
+    target_features, features = [], []
+    for start in tqdm(range(0, len(frames), _BATCH), desc=f"evaluate {part.name}", leave=False, mininterval=1.0):
+        batch = frames[start : start + _BATCH]
+        images, targets = render(batch, 0), pairs.read("high", batch)
+        labels, attenuation = pairs.read("segmentation", batch), pairs.read("attenuation", batch)
+        for k, frame in enumerate(batch):
+            pair = Pair(
+                prediction=images[k],
+                target=targets[k],
+                mask=mask,
+                tissue_mask=np.isin(labels[k], solid),
+                attenuation=attenuation[k],
+                depth_mm=depth,
+                segmentation=labels[k],
+            )
+            site = int(pairs.sites[frame])
+            rows += [
+                {"frame": int(frame), "site": site, "metric": name, "value": value}
+                for name, value in evaluate_image(pair).items()
+            ]
+        features.append(speckle_features(images, mask))
+        target_features.append(speckle_features(targets, mask))
+    per_image = pd.DataFrame(rows)
+    finite = per_image[np.isfinite(per_image["value"])]
+    scalars = {str(name): float(value) for name, value in finite.groupby("metric")["value"].mean().items()}
+    scalars["identical_frames"] = float(len(per_image) - len(finite))
+    found, wanted = np.concatenate(features), np.concatenate(target_features)
+    scalars["fd_speckle"] = frechet_distance(found, wanted)
+    scalars["kd_speckle"] = kernel_distance(found, wanted)
+    scalars["noise_sd"] = _spread(pairs, frames, solid, render, settings) if draws_noise else 0.0
+    return Evaluation(per_image, scalars)
+
+
+def _spread(pairs: Pairs, frames: np.ndarray, solid: np.ndarray, render: Render, settings: EvaluationSettings) -> float:
+    """Mean over some frames of the standard deviation over noise draws, in tissue, grey levels."""
+    shown = frames[np.linspace(0, len(frames) - 1, min(settings.noise_frames, len(frames))).round().astype(int)]
+    draws = np.stack([render(shown, draw) for draw in range(settings.noise_draws)])
+    labels = pairs.read("segmentation", shown)
+    found = [noise_sd(draws[:, k], np.isin(labels[k], solid)) for k in range(len(shown))]
+    return float(np.mean([f for f in found if f is not None] or [0.0]))
+
+
+def resimulated(pairs: Pairs) -> Render:
+    """The same frames with other scatterers, as a renderer: its scores are the floor, or the level, of a metric."""
+
+    def render(frames: np.ndarray, draw: int) -> np.ndarray:
+        return pairs.read("high" if draw % 2 else "high_again", frames)
+
+    return render

@@ -1,0 +1,104 @@
+"""Which run is which: a hash of what decides the result, and the refusal to mix two results in one place."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from ablate.config import StudySettings, plain
+from ablate.studies.data import dataset_hash
+from ablate.studies.sweep import ConfigurationError, Job
+
+# Where a job runs, how often it saves and what it is called do not change what comes out.
+_INCIDENTAL_TRAINING = ("device", "threads", "checkpoint_every", "log_every", "workers")
+
+
+def semantic(settings: StudySettings) -> dict[str, Any]:
+    """Everything that decides the trained network, and nothing else, fit for JSON."""
+    training = {k: v for k, v in plain(settings.training).items() if k not in _INCIDENTAL_TRAINING}
+    encoding = {"order": settings.encoding.name}
+    if settings.encoding.name == "arbitrary":
+        encoding["seed"] = settings.encoding_seed
+    return {
+        "data": dataset_hash(settings),
+        "encoding": encoding,
+        "model": plain(settings.model),
+        "training": training,
+        "seed": settings.seed,
+    }
+
+
+def config_hash(settings: StudySettings) -> str:
+    """First 16 hexadecimal digits of the SHA-256 of `semantic`."""
+    return digest(semantic(settings))
+
+
+def digest(value: Any) -> str:
+    """First 16 hexadecimal digits of the SHA-256 of a JSON value."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def check_place(job: Job) -> None:
+    """Refuse a run directory that holds another configuration.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming the keys that differ, each with its value there and here.
+    """
+    spec = job.folder / "spec.json"
+    if not spec.exists():
+        return
+    there, here = json.loads(spec.read_text())["semantic"], semantic(job.settings)
+    if there != here:
+        differences = ", ".join(f"{k}: {a} there, {b} here" for k, a, b in _differences(there, here))
+        raise ConfigurationError(
+            f"{job.folder} holds another configuration ({differences}); give this one a place with study_name=..."
+        )
+
+
+def claim_place(job: Job) -> None:
+    """Write what this run is into its directory, before anything else is written there."""
+    check_place(job)
+    job.folder.mkdir(parents=True, exist_ok=True)
+    if not (job.folder / "spec.json").exists():
+        content = {
+            "label": job.label,
+            "hash": config_hash(job.settings),
+            "semantic": semantic(job.settings),
+            "settings": plain(job.settings),
+        }
+        write_json(job.folder / "spec.json", content)
+
+
+def finished(job: Job) -> dict[str, Any] | None:
+    """The result of this very configuration, when there is one."""
+    return read_result(job.folder, config_hash(job.settings))
+
+
+def read_result(folder: Path, expected_hash: str) -> dict[str, Any] | None:
+    """`result.json` of a run directory when its hash is the expected one."""
+    path = folder / "result.json"
+    if not path.exists():
+        return None
+    result: dict[str, Any] = json.loads(path.read_text())
+    return result if result.get("hash") == expected_hash else None
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write whole or not at all."""
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(json.dumps(content, indent=2, sort_keys=True))
+    os.replace(partial, path)
+
+
+def _differences(a: Any, b: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:
+    if isinstance(a, dict) and isinstance(b, dict):
+        for k in sorted(a.keys() | b.keys()):
+            yield from _differences(a.get(k), b.get(k), f"{key}.{k}".lstrip("."))
+    elif a != b:
+        yield key, a, b
