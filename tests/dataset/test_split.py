@@ -1,0 +1,48 @@
+"""Frames are spread over sites, and no site is on two sides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ablate.dataset import Part, SplitBy, choose_frames, split_frames
+
+
+@given(st.integers(3, 40), st.integers(1, 6), st.integers(0, 5))
+def test_no_site_is_on_two_sides(sites: int, per_site: int, seed: int) -> None:
+    site = np.repeat(np.arange(sites), per_site)
+    part = split_frames(site, SplitBy.site, 0.1, 0.2, seed)
+    for s in range(sites):
+        assert len(set(part[site == s])) == 1
+    for p in Part:
+        assert (part == p).any()
+
+
+@given(st.integers(1, 20), st.integers(1, 6), st.data())
+def test_chosen_frames_are_spread_equally(sites: int, per_site: int, data: st.DataObject) -> None:
+    site = np.repeat(np.arange(sites), per_site)
+    frames = data.draw(st.integers(1, len(site)))
+    chosen = choose_frames(site, frames, 0)
+    assert len(np.unique(chosen)) == frames
+    counts = np.bincount(site[chosen], minlength=sites)
+    assert counts.max() - counts.min() <= 1
+
+
+def test_paper_split_draws_frames() -> None:
+    site = np.repeat(np.arange(10), 100)
+    part = split_frames(site, SplitBy.frame, 0.05, 0.1, 0)
+    assert np.bincount(part).tolist() == [850, 50, 100]
+    assert len(set(part[site == 0])) > 1
+
+
+@pytest.mark.parametrize("frames", [0, -3, 301])
+def test_a_number_of_frames_that_cannot_be_is_refused(frames: int) -> None:
+    with pytest.raises(ValueError, match=r"dataset\.frames=.*1 to 300"):
+        choose_frames(np.repeat(np.arange(100), 3), frames, 0)
+
+
+def test_too_few_sites_are_refused() -> None:
+    with pytest.raises(ValueError, match="2 sites cannot be split"):
+        split_frames([0, 0, 1, 1], SplitBy.site, 0.1, 0.2, 0)
