@@ -168,7 +168,7 @@ def line_excess_db(image: np.ndarray, blocks: np.ndarray, period_px: int = 2) ->
     blocks : (H // 32, W // 32) bool
         Blocks that count.
     period_px : int
-        2 is the last up-sampling's grid; 4, 8 are those of earlier ones.
+        2 is the grid of the last up-sampling, 4 of the one before.
 
     Returns
     -------
@@ -196,7 +196,7 @@ def nyquist_excess(
 ) -> float | None:
     """Checkerboard of up-sampling: the prediction's excess at the Nyquist lines over the target's, dB.
 
-    Strided transposed convolutions leave a pattern of period 2 px, and its multiples from earlier levels
+    Strided transposed convolutions leave a pattern of period 2 px, and of 4 px from the level before
     (Odena et al. 2016). The excess is against neighbouring frequencies of the same image, so blur or contrast
     alone do not move it.
 
@@ -207,7 +207,7 @@ def nyquist_excess(
     mask : (H, W) bool
         The fan; only blocks of 32 px wholly inside count.
     period_px : int
-        Period looked for, px: 2, 4 or 8.
+        Period looked for, px: 2 or 4.
 
     Returns
     -------
@@ -220,8 +220,8 @@ def nyquist_excess(
         When shapes or dtypes do not fit, or the period is another.
     """
     check_pair(prediction, target)
-    if period_px not in (2, 4, 8):
-        raise ValueError(f"period_px must be 2, 4 or 8, got {period_px}")
+    if period_px not in (2, 4):
+        raise ValueError(f"period_px must be 2 or 4, got {period_px}")
     blocks = patches_inside(mask, BLOCK)
     if not blocks.any():
         return None
