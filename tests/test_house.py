@@ -10,7 +10,17 @@ import pytest
 import ablate
 
 ROOT = Path(ablate.__file__).parent
-ROOMS = ["anatomy", "ultrasound", "metrics", "networks", "dataset", "training", "analysis", "tracking", "studies"]
+ROOMS = [
+    "anatomy",
+    "ultrasound",
+    "metrics",
+    "networks",
+    "dataset",
+    "training",
+    "analysis",
+    "tracking",
+    "studies",
+]
 FRAMEWORKS = {
     "lightning": {"training", "tracking"},
     "mlflow": {"tracking"},

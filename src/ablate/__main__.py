@@ -11,7 +11,18 @@ from omegaconf import DictConfig
 from ablate.config import Task, register
 from ablate.studies.sweep import ConfigurationError, configuration_dir, job_from_hydra, jobs_of
 
-_HYDRAS_OWN = {"--help", "-h", "--hydra-help", "--version", "--cfg", "-c", "--info", "-i", "--shell-completion", "-sc"}
+_HYDRAS_OWN = {
+    "--help",
+    "-h",
+    "--hydra-help",
+    "--version",
+    "--cfg",
+    "-c",
+    "--info",
+    "-i",
+    "--shell-completion",
+    "-sc",
+}
 
 
 def main() -> None:
@@ -24,10 +35,7 @@ def main() -> None:
         task = jobs[0].settings.task
         from ablate.studies import tasks  # heavy imports only after the command line is known to compose
 
-        if task is Task.study:
-            code = tasks.study(jobs, _launch)
-        else:
-            code = tasks.TASKS[task](jobs)
+        code = tasks.study(jobs, _launch) if task is Task.study else tasks.TASKS[task](jobs)
     except ConfigurationError as error:
         sys.exit(f"ablate: {error}")
     except KeyboardInterrupt:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -20,7 +18,14 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
     mask[5:30, 20:45] = True
     n = 6
     made = create_pairs(
-        tmp_path_factory.mktemp("pairs"), np.zeros((n, 4, 4)), np.arange(n), np.zeros(n, np.uint8), mask, 3, ["a"], {}
+        tmp_path_factory.mktemp("pairs"),
+        np.zeros((n, 4, 4)),
+        np.arange(n),
+        np.zeros(n, np.uint8),
+        mask,
+        3,
+        ["a"],
+        {},
     )
     rng = np.random.default_rng(0)
     stack = rng.integers(1, 255, (n, H, W)) * mask

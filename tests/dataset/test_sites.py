@@ -56,7 +56,12 @@ def test_directions_that_miss_are_dropped_and_nothing_left_is_an_error() -> None
 
 def test_a_grid_is_resampled_over_its_own_ranges() -> None:
     fine = resample_grid(GRID, (13, 19, 9, 3))
-    assert (len(fine.heights_mm), len(fine.angles_deg), len(fine.tilts_deg), len(fine.rolls_deg)) == (13, 19, 9, 3)
+    assert (len(fine.heights_mm), len(fine.angles_deg), len(fine.tilts_deg), len(fine.rolls_deg)) == (
+        13,
+        19,
+        9,
+        3,
+    )
     assert (fine.heights_mm[0], fine.heights_mm[-1]) == (-20, 20)
     assert 13 * 19 * 9 * 3 == 6669  # the paper's number of frames
     with pytest.raises(ValueError, match=r"dataset\.grid"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import cached_property
+from numbers import Real
 
 import trimesh
 
@@ -43,7 +44,7 @@ class Tissue:
     attenuation_power : float
         Exponent b of alpha f^b.
     roughness : float
-        0 is a mirror; otherwise the surface normal is drawn from a power-cosine lobe of exponent 1 / roughness.
+        0 is a mirror; otherwise the normal is drawn from a power-cosine lobe of exponent 1 / roughness.
     thickness_mm : float
         Standard deviation of the depth over which the surface reflects, mm.
     specularity : float
@@ -94,8 +95,7 @@ class Tissue:
 
 def _check_number(tissue: str, field: str, value: object, low: float, high: float) -> None:
     """Raise ValueError unless `value` is a finite number in [low, high]."""
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not is_number or not math.isfinite(value) or not low <= value <= high:  # type: ignore[arg-type,operator]
+    if not isinstance(value, Real) or not math.isfinite(value) or not low <= value <= high:
         raise ValueError(f"tissue {tissue!r}: {field} must be between {low:g} and {high:g}, not {value!r}")
 
 

@@ -17,7 +17,7 @@ BRIGHT_BY_SURFACE = ("gas", "fetal_bone", "bone")
 
 @cache
 def _table() -> tuple[Tissue, ...]:
-    with files("ablate.anatomy").joinpath("tissues.csv").open(encoding="utf-8", newline="") as stream:
+    with files("ablate.anatomy").joinpath("tissues.csv").open(encoding="utf-8") as stream:
         return tuple(_from_row(row) for row in csv.DictReader(stream))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +38,7 @@ def write_contact_sheet(pairs: Pairs, path: Path, per_part: int = 8) -> None:
     sheet = montage(np.stack(tiles), channel_axis=3, grid_shape=(2 * len(Part), per_part), padding_width=4)
     partial = path.with_suffix(".partial.png")
     imsave(partial, (np.clip(sheet, 0, 1) * 255).astype(np.uint8), check_contrast=False)
-    os.replace(partial, path)
+    partial.replace(path)
 
 
 def _thumbnail(image: np.ndarray) -> np.ndarray:

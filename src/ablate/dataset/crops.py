@@ -63,7 +63,12 @@ class Crops(Dataset[dict[str, torch.Tensor]]):
     """
 
     def __init__(
-        self, pairs: Pairs, frames: np.ndarray, maps: frozenset[str], values: np.ndarray, settings: CropSettings
+        self,
+        pairs: Pairs,
+        frames: np.ndarray,
+        maps: frozenset[str],
+        values: np.ndarray,
+        settings: CropSettings,
     ) -> None:
         if settings.batch_size > len(frames):
             raise ValueError(f"training.batch_size={settings.batch_size}: more than the {len(frames)} training frames")

@@ -17,7 +17,13 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from ablate.dataset.split import Part
 
 MAPS = ("segmentation", "attenuation", "high", "low", "high_again")
-_DTYPES = {"segmentation": "uint8", "attenuation": "uint16", "high": "uint8", "low": "uint8", "high_again": "uint8"}
+_DTYPES = {
+    "segmentation": "uint8",
+    "attenuation": "uint16",
+    "high": "uint8",
+    "low": "uint8",
+    "high_again": "uint8",
+}
 ATTENUATION_SCALE = 65535.0
 
 log = logging.getLogger(__name__)
@@ -122,7 +128,12 @@ def create_pairs(
     with FileLock(folder / ".create.lock"):
         if not (folder / "about.json").exists():
             group = zarr.open_group(folder / "pairs.zarr", mode="w", zarr_format=3)
-            for name, data in (("pose", poses), ("site", sites.astype("int32")), ("split", split), ("mask", mask)):
+            for name, data in (
+                ("pose", poses),
+                ("site", sites.astype("int32")),
+                ("split", split),
+                ("mask", mask),
+            ):
                 group.create_array(name, data=np.ascontiguousarray(data))
             group.attrs.update({"shard": shard, "tissues": list(tissues)})
             partial = folder / "about.json.partial"

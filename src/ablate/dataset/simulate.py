@@ -71,7 +71,7 @@ def renderer(recipe: Recipe, pairs: Pairs) -> Callable[[np.ndarray, frozenset[st
 
 
 def simulate_pairs(
-    recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int = 0, progress: Progress = lambda n: None
+    recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int = 0, progress: Progress | None = None
 ) -> int:
     """Fill what is missing of a data set and return when nothing is.
 
@@ -82,7 +82,7 @@ def simulate_pairs(
     maps : frozenset of str
     workers : int
         Processes; 0 is one a core.
-    progress : callable (frames made since the last call)
+    progress : callable (frames made since the last call), optional
 
     Returns
     -------
@@ -99,7 +99,8 @@ def simulate_pairs(
     def count(frames: int) -> None:
         nonlocal made
         made += frames
-        progress(frames)
+        if progress is not None:
+            progress(frames)
 
     while missing := pairs.missing(maps):
         wanted = min(workers or os.cpu_count() or 1, len(missing))
@@ -117,9 +118,7 @@ def simulate_pairs(
 def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int, count: Progress) -> None:
     context = multiprocessing.get_context("spawn")
     done = context.Queue()
-    processes = [
-        context.Process(target=_work, args=(recipe, pairs, maps, done), daemon=True) for _ in range(workers)
-    ]
+    processes = [context.Process(target=_work, args=(recipe, pairs, maps, done), daemon=True) for _ in range(workers)]
     for process in processes:
         process.start()
     while any(p.is_alive() for p in processes) or not done.empty():
@@ -130,7 +129,9 @@ def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], worke
             if failed:
                 for p in processes:
                     p.terminate()
-                raise RuntimeError(f"a simulation process ended with code {failed[0]}; its error is printed above") from None
+                raise RuntimeError(
+                    f"a simulation process ended with code {failed[0]}; its error is printed above"
+                ) from None
     for process in processes:
         process.join()
 

@@ -58,9 +58,7 @@ def choose_frames(sites: Sequence[int], frames: int, seed: int) -> np.ndarray:
     return np.sort(np.lexsort((position, rank))[:frames])
 
 
-def split_frames(
-    sites: Sequence[int], by: SplitBy, validation: float, test: float, seed: int
-) -> np.ndarray:
+def split_frames(sites: Sequence[int], by: SplitBy, validation: float, test: float, seed: int) -> np.ndarray:
     """Part of every frame.
 
     Parameters
@@ -84,9 +82,7 @@ def split_frames(
     units = np.unique(site) if by is SplitBy.site else np.arange(len(site))
     member = site if by is SplitBy.site else np.arange(len(site))
     if not (0 < validation < 1 and 0 < test < 1 and validation + test < 1):
-        raise ValueError(
-            f"dataset.validation={validation} and dataset.test={test}: each above 0 and together below 1"
-        )
+        raise ValueError(f"dataset.validation={validation} and dataset.test={test}: each above 0 and together below 1")
     n_validation, n_test = (max(1, round(f * len(units))) for f in (validation, test))
     if n_validation + n_test >= len(units):
         raise ValueError(

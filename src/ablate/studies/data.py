@@ -12,7 +12,16 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from ablate.anatomy import ANATOMY_VERSION, Scene, SiteGrid, Tissue, fetal_abdomen, fetal_sites, load_scene, load_sites
+from ablate.anatomy import (
+    ANATOMY_VERSION,
+    Scene,
+    SiteGrid,
+    Tissue,
+    fetal_abdomen,
+    fetal_sites,
+    load_scene,
+    load_sites,
+)
 from ablate.config import SceneKind, StudySettings, build, plain
 from ablate.dataset import (
     Pairs,

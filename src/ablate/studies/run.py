@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import torch
 
-from ablate.dataset import CropSettings, Crops, Part, crop_loader, label_values
+from ablate.dataset import Crops, CropSettings, Part, crop_loader, label_values
 from ablate.networks import count_discriminator, count_generator, draws_noise
-from ablate.studies.data import Data, maps_needed, open_data, prepare_data
+from ablate.studies.data import Data, maps_needed, prepare_data
 from ablate.studies.evaluate import Evaluation, Render, evaluate, resimulated
 from ablate.studies.identity import claim_place, config_hash, finished, write_json
 from ablate.studies.sweep import Job

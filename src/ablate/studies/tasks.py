@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import pandas as pd
 
-from ablate.config import Task
+from ablate.config import StudySettings, Task
 from ablate.studies.compare import compare_study
-from ablate.studies.data import dataset_folder, maps_needed, prepare_data
+from ablate.studies.data import Data, dataset_folder, dataset_hash, maps_needed, prepare_data
 from ablate.studies.identity import finished
 from ablate.studies.preflight import check
 from ablate.studies.sweep import Job
@@ -20,18 +21,19 @@ from ablate.studies.variants import describe as describe_variants
 def study(jobs: Sequence[Job], launch: Callable[[], None]) -> int:
     """Simulate what is missing, run every job through Hydra's launcher, compare."""
     check(jobs)
-    first = jobs[0].settings
     waiting = [job for job in jobs if finished(job) is None]
     code = 0
     if waiting:
-        prepare_data(first, maps_needed(job.settings.model for job in jobs))
-        open_tracking(first)  # the database, the experiment and the parent run exist before any job starts
+        _simulate_for(waiting)
+        for settings in _studies(waiting):
+            open_tracking(settings)  # database, experiment and parent run exist before any job starts
         try:
             launch()
         except SystemExit as end:
             code = int(end.code) if isinstance(end.code, int) else 1
-    comparison = compare_study(first, changed=bool(waiting))
-    print(comparison)
+    changed = {s.study_dir for s in _studies(waiting)}
+    for settings in _studies(jobs):
+        print(compare_study(settings, rebuild=settings.study_dir in changed))
     failed = [job.name for job in jobs if finished(job) is None]
     if failed:
         print(f"not finished: {', '.join(failed)}; the same command takes them up again", file=sys.stderr)
@@ -41,10 +43,25 @@ def study(jobs: Sequence[Job], launch: Callable[[], None]) -> int:
 def simulate(jobs: Sequence[Job]) -> int:
     """Only the pairs that the jobs read."""
     check(jobs)
-    settings = jobs[0].settings
-    data = prepare_data(settings, maps_needed(job.settings.model for job in jobs))
-    print(f"{len(data.pairs)} frames in {data.pairs.folder}; a look at them: contact_sheet.png there")
+    for data in _simulate_for(jobs):
+        print(f"{len(data.pairs)} frames in {data.pairs.folder}; a look at them: contact_sheet.png there")
     return 0
+
+
+def _simulate_for(jobs: Sequence[Job]) -> list[Data]:
+    """Every data set that the jobs read, with the maps that at least one of them does."""
+    sets: dict[str, list[Job]] = {}
+    for job in jobs:
+        sets.setdefault(dataset_hash(job.settings), []).append(job)
+    return [prepare_data(js[0].settings, maps_needed(j.settings.model for j in js)) for js in sets.values()]
+
+
+def _studies(jobs: Sequence[Job]) -> list[StudySettings]:
+    """The settings of the first job of every study among them."""
+    first: dict[Path, StudySettings] = {}
+    for job in jobs:
+        first.setdefault(job.settings.study_dir, job.settings)
+    return list(first.values())
 
 
 def describe(jobs: Sequence[Job]) -> int:
@@ -79,7 +96,8 @@ def plan(jobs: Sequence[Job]) -> int:
 def compare(jobs: Sequence[Job]) -> int:
     """Tables, figures and statistics of the study, rebuilt from what is on disk."""
     check(jobs)
-    print(compare_study(jobs[0].settings, changed=True))
+    for settings in _studies(jobs):
+        print(compare_study(settings, rebuild=True))
     return 0
 
 
