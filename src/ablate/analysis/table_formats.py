@@ -1,0 +1,173 @@
+"""The comparison table in print: CSV, LaTeX, HTML and the console."""
+
+from __future__ import annotations
+
+from html import escape
+
+import pandas as pd
+
+from ablate.analysis.metric_facts import RESIMULATION, Better, Resimulation, facts_of
+
+ARROWS = {Better.larger: "↑", Better.smaller: "↓", Better.nearest_zero: "→0", Better.unjudged: ""}
+
+
+def wide_table(table: pd.DataFrame) -> pd.DataFrame:
+    """One row a variant; columns seeds, `<metric>_mean`, `<metric>_sd`, `<metric>_seed_sd`: for `table.csv`.
+
+    Parameters
+    ----------
+    table : DataFrame
+        What `comparison_table` gives.
+
+    Returns
+    -------
+    DataFrame
+    """
+    rows: dict[str, dict[str, object]] = {}
+    for cell in table.itertuples():
+        row = rows.setdefault(str(cell.variant), {"variant": cell.variant, "seeds": 0})
+        row["seeds"] = max(int(str(row["seeds"])), int(str(cell.seeds)))
+        row[f"{cell.metric}_mean"] = cell.mean
+        row[f"{cell.metric}_sd"] = cell.sd
+        row[f"{cell.metric}_seed_sd"] = cell.seed_sd
+    return pd.DataFrame(list(rows.values())).dropna(axis="columns", how="all")
+
+
+def _cells(table: pd.DataFrame) -> tuple[list[str], list[str], dict[tuple[str, str], tuple[str, str, bool]]]:
+    """Variants, metrics, and (mean, sd, best) as text by variant and metric."""
+    cells = {}
+    for row in table.itertuples():
+        decimals = facts_of(str(row.metric)).decimals
+        sd = "" if row.sd is None or pd.isna(row.sd) else f"{row.sd:.{decimals}f}"
+        if row.metric == "parameters":
+            mean, sd = f"{float(str(row.mean)) / 1e6:.3g}M", ""
+        else:
+            mean = f"{row.mean:.{decimals}f}"
+        cells[str(row.variant), str(row.metric)] = (mean, sd, bool(row.best))
+    return list(dict.fromkeys(table["variant"])), list(dict.fromkeys(table["metric"])), cells
+
+
+def resimulation_note(metrics: list[str]) -> str:
+    """One sentence on what the re-simulation row means for these metrics.
+
+    Parameters
+    ----------
+    metrics : list of str
+
+    Returns
+    -------
+    str
+    """
+    floor, level = (
+        ", ".join(facts_of(m).label for m in metrics if facts_of(m).resimulation is kind)
+        for kind in (Resimulation.floor, Resimulation.level)
+    )
+    parts = []
+    if floor:
+        parts.append(f"it is the floor for {floor}")
+    if level:
+        parts.append(f"it is the level of a perfect stochastic renderer for {level}, not a bound")
+    meaning = "; ".join(parts) or "it is not judged"
+    return f"Re-simulation is the same frame with other scatterers: {meaning}."
+
+
+def to_text(table: pd.DataFrame) -> str:
+    """The table for a console; the best network of a column carries a star.
+
+    Parameters
+    ----------
+    table : DataFrame
+        What `comparison_table` gives.
+
+    Returns
+    -------
+    str
+        Aligned lines, never truncated, and a note on the re-simulation.
+    """
+    variants, metrics, cells = _cells(table)
+    lines = [["variant", *(f"{facts_of(m).title} {ARROWS[facts_of(m).better]}".strip() for m in metrics)]]
+    for variant in variants:
+        line = [variant]
+        for metric in metrics:
+            mean, sd, best = cells.get((variant, metric), ("-", "", False))
+            line.append(f"{mean}{' ± ' + sd if sd else ''}{'*' if best else ' '}")
+        lines.append(line)
+    widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
+    text = [
+        "  ".join(cell.rjust(w) if k else cell.ljust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True)))
+        for line in lines
+    ]
+    text.insert(1, "-" * len(text[0]))
+    if RESIMULATION in variants:
+        text += ["", resimulation_note(metrics)]
+    return "\n".join(text) + "\n"
+
+
+def _latex(text: str) -> str:
+    for plain, escaped in (("_", r"\_"), ("%", r"\%"), ("&", r"\&"), ("χ²", r"$\chi^2$")):
+        text = text.replace(plain, escaped)
+    return text
+
+
+def to_latex(table: pd.DataFrame) -> str:
+    """The table for a paper (booktabs): mean and standard deviation, the best network in bold.
+
+    Parameters
+    ----------
+    table : DataFrame
+        What `comparison_table` gives.
+
+    Returns
+    -------
+    str
+        A tabular environment with the packages it needs in a comment.
+    """
+    variants, metrics, cells = _cells(table)
+    arrows = {Better.larger: r"$\uparrow$", Better.smaller: r"$\downarrow$", Better.nearest_zero: r"$\to 0$"}
+    heads = [f"{_latex(facts_of(m).title)} {arrows.get(facts_of(m).better, '')}".strip() for m in metrics]
+    lines = [
+        r"% needs \usepackage{booktabs}",
+        rf"\begin{{tabular}}{{l{'r' * len(metrics)}}}",
+        r"\toprule",
+        " & ".join(["", *heads]) + r" \\",
+        r"\midrule",
+    ]
+    for variant in variants:
+        line = [_latex(variant)]
+        for metric in metrics:
+            mean, sd, best = cells.get((variant, metric), ("--", "", False))
+            bold = rf"\textbf{{{mean}}}" if best else mean
+            line.append(rf"{bold} $\pm$ {sd}" if sd else bold)
+        lines.append(" & ".join(line) + r" \\")
+        if variant == RESIMULATION and len(variants) > 1:
+            lines.append(r"\midrule")
+    lines += [r"\bottomrule", r"\end{tabular}"]
+    if RESIMULATION in variants:
+        lines.append("% " + resimulation_note(metrics))
+    return "\n".join(lines) + "\n"
+
+
+def to_html(table: pd.DataFrame) -> str:
+    """The table as an HTML element.
+
+    Parameters
+    ----------
+    table : DataFrame
+        What `comparison_table` gives.
+
+    Returns
+    -------
+    str
+    """
+    variants, metrics, cells = _cells(table)
+    heads = "".join(f"<th>{escape(facts_of(m).title)} {ARROWS[facts_of(m).better]}</th>" for m in metrics)
+    rows = []
+    for variant in variants:
+        row = [f"<th>{escape(variant)}</th>"]
+        for metric in metrics:
+            mean, sd, best = cells.get((variant, metric), ("–", "", False))
+            shown = f"<b>{mean}</b>" if best else mean
+            row.append(f"<td>{shown}{f' <small>± {sd}</small>' if sd else ''}</td>")
+        style = ' class="resimulation"' if variant == RESIMULATION else ""
+        rows.append(f"<tr{style}>{''.join(row)}</tr>")
+    return f"<table><thead><tr><th>variant</th>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
