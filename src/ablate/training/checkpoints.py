@@ -1,0 +1,90 @@
+"""`last.ckpt`: written whole or not at all, loaded without running code, resumed exactly."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.pytorch import Callback, LightningModule, Trainer
+
+from ablate.networks import Generator
+from ablate.training.divergence import DivergenceError
+from ablate.training.interruption import Interruption
+from ablate.training.module import PairGAN
+from ablate.training.settings import plain
+
+LAST = "last.ckpt"
+# Settings that may differ between a run and its continuation: they do not change what is computed, but for how long.
+_FREE = ("steps", "device", "threads", "checkpoint_every", "validate_every", "log_every")
+
+
+class LastCheckpoint(Callback):
+    """Write `last.ckpt` every `every` steps, after the last one and when the process is asked to stop.
+
+    Weights that are not finite are never written: the last good checkpoint stays.
+    """
+
+    def __init__(self, folder: Path, every: int, interruption: Interruption) -> None:
+        self.path, self.every, self.interruption = folder / LAST, every, interruption
+
+    def on_train_batch_end(self, trainer: Trainer, module: LightningModule, *_: Any) -> None:
+        """Write if it is time."""
+        assert isinstance(module, PairGAN)
+        step = module.steps_done
+        is_due = self.every > 0 and step % self.every == 0
+        if is_due or step == module.settings.steps or self.interruption.signal is not None:
+            if not module.is_finite():
+                raise DivergenceError(f"step {step}: weights are not finite, {self.path} holds the last good ones")
+            unfinished = self.path.with_suffix(f".{os.getpid()}.tmp")
+            try:
+                trainer.save_checkpoint(unfinished)
+                unfinished.replace(self.path)
+            finally:
+                unfinished.unlink(missing_ok=True)
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint with `weights_only=True`.
+
+    Raises
+    ------
+    ValueError
+        Where the file is not a checkpoint of this project.
+    """
+    try:
+        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise
+    except Exception as error:
+        raise ValueError(f"{path}: not a readable checkpoint, remove it to start again ({error})") from error
+    if not isinstance(checkpoint, dict) or "steps_done" not in checkpoint:
+        raise ValueError(f"{path}: not a checkpoint of this project (no steps_done)")
+    return checkpoint
+
+
+def resume(module: PairGAN, path: Path) -> None:
+    """Continue from `path`, unless it holds another network or another training.
+
+    Raises
+    ------
+    ValueError
+        Naming what differs.
+    """
+    checkpoint = read_checkpoint(path)
+    for part, wanted in (("spec", plain(module.spec)), ("settings", plain(module.settings))):
+        found = checkpoint["hyper_parameters"][part]
+        differing = [key for key in wanted if key not in _FREE and found.get(key) != wanted[key]]
+        if differing:
+            changes = ", ".join(f"{key}={found.get(key)} there, {wanted[key]} asked for" for key in differing)
+            raise ValueError(f"{path}: of another run ({changes})")
+    module.restore(checkpoint)
+
+
+def load_generator(path: Path) -> Generator:
+    """Load the generator to evaluate (the running average, where one was kept) from a checkpoint, on the CPU."""
+    checkpoint = read_checkpoint(path)
+    module = PairGAN(**checkpoint["hyper_parameters"])
+    module.load_state_dict(checkpoint["state_dict"])
+    return module.evaluated.eval()

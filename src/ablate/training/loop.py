@@ -1,0 +1,150 @@
+"""Train one network to the end, from wherever it had come."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.pytorch import Callback, Trainer
+from lightning.pytorch.plugins.environments import LightningEnvironment
+from torch import Tensor
+
+from ablate.networks import Generator, GeneratorSpec
+from ablate.training.checkpoints import LAST, LastCheckpoint, resume
+from ablate.training.interruption import Interruption
+from ablate.training.module import PairGAN
+from ablate.training.precision import chosen_device, chosen_precision
+from ablate.training.reporting import MetricSink, Report, Validate, Validation
+from ablate.training.settings import Precision, TrainingSettings
+
+# Called with the first step and the one after the last; gives one batch a step, a function of the step alone.
+Loader = Callable[[int, int], Iterable[dict[str, Tensor]]]
+_TRAINER_PRECISION = {Precision.fp32: "32-true", Precision.bf16: "bf16-mixed"}
+
+
+@dataclass(frozen=True)
+class TrainedGenerator:
+    """The outcome of a training.
+
+    Attributes
+    ----------
+    generator : Generator
+        The one to evaluate, on the device it was trained on, in evaluation mode.
+    checkpoint : Path
+    resumed_at : int
+        Steps that had been done before.
+    """
+
+    generator: Generator
+    checkpoint: Path
+    resumed_at: int
+
+
+def train(
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    loader: Loader,
+    run_dir: Path,
+    sink: MetricSink | None = None,
+    validation: Validation | None = None,
+) -> TrainedGenerator:
+    """Train a generator, or finish its training.
+
+    A run that was stopped at any step and is called again with the same arguments ends with the weights, to the
+    bit on the same machine, of a run that was not stopped. SIGTERM and Ctrl-C are answered after the
+    current step, with a checkpoint, and are then handed on.
+
+    Parameters
+    ----------
+    spec : GeneratorSpec
+    settings : TrainingSettings
+    loader : callable
+        `loader(start, stop)` iterates over the batches of these steps; see `PairGAN.training_step` for a batch.
+    run_dir : Path
+        `last.ckpt` is written there, and continued from if it exists.
+    sink : callable, optional
+        `sink(metrics, images_seen)`; the `log_metrics` of a Lightning logger fits.
+    validation : callable, optional
+        Called with the generator to evaluate every `settings.validate_every` steps; returns metrics.
+
+    Returns
+    -------
+    TrainedGenerator
+
+    Raises
+    ------
+    ValueError
+        Where the crop is smaller than 2^depth, or `last.ckpt` is of another run.
+    DivergenceError
+        Where training has failed; the last good checkpoint stays.
+    """
+    if settings.crop < 2**spec.depth:
+        raise ValueError(f"crop={settings.crop}: allowed are 2^depth = {2**spec.depth} and more")
+    if settings.threads:
+        torch.set_num_threads(settings.threads)
+    device = chosen_device(settings.device)
+    module = PairGAN(spec, settings)
+    run_dir.mkdir(parents=True, exist_ok=True)
+    checkpoint = run_dir / LAST
+    if checkpoint.exists():
+        resume(module, checkpoint)
+    start = module.steps_done
+    if start < settings.steps:
+        interruption = Interruption()
+        # The order counts: numbers are checked before weights are written, and a stop is written before it is obeyed.
+        callbacks: list[Callback] = [Report(sink)]
+        if validation is not None and settings.validate_every:
+            callbacks.append(Validate(validation, settings.validate_every, sink))
+        callbacks += [LastCheckpoint(run_dir, settings.checkpoint_every, interruption), interruption]
+        try:
+            _fit(module, loader(start, settings.steps), callbacks, device, run_dir)
+        finally:
+            interruption.restore()
+        interruption.deliver()
+    return TrainedGenerator(module.evaluated.eval().to(device), checkpoint, start)
+
+
+def _fit(
+    module: PairGAN, batches: Iterable[Any], callbacks: list[Callback], device: torch.device, folder: Path
+) -> None:
+    with _quiet_lightning():
+        trainer = Trainer(
+            accelerator="gpu" if device.type == "cuda" else "cpu",
+            devices=1,
+            # Of a job array or an interactive allocation no concern: one process, one device.
+            plugins=[LightningEnvironment()],
+            precision=_TRAINER_PRECISION[chosen_precision(module.settings.precision, device)],  # type: ignore[arg-type]
+            max_epochs=1,
+            callbacks=callbacks,
+            benchmark=device.type == "cuda",
+            default_root_dir=folder,
+            logger=False,
+            enable_checkpointing=False,
+            enable_progress_bar=False,
+            enable_model_summary=False,
+            limit_val_batches=0,
+            num_sanity_val_steps=0,
+        )
+        trainer.fit(module, batches)
+
+
+@contextmanager
+def _quiet_lightning() -> Iterator[None]:
+    """Silence Lightning's notes on hardware, loaders (the caller's matter) and on itself."""
+    log = logging.getLogger("lightning.pytorch")
+    level = log.level
+    log.setLevel(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+            # Lightning's own call of a name that torch has deprecated.
+            warnings.filterwarnings("ignore", message=".*LeafSpec.*", category=FutureWarning)
+            yield
+    finally:
+        log.setLevel(level)

@@ -1,0 +1,153 @@
+"""The conditional GAN as a LightningModule: one generated batch, a step of D, a step of G."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from typing import Any, cast
+
+import torch
+from lightning.pytorch import LightningModule
+from lightning.pytorch.core.optimizer import LightningOptimizer
+from torch import Tensor
+from torch.nn import functional as F
+from torch.optim import Adam
+
+from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, conditions, discriminator_channels
+from ablate.training.settings import AdversarialLoss, TrainingSettings, plain
+
+METRICS = ("train/loss_d", "train/loss_g", "train/l1", "train/logit_real", "train/logit_fake")
+# The running average follows faster at first: min(decay, (1 + t) / (10 + t)) at step t.
+_EMA_LAG = 10
+
+
+class PairGAN(LightningModule):
+    """Generator, discriminator, their losses and optimisers.
+
+    Parameters
+    ----------
+    spec : GeneratorSpec or mapping
+        The generator; a mapping is what a checkpoint holds.
+    settings : TrainingSettings or mapping
+
+    Attributes
+    ----------
+    generator : Generator
+    discriminator : PatchDiscriminator
+    average : Generator or None
+        Running average of the generator's weights, if `ema_decay` is above 0.
+    steps_done : int
+        Batches seen. Lightning's `global_step` counts the steps of both optimisers, so it is not used.
+    """
+
+    def __init__(self, spec: GeneratorSpec | Mapping[str, Any], settings: TrainingSettings | Mapping[str, Any]) -> None:
+        super().__init__()
+        self.spec = spec if isinstance(spec, GeneratorSpec) else GeneratorSpec(**spec)
+        self.settings = settings if isinstance(settings, TrainingSettings) else TrainingSettings(**settings)
+        self.save_hyperparameters({"spec": plain(self.spec), "settings": plain(self.settings)})
+        self.automatic_optimization = False
+        width = self.settings.discriminator_width
+        with torch.random.fork_rng():
+            torch.manual_seed(self.settings.seed)
+            self.generator = Generator(self.spec)
+            self.discriminator = PatchDiscriminator(
+                discriminator_channels(self.spec), self.spec.width if width is None else width
+            )
+        self.average: Generator | None = None
+        if self.settings.ema_decay > 0:
+            self.average = deepcopy(self.generator).requires_grad_(False)
+        self.steps_done = 0
+        self._sums: Tensor | None = None
+        self._steps_summed = 0
+        self._optimizer_states: list[dict[str, Any]] | None = None
+
+    @property
+    def evaluated(self) -> Generator:
+        """The generator to evaluate: the running average where there is one."""
+        return self.generator if self.average is None else self.average
+
+    def configure_optimizers(self) -> tuple[Adam, Adam]:
+        """Make one Adam a network, generator's first, with the states of a restored checkpoint."""
+        chosen = self.settings
+        optimizers = tuple(
+            Adam(network.parameters(), chosen.learning_rate, (chosen.beta1, chosen.beta2), fused=True)
+            for network in (self.generator, self.discriminator)
+        )
+        for optimizer, state in zip(optimizers, self._optimizer_states or (), strict=False):
+            optimizer.load_state_dict(state)
+        self._optimizer_states = None
+        return optimizers[0], optimizers[1]
+
+    def training_step(self, batch: dict[str, Tensor], _: int) -> None:
+        """Train both networks on one batch.
+
+        Parameters
+        ----------
+        batch : dict of (N, 1, h, w) float
+            The maps of `conditions(spec)`, `image` in [-1, 1] and `mask`; and `noise_seed`, (N,) int64.
+        """
+        optimizer_g, optimizer_d = cast(list[LightningOptimizer], self.optimizers())
+        maps = {name: batch[name] for name in conditions(self.spec)}
+        mask, image = batch["mask"].float(), batch["image"]
+        rendered = self.generator(**maps, noise_seed=batch["noise_seed"])
+        fake = mask * (rendered.float() + 1) - 1
+        stacked = torch.cat([maps[name].to(rendered.dtype) for name in maps], dim=1)
+
+        logits_real = self.discriminator(stacked, image).float()
+        logits_fake = self.discriminator(stacked, fake.detach()).float()
+        loss_d = F.softplus(-logits_real).mean() + F.softplus(logits_fake).mean()
+        optimizer_d.zero_grad(set_to_none=True)
+        self.manual_backward(loss_d)
+        optimizer_d.step()
+
+        self.discriminator.requires_grad_(False)
+        loss_g = self._adversarial(self.discriminator(stacked, fake).float())
+        l1 = F.l1_loss(fake, image)
+        optimizer_g.zero_grad(set_to_none=True)
+        self.manual_backward(loss_g + self.settings.l1_weight * l1)
+        optimizer_g.step()
+        self.discriminator.requires_grad_(True)
+
+        self._average_weights()
+        self.steps_done += 1
+        self._sum_up(torch.stack((loss_d, loss_g, l1, logits_real.mean(), logits_fake.mean())).detach())
+
+    def drain(self) -> dict[str, float]:
+        """Return the mean of `METRICS` since the last call; this waits for the device."""
+        if self._sums is None:
+            return {}
+        means = (self._sums / self._steps_summed).tolist()
+        self._sums, self._steps_summed = None, 0
+        return dict(zip(METRICS, means, strict=True))
+
+    def is_finite(self) -> bool:
+        """Whether all weights are finite; this waits for the device."""
+        norms = torch._foreach_norm([parameter.detach() for parameter in self.parameters()])
+        return bool(torch.stack([norm.float() for norm in norms]).isfinite().all())
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Add the number of batches seen."""
+        checkpoint["steps_done"] = self.steps_done
+
+    def restore(self, checkpoint: Mapping[str, Any]) -> None:
+        """Continue from a checkpoint: weights and step now, optimisers when they are made."""
+        self.load_state_dict(checkpoint["state_dict"])
+        self.steps_done = checkpoint["steps_done"]
+        self._optimizer_states = checkpoint["optimizer_states"]
+
+    def _adversarial(self, logits_fake: Tensor) -> Tensor:
+        """Compute the generator's adversarial loss: -log D, or log(1 - D), with D = sigmoid(logits)."""
+        if self.settings.loss is AdversarialLoss.minimax:
+            return -F.softplus(logits_fake).mean()
+        return F.softplus(-logits_fake).mean()
+
+    @torch.no_grad()
+    def _average_weights(self) -> None:
+        if self.average is None:
+            return
+        decay = min(self.settings.ema_decay, (1 + self.steps_done) / (_EMA_LAG + self.steps_done))
+        torch._foreach_lerp_(list(self.average.parameters()), list(self.generator.parameters()), 1 - decay)
+
+    def _sum_up(self, values: Tensor) -> None:
+        self._sums = values if self._sums is None else self._sums + values
+        self._steps_summed += 1

@@ -1,0 +1,96 @@
+"""What a training says of itself: metrics, a progress bar or plain lines, validation."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from lightning.pytorch import Callback, LightningModule, Trainer
+from tqdm import tqdm
+
+from ablate.networks import Generator
+from ablate.training.divergence import DivergenceGuard
+from ablate.training.module import PairGAN
+
+# Takes metrics and the number of images seen; a Lightning logger's `log_metrics` is one.
+MetricSink = Callable[[dict[str, float], int], None]
+Validation = Callable[[Generator], Mapping[str, float]]
+
+_LOG = logging.getLogger(__name__)
+_LINES = 10
+
+
+class Report(Callback):
+    """Send metrics every `log_every` steps, check them, and show progress.
+
+    The x axis is images seen, so that runs of different batch sizes compare. On a terminal there is a bar;
+    elsewhere a line about every tenth of the run.
+    """
+
+    def __init__(self, sink: MetricSink | None) -> None:
+        self.sink, self.guard = sink, DivergenceGuard()
+        self._bar: tqdm[Any] | None = None
+        self._since, self._steps_timed = 0.0, 0
+
+    def on_train_start(self, _trainer: Trainer, module: LightningModule) -> None:
+        """Open the bar, start the clock."""
+        assert isinstance(module, PairGAN)
+        if sys.stderr.isatty():
+            self._bar = tqdm(total=module.settings.steps, initial=module.steps_done, unit="step")
+        self._since, self._steps_timed = time.perf_counter(), 0
+
+    def on_train_batch_end(self, _trainer: Trainer, module: LightningModule, *_: Any) -> None:
+        """Report if it is time."""
+        assert isinstance(module, PairGAN)
+        step, settings = module.steps_done, module.settings
+        self._steps_timed += 1
+        if self._bar is not None:
+            self._bar.update()
+        if step % settings.log_every != 0 and step != settings.steps:
+            return
+        metrics = module.drain()
+        self.guard.check(metrics, step)
+        now = time.perf_counter()
+        metrics["train/images_per_second"] = self._steps_timed * settings.batch_size / (now - self._since)
+        self._since, self._steps_timed = now, 0
+        magnitude = module.generator.noise_magnitude()
+        if magnitude is not None:
+            metrics["train/noise_weight"] = float(magnitude)
+        if self.sink is not None:
+            self.sink(metrics, step * settings.batch_size)
+        self._show(metrics, step, settings.steps, settings.log_every)
+
+    def teardown(self, *_: Any, **__: Any) -> None:
+        """Close the bar."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+    def _show(self, metrics: Mapping[str, float], step: int, steps: int, interval: int) -> None:
+        numbers = (metrics[f"train/{name}"] for name in ("images_per_second", "l1", "loss_g", "loss_d"))
+        text = "{:.1f} images/s, L1 {:.3f}, G {:.2f}, D {:.2f}".format(*numbers)
+        if self._bar is not None:
+            self._bar.set_postfix_str(text)
+        elif step == steps or step * _LINES // steps > (step - interval) * _LINES // steps:
+            _LOG.info("step %d of %d: %s", step, steps, text)
+
+
+class Validate(Callback):
+    """Call a function with the generator to evaluate, every `every` steps, and send what it returns."""
+
+    def __init__(self, validation: Validation, every: int, sink: MetricSink | None) -> None:
+        self.validation, self.every, self.sink = validation, every, sink
+
+    def on_train_batch_end(self, _trainer: Trainer, module: LightningModule, *_: Any) -> None:
+        """Validate if it is time."""
+        assert isinstance(module, PairGAN)
+        if module.steps_done % self.every:
+            return
+        with torch.no_grad():
+            metrics = dict(self.validation(module.evaluated))
+        if self.sink is not None:
+            self.sink(metrics, module.steps_done * module.settings.batch_size)

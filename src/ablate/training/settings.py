@@ -1,0 +1,109 @@
+"""How a network is trained, as values; the defaults are the paper's."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+SMALLEST_CROP = 32
+
+
+class AdversarialLoss(StrEnum):
+    """What the generator minimises: -log D(G), or log(1 - D(G)) as the paper prints it."""
+
+    nonsaturating = "nonsaturating"
+    minimax = "minimax"
+
+
+class Precision(StrEnum):
+    """Arithmetic of the convolutions; `auto` is bf16 where the hardware has it, else fp32."""
+
+    auto = "auto"
+    fp32 = "fp32"
+    bf16 = "bf16"
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """How a network is trained.
+
+    Attributes
+    ----------
+    steps : int
+        Batches in all. The paper gives no number; the default is 100 passes over its 6000 images, which is
+        the length of pix2pix's schedule before its decay.
+    batch_size : int
+    crop : int
+        Side of the square crops, px.
+    learning_rate, beta1, beta2 : float
+        Of Adam, for both networks, constant.
+    l1_weight : float
+        Lambda, the weight of the mean absolute error between images in [-1, 1].
+    loss : AdversarialLoss
+    ema_decay : float
+        Of the running average of the generator's weights that is evaluated in its place; 0 for none, as the paper.
+    discriminator_width : float or None
+        Multiplier of the discriminator's channels; None takes the generator's.
+    precision : Precision
+    device : str
+        `auto` (a GPU if there is one), `cpu` or `cuda`.
+    threads : int
+        Of torch on a CPU; 0 leaves torch's choice. Parallel jobs want 1.
+    seed : int
+        Of the initial weights. Crops and noise come from the seed of the batches.
+    checkpoint_every, validate_every, log_every : int
+        Steps between two; 0 for never, but there is always a checkpoint at the end.
+
+    Raises
+    ------
+    ValueError
+        Where a value is none of those allowed.
+    """
+
+    steps: int = 150_000
+    batch_size: int = 4
+    crop: int = 512
+    learning_rate: float = 2e-4
+    beta1: float = 0.5
+    beta2: float = 0.999
+    l1_weight: float = 100.0
+    loss: AdversarialLoss = AdversarialLoss.nonsaturating
+    ema_decay: float = 0.0
+    discriminator_width: float | None = None
+    precision: Precision = Precision.auto
+    device: str = "auto"
+    threads: int = 0
+    seed: int = 0
+    checkpoint_every: int = 1000
+    validate_every: int = 0
+    log_every: int = 50
+
+    def __post_init__(self) -> None:
+        for name, enum in (("loss", AdversarialLoss), ("precision", Precision)):
+            value = getattr(self, name)
+            try:
+                object.__setattr__(self, name, enum(value))
+            except ValueError:
+                raise ValueError(f"{name}={value!r}: allowed are {', '.join(enum)}") from None
+        if self.device not in ("auto", "cpu", "cuda"):
+            raise ValueError(f"device={self.device!r}: allowed are auto, cpu, cuda")
+        for name, least in (("steps", 1), ("batch_size", 1), ("crop", SMALLEST_CROP), ("log_every", 1)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name}={getattr(self, name)}: allowed are {least} and more")
+        for name in ("threads", "checkpoint_every", "validate_every"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name}={getattr(self, name)}: allowed are 0 and more")
+        for name in ("beta1", "beta2", "ema_decay"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ValueError(f"{name}={getattr(self, name)}: allowed is [0, 1)")
+        if not (math.isfinite(self.l1_weight) and self.l1_weight >= 0):
+            raise ValueError(f"l1_weight={self.l1_weight}: allowed are finite numbers from 0")
+        if not (math.isfinite(self.learning_rate) and self.learning_rate > 0):
+            raise ValueError(f"learning_rate={self.learning_rate}: allowed are finite numbers above 0")
+
+
+def plain(value: Any) -> dict[str, Any]:
+    """Turn a settings dataclass into builtin strings and numbers, which load without running code."""
+    return {name: str(field) if isinstance(field, StrEnum) else field for name, field in asdict(value).items()}
