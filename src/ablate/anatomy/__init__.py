@@ -1,6 +1,22 @@
 """Tissues, meshes, built-in anatomies and scene folders."""
 
-from ablate.anatomy.scene import Scene, Structure, Tissue
+from ablate.anatomy.fetal_abdomen import fetal_abdomen, fetal_sites
+from ablate.anatomy.folder import load_scene, load_sites, validate_scene_folder
+from ablate.anatomy.scene import Scene, Structure, Tissue, content_hash
+from ablate.anatomy.sites import SiteGrid
 from ablate.anatomy.tissues import echogenicity_order, load_tissues
 
-__all__ = ["Scene", "Structure", "Tissue", "echogenicity_order", "load_tissues"]
+__all__ = [
+    "Scene",
+    "SiteGrid",
+    "Structure",
+    "Tissue",
+    "content_hash",
+    "echogenicity_order",
+    "fetal_abdomen",
+    "fetal_sites",
+    "load_scene",
+    "load_sites",
+    "load_tissues",
+    "validate_scene_folder",
+]

@@ -23,9 +23,7 @@ def _table() -> tuple[Tissue, ...]:
 
 def _from_row(row: dict[str, str]) -> Tissue:
     texture_mm = tuple(float(row[column]) for column in TEXTURE_COLUMNS)
-    numbers = {
-        key: float(value) for key, value in row.items() if key not in ("name", "source", *TEXTURE_COLUMNS)
-    }
+    numbers = {key: float(value) for key, value in row.items() if key not in ("name", "source", *TEXTURE_COLUMNS)}
     return Tissue(name=row["name"], texture_mm=texture_mm, **numbers)  # type: ignore[arg-type]
 
 

@@ -1,0 +1,235 @@
+"""Scene folders: anybody's own anatomy as meshes beside a `scene.yaml`."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ablate.anatomy.meshes import MESH_SUFFIXES, load_mesh
+from ablate.anatomy.scene import Scene, Structure, Tissue
+from ablate.anatomy.sites import SiteGrid
+from ablate.anatomy.tissues import load_tissues
+from ablate.anatomy.walls import warn_of_shared_walls
+
+UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+SCENE_KEYS = ("unit", "background", "structures", "tissues", "sites")
+STRUCTURE_KEYS = ("mesh", "tissue")
+SITE_KEYS = ("axis", "front", "heights", "angles", "tilts", "rolls")
+RANGE_KEYS = ("range", "count")
+TISSUE_KEYS = tuple(field.name for field in fields(Tissue) if field.name != "name")
+
+
+@dataclass(frozen=True)
+class SceneFolder:
+    """A checked `scene.yaml`, before any mesh is read.
+
+    Attributes
+    ----------
+    name : str
+        The folder's name.
+    mm_per_unit : float
+    background : Tissue
+    meshes : tuple of (Path, Tissue)
+        In the order that decides ownership.
+    sites : SiteGrid or None
+        None where the file has no `sites`.
+    """
+
+    name: str
+    mm_per_unit: float
+    background: Tissue
+    meshes: tuple[tuple[Path, Tissue], ...]
+    sites: SiteGrid | None
+
+
+def validate_scene_folder(folder: str | Path) -> SceneFolder:
+    """Check a scene folder without reading its meshes.
+
+    Parameters
+    ----------
+    folder : str or Path
+
+    Returns
+    -------
+    SceneFolder
+
+    Raises
+    ------
+    FileNotFoundError
+        When the folder, its `scene.yaml` or a mesh is missing.
+    ValueError
+        When a key, a unit, a tissue or a value is not as it should be; names file, key and what is allowed.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"scene.folder: {folder} is not a folder")
+    path = folder / "scene.yaml"
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder}: no scene.yaml in this folder")
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from None
+    content = _mapping(content, f"{path}", SCENE_KEYS)
+    unit = content.get("unit", "mm")
+    if unit not in UNITS_MM:
+        raise ValueError(f"{path}: unit: {unit!r} is not one of {', '.join(UNITS_MM)}")
+    tissues = _tissues(content.get("tissues") or {}, path)
+    structures = content.get("structures") or []
+    if not isinstance(structures, list):
+        raise ValueError(f"{path}: structures: must be a list of {{mesh, tissue}}, not {structures!r}")
+    meshes = tuple(
+        (_mesh_path(entry, folder, where), _tissue(entry.get("tissue"), tissues, f"{where}.tissue"))
+        for where, entry in (
+            (f"{path}: structures[{i}]", _mapping(entry, f"{path}: structures[{i}]", STRUCTURE_KEYS))
+            for i, entry in enumerate(structures)
+        )
+    )
+    background = _tissue(content.get("background", "coupling_gel"), tissues, f"{path}: background")
+    sites = _sites(content["sites"], f"{path}: sites", UNITS_MM[unit]) if content.get("sites") else None
+    return SceneFolder(folder.resolve().name, UNITS_MM[unit], background, meshes, sites)
+
+
+def load_scene(folder: str | Path) -> Scene:
+    """Read a scene folder: its meshes are repaired and closed, in mm.
+
+    Parameters
+    ----------
+    folder : str or Path
+
+    Returns
+    -------
+    Scene
+        Named after the folder; `mesh.metadata["name"]` is the mesh's file name.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        As `validate_scene_folder`, before any mesh is read; and ValueError from `load_mesh` for a mesh that is
+        empty, not finite or cannot be closed.
+    """
+    checked = validate_scene_folder(folder)
+    structures = tuple(Structure(load_mesh(path, checked.mm_per_unit)[0], tissue) for path, tissue in checked.meshes)
+    warn_of_shared_walls([structure.mesh for structure in structures])
+    return Scene(structures, checked.background, checked.name)
+
+
+def load_sites(folder: str | Path) -> SiteGrid:
+    """Read the probe sites of a scene folder, in mm and degrees.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        As `validate_scene_folder`; and ValueError when the file has no `sites`.
+    """
+    sites = validate_scene_folder(folder).sites
+    if sites is None:
+        raise ValueError(f"{Path(folder) / 'scene.yaml'}: sites: missing; allowed keys are {', '.join(SITE_KEYS)}")
+    return sites
+
+
+def _mapping(value: Any, where: str, allowed: Iterable[str]) -> Mapping[str, Any]:
+    """The value, if it is a mapping whose keys are all allowed."""
+    allowed = tuple(allowed)
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{where}: must be a mapping of {', '.join(allowed)}, not {value!r}")
+    for key in value:
+        if key not in allowed:
+            raise ValueError(f"{where}: unknown key {key!r}{_closest(key, allowed)}; allowed: {', '.join(allowed)}")
+    return value
+
+
+def _closest(name: object, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(str(name), list(known), n=3)
+    return f" (did you mean {' or '.join(close)}?)" if close else ""
+
+
+def _tissue(name: Any, tissues: Mapping[str, Tissue], where: str) -> Tissue:
+    if not isinstance(name, str) or name not in tissues:
+        raise ValueError(f"{where}: unknown tissue {name!r}{_closest(name, tissues)}; known: {', '.join(tissues)}")
+    return tissues[name]
+
+
+def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
+    """The built-in table with the file's own tissues added or changed."""
+    tissues = load_tissues()
+    if not isinstance(content, Mapping):
+        raise ValueError(f"{path}: tissues: must be a mapping of names, not {content!r}")
+    for name, values in content.items():
+        where = f"{path}: tissues.{name}"
+        changes = dict(_mapping(values or {}, where, TISSUE_KEYS))
+        for key, value in changes.items():
+            changes[key] = (
+                _numbers(value, f"{where}.{key}", 3) if key == "texture_mm" else _number(value, f"{where}.{key}")
+            )
+        try:
+            tissues[name] = replace(tissues[name], **changes) if name in tissues else Tissue(name, **changes)
+        except ValueError as error:
+            raise ValueError(f"{path}: tissues: {error}") from None
+    return tissues
+
+
+def _mesh_path(entry: Mapping[str, Any], folder: Path, where: str) -> Path:
+    name = entry.get("mesh")
+    if not isinstance(name, str) or not name:
+        raise ValueError(f"{where}.mesh: must be a file name, not {name!r}")
+    path = folder / name
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise ValueError(f"{where}.mesh: {name} is not one of {', '.join(MESH_SUFFIXES)}")
+    if not path.is_file():
+        raise FileNotFoundError(f"{where}.mesh: no file {path}")
+    if path.stat().st_size == 0:
+        raise ValueError(f"{where}.mesh: {path} is empty")
+    return path
+
+
+def _sites(content: Any, where: str, mm_per_unit: float) -> SiteGrid:
+    content = _mapping(content, where, SITE_KEYS)
+    values: dict[str, Any] = {}
+    for key, field, factor in (
+        ("heights", "heights_mm", mm_per_unit),
+        ("angles", "angles_deg", 1.0),
+        ("tilts", "tilts_deg", 1.0),
+        ("rolls", "rolls_deg", 1.0),
+    ):
+        if key in content:
+            values[field] = tuple(factor * value for value in _series(content[key], f"{where}.{key}"))
+    for key in ("axis", "front"):
+        if key in content:
+            values[key] = _numbers(content[key], f"{where}.{key}", 3)
+    try:
+        return SiteGrid(**values)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _series(value: Any, where: str) -> tuple[float, ...]:
+    """A list of numbers, one number, or {range: [first, last], count: n}."""
+    if isinstance(value, Mapping):
+        value = _mapping(value, where, RANGE_KEYS)
+        first, last = _numbers(value.get("range"), f"{where}.range", 2)
+        count = value.get("count")
+        if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+            raise ValueError(f"{where}.count: must be a whole number of at least 1, not {count!r}")
+        step = (last - first) / max(count - 1, 1)
+        return tuple(first + i * step for i in range(count))
+    return _numbers(value if isinstance(value, list) else [value], where)
+
+
+def _numbers(value: Any, where: str, count: int | None = None) -> tuple[float, ...]:
+    expected = "numbers" if count is None else f"{count} numbers"
+    if not isinstance(value, (list, tuple)) or (count is not None and len(value) != count):
+        raise ValueError(f"{where}: must be a list of {expected}, not {value!r}")
+    return tuple(_number(item, where) for item in value)
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError(f"{where}: must be a finite number, not {value!r}")
+    return float(value)

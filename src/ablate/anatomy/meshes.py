@@ -1,0 +1,161 @@
+"""Making real meshes usable: cleaned, closed, and counted.
+
+Ownership is decided by counting crossings, so winding is irrelevant and a mesh must be closed modulo 2: every
+edge in an even number of triangles.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from ablate.anatomy.closing import cap_open_ends, odd_edges
+
+logger = logging.getLogger(__name__)
+
+MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", ".3mf")
+NEEDLE = 1e-12  # a triangle of less than this, twice its area over its longest side squared, has no area
+
+
+@dataclass(frozen=True)
+class MeshReport:
+    """What was done to a mesh to make it usable.
+
+    Attributes
+    ----------
+    name : str
+    merged_vertices : int
+        Vertices at the very same place, made one.
+    degenerate, duplicate : int
+        Triangles dropped: without area; pairs that cancel or copies.
+    capped_ends : int
+        Flat open ends closed.
+    cap_triangles : int
+    """
+
+    name: str
+    merged_vertices: int
+    degenerate: int
+    duplicate: int
+    capped_ends: int
+    cap_triangles: int
+
+
+def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> tuple[trimesh.Trimesh, MeshReport]:
+    """Read a mesh file and make it usable.
+
+    Parameters
+    ----------
+    path : str or Path
+        Anything that trimesh reads; several pieces are joined.
+    mm_per_unit : float
+        Factor to mm.
+
+    Returns
+    -------
+    mesh : trimesh.Trimesh
+        Vertices in mm, closed modulo 2; `metadata["name"]` is the file's name.
+    report : MeshReport
+
+    Raises
+    ------
+    ValueError
+        Naming the file, when it cannot be read, is empty, has vertices that are not finite, or has a hole that
+        cannot be closed.
+    """
+    path = Path(path)
+    try:
+        loaded = trimesh.load_mesh(path, process=False)
+    except Exception as error:  # every reader raises its own
+        raise ValueError(f"{path}: not readable as a mesh: {' '.join(str(error).split())}") from error
+    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
+        raise ValueError(f"{path}: holds no triangles")
+    return repair(np.asarray(loaded.vertices) * mm_per_unit, np.asarray(loaded.faces), str(path))
+
+
+def repair(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[trimesh.Trimesh, MeshReport]:
+    """Merge vertices, drop degenerate and duplicate triangles, cap flat open ends.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float, mm
+    faces : (m, 3) int
+    name : str
+        For messages; its file name becomes `metadata["name"]`.
+
+    Returns
+    -------
+    mesh : trimesh.Trimesh
+    report : MeshReport
+
+    Raises
+    ------
+    ValueError
+        Naming the mesh, when nothing is left, a vertex is not finite, or a hole cannot be closed.
+    """
+    if len(faces) == 0:
+        raise ValueError(f"{name}: holds no triangles")
+    if not np.isfinite(vertices[np.unique(faces)]).all():
+        raise ValueError(f"{name}: has vertices that are not finite")
+    merged, faces = _merge(vertices, faces)
+    kept = _without_degenerate(merged, faces)
+    unique = _without_duplicates(kept)
+    if len(unique) == 0:
+        raise ValueError(f"{name}: all its {len(faces)} triangles are degenerate")
+    caps, ends = cap_open_ends(merged, unique, name)
+    mesh = trimesh.Trimesh(merged, np.concatenate([unique, caps]), process=False)
+    mesh.metadata["name"] = Path(name).name
+    report = MeshReport(
+        Path(name).name,
+        len(vertices) - len(merged),
+        len(faces) - len(kept),
+        len(kept) - len(unique),
+        ends,
+        len(caps),
+    )
+    if report.degenerate or report.duplicate or report.capped_ends:
+        logger.info(
+            "%s: dropped %d degenerate and %d duplicate triangles, capped %d open ends with %d triangles",
+            report.name, report.degenerate, report.duplicate, report.capped_ends, report.cap_triangles,
+        )  # fmt: skip
+    return mesh, report
+
+
+def _merge(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices that are used, those at the very same place once; faces renumbered."""
+    used = np.unique(faces)
+    order = np.lexsort(vertices[used].T)
+    ordered = vertices[used][order]
+    starts = np.r_[True, (np.diff(ordered, axis=0) != 0).any(axis=1)]
+    number = np.empty(len(vertices), np.int64)
+    number[used[order]] = np.cumsum(starts) - 1
+    return ordered[starts], number[faces]
+
+
+def _without_degenerate(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Faces with three different corners and an area; all needles stay where dropping them would open edges."""
+    a, b, c = faces.T
+    corners = faces[(a != b) & (b != c) & (c != a)]
+    a, b, c = (vertices[corners[:, i]] for i in range(3))
+    twice_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.maximum(np.linalg.norm(b - a, axis=1), np.linalg.norm(c - a, axis=1))
+    with_area = corners[twice_area > NEEDLE * longest**2]
+    return _fewest_odd_edges(with_area, corners)
+
+
+def _without_duplicates(faces: np.ndarray) -> np.ndarray:
+    """Each triangle once, or, where it closes more edges, only those that occur an odd number of times.
+
+    A surface exported twice must stay once; a flap of one triangle folded onto itself must go.
+    """
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return _fewest_odd_edges(faces[np.sort(first)], faces[np.sort(first[count % 2 == 1])])
+
+
+def _fewest_odd_edges(*candidates: np.ndarray) -> np.ndarray:
+    """The first of the sets of triangles that has the fewest open edges; empty ones come last."""
+    return min(candidates, key=lambda faces: len(odd_edges(faces)) if len(faces) else np.inf)

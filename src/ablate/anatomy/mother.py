@@ -1,0 +1,197 @@
+"""The mother's abdomen in the second trimester: wall, uterus, placenta, bladder, bowel, vessels and spine.
+
+World frame in mm: x to her left, y to her back, z up; the navel is near (0, -122, 5).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ablate.anatomy.implicit import (
+    Bounds,
+    Field,
+    capsule,
+    ellipsoid,
+    intersection,
+    mesh_field,
+    outside,
+    rippled,
+    shrunk,
+    smooth_max,
+    union,
+)
+from ablate.anatomy.scene import Structure, Tissue
+from ablate.anatomy.sweep import joined, tube
+
+BODY_BOX: Bounds = ((-175.0, -150.0, -185.0), (175.0, 150.0, 185.0))
+SKIN_MM = 2.0
+FAT_MM = 16.0
+MUSCLE_MM = 10.0
+UTERUS_WALL_MM = 8.0
+UTERUS_CENTER = (0.0, -29.0, 4.0)
+UTERUS_RADII = (88.0, 62.0, 112.0)
+PLACENTA_TOWARDS = (-0.62, -0.52, 0.59)  # from the middle of the uterus: right, front, fundus
+PLACENTA_MM = 27.0
+GAS_POCKETS = (  # center (mm) and radius (mm); the bowel around each is 3 mm thick
+    ((107.0, -34.0, 62.0), 10.0),
+    ((109.0, -20.0, 20.0), 8.0),
+    ((108.0, -30.0, -30.0), 11.0),
+    ((-106.0, -36.0, -52.0), 10.0),
+    ((-108.0, -22.0, 12.0), 9.0),
+    ((-106.0, -34.0, 60.0), 11.0),
+)
+
+
+def torso(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """About the distance to the skin, mm, negative inside: an egg-shaped cylinder with a belly in front."""
+    belly = np.exp(-(((z - 2.0) / 85.0) ** 2))
+    width = 146.0 + 6.0 * belly
+    front = 98.0 + 24.0 * belly
+    depth = np.where(y < 0.0, front, 114.0)
+    level = np.sqrt((x / width) ** 2 + (y / depth) ** 2)
+    slope = np.sqrt((x / width**2) ** 2 + (y / depth**2) ** 2)
+    around = level * (level - 1.0) / np.maximum(slope, 1e-4)
+    return smooth_max(around, np.abs(z) - 170.0, 12.0)
+
+
+def _muscle_inside(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Inner face of the abdominal wall: two bellies of rectus beside a thin midline, obliques at the flanks."""
+    beside_midline = np.clip((np.abs(x) - 1.0) / 9.0, 0.0, 1.0)
+    belly = 3.0 * beside_midline**2 * (3.0 - 2.0 * beside_midline)
+    at_edge = -2.2 * np.exp(-(((np.abs(x) - 66.0) / 8.0) ** 2))
+    front = (y < 40.0) * (belly + at_edge) - 3.0
+    return torso(x, y, z) + (SKIN_MM + FAT_MM + MUSCLE_MM + front * np.exp(-np.maximum(y + 60.0, 0.0) / 40.0))
+
+
+def _uterus(seed: int) -> Field:
+    """Outer face of the uterus, held 2 mm behind the abdominal wall."""
+    wall = SKIN_MM + FAT_MM + MUSCLE_MM + 2.0
+    return rippled(intersection([ellipsoid(UTERUS_CENTER, UTERUS_RADII), shrunk(torso, wall)], 6.0), seed, 1.0, 90.0)
+
+
+def cavity(seed: int) -> Field:
+    """Inner face of the uterine wall: the space of the fluid, the placenta and the fetus."""
+    return rippled(shrunk(_uterus(seed), UTERUS_WALL_MM), seed + 1, 0.7, 50.0)
+
+
+def _placenta(seed: int) -> Field:
+    """A lobed disc that reaches 3 mm into the uterine wall, thickest in its middle."""
+    inner = cavity(seed)
+    towards = np.array(PLACENTA_TOWARDS) / np.linalg.norm(PLACENTA_TOWARDS)
+    scale = np.array(UTERUS_RADII)
+
+    def face(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        u, v, w = ((p - c) / r for p, c, r in zip((x, y, z), UTERUS_CENTER, scale, strict=True))
+        along = towards[0] * u + towards[1] * v + towards[2] * w
+        cosine = along / np.maximum(np.sqrt(u * u + v * v + w * w), 1e-3)
+        opening = np.arccos(np.clip(cosine, -1.0, 1.0)) / np.deg2rad(54.0)
+        thickness = PLACENTA_MM * (1.0 - opening**2.6)
+        return -(inner(x, y, z) + np.maximum(thickness, -12.0))
+
+    lobed = rippled(face, seed + 2, 1.3, 24.0)
+    return intersection([lobed, shrunk(inner, -3.0)], 3.0)
+
+
+def mother(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure]:
+    """Everything but the fetus, outermost first: where two overlap the later owns the point.
+
+    Parameters
+    ----------
+    tissues : dict of str to Tissue
+        The table that names are looked up in.
+    scale : float
+        Factor on every grid spacing; 1 gives about 275,000 triangles.
+    seed : int
+        Of the surface displacements.
+    """
+
+    def solid(field: Field, tissue: str, pitch_mm: float, name: str, box: Bounds = BODY_BOX) -> Structure:
+        return Structure(mesh_field(field, box, pitch_mm * scale, name), tissues[tissue])
+
+    fat_inside = rippled(shrunk(torso, SKIN_MM + FAT_MM), seed + 3, 1.0, 70.0)
+    return [
+        solid(torso, "skin", 4.4, "skin"),
+        solid(rippled(shrunk(torso, SKIN_MM), seed + 4, 0.12, 40.0), "fat", 4.4, "subcutaneous fat"),
+        solid(fat_inside, "muscle", 4.2, "abdominal wall"),
+        solid(rippled(_muscle_inside, seed + 5, 0.5, 60.0), "soft_tissue", 4.0, "abdominal cavity"),
+        *_back(tissues, scale, seed),
+        *_bowel(tissues, scale, seed),
+        solid(_uterus(seed), "uterine_wall", 2.4, "uterus"),
+        *_bladder(tissues, scale, seed),
+        solid(cavity(seed), "amniotic_fluid", 2.2, "amniotic cavity"),
+        solid(_placenta(seed), "placenta", 1.6, "placenta"),
+    ]
+
+
+def _bladder(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure]:
+    """Half-filled bladder in front of the lower uterus."""
+    lumen = rippled(ellipsoid((3.0, -66.0, -101.0), (36.0, 11.0, 17.0)), seed + 6, 0.8, 40.0)
+    structures = []
+    for field, tissue, name in ((shrunk(lumen, -3.0), "muscle", "bladder wall"), (lumen, "urine", "bladder")):
+        mesh = mesh_field(field, BODY_BOX, min(1.8 * scale, 8.0), name)
+        structures.append(Structure(mesh, tissues[tissue]))
+    return structures
+
+
+def _bowel(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure]:
+    """Loops of bowel beside the uterus, each with a pocket of gas."""
+    loops, gas = [], []
+    for i, (center, radius) in enumerate(GAS_POCKETS):
+        shape = rippled(ellipsoid(center, (radius, 1.1 * radius, 1.5 * radius)), seed + 10 + i, 0.8, 3.0 * radius)
+        loops.append(mesh_field(shrunk(shape, -3.0), BODY_BOX, min(1.8 * scale, 6.0), "loop"))
+        gas.append(mesh_field(shape, BODY_BOX, min(1.8 * scale, 6.0), "gas"))
+    return [
+        Structure(joined(loops, "bowel"), tissues["stomach_wall"]),
+        Structure(joined(gas, "bowel gas"), tissues["gas"]),
+    ]
+
+
+def _back(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure]:
+    """Psoas, back muscles, great vessels and the lumbar spine."""
+    pitch = min(2.6 * scale, 9.0)
+    muscles = [capsule((side * 42.0, 66.0, -130.0), (side * 34.0, 68.0, 110.0), 19.0, 13.0) for side in (-1, 1)] + [
+        capsule((side * 34.0, 84.0, -140.0), (side * 36.0, 84.0, 140.0), 15.0, 15.0) for side in (-1, 1)
+    ]
+    bodies, processes = [], []
+    for level, z in enumerate(np.arange(-92.0, 100.0, 37.0)):
+        body = intersection(
+            [
+                ellipsoid((0.0, 69.0, z), (23.0, 17.5, 60.0)),
+                ellipsoid((0.0, 69.0, z), (60.0, 60.0, 14.0)),
+            ],
+            4.0,
+        )
+        waist = outside(ellipsoid((0.0, 40.0, z), (30.0, 13.0, 11.0)))
+        bone = rippled(intersection([body, waist], 4.0), seed + 30 + level, 0.3, 20.0)
+        bodies.append(mesh_field(bone, BODY_BOX, pitch, "vertebra"))
+        arch = union(
+            [
+                capsule((0.0, 94.0, z - 2.0), (0.0, 102.0, z - 8.0), 3.5, 3.0),
+                *(capsule((s * 15.0, 80.0, z), (s * 3.0, 95.0, z - 2.0), 4.0, 3.5) for s in (-1, 1)),
+                *(capsule((s * 14.0, 84.0, z), (s * 36.0, 87.0, z + 2.0), 3.5, 2.5) for s in (-1, 1)),
+            ],
+            3.0,
+        )
+        processes.append(mesh_field(arch, BODY_BOX, min(pitch, 4.0), "arch"))
+    sides = max(6, round(40 / scale))
+    z = np.linspace(-120.0, 150.0, max(8, round(80 / scale)))
+    aorta = np.stack([7.0 + 3.0 * np.sin(z / 60.0), 43.0 + 0.0 * z, z], 1)
+    cava = np.stack([-13.0 + 2.0 * np.sin(z / 50.0), 43.5 + 0.0 * z, z], 1)
+    walls = [tube(aorta, np.full(len(z), 8.4), sides), tube(cava, np.full(len(z), 9.0), sides)]
+    lumens = [
+        tube(aorta[1:-1], np.full(len(z) - 2, 7.2), sides),
+        tube(cava[1:-1], np.full(len(z) - 2, 8.3), sides),
+    ]
+    up = (1.0, 0.0, 0.0)
+    walls = [tube(path, np.full(len(z), r), sides, up) for path, r in ((aorta, 8.4), (cava, 9.0))]
+    lumens = [tube(path[1:-1], np.full(len(z) - 2, r), sides, up) for path, r in ((aorta, 7.2), (cava, 8.3))]
+    return [
+        Structure(
+            mesh_field(rippled(union(muscles, 6.0), seed + 7, 0.8, 50.0), BODY_BOX, pitch * 1.3, "back muscles"),
+            tissues["muscle"],
+        ),
+        Structure(joined(walls, "aorta and cava walls"), tissues["vessel_wall"]),
+        Structure(joined(lumens, "aorta and cava"), tissues["blood"]),
+        Structure(joined(bodies, "vertebral bodies"), tissues["bone"]),
+        Structure(joined(processes, "vertebral arches"), tissues["bone"]),
+    ]

@@ -1,0 +1,87 @@
+"""Closed tubes swept along a curve: ribs, long bones, vessels, plates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import trimesh
+
+
+def tube(path: np.ndarray, radii: np.ndarray, sides: int, up: Sequence[float] = (0.0, 0.0, 1.0)) -> trimesh.Trimesh:
+    """Closed, outward tube with an elliptical cross-section.
+
+    Parameters
+    ----------
+    path : (n, 3) float, mm
+        Centre line, n >= 2; its ends are closed flat, so the tube is as long as the path.
+    radii : (n,) or (n, 2) float, mm
+        Radius at each point; with two columns, along `up` and across it.
+    sides : int
+        Corners of the cross-section, at least 3.
+    up : 3 floats
+        The first axis of the cross-section is this direction made normal to the path.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        2 n sides triangles; vertices in mm.
+    """
+    path = np.asarray(path, float)
+    radii = np.broadcast_to(np.asarray(radii, float).reshape(len(path), -1), (len(path), 2))
+    tangent = np.gradient(path, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    first = np.asarray(up, float) - tangent * (tangent @ np.asarray(up, float))[:, None]
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(tangent, first)
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    ring = (
+        radii[:, :1, None] * np.cos(angle)[None, :, None] * first[:, None]
+        + radii[:, 1:, None] * np.sin(angle)[None, :, None] * second[:, None]
+    )
+    vertices = np.concatenate([(path[:, None] + ring).reshape(-1, 3), path[[0, -1]]])
+    i, j = np.meshgrid(np.arange(len(path) - 1), np.arange(sides), indexing="ij")
+    a, b = i * sides + j, i * sides + (j + 1) % sides
+    c, d = a + sides, b + sides
+    wall = np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)], 2).reshape(-1, 3)
+    k = np.arange(sides)
+    last = (len(path) - 1) * sides
+    start_cap = np.stack([np.full(sides, len(vertices) - 2), (k + 1) % sides, k], -1)
+    end_cap = np.stack([np.full(sides, len(vertices) - 1), last + k, last + (k + 1) % sides], -1)
+    return trimesh.Trimesh(vertices, np.concatenate([wall, start_cap, end_cap]), process=False)
+
+
+def spindle(
+    start: np.ndarray,
+    end: np.ndarray,
+    radii: Sequence[float],
+    sides: int,
+    up: Sequence[float] = (0.0, 0.0, 1.0),
+) -> trimesh.Trimesh:
+    """Ellipsoid with its long axis from `start` to `end`, and two radii: along `up` and normal to it."""
+    turn = np.linspace(0.04, np.pi - 0.04, max(4, sides // 2 + 1))
+    t = (1.0 - np.cos(turn))[:, None] / 2.0
+    path = (1.0 - t) * np.asarray(start, float) + t * np.asarray(end, float)
+    return tube(path, np.sin(turn)[:, None] * np.asarray(radii, float), sides, up)
+
+
+def rod(start: np.ndarray, end: np.ndarray, radius: float, sides: int, bow_mm: float = 0.0) -> trimesh.Trimesh:
+    """Long bone: blunt ends, a waist, and a slight bow; as long as `start` to `end`."""
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    t = np.linspace(0.0, 1.0, max(5, sides))
+    along = end - start
+    side = np.cross(along, [0.3, 0.5, 0.8])
+    side /= np.linalg.norm(side)
+    path = start + t[:, None] * along + bow_mm * (4.0 * t * (1.0 - t))[:, None] ** 2 * side
+    waist = 1.0 - 0.28 * np.sin(np.pi * t) ** 2
+    blunt = np.minimum(1.0, 0.75 + 6.0 * np.minimum(t, 1.0 - t))
+    return tube(path, radius * waist * blunt, sides, up=side)
+
+
+def joined(meshes: Sequence[trimesh.Trimesh], name: str) -> trimesh.Trimesh:
+    """Several disjoint closed meshes as one; what overlaps would cancel by parity."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
+    mesh = trimesh.Trimesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), process=False)
+    mesh.metadata["name"] = name
+    return mesh
