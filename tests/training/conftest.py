@@ -1,0 +1,74 @@
+"""Tiny pairs to train on: batches that depend on the step alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+import torch
+from torch import Tensor
+
+from ablate.networks import GeneratorSpec
+from ablate.training import Loader, TrainingSettings
+
+
+@pytest.fixture(autouse=True, scope="package")
+def _one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture
+def batch() -> Callable[[int], dict[str, Tensor]]:
+    """Blocks of labels whose grey level follows the label and the attenuation, in a fan of half the crop."""
+
+    def make(step: int, size: int = 32) -> dict[str, Tensor]:
+        random = torch.Generator().manual_seed(step)
+        labels = torch.randint(0, 4, (2, 1, 4, 4), generator=random).repeat_interleave(size // 4, -1)
+        segmentation = labels.repeat_interleave(size // 4, -2) / 2.0 - 1
+        attenuation = torch.linspace(1, 0, size)[:, None].expand(2, 1, size, size).clone()
+        mask = torch.zeros(2, 1, size, size)
+        mask[..., size // 4 : 3 * size // 4] = 1
+        speckle = 0.2 * torch.rand(mask.shape, generator=random)
+        image = mask * (0.5 * (segmentation + 1) * attenuation + speckle) - 1
+        return {
+            "segmentation": segmentation * mask + mask - 1,
+            "attenuation": attenuation * mask,
+            "low": image.roll(1, -1),
+            "image": image,
+            "mask": mask,
+            "noise_seed": torch.randint(0, 2**62, (2,), generator=random),
+        }
+
+    return make
+
+
+@pytest.fixture
+def loader(batch: Callable[[int], dict[str, Tensor]]) -> Loader:
+    """Batches of the steps `start` to `stop` - 1."""
+
+    def load(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        return map(batch, range(start, stop))
+
+    return load
+
+
+@pytest.fixture
+def spec() -> GeneratorSpec:
+    """A generator with every component, as small as it gets."""
+    return GeneratorSpec(depth=2, width=0.05, noise_start=0.1)
+
+
+@pytest.fixture
+def settings() -> TrainingSettings:
+    """Eight steps on a CPU, one thread, fp32."""
+    return TrainingSettings(
+        steps=8,
+        batch_size=2,
+        crop=32,
+        ema_decay=0.9,
+        precision="fp32",  # type: ignore[arg-type]
+        device="cpu",
+        threads=1,
+        checkpoint_every=3,
+        log_every=2,
+    )

@@ -1,0 +1,65 @@
+"""Full frames: black outside the fan, the seed's noise, grey levels as the images have them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from ablate.networks import Generator, GeneratorSpec
+from ablate.training import Precision, generate, median_ms_per_frame
+from ablate.training.inference import to_grey_levels
+
+
+@pytest.fixture
+def generator(spec: GeneratorSpec) -> Generator:
+    torch.manual_seed(0)
+    return Generator(spec).eval()
+
+
+@pytest.mark.parametrize("precision", [Precision.fp32, Precision.bf16])
+def test_frames(generator: Generator, batch: Callable[[int], dict[str, Tensor]], precision: Precision) -> None:
+    given = batch(0)
+    maps = {name: value[..., :30, :27] for name, value in given.items() if name != "noise_seed"}
+    frames = generate(generator, maps, maps["mask"], given["noise_seed"], precision)
+    assert frames.shape == (2, 30, 27)
+    assert frames.dtype == np.uint8
+    assert not frames[maps["mask"][:, 0].numpy() == 0].any()
+    assert frames[maps["mask"][:, 0].numpy() == 1].any()
+    again = generate(generator, maps, maps["mask"][0, 0].bool(), given["noise_seed"], precision)
+    np.testing.assert_array_equal(frames, again)
+    other = generate(generator, maps, maps["mask"], given["noise_seed"] + 1, precision)
+    assert (frames != other).any()
+
+
+def test_grey_levels_round_trip_and_end_at_0_and_255() -> None:
+    levels = torch.arange(256, dtype=torch.uint8)[None]
+    everywhere = torch.ones_like(levels)
+    assert torch.equal(to_grey_levels(levels.float() / 127.5 - 1, everywhere), levels)
+    assert not to_grey_levels(torch.ones(1, 4), torch.zeros(1, 4)).any()
+
+
+def test_a_missing_map_is_named(generator: Generator, batch: Callable[[int], dict[str, Tensor]]) -> None:
+    with pytest.raises(KeyError, match="attenuation"):
+        generate(generator, {"segmentation": batch(0)["segmentation"]}, torch.ones(32, 32), None)
+
+
+def test_time_is_the_median_after_warm_up(
+    generator: Generator, batch: Callable[[int], dict[str, Tensor]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    durations = iter([50.0, 60.0, 1.0, 3.0, 2.0])
+    clock = iter(())
+
+    def fake_clock() -> float:
+        nonlocal clock
+        value = next(clock, None)
+        if value is None:
+            clock = iter((next(durations),))
+            return 0.0
+        return value
+
+    monkeypatch.setattr("ablate.training.inference.time.perf_counter", fake_clock)
+    assert median_ms_per_frame(generator, batch(0), repeats=3, warmup=2) == pytest.approx(2000.0)

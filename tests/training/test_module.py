@@ -1,0 +1,93 @@
+"""A step of the module against the same step written out in plain torch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits as bce
+
+from ablate.networks import GeneratorSpec
+from ablate.training import AdversarialLoss, Loader, PairGAN, TrainingSettings, train
+
+
+@pytest.mark.parametrize("loss", AdversarialLoss)
+def test_training_is_that_of_the_paper(
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    loader: Loader,
+    batch: Callable[[int], dict[str, Tensor]],
+    tmp_path: Path,
+    loss: AdversarialLoss,
+) -> None:
+    settings = replace(settings, loss=loss, steps=4)
+    written_out = PairGAN(spec, settings)
+    generator, discriminator = written_out.generator, written_out.discriminator
+    average = [parameter.detach().clone() for parameter in generator.parameters()]
+    adam_g, adam_d = (
+        torch.optim.Adam(network.parameters(), lr=2e-4, betas=(0.5, 0.999)) for network in (generator, discriminator)
+    )
+    for step in range(settings.steps):
+        given = batch(step)
+        maps = torch.cat((given["segmentation"], given["attenuation"]), 1)
+        rendered = generator(given["segmentation"], given["attenuation"], noise_seed=given["noise_seed"])
+        fake = torch.where(given["mask"] > 0, rendered, -1.0)
+        real_logits, fake_logits = discriminator(maps, given["image"]), discriminator(maps, fake.detach())
+        loss_d = bce(real_logits, torch.ones_like(real_logits)) + bce(fake_logits, torch.zeros_like(fake_logits))
+        adam_d.zero_grad()
+        loss_d.backward()
+        adam_d.step()
+        logits = discriminator(maps, fake)
+        if loss is AdversarialLoss.minimax:
+            adversarial = (1 - logits.sigmoid()).log().mean()
+        else:
+            adversarial = -logits.sigmoid().log().mean()
+        adam_g.zero_grad()
+        (adversarial + 100 * (fake - given["image"]).abs().mean()).backward()
+        adam_g.step()
+        decay = min(0.9, (1 + step) / (10 + step))
+        for kept, parameter in zip(average, generator.parameters(), strict=True):
+            kept.mul_(decay).add_(parameter.detach(), alpha=1 - decay)
+    trained = train(spec, settings, loader, tmp_path)
+    for expected, parameter in zip(average, trained.generator.parameters(), strict=True):
+        torch.testing.assert_close(parameter.detach(), expected, rtol=1e-4, atol=2e-6)
+
+
+def test_same_seed_same_start_and_the_global_generator_is_left_alone(
+    spec: GeneratorSpec, settings: TrainingSettings
+) -> None:
+    before = torch.get_rng_state()
+    first, second, other = (PairGAN(spec, replace(settings, seed=seed)) for seed in (1, 1, 2))
+    assert torch.equal(before, torch.get_rng_state())
+    weights = [module.generator.network.stem.weight for module in (first, second, other)]
+    assert torch.equal(weights[0], weights[1])
+    assert not torch.equal(weights[0], weights[2])
+
+
+def test_the_error_falls(spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path) -> None:
+    seen: list[float] = []
+    settings = replace(settings, steps=120, log_every=20, learning_rate=2e-3)
+    train(spec, settings, loader, tmp_path, sink=lambda metrics, _: seen.append(metrics["train/l1"]))
+    assert len(seen) == 6
+    assert seen[-1] < 0.5 * seen[0]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"noise": "input", "noise_start": 0.0},
+        {"attenuation": "none"},
+        {"extra_input": "low", "concat": "input", "upsampling": "transposed", "noise": "none", "noise_start": 0.0},
+        {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none", "noise_start": 0.0},
+    ],
+)
+def test_every_kind_of_variant_trains(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, changes: dict
+) -> None:
+    settings = replace(settings, steps=2, ema_decay=0.0)
+    trained = train(replace(spec, **changes), settings, loader, tmp_path)
+    assert all(parameter.isfinite().all() for parameter in trained.generator.parameters())

@@ -1,0 +1,150 @@
+"""A run stopped anywhere and continued equals the run that was not stopped, in every weight."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from ablate.networks import GeneratorSpec
+from ablate.training import LAST, Loader, TrainingSettings, load_generator, read_checkpoint, train
+
+
+class Stopped(BaseException):
+    """What the test's own signal handler raises."""
+
+
+def assert_same(first: Any, second: Any) -> None:
+    """Nested dicts and lists with equal tensors, to the bit."""
+    assert type(first) is type(second)
+    if isinstance(first, dict):
+        assert first.keys() == second.keys()
+        for key in first:
+            assert_same(first[key], second[key])
+    elif isinstance(first, list | tuple):
+        for one, other in zip(first, second, strict=True):
+            assert_same(one, other)
+    elif isinstance(first, Tensor):
+        assert torch.equal(first, second)
+    else:
+        assert first == second
+
+
+def assert_same_state(first: Path, second: Path) -> None:
+    one, other = (read_checkpoint(folder / LAST) for folder in (first, second))
+    for key in ("state_dict", "optimizer_states", "steps_done"):
+        assert_same(one[key], other[key])
+
+
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+@pytest.mark.parametrize("fatal_step", [1, 3, 5, 7])
+def test_after_a_crash_at_any_step(
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    loader: Loader,
+    tmp_path: Path,
+    fatal_step: int,
+    precision: str,
+) -> None:
+    settings = replace(settings, precision=precision)
+
+    def crashing(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
+            if step == fatal_step:
+                raise OSError("disk gone")
+            yield batch
+
+    train(spec, settings, loader, tmp_path / "whole")
+    with pytest.raises(OSError, match="disk gone"):
+        train(spec, settings, crashing, tmp_path / "crashed")
+    resumed = train(spec, settings, loader, tmp_path / "crashed")
+    assert resumed.resumed_at == (fatal_step - 1) // 3 * 3
+    assert_same_state(tmp_path / "whole", tmp_path / "crashed")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_saves_the_step_and_is_handed_on(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, number: int
+) -> None:
+    def signalled(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
+            if step == 4:
+                os.kill(os.getpid(), number)
+            yield batch
+
+    def own_handler(*_: object) -> None:
+        raise Stopped
+
+    previous = signal.signal(number, own_handler)
+    try:
+        with pytest.raises(Stopped):
+            train(spec, settings, signalled, tmp_path / "signalled")
+        assert signal.getsignal(number) is own_handler
+    finally:
+        signal.signal(number, previous)
+    assert read_checkpoint(tmp_path / "signalled" / LAST)["steps_done"] in (4, 5)
+    train(spec, settings, loader, tmp_path / "signalled")
+    train(spec, settings, loader, tmp_path / "whole")
+    assert_same_state(tmp_path / "whole", tmp_path / "signalled")
+
+
+def test_a_finished_run_is_not_trained_again_and_a_longer_one_goes_on(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+) -> None:
+    def forbidden(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        raise AssertionError((start, stop))
+
+    train(spec, replace(settings, steps=5), loader, tmp_path / "short")
+    train(spec, replace(settings, steps=5), forbidden, tmp_path / "short")
+    train(spec, settings, loader, tmp_path / "short")
+    train(spec, settings, loader, tmp_path / "whole")
+    states = [read_checkpoint(tmp_path / name / LAST)["state_dict"] for name in ("short", "whole")]
+    assert_same(*states)
+
+
+def test_the_folder_holds_the_checkpoint_and_nothing_else(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+) -> None:
+    trained = train(spec, settings, loader, tmp_path)
+    assert list(tmp_path.rglob("*")) == [trained.checkpoint] == [tmp_path / LAST]
+
+
+def test_the_generator_to_evaluate_is_the_average(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+) -> None:
+    trained = train(spec, settings, loader, tmp_path)
+    loaded = load_generator(trained.checkpoint)
+    assert_same(loaded.state_dict(), trained.generator.state_dict())
+    state = read_checkpoint(trained.checkpoint)["state_dict"]
+    assert torch.equal(loaded.network.stem.weight, state["average.network.stem.weight"])
+    assert not torch.equal(loaded.network.stem.weight, state["generator.network.stem.weight"])
+    assert not loaded.training
+
+
+def test_another_run_in_the_same_place_is_refused_with_the_difference(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+) -> None:
+    train(spec, settings, loader, tmp_path)
+    with pytest.raises(ValueError, match=r"last.ckpt: of another run \(l1_weight=100.0 there, 10.0 asked for\)"):
+        train(spec, replace(settings, l1_weight=10.0), loader, tmp_path)
+    with pytest.raises(ValueError, match="depth=2 there, 3 asked for"):
+        train(replace(spec, depth=3), settings, loader, tmp_path)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a checkpoint"])
+def test_a_broken_checkpoint_is_named(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, content: bytes
+) -> None:
+    (tmp_path / LAST).write_bytes(content)
+    with pytest.raises(ValueError, match=r"last\.ckpt: not a readable checkpoint"):
+        train(spec, settings, loader, tmp_path)
+    torch.save({"weights": torch.zeros(1)}, tmp_path / LAST)
+    with pytest.raises(ValueError, match="not a checkpoint of this project"):
+        train(spec, settings, loader, tmp_path)

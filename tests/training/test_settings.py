@@ -1,0 +1,58 @@
+"""The paper's values, what is refused, and which arithmetic `auto` means."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from ablate.networks import GeneratorSpec
+from ablate.training import Loader, Precision, TrainingSettings, chosen_device, chosen_precision, train
+
+
+def test_the_defaults_are_the_papers() -> None:
+    chosen = TrainingSettings()
+    assert (chosen.learning_rate, chosen.beta1, chosen.beta2) == (2e-4, 0.5, 0.999)
+    assert (chosen.batch_size, chosen.crop, chosen.l1_weight, chosen.ema_decay) == (4, 512, 100.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"loss": "hinge"}, "loss='hinge': allowed are nonsaturating, minimax"),
+        ({"precision": "fp16"}, "precision='fp16': allowed are auto, fp32, bf16"),
+        ({"device": "tpu"}, "device='tpu': allowed are auto, cpu, cuda"),
+        ({"steps": 0}, "steps=0: allowed are 1 and more"),
+        ({"crop": 31}, "crop=31: allowed are 32 and more"),
+        ({"threads": -1}, "threads=-1"),
+        ({"ema_decay": 1.0}, "ema_decay=1.0"),
+        ({"l1_weight": float("nan")}, "l1_weight=nan"),
+        ({"learning_rate": 0.0}, "learning_rate=0.0"),
+    ],
+)
+def test_other_values_are_refused_by_name(changes: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        TrainingSettings(**changes)
+
+
+def test_a_crop_smaller_than_the_network_is_refused(settings: TrainingSettings, loader: Loader, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="crop=32: allowed are 2\\^depth = 256 and more"):
+        train(GeneratorSpec(depth=8), settings, loader, tmp_path)
+
+
+@pytest.mark.parametrize(("has_bf16", "expected"), [(True, Precision.bf16), (False, Precision.fp32)])
+def test_auto_is_bf16_where_the_cpu_has_it(
+    has_bf16: bool, expected: Precision, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for probe in ("_is_avx512_bf16_supported", "_is_amx_tile_supported"):
+        monkeypatch.setattr(torch.cpu, probe, lambda: has_bf16)
+    assert chosen_precision(Precision.auto, torch.device("cpu")) is expected
+    assert chosen_precision(Precision.fp32, torch.device("cpu")) is Precision.fp32
+
+
+def test_a_gpu_that_is_not_there_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert chosen_device("auto") == torch.device("cpu")
+    with pytest.raises(RuntimeError, match="device=cuda: this machine has no usable GPU"):
+        chosen_device("cuda")
