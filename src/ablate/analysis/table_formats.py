@@ -24,26 +24,24 @@ def wide_table(table: pd.DataFrame) -> pd.DataFrame:
     DataFrame
     """
     rows: dict[str, dict[str, object]] = {}
-    for cell in table.itertuples():
-        row = rows.setdefault(str(cell.variant), {"variant": cell.variant, "seeds": 0})
-        row["seeds"] = max(int(str(row["seeds"])), int(str(cell.seeds)))
-        row[f"{cell.metric}_mean"] = cell.mean
-        row[f"{cell.metric}_sd"] = cell.sd
-        row[f"{cell.metric}_seed_sd"] = cell.seed_sd
+    seeds = table.groupby("variant")["seeds"].max()
+    for cell in table.to_dict("records"):
+        variant, metric = cell["variant"], cell["metric"]
+        row = rows.setdefault(variant, {"variant": variant, "seeds": int(seeds[variant])})
+        row |= {f"{metric}_{part}": cell[part] for part in ("mean", "sd", "seed_sd")}
     return pd.DataFrame(list(rows.values())).dropna(axis="columns", how="all")
 
 
 def _cells(table: pd.DataFrame) -> tuple[list[str], list[str], dict[tuple[str, str], tuple[str, str, bool]]]:
     """Variants, metrics, and (mean, sd, best) as text by variant and metric."""
     cells = {}
-    for row in table.itertuples():
-        decimals = facts_of(str(row.metric)).decimals
-        sd = "" if row.sd is None or pd.isna(row.sd) else f"{row.sd:.{decimals}f}"
-        if row.metric == "parameters":
-            mean, sd = f"{float(str(row.mean)) / 1e6:.3g}M", ""
-        else:
-            mean = f"{row.mean:.{decimals}f}"
-        cells[str(row.variant), str(row.metric)] = (mean, sd, bool(row.best))
+    for row in table.to_dict("records"):
+        decimals = facts_of(row["metric"]).decimals
+        sd = "" if pd.isna(row["sd"]) else f"{row['sd']:.{decimals}f}"
+        mean = f"{row['mean']:.{decimals}f}"
+        if row["metric"] == "parameters":
+            mean, sd = f"{row['mean'] / 1e6:.3g}M", ""
+        cells[row["variant"], row["metric"]] = (mean, sd, bool(row["best"]))
     return list(dict.fromkeys(table["variant"])), list(dict.fromkeys(table["metric"])), cells
 
 
