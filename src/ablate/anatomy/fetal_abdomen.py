@@ -12,10 +12,11 @@ from ablate.anatomy.mother import mother
 from ablate.anatomy.scene import Scene
 from ablate.anatomy.sites import SiteGrid
 from ablate.anatomy.tissues import load_tissues
+from ablate.anatomy.umbilical_cord import umbilical_cord
 
 #: Triangles that the mother and the fetus have at grid scale 1, and the mother's share (the paper's 275k of 675k).
 MOTHER_AT_SCALE_1 = 407_000
-FETUS_AT_SCALE_1 = 498_000
+FETUS_AT_SCALE_1 = 546_000
 MOTHER_SHARE = 275 / 675
 FEWEST_TRIANGLES = 4_000
 
@@ -48,6 +49,7 @@ def fetal_abdomen(triangles: int = 675_000, seed: int = 0) -> Scene:
     tissues = load_tissues()
     structures = [
         *mother(tissues, mother_scale, seed),
+        *umbilical_cord(tissues, scale),
         *fetal_body(tissues, scale, seed + 100),
         *fetal_organs(tissues, scale, seed + 200),
         *fetal_head(tissues, scale, seed + 300),

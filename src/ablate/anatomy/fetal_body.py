@@ -8,10 +8,6 @@ from ablate.anatomy.implicit import Bounds, Field, capsule, ellipsoid, mesh_fiel
 from ablate.anatomy.scene import Structure, Tissue
 
 FETUS_BOX: Bounds = ((-75.0, -140.0, -100.0), (75.0, 60.0, 140.0))
-NAVEL = (0.0, -25.5, -27.0)  # in the trunk
-#: The cord's way from the navel to the placenta, world mm; smooth between these points.
-CORD_WAY = ()
-CORD_RADIUS_MM = 5.0
 
 
 def fetal_body(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure]:

@@ -11,7 +11,7 @@ import trimesh
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from ablate.anatomy.implicit import Field, smooth_max
+from ablate.anatomy.implicit import Field, first_order_distance, smooth_max
 
 BEND_RADIUS_MM = 125.0  # of the back's curve, with its centre in front of the belly
 BEND_REACH_MM = 52.0  # the trunk is bent for |s| below this and straight beyond
@@ -44,8 +44,8 @@ _OUTLINE = PchipInterpolator(TRUNK_OUTLINE[:, 0], TRUNK_OUTLINE[:, 1:])(_LEVELS)
 
 #: Fetal left, back and head in the mother: head down, on its right side, its back to her right.
 _LIE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]).T
-LIE_ROTATION = Rotation.from_euler("xyz", [6.0, -8.0, -14.0], degrees=True).as_matrix() @ _LIE
-LIE_ORIGIN = (-14.0, -27.0, 8.0)
+LIE_ROTATION = Rotation.from_euler("xyz", [4.0, -8.0, -14.5], degrees=True).as_matrix() @ _LIE
+LIE_ORIGIN = (-15.5, -18.5, 16.0)
 HEAD_ROTATION = Rotation.from_euler("x", HEAD_FLEXION_DEG, degrees=True).as_matrix()
 
 
@@ -61,7 +61,7 @@ def trunk(x: np.ndarray, y: np.ndarray, s: np.ndarray) -> np.ndarray:
     u, v = x / width, (y - middle) / depth
     level = np.sqrt(u * u + v * v)
     slope = np.sqrt((u / width) ** 2 + (v / depth) ** 2)
-    around = level * (level - 1.0) / np.maximum(slope, 1e-4)
+    around = first_order_distance(level, slope, np.minimum(width, depth))
     return smooth_max(around, np.abs(s) - 65.0, 2.0)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from ablate.anatomy.fetal_frame import outline, trunk, trunk_to_world
 from ablate.anatomy.implicit import (
@@ -17,7 +16,7 @@ from ablate.anatomy.implicit import (
     shrunk,
 )
 from ablate.anatomy.scene import Structure, Tissue
-from ablate.anatomy.sweep import joined, tube
+from ablate.anatomy.sweep import joined, smooth_path, tube
 
 TRUNK_BOX: Bounds = ((-40.0, -40.0, -75.0), (40.0, 40.0, 75.0))
 HEART_CENTER = np.array([4.0, -5.0, 17.5])
@@ -46,13 +45,6 @@ def _beyond(normal: tuple[float, float, float], at_mm: float) -> Field:
     """The half space where normal . p > at_mm."""
     i, j, k = np.array(normal) / np.linalg.norm(normal)
     return lambda x, y, s: at_mm - (i * x + j * y + k * s)
-
-
-def _along(points: list[tuple[float, float, float]], count: int) -> np.ndarray:
-    """A smooth curve through the points, (count, 3) mm."""
-    knots = np.array(points, float)
-    steps = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))]
-    return make_interp_spline(steps, knots, k=min(3, len(knots) - 1))(np.linspace(0.0, steps[-1], count))
 
 
 def fetal_organs(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure]:
@@ -191,7 +183,7 @@ def _great_vessels(tissues: dict[str, Tissue], scale: float) -> Structure:
         (-11.0, -4.0, -12.0),
     ]
     meshes = [
-        tube(_along(points, count), np.linspace(first, last, count), sides, up=(1.0, 0.2, 0.1))
+        tube(smooth_path(points, count), np.linspace(first, last, count), sides, up=(1.0, 0.2, 0.1))
         for points, first, last in ((aorta, 2.1, 1.5), (cava, 1.5, 1.8), (vein, 1.7, 1.4))
     ]
     return Structure(trunk_to_world(joined(meshes, "great vessels")), tissues["blood"])

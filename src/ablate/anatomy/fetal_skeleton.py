@@ -36,8 +36,8 @@ def _unit(vector: tuple[float, float, float]) -> np.ndarray:
 def leg(side: float) -> Limb:
     """Hip, knee, ankle and toes of the left (+1) or right (-1) leg; hips and knees are bent."""
     hip = curl(np.array([[side * 12.0, -1.0, -47.0]]))[0]
-    knee = hip + 46.0 * _unit((side * 0.30, -0.86, 0.36 if side > 0 else 0.18))
-    ankle = knee + 41.0 * _unit((-side * 0.42, 0.25 if side > 0 else -0.12, -0.85))
+    knee = hip + 46.0 * _unit((side * 0.14, -0.80, 0.56 if side > 0 else 0.42))
+    ankle = knee + 41.0 * _unit((-side * 0.45, 0.42 if side > 0 else 0.25, -0.80))
     toes = ankle + 24.0 * _unit((side * 0.1, -0.9, -0.35))
     return hip, knee, ankle, toes
 
@@ -45,7 +45,7 @@ def leg(side: float) -> Limb:
 def arm(side: float) -> Limb:
     """Shoulder, elbow, wrist and finger tips of the left (+1) or right (-1) arm, folded before the chest."""
     shoulder = curl(np.array([[side * 24.0, 1.0, 36.0]]))[0]
-    elbow = shoulder + 40.0 * _unit((side * 0.22, -0.42, -0.88))
+    elbow = shoulder + 40.0 * _unit((side * 0.02, -0.55, -0.83))
     wrist = elbow + 34.0 * _unit((-side * 0.35, -0.78, 0.52 if side > 0 else 0.1))
     tips = wrist + 19.0 * _unit((-side * 0.5, -0.35, 0.8))
     return shoulder, elbow, wrist, tips

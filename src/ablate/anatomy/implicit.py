@@ -13,12 +13,13 @@ import numpy as np
 import trimesh
 from skimage.measure import marching_cubes
 
+Vector = Sequence[float] | np.ndarray
 Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
 COARSE_CELLS = 28  # a side, of the grid that finds the box around a shape
 
 
-def ellipsoid(center: Sequence[float], radii: Sequence[float], turn: np.ndarray | None = None) -> Field:
+def ellipsoid(center: Vector, radii: Vector, turn: np.ndarray | None = None) -> Field:
     """Ellipsoid; `turn` (3, 3), if given, has its axes as columns."""
     a, b, c = (float(radius) for radius in radii)
 
@@ -28,12 +29,17 @@ def ellipsoid(center: Sequence[float], radii: Sequence[float], turn: np.ndarray 
             u, v, w = (turn[0, i] * u + turn[1, i] * v + turn[2, i] * w for i in range(3))
         level = np.sqrt((u / a) ** 2 + (v / b) ** 2 + (w / c) ** 2)
         slope = np.sqrt((u / a**2) ** 2 + (v / b**2) ** 2 + (w / c**2) ** 2)
-        return level * (level - 1.0) / np.maximum(slope, 1e-6)
+        return first_order_distance(level, slope, min(a, b, c))
 
     return field
 
 
-def capsule(start: Sequence[float], end: Sequence[float], radius: float, end_radius: float) -> Field:
+def first_order_distance(level: np.ndarray, slope: np.ndarray, radius_mm: np.ndarray | float) -> np.ndarray:
+    """Distance to where level = 1, given level = |p / r| and slope = |p / r^2|; about -`radius_mm` in the middle."""
+    return (level - 1.0) * (level + 1e-3) / (slope + 1e-3 / radius_mm)
+
+
+def capsule(start: Vector, end: Vector, radius: float, end_radius: float) -> Field:
     """Tapered rod with round ends, from `start` to `end`."""
     axis = np.subtract(end, start)
     length2 = float(axis @ axis)
@@ -114,7 +120,7 @@ def rippled(field: Field, seed: int, amplitude_mm: float, wavelength_mm: float, 
     return moved
 
 
-def mesh_field(field: Field, bounds: Bounds, pitch_mm: float | Sequence[float], name: str) -> trimesh.Trimesh:
+def mesh_field(field: Field, bounds: Bounds, pitch_mm: float | Vector, name: str) -> trimesh.Trimesh:
     """Closed, outward surface where the field is zero, by marching cubes (Lewiner et al. 2003).
 
     Parameters

@@ -12,6 +12,7 @@ from ablate.anatomy.implicit import (
     Field,
     capsule,
     ellipsoid,
+    first_order_distance,
     intersection,
     mesh_field,
     outside,
@@ -50,7 +51,7 @@ def torso(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     depth = np.where(y < 0.0, front, 114.0)
     level = np.sqrt((x / width) ** 2 + (y / depth) ** 2)
     slope = np.sqrt((x / width**2) ** 2 + (y / depth**2) ** 2)
-    around = level * (level - 1.0) / np.maximum(slope, 1e-4)
+    around = first_order_distance(level, slope, front)
     return smooth_max(around, np.abs(z) - 170.0, 12.0)
 
 

@@ -97,7 +97,8 @@ class Tissue:
 
 def _check_number(tissue: str, field: str, value: object, low: float, high: float) -> None:
     """Raise ValueError unless `value` is a finite number in [low, high]."""
-    if not isinstance(value, Real) or not math.isfinite(value) or not low <= value <= high:
+    number = float(value) if isinstance(value, Real) else math.nan
+    if not low <= number <= high:  # false for nan
         raise ValueError(f"tissue {tissue!r}: {field} must be between {low:g} and {high:g}, not {value!r}")
 
 

@@ -6,9 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import trimesh
+from scipy.interpolate import make_interp_spline
+
+from ablate.anatomy.implicit import Vector
 
 
-def tube(path: np.ndarray, radii: np.ndarray, sides: int, up: Sequence[float] = (0.0, 0.0, 1.0)) -> trimesh.Trimesh:
+def tube(path: np.ndarray, radii: np.ndarray, sides: int, up: Vector = (0.0, 0.0, 1.0)) -> trimesh.Trimesh:
     """Closed, outward tube with an elliptical cross-section.
 
     Parameters
@@ -20,7 +23,8 @@ def tube(path: np.ndarray, radii: np.ndarray, sides: int, up: Sequence[float] = 
     sides : int
         Corners of the cross-section, at least 3.
     up : 3 floats
-        The first axis of the cross-section is this direction made normal to the path.
+        At the start the first axis of the cross-section is this direction made normal to the path; it is then
+        carried along without twist.
 
     Returns
     -------
@@ -29,11 +33,7 @@ def tube(path: np.ndarray, radii: np.ndarray, sides: int, up: Sequence[float] = 
     """
     path = np.asarray(path, float)
     radii = np.broadcast_to(np.asarray(radii, float).reshape(len(path), -1), (len(path), 2))
-    tangent = np.gradient(path, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    first = np.asarray(up, float) - tangent * (tangent @ np.asarray(up, float))[:, None]
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(tangent, first)
+    first, second = frames(path, up)
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = (
         radii[:, :1, None] * np.cos(angle)[None, :, None] * first[:, None]
@@ -51,12 +51,32 @@ def tube(path: np.ndarray, radii: np.ndarray, sides: int, up: Sequence[float] = 
     return trimesh.Trimesh(vertices, np.concatenate([wall, start_cap, end_cap]), process=False)
 
 
+def frames(path: np.ndarray, up: Vector) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit normals along a path (n, 3), each (n, 3), carried along without twist (parallel transport)."""
+    tangent = np.gradient(path, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    first = np.empty_like(path)
+    normal = np.asarray(up, float)
+    for i, direction in enumerate(tangent):
+        normal = normal - direction * (direction @ normal)
+        normal /= np.linalg.norm(normal)
+        first[i] = normal
+    return first, np.cross(tangent, first)
+
+
+def smooth_path(points: Sequence[Vector] | np.ndarray, count: int) -> np.ndarray:
+    """A cubic spline through the points (n, 3), sampled evenly in its parameter: (count, 3), mm."""
+    knots = np.asarray(points, float)
+    steps = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))]
+    return make_interp_spline(steps, knots, k=min(3, len(knots) - 1))(np.linspace(0.0, steps[-1], count))
+
+
 def spindle(
-    start: np.ndarray,
-    end: np.ndarray,
-    radii: Sequence[float],
+    start: Vector,
+    end: Vector,
+    radii: Vector,
     sides: int,
-    up: Sequence[float] = (0.0, 0.0, 1.0),
+    up: Vector = (0.0, 0.0, 1.0),
 ) -> trimesh.Trimesh:
     """Ellipsoid with its long axis from `start` to `end`, and two radii: along `up` and normal to it."""
     turn = np.linspace(0.04, np.pi - 0.04, max(4, sides // 2 + 1))
@@ -65,7 +85,7 @@ def spindle(
     return tube(path, np.sin(turn)[:, None] * np.asarray(radii, float), sides, up)
 
 
-def rod(start: np.ndarray, end: np.ndarray, radius: float, sides: int, bow_mm: float = 0.0) -> trimesh.Trimesh:
+def rod(start: Vector, end: Vector, radius: float, sides: int, bow_mm: float = 0.0) -> trimesh.Trimesh:
     """Long bone: blunt ends, a waist, and a slight bow; as long as `start` to `end`."""
     start, end = np.asarray(start, float), np.asarray(end, float)
     t = np.linspace(0.0, 1.0, max(5, sides))

@@ -61,7 +61,7 @@ def warn_of_shared_walls(meshes: Sequence[trimesh.Trimesh]) -> list[SharedWall]:
     found = shared_walls(meshes)
     for wall in found:
         logger.warning(
-            "%s and %s share a wall (%d triangles coincide): move one by more than %g mm, or ownership there is undefined",
+            "%s and %s share a wall (%d triangles coincide within %g mm): ownership there is undefined",
             wall.first_name, wall.second_name, wall.triangles, TOLERANCE_MM,
         )  # fmt: skip
     return found
