@@ -74,6 +74,15 @@ class DatasetSettings:
 
 
 @dataclass(frozen=True)
+class CropChoice:
+    """How crops are drawn, besides `training.crop` and `training.batch_size`; see `dataset.CropSettings`."""
+
+    fan_fraction: float = 0.0
+    flip: bool = False
+    workers: int = 0
+
+
+@dataclass(frozen=True)
 class EvaluationSettings:
     """What is computed on the test frames: `noise_draws` for `noise_sd`, `pictures` frames shown in figures."""
 
@@ -107,6 +116,7 @@ class StudySettings:
     simulator: SimulatorSettings = SimulatorSettings()
     dataset: DatasetSettings = DatasetSettings()
     model: GeneratorSpec = GeneratorSpec()
+    crops: CropChoice = CropChoice()
     training: TrainingSettings = TrainingSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     tracking: TrackingSettings = TrackingSettings()
@@ -173,6 +183,9 @@ def settings(config: DictConfig) -> StudySettings:
 def build(cls: type[T], values: dict[str, Any]) -> T:
     """A frozen dataclass from plain values: dicts become dataclasses, lists tuples, strings enums."""
     hints = get_type_hints(cls)
+    unknown = sorted(values.keys() - hints.keys())
+    if unknown:
+        raise ValueError(f"unknown key '{unknown[0]}'; allowed: {', '.join(sorted(hints))}")
     return cls(**{name: _convert(hints[name], value) for name, value in values.items()})
 
 

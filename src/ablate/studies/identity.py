@@ -13,7 +13,7 @@ from ablate.studies.data import dataset_hash
 from ablate.studies.sweep import ConfigurationError, Job
 
 # Where a job runs, how often it saves and what it is called do not change what comes out.
-_INCIDENTAL_TRAINING = ("device", "threads", "checkpoint_every", "log_every", "workers")
+_INCIDENTAL_TRAINING = ("device", "threads", "checkpoint_every", "validate_every", "log_every")
 
 
 def semantic(settings: StudySettings) -> dict[str, Any]:
@@ -27,6 +27,7 @@ def semantic(settings: StudySettings) -> dict[str, Any]:
         "encoding": encoding,
         "model": plain(settings.model),
         "training": training,
+        "crops": {k: v for k, v in plain(settings.crops).items() if k != "workers"},
         "seed": settings.seed,
     }
 

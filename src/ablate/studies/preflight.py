@@ -25,8 +25,10 @@ def check(jobs: Sequence[Job]) -> None:
     for job in jobs:
         s = job.settings
         if s.scene.kind is SceneKind.folder:
+            if not s.scene.folder:
+                raise ConfigurationError("scene=folder needs scene.folder=path/to/folder")
             try:
-                validate_scene_folder(Path(s.scene.folder or ""))
+                validate_scene_folder(Path(s.scene.folder))
             except (ValueError, OSError) as error:
                 raise ConfigurationError(str(error)) from error
         if s.dataset.frames < 1:

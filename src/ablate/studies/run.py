@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import logging
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import torch
+from torch import Tensor
 
 from ablate.dataset import Crops, CropSettings, Part, crop_loader, label_values
-from ablate.networks import count_discriminator, count_generator, draws_noise
-from ablate.studies.data import Data, maps_needed, prepare_data
+from ablate.metrics import psnr
+from ablate.networks import Generator, count_discriminator, count_generator, draws_noise
+from ablate.studies.data import Data, dataset_hash, maps_needed, prepare_data
 from ablate.studies.evaluate import Evaluation, Render, evaluate, resimulated
 from ablate.studies.identity import claim_place, config_hash, finished, write_json
 from ablate.studies.sweep import Job
 from ablate.studies.tracked import open_child, open_tracking
 from ablate.tracking import RunLog, Status
-from ablate.training import TrainedGenerator, generate, median_ms_per_frame, train
+from ablate.training import Precision, generate, median_ms_per_frame, train
+
+_VALIDATION_FRAMES = 8
 
 
 def run_job(job: Job) -> None:
@@ -30,6 +36,7 @@ def run_job(job: Job) -> None:
     """
     if finished(job) is not None:
         return
+    logging.basicConfig(level=logging.INFO, format=f"{job.name}: %(message)s", force=True)
     claim_place(job)
     data = prepare_data(job.settings, maps_needed([job.settings.model]))
     store, parent = open_tracking(job.settings)
@@ -46,45 +53,54 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> None:
     s = job.settings
     started = time.perf_counter()
     values = label_values(data.tissues, s.encoding, s.encoding_seed)
-    crops = Crops(
-        data.pairs,
-        data.pairs.frames(Part.train),
-        maps_needed([s.model]),
-        values,
-        CropSettings(s.training.crop, s.training.batch_size, s.training.fan_fraction, s.training.flip, s.seed),
-    )
+    settings = CropSettings(s.training.crop, s.training.batch_size, s.crops.fan_fraction, s.crops.flip, s.seed)
+    crops = Crops(data.pairs, data.pairs.frames(Part.train), maps_needed([s.model]), values, settings)
     trained = train(
         s.model,
         s.training,
-        lambda start, stop: crop_loader(crops, start, stop, s.training.workers),
+        lambda start, stop: crop_loader(crops, start, stop, s.crops.workers),
         job.folder,
-        seed=s.seed,
-        name=job.name,
-        log=run.metrics,
+        sink=run.metrics,
+        validation=_validation(job, data, values),
     )
-    render = renderer(trained, data, values)
+    seconds = time.perf_counter() - started
+    render = renderer(trained.generator, data, values, s.training.precision)
     scores = {part: _score(job, data, part, render) for part in (Part.validation, Part.test)}
     floors = {part: floor(data, job, part) for part in (Part.validation, Part.test)}
-    _write(job, data, scores, floors, render, trained, time.perf_counter() - started, run)
+    maps, _ = network_inputs(data, data.pairs.frames(Part.test)[:1], values)
+    milliseconds = median_ms_per_frame(trained.generator, maps, s.training.precision, s.evaluation.timed_frames)
+    _write(job, data, scores, floors, render, {"ms_per_frame": milliseconds, "train/seconds": seconds}, run)
 
 
-def renderer(trained: TrainedGenerator, data: Data, values: np.ndarray) -> Render:
-    """Frames of a data set through a trained generator; the noise of a frame depends on its number and the draw."""
-    pairs = data.pairs
-    mask = torch.from_numpy(pairs.mask())
+def _validation(job: Job, data: Data, values: np.ndarray) -> Callable[[Generator], dict[str, float]]:
+    """PSNR in the fan over a few validation frames, for the curve; presets are chosen on it."""
+    frames = _spread(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
+    targets, mask = data.pairs.read("high", frames), data.pairs.mask()
+
+    def validate(generator: Generator) -> dict[str, float]:
+        images = renderer(generator, data, values, job.settings.training.precision)(frames, 0)
+        scores = [psnr(image, target, mask) for image, target in zip(images, targets, strict=True)]
+        return {"val/psnr_fan_curve": float(np.mean(scores))}
+
+    return validate
+
+
+def network_inputs(data: Data, frames: np.ndarray, values: np.ndarray) -> tuple[dict[str, Tensor], Tensor]:
+    """Maps of some frames as networks read them, (k, 1, H, W) float32, and the fan, (H, W) bool."""
+    pairs, mask = data.pairs, data.pairs.mask()
+    maps = {"segmentation": values[pairs.read("segmentation", frames)], "attenuation": pairs.read("attenuation", frames)}
+    if pairs.has("low"):
+        maps["low"] = np.where(mask, pairs.read("low", frames) / np.float32(127.5) - 1, np.float32(-1))
+    return {k: torch.from_numpy(v)[:, None] for k, v in maps.items()}, torch.from_numpy(mask)
+
+
+def renderer(generator: Generator, data: Data, values: np.ndarray, precision: Precision) -> Render:
+    """Frames of a data set through a trained generator; a frame's noise depends on its number and the draw."""
 
     def render(frames: np.ndarray, draw: int) -> np.ndarray:
-        images = []
-        for frame in frames:
-            inputs = {"segmentation": torch.from_numpy(values[pairs.read("segmentation", [frame])])[None]}
-            if "attenuation" in trained.conditions:
-                inputs["attenuation"] = torch.from_numpy(pairs.read("attenuation", [frame]))[None]
-            if "low" in trained.conditions:
-                low = torch.from_numpy(pairs.read("low", [frame])).float()[None] / 127.5 - 1
-                inputs["low"] = torch.where(mask, low, -1.0)
-            seed = torch.tensor([int(frame) * 1_000_003 + draw])
-            images.append(generate(trained, inputs, mask, seed)[0])
-        return np.stack(images)
+        maps, mask = network_inputs(data, frames, values)
+        seeds = torch.from_numpy(np.asarray(frames, np.int64)) * 1_000_003 + draw
+        return generate(generator, maps, mask, seeds, precision)
 
     return render
 
@@ -106,43 +122,36 @@ def _write(
     scores: dict[Part, Evaluation],
     floors: dict[Part, Evaluation],
     render: Render,
-    trained: TrainedGenerator,
-    seconds: float,
+    costs: dict[str, float],
     run: RunLog,
 ) -> None:
+    """Per-image values, pictures, scalars and, last, the result that says all is done."""
     s = job.settings
     tables = []
-    for source, found in (("model", scores), ("floor", floors)):
-        for part, evaluation in found.items():
-            tables.append(evaluation.per_image.assign(source=source, split=part.name))
+    scalars = dict(costs)
+    for part, prefix in ((Part.validation, "val"), (Part.test, "test")):
+        tables += [
+            evaluation.per_image.assign(source=source, split=part.name)
+            for source, evaluation in (("model", scores[part]), ("floor", floors[part]))
+        ]
+        scalars |= {f"{prefix}/{k}": v for k, v in scores[part].scalars.items()}
+        scalars |= {f"{prefix}/floor_{k}": v for k, v in floors[part].scalars.items()}
     per_image = pd.concat(tables, ignore_index=True).assign(variant=job.label, seed=s.seed)
     per_image.to_parquet(job.folder / "per_image.parquet")
     shown = picture_frames(data, s.evaluation.pictures)
-    images = render(shown, 0)
-    np.savez_compressed(job.folder / "pictures.npz", frames=shown, images=images)
-    scalars: dict[str, float] = {}
-    for part, prefix in ((Part.validation, "val"), (Part.test, "test")):
-        scalars |= {f"{prefix}/{k}": v for k, v in scores[part].scalars.items()}
-        scalars |= {f"{prefix}/floor_{k}": v for k, v in floors[part].scalars.items()}
-    scalars["ms_per_frame"] = median_ms_per_frame(trained, data.pairs.shape, s.evaluation.timed_frames)
-    scalars["parameters_generator"] = count_generator(s.model)
-    scalars["parameters_discriminator"] = count_discriminator(s.model)
+    np.savez_compressed(job.folder / "pictures.npz", frames=shown, images=render(shown, 0))
+    scalars["parameters_generator"] = float(count_generator(s.model))
+    scalars["parameters_discriminator"] = float(count_discriminator(s.model))
     run.metrics(scalars, step=s.training.steps * s.training.batch_size)
     run.artifact(job.folder / "per_image.parquet")
-    write_json(
-        job.folder / "result.json",
-        {
-            "hash": config_hash(s),
-            "label": job.label,
-            "seed": s.seed,
-            "seconds": seconds,
-            "scalars": scalars,
-            "mlflow_run_id": run.run_id,
-        },
-    )
+    result = {"hash": config_hash(s), "label": job.label, "seed": s.seed, "data": dataset_hash(s)}
+    write_json(job.folder / "result.json", {**result, "scalars": scalars, "mlflow_run_id": run.run_id})
 
 
 def picture_frames(data: Data, count: int) -> np.ndarray:
     """The test frames that every variant of a study shows, equally spaced."""
-    test = data.pairs.frames(Part.test)
-    return test[np.linspace(0, len(test) - 1, min(count, len(test))).round().astype(int)]
+    return _spread(data.pairs.frames(Part.test), count)
+
+
+def _spread(frames: np.ndarray, count: int) -> np.ndarray:
+    return frames[np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int)]

@@ -57,12 +57,25 @@ def configuration_dir() -> Path:
 
 def label_of(variant: str, overrides: Sequence[str]) -> str:
     """A run's label from its variant and the overrides it was composed with."""
+    own = {"encoding": "echogenicity", **_model_of(variant)}
     changed = []
     for override in overrides:
         key, _, value = override.lstrip("+").partition("=")
-        if key.startswith("model.") or key == "encoding":
-            changed.append(re.sub(r"[^A-Za-z0-9.+_-]", "_", f"{key.removeprefix('model.')}-{value}"))
+        name = key.removeprefix("model.")
+        if (name != key or key == "encoding") and str(own.get(name)) != value:
+            changed.append(re.sub(r"[^A-Za-z0-9.+_-]", "_", f"{name}-{value}"))
     return ".".join([variant, *sorted(changed)])
+
+
+def _model_of(variant: str) -> dict[str, object]:
+    """What conf/variant says of the model; nothing for a variant from a folder of the user's."""
+    path = configuration_dir() / "variant" / f"{variant}.yaml"
+    if not path.exists():
+        return {}
+    own = OmegaConf.to_container(OmegaConf.load(path))
+    assert isinstance(own, dict)
+    inherited = [_model_of(str(parent)) for parent in own.get("defaults", [])]
+    return {k: v for model in (*inherited, own.get("model", {})) for k, v in model.items()}
 
 
 def jobs_of(arguments: Sequence[str]) -> list[Job]:
@@ -141,9 +154,12 @@ def _compose(overrides: list[str], with_hydra: bool = False) -> DictConfig:
 
 
 def _explain(error: Exception) -> str:
-    """Hydra's message on one line, with the allowed keys where a key is unknown."""
+    """Hydra's message on one line, with what is allowed where a key or a choice is unknown."""
+    choice = re.search(r"Could not find '(\w+)/(.+?)'\s+Available options in '\w+':(.*?)\n\s*Config search", str(error), re.S)
+    if choice:
+        return f"{choice[1]}={choice[2]}: allowed are {', '.join(choice[3].split())}"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
-    text = _one_line(error)
+    text = _one_line(error) if cause is error else f"{_one_line(error)}: {_one_line(cause)}"
     key = getattr(cause, "full_key", None)
     unknown = re.search(r"(?:Key|key) '([^']+)' (?:is not in struct|not in '\w+')", f"{text} {_one_line(cause)}")
     if unknown and key:
@@ -154,14 +170,12 @@ def _explain(error: Exception) -> str:
             close = get_close_matches(last, names, n=1)
             hint = f"; did you mean '{close[0]}'?" if close else ""
             return f"unknown key '{key}'{hint} allowed{' in ' + parent if parent else ''}: {', '.join(names)}"
-    if key and str(key) not in text:
-        text = f"{key}: {text}"
-    return text
+    return text.removeprefix("Error merging override ")
 
 
 def _one_line(error: BaseException) -> str:
     lines = [line.strip() for line in str(error).splitlines()]
-    lines = [x for x in lines if x and not x.startswith(("full_key:", "object_type=", "To append to your config"))]
+    lines = [x for x in lines if x and not x.startswith(("full_key:", "object_type=", "reference_type=", "To append to your config"))]
     return "; ".join(lines)
 
 

@@ -83,8 +83,8 @@ def plan(jobs: Sequence[Job]) -> int:
     for job in jobs:
         done = finished(job)
         state = "finished" if done else "resumes" if (job.folder / "last.ckpt").exists() else "missing"
-        seconds = f"{done['seconds']:.0f}" if done else ""
-        rows.append({"job": job.name, "state": state, "seconds": seconds, "folder": str(job.folder)})
+        seconds = f"{done['scalars']['train/seconds']:.0f}" if done else ""
+        rows.append({"job": job.name, "state": state, "training_seconds": seconds, "folder": str(job.folder)})
     print(pd.DataFrame(rows).to_string(index=False))
     first = jobs[0].settings
     folder = dataset_folder(first)
