@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from ablate.analysis.figure_style import COLUMN_IN, FLOOR_COLOUR, STYLE, colour_of, new_figure, save_figure
+from ablate.analysis.figure_style import COLUMN_IN, FLOOR_COLOUR, colour_of, house_style, new_figure, save_figure
 from ablate.analysis.metric_facts import REFERENCE, RESIMULATION, Better, facts_of
 from ablate.analysis.tables import aligned_differences, ordered_metrics
 
@@ -41,11 +40,10 @@ def _draw(
     for box, name in zip(boxes["boxes"], networks, strict=True):
         box.set(facecolor=colour_of(name, networks), alpha=0.55, lw=0.7)
     if shifts is not None and len(shifts):
-        rows = shifts[shifts["metric"] == metric].set_index("variant")
-        for place, name in zip(places, networks, strict=True):
-            if name in rows.index and np.isfinite(rows.loc[name, ["low", "high"]].astype(float)).all():
-                low, high = float(rows.loc[name, "low"]), float(rows.loc[name, "high"])
-                axes.plot([low, high], [place - 0.4] * 2, color="black", lw=1.6, solid_capstyle="butt")
+        rows = shifts[(shifts["metric"] == metric) & shifts["variant"].isin(networks)]
+        for row in rows[np.isfinite(rows["low"]) & np.isfinite(rows["high"])].to_dict("records"):
+            place = places[networks.index(row["variant"])] - 0.4
+            axes.plot([row["low"], row["high"]], [place] * 2, color="black", lw=1.6, solid_capstyle="butt")
     axes.set_yticks(places, networks)
     axes.set_ylim(0.35, len(networks) + 0.6)
     hint = HINTS[facts_of(metric).better]
@@ -86,7 +84,7 @@ def paired_boxplots(
         networks = [name for name in differences if name != RESIMULATION]
         if not networks:
             continue
-        with mpl.rc_context(STYLE):
+        with house_style():
             figure = new_figure(COLUMN_IN, 0.9 + 0.27 * len(networks))
             _draw(figure.add_subplot(), differences, paired, metric, reference)
             if RESIMULATION in differences:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from ablate.analysis.metric_facts import REFERENCE, RESIMULATION
 
@@ -18,13 +21,10 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#9
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 FLOOR_COLOUR = "#444444"
 
-STYLE = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
+FONT_PT = 8.0
+RULES: dict[str, Any] = {
+    **dict.fromkeys(("axes.titlesize", "axes.labelsize", "xtick.labelsize", "ytick.labelsize"), "medium"),
+    "legend.fontsize": "medium",
     "axes.linewidth": 0.6,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -33,19 +33,38 @@ STYLE = {
 }
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """A figure without pyplot's global state; make it and its artists inside `rc_context(STYLE)`.
+def house_style(width_in: float = PAGE_IN) -> AbstractContextManager[None]:
+    """The rules that a figure and its artists are made under.
+
+    Parameters
+    ----------
+    width_in : float
+        Width of the figure; one wider than a page is printed scaled down, so its type is larger.
+
+    Returns
+    -------
+    context manager
+    """
+    settings: Any = RULES | {"font.size": FONT_PT * max(width_in / PAGE_IN, 1.0)}
+    return mpl.rc_context(settings)
+
+
+def new_figure(width_in: float, height_in: float, pad_in: float = 0.04) -> Figure:
+    """A figure without pyplot's global state.
 
     Parameters
     ----------
     width_in, height_in : float
         Inches.
+    pad_in : float
+        White space around each panel, inches.
 
     Returns
     -------
     Figure
     """
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+    layout = ConstrainedLayoutEngine(w_pad=pad_in, h_pad=pad_in, wspace=0.0, hspace=0.0)
+    return Figure(figsize=(width_in, height_in), layout=layout)
 
 
 def save_figure(figure: Figure, stem: Path) -> list[Path]:
@@ -64,9 +83,8 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     """
     stem.parent.mkdir(parents=True, exist_ok=True)
     paths = [stem.with_name(stem.name + suffix) for suffix in (".png", ".pdf")]
-    with mpl.rc_context(STYLE):
-        figure.savefig(paths[0], dpi=PNG_DPI)
-        figure.savefig(paths[1], dpi=PNG_DPI, metadata={"CreationDate": None})
+    figure.savefig(paths[0], dpi=PNG_DPI)
+    figure.savefig(paths[1], dpi=PNG_DPI, metadata={"CreationDate": None})
     return paths
 
 

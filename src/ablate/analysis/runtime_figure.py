@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 
-from ablate.analysis.figure_style import FLOOR_COLOUR, MARKERS, PAGE_IN, STYLE, colour_of, new_figure, save_figure
+from ablate.analysis.figure_style import FLOOR_COLOUR, MARKERS, PAGE_IN, colour_of, house_style, new_figure, save_figure
 from ablate.analysis.metric_facts import Better, Resimulation, facts_of
 
 PAPER_ANCHORS_MS = {"simulated": 75.0, "generated": 40.0}
@@ -42,12 +43,12 @@ def _panel(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None) -
         axes.plot(
             of["ms"], of["error"], marker=marker, ls=style, ms=4, lw=0.7, color=colour_of(name, series), label=name
         )
+        # Numbers label themselves beside their marker; words are tilted, or they run into each other.
+        tilt = 0 if of["setting"].astype(str).str.isnumeric().all() else 40
         for point in of.to_dict("records"):
-            if len(of) <= 8:
-                axes.annotate(
-                    str(point["setting"]), (point["ms"], point["error"]), xytext=(3, 3), fontsize=6,
-                    textcoords="offset points", color="#333333",
-                )  # fmt: skip
+            where = (point["ms"], point["error"])
+            offset: dict[str, Any] = {"xytext": (3, 3), "textcoords": "offset points", "rotation": tilt}
+            axes.annotate(str(point["setting"]), where, fontsize=6, color="#333333", **offset)
     sign = -1.0 if facts_of(metric).better is Better.larger else 1.0
     ms, error = points["ms"].to_numpy(float), points["error"].to_numpy(float)
     front = pareto_front(ms, sign * error)
@@ -55,12 +56,9 @@ def _panel(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None) -
     if floor is not None:
         word = "floor" if facts_of(metric).resimulation is Resimulation.floor else "level"
         axes.axhline(floor, color=FLOOR_COLOUR, ls="--", lw=0.9, label=f"re-simulation ({word})")
-    for name, anchor in PAPER_ANCHORS_MS.items():
-        axes.axvline(anchor, color="#999999", ls=":", lw=0.9)
-        axes.annotate(
-            f"paper, {name}, unknown GPU", (anchor, 0.98), xycoords=("data", "axes fraction"), rotation=90,
-            ha="right", va="top", fontsize=6, color="#555555",
-        )  # fmt: skip
+    for (name, anchor), style in zip(PAPER_ANCHORS_MS.items(), (":", "-."), strict=True):
+        label = f"paper, {name}: {anchor:.0f} ms, unknown GPU"
+        axes.axvline(anchor, color="#999999", ls=style, lw=0.9, label=label)
     axes.set_xscale("log")
     axes.set_xlabel("median time, ms/frame")
     axes.set_ylabel(facts_of(metric).title)
@@ -101,17 +99,17 @@ def error_vs_runtime(
         raise ValueError("no finite point with a positive time to draw")
     across = min(len(metrics), 2)
     down = -(-len(metrics) // across)
-    with mpl.rc_context(STYLE):
+    with house_style():
         figure = new_figure(PAGE_IN if across == 2 else PAGE_IN * 0.62, 2.5 * down + 0.6)
         grid = figure.subplots(down, across, squeeze=False).ravel()
         for axes, metric in zip(grid, metrics, strict=False):
             _panel(axes, points[points["metric"] == metric], metric, (floors or {}).get(metric))
         for axes in grid[len(metrics) :]:
             axes.set_axis_off()
-        handles: dict[str, object] = {}
+        handles: dict[str, Artist] = {}
         for axes in grid[: len(metrics)]:
             handles |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=4, frameon=False)
+        figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=3, frameon=False)
         if hardware:
             figure.supxlabel(f"times measured on {hardware}", fontsize=7, color="#555555")
         return save_figure(figure, stem)

@@ -1,0 +1,182 @@
+"""One self-contained HTML page: table, statistics, figures, and what may not be concluded from them."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from ablate.analysis.metric_facts import REFERENCE, RESIMULATION, facts_of
+from ablate.analysis.statistics import FEWEST_SEEDS
+from ablate.analysis.table_formats import resimulation_note, to_html
+
+CSS = """
+body{font:14px/1.5 system-ui,sans-serif;max-width:76rem;margin:2rem auto;padding:0 1rem;color:#111}
+table{border-collapse:collapse;margin:1rem 0;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
+th,td{padding:.2rem .6rem;text-align:right;border-bottom:1px solid #ddd;white-space:nowrap}
+th:first-child{text-align:left}thead th{border-bottom:2px solid #111}
+tr.resimulation{background:#eee;font-style:italic}
+figure{margin:1.5rem 0}img{max-width:100%}figcaption,small{color:#555}
+.warning{border-left:4px solid #d55e00;background:#fff4ee;padding:.5rem 1rem;margin:.5rem 0}
+"""
+
+
+def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
+    """What a reader must not conclude from this study, in words.
+
+    Parameters
+    ----------
+    per_image : DataFrame
+        Columns variant, seed, frame, site, metric, value.
+    reference : str
+
+    Returns
+    -------
+    list of str
+        One sentence each; empty when nothing is amiss.
+    """
+    networks = per_image[per_image["variant"] != RESIMULATION]
+    variants = sorted(set(networks["variant"]))
+    found = []
+    if not variants:
+        found.append("There is no network in this study.")
+    elif reference not in variants:
+        found.append(f"The reference {reference} is missing, so there are no paired differences.")
+    elif len(variants) == 1:
+        found.append(f"There is one variant, {variants[0]}: nothing is compared.")
+    few = [f"{v} ({k})" for v, k in networks.groupby("variant")["seed"].nunique().items() if k < FEWEST_SEEDS]
+    if few:
+        found.append(
+            f"Fewer than {FEWEST_SEEDS} seeds for {', '.join(few)}: that a component matters is not claimable; "
+            "the paired differences are between these trained networks on these frames only."
+        )
+    if RESIMULATION not in set(per_image["variant"]):
+        found.append("The re-simulation is missing, so floors and levels are unknown.")
+    sites = per_image["site"].nunique()
+    if 0 < sites < 10:
+        found.append(f"Only {sites} probe site(s): intervals over sites are rough.")
+    infinite = per_image[np.isinf(per_image["value"])]
+    if len(infinite):
+        names = ", ".join(sorted(set(infinite["metric"])))
+        found.append(f"{len(infinite)} infinite value(s) of {names} (identical frames) are left out.")
+    return found
+
+
+def _rounded(value: object, decimals: int) -> str:
+    if isinstance(value, float):
+        return "–" if np.isnan(value) else f"{value:.{decimals}f}"
+    return escape(str(value)) if value is not None else "–"
+
+
+def _paired_html(paired: pd.DataFrame) -> str:
+    rows = []
+    for row in paired.to_dict("records"):
+        decimals = facts_of(row["metric"]).decimals + 1
+        excludes = row["low"] > 0 or row["high"] < 0
+        interval = f"[{_rounded(row['low'], decimals)}, {_rounded(row['high'], decimals)}]"
+        cells = (
+            escape(facts_of(row["metric"]).title),
+            f"{row['shift']:+.{decimals}f}",
+            f"<b>{interval}</b>" if excludes else interval,
+            f"{row['p_holm']:.2g}",
+            f"{row['effect']:+.2f}",
+            str(row["n"]),
+        )
+        style = ' class="resimulation"' if row["variant"] == RESIMULATION else ""
+        tail = "".join(f"<td>{c}</td>" for c in cells)
+        rows.append(f"<tr{style}><th>{escape(row['variant'])}</th>{tail}</tr>")
+    head = "".join(f"<th>{c}</th>" for c in ("metric", "shift", "95 % interval", "p (Holm)", "effect", "n"))
+    return f"<table><thead><tr><th>variant</th>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+def _claims_html(claims: pd.DataFrame) -> str:
+    rows = []
+    for row in claims.to_dict("records"):
+        decimals = facts_of(row["metric"]).decimals + 1
+        p = "–" if pd.isna(row["p"]) else f"{row['p']:.2g}"
+        shift, low, high = (_rounded(row[k], decimals) for k in ("shift", "low", "high"))
+        cells = (escape(facts_of(row["metric"]).title), str(row["verdict"]), shift, f"[{low}, {high}]", p)
+        tail = "".join(f"<td>{c}</td>" for c in (*cells, row["seeds"]))
+        rows.append(f"<tr><th>{escape(row['variant'])}</th>{tail}</tr>")
+    head = "".join(f"<th>{c}</th>" for c in ("metric", "verdict", "shift", "95 % interval", "p", "seeds"))
+    return f"<table><thead><tr><th>variant</th>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+def _figure_html(path: Path, caption: str) -> str:
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    image = f'<img alt="{escape(caption, quote=True)}" src="data:image/png;base64,{data}">'
+    return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def write_report(
+    path: Path,
+    title: str,
+    per_image: pd.DataFrame,
+    table: pd.DataFrame,
+    paired: pd.DataFrame,
+    claims: pd.DataFrame | None = None,
+    figures: Sequence[tuple[Path, str]] = (),
+    left_out: Sequence[str] = (),
+    provenance: Mapping[str, object] | None = None,
+    reference: str = REFERENCE,
+) -> Path:
+    """Write the report; it needs no other file and no network.
+
+    Parameters
+    ----------
+    path : Path
+        HTML file to write.
+    title : str
+        Heading, usually the study's name.
+    per_image : DataFrame
+        Columns variant, seed, frame, site, metric, value.
+    table, paired, claims : DataFrame
+        What `comparison_table`, `paired_table` and `seed_claims` give.
+    figures : sequence of (Path, str)
+        PNG files and their captions, in order; they are inlined.
+    left_out : sequence of str
+        What the simulator or the networks did not compute, and why.
+    provenance : mapping, optional
+        Commit, data hash, hardware and the like, shown as a list.
+    reference : str
+
+    Returns
+    -------
+    Path
+        The file written.
+    """
+    metrics = list(dict.fromkeys(table["metric"]))
+    warnings = "".join(f'<p class="warning">{escape(text)}</p>' for text in cautions(per_image, reference))
+    parts = [
+        f"<h1>{escape(title)}</h1>{warnings}<h2>Comparison</h2>{to_html(table)}",
+        "<p><small>Mean ± standard deviation over frames (over seeds for figures that a run has one of). "
+        f"Bold is the best network. {escape(resimulation_note(metrics))}</small></p>",
+    ]
+    if len(paired):
+        parts.append(
+            f"<h2>Paired differences to {escape(reference)}</h2>"
+            "<p>Do these trained networks differ on these frames? Median shift (Hodges-Lehmann), interval from "
+            "resampled probe sites (bold where it excludes 0), Wilcoxon with Holm's correction, rank-biserial "
+            f"effect. Where p is small and the interval holds 0, trust the interval.</p>{_paired_html(paired)}"
+        )
+    if claims is not None and len(claims):
+        parts.append(
+            "<h2>Does the component matter?</h2><p>Judged on one mean a seed (Welch), not on frames, and not "
+            f"corrected for the number of rows.</p>{_claims_html(claims)}"
+        )
+    if figures:
+        parts.append("<h2>Figures</h2>" + "".join(_figure_html(*figure) for figure in figures))
+    if left_out:
+        parts.append("<h2>Left out</h2><ul>" + "".join(f"<li>{escape(x)}</li>" for x in left_out) + "</ul>")
+    if provenance:
+        rows = "".join(f"<tr><th>{escape(str(k))}</th><td>{escape(str(v))}</td></tr>" for k, v in provenance.items())
+        parts.append(f"<h2>Provenance</h2><table>{rows}</table>")
+    head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{CSS}</style>'
+    path.parent.mkdir(parents=True, exist_ok=True)
+    body = "\n".join(parts)
+    path.write_text(f'<!doctype html>\n<html lang="en"><head>{head}</head><body>{body}</body></html>\n', "utf-8")
+    return path

@@ -1,0 +1,75 @@
+"""The report stands alone and says what may not be concluded."""
+
+import re
+from html.parser import HTMLParser
+
+from ablate.analysis import (
+    RESIMULATION,
+    cautions,
+    comparison_table,
+    paired_boxplots,
+    paired_table,
+    seed_claims,
+    write_report,
+)
+
+
+class Resources(HTMLParser):
+    """Collects what a page would load, and checks that tags are closed in order."""
+
+    def __init__(self):
+        super().__init__()
+        self.sources, self.open = [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def test_report_is_self_contained(study, tmp_path):
+    paired = paired_table(study, resamples=50)
+    boxes = paired_boxplots(study, tmp_path, paired=paired)
+    path = write_report(
+        tmp_path / "report.html",
+        "quick <study>",
+        study,
+        comparison_table(study),
+        paired,
+        seed_claims(study),
+        [(boxes["psnr"][0], "Paired differences in PSNR")],
+        ["refraction: speeds agree"],
+        {"commit": "abc123"},
+    )
+    page = path.read_text("utf-8")
+    parser = Resources()
+    parser.feed(page)
+    assert not parser.open
+    assert len(parser.sources) == 1
+    assert parser.sources[0].startswith("data:image/png;base64,")
+    assert not re.search(r"https?://", page)
+    for text in ("quick &lt;study&gt;", "refraction: speeds agree", "abc123", "floor for", "level of", "differs"):
+        assert text in page
+    assert "nan" not in re.sub(r"base64,[^\"]*", "", page).lower()
+
+
+def test_cautions_in_words(study, study_of):
+    assert len(cautions(study)) == 1, "only the eight sites"
+    assert any("not claimable" in text for text in cautions(study_of(seeds=(0, 1))))
+    assert any("one variant" in text for text in cautions(study_of(variants=("sa2h",))))
+    assert any("reference sa2h is missing" in text for text in cautions(study_of(variants=("nsa2h", "sa2h-att"))))
+    assert any("re-simulation is missing" in text for text in cautions(study_of(variants=("sa2h", "nsa2h"))))
+    assert any("no network" in text for text in cautions(study[study["variant"] == RESIMULATION]))
+
+
+def test_report_of_a_single_variant(study_of, tmp_path):
+    alone = study_of(variants=("sa2h",), seeds=(0,))
+    path = write_report(
+        tmp_path / "report.html", "alone", alone, comparison_table(alone), paired_table(alone), seed_claims(alone)
+    )
+    page = path.read_text("utf-8")
+    assert "nothing is compared" in page
+    assert "not claimable" in page

@@ -1,0 +1,138 @@
+"""Paired statistics against scipy, brute force, and their own promises under simulation."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from ablate.analysis import Verdict, component_claim, holm, paired_difference
+from ablate.analysis.statistics import _bootstrap_shifts, hodges_lehmann, rank_biserial
+
+
+def brute_hodges_lehmann(d):
+    return np.median([(d[i] + d[j]) / 2 for i in range(len(d)) for j in range(i, len(d))])
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 30])
+def test_shift_p_and_effect_agree_with_independent_formulas(n):
+    rng = np.random.default_rng(n)
+    value, base = rng.normal(0.4, 1, n), rng.normal(size=n)
+    found = paired_difference(value, base)
+    d = value - base
+    assert found.shift == pytest.approx(brute_hodges_lehmann(d))
+    assert found.p == pytest.approx(stats.wilcoxon(value, base).pvalue)
+    ranks = stats.rankdata(np.abs(d))
+    assert found.effect == pytest.approx((ranks[d > 0].sum() - ranks[d < 0].sum()) / ranks.sum())
+    assert found.n == n
+    swapped = paired_difference(base, value)
+    assert (swapped.shift, swapped.effect) == pytest.approx((-found.shift, -found.effect))
+
+
+def test_bootstrap_on_the_lattice_equals_brute_force():
+    rng = np.random.default_rng(0)
+    d, clusters = rng.normal(size=24), np.repeat(np.arange(8), 3)
+    fast = _bootstrap_shifts(d, clusters, 300, np.random.default_rng(5))
+    draws = np.random.default_rng(5).multinomial(8, np.full(8, 1 / 8), size=256)
+    draws = np.vstack((draws, np.random.default_rng(5).multinomial(8, np.full(8, 1 / 8), size=300)[256:]))
+    slow = [brute_hodges_lehmann(np.repeat(d, np.repeat(weights, 3))) for weights in draws]
+    np.testing.assert_allclose(fast, slow, atol=np.ptp(d) / 2047)
+
+
+def test_equal_values_give_no_evidence():
+    found = paired_difference(np.ones(5), np.ones(5))
+    assert (found.shift, found.low, found.high, found.p, found.effect) == (0, 0, 0, 1, 0)
+    assert rank_biserial(np.zeros(3)) == 0
+
+
+def test_constant_difference():
+    found = paired_difference(np.arange(6) + 2.0, np.arange(6))
+    assert (found.shift, found.low, found.high, found.effect) == (2, 2, 2, 1)
+
+
+def test_infinite_pairs_are_counted_and_dropped():
+    found = paired_difference([1.0, math.inf, 3.0, 4.0], [0.0, 1.0, math.inf, 3.5])
+    assert (found.n, found.dropped) == (2, 2)
+    assert found.shift == 0.75
+
+
+def test_one_cluster_has_no_interval():
+    found = paired_difference([1.0, 2.0, 2.5], [0.0, 0.0, 0.0], clusters=["a"] * 3)
+    assert (found.low, found.high, found.clusters) == (-math.inf, math.inf, 1)
+
+
+def test_clusters_widen_the_interval():
+    rng = np.random.default_rng(1)
+    sites = np.repeat(np.arange(10), 12)
+    d = rng.normal(size=10)[sites] + 0.1 * rng.normal(size=120)
+    frames, grouped = (paired_difference(d, np.zeros(120), clusters=c) for c in (None, sites))
+    assert grouped.high - grouped.low > 2 * (frames.high - frames.low)
+
+
+@pytest.mark.parametrize(
+    ("value", "base", "clusters", "message"),
+    [
+        ([1.0, 2.0], [1.0], None, "alike"),
+        ([1.0, 2.0], [1.0, 2.0], [0], "alike"),
+        ([1.0, math.nan], [1.0, 2.0], None, "NaN"),
+        ([math.inf], [1.0], None, "no pair"),
+        ([], [], None, "no pair"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(value, base, clusters, message):
+    with pytest.raises(ValueError, match=message):
+        paired_difference(value, base, clusters)
+
+
+def test_holm_by_hand_and_by_scipys_definition():
+    np.testing.assert_allclose(holm([0.01, 0.04, 0.03, 0.005]), [0.03, 0.06, 0.06, 0.02])
+    np.testing.assert_allclose(holm([0.6, 0.5]), [1.0, 1.0])
+    assert holm([]).size == 0
+    p = np.random.default_rng(0).random(20) ** 3
+    adjusted = holm(p)
+    assert (adjusted >= p).all()
+    assert (np.diff(adjusted[np.argsort(p)]) >= 0).all()
+    with pytest.raises(ValueError, match=r"\[0, 1\]"):
+        holm([1.2])
+
+
+def test_component_claims_need_three_seeds():
+    assert str(component_claim([1.0], [2.0])) == "not claimable, 1 seed"
+    assert component_claim([1.0, 2.0, 3.0], [2.0, 2.1]).verdict is Verdict.not_claimable
+    assert component_claim([1.0, 2.0, math.inf], [2.0, 2.1, 2.2]).seeds == 2
+    assert component_claim([1.0] * 3, [2.0] * 3).verdict is Verdict.not_claimable
+    a, b = [1.0, 1.1, 1.2, 0.9], [2.0, 2.2, 2.1, 1.7]
+    claim = component_claim(a, b)
+    assert claim.p == pytest.approx(stats.ttest_ind(a, b, equal_var=False).pvalue)
+    assert claim.verdict is Verdict.differs
+    assert claim.low < claim.shift < claim.high < 0
+    assert component_claim([1.0, 2.0, 3.0], [1.1, 2.1, 2.9]).verdict is Verdict.no_difference_found
+
+
+def test_hodges_lehmann_of_symmetric_values_is_their_centre():
+    assert hodges_lehmann(np.array([-3.0, -1.0, 1.0, 3.0]) + 7) == 7
+
+
+@pytest.mark.slow
+def test_intervals_cover_and_seed_claims_keep_their_level():
+    """Frames share their site's error: intervals over sites cover, intervals over frames do not.
+
+    And two networks that differ only by seed are told apart by frames, not by the seed-level test.
+    """
+    sites, runs = np.repeat(np.arange(30), 5), 300
+    by_site = by_frame = frame_claims = seed_claims = 0
+    for k in range(runs):
+        rng = np.random.default_rng(k)
+        d = rng.normal(size=30)[sites] + 0.5 * rng.normal(size=150)
+        for clustered in (True, False):
+            found = paired_difference(d, 0 * d, sites if clustered else None, resamples=400)
+            covered = found.low <= 0 <= found.high
+            by_site += covered and clustered
+            by_frame += covered and not clustered
+        seeds = 0.15 * rng.normal(size=(2, 3, 1)) + 0.4 * rng.normal(size=(2, 3, 150))
+        frame_claims += paired_difference(seeds[0, 0], seeds[1, 0], resamples=2).p < 0.05
+        seed_claims += component_claim(*seeds.mean(axis=2)).verdict is Verdict.differs
+    assert by_site / runs > 0.90
+    assert by_frame / runs < 0.75
+    assert frame_claims / runs > 0.6
+    assert seed_claims / runs < 0.08
