@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, discriminator_channels, inputs
-from ablate.networks.layers import instance_norm
+from ablate.networks.layers import OneChannelConvolution, instance_norm
 
 UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none"}
 VARIANTS = {
@@ -169,6 +169,17 @@ def test_instance_norm_of_one_pixel_is_the_identity_and_of_a_constant_zero() -> 
     pixel = torch.randn(2, 3, 1, 1)
     assert torch.equal(instance_norm(pixel), pixel)
     assert instance_norm(torch.full((1, 2, 8, 8), 1e4)).abs().max() < 1e-2
+
+
+@pytest.mark.parametrize("size", [(9, 7), (1, 1), (1, 5)])
+def test_the_output_convolution_is_torchs(size: tuple[int, int]) -> None:
+    layer = OneChannelConvolution(5, 3).double()
+    features = torch.randn(2, 5, *size, dtype=torch.float64, requires_grad=True)
+    expected = F.conv2d(features, layer.weight, layer.bias, padding=1)
+    torch.testing.assert_close(layer(features), expected, rtol=1e-12, atol=1e-12)
+    wanted = (features, layer.weight, layer.bias)
+    gradients = [torch.autograd.grad(y.square().sum(), wanted) for y in (layer(features), expected)]
+    torch.testing.assert_close(*gradients, rtol=1e-10, atol=1e-10)
 
 
 def test_initial_weights_are_pix2pixs() -> None:

@@ -142,6 +142,4 @@ class Generator(nn.Module):
             return [None] * self.spec.depth
         height, width = maps.shape[-2:]
         seed = seed.to(maps.device)
-        return [
-            gaussian_field(seed, level, height >> level, width >> level) for level in range(self.spec.depth)
-        ]
+        return [gaussian_field(seed, level, height >> level, width >> level) for level in range(self.spec.depth)]

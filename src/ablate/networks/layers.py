@@ -48,6 +48,28 @@ def instance_norm(features: Tensor) -> Tensor:
     return F.instance_norm(features)
 
 
+class OneChannelConvolution(nn.Conv2d):
+    """Convolution k x k to a single channel, stride 1, size kept: `nn.Conv2d`, computed sensibly on a CPU.
+
+    Torch pads the one output channel to a block of 16. Here a matrix product gives the k^2 taps of every
+    pixel, which are then shifted and summed (in float32 if they are bf16): a quarter of the time.
+    """
+
+    def __init__(self, in_channels: int, kernel: int) -> None:
+        super().__init__(in_channels, 1, kernel, padding=kernel // 2)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Convolve (N, C, H, W) to (N, 1, H, W)."""
+        if features.device.type != "cpu" or self.bias is None:
+            return super().forward(features)
+        (kernel, _), size = self.kernel_size, features.shape[-2:]
+        taps = self.weight[0].flip(1, 2).flatten(1).t() @ features.flatten(2)
+        return (
+            F.fold(taps.float() if taps.dtype is torch.bfloat16 else taps, size, kernel, padding=kernel // 2)
+            + self.bias[:, None, None]
+        )
+
+
 def draw_initial_weights(network: nn.Module) -> None:
     """Draw every convolution's weights from N(0, 0.02^2) and set its bias to zero, as pix2pix does."""
     for layer in convolutions(network):

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ablate.networks.layers import Stages, convolutions, instance_norm, joined
+from ablate.networks.layers import OneChannelConvolution, Stages, convolutions, instance_norm, joined
 from ablate.networks.spec import Concat, GeneratorSpec, Noise, Upsampling, inputs, scaled
 
 # Channels at full, half, quarter ... resolution; deeper levels stay at the last.
@@ -38,9 +38,7 @@ class UpBlock(nn.Module):
         super().__init__()
         self.refine: nn.Conv2d | None = None
         if spec.upsampling is Upsampling.texture:
-            self.grow = nn.ConvTranspose2d(
-                channels_in + maps, channels_out, 3, stride=2, padding=1, output_padding=1
-            )
+            self.grow = nn.ConvTranspose2d(channels_in + maps, channels_out, 3, stride=2, padding=1, output_padding=1)
             self.refine = nn.Conv2d(channels_out + maps, channels_out, 3, padding=1)
         else:
             self.grow = nn.ConvTranspose2d(channels_in + maps, channels_out, 4, stride=2, padding=1)
@@ -90,11 +88,9 @@ class LocalNetwork(nn.Module):
         for width in reversed(widths[:-1]):
             self.up.append(UpBlock(channels, width, maps, spec))
             channels = 2 * width
-        self.output = nn.Conv2d(channels + maps, 1, 3, padding=1)
+        self.output = OneChannelConvolution(channels + maps, 3)
 
-    def forward(
-        self, stacked: Tensor, maps: Sequence[Tensor | None], noise: Sequence[Tensor | None]
-    ) -> Tensor:
+    def forward(self, stacked: Tensor, maps: Sequence[Tensor | None], noise: Sequence[Tensor | None]) -> Tensor:
         """Render.
 
         Parameters

@@ -121,9 +121,7 @@ class GeneratorSpec:
             if self.concat is not Concat.input:
                 raise ValueError(f"concat={self.concat} with family=unet: allowed is concat=input")
             if self.upsampling is not Upsampling.transposed:
-                raise ValueError(
-                    f"upsampling={self.upsampling} with family=unet: allowed is upsampling=transposed"
-                )
+                raise ValueError(f"upsampling={self.upsampling} with family=unet: allowed is upsampling=transposed")
             if self.noise is Noise.inject:
                 raise ValueError("noise=inject with family=unet: allowed are noise=none, noise=input")
         if self.noise is Noise.input and self.extra_input is ExtraInput.noise:

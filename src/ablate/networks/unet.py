@@ -42,9 +42,7 @@ class UNetwork(nn.Module):
             self.up.append(nn.ConvTranspose2d(channels, width, 4, stride=2, padding=1))
             channels = 2 * width
 
-    def forward(
-        self, stacked: Tensor, _maps: Sequence[Tensor | None], _noise: Sequence[Tensor | None]
-    ) -> Tensor:
+    def forward(self, stacked: Tensor, _maps: Sequence[Tensor | None], _noise: Sequence[Tensor | None]) -> Tensor:
         """Render (N, inputs, H, W) in [-1, 1] to (N, 1, H, W); H and W are multiples of 2^depth."""
         features = self.down[0](stacked)
         skips = []
