@@ -9,9 +9,7 @@ from ablate.metrics.mechanism import relative_attenuation
 
 
 def contrast(prediction, frame):
-    return shadow_contrast(
-        prediction, frame.image, frame.attenuation, frame.mask, frame.tissue, frame.depth_mm
-    )
+    return shadow_contrast(prediction, frame.image, frame.attenuation, frame.mask, frame.tissue, frame.depth_mm)
 
 
 def shifted(image, mask, grey):

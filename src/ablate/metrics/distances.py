@@ -142,9 +142,7 @@ def bootstrap_interval(
     if groups is not None:
         groups = np.asarray(groups)
         if groups.shape != (len(X),) or len(X) != len(Y):
-            raise ValueError(
-                f"groups need one label a row of X and Y, got {groups.shape}, {len(X)}, {len(Y)}"
-            )
+            raise ValueError(f"groups need one label a row of X and Y, got {groups.shape}, {len(X)}, {len(Y)}")
         members = [np.flatnonzero(groups == group) for group in np.unique(groups)]
         if len(members) < 2:
             raise ValueError("groups must name at least 2 groups to resample")

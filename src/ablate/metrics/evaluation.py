@@ -73,9 +73,7 @@ def _pchi2_tissue(pair: Pair) -> float | None:
 def _shadow_contrast(pair: Pair) -> float | None:
     if pair.attenuation is None or pair.tissue_mask is None or pair.depth_mm is None:
         return None
-    return shadow_contrast(
-        pair.prediction, pair.target, pair.attenuation, pair.mask, pair.tissue_mask, pair.depth_mm
-    )
+    return shadow_contrast(pair.prediction, pair.target, pair.attenuation, pair.mask, pair.tissue_mask, pair.depth_mm)
 
 
 IMAGE_METRICS: dict[str, Callable[[Pair], float | None]] = {

@@ -83,9 +83,7 @@ def inception_features(
         raise FileNotFoundError(f"no Inception weights at {path}")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     if digest != sha256:
-        raise ValueError(
-            f"{path} has SHA-256 {digest[:12]}…, expected {sha256[:12]}…: not the network of FID"
-        )
+        raise ValueError(f"{path} has SHA-256 {digest[:12]}…, expected {sha256[:12]}…: not the network of FID")
     crops = torch.from_numpy(four_crops(images))[:, None]
     module = torch.jit.load(str(path), map_location=device).eval()
     with torch.inference_mode():

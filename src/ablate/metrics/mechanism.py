@@ -191,9 +191,7 @@ def line_excess_db(image: np.ndarray, blocks: np.ndarray, period_px: int = 2) ->
     return float(10.0 * np.log10(np.mean(ratios)))
 
 
-def nyquist_excess(
-    prediction: np.ndarray, target: np.ndarray, mask: np.ndarray, period_px: int = 2
-) -> float | None:
+def nyquist_excess(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray, period_px: int = 2) -> float | None:
     """Checkerboard of up-sampling: the prediction's excess at the Nyquist lines over the target's, dB.
 
     Strided transposed convolutions leave a pattern of period 2 px, and of 4 px from the level before
