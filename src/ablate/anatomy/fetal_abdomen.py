@@ -27,7 +27,8 @@ def fetal_abdomen(triangles: int = 675_000, seed: int = 0) -> Scene:
     Parameters
     ----------
     triangles : int
-        About how many triangles to build, at least 4,000; the same shapes at every number.
+        About how many triangles to build, at least 4,000; the same shapes at every number. Thin bones and membranes
+        keep what they need, so that the coarsest scene has about 20,000.
     seed : int
         Of the low-frequency displacement that makes each surface organic.
 

@@ -30,7 +30,7 @@ def fetal_body(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Stru
         solids.append((_arm_flesh(side, seed), 0.85, f"{name} arm"))
     flesh = tissues["soft_tissue"]
     return [
-        Structure(fetus_to_world(mesh_field(field, FETUS_BOX, min(pitch * scale, 6.0), name)), flesh)
+        Structure(fetus_to_world(mesh_field(field, FETUS_BOX, min(pitch * scale, 4.0 + 5.0 * pitch), name)), flesh)
         for field, pitch, name in solids
     ]
 

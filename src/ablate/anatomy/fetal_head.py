@@ -38,7 +38,11 @@ def fetal_head(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Stru
     """
 
     def solid(
-        field: Field, tissue: str, pitch_mm: float | tuple[float, float, float], name: str, coarsest_mm: float
+        field: Field,
+        tissue: str,
+        pitch_mm: float | tuple[float, float, float],
+        name: str,
+        coarsest_mm: float | tuple[float, float, float],
     ) -> Structure:
         pitch = np.minimum(np.asarray(pitch_mm) * scale, coarsest_mm)
         return Structure(head_to_world(mesh_field(field, HEAD_BOX, pitch, name)), tissues[tissue])
@@ -60,12 +64,12 @@ def fetal_head(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Stru
         0.4,
     )
     return [
-        solid(skull, "fetal_bone", 0.95, "skull", 5.0),
-        solid(shrunk(skull, SKULL_MM), "csf", 0.95, "subarachnoid space", 5.0),
-        solid(brain, "brain", 0.85, "brain", 4.0),
+        solid(skull, "fetal_bone", 0.95, "skull", 7.0),
+        solid(shrunk(skull, SKULL_MM), "csf", 0.95, "subarachnoid space", 7.0),
+        solid(brain, "brain", 0.85, "brain", 7.0),
         solid(cistern, "csf", 0.7, "cisterna magna", 3.0),
         solid(cerebellum, "brain", 0.6, "cerebellum", 3.0),
-        solid(sheet, "falx", (0.35, 1.0, 1.0), "falx", (0.4, 4.0, 4.0)),
+        solid(sheet, "falx", (0.35, 1.0, 1.0), "falx", (0.45, 7.0, 7.0)),
         solid(ellipsoid((0.0, -11.5, 3.5), (2.1, 5.0, 3.2)), "csf", 0.5, "cavum septi pellucidi", 1.4),
         *_ventricles(tissues, scale),
         _eyes(tissues, scale),
@@ -74,7 +78,7 @@ def fetal_head(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Stru
 
 def _ventricles(tissues: dict[str, Tissue], scale: float) -> list[Structure]:
     """Lateral ventricles with choroid plexus in their atria."""
-    sides, count = max(4, round(14 / scale)), max(6, round(40 / scale))
+    sides, count = max(3, round(14 / scale)), max(6, round(40 / scale))
     t = np.linspace(0.0, 1.0, 6)
     stations = np.array(
         [
@@ -87,15 +91,12 @@ def _ventricles(tissues: dict[str, Tissue], scale: float) -> list[Structure]:
         ]
     )
     radii = np.array([0.9, 1.6, 1.9, 3.4, 3.0, 0.9])
-    fine = np.linspace(0.0, 1.0, count)
-    path = np.stack([np.interp(fine, t, stations[:, i]) for i in range(3)], axis=1)
-    radius = np.interp(fine, t, radii)
-    inner = (fine > 0.42) & (fine < 0.78)
     ventricles, plexus = [], []
-    for side in (-1.0, 1.0):
-        mirrored = path * (side, 1.0, 1.0)
-        ventricles.append(tube(mirrored, radius, sides))
-        plexus.append(tube(mirrored[inner], 0.62 * radius[inner], sides))
+    for part, reach, share in ((ventricles, (0.0, 1.0), 1.0), (plexus, (0.42, 0.78), 0.62)):
+        along = np.linspace(*reach, count)
+        path = np.stack([np.interp(along, t, stations[:, i]) for i in range(3)], axis=1)
+        radius = share * np.interp(along, t, radii)
+        part += [tube(path * (side, 1.0, 1.0), radius, sides) for side in (-1.0, 1.0)]
     return [
         Structure(head_to_world(joined(ventricles, "lateral ventricles")), tissues["csf"]),
         Structure(head_to_world(joined(plexus, "choroid plexus")), tissues["vessel_wall"]),
@@ -103,7 +104,7 @@ def _ventricles(tissues: dict[str, Tissue], scale: float) -> list[Structure]:
 
 
 def _eyes(tissues: dict[str, Tissue], scale: float) -> Structure:
-    pitch = min(0.6 * scale, 2.0)
+    pitch = min(0.6 * scale, 3.2)
     eyes = [
         mesh_field(ellipsoid((side * 11.8, -31.0, -17.5), (5.2, 5.2, 5.2)), HEAD_BOX, pitch, "eye")
         for side in (-1.0, 1.0)

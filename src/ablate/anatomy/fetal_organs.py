@@ -20,8 +20,10 @@ from ablate.anatomy.sweep import joined, smooth_path, tube
 
 TRUNK_BOX: Bounds = ((-40.0, -40.0, -75.0), (40.0, 40.0, 75.0))
 HEART_CENTER = np.array([4.0, -5.0, 17.5])
-HEART_AXES = np.linalg.qr(np.array([[0.62, 0.55, 0.5], [-0.62, 0.80, 0.0], [-0.48, 0.1, 1.0]]))[0]
-HEART_AXES *= np.sign(np.sum(HEART_AXES * np.array([[0.62, 0.55, 0.5], [-0.62, 0.8, 0.0], [-0.48, 0.1, 1.0]]), 0))
+#: The heart's axes as columns: to the apex (left, forward, down), to its left, and up; made orthonormal.
+HEART_TOWARDS = np.array([[0.64, 0.62, 0.2], [-0.70, 0.76, 0.0], [-0.26, 0.05, 1.0]])
+HEART_AXES = np.linalg.qr(HEART_TOWARDS)[0]
+HEART_AXES *= np.sign((HEART_AXES * HEART_TOWARDS).sum(axis=0))
 #: Chambers in the heart's axes (to the apex, to its left, up): center and radii, mm.
 CHAMBERS = (
     ((3.2, 3.7, 0.0), (6.2, 2.6, 4.2)),
@@ -59,7 +61,7 @@ def fetal_organs(tissues: dict[str, Tissue], scale: float, seed: int) -> list[St
         Of the surface displacements.
     """
 
-    def solid(field: Field, tissue: str, pitch_mm: float, name: str, coarsest_mm: float = 6.0) -> Structure:
+    def solid(field: Field, tissue: str, pitch_mm: float, name: str, coarsest_mm: float = 7.0) -> Structure:
         mesh = mesh_field(field, TRUNK_BOX, min(pitch_mm * scale, coarsest_mm), name)
         return Structure(trunk_to_world(mesh), tissues[tissue])
 
@@ -120,8 +122,8 @@ def fetal_organs(tissues: dict[str, Tissue], scale: float, seed: int) -> list[St
         solid(stomach, "amniotic_fluid", 0.7, "stomach"),
         solid(ellipsoid((-8.0, -12.5, -17.5), (2.4, 3.0, 6.0)), "bile", 0.5, "gallbladder", 1.5),
         _pair("kidney", "kidneys", (10.8, 13.0, -27.5), (6.0, 5.6, 10.5), tissues, 0.65 * scale, seed + 4),
-        _pair("urine", "renal pelves", (8.6, 12.0, -27.5), (1.6, 1.3, 3.4), tissues, min(0.4 * scale, 0.8), None),
-        _pair("adrenal", "adrenals", (8.5, 11.5, -14.0), (3.6, 2.0, 3.0), tissues, min(0.5 * scale, 1.2), None),
+        _pair("urine", "renal pelves", (8.6, 12.0, -27.5), (1.6, 1.3, 3.4), tissues, min(0.4 * scale, 1.1), None),
+        _pair("adrenal", "adrenals", (8.5, 11.5, -14.0), (3.6, 2.0, 3.0), tissues, min(0.5 * scale, 1.8), None),
         solid(shrunk(bladder, -0.9), "muscle", 0.6, "bladder wall"),
         solid(bladder, "urine", 0.6, "bladder"),
         _great_vessels(tissues, scale),
@@ -153,7 +155,7 @@ def _chambers(tissues: dict[str, Tissue], scale: float, seed: int) -> Structure:
         mesh_field(
             rippled(ellipsoid(HEART_CENTER + HEART_AXES @ np.array(center), radii, HEART_AXES), seed + i, 0.2, 9.0),
             TRUNK_BOX,
-            min(0.5 * scale, 1.6),
+            min(0.5 * scale, 2.2),
             "chamber",
         )
         for i, (center, radii) in enumerate(CHAMBERS, start=60)
@@ -169,7 +171,7 @@ def spine_y(s: np.ndarray) -> np.ndarray:
 
 def _great_vessels(tissues: dict[str, Tissue], scale: float) -> Structure:
     """Aorta with its arch, inferior vena cava, and the umbilical vein's way through the liver."""
-    sides = max(4, round(14 / scale))
+    sides = max(3, round(14 / scale))
     count = max(6, round(70 / scale))
     down = np.linspace(22.0, -36.0, 6)
     aorta = [(2.0, -1.0, 22.0), (1.5, 1.0, 28.0), (3.0, 6.0, 29.0)]

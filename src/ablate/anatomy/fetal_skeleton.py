@@ -60,7 +60,7 @@ def fetal_skeleton(tissues: dict[str, Tissue], scale: float) -> list[Structure]:
     scale : float
         Factor on every spacing along and around a bone.
     """
-    sides = max(4, round(12 / scale))
+    sides = max(3, round(12 / scale))
     bone, fluid, cord, gristle = (tissues[name] for name in ("fetal_bone", "csf", "brain", "cartilage"))
     s = np.linspace(-46.0, 57.0, max(8, round(90 / scale)))
     canal = np.stack([0.0 * s, spine_y(s) + 4.9, s], axis=1)
@@ -112,7 +112,7 @@ def _arches(sides: int) -> list[trimesh.Trimesh]:
 
 def _rib(number: int, side: float, scale: float, sides: int) -> trimesh.Trimesh:
     """A rib: from beside the spine around the chest, sinking towards the front."""
-    angle = np.deg2rad(np.linspace(21.0, RIB_REACH_DEG[number], max(7, round(44 / scale))))
+    angle = np.deg2rad(np.linspace(21.0, RIB_REACH_DEG[number], max(5, round(44 / scale))))
     s = RIBS_S_MM[number] - 9.5 * (angle / 2.2) ** 1.3 + 2.2 * np.clip(angle - 1.6, 0.0, None)
     width, depth, middle = outline(s)
     under = RIB_DEPTH_MM

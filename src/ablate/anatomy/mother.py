@@ -139,8 +139,8 @@ def _bowel(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structur
     loops, gas = [], []
     for i, (center, radius) in enumerate(GAS_POCKETS):
         shape = rippled(ellipsoid(center, (radius, 1.1 * radius, 1.5 * radius)), seed + 10 + i, 0.8, 3.0 * radius)
-        loops.append(mesh_field(shrunk(shape, -3.0), BODY_BOX, min(1.8 * scale, 6.0), "loop"))
-        gas.append(mesh_field(shape, BODY_BOX, min(1.8 * scale, 6.0), "gas"))
+        loops.append(mesh_field(shrunk(shape, -3.0), BODY_BOX, min(1.8 * scale, 8.0), "loop"))
+        gas.append(mesh_field(shape, BODY_BOX, min(1.8 * scale, 8.0), "gas"))
     return [
         Structure(joined(loops, "bowel"), tissues["stomach_wall"]),
         Structure(joined(gas, "bowel gas"), tissues["gas"]),
@@ -149,7 +149,7 @@ def _bowel(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structur
 
 def _back(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure]:
     """Psoas, back muscles, great vessels and the lumbar spine."""
-    pitch = min(2.6 * scale, 9.0)
+    pitch = min(2.6 * scale, 12.0)
     muscles = [capsule((side * 42.0, 66.0, -130.0), (side * 34.0, 68.0, 110.0), 19.0, 13.0) for side in (-1, 1)] + [
         capsule((side * 34.0, 84.0, -140.0), (side * 36.0, 84.0, 140.0), 15.0, 15.0) for side in (-1, 1)
     ]
@@ -173,7 +173,7 @@ def _back(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure
             ],
             3.0,
         )
-        processes.append(mesh_field(arch, BODY_BOX, min(pitch, 4.0), "arch"))
+        processes.append(mesh_field(arch, BODY_BOX, min(pitch, 5.5), "arch"))
     sides = max(6, round(40 / scale))
     z = np.linspace(-120.0, 150.0, max(8, round(80 / scale)))
     aorta = np.stack([7.0 + 3.0 * np.sin(z / 60.0), 43.0 + 0.0 * z, z], 1)

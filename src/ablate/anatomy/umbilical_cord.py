@@ -45,7 +45,7 @@ def umbilical_cord(tissues: dict[str, Tissue], scale: float) -> list[Structure]:
     for start_deg, off_axis_mm, radius in VESSELS:
         angle = (np.deg2rad(start_deg) + 2.0 * np.pi * length / WIND_MM)[:, None]
         winding = path + off_axis_mm * (np.cos(angle) * first + np.sin(angle) * second)
-        sides = max(4, round(12 / scale))
+        sides = max(3, round(12 / scale))
         walls.append(tube(winding[1:-1], np.full(len(path) - 2, radius + WALL_MM), sides))
         lumens.append(tube(winding[2:-2], np.full(len(path) - 4, radius), sides))
     jelly = joined([tube(path, np.full(len(path), JELLY_MM), max(5, round(20 / scale)))], "umbilical cord")
