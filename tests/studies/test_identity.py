@@ -1,0 +1,73 @@
+"""A run is known by what decides its result, and two results never share a place."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ablate.studies.identity import claim_place, config_hash, finished, write_json
+from ablate.studies.sweep import ConfigurationError, Job, jobs_of
+
+
+def job(runs: Path, *arguments: str) -> Job:
+    return jobs_of([f"runs_dir={runs}", *arguments])[0]
+
+
+@pytest.mark.parametrize(
+    "incidental",
+    [
+        "training.device=cpu",
+        "training.threads=2",
+        "training.checkpoint_every=7",
+        "crops.workers=3",
+        "simulator.device=cuda",
+        "simulator.plan=full",
+        "dataset.workers=5",
+        "tracking.experiment=other",
+        "study_name=other",
+        "evaluation.pictures=9",
+    ],
+)
+def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, incidental: str) -> None:
+    assert config_hash(job(tmp_path, incidental).settings) == config_hash(job(tmp_path / "b").settings)
+
+
+@pytest.mark.parametrize(
+    "semantic",
+    [
+        "seed=1",
+        "training.steps=7",
+        "model.depth=5",
+        "encoding=arbitrary",
+        "simulator.rays=3",
+        "dataset.frames=7",
+        "dataset.seed=2",
+        "probe.depth_mm=100",
+        "scene.triangles=7000",
+        "scene.anatomy_seed=3",
+        "crops.flip=false",
+        "training.precision=fp32",
+    ],
+)
+def test_what_decides_the_result_counts(tmp_path: Path, semantic: str) -> None:
+    assert config_hash(job(tmp_path, semantic).settings) != config_hash(job(tmp_path).settings)
+
+
+def test_another_configuration_in_the_same_place_is_refused_with_the_difference(tmp_path: Path) -> None:
+    claim_place(job(tmp_path))
+    claim_place(job(tmp_path, "training.threads=2"))
+    with pytest.raises(ConfigurationError, match=r"training\.steps: \d+ there, 7 here.*study_name"):
+        claim_place(job(tmp_path, "training.steps=7"))
+
+
+def test_only_the_result_of_this_configuration_counts_as_finished(tmp_path: Path) -> None:
+    mine = job(tmp_path)
+    claim_place(mine)
+    assert finished(mine) is None
+    write_json(mine.folder / "result.json", {"hash": "of another"})
+    assert finished(mine) is None
+    write_json(mine.folder / "result.json", {"hash": config_hash(mine.settings), "seed": 0})
+    assert finished(mine) == {"hash": config_hash(mine.settings), "seed": 0}
+    assert json.loads((mine.folder / "spec.json").read_text())["hash"] == config_hash(mine.settings)

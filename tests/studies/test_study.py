@@ -1,0 +1,164 @@
+"""A whole study at a tiny size: simulated, trained, compared, tracked; killed, continued, repeated."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from mlflow import MlflowClient
+
+from ablate.studies import tasks
+from ablate.studies.run import run_job
+from ablate.studies.sweep import Job, jobs_of
+from ablate.tracking import default_uri
+
+TINY = [
+    "scene.triangles=6000",
+    "simulator.scanlines=24",
+    "simulator.axial_samples=128",
+    "simulator.rays=2",
+    "simulator.layers=1",
+    "simulator.image_shape=[128,178]",
+    "dataset.frames=12",
+    "dataset.grid=[3,4,1,1]",
+    "dataset.validation=0.2",
+    "dataset.test=0.3",
+    "dataset.shard=3",
+    "dataset.workers=1",
+    "model.width=0.05",
+    "training.steps=6",
+    "training.crop=64",
+    "training.checkpoint_every=2",
+    "training.validate_every=3",
+    "evaluation.timed_frames=2",
+    "evaluation.pictures=2",
+]
+
+
+def sweep(runs: Path, *more: str) -> list[Job]:
+    return jobs_of(["-m", "variant=sa2h,sa2h-att", f"runs_dir={runs}", *TINY, *more])
+
+
+def study(jobs: list[Job]) -> int:
+    return tasks.study(jobs, lambda: [run_job(job) for job in jobs] and None)
+
+
+def state(runs: Path) -> dict[str, float]:
+    """Modification times of everything that counts as made."""
+    kinds = {".json", ".ckpt", ".parquet", ".npz", ".csv", ".html"}
+    made = {str(p): p.stat().st_mtime for p in runs.rglob("*") if p.is_file() and p.suffix in kinds}
+    return made | {str(p): p.stat().st_mtime for p in runs.glob("data/*/pairs.zarr/*/c/*/0/0")}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    runs = tmp_path_factory.mktemp("runs")
+    assert study(sweep(runs)) == 0
+    return runs
+
+
+def test_the_parent_run_carries_the_comparison(finished: Path) -> None:
+    client = MlflowClient(default_uri(finished))
+    experiment = client.get_experiment_by_name("ablate")
+    assert experiment is not None
+    runs = client.search_runs([experiment.experiment_id])
+    (parent,) = [r for r in runs if r.data.tags.get("kind") == "study"]
+    children = [r for r in runs if r.data.tags.get("mlflow.parentRunId") == parent.info.run_id]
+    assert sorted(r.info.run_name for r in children) == ["sa2h-att/seed0", "sa2h/seed0"]
+    assert {r.info.status for r in runs} == {"FINISHED"}
+    artifacts = {a.path for a in client.list_artifacts(parent.info.run_id)}
+    assert artifacts >= {
+        "table.csv",
+        "table.tex",
+        "paired.csv",
+        "report.html",
+        "boxplot_psnr.png",
+        "pchi2_maps_0.png",
+        "qualitative_0.png",
+        "error_vs_runtime.png",
+    }
+    for child in children:
+        metrics, tags = child.data.metrics, child.data.tags
+        for name in ("psnr", "mae", "pchi2", "psnr_fan", "mae_smooth", "nyquist_excess", "fd_speckle", "noise_sd"):
+            assert f"test/{name}" in metrics
+            assert f"test/floor_{name}" in metrics
+        assert {"ms_per_frame", "train/l1", "val/psnr"} <= metrics.keys()
+        assert {"variant", "seed", "study", "config_hash", "data_hash"} <= tags.keys()
+        assert {a.path for a in client.list_artifacts(child.info.run_id, "provenance")} >= {
+            "provenance/config.json",
+            "provenance/environment.txt",
+        }
+
+
+def test_paired_differences_are_those_of_the_per_image_values(finished: Path) -> None:
+    folder = next(finished.glob("quick-fetal"))
+    paired = pd.read_csv(folder / "comparison" / "paired.csv")
+    assert list(paired.columns) == ["variant", "reference", "metric", "shift", "low", "high", "p_holm", "effect", "n"]
+    row = paired[(paired["variant"] == "sa2h-att") & (paired["metric"] == "mae")].iloc[0]
+    values = {}
+    for variant in ("sa2h", "sa2h-att"):
+        table = pd.read_parquet(folder / variant / "seed0" / "per_image.parquet")
+        chosen = (table["split"] == "test") & (table["source"] == "model") & (table["metric"] == "mae")
+        values[variant] = table[chosen].set_index("frame")["value"]
+    difference = (values["sa2h-att"] - values["sa2h"]).to_numpy()
+    walsh = [(a + b) / 2 for i, a in enumerate(difference) for b in difference[i:]]
+    assert row["shift"] == pytest.approx(pd.Series(walsh).median(), abs=1e-9)
+    assert row["n"] == len(difference)
+
+
+def test_the_same_command_again_repeats_nothing(finished: Path) -> None:
+    before = state(finished)
+    assert tasks.study(sweep(finished), lambda: pytest.fail("nothing is left to launch")) == 0
+    assert state(finished) == before
+
+
+def test_another_configuration_in_the_study_is_refused_and_nothing_is_lost(finished: Path) -> None:
+    before = state(finished)
+    with pytest.raises(ValueError, match=r"holds another configuration.*training\.steps: 6 there, 9 here"):
+        study(sweep(finished, "training.steps=9"))
+    assert state(finished) == before
+
+
+def test_compare_rebuilds_from_disk_and_plan_tells_what_is_there(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = next(finished.glob("*/comparison/report.html"))
+    report.unlink()
+    assert tasks.TASKS[jobs_of(["task=compare"])[0].settings.task](sweep(finished)[:1]) == 0
+    assert report.exists()
+    tasks.plan([*sweep(finished), *sweep(finished, "seed=1")])
+    printed = capsys.readouterr().out
+    assert printed.count("finished") == 2
+    assert printed.count("missing") == 2
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_is_finished_by_the_same_command(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "ablate", "-m", "variant=sa2h,sa2h-att", f"runs_dir={tmp_path}", *TINY]
+    command += ["training.steps=60"]
+    first = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    place = tmp_path / "quick-fetal" / "sa2h" / "seed0"
+    deadline = time.monotonic() + 120
+    while not (place / "last.ckpt").exists() and first.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.killpg(first.pid, signal.SIGKILL)
+    first.wait()
+    assert (place / "last.ckpt").exists()
+    assert not (place / "result.json").exists()
+    simulated = {p: p.stat().st_mtime for p in tmp_path.glob("data/*/pairs.zarr/*/c/*/0/0")}
+    assert simulated
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert {p: p.stat().st_mtime for p in simulated} == simulated
+    client = MlflowClient(default_uri(tmp_path))
+    (experiment,) = [e for e in client.search_experiments() if e.name == "ablate"]
+    names = sorted(r.info.run_name or "" for r in client.search_runs([experiment.experiment_id]))
+    assert names == ["quick-fetal", "sa2h-att/seed0", "sa2h/seed0"]
+    assert json.loads((place / "result.json").read_text())["scalars"]["test/psnr"] > 0

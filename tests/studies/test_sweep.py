@@ -1,0 +1,75 @@
+"""The command line: what it stands for, and how it is refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from ablate.config import Task
+from ablate.dataset import Encoding
+from ablate.studies.sweep import ConfigurationError, jobs_of, label_of
+
+
+def test_a_sweep_is_the_product_of_its_values() -> None:
+    jobs = jobs_of(["-m", "variant=sa2h,nsa2h", "seed=0,1"])
+    assert [job.name for job in jobs] == ["sa2h/seed0", "sa2h/seed1", "nsa2h/seed0", "nsa2h/seed1"]
+    assert jobs[1].settings.training.seed == 1
+    assert jobs[0].folder.parts[-3:] == ("quick-fetal", "sa2h", "seed0")
+
+
+def test_a_single_job_is_the_default_study() -> None:
+    (job,) = jobs_of([])
+    assert (job.settings.task, job.label, job.settings.preset) == (Task.study, "sa2h", "quick")
+
+
+def test_labels_name_what_differs_from_the_variant() -> None:
+    assert label_of("sa2h", ["seed=1", "training.steps=3"]) == "sa2h"
+    assert label_of("sa2h", ["model.depth=8"]) == "sa2h.depth-8"
+    assert label_of("sa2h-depth", ["model.depth=8"]) == "sa2h-depth"
+    assert label_of("sa2h", ["encoding=arbitrary", "model.noise=none"]) == "sa2h.encoding-arbitrary.noise-none"
+
+
+def test_no_two_cells_of_the_factorial_share_a_place() -> None:
+    jobs = jobs_of(["+study=factorial"])
+    assert len({job.folder for job in jobs}) == 32
+    assert len({job.settings.model for job in jobs}) == 32
+
+
+def test_study_groups_take_seeds() -> None:
+    jobs = jobs_of(["+study=leave_one_out", "seed=0,1,2"])
+    assert len(jobs) == 6 * 3
+    encodings = {job.settings.encoding for job in jobs_of(["+study=encoding"])}
+    assert encodings == set(Encoding)
+
+
+def test_a_folder_names_its_study() -> None:
+    (job,) = jobs_of(["scene=folder", "scene.folder=some/where/patient7", "preset=quick"])
+    assert job.settings.study == "quick-patient7"
+    (job,) = jobs_of(["study_name=mine", "runs_dir=/elsewhere"])
+    assert str(job.settings.study_dir) == "/elsewhere/mine"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["variant=sa3h"], r"variant=sa3h: allowed are lsa2h, nsa2h, sa2h, "),
+        (["-m", "variant=sa2h,sa3h"], r"variant=sa3h: allowed are"),
+        (["preset=huge"], r"preset=huge: allowed are paper, quick"),
+        (["varian=sa2h"], r"unknown key 'varian'; did you mean 'variant'\?"),
+        (["training.stepz=3"], r"unknown key 'training.stepz'; did you mean 'steps'\? allowed in training: "),
+        (["+colour=blue"], r"unknown key 'colour'"),
+        (["training.steps=many"], r"training.steps=many: .*Integer"),
+        (["model.attenuation=some"], r"model.attenuation=some: .*\[integral, none\]"),
+        (["task=dream"], r"task=dream: .*study, simulate, describe, plan, compare"),
+        (["model.depth=9"], r"depth=9: allowed are 2 to 8"),
+        (["simulator.rays=0"], r"rays"),
+        (["training.steps=0"], r"steps=0: allowed are 1 and more"),
+        (["variant=sa2h,nsa2h"], r"asks for several jobs: add -m"),
+        (["-m", "training.steps=1,2"], r"share the place .*study_name"),
+        (["variant="], r"variant"),
+        (["variant=[sa2h"], r"."),
+    ],
+)
+def test_what_cannot_be_run_is_refused_in_one_line(arguments: list[str], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message) as refused:
+        jobs_of(arguments)
+    assert "\n" not in str(refused.value)

@@ -1,0 +1,51 @@
+"""The variants are the paper's: its ablations, its parameter counts, its sizes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from ablate.config import StudySettings
+from ablate.networks import GeneratorSpec
+from ablate.studies.sweep import jobs_of
+from ablate.studies.variants import describe, leave_one_out, variant_names
+
+TOTALS = {
+    "lsa2h": 57_171_266,
+    "nsa2h": 57_170_242,
+    "sa2h-att": 14_415_947,
+    "sa2h-concat": 14_384_130,
+    "sa2h-conv": 16_164_308,
+    "sa2h-noise": 14_450_388,
+    "sa2h": 14_450_964,
+}
+
+
+def spec(variant: str) -> GeneratorSpec:
+    return jobs_of([f"variant={variant}", "preset=paper"])[0].settings.model
+
+
+def test_the_paper_preset_is_the_defaults_of_the_code() -> None:
+    (job,) = jobs_of(["preset=paper"])
+    assert job.settings == StudySettings()
+
+
+def test_ablations_equal_the_generated_leave_one_out() -> None:
+    generated = leave_one_out(spec("sa2h"))
+    assert {f"sa2h-{name}": made for name, made in generated.items()} == {f"sa2h-{n}": spec(f"sa2h-{n}") for n in generated}
+
+
+@pytest.mark.parametrize("variant", ["sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h-depth"])
+def test_an_ablation_is_one_change(variant: str) -> None:
+    full, ablated = spec("sa2h"), spec(variant)
+    changed = [f.name for f in dataclasses.fields(full) if getattr(full, f.name) != getattr(ablated, f.name)]
+    assert len(changed) == 1
+
+
+def test_describe_prints_the_papers_parameter_counts() -> None:
+    table = describe(jobs_of(["task=describe"])).set_index("variant")
+    assert list(table.index) == list(variant_names())
+    for variant, total in TOTALS.items():
+        assert table.loc[variant, "total"] == total
+    assert (table["generator"] + table["discriminator"] == table["total"]).all()
