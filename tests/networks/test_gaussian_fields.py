@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from scipy import stats
 
@@ -45,3 +46,10 @@ def test_a_sample_does_not_depend_on_its_batch() -> None:
 
 def test_a_single_pixel_is_enough() -> None:
     assert gaussian_field(torch.tensor([5]), 0, 1, 1).isfinite().all()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_a_gpu_draws_the_same_field() -> None:
+    seeds = torch.arange(3)
+    on_gpu = gaussian_field(seeds.cuda(), 1, 64, 64).cpu()
+    torch.testing.assert_close(on_gpu, gaussian_field(seeds, 1, 64, 64), rtol=1e-5, atol=1e-5)

@@ -91,3 +91,46 @@ def test_every_kind_of_variant_trains(
     settings = replace(settings, steps=2, ema_decay=0.0)
     trained = train(replace(spec, **changes), settings, loader, tmp_path)
     assert all(parameter.isfinite().all() for parameter in trained.generator.parameters())
+
+
+@pytest.mark.parametrize("l1_weight", [0.0, 1e6])
+@pytest.mark.parametrize("loss", AdversarialLoss)
+def test_extreme_weights_stay_finite(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, l1_weight: float, loss: str
+) -> None:
+    settings = replace(settings, l1_weight=l1_weight, loss=AdversarialLoss(loss), steps=4)
+    trained = train(spec, settings, loader, tmp_path)
+    assert all(parameter.isfinite().all() for parameter in trained.generator.parameters())
+
+
+@pytest.mark.parametrize("loss", AdversarialLoss)
+@pytest.mark.parametrize("logit", [1e4, -1e4])
+def test_saturated_logits_have_finite_losses_and_gradients(
+    spec: GeneratorSpec, settings: TrainingSettings, loss: AdversarialLoss, logit: float
+) -> None:
+    logits = torch.full((4,), logit, requires_grad=True)
+    adversarial = PairGAN(spec, replace(settings, loss=loss))._adversarial(logits)
+    adversarial.backward()
+    assert adversarial.isfinite()
+    assert logits.grad is not None
+    assert logits.grad.isfinite().all()
+
+
+def test_a_loader_that_ends_early_is_an_error(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+) -> None:
+    with pytest.raises(RuntimeError, match="loader: ended after step 7, needed are 8"):
+        train(spec, settings, lambda start, stop: loader(start, stop - 1), tmp_path)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+def test_a_gpu_trains_the_same_network(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, precision: str
+) -> None:
+    settings = replace(settings, precision=precision, steps=2)
+    on_cpu = train(spec, settings, loader, tmp_path / "cpu").generator
+    on_gpu = train(spec, replace(settings, device="cuda"), loader, tmp_path / "gpu").generator
+    for expected, parameter in zip(on_cpu.parameters(), on_gpu.parameters(), strict=True):
+        # Adam's first steps are the signs of the gradients: 2e-4 each, and the smallest may differ in sign.
+        torch.testing.assert_close(parameter.cpu(), expected, rtol=0, atol=1e-3)

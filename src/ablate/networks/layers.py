@@ -64,10 +64,8 @@ class OneChannelConvolution(nn.Conv2d):
             return super().forward(features)
         (kernel, _), size = self.kernel_size, features.shape[-2:]
         taps = self.weight[0].flip(1, 2).flatten(1).t() @ features.flatten(2)
-        return (
-            F.fold(taps.float() if taps.dtype is torch.bfloat16 else taps, size, kernel, padding=kernel // 2)
-            + self.bias[:, None, None]
-        )
+        taps = taps.float() if taps.dtype is torch.bfloat16 else taps
+        return F.fold(taps, size, kernel, padding=kernel // 2) + self.bias[:, None, None]
 
 
 def draw_initial_weights(network: nn.Module) -> None:

@@ -56,8 +56,9 @@ def train(
 ) -> TrainedGenerator:
     """Train a generator, or finish its training.
 
-    A run that was stopped at any step and is called again with the same arguments ends with the weights, to the
-    bit on the same machine, of a run that was not stopped. SIGTERM and Ctrl-C are answered after the
+    A run that was stopped at any step and is called again with the same arguments ends with the weights of a run
+    that was not stopped: to the bit on the same CPU, and as far as the convolutions of cuDNN repeat themselves
+    on a GPU. SIGTERM and Ctrl-C are answered after the
     current step, with a checkpoint, and are then handed on.
 
     Parameters
@@ -83,6 +84,8 @@ def train(
         Where the crop is smaller than 2^depth, or `last.ckpt` is of another run.
     DivergenceError
         Where training has failed; the last good checkpoint stays.
+    RuntimeError
+        Where the loader ends too early, or there is no GPU and one is asked for.
     """
     if settings.crop < 2**spec.depth:
         raise ValueError(f"crop={settings.crop}: allowed are 2^depth = {2**spec.depth} and more")
@@ -107,6 +110,8 @@ def train(
         finally:
             interruption.restore()
         interruption.deliver()
+        if module.steps_done < settings.steps:
+            raise RuntimeError(f"loader: ended after step {module.steps_done}, needed are {settings.steps}")
     return TrainedGenerator(module.evaluated.eval().to(device), checkpoint, start)
 
 
