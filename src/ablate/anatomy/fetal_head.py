@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import trimesh
 
 from ablate.anatomy.fetal_frame import head_to_world
 from ablate.anatomy.implicit import (
@@ -91,7 +92,8 @@ def _ventricles(tissues: dict[str, Tissue], scale: float) -> list[Structure]:
         ]
     )
     radii = np.array([0.9, 1.6, 1.9, 3.4, 3.0, 0.9])
-    ventricles, plexus = [], []
+    ventricles: list[trimesh.Trimesh] = []
+    plexus: list[trimesh.Trimesh] = []
     for part, reach, share in ((ventricles, (0.0, 1.0), 1.0), (plexus, (0.42, 0.78), 0.62)):
         along = np.linspace(*reach, count)
         path = np.stack([np.interp(along, t, stations[:, i]) for i in range(3)], axis=1)

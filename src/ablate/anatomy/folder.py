@@ -78,7 +78,7 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
         raise ValueError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from None
     content = _mapping(content, f"{path}", SCENE_KEYS)
     unit = content.get("unit", "mm")
-    if unit not in UNITS_MM:
+    if not isinstance(unit, str) or unit not in UNITS_MM:
         raise ValueError(f"{path}: unit: {unit!r} is not one of {', '.join(UNITS_MM)}")
     tissues = _tissues(content.get("tissues") or {}, path)
     structures = content.get("structures") or []

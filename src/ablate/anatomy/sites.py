@@ -42,11 +42,11 @@ class SiteGrid:
         for field in fields(self):
             values = getattr(self, field.name)
             if len(values) == 0 or not all(math.isfinite(value) for value in values):
-                raise ValueError(f"sites: {field.name} must be one or more finite numbers, not {values!r}")
+                raise ValueError(f"site grid: {field.name} must be one or more finite numbers, not {values!r}")
         for name in ("axis", "front"):
             if len(getattr(self, name)) != 3:
-                raise ValueError(f"sites: {name} must be 3 numbers, not {getattr(self, name)!r}")
+                raise ValueError(f"site grid: {name} must be 3 numbers, not {getattr(self, name)!r}")
         (a, b, c), (d, e, f) = self.axis, self.front
         normal = math.hypot(b * f - c * e, c * d - a * f, a * e - b * d)
         if normal < 1e-3 * max(math.hypot(a, b, c) * math.hypot(d, e, f), 1e-9):
-            raise ValueError(f"sites: front {self.front} must not point along axis {self.axis}")
+            raise ValueError(f"site grid: front {self.front} must not point along axis {self.axis}")
