@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,7 @@ class LastCheckpoint(Callback):
         if is_due or step == module.settings.steps or self.interruption.signal is not None:
             if not module.is_finite():
                 raise DivergenceError(f"step {step}: weights are not finite, {self.path} holds the last good ones")
-            unfinished = self.path.with_suffix(f".{os.getpid()}.tmp")
+            unfinished = self.path.with_suffix(".tmp")
             try:
                 trainer.save_checkpoint(unfinished)
                 unfinished.replace(self.path)
