@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from numbers import Integral, Real
 
 import numpy as np
+
+#: Part of every data set's identity: raise it when the same settings give another image.
+SIMULATOR_VERSION = 1
 
 
 class Plan(StrEnum):
@@ -22,6 +27,13 @@ class DepthMode(StrEnum):
     time_of_flight = "time_of_flight"
 
 
+class Precision(StrEnum):
+    """Floating point of the signal chain; rays and their crossings are float32, as Embree is."""
+
+    float32 = "float32"
+    float64 = "float64"
+
+
 @dataclass(frozen=True)
 class ConvexProbe:
     """A curved array; with these defaults the fan's bounding box is 217.96 x 157.23 mm.
@@ -36,6 +48,11 @@ class ConvexProbe:
         Imaging depth from the face.
     frequency_mhz : float
         Frequency that attenuation is computed at.
+
+    Raises
+    ------
+    ValueError
+        When a value is not finite or outside its range; the message names it.
     """
 
     radius_mm: float = 40.0
@@ -43,15 +60,28 @@ class ConvexProbe:
     depth_mm: float = 150.0
     frequency_mhz: float = 8.0
 
+    def __post_init__(self) -> None:
+        _check_number("radius_mm", self.radius_mm, 1e-6, 1e6)
+        _check_number("fov_deg", self.fov_deg, 1e-3, 179.0)
+        _check_number("depth_mm", self.depth_mm, 1e-6, 1e6)
+        _check_number("frequency_mhz", self.frequency_mhz, 1e-6, 1e3)
+
 
 @dataclass(frozen=True)
 class SimulatorSettings:
-    """How a frame is computed; the defaults are the paper's.
+    """How a frame is computed; the defaults are the paper's where it says, else assumed.
 
     `axial_fwhm_mm`, `lateral_fwhm_mm`, `elevational_fwhm_mm` are the pulse's full widths at half maximum at
     `focus_mm`; the last two grow with sqrt(1 + ((z - focus_mm) / focal_range_mm)^2).
+    Rays of a scanline start within `aperture_mm` and `elevational_aperture_mm` (half widths) of its element and
+    meet at `focus_mm`; the layers' planes lie within `layer_extent_mm` of the image plane.
     `scatterer_level_db` is the amplitude of a scatterer of unit variance against the echo of a flat perfect
-    reflector seen face on (assumed: no source).
+    reflector seen face on (assumed: no source), and `reference_level` the amplitude shown as white.
+
+    Raises
+    ------
+    ValueError
+        When a value is not finite or outside its range; the message names it.
     """
 
     scanlines: int = 192
@@ -68,17 +98,56 @@ class SimulatorSettings:
     elevational_fwhm_mm: float = 2.5
     focus_mm: float = 70.0
     focal_range_mm: float = 40.0
+    aperture_mm: float = 3.0
+    elevational_aperture_mm: float = 2.0
+    layer_extent_mm: float = 1.5
     scatterer_pitch_mm: float = 0.1
     scatterer_level_db: float = -30.0
     depth_mode: DepthMode = DepthMode.geometric
     plan: Plan = Plan.auto
+    precision: Precision = Precision.float32
     device: str = "cpu"
     path_seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("scanlines", "axial_samples", "rays", "layers"):
+            _check_count(name, getattr(self, name), 1)
+        _check_count("path_seed", self.path_seed, 0)
+        if len(tuple(self.image_shape)) != 2:
+            raise ValueError(f"image_shape must be two counts (rows, columns), not {self.image_shape!r}")
+        for count in self.image_shape:
+            _check_count("image_shape", count, 1)
+        object.__setattr__(self, "image_shape", tuple(int(n) for n in self.image_shape))
+        for name, (low, high) in _RANGES.items():
+            _check_number(name, getattr(self, name), low, high)
+        for name, kind in (("depth_mode", DepthMode), ("plan", Plan), ("precision", Precision)):
+            try:
+                object.__setattr__(self, name, kind(getattr(self, name)))
+            except ValueError:
+                raise ValueError(f"{name} must be one of {', '.join(kind)}, not {getattr(self, name)!r}") from None
 
     @classmethod
     def low_quality(cls, **changes: object) -> SimulatorSettings:
         """Settings of the low-quality image L: one ray, one layer; everything else as in `changes`."""
         return replace(cls(**changes), rays=1, layers=1)  # type: ignore[arg-type]
+
+
+_RANGES = {
+    "tgc_db_cm_mhz": (0.0, 1e3),
+    "noise_floor_db": (-1e3, 0.0),
+    "dynamic_range_db": (1.0, 1e3),
+    "reference_level": (1e-12, 1e12),
+    "axial_fwhm_mm": (1e-6, 1e3),
+    "lateral_fwhm_mm": (1e-6, 1e3),
+    "elevational_fwhm_mm": (1e-6, 1e3),
+    "focus_mm": (1e-3, 1e6),
+    "focal_range_mm": (1e-3, 1e6),
+    "aperture_mm": (0.0, 1e3),
+    "elevational_aperture_mm": (0.0, 1e3),
+    "layer_extent_mm": (0.0, 1e3),
+    "scatterer_pitch_mm": (1e-6, 1e3),
+    "scatterer_level_db": (-300.0, 100.0),
+}
 
 
 @dataclass(frozen=True)
@@ -104,3 +173,15 @@ class Frame:
     image: np.ndarray
     mask: np.ndarray
     envelope: np.ndarray
+
+
+def _check_number(name: str, value: object, low: float, high: float) -> None:
+    """Raise ValueError unless `value` is a finite number in [low, high]."""
+    if not isinstance(value, Real) or not math.isfinite(value) or not low <= float(value) <= high:
+        raise ValueError(f"{name} must be between {low:g} and {high:g}, not {value!r}")
+
+
+def _check_count(name: str, value: object, low: int) -> None:
+    """Raise ValueError unless `value` is a whole number of at least `low`."""
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < low:
+        raise ValueError(f"{name} must be a whole number of at least {low}, not {value!r}")

@@ -1,0 +1,61 @@
+"""From complex lines to grey levels: time-gain compensation, noise floor, logarithm, 8 bits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch.nn import functional as F
+
+from ablate.ultrasound.probe import sample_depths_mm
+from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+
+_KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
+
+
+def time_gain(probe: ConvexProbe, settings: SimulatorSettings) -> np.ndarray:
+    """Gain of each sample that makes up for `tgc_db_cm_mhz` on the way there and back, (samples,) float64."""
+    depth_cm = sample_depths_mm(probe, settings.axial_samples) / 10
+    return 10 ** (2 * settings.tgc_db_cm_mhz * probe.frequency_mhz * depth_cm / 20)
+
+
+def noise_floor(settings: SimulatorSettings, axial: torch.Tensor, seed: int) -> torch.Tensor:
+    """Complex Gaussian noise with the pulse's bandwidth, `noise_floor_db` under the reference level.
+
+    Parameters
+    ----------
+    settings : SimulatorSettings
+    axial : (1, 1, taps) tensor
+        The pulse.
+    seed : int
+        Of the scatterers; `settings.path_seed` is added to the key.
+
+    Returns
+    -------
+    (2, scanlines, samples) tensor of the type of `axial`
+    """
+    generator = np.random.Generator(np.random.Philox(key=[(settings.path_seed + _KEY) % 2**64, seed % 2**64]))
+    shape = (2 * settings.scanlines, 1, settings.axial_samples)
+    white = torch.from_numpy(generator.standard_normal(shape, np.float32)).to(axial)
+    level = settings.reference_level * 10 ** (settings.noise_floor_db / 20)
+    filtered = F.conv1d(white, axial / axial.square().sum().sqrt(), padding="same")
+    return (filtered * (level / math.sqrt(2))).reshape(2, settings.scanlines, settings.axial_samples)
+
+
+def grey_levels(signal: torch.Tensor, settings: SimulatorSettings) -> torch.Tensor:
+    """20 log10 of the envelope against the reference level, `dynamic_range_db` on 0 to 255.
+
+    Parameters
+    ----------
+    signal : (2, scanlines, samples) tensor
+        With gain and noise.
+    settings : SimulatorSettings
+
+    Returns
+    -------
+    (scanlines, samples) tensor, not yet rounded
+    """
+    power = signal.square().sum(dim=0) / settings.reference_level**2
+    level_db = 10 * torch.log10(power.clamp_(min=1e-30))
+    return (level_db / settings.dynamic_range_db + 1).clamp_(0, 1).mul_(255)

@@ -1,0 +1,101 @@
+"""The rays of a frame as they leave the probe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ablate.ultrasound.draws import Draws
+from ablate.ultrasound.embree import Geometry
+from ablate.ultrasound.ownership import carry, inside_at
+from ablate.ultrasound.probe import layer_offsets_mm, scanlines_in_plane, to_world
+from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+
+_STEEPEST_RAD = 0.3
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Scanlines and rays in the geometry's coordinates; a group is one scanline of one layer, layer by layer.
+
+    Attributes
+    ----------
+    starts, directions : (groups, 3) float64
+        Of the scanlines: the element on the face, and where it looks.
+    start_inside : (groups, words) uint32
+        The structures that each element is inside of.
+    origins, ray_directions : (groups * rays, 3) float32
+    inside : (groups * rays, words) uint32
+    rays : int
+        Of each group.
+    """
+
+    starts: np.ndarray
+    directions: np.ndarray
+    start_inside: np.ndarray
+    origins: np.ndarray
+    ray_directions: np.ndarray
+    inside: np.ndarray
+    rays: int
+
+
+def leave_probe(
+    geometry: Geometry,
+    structures: int,
+    probe: ConvexProbe,
+    settings: SimulatorSettings,
+    pose: np.ndarray,
+    draws: Draws,
+) -> Bundle:
+    """Rays spread over the aperture, all at `focus_mm` from the focal point of their scanline and layer.
+
+    Because path lengths to the focus agree, a point at the focus stays a point, and shadows get soft edges. Which
+    structures a start is inside of is found by crossings, from outside everything to the middle of the face,
+    along the face to each element, and on to each ray's start.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    structures : int
+    probe : ConvexProbe
+    settings : SimulatorSettings
+    pose : (4, 4) float64
+        Probe to the geometry's coordinates, mm.
+    draws : Draws
+
+    Returns
+    -------
+    Bundle
+    """
+    starts, directions = scanlines_in_plane(probe, settings.scanlines, layer_offsets_mm(settings))
+    starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
+    lateral = np.stack([directions[:, 2], np.zeros(len(directions)), -directions[:, 0]], axis=-1)
+    jitter = (2 * draws.aperture() - 1).astype(np.float64)
+    half_angles = np.array([settings.aperture_mm, settings.elevational_aperture_mm]) / settings.focus_mm
+    tilt_x, tilt_y = np.minimum(half_angles, _STEEPEST_RAD)[:, None, None] * jitter
+    rays = directions[:, None] + np.tan(tilt_x)[..., None] * lateral[:, None] + np.tan(tilt_y)[..., None] * (0, 1, 0)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    origins = (starts + settings.focus_mm * directions)[:, None] - settings.focus_mm * rays
+
+    rotation = pose[:3, :3]
+    starts, directions = to_world(pose, starts), directions @ rotation.T
+    origins, rays = to_world(pose, origins.reshape(-1, 3)), rays.reshape(-1, 3) @ rotation.T
+    middle = np.broadcast_to(pose[:3, 3], starts.shape)
+    at_middle = np.repeat(inside_at(geometry, pose[:3, 3], structures), len(starts), axis=0)
+    start_inside = carry(geometry, at_middle, middle, starts)
+    inside = carry(
+        geometry,
+        np.repeat(start_inside, settings.rays, axis=0),
+        np.repeat(starts, settings.rays, axis=0),
+        origins,
+    )
+    return Bundle(
+        starts=starts,
+        directions=directions,
+        start_inside=start_inside,
+        origins=origins.astype(np.float32),
+        ray_directions=rays.astype(np.float32),
+        inside=inside,
+        rays=settings.rays,
+    )

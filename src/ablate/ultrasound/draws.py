@@ -1,0 +1,79 @@
+"""Random numbers of the paths: a counter-based table, stratified over the rays of each scanline and layer.
+
+A draw depends on (path seed, how many interfaces the ray has met, ray) and on nothing else, so that what is left
+out of a scene does not shift the rest. Each number is stratified (Latin hypercube): of the n rays of one scanline
+and layer exactly one falls into each n-th of [0, 1), in an order that is permuted anew at each interface.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+#: Beyond this many interfaces a ray's draws repeat.
+MAX_ROWS = 64
+#: Columns of a row of draws.
+CHOICE, THICKNESS, LOG_U, COS_AZIMUTH, SIN_AZIMUTH, SURVIVAL = range(6)
+
+
+def stratified(generator: np.random.Generator, groups: int, rays: int, dimensions: int) -> np.ndarray:
+    """Uniform numbers, each stratified over the rays of a group, (dimensions, groups, rays) float32 in [0, 1)."""
+    shape = (dimensions, groups, rays)
+    order = np.argsort(generator.random(shape, np.float32), axis=-1).astype(np.float32)
+    within = generator.random(shape, np.float32)
+    return np.minimum((order + within) / np.float32(rays), np.float32(1 - 2**-24))
+
+
+class Draws:
+    """Draws for all rays of a simulator, made as they are needed and kept.
+
+    Parameters
+    ----------
+    path_seed : int
+    groups : int
+        Scanlines times layers.
+    rays : int
+        Of each group.
+    """
+
+    def __init__(self, path_seed: int, groups: int, rays: int) -> None:
+        self._seed, self._groups, self._rays = path_seed, groups, rays
+        self._table = np.empty((0, groups * rays, 6), np.float32)
+
+    def aperture(self) -> np.ndarray:
+        """Where in the aperture each ray starts, (2, groups, rays) float32 in [0, 1)."""
+        return stratified(self._generator(0), self._groups, self._rays, 2)
+
+    def at(self, interfaces: np.ndarray, ray: np.ndarray) -> np.ndarray:
+        """Draws of some rays at their next interface.
+
+        Parameters
+        ----------
+        interfaces : (n,) int
+            How many each ray has met before.
+        ray : (n,) int
+
+        Returns
+        -------
+        (n, 6) float32
+            Uniform choice, |normal|, log of a uniform, cosine and sine of a uniform angle, uniform.
+        """
+        rows = interfaces % MAX_ROWS
+        while len(self._table) <= rows.max(initial=-1):
+            more = range(len(self._table), max(4, 2 * len(self._table)))
+            self._table = np.concatenate([self._table, np.stack([self._row(number) for number in more])])
+        return self._table[rows, ray]
+
+    def _row(self, number: int) -> np.ndarray:
+        generator = self._generator(number + 1)
+        u = stratified(generator, self._groups, self._rays, 3).reshape(3, -1)
+        row = np.empty((u.shape[1], 6), np.float32)
+        angle = np.float32(2 * np.pi) * u[2]
+        row[:, CHOICE] = u[0]
+        row[:, THICKNESS] = np.abs(generator.standard_normal(u.shape[1], np.float32))
+        row[:, LOG_U] = np.log(np.maximum(u[1], 1e-30))
+        row[:, COS_AZIMUTH], row[:, SIN_AZIMUTH] = np.cos(angle), np.sin(angle)
+        row[:, SURVIVAL] = generator.random(u.shape[1], np.float32)
+        return row
+
+    def _generator(self, counter: int) -> np.random.Generator:
+        return np.random.Generator(np.random.Philox(key=[self._seed % 2**64, counter]))

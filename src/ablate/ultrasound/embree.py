@@ -1,0 +1,114 @@
+"""Closest hits of rays with a scene's triangles, by Embree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from ablate.anatomy import Structure
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Closest hits of n rays.
+
+    Attributes
+    ----------
+    distance_mm : (n,) float32
+    structure : (n,) int32
+        -1 where nothing was hit.
+    triangle : (n,) int32
+    normal : (n, 3) float32
+        Not of unit length; its sign follows the mesh's winding and means nothing.
+    """
+
+    distance_mm: np.ndarray
+    structure: np.ndarray
+    triangle: np.ndarray
+    normal: np.ndarray
+
+    def take(self, chosen: np.ndarray) -> Hits:
+        """The hits of some rays, by index or mask."""
+        return Hits(self.distance_mm[chosen], self.structure[chosen], self.triangle[chosen], self.normal[chosen])
+
+
+class Geometry:
+    """Triangles of some structures, ready to be hit; Embree works in float32.
+
+    Parameters
+    ----------
+    structures : sequence of Structure
+        May be empty: then nothing is ever hit.
+    origin_mm : (3,) float
+        Subtracted from every vertex, so that far-away worlds keep their precision.
+    extent_mm : float
+        Largest distance that rays go; with the meshes' own it sets `step_mm`.
+
+    Attributes
+    ----------
+    step_mm : float
+        How far a ray is put beyond a surface that it has crossed: some thirty times float32's spacing.
+
+    Raises
+    ------
+    ValueError
+        When a mesh has no triangles.
+    """
+
+    def __init__(self, structures: Sequence[Structure], origin_mm: np.ndarray, extent_mm: float) -> None:
+        self._scene = EmbreeScene() if structures else None
+        self._meshes = []  # keeps the buffers that Embree reads
+        bounds = []
+        for number, structure in enumerate(structures):
+            if len(structure.mesh.faces) == 0:
+                raise ValueError(f"structure {number} ({structure.tissue.name}): its mesh has no triangles")
+            vertices = np.asarray(structure.mesh.vertices, np.float64) - origin_mm
+            bounds.append((vertices.min(axis=0), vertices.max(axis=0)))
+            faces = np.ascontiguousarray(structure.mesh.faces, np.int32)
+            self._meshes.append(TriangleMesh(self._scene, vertices.astype(np.float32), faces))
+        self.lower_mm = np.min([b[0] for b in bounds], axis=0) if bounds else np.zeros(3)
+        self.upper_mm = np.max([b[1] for b in bounds], axis=0) if bounds else np.zeros(3)
+        self.step_mm = 2e-6 * max(float(np.linalg.norm(self.upper_mm - self.lower_mm)), extent_mm)
+
+    def closest(self, origins: np.ndarray, directions: np.ndarray, reach_mm: np.ndarray) -> Hits:
+        """The first surface within reach.
+
+        Parameters
+        ----------
+        origins : (n, 3) float32, mm
+            Relative to the geometry's origin.
+        directions : (n, 3) float32, unit vectors
+        reach_mm : (n,) float32
+
+        Returns
+        -------
+        Hits
+        """
+        n = len(origins)
+        if self._scene is None or n == 0:
+            nothing = np.full(n, -1, np.int32)
+            return Hits(reach_mm, nothing, nothing, np.zeros((n, 3), np.float32))
+        found = self._scene.run(origins, directions, dists=np.maximum(reach_mm, 0), query="INTERSECT", output=True)
+        return Hits(found["tfar"], found["geomID"], found["primID"], found["Ng"])
+
+    def outside(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """How far back along a ray one must go to be outside every structure.
+
+        Parameters
+        ----------
+        points, directions : (n, 3) float
+
+        Returns
+        -------
+        (n,) float64, mm
+            0 where going back never meets the structures' bounding box.
+        """
+        centre, half = (self.lower_mm + self.upper_mm) / 2, np.linalg.norm(self.upper_mm - self.lower_mm) / 2
+        towards = ((points - centre) * directions).sum(axis=-1)
+        off_axis = ((points - centre) ** 2).sum(axis=-1) - towards**2
+        chord = np.sqrt(np.maximum((1.01 * half) ** 2 - off_axis, 0.0))
+        return np.where(chord > 0, np.maximum(towards + chord + self.step_mm, 0.0), 0.0)

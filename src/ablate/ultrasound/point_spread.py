@@ -1,0 +1,122 @@
+"""The spatially variant point spread function: separable, Gaussian, wider away from the focus."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch.nn import functional as F
+
+from ablate.ultrasound.probe import layer_offsets_mm, sample_depths_mm, scanline_spacing_mm
+from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+
+FWHM_PER_SIGMA = 2 * math.sqrt(2 * math.log(2))
+_BLOCKS = 64  # of depth, within which the lateral kernel is taken as constant
+_TAIL = 4.0  # standard deviations kept of the axial kernel
+
+
+def beam_widening(settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarray:
+    """Width of the beam over its width at the focus, sqrt(1 + ((z - zf) / range)^2)."""
+    return np.sqrt(1 + ((depth_mm - settings.focus_mm) / settings.focal_range_mm) ** 2)
+
+
+def axial_kernel(probe: ConvexProbe, settings: SimulatorSettings) -> np.ndarray:
+    """The pulse's envelope at the spacing of the samples, peak 1, (odd length,) float64."""
+    sigma = settings.axial_fwhm_mm / FWHM_PER_SIGMA / (probe.depth_mm / settings.axial_samples)
+    half = min(math.ceil(_TAIL * sigma), settings.axial_samples - 1)
+    return np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
+
+
+def autocorrelation(kernel: np.ndarray) -> np.ndarray:
+    """Autocorrelation at lags 0, 1, 2, ..., 1 at lag 0."""
+    full = np.correlate(kernel, kernel, "full")[len(kernel) - 1 :]
+    return full / full[0]
+
+
+def layer_weights(probe: ConvexProbe, settings: SimulatorSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Elevational weights of the layers at each sample.
+
+    Returns
+    -------
+    of_scatterers : (layers, samples) float64
+        Squares sum to 1: independent scatterers keep their power.
+    of_surfaces : (layers, samples) float64
+        Sum to 1: an echo that is in all layers keeps its amplitude.
+    """
+    depth = sample_depths_mm(probe, settings.axial_samples)
+    sigma = settings.elevational_fwhm_mm / FWHM_PER_SIGMA * beam_widening(settings, depth)
+    exponent = -0.5 * (layer_offsets_mm(settings)[:, None] / sigma) ** 2
+    weights = np.exp(exponent - exponent.max(axis=0))
+    return weights / np.sqrt((weights**2).sum(axis=0)), weights / weights.sum(axis=0)
+
+
+@dataclass(frozen=True)
+class PointSpread:
+    """Kernels of one probe and settings.
+
+    Attributes
+    ----------
+    lateral : (blocks, scanlines, scanlines) tensor
+        Row i holds what each scanline adds to scanline i; rows sum to 1.
+    scatterer_scale : (scanlines, blocks) tensor
+        Makes a row's squares sum to 1 instead, and the axial kernel's too.
+    axial : (1, 1, taps) tensor, peak 1
+    block : int
+        Samples that share a lateral kernel.
+    """
+
+    lateral: torch.Tensor
+    scatterer_scale: torch.Tensor
+    axial: torch.Tensor
+    block: int
+
+
+def point_spread(probe: ConvexProbe, settings: SimulatorSettings, dtype: torch.dtype) -> PointSpread:
+    """Kernels for `blur`; the lateral width in scanlines is sigma(z) / ((R + z) d theta)."""
+    lines, samples = settings.scanlines, settings.axial_samples
+    block = -(-samples // _BLOCKS)
+    blocks = -(-samples // block)
+    depth = (np.arange(blocks) + 0.5) * block * (probe.depth_mm / samples)
+    spacing = scanline_spacing_mm(probe, lines, depth)
+    sigma = settings.lateral_fwhm_mm / FWHM_PER_SIGMA * beam_widening(settings, depth) / spacing
+    apart = np.arange(lines)[:, None] - np.arange(lines)
+    exponent = -0.5 * (apart / np.maximum(sigma, 1e-3)[:, None, None]) ** 2
+    lateral = np.where(exponent > -40, np.exp(np.maximum(exponent, -40)), 0.0)
+    lateral /= lateral.sum(axis=-1, keepdims=True)
+    axial = axial_kernel(probe, settings)
+    energy = np.sqrt((lateral**2).sum(axis=-1)) * math.sqrt((axial**2).sum())
+    return PointSpread(
+        lateral=torch.from_numpy(lateral).to(settings.device, dtype),
+        scatterer_scale=torch.from_numpy(1 / energy.T.copy()).to(settings.device, dtype),
+        axial=torch.from_numpy(axial).to(settings.device, dtype)[None, None],
+        block=block,
+    )
+
+
+def blur(scatterers: torch.Tensor, surfaces: torch.Tensor, spread: PointSpread) -> torch.Tensor:
+    """Scatterers through the PSF of unit energy, plus surfaces through that of unit peak and unit lateral sum.
+
+    Parameters
+    ----------
+    scatterers : (2, scanlines, samples) tensor
+        Real and imaginary part.
+    surfaces : (scanlines, samples) tensor
+        Real.
+    spread : PointSpread
+
+    Returns
+    -------
+    (2, scanlines, samples) tensor
+    """
+    lines, samples = surfaces.shape
+    blocks = len(spread.lateral)
+    stacked = torch.cat([scatterers, surfaces[None]])
+    stacked = F.pad(stacked, (0, blocks * spread.block - samples)).reshape(3, lines, blocks, spread.block)
+    by_block = stacked.permute(2, 1, 0, 3).reshape(blocks, lines, 3 * spread.block)
+    spread_out = torch.bmm(spread.lateral, by_block).reshape(blocks, lines, 3, spread.block)
+    total = spread_out[:, :, :2] * spread.scatterer_scale.T[:, :, None, None]
+    total[:, :, 0] += spread_out[:, :, 2]
+    total = total.permute(2, 1, 0, 3).reshape(2 * lines, 1, -1)[..., :samples]
+    return F.conv1d(total, spread.axial, padding="same").reshape(2, lines, samples)

@@ -1,0 +1,201 @@
+"""The simulator: a scene, a probe and settings, ready to be seen from any pose."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ablate.anatomy import Scene
+from ablate.ultrasound.attenuation import integral_attenuation
+from ablate.ultrasound.bmode import grey_levels, noise_floor, time_gain
+from ablate.ultrasound.bundle import leave_probe
+from ablate.ultrasound.draws import Draws
+from ablate.ultrasound.echoes import surface_lines
+from ablate.ultrasound.embree import Geometry
+from ablate.ultrasound.illumination import illumination_db, node_count
+from ablate.ultrasound.plan import compile_scene
+from ablate.ultrasound.point_spread import blur, layer_weights, point_spread
+from ablate.ultrasound.probe import check_pose
+from ablate.ultrasound.rays import trace
+from ablate.ultrasound.scan_conversion import ScanConverter
+from ablate.ultrasound.settings import ConvexProbe, Frame, SimulatorSettings
+from ablate.ultrasound.slices import plane_labels, sampled_lines, segment
+from ablate.ultrasound.speckle import LitLines, Speckle
+
+_SCENE_GRID_MM = 1000.0
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What the rays of one pose brought back; it serves every scatterer seed."""
+
+    lit: LitLines
+    surfaces: torch.Tensor  # (scanlines, samples)
+
+
+class Simulator:
+    """Renders a scene as a convex probe sees it.
+
+    Rays and labels of the last pose are kept, so that the same pose with another scatterer seed costs the signal
+    chain alone.
+
+    Parameters
+    ----------
+    scene : Scene
+    probe : ConvexProbe
+    settings : SimulatorSettings
+    poses : iterable of (4, 4) float, optional
+        Where the probe will be; what is out of reach from all of them is left out.
+
+    Attributes
+    ----------
+    left_out : tuple of str
+        What the plan leaves out and why.
+    mask : (H, W) bool
+        The fan.
+
+    Raises
+    ------
+    ValueError
+        When the scene has more than 254 tissues, a mesh has no triangles, or a pose is not rigid.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        probe: ConvexProbe | None = None,
+        settings: SimulatorSettings | None = None,
+        poses: Iterable[np.ndarray] | None = None,
+    ) -> None:
+        self.scene = scene
+        self.probe = probe = probe or ConvexProbe()
+        self.settings = settings = settings or SimulatorSettings()
+        self._dtype = getattr(torch, settings.precision.value)
+        self._compiled = compile_scene(scene, probe, settings, poses)
+        self.left_out = self._compiled.left_out
+        self._origin_mm = _scene_origin_mm(scene)
+        extent = probe.radius_mm + probe.depth_mm
+        self._geometry = Geometry(self._compiled.structures, self._origin_mm, extent)
+        self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
+        self._convert = ScanConverter(probe, settings, self._dtype)
+        self._spread = point_spread(probe, settings, self._dtype)
+        self._speckle = Speckle(scene.tissues, probe, settings, self._dtype)
+        self._gain = torch.from_numpy(time_gain(probe, settings)).to(settings.device, self._dtype)
+        self._noise: tuple[int, torch.Tensor] | None = None
+        self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None
+        self._traced: tuple[bytes, Traced] | None = None
+
+    @property
+    def mask(self) -> np.ndarray:
+        return self._convert.mask.copy()
+
+    def render(self, pose: np.ndarray, seed: int = 0) -> Frame:
+        """One frame.
+
+        Parameters
+        ----------
+        pose : (4, 4) float
+            Rigid transform from probe to world, mm.
+        seed : int
+            Of the scatterers and the display's noise; the paths follow `settings.path_seed`.
+
+        Returns
+        -------
+        Frame
+
+        Raises
+        ------
+        ValueError
+            When the pose is not rigid or the seed negative.
+        """
+        if seed < 0:
+            raise ValueError(f"seed must be at least 0, not {seed}")
+        pose = check_pose(pose)
+        segmentation, attenuation = self.maps(pose)
+        torch.set_flush_denormal(True)  # denormal tails of Gaussians cost four times the frame
+        with torch.inference_mode():
+            traced = self._trace(pose)
+            signal = blur(self._speckle(traced.lit, seed), traced.surfaces, self._spread)
+            envelope = signal.square().sum(dim=0).sqrt_()
+            shown = signal.mul_(self._gain).add_(self._noise_at(pose, seed))
+            image = self._convert(grey_levels(shown, self.settings))
+        return Frame(
+            segmentation=segmentation,
+            attenuation=attenuation,
+            image=np.rint(image).astype(np.uint8),
+            mask=self.mask,
+            envelope=envelope.T.to("cpu", torch.float32).contiguous().numpy(),
+        )
+
+    def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Segmentation (H, W) uint8 and attenuation (H, W) float32 of a pose, without casting echo rays.
+
+        Raises
+        ------
+        ValueError
+            When the pose is not rigid.
+        """
+        pose = check_pose(pose)
+        if self._maps is None or self._maps[0] != pose.tobytes():
+            local = self._local(pose)
+            tissue_of_owner, media = self._compiled.tissue_of_owner, self._compiled.media
+            labels = segment(self._geometry, tissue_of_owner, self.probe, self.settings.image_shape, local)
+            labels = np.where(self._convert.mask, labels + np.uint8(1), np.uint8(0))
+            polar = plane_labels(self._geometry, tissue_of_owner, self.probe, self.settings, local)
+            spacing = self.probe.depth_mm / self.settings.axial_samples
+            lines = integral_attenuation(polar, media.loss_db_mm, spacing)
+            with torch.inference_mode():
+                lines_t = torch.from_numpy(lines).to(self.settings.device, self._dtype)
+                attenuation = self._convert(lines_t).clip(0, 1)
+            self._maps = pose.tobytes(), labels, attenuation
+        return self._maps[1].copy(), self._maps[2].copy()
+
+    def _trace(self, pose: np.ndarray) -> Traced:
+        """Cast the rays of a pose, unless they were the last ones cast."""
+        if self._traced is not None and self._traced[0] == pose.tobytes():
+            return self._traced[1]
+        probe, settings, scene = self.probe, self.settings, self._compiled
+        shape = settings.scanlines, settings.axial_samples
+        spacing = probe.depth_mm / settings.axial_samples
+        bundle = leave_probe(self._geometry, len(scene.structures), probe, settings, self._local(pose), self._draws)
+        loudest_tgc_db = 20 * math.log10(float(self._gain[-1]))
+        faintest_db = settings.noise_floor_db - 20 - loudest_tgc_db + 20 * math.log10(settings.reference_level)
+        echoes, descent = trace(
+            self._geometry, scene.media, scene.tissue_of_owner, bundle, self._draws, probe.depth_mm, faintest_db
+        )
+        surfaces = surface_lines(echoes, layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape)
+        nodes = node_count(settings.axial_samples)
+        level = illumination_db(
+            descent, len(bundle.starts), settings.rays, spacing / 2, probe.depth_mm - spacing / 2, nodes
+        )
+        labels, ranges = sampled_lines(self._geometry, scene.tissue_of_owner, scene.media, bundle, probe, settings)
+        lit = self._speckle.light(bundle.starts + self._origin_mm, bundle.directions, labels, ranges, level)
+        traced = Traced(lit, torch.from_numpy(surfaces).to(settings.device, self._dtype))
+        self._traced = pose.tobytes(), traced
+        return traced
+
+    def _local(self, pose: np.ndarray) -> np.ndarray:
+        local = pose.copy()
+        local[:3, 3] -= self._origin_mm
+        return local
+
+    def _noise_at(self, pose: np.ndarray, seed: int) -> torch.Tensor:
+        """The seed's noise, rolled by a hash of the pose: two frames do not share a pattern."""
+        if self._noise is None or self._noise[0] != seed:
+            self._noise = seed, noise_floor(self.settings, self._spread.axial, seed)
+        key = zlib.crc32(pose.tobytes())
+        return self._noise[1].roll((key % 65521, key // 7), dims=(1, 2))
+
+
+def _scene_origin_mm(scene: Scene) -> np.ndarray:
+    """A point near the scene, zero for every scene about the world's origin, so that float32 serves far worlds."""
+    if not scene.structures:
+        return np.zeros(3)
+    bounds = np.array([structure.mesh.bounds for structure in scene.structures])
+    centre = (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0)) / 2
+    return _SCENE_GRID_MM * np.rint(centre / _SCENE_GRID_MM)

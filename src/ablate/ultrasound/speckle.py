@@ -1,0 +1,143 @@
+"""Scatterers as the scanlines see them: strength, texture and illumination at every sample."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch.nn import functional as F
+
+from ablate.anatomy import Tissue
+from ablate.ultrasound.point_spread import autocorrelation, axial_kernel, layer_weights
+from ablate.ultrasound.scatterers import TABLE_SIZE, cell_hash, scatterer_tables, shared_cell_gain
+from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.texture import texture_gain_db, texture_tables
+
+_DB_TO_NEPER = math.log(10) / 20
+_TEXTURE_SPACING_MM = 0.25
+
+
+@dataclass(frozen=True)
+class LitLines:
+    """Everything about the samples of a pose that does not depend on the scatterers' seed.
+
+    Attributes
+    ----------
+    starts, directions : (layers, scanlines, 3) float32 tensor, mm
+        In world coordinates.
+    ranges_mm : (samples,) or (layers, scanlines, samples) float32 tensor
+        Along the scanline, of the point that each sample displays.
+    table_offset : (layers, scanlines, samples) int32 tensor
+        First entry of the tissue's scatterer table.
+    amplitude : (layers, scanlines, samples) tensor
+        Of a scatterer of unit strength: illumination, texture, level and elevational weight.
+    """
+
+    starts: torch.Tensor
+    directions: torch.Tensor
+    ranges_mm: torch.Tensor
+    table_offset: torch.Tensor
+    amplitude: torch.Tensor
+
+
+class Speckle:
+    """Scatterers of a scene's tissues on the scanlines of a probe.
+
+    Parameters
+    ----------
+    tissues : sequence of Tissue
+    probe : ConvexProbe
+    settings : SimulatorSettings
+    dtype : torch.dtype
+        Of the signal; positions stay float32.
+    """
+
+    def __init__(
+        self, tissues: Sequence[Tissue], probe: ConvexProbe, settings: SimulatorSettings, dtype: torch.dtype
+    ) -> None:
+        self._settings, self._dtype = settings, dtype
+        self._spacing_mm = probe.depth_mm / settings.axial_samples
+        tables = torch.from_numpy(scatterer_tables(tissues)).to(settings.device)
+        self._tables = torch.view_as_real(tables).flatten(0, 1).to(dtype)
+        self._textures = torch.from_numpy(texture_tables(tissues)).to(settings.device)
+        self._kernel_correlation = autocorrelation(axial_kernel(probe, settings))
+        self._weights_db = 20 * np.log10(np.maximum(layer_weights(probe, settings)[0], 1e-15))
+
+    def light(
+        self,
+        starts: np.ndarray,
+        directions: np.ndarray,
+        labels: np.ndarray,
+        ranges_mm: np.ndarray,
+        level_db: torch.Tensor,
+    ) -> LitLines:
+        """Prepare the scatterers of a pose.
+
+        Parameters
+        ----------
+        starts, directions : (layers * scanlines, 3) float64, mm
+            World coordinates.
+        labels : (layers * scanlines, samples) uint8
+            Tissue of each sample.
+        ranges_mm : (samples,) or (layers * scanlines, samples) float32
+        level_db : (layers * scanlines, nodes) float32 tensor
+            Illumination, from the first sample to the last.
+
+        Returns
+        -------
+        LitLines
+        """
+        settings = self._settings
+        shape = settings.layers, settings.scanlines, settings.axial_samples
+        gain = shared_cell_gain(directions, self._spacing_mm, settings.scatterer_pitch_mm, self._kernel_correlation)
+        line_db = settings.scatterer_level_db - 10 * np.log10(gain)
+        nodes = level_db.shape[-1]
+        at_nodes = np.rint(np.linspace(0, shape[2] - 1, nodes)).astype(int)
+        level = level_db.reshape(*shape[:2], nodes) + torch.from_numpy(
+            (line_db.reshape(*shape[:2], 1) + self._weights_db[:, None, at_nodes]).astype(np.float32)
+        )
+        level = self._interpolate(level.to(settings.device))
+        label = torch.from_numpy(labels).to(settings.device).reshape(shape)
+
+        def tensor(values: np.ndarray, *size: int) -> torch.Tensor:
+            return torch.from_numpy(values.astype(np.float32)).to(settings.device).reshape(*size)
+
+        ends = tensor(starts, *shape[:2], 3), tensor(directions, *shape[:2], 3)
+        ranges = tensor(ranges_mm, *((shape[2],) if ranges_mm.ndim == 1 else shape))
+        if self._textures[label.unique().long(), 3].any():
+            level += self._texture_db(*ends, ranges, label)
+        amplitude = level.mul_(_DB_TO_NEPER).to(self._dtype).exp_()
+        return LitLines(*ends, ranges, label.to(torch.int32) * TABLE_SIZE, amplitude)
+
+    def __call__(self, lit: LitLines, seed: int) -> torch.Tensor:
+        """Sum over layers of amplitude x scatterer, (2, scanlines, samples) tensor: real and imaginary part."""
+        total = torch.zeros((*lit.amplitude.shape[1:], 2), dtype=self._dtype, device=lit.amplitude.device)
+        for layer, amplitude in enumerate(lit.amplitude):
+            along = lit.ranges_mm if lit.ranges_mm.ndim == 1 else lit.ranges_mm[layer]
+            points = [
+                lit.starts[layer, :, axis, None] + lit.directions[layer, :, axis, None] * along for axis in range(3)
+            ]
+            entry = cell_hash(points, self._settings.scatterer_pitch_mm, seed).add_(lit.table_offset[layer])
+            strength = self._tables.index_select(0, entry.flatten()).view_as(total)
+            total.addcmul_(strength, amplitude[..., None])
+        return total.permute(2, 0, 1).contiguous()
+
+    def _texture_db(
+        self, starts: torch.Tensor, directions: torch.Tensor, ranges_mm: torch.Tensor, label: torch.Tensor
+    ) -> torch.Tensor:
+        """Gain of the slow texture at every sample, looked up on a coarser grid and interpolated, dB."""
+        stride = max(1, int(_TEXTURE_SPACING_MM / self._spacing_mm))
+        samples = label.shape[-1]
+        coarse = torch.linspace(0, samples - 1, max(2, samples // stride)).round().long()[:samples]
+        coarse = coarse.to(label.device)
+        along = ranges_mm[..., coarse, None]
+        points = starts[:, :, None] + directions[:, :, None] * along
+        return self._interpolate(texture_gain_db(points, label[..., coarse].long(), self._textures))
+
+    def _interpolate(self, values: torch.Tensor) -> torch.Tensor:
+        """From nodes between the first and the last sample to all samples, along the last axis."""
+        size = self._settings.axial_samples
+        return F.interpolate(values, size=size, mode="linear", align_corners=True)
