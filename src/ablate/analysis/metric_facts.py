@@ -51,7 +51,7 @@ METRICS: dict[str, MetricFacts] = {
     "pchi2_fan": MetricFacts("pχ², fan", "", Better.smaller, Resimulation.floor, 3),
     "pchi2_tissue": MetricFacts("pχ², tissue", "", Better.smaller, Resimulation.floor, 3),
     "fd_speckle": MetricFacts("FD speckle", "", Better.smaller, Resimulation.floor),
-    "kid_speckle": MetricFacts("KD speckle", "", Better.smaller, Resimulation.floor, 3),
+    "kd_speckle": MetricFacts("KD speckle", "", Better.smaller, Resimulation.floor, 3),
     "fid": MetricFacts("FID", "", Better.smaller, Resimulation.floor),
     "kid": MetricFacts("KID", "", Better.smaller, Resimulation.floor, 3),
     "shadow_contrast": MetricFacts("Shadow contrast", "grey levels", Better.nearest_zero, Resimulation.floor, 1),

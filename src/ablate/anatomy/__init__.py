@@ -2,11 +2,12 @@
 
 from ablate.anatomy.fetal_abdomen import fetal_abdomen, fetal_sites
 from ablate.anatomy.folder import load_scene, load_sites, validate_scene_folder
-from ablate.anatomy.scene import Scene, Structure, Tissue, content_hash
+from ablate.anatomy.scene import ANATOMY_VERSION, Scene, Structure, Tissue, content_hash
 from ablate.anatomy.sites import SiteGrid
 from ablate.anatomy.tissues import echogenicity_order, load_tissues
 
 __all__ = [
+    "ANATOMY_VERSION",
     "Scene",
     "SiteGrid",
     "Structure",

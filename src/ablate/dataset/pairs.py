@@ -106,7 +106,7 @@ class Pairs:
 
     def mask(self) -> np.ndarray:
         """The fan, (H, W) bool."""
-        return np.asarray(zarr.open_group(self.folder / "pairs.zarr", mode="r")["mask"][...])  # type: ignore[index]
+        return np.asarray(zarr.open_group(self.folder / "pairs.zarr", mode="r")["mask"][...])
 
 
 def create_pairs(
@@ -157,7 +157,7 @@ def open_pairs(folder: Path) -> Pairs:
     if not (folder / "about.json").exists():
         raise FileNotFoundError(f"no data set at {folder}; run `python -m ablate task=simulate` with the same settings")
     group = zarr.open_group(folder / "pairs.zarr", mode="r")
-    pose, site, split, mask = (np.asarray(group[k][...]) for k in ("pose", "site", "split", "mask"))  # type: ignore[index]
+    pose, site, split, mask = (np.asarray(group[k][...]) for k in ("pose", "site", "split", "mask"))
     height, width = mask.shape
     return Pairs(
         folder=folder,
@@ -165,8 +165,8 @@ def open_pairs(folder: Path) -> Pairs:
         sites=site,
         split=split,
         shape=(int(height), int(width)),
-        shard=int(group.attrs["shard"]),  # type: ignore[arg-type]
-        tissues=tuple(str(t) for t in group.attrs["tissues"]),  # type: ignore[union-attr]
+        shard=int(group.attrs["shard"]),
+        tissues=tuple(str(t) for t in group.attrs["tissues"]),
     )
 
 
@@ -197,7 +197,7 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], render: Renderer) -> Iterator
                 if name == "attenuation":
                     stack = np.round(np.clip(stack, 0, 1) * ATTENUATION_SCALE)
                 array = group[name]
-                array[frames[0] : frames[-1] + 1] = stack.astype(_DTYPES[name])  # type: ignore[index]
+                array[frames[0] : frames[-1] + 1] = stack.astype(_DTYPES[name])
             yield len(frames)
 
 

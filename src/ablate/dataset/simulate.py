@@ -16,7 +16,7 @@ from ablate.dataset.pairs import Pairs, fill_pairs
 from ablate.dataset.split import Part
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 
-Progress = Callable[[int], None]
+Progress = Callable[[int], object]
 _RESIMULATION = 1_000_003  # added to the scatterer seed
 
 
@@ -42,14 +42,14 @@ class Recipe:
 
 def renderer(recipe: Recipe, pairs: Pairs) -> Callable[[np.ndarray, frozenset[str]], Mapping[str, np.ndarray]]:
     """A function that renders the wanted maps of some frames of a data set, for `fill_pairs`."""
-    high = Simulator(recipe.scene, recipe.probe, recipe.settings)
+    high = Simulator(recipe.scene, recipe.probe, recipe.settings, poses=pairs.poses)
     low: list[Simulator] = []
 
     def render(frames: np.ndarray, maps: frozenset[str]) -> Mapping[str, np.ndarray]:
         out = {m: np.zeros((len(frames), *pairs.shape), np.float32 if m == "attenuation" else np.uint8) for m in maps}
         if "low" in maps and not low:
             settings = replace(recipe.settings, rays=1, layers=1)
-            low.append(Simulator(recipe.scene, recipe.probe, settings))
+            low.append(Simulator(recipe.scene, recipe.probe, settings, poses=pairs.poses))
         for k, frame in enumerate(frames):
             pose = pairs.poses[frame]
             if maps & {"high", "segmentation", "attenuation"}:

@@ -23,7 +23,7 @@ class SplitBy(StrEnum):
     frame = "frame"
 
 
-def choose_frames(sites: Sequence[int], frames: int, seed: int) -> np.ndarray:
+def choose_frames(sites: Sequence[int] | np.ndarray, frames: int, seed: int) -> np.ndarray:
     """Indices of `frames` poses, as equally spread over the sites as the number allows.
 
     Parameters
@@ -58,7 +58,7 @@ def choose_frames(sites: Sequence[int], frames: int, seed: int) -> np.ndarray:
     return np.sort(np.lexsort((position, rank))[:frames])
 
 
-def split_frames(sites: Sequence[int], by: SplitBy, validation: float, test: float, seed: int) -> np.ndarray:
+def split_frames(sites: Sequence[int] | np.ndarray, by: SplitBy, validation: float, test: float, seed: int) -> np.ndarray:
     """Part of every frame.
 
     Parameters

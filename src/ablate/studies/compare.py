@@ -12,20 +12,29 @@ import pandas as pd
 
 from ablate.analysis import (
     RESIMULATION,
-    Picture,
+    FramePictures,
+    cautions,
+    chi2_maps_figure,
     comparison_table,
-    console_table,
+    error_vs_runtime,
+    paired_boxplots,
     paired_table,
+    qualitative_figure,
     seed_claims,
-    write_comparison,
+    to_latex,
+    to_text,
+    wide_table,
+    write_report,
 )
 from ablate.config import StudySettings
 from ablate.dataset import open_pairs
 from ablate.studies.identity import read_result
 from ablate.studies.tracked import open_tracking
-from ablate.tracking import RunLog, Status, git_state, hardware
+from ablate.tracking import RunLog, Status, default_uri, git_state, hardware
 
-_ONCE_A_STUDY = ("ms_per_frame",)
+_SCREEN = ("psnr", "mae", "pchi2", "fd_speckle", "shadow_contrast", "mae_smooth", "noise_sd", "ms_per_frame")
+_BOXPLOTS = ("psnr", "mae", "pchi2")  # Fig. 4 of the paper; every metric has its own picture
+_TIMED = ("psnr", "mae", "pchi2", "fd_speckle")
 
 
 @dataclass(frozen=True)
@@ -77,8 +86,16 @@ def compare_study(settings: StudySettings, rebuild: bool) -> str:
     per_image, scalars = _tables(runs)
     if rebuild or not (folder / "report.html").exists():
         _write(settings, runs, per_image, scalars, folder)
-    where = f"report    {folder / 'report.html'}\nMLflow    {_ui_command(settings)}"
-    return f"{console_table(comparison_table(per_image, scalars, settings.reference))}\n\n{where}"
+    table = comparison_table(per_image, scalars, settings.reference)
+    warnings = "\n".join(f"Note: {c}" for c in cautions(per_image, settings.reference))
+    uri = settings.tracking.uri or default_uri(settings.runs)
+    where = (
+        f"all metrics    {folder / 'table.csv'}\n"
+        f"paired tests   {folder / 'paired.csv'}\n"
+        f"report         {folder / 'report.html'}\n"
+        f"MLflow         make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
+    )
+    return f"{to_text(table[table['metric'].isin(_SCREEN)])}\n{warnings}\n\n{where}"
 
 
 def _tables(runs: list[Finished]) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -96,12 +113,12 @@ def _tables(runs: list[Finished]) -> tuple[pd.DataFrame, pd.DataFrame]:
             part, _, metric = name.rpartition("/")
             floor = metric.startswith("floor_")
             metric = metric.removeprefix("floor_")
-            if metric in per_image_metrics or metric == "identical_frames":
+            if metric in per_image_metrics:
                 continue
             if part == "test" and (i == 0 or not floor):
                 variant = RESIMULATION if floor else run.label
                 scalars.append({"variant": variant, "seed": run.seed, "metric": metric, "value": value})
-            elif name in _ONCE_A_STUDY:
+            elif name == "ms_per_frame":
                 scalars.append({"variant": run.label, "seed": run.seed, "metric": name, "value": value})
         parameters = values["parameters_generator"] + values["parameters_discriminator"]
         scalars.append({"variant": run.label, "seed": run.seed, "metric": "parameters", "value": parameters})
@@ -112,66 +129,109 @@ def _write(
     settings: StudySettings, runs: list[Finished], per_image: pd.DataFrame, scalars: pd.DataFrame, folder: Path
 ) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    paired = paired_table(per_image, settings.reference)
-    store, parent = open_tracking(settings)
+    reference = settings.reference
+    table, paired = comparison_table(per_image, scalars, reference), paired_table(per_image, reference)
+    wide_table(table).to_csv(folder / "table.csv", index=False)
+    paired.to_csv(folder / "paired.csv", index=False)
+    (folder / "table.tex").write_text(to_latex(table))
+    figures = _figures(settings, runs, per_image, table, paired, folder)
     code = git_state(Path(__file__).parent)
     provenance = {
-        "study": settings.study,
         "data": runs[0].result["data"],
-        "commit": code.get("git_commit", "not a checkout"),
-        "uncommitted changes": code.get("git_dirty", "unknown"),
+        "git_commit": code.get("git_commit", "not a checkout"),
+        "git_dirty": code.get("git_dirty", "unknown"),
         "hardware": hardware(),
     }
-    written = write_comparison(
-        folder,
-        per_image=per_image,
-        scalars=scalars,
-        paired=paired,
-        claims=seed_claims(per_image, settings.reference),
-        pictures=_pictures(settings, runs),
-        reference=settings.reference,
+    report = write_report(
+        folder / "report.html",
+        settings.study,
+        per_image,
+        table,
+        paired,
+        claims=seed_claims(per_image, reference),
+        figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
+        left_out=_left_out(runs),
         provenance=provenance,
-        left_out=_left_out(settings),
+        reference=reference,
     )
+    store, parent = open_tracking(settings)
     run = RunLog(store, parent)
-    for path in written:
+    for path in (report, folder / "table.csv", folder / "table.tex", folder / "paired.csv", *(f for f, _ in figures)):
         run.artifact(path)
-    run.tags({k: v for k, v in provenance.items() if k != "study"})
+    run.tags(provenance)
     run.end(Status.finished)
 
 
-def _pictures(settings: StudySettings, runs: list[Finished]) -> list[Picture]:
+def _figures(
+    settings: StudySettings,
+    runs: list[Finished],
+    per_image: pd.DataFrame,
+    table: pd.DataFrame,
+    paired: pd.DataFrame,
+    folder: Path,
+) -> list[tuple[Path, str]]:
+    """Every figure with its caption, in the order of the report."""
+    frames = _pictures(settings, runs)
+    made = [
+        (p, "Target, re-simulation and every variant.") for p in qualitative_figure(frames, folder / "qualitative_0")
+    ]
+    boxes = paired_boxplots(per_image, folder, settings.reference, paired)
+    for metric in sorted(boxes, key=lambda m: (m not in _BOXPLOTS, m)):
+        made += [
+            (p, f"Paired differences to {settings.reference} on the same frames: {metric}.") for p in boxes[metric]
+        ]
+    for k, frame in enumerate(frames):
+        caption = f"Patch chi-square maps on [0, 1] above their images, {frame.name}."
+        made += [(p, caption) for p in chi2_maps_figure(frame, folder / f"pchi2_maps_{k}")]
+    points, floors = _runtime_points(table)
+    if len(points):
+        stem = folder / "error_vs_runtime"
+        made += [(p, "Error against run time.") for p in error_vs_runtime(points, stem, floors, hardware())]
+    return made
+
+
+def _runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]:
+    """Error of every variant against its milliseconds a frame, and the re-simulation's value by metric."""
+    means = table.pivot(index="variant", columns="metric", values="mean")
+    networks = means.drop(index=RESIMULATION, errors="ignore")
+    metrics = [m for m in _TIMED if m in means.columns]
+    rows = [
+        {"series": v, "setting": v, "ms": networks.loc[v, "ms_per_frame"], "metric": m, "error": networks.loc[v, m]}
+        for v in networks.index
+        for m in metrics
+    ]
+    floors = {m: float(means[m].to_dict()[RESIMULATION]) for m in metrics} if RESIMULATION in means.index else {}
+    return pd.DataFrame(rows), floors
+
+
+def _pictures(settings: StudySettings, runs: list[Finished]) -> list[FramePictures]:
     """The frames every variant shows, with target, maps and re-simulation; the lowest seed speaks for a variant."""
     chosen: dict[str, Finished] = {}
-    for run in sorted(runs, key=lambda r: r.seed):
+    for run in sorted(runs, key=lambda r: (r.label != settings.reference, r.label, r.seed)):
         chosen.setdefault(run.label, run)
     stored = {label: np.load(run.folder / "pictures.npz") for label, run in chosen.items()}
-    frames = next(iter(stored.values()))["frames"]
+    numbers = next(iter(stored.values()))["frames"]
     pairs = open_pairs(settings.runs / "data" / f"{settings.scene_name}-{runs[0].result['data']}")
-    maps = {name: pairs.read(name, frames) for name in ("segmentation", "attenuation", "high", "high_again")}
+    maps = {name: pairs.read(name, numbers) for name in ("segmentation", "attenuation", "high", "high_again")}
     return [
-        Picture(
-            name=f"frame {frame}",
+        FramePictures(
+            name=f"frame {number}",
+            target=maps["high"][k],
+            predictions={RESIMULATION: maps["high_again"][k], **{v: s["images"][k] for v, s in stored.items()}},
+            mask=pairs.mask(),
             segmentation=maps["segmentation"][k],
             attenuation=maps["attenuation"][k],
-            target=maps["high"][k],
-            resimulation=maps["high_again"][k],
-            outputs={label: images["images"][k] for label, images in stored.items()},
         )
-        for k, frame in enumerate(frames)
+        for k, number in enumerate(numbers)
     ]
 
 
-def _left_out(settings: StudySettings) -> list[str]:
+def _left_out(runs: list[Finished]) -> list[str]:
     """What this study did without, and why."""
-    return [
+    said = [
         "FID and KID: no Inception weights were given; fd_speckle and kd_speckle are the same distances on a "
-        "texture descriptor without weights, and do not compare with published FID values.",
+        "texture descriptor without weights, and do not compare with published FID values."
     ]
-
-
-def _ui_command(settings: StudySettings) -> str:
-    from ablate.tracking import default_uri
-
-    uri = settings.tracking.uri or default_uri(settings.runs)
-    return f"mlflow ui --backend-store-uri {uri}   (make ui)"
+    if not any(run.spec["settings"]["model"]["extra_input"] == "low" for run in runs):
+        said.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
+    return said

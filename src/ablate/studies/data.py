@@ -128,7 +128,7 @@ def prepare_data(settings: StudySettings, maps: frozenset[str]) -> Data:
     recipe = Recipe(scene, settings.probe, settings.simulator, chosen.seed)
     todo = sum(len(pairs.frames_of_shard(s)) for s in pairs.missing(maps))
     with tqdm(total=todo, unit="frame", desc="simulate", mininterval=1.0) as bar:
-        simulate_pairs(recipe, pairs, maps, chosen.workers, lambda n: bar.update(n) and None)
+        simulate_pairs(recipe, pairs, maps, chosen.workers, bar.update)
     write_contact_sheet(pairs, folder / "contact_sheet.png")
     return open_data(settings)
 

@@ -13,7 +13,8 @@ from ablate.anatomy import Tissue
 from ablate.config import EvaluationSettings
 from ablate.dataset import Pairs, Part
 from ablate.metrics import Pair, evaluate_image, frechet_distance, kernel_distance, noise_sd, speckle_features
-from ablate.ultrasound import ConvexProbe, fan_depth_mm
+from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound.probe import pixel_polar
 
 # (frames of the data set, number of the noise draw) -> (k, H, W) uint8
 Render = Callable[[np.ndarray, int], np.ndarray]
@@ -69,7 +70,7 @@ def evaluate(
     Evaluation
     """
     mask, solid = pairs.mask(), tissue_labels(tissues)
-    depth = fan_depth_mm(probe, pairs.shape)
+    depth, _ = pixel_polar(probe, pairs.shape)
     frames = pairs.frames(part)
     rows: list[dict[str, object]] = []
     target_features, features = [], []
@@ -97,7 +98,6 @@ def evaluate(
     per_image = pd.DataFrame(rows)
     finite = per_image[np.isfinite(per_image["value"])]
     scalars = {str(name): float(value) for name, value in finite.groupby("metric")["value"].mean().items()}
-    scalars["identical_frames"] = float(len(per_image) - len(finite))
     found, wanted = np.concatenate(features), np.concatenate(target_features)
     scalars["fd_speckle"] = frechet_distance(found, wanted)
     scalars["kd_speckle"] = kernel_distance(found, wanted)

@@ -19,7 +19,7 @@ _INCIDENTAL_TRAINING = ("device", "threads", "checkpoint_every", "validate_every
 def semantic(settings: StudySettings) -> dict[str, Any]:
     """Everything that decides the trained network, and nothing else, fit for JSON."""
     training = {k: v for k, v in plain(settings.training).items() if k not in _INCIDENTAL_TRAINING}
-    encoding = {"order": settings.encoding.name}
+    encoding: dict[str, Any] = {"order": settings.encoding.name}
     if settings.encoding.name == "arbitrary":
         encoding["seed"] = settings.encoding_seed
     return {

@@ -88,7 +88,10 @@ def _validation(job: Job, data: Data, values: np.ndarray) -> Callable[[Generator
 def network_inputs(data: Data, frames: np.ndarray, values: np.ndarray) -> tuple[dict[str, Tensor], Tensor]:
     """Maps of some frames as networks read them, (k, 1, H, W) float32, and the fan, (H, W) bool."""
     pairs, mask = data.pairs, data.pairs.mask()
-    maps = {"segmentation": values[pairs.read("segmentation", frames)], "attenuation": pairs.read("attenuation", frames)}
+    maps = {
+        "segmentation": values[pairs.read("segmentation", frames)],
+        "attenuation": pairs.read("attenuation", frames),
+    }
     if pairs.has("low"):
         maps["low"] = np.where(mask, pairs.read("low", frames) / np.float32(127.5) - 1, np.float32(-1))
     return {k: torch.from_numpy(v)[:, None] for k, v in maps.items()}, torch.from_numpy(mask)

@@ -155,7 +155,9 @@ def _compose(overrides: list[str], with_hydra: bool = False) -> DictConfig:
 
 def _explain(error: Exception) -> str:
     """Hydra's message on one line, with what is allowed where a key or a choice is unknown."""
-    choice = re.search(r"Could not find '(\w+)/(.+?)'\s+Available options in '\w+':(.*?)\n\s*Config search", str(error), re.S)
+    choice = re.search(
+        r"Could not find '(\w+)/(.+?)'\s+Available options in '\w+':(.*?)\n\s*Config search", str(error), re.S
+    )
     if choice:
         return f"{choice[1]}={choice[2]}: allowed are {', '.join(choice[3].split())}"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
@@ -175,7 +177,11 @@ def _explain(error: Exception) -> str:
 
 def _one_line(error: BaseException) -> str:
     lines = [line.strip() for line in str(error).splitlines()]
-    lines = [x for x in lines if x and not x.startswith(("full_key:", "object_type=", "reference_type=", "To append to your config"))]
+    lines = [
+        x
+        for x in lines
+        if x and not x.startswith(("full_key:", "object_type=", "reference_type=", "To append to your config"))
+    ]
     return "; ".join(lines)
 
 
