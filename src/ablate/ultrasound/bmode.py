@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import torch
-from torch.nn import functional as F
 
+from ablate.ultrasound.point_spread import along_lines
 from ablate.ultrasound.probe import sample_depths_mm
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 
@@ -20,27 +18,30 @@ def time_gain(probe: ConvexProbe, settings: SimulatorSettings) -> np.ndarray:
     return 10 ** (2 * settings.tgc_db_cm_mhz * probe.frequency_mhz * depth_cm / 20)
 
 
-def noise_floor(settings: SimulatorSettings, axial: torch.Tensor, seed: int) -> torch.Tensor:
-    """Complex Gaussian noise with the pulse's bandwidth, `noise_floor_db` under the reference level.
+def receiver_noise(settings: SimulatorSettings, axial: torch.Tensor, seed: int) -> torch.Tensor:
+    """Complex Gaussian noise of unit mean power with the pulse's bandwidth.
 
     Parameters
     ----------
     settings : SimulatorSettings
-    axial : (1, 1, taps) tensor
+    axial : (taps,) tensor
         The pulse.
     seed : int
-        Of the scatterers; `settings.path_seed` is added to the key.
+        Of the scatterers; `settings.path_seed` is the other half of the key.
 
     Returns
     -------
     (2, scanlines, samples) tensor of the type of `axial`
     """
     generator = np.random.Generator(np.random.Philox(key=[(settings.path_seed + _KEY) % 2**64, seed % 2**64]))
-    shape = (2 * settings.scanlines, 1, settings.axial_samples)
+    shape = (2, settings.scanlines, settings.axial_samples)
     white = torch.from_numpy(generator.standard_normal(shape, np.float32)).to(axial)
-    level = settings.reference_level * 10 ** (settings.noise_floor_db / 20)
-    filtered = F.conv1d(white, axial / axial.square().sum().sqrt(), padding="same")
-    return (filtered * (level / math.sqrt(2))).reshape(2, settings.scanlines, settings.axial_samples)
+    return along_lines(white, axial / (2 * axial.square().sum()).sqrt())
+
+
+def floor_amplitude(settings: SimulatorSettings) -> float:
+    """Root mean square of the display's noise, `noise_floor_db` under the reference level."""
+    return settings.reference_level * 10 ** (settings.noise_floor_db / 20)
 
 
 def grey_levels(signal: torch.Tensor, settings: SimulatorSettings) -> torch.Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import torch
@@ -45,7 +46,9 @@ def splat(line: np.ndarray, position: np.ndarray, amplitude: np.ndarray, shape: 
 def surface_lines(
     echoes: Echoes, weights: np.ndarray, rays: int, depth_mm: float, shape: tuple[int, int]
 ) -> np.ndarray:
-    """Amplitude that surfaces send back, mean over rays, sum over layers; real, so that its estimate converges.
+    """Amplitude that surfaces send back to rays never reflected before: mean over rays, sum over layers.
+
+    It is real and positive, so that its estimate converges with the number of rays.
 
     Parameters
     ----------
@@ -61,37 +64,51 @@ def surface_lines(
     -------
     (scanlines, samples) float64
     """
-    lines, samples = shape
-    layer, line = np.divmod(echoes.group, lines)
-    spacing = depth_mm / samples
-    position = echoes.depth_mm / spacing - 0.5
-    nearest = np.clip(position, 0, samples - 1).astype(np.int64)
-    amplitude = echoes.amplitude * weights[layer, nearest] / rays
-    direct = ~echoes.reflected
-    total = splat(line[direct], position[direct], amplitude[direct], shape)
-    if direct.all():
-        return total
-    far = echoes.reflected
-    return total + _clutter(line[far], echoes.depth_mm[far], amplitude[far], depth_mm, shape)
+    line, position, amplitude = _placed(echoes, ~echoes.reflected, weights, rays, depth_mm, shape)
+    return splat(line, position, amplitude, shape)
 
 
-def _clutter(
-    line: np.ndarray, depth: np.ndarray, amplitude: np.ndarray, depth_mm: float, shape: tuple[int, int]
-) -> np.ndarray:
-    """Echoes of reflected rays, spread along and across the lines; their sum is kept."""
+def clutter_lines(
+    echoes: Echoes, weights: np.ndarray, rays: int, depth_mm: float, shape: tuple[int, int]
+) -> np.ndarray | None:
+    """The same for reflected rays: few and out of focus, they are spread along and across the lines.
+
+    The sum is kept. Parameters as for `surface_lines`.
+
+    Returns
+    -------
+    (scanlines, samples) float64, or None where there are none
+    """
+    if not echoes.reflected.any():
+        return None
     lines, samples = shape
+    line, position, amplitude = _placed(echoes, echoes.reflected, weights, rays, depth_mm, shape)
     cells = max(1, min(samples, math.ceil(depth_mm / _CLUTTER_MM * _CLUTTER_CELLS_PER_SIGMA)))
-    coarse = splat(line, depth / depth_mm * cells - 0.5, amplitude, (lines, cells))
-    spread = torch.from_numpy(
-        _spreading(lines, _CLUTTER_LINES) @ coarse @ _spreading(cells, _CLUTTER_CELLS_PER_SIGMA).T
-    )
-    fine = F.interpolate(spread[None], size=samples, mode="linear", align_corners=False)[0]
-    return fine.numpy() * (cells / samples)
+    coarse = splat(line, (position + 0.5) * (cells / samples) - 0.5, amplitude, (lines, cells))
+    coarse = _spreading(lines, _CLUTTER_LINES) @ coarse @ _spreading(cells, _CLUTTER_CELLS_PER_SIGMA).T
+    fine = F.interpolate(torch.from_numpy(coarse)[None], size=samples, mode="linear", align_corners=False)
+    return fine[0].numpy() * (cells / samples)
 
 
+def _placed(
+    echoes: Echoes,
+    chosen: np.ndarray,
+    weights: np.ndarray,
+    rays: int,
+    depth_mm: float,
+    shape: tuple[int, int],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Line, position in samples, and amplitude with its elevational weight, of some echoes."""
+    lines, samples = shape
+    layer, line = np.divmod(echoes.group[chosen], lines)
+    position = echoes.depth_mm[chosen] * (samples / depth_mm) - 0.5
+    nearest = np.clip(position, 0, samples - 1).astype(np.int64)
+    return line, position, echoes.amplitude[chosen] * weights[layer, nearest] / rays
+
+
+@cache
 def _spreading(n: int, sigma: float) -> np.ndarray:
     """A Gaussian smoothing matrix whose columns sum to 1, so that nothing is lost at the ends, (n, n)."""
-    apart = np.arange(n)[:, None] - np.arange(n)
-    matrix = np.exp(-0.5 * (apart / sigma) ** 2)
-    matrix[np.abs(apart) > 4 * sigma] = 0
+    apart = np.minimum(np.abs(np.arange(n)[:, None] - np.arange(n)) / sigma, 5.0)
+    matrix = np.where(apart < 4, np.exp(-0.5 * apart**2), 0.0)
     return matrix / matrix.sum(axis=0)

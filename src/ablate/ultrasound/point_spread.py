@@ -15,6 +15,7 @@ from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 FWHM_PER_SIGMA = 2 * math.sqrt(2 * math.log(2))
 _BLOCKS = 64  # of depth, within which the lateral kernel is taken as constant
 _TAIL = 4.0  # standard deviations kept of the axial kernel
+_WINDOW = 64  # samples that one product of `along_lines` makes
 
 
 def beam_widening(settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarray:
@@ -62,7 +63,7 @@ class PointSpread:
         Row i holds what each scanline adds to scanline i; rows sum to 1.
     scatterer_scale : (scanlines, blocks) tensor
         Makes a row's squares sum to 1 instead, and the axial kernel's too.
-    axial : (1, 1, taps) tensor, peak 1
+    axial : (taps,) tensor, peak 1
     block : int
         Samples that share a lateral kernel.
     """
@@ -90,7 +91,7 @@ def point_spread(probe: ConvexProbe, settings: SimulatorSettings, dtype: torch.d
     return PointSpread(
         lateral=torch.from_numpy(lateral).to(settings.device, dtype),
         scatterer_scale=torch.from_numpy(1 / energy.T.copy()).to(settings.device, dtype),
-        axial=torch.from_numpy(axial).to(settings.device, dtype)[None, None],
+        axial=torch.from_numpy(axial).to(settings.device, dtype),
         block=block,
     )
 
@@ -118,5 +119,28 @@ def blur(scatterers: torch.Tensor, surfaces: torch.Tensor, spread: PointSpread) 
     spread_out = torch.bmm(spread.lateral, by_block).reshape(blocks, lines, 3, spread.block)
     total = spread_out[:, :, :2] * spread.scatterer_scale.T[:, :, None, None]
     total[:, :, 0] += spread_out[:, :, 2]
-    total = total.permute(2, 1, 0, 3).reshape(2 * lines, 1, -1)[..., :samples]
-    return F.conv1d(total, spread.axial, padding="same").reshape(2, lines, samples)
+    total = total.permute(2, 1, 0, 3).reshape(2, lines, -1)[..., :samples]
+    return along_lines(total, spread.axial)
+
+
+def along_lines(lines: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:
+    """Convolve along the last axis with a symmetric kernel, zeros beyond the ends.
+
+    One product of overlapping windows with a banded matrix: many times faster than a one-channel convolution.
+
+    Parameters
+    ----------
+    lines : (..., samples) tensor
+    kernel : (odd taps,) tensor
+
+    Returns
+    -------
+    (..., samples) tensor
+    """
+    samples, half = lines.shape[-1], len(kernel) // 2
+    window = _WINDOW + 2 * half
+    padded = F.pad(lines, (half, half + -samples % _WINDOW)).unfold(-1, window, _WINDOW)
+    band = kernel.new_zeros(_WINDOW, window)
+    for row in range(_WINDOW):
+        band[row, row : row + len(kernel)] = kernel
+    return (padded @ band.T).flatten(-2)[..., :samples]

@@ -12,10 +12,10 @@ import torch
 
 from ablate.anatomy import Scene
 from ablate.ultrasound.attenuation import integral_attenuation
-from ablate.ultrasound.bmode import grey_levels, noise_floor, time_gain
+from ablate.ultrasound.bmode import floor_amplitude, grey_levels, receiver_noise, time_gain
 from ablate.ultrasound.bundle import leave_probe
 from ablate.ultrasound.draws import Draws
-from ablate.ultrasound.echoes import surface_lines
+from ablate.ultrasound.echoes import clutter_lines, surface_lines
 from ablate.ultrasound.embree import Geometry
 from ablate.ultrasound.illumination import illumination_db, node_count
 from ablate.ultrasound.plan import compile_scene
@@ -28,6 +28,7 @@ from ablate.ultrasound.slices import plane_labels, sampled_lines, segment
 from ablate.ultrasound.speckle import LitLines, Speckle
 
 _SCENE_GRID_MM = 1000.0
+_CLUTTER_ROLL = (61, 1021)  # lines and samples between the noise of the display and that of clutter
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,7 @@ class Traced:
 
     lit: LitLines
     surfaces: torch.Tensor  # (scanlines, samples)
+    clutter: torch.Tensor | None  # (scanlines, samples), amplitude at the receiver
 
 
 class Simulator:
@@ -121,8 +123,11 @@ class Simulator:
         with torch.inference_mode():
             traced = self._trace(pose)
             signal = blur(self._speckle(traced.lit, seed), traced.surfaces, self._spread)
+            noise = self._noise_at(pose, seed)
+            if traced.clutter is not None:  # from all sides, so with the phases of noise
+                signal.addcmul_(traced.clutter, noise.roll(_CLUTTER_ROLL, dims=(1, 2)))
             envelope = signal.square().sum(dim=0).sqrt_()
-            shown = signal.mul_(self._gain).add_(self._noise_at(pose, seed))
+            shown = signal.mul_(self._gain).add_(noise, alpha=floor_amplitude(self.settings))
             image = self._convert(grey_levels(shown, self.settings))
         return Frame(
             segmentation=segmentation,
@@ -150,8 +155,7 @@ class Simulator:
             spacing = self.probe.depth_mm / self.settings.axial_samples
             lines = integral_attenuation(polar, media.loss_db_mm, spacing)
             with torch.inference_mode():
-                lines_t = torch.from_numpy(lines).to(self.settings.device, self._dtype)
-                attenuation = self._convert(lines_t).clip(0, 1)
+                attenuation = self._convert(self._tensor(lines)).clip(0, 1)
             self._maps = pose.tobytes(), labels, attenuation
         return self._maps[1].copy(), self._maps[2].copy()
 
@@ -168,16 +172,21 @@ class Simulator:
         echoes, descent = trace(
             self._geometry, scene.media, scene.tissue_of_owner, bundle, self._draws, probe.depth_mm, faintest_db
         )
-        surfaces = surface_lines(echoes, layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape)
+        where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
+        surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
         nodes = node_count(settings.axial_samples)
         level = illumination_db(
             descent, len(bundle.starts), settings.rays, spacing / 2, probe.depth_mm - spacing / 2, nodes
         )
         labels, ranges = sampled_lines(self._geometry, scene.tissue_of_owner, scene.media, bundle, probe, settings)
         lit = self._speckle.light(bundle.starts + self._origin_mm, bundle.directions, labels, ranges, level)
-        traced = Traced(lit, torch.from_numpy(surfaces).to(settings.device, self._dtype))
+        clutter_t = None if clutter is None else self._tensor(clutter) * self._spread.axial.sum()
+        traced = Traced(lit, self._tensor(surfaces), clutter_t)
         self._traced = pose.tobytes(), traced
         return traced
+
+    def _tensor(self, values: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(values).to(self.settings.device, self._dtype)
 
     def _local(self, pose: np.ndarray) -> np.ndarray:
         local = pose.copy()
@@ -187,7 +196,7 @@ class Simulator:
     def _noise_at(self, pose: np.ndarray, seed: int) -> torch.Tensor:
         """The seed's noise, rolled by a hash of the pose: two frames do not share a pattern."""
         if self._noise is None or self._noise[0] != seed:
-            self._noise = seed, noise_floor(self.settings, self._spread.axial, seed)
+            self._noise = seed, receiver_noise(self.settings, self._spread.axial, seed)
         key = zlib.crc32(pose.tobytes())
         return self._noise[1].roll((key % 65521, key // 7), dims=(1, 2))
 

@@ -17,7 +17,7 @@ from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.texture import texture_gain_db, texture_tables
 
 _DB_TO_NEPER = math.log(10) / 20
-_TEXTURE_SPACING_MM = 0.25
+_TEXTURE_SPACING_MM = 0.3
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,9 @@ class Speckle:
         self._spacing_mm = probe.depth_mm / settings.axial_samples
         tables = torch.from_numpy(scatterer_tables(tissues)).to(settings.device)
         self._tables = torch.view_as_real(tables).flatten(0, 1).to(dtype)
-        self._textures = torch.from_numpy(texture_tables(tissues)).to(settings.device)
+        textures = texture_tables(tissues)
+        self._contrasts = textures[:, 3]
+        self._textures = torch.from_numpy(textures).to(settings.device)
         self._kernel_correlation = autocorrelation(axial_kernel(probe, settings))
         self._weights_db = 20 * np.log10(np.maximum(layer_weights(probe, settings)[0], 1e-15))
 
@@ -107,7 +109,7 @@ class Speckle:
 
         ends = tensor(starts, *shape[:2], 3), tensor(directions, *shape[:2], 3)
         ranges = tensor(ranges_mm, *((shape[2],) if ranges_mm.ndim == 1 else shape))
-        if self._textures[label.unique().long(), 3].any():
+        if self._contrasts[np.bincount(labels.ravel(), minlength=1).nonzero()].any():
             level += self._texture_db(*ends, ranges, label)
         amplitude = level.mul_(_DB_TO_NEPER).to(self._dtype).exp_()
         return LitLines(*ends, ranges, label.to(torch.int32) * TABLE_SIZE, amplitude)
