@@ -27,6 +27,9 @@ _HYDRAS_OWN = {
 
 def main() -> None:
     """Check the whole command line, then run its task; a bad input is one line on stderr and exit code 2."""
+    multirun = {"-m", "--multirun"} & set(sys.argv[1:])
+    if multirun:  # argparse takes it in front of the overrides only; people write it anywhere
+        sys.argv[1:] = ["--multirun", *(a for a in sys.argv[1:] if a not in multirun)]
     if _HYDRAS_OWN & set(sys.argv[1:]):
         _launch()
         return

@@ -24,6 +24,7 @@ def test_a_single_job_is_the_default_study() -> None:
 def test_labels_name_what_differs_from_the_variant() -> None:
     assert label_of("sa2h", ["seed=1", "training.steps=3"]) == "sa2h"
     assert label_of("sa2h", ["model.depth=8"]) == "sa2h.depth-8"
+    assert label_of("sa2h", ["model.width=0.5"]) == "sa2h"
     assert label_of("sa2h-depth", ["model.depth=8"]) == "sa2h-depth"
     assert label_of("sa2h", ["encoding=arbitrary", "model.noise=none"]) == "sa2h.encoding-arbitrary.noise-none"
 

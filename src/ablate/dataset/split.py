@@ -58,7 +58,9 @@ def choose_frames(sites: Sequence[int] | np.ndarray, frames: int, seed: int) -> 
     return np.sort(np.lexsort((position, rank))[:frames])
 
 
-def split_frames(sites: Sequence[int] | np.ndarray, by: SplitBy, validation: float, test: float, seed: int) -> np.ndarray:
+def split_frames(
+    sites: Sequence[int] | np.ndarray, by: SplitBy, validation: float, test: float, seed: int
+) -> np.ndarray:
     """Part of every frame.
 
     Parameters

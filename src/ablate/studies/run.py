@@ -36,7 +36,8 @@ def run_job(job: Job) -> None:
     """
     if finished(job) is not None:
         return
-    logging.basicConfig(level=logging.INFO, format=f"{job.name}: %(message)s", force=True)
+    logging.basicConfig(format=f"{job.name}: %(message)s", force=True)
+    logging.getLogger("ablate").setLevel(logging.INFO)
     claim_place(job)
     data = prepare_data(job.settings, maps_needed([job.settings.model]))
     store, parent = open_tracking(job.settings)

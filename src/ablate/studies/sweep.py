@@ -33,7 +33,7 @@ class Job:
     ----------
     settings : StudySettings
     label : str
-        The variant, plus what was changed in `model` or `encoding` beside it (`sa2h.depth-8`).
+        The variant, plus what else was changed of its components or of `encoding` (`sa2h.depth-8`).
     """
 
     settings: StudySettings
@@ -56,13 +56,16 @@ def configuration_dir() -> Path:
 
 
 def label_of(variant: str, overrides: Sequence[str]) -> str:
-    """A run's label from its variant and the overrides it was composed with."""
+    """A run's label from its variant and the overrides it was composed with.
+
+    The width is a size of the whole study, like the number of steps, and no part of it.
+    """
     own = {"encoding": "echogenicity", **_model_of(variant)}
     changed = []
     for override in overrides:
         key, _, value = override.lstrip("+").partition("=")
         name = key.removeprefix("model.")
-        if (name != key or key == "encoding") and str(own.get(name)) != value:
+        if (name != key or key == "encoding") and name != "width" and str(own.get(name)) != value:
             changed.append(re.sub(r"[^A-Za-z0-9.+_-]", "_", f"{name}-{value}"))
     return ".".join([variant, *sorted(changed)])
 
