@@ -176,13 +176,8 @@ def _back(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure
         processes.append(mesh_field(arch, BODY_BOX, min(pitch, 5.5), "arch"))
     sides = max(6, round(40 / scale))
     z = np.linspace(-120.0, 150.0, max(8, round(80 / scale)))
-    aorta = np.stack([7.0 + 3.0 * np.sin(z / 60.0), 43.0 + 0.0 * z, z], 1)
-    cava = np.stack([-13.0 + 2.0 * np.sin(z / 50.0), 43.5 + 0.0 * z, z], 1)
-    walls = [tube(aorta, np.full(len(z), 8.4), sides), tube(cava, np.full(len(z), 9.0), sides)]
-    lumens = [
-        tube(aorta[1:-1], np.full(len(z) - 2, 7.2), sides),
-        tube(cava[1:-1], np.full(len(z) - 2, 8.3), sides),
-    ]
+    aorta = np.stack([7.0 + 3.0 * np.sin(z / 60.0), np.full_like(z, 43.0), z], 1)
+    cava = np.stack([-13.0 + 2.0 * np.sin(z / 50.0), np.full_like(z, 43.5), z], 1)
     up = (1.0, 0.0, 0.0)
     walls = [tube(path, np.full(len(z), r), sides, up) for path, r in ((aorta, 8.4), (cava, 9.0))]
     lumens = [tube(path[1:-1], np.full(len(z) - 2, r), sides, up) for path, r in ((aorta, 7.2), (cava, 8.3))]
