@@ -43,10 +43,12 @@ class Geometry:
     ----------
     structures : sequence of Structure
         May be empty: then nothing is ever hit.
+    bounds_mm : (2, 3) float
+        Of the whole scene, so that what is left out of it moves nothing.
     origin_mm : (3,) float
         Subtracted from every vertex, so that far-away worlds keep their precision.
     extent_mm : float
-        Largest distance that rays go; with the meshes' own it sets `step_mm`.
+        Largest distance that rays go; with the scene's own it sets `step_mm`.
 
     Attributes
     ----------
@@ -59,20 +61,20 @@ class Geometry:
         When a mesh has no triangles.
     """
 
-    def __init__(self, structures: Sequence[Structure], origin_mm: np.ndarray, extent_mm: float) -> None:
+    def __init__(
+        self, structures: Sequence[Structure], bounds_mm: np.ndarray, origin_mm: np.ndarray, extent_mm: float
+    ) -> None:
         self._scene = EmbreeScene() if structures else None
         self._meshes = []  # keeps the buffers that Embree reads
-        bounds = []
         for number, structure in enumerate(structures):
             if len(structure.mesh.faces) == 0:
                 raise ValueError(f"structure {number} ({structure.tissue.name}): its mesh has no triangles")
             vertices = np.asarray(structure.mesh.vertices, np.float64) - origin_mm
-            bounds.append((vertices.min(axis=0), vertices.max(axis=0)))
             faces = np.ascontiguousarray(structure.mesh.faces, np.int32)
             self._meshes.append(TriangleMesh(self._scene, vertices.astype(np.float32), faces))
-        self.lower_mm = np.min([b[0] for b in bounds], axis=0) if bounds else np.zeros(3)
-        self.upper_mm = np.max([b[1] for b in bounds], axis=0) if bounds else np.zeros(3)
-        self.step_mm = 2e-6 * max(float(np.linalg.norm(self.upper_mm - self.lower_mm)), extent_mm)
+        self._centre_mm = np.mean(bounds_mm, axis=0) - origin_mm
+        self._radius_mm = float(np.linalg.norm(bounds_mm[1] - bounds_mm[0])) / 2
+        self.step_mm = 2e-6 * max(2 * self._radius_mm, extent_mm)
 
     def closest(self, origins: np.ndarray, directions: np.ndarray, reach_mm: np.ndarray) -> Hits:
         """The first surface within reach.
@@ -105,10 +107,10 @@ class Geometry:
         Returns
         -------
         (n,) float64, mm
-            0 where going back never meets the structures' bounding box.
+            0 where going back never meets the scene's bounding sphere.
         """
-        centre, half = (self.lower_mm + self.upper_mm) / 2, np.linalg.norm(self.upper_mm - self.lower_mm) / 2
-        towards = ((points - centre) * directions).sum(axis=-1)
-        off_axis = ((points - centre) ** 2).sum(axis=-1) - towards**2
-        chord = np.sqrt(np.maximum((1.01 * half) ** 2 - off_axis, 0.0))
+        from_centre = points - self._centre_mm
+        towards = (from_centre * directions).sum(axis=-1)
+        off_axis = (from_centre**2).sum(axis=-1) - towards**2
+        chord = np.sqrt(np.maximum((1.01 * self._radius_mm) ** 2 - off_axis, 0.0))
         return np.where(chord > 0, np.maximum(towards + chord + self.step_mm, 0.0), 0.0)

@@ -107,15 +107,16 @@ def trace(
     rays = _start(bundle, tissue_of_owner)
     descent = [_piece(rays, media)]
     echoes: list[tuple[np.ndarray, ...]] = []
-    step = np.float32(geometry.step_mm)
+    step = np.float32(0)  # beyond the surface just met; its length is part of the way
     while rays.number.size:
         way = np.where(rays.reflections > 0, np.float32(2 * depth_mm), np.float32(depth_mm)) - rays.shown_mm
-        hits = geometry.closest(rays.origin, rays.direction, way / media.stretch[rays.medium])
+        beyond = rays.origin + step * rays.direction
+        hits = geometry.closest(beyond, rays.direction, way / media.stretch[rays.medium])
         found = np.flatnonzero(hits.structure >= 0)
         if not found.size:
             break
         rays, hits = rays.take(found), hits.take(found)
-        _advance(rays, hits.distance_mm, media)
+        _advance(rays, hits.distance_mm + step, media)
         fresh = (hits.structure != rays.structure) | (hits.triangle != rays.triangle)
         rays.structure, rays.triangle = hits.structure, hits.triangle
         inside = np.where(fresh[:, None], toggle(rays.inside, hits.structure), rays.inside)
@@ -141,7 +142,7 @@ def trace(
                 echoes,
                 descent,
             )
-        rays.origin += step * rays.direction
+        step = np.float32(geometry.step_mm)
         if not alive.all():
             rays = rays.take(alive)
     return _gather_echoes(echoes), Descent(*(np.concatenate(part) for part in zip(*descent, strict=True)))

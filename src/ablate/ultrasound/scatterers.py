@@ -15,7 +15,7 @@ import torch
 
 from ablate.anatomy import Tissue
 
-DRAWS_PER_SAMPLE = 8
+DRAWS_PER_SAMPLE = 16
 TABLE_SIZE = 65536
 _AXIS_FACTORS = (0x1B873593, 0x2545F491, 0x27D4EB2F)
 _TABLE_SEED = 20201

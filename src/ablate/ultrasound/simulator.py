@@ -80,9 +80,11 @@ class Simulator:
         self._dtype = getattr(torch, settings.precision.value)
         self._compiled = compile_scene(scene, probe, settings, poses)
         self.left_out = self._compiled.left_out
-        self._origin_mm = _scene_origin_mm(scene)
+        bounds = _scene_bounds_mm(scene)
+        # Zero for every scene about the world's origin; float32 then serves scenes that are far from it.
+        self._origin_mm = _SCENE_GRID_MM * np.rint(bounds.mean(axis=0) / _SCENE_GRID_MM)
         extent = probe.radius_mm + probe.depth_mm
-        self._geometry = Geometry(self._compiled.structures, self._origin_mm, extent)
+        self._geometry = Geometry(self._compiled.structures, bounds, self._origin_mm, extent)
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
         self._convert = ScanConverter(probe, settings, self._dtype)
         self._spread = point_spread(probe, settings, self._dtype)
@@ -201,10 +203,9 @@ class Simulator:
         return self._noise[1].roll((key % 65521, key // 7), dims=(1, 2))
 
 
-def _scene_origin_mm(scene: Scene) -> np.ndarray:
-    """A point near the scene, zero for every scene about the world's origin, so that float32 serves far worlds."""
+def _scene_bounds_mm(scene: Scene) -> np.ndarray:
+    """Lower and upper corner of all structures, (2, 3) float64; zeros where there is none."""
     if not scene.structures:
-        return np.zeros(3)
+        return np.zeros((2, 3))
     bounds = np.array([structure.mesh.bounds for structure in scene.structures])
-    centre = (bounds[:, 0].min(axis=0) + bounds[:, 1].max(axis=0)) / 2
-    return _SCENE_GRID_MM * np.rint(centre / _SCENE_GRID_MM)
+    return np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)])

@@ -20,14 +20,19 @@ _SEED = 7
 
 @cache
 def _volume() -> torch.Tensor:
-    """Periodic Gaussian noise of unit variance, (1, 1, side + 1, ...): the first planes are repeated at the end."""
+    """Periodic Gaussian noise, of unit variance when interpolated, (1, 1, side + 1, ...).
+
+    The first planes are repeated at the end, so that interpolation needs no wrapping.
+    """
     generator = np.random.Generator(np.random.Philox(key=[_SEED, 0]))
     noise = generator.standard_normal((_SIDE,) * 3)
     frequency = np.fft.fftfreq(_SIDE)
     response = np.exp(-2 * (np.pi * _SMOOTHING * frequency) ** 2)
     spectrum = np.fft.fftn(noise) * response[:, None, None] * response[:, None] * response
     smooth = np.fft.ifftn(spectrum).real
-    smooth = (smooth - smooth.mean()) / smooth.std()
+    neighbours = math.exp(-1 / (2 * _SMOOTHING) ** 2)  # correlation of adjacent voxels
+    interpolated = (2 / 3 + neighbours / 3) ** 1.5  # standard deviation left, on average, between voxels
+    smooth = (smooth - smooth.mean()) / (smooth.std() * interpolated)
     wrapped = np.pad(smooth, (0, 1), mode="wrap").astype(np.float32)
     return torch.from_numpy(wrapped)[None, None]
 

@@ -1,0 +1,180 @@
+"""Monte-Carlo transport against the energy that a slab lets through."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from ablate.anatomy import Scene, Structure, Tissue
+from ablate.ultrasound import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.bundle import leave_probe
+from ablate.ultrasound.draws import CHOICE, Draws, stratified
+from ablate.ultrasound.embree import Geometry
+from ablate.ultrasound.illumination import SILENCE_DB, illumination_db
+from ablate.ultrasound.plan import compile_scene
+from ablate.ultrasound.rays import Descent, Echoes, trace
+
+NODES = 151
+
+
+def follow(
+    scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, faintest_db: float = -200.0
+) -> tuple[Echoes, Descent]:
+    compiled = compile_scene(scene, probe, settings, None)
+    geometry = Geometry(compiled.structures, np.array([[-400.0] * 3, [400.0] * 3]), np.zeros(3), 200.0)
+    draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
+    bundle = leave_probe(geometry, len(scene.structures), probe, settings, np.eye(4), draws)
+    return trace(geometry, compiled.media, compiled.tissue_of_owner, bundle, draws, probe.depth_mm, faintest_db)
+
+
+def lit(descent: Descent, settings: SimulatorSettings) -> np.ndarray:
+    """Linear illumination of each group at each millimetre."""
+    groups = settings.scanlines * settings.layers
+    level = illumination_db(descent, groups, settings.rays, 0.0, 150.0, NODES)
+    return 10 ** (level.numpy().astype(np.float64) / 20)
+
+
+@pytest.fixture
+def one_line() -> SimulatorSettings:
+    return SimulatorSettings(scanlines=1, layers=1, rays=64, aperture_mm=0.0, elevational_aperture_mm=0.0)
+
+
+def test_slab_transmission(gel, slab, probe, one_line) -> None:
+    """Behind both faces of a slab the mean weight is (1 - R)^2: reflections inside do not count as direct."""
+    scene = Scene((slab(Tissue("hard", 1540, 4.5, 0.0, roughness=0.0), 40.0, 60.0),), gel, "s")
+    transmitted = (1 - 0.25) ** 2
+    behind = []
+    for seed in range(40):
+        settings = replace(one_line, path_seed=seed)
+        behind.append(lit(follow(scene, probe, settings)[1], settings)[0, 100])
+    error = np.std(behind) / np.sqrt(len(behind))
+    assert abs(np.mean(behind) - transmitted) < 3 * error + 1e-9
+
+
+def test_first_face_is_stratified(gel, slab, probe, one_line) -> None:
+    """With R = 1/4 exactly a quarter of 64 rays turns back at the first face, whatever the seed."""
+    scene = Scene((slab(Tissue("hard", 1540, 4.5, 0.0, roughness=0.0), 40.0, 400.0),), gel, "s")
+    for seed in range(5):
+        settings = replace(one_line, path_seed=seed)
+        assert lit(follow(scene, probe, settings)[1], settings)[0, 100] == pytest.approx(0.75, abs=1e-6)
+
+
+def test_error_falls_with_the_number_of_rays(gel, slab, probe, one_line) -> None:
+    layers = tuple(
+        slab(Tissue(f"t{i}", 1540, (2.5, 1.5)[i % 2], 0.0, roughness=0.0), 20.0 + 10 * i, 400.0) for i in range(6)
+    )
+    truth = (1 - (1 / 4) ** 2) ** 6
+    counts, errors = (4, 16, 64, 256), []
+    for rays in counts:
+        settings = replace(one_line, rays=rays, scanlines=64)
+        behind = lit(follow(Scene(layers, gel, "s"), probe, settings)[1], settings)[16:48, 120]
+        errors.append(np.sqrt(np.mean((behind - truth) ** 2)))
+    slope = np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert slope < -0.45
+
+
+def test_refraction_bends_the_path(gel, slab) -> None:
+    """Depths of a second face seen through an oblique first one follow from Snell's law."""
+    settings = SimulatorSettings(scanlines=3, layers=1, rays=1, aperture_mm=0.0, elevational_aperture_mm=0.0)
+    fast = Tissue("fast", 2000, 2.0, 0.0, roughness=0.0, specularity=0.0)
+    scene = Scene((slab(fast, 30.0, 60.0),), gel, "s")
+    echoes, _ = follow(scene, ConvexProbe(fov_deg=60.0), settings)
+    edge = np.sort(echoes.depth_mm[(echoes.group == 0) & ~echoes.reflected])
+    theta = np.radians(30.0)
+    first = (30 + 40 * (1 - np.cos(theta))) / np.cos(theta)
+    second = first + 30 / np.cos(np.arcsin(2000 / 1540 * np.sin(theta)))
+    assert edge[0] == pytest.approx(first, abs=1e-3)
+    if len(edge) > 1:  # the one ray was transmitted
+        assert edge[1] == pytest.approx(second, abs=1e-3)
+
+
+def test_a_crossing_inside_a_structure_of_higher_priority_changes_nothing(gel, slab, probe, one_line) -> None:
+    hard = Tissue("hard", 1540, 6.0, 1.0, roughness=0.0)
+    soft = Tissue("soft", 1540, 1.6, 0.3, roughness=0.0)
+    cover = slab(soft, 10.0, 200.0)
+    alone = follow(Scene((cover,), gel, "s"), probe, one_line)
+    hidden = follow(Scene((slab(hard, 40.0, 60.0), cover), gel, "s"), probe, one_line)
+    np.testing.assert_allclose(lit(alone[1], one_line), lit(hidden[1], one_line), rtol=1e-5)
+    assert len(alone[0].depth_mm) == len(hidden[0].depth_mm)
+
+
+def test_echo_amplitude_is_reflection_times_loss(gel, slab, probe, one_line) -> None:
+    """Defects 1 and 2 of other simulators: an echo carries |R_p| and the loss of both ways."""
+    body = Tissue("body", 1540, 1.5, 0.7, roughness=0.0)
+    bone = Tissue("bone", 1540, 6.0, 7.0, roughness=0.0)
+    scene = Scene((slab(body, -10.0, 300.0), slab(bone, 50.0, 300.0)), gel, "s")
+    echoes, _ = follow(scene, probe, one_line)
+    direct = ~echoes.reflected
+    np.testing.assert_allclose(echoes.depth_mm[direct], 50.0, atol=1e-3)
+    db = 2 * 0.7 * 3.0 * 5.0
+    np.testing.assert_allclose(echoes.amplitude[direct], 4.5 / 7.5 * 10 ** (-db / 20), rtol=1e-4)
+
+
+def test_reverberation_between_two_plates(gel, slab, probe, one_line) -> None:
+    """Echoes of turned rays come at whole multiples of the gap, each with the amplitude its path has on average."""
+    plate = Tissue("plate", 1540, 4.5, 0.0, roughness=0.0)
+    settings = replace(one_line, rays=20_000)
+    scene = Scene((slab(plate, 20.0, 30.0), slab(plate, 40.0, 400.0)), gel, "s")
+    echoes, _ = follow(scene, probe, settings)
+    at_50 = np.abs(echoes.depth_mm - 50.0) < 0.01  # 20 to 30, 40, back to 30, again to 40, or inside the plate
+    mean = echoes.amplitude[at_50].sum() / settings.rays
+    t, r = 0.75, 0.5  # two-way transmission; reflection of pressure
+    # Face 20, face 30, face 40: paths of 100 mm that end at a face, heard there with R_p.
+    gap = t * t * r**2 * r**2 * r  # off 40, off 30 from outside, heard at 40
+    inside_first = t * r**2 * r**2 * t * r  # off 30, off 20 from within, through 30, heard at 40
+    off_40_and_20 = t * t * r**2 * t * r**2 * r  # off 40, up through 30, off 20 from within, heard at 30
+    within = t * r**2 * r**2 * r**2 * r**2 * r  # twice to and fro inside the plate, heard at 30
+    assert echoes.reflected[at_50].all()
+    assert mean == pytest.approx(gap + inside_first + off_40_and_20 + within, rel=0.1)
+
+
+def test_a_closed_cavity_ends(gel, slab, probe, one_line) -> None:
+    gas = Tissue("gas", 330, 4e-4, 0.0, roughness=0.0)
+    scene = Scene((slab(gas, -400.0, 300.0), slab(gel, -5.0, 5.0)), gel, "s")
+    echoes, descent = follow(scene, probe, replace(one_line, rays=256))
+    assert np.isfinite(echoes.amplitude).all()
+    assert len(descent.ray) < 256 * 10
+
+
+def test_roulette_is_unbiased(gel, slab, probe, one_line) -> None:
+    lossy = Tissue("lossy", 1540, 1.5, 1.0, roughness=0.0)
+    plate = Tissue("plate", 1540, 15.0, 0.0, roughness=0.0)
+    scene = Scene((slab(lossy, -10.0, 400.0), slab(plate, 20.0, 22.0), slab(plate, 40.0, 400.0)), gel, "s")
+    means = []
+    for faintest in (-300.0, 0.0):
+        settings = replace(one_line, rays=200_000)
+        echoes, _ = follow(scene, probe, settings, faintest)
+        late = echoes.reflected & (echoes.depth_mm < 70)
+        means.append((echoes.amplitude[late].sum() / settings.rays, late.sum()))
+    assert means[1][1] < means[0][1]
+    assert means[1][0] == pytest.approx(means[0][0], rel=0.1)
+
+
+def test_illumination_of_thousands_of_decibels_is_silence(gel, slab, probe, one_line) -> None:
+    stiff = Tissue("stiff", 1540, 1.5, 1e4, roughness=0.0)
+    _, descent = follow(Scene((slab(stiff, 50.0, 300.0),), gel, "s"), probe, one_line)
+    level = illumination_db(descent, 1, 64, 0.0, 150.0, NODES)
+    assert level[0, 49] == pytest.approx(0, abs=1e-4)
+    assert level[0, -1] == SILENCE_DB
+    assert bool(level.isfinite().all())
+
+
+def test_draws_are_stratified_and_repeat() -> None:
+    u = stratified(np.random.default_rng(0), 5, 16, 2)
+    assert (np.sort(np.floor(u * 16), axis=-1) == np.arange(16)).all()
+    ray = np.arange(80)
+    a, b = Draws(3, 5, 16), Draws(3, 5, 16)
+    late = np.full(80, 9)
+    assert (a.at(late, ray) == b.at(late, ray)).all()
+    first, second = (a.at(np.full(80, k), ray)[:, CHOICE] for k in (0, 1))
+    assert abs(np.corrcoef(first, second)[0, 1]) < 0.4
+    assert (a.at(late, ray) != Draws(4, 5, 16).at(late, ray)).any()
+
+
+def test_a_flat_disc_of_needle_triangles_is_survived(gel, tissue, probe, one_line) -> None:
+    mesh = trimesh.creation.cylinder(radius=200.0, height=10.0, sections=2000)
+    mesh.apply_translation((0, 0, 70.0))
+    _, descent = follow(Scene((Structure(mesh, tissue),), gel, "s"), probe, one_line)
+    expected = 10 ** (-2 * 0.5 * 3.0 * 1.0 / 20)
+    assert lit(descent, one_line)[0, 100] == pytest.approx(expected, rel=1e-4)

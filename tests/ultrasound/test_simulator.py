@@ -1,0 +1,179 @@
+"""Frames as a whole: repeatable, finite, and the same whatever the plan leaves out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ablate.anatomy import Scene, Tissue
+from ablate.ultrasound import Plan, Precision, Simulator, SimulatorSettings
+
+BODY = Tissue("body", 1540, 1.6, 0.5, 0.6, 0.0, 0.8, texture_contrast_db=2.0)
+BONE = Tissue("bone", 2600, 4.2, 5.0, 0.6, 0.0, 0.2, roughness=0.05, thickness_mm=0.1)
+
+
+@pytest.fixture
+def scene(gel, slab, ball) -> Scene:
+    return Scene((slab(BODY, 3.0, 200.0), ball(BONE, (0.0, 0.0, 60.0), 10.0)), gel, "s")
+
+
+def images_equal(a, b) -> bool:
+    return all(
+        (getattr(a, name) == getattr(b, name)).all()
+        for name in ("segmentation", "attenuation", "image", "mask", "envelope")
+    )
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Of two parts of an envelope, without the fall with depth that they share."""
+    a, b = (part / part.mean(axis=1, keepdims=True) for part in (a, b))
+    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
+
+
+def test_same_seeds_same_frame(scene, probe, small, ahead) -> None:
+    simulator = Simulator(scene, probe, small)
+    first = simulator.render(ahead, seed=3)
+    moved = ahead.copy()
+    moved[0, 3] = 5.0
+    simulator.render(moved)
+    assert images_equal(first, simulator.render(ahead, seed=3))
+    assert images_equal(first, Simulator(scene, probe, small).render(ahead, seed=3))
+
+
+def test_seeds_choose_scatterers_and_paths_apart(scene, probe, small, ahead) -> None:
+    simulator = Simulator(scene, probe, small)
+    first, other = simulator.render(ahead, seed=0), simulator.render(ahead, seed=1)
+    assert (first.envelope != other.envelope).any()
+    assert (first.segmentation == other.segmentation).all()
+    paths = Simulator(scene, probe, replace(small, path_seed=1)).render(ahead, seed=0)
+    lit = (slice(50, 300), slice(20, 44))
+    assert correlation(first.envelope[lit], paths.envelope[lit]) > 0.95
+    assert abs(correlation(first.envelope[lit], other.envelope[lit])) < 0.1
+
+
+def test_low_quality_has_the_same_scatterers(scene, probe, small, ahead) -> None:
+    low = Simulator(scene, probe, replace(small, rays=1, layers=1)).render(ahead)
+    again = Simulator(scene, probe, replace(small, layers=1)).render(ahead)
+    lit = (slice(50, 300), slice(20, 44))
+    assert correlation(low.envelope[lit], again.envelope[lit]) > 0.95
+
+
+def test_speckle_moves_with_the_anatomy(probe, small) -> None:
+    """A probe moved by whole scanline spacings sees the scatterers of the world, not its own."""
+    simulator = Simulator(Scene((), BODY, "s"), probe, replace(small, layers=1))
+    pose = np.eye(4)
+    first = simulator.render(pose).envelope
+    pose[2, 3] = 10 * 150.0 / small.axial_samples
+    deeper = simulator.render(pose).envelope
+    axis = first[200:400, 32], deeper[190:390, 32]
+    assert np.corrcoef(*axis)[0, 1] > 0.6
+
+
+def test_turned_by_180_degrees_the_image_is_mirrored(gel, slab, ball, probe, small, ahead) -> None:
+    scene = Scene((slab(BODY, 3.0, 200.0), ball(BONE, (30.0, 0.0, 70.0), 20.0)), gel, "s")
+    simulator = Simulator(scene, probe, small)
+    there, back = simulator.render(ahead), simulator.render(np.diag([-1.0, -1.0, 1.0, 1.0]))
+    assert (there.segmentation != back.segmentation[:, ::-1]).mean() < 1e-3
+    np.testing.assert_allclose(there.attenuation, back.attenuation[:, ::-1], atol=0.05)
+    level = [np.log(f.envelope.reshape(32, -1, 16, 4).mean(axis=(1, 3)) + 1e-6) for f in (there, back)]
+    assert np.corrcoef(level[0].ravel(), level[1][:, ::-1].ravel())[0, 1] > 0.98
+
+
+def test_an_empty_scene_is_all_background(empty, probe, small, ahead) -> None:
+    settings = replace(small, noise_floor_db=-55.0)
+    frame = Simulator(empty, probe, settings).render(ahead)
+    assert frame.envelope.max() == 0
+    assert (frame.segmentation[frame.mask] == 1).all()
+    np.testing.assert_allclose(frame.attenuation[frame.mask], 1, atol=1e-6)
+    floor = 255 * (1 - 55 / 60)
+    assert frame.image[frame.mask].mean() == pytest.approx(floor, abs=12)
+    assert frame.image[~frame.mask].max() == 0
+
+
+def test_an_empty_scene_of_tissue_is_speckle(probe, small, ahead) -> None:
+    frame = Simulator(Scene((), BODY, "s"), probe, small).render(ahead)
+    assert frame.envelope.std() > 0
+    assert frame.image[frame.mask].mean() > 10
+
+
+def test_the_frame_has_the_promised_shapes(scene, probe, small, ahead) -> None:
+    frame = Simulator(scene, probe, small).render(ahead)
+    for array, kind in (
+        (frame.segmentation, np.uint8),
+        (frame.attenuation, np.float32),
+        (frame.image, np.uint8),
+        (frame.mask, np.bool_),
+    ):
+        assert array.shape == small.image_shape
+        assert array.dtype == kind
+    assert frame.envelope.shape == (1024, 64)
+    assert frame.envelope.dtype == np.float32
+    assert ((frame.segmentation > 0) == frame.mask).all()
+
+
+def test_frames_do_not_share_memory(scene, probe, small, ahead) -> None:
+    simulator = Simulator(scene, probe, small)
+    first = simulator.render(ahead)
+    kept = first.segmentation.copy()
+    first.segmentation[:], first.attenuation[:] = 0, 0
+    assert (simulator.render(ahead).segmentation == kept).all()
+
+
+def test_the_plan_changes_nothing(gel, slab, ball, probe, small, ahead) -> None:
+    body = Tissue("body", 1540, 1.6, 0.5, 0.6, 0.0, 0.8, roughness=0.0)
+    hard = Tissue("hard", 1540, 3.0, 0.5, 0.6, 0.0, 0.8, roughness=0.0)
+    far = ball(Tissue("far"), (0.0, 0.0, 900.0), 50.0)
+    scene = Scene((far, slab(body, 3.0, 200.0), ball(hard, (0.0, 0.0, 60.0), 10.0)), gel, "s")
+    auto = Simulator(scene, probe, small, poses=[ahead])
+    full = Simulator(scene, probe, replace(small, plan=Plan.full), poses=[ahead])
+    assert full.left_out == ()
+    notes = " ".join(auto.left_out)
+    assert all(word in notes for word in ("1 of 3 structures", "refraction", "rough", "thickness", "texture"))
+    assert images_equal(auto.render(ahead), full.render(ahead))
+
+
+def test_double_precision_agrees(scene, probe, small, ahead) -> None:
+    single = Simulator(scene, probe, small).render(ahead).envelope
+    double = Simulator(scene, probe, replace(small, precision=Precision.float64)).render(ahead).envelope
+    np.testing.assert_allclose(single, double, atol=1e-5 * double.max())
+
+
+@pytest.mark.parametrize("setting", ["rays", "layers", "scanlines", "axial_samples"])
+def test_one_of_everything(scene, probe, small, ahead, setting) -> None:
+    frame = Simulator(scene, probe, replace(small, **{setting: 1})).render(ahead)
+    assert np.isfinite(frame.envelope).all()
+
+
+def test_one_of_all(scene, probe, ahead) -> None:
+    settings = SimulatorSettings(scanlines=1, axial_samples=1, rays=1, layers=1, image_shape=(1, 1))
+    frame = Simulator(scene, probe, settings).render(ahead)
+    assert frame.image.shape == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        (np.eye(3), r"shape \(4, 4\)"),
+        (np.full((4, 4), np.nan), "finite"),
+        (np.diag([1.0, 1.0, 2.0, 1.0]), "orthonormal"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "determinant"),
+        (np.eye(4) + np.diag([0.5], -3), "row"),
+    ],
+)
+def test_poses_that_are_not_rigid(empty, probe, small, pose, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        Simulator(empty, probe, small).render(pose)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rays": 0}, "rays must be a whole number of at least 1"),
+        ({"axial_fwhm_mm": float("nan")}, "axial_fwhm_mm must be between"),
+        ({"image_shape": (10,)}, "image_shape"),
+        ({"plan": "some"}, "plan must be one of auto, full"),
+    ],
+)
+def test_settings_that_cannot_be(small, change, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(small, **change)
