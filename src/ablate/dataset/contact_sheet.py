@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from skimage.color import label2rgb
+from skimage.color import hsv2rgb
 from skimage.io import imsave
 from skimage.transform import resize
 from skimage.util import montage
@@ -14,6 +14,10 @@ from ablate.dataset.pairs import Pairs
 from ablate.dataset.split import Part
 
 _THUMBNAIL_PX = 320
+# A colour a label, the same in every frame: hues a golden angle apart, outside the fan black.
+_HUES = np.arange(256) * 0.381966 % 1
+_COLOURS = hsv2rgb(np.stack([_HUES, np.full(256, 0.55), np.where(np.arange(256) % 2, 0.95, 0.7)], axis=-1))
+_COLOURS[0] = 0
 
 
 def write_contact_sheet(pairs: Pairs, path: Path, per_part: int = 8) -> None:
@@ -34,7 +38,7 @@ def write_contact_sheet(pairs: Pairs, path: Path, per_part: int = 8) -> None:
         images = pairs.read("high", shown) / 255.0
         labels = pairs.read("segmentation", shown)
         tiles += [np.repeat(_thumbnail(i)[..., None], 3, axis=2) for i in images]
-        tiles += [_thumbnail(label2rgb(s, bg_label=0)) for s in labels]
+        tiles += [_thumbnail(_COLOURS[s]) for s in labels]
     sheet = montage(np.stack(tiles), channel_axis=3, grid_shape=(2 * len(Part), per_part), padding_width=4)
     partial = path.with_suffix(".partial.png")
     imsave(partial, (np.clip(sheet, 0, 1) * 255).astype(np.uint8), check_contrast=False)
