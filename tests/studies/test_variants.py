@@ -33,7 +33,9 @@ def test_the_paper_preset_is_the_defaults_of_the_code() -> None:
 
 def test_ablations_equal_the_generated_leave_one_out() -> None:
     generated = leave_one_out(spec("sa2h"))
-    assert {f"sa2h-{name}": made for name, made in generated.items()} == {f"sa2h-{n}": spec(f"sa2h-{n}") for n in generated}
+    assert {f"sa2h-{name}": made for name, made in generated.items()} == {
+        f"sa2h-{n}": spec(f"sa2h-{n}") for n in generated
+    }
 
 
 @pytest.mark.parametrize("variant", ["sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h-depth"])

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from ablate.analysis.metric_facts import REFERENCE, RESIMULATION, facts_of
-from ablate.analysis.statistics import FEWEST_SEEDS
+from ablate.analysis.statistics import FEWEST_SEEDS, Verdict
 from ablate.analysis.table_formats import resimulation_note, to_html
 
 CSS = """
@@ -164,9 +164,12 @@ def write_report(
             f"effect. Where p is small and the interval holds 0, trust the interval.</p>{_paired_html(paired)}"
         )
     if claims is not None and len(claims):
+        claimable = claims[claims["verdict"] != Verdict.not_claimable]
+        said = f"corrected for the number of rows.</p>{_claims_html(claimable)}"
+        if not len(claimable):
+            said = f"claimable here: it takes at least {FEWEST_SEEDS} seeds (<code>seed=0,1,2</code>).</p>"
         parts.append(
-            "<h2>Does the component matter?</h2><p>Judged on one mean a seed (Welch), not on frames, and not "
-            f"corrected for the number of rows.</p>{_claims_html(claims)}"
+            f"<h2>Does the component matter?</h2><p>Judged on one mean a seed (Welch), not on frames, not {said}"
         )
     if figures:
         parts.append("<h2>Figures</h2>" + "".join(_figure_html(*figure) for figure in figures))

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from ablate.analysis.figure_style import FLOOR_COLOUR, MARKERS, PAGE_IN, colour_of, house_style, new_figure, save_figure
 from ablate.analysis.metric_facts import Better, Resimulation, facts_of
@@ -60,6 +61,9 @@ def _panel(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None) -
         label = f"paper, {name}: {anchor:.0f} ms, unknown GPU"
         axes.axvline(anchor, color="#999999", ls=style, lw=0.9, label=label)
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("median time, ms/frame")
     axes.set_ylabel(facts_of(metric).title)
 

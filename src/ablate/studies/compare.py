@@ -157,8 +157,10 @@ def _write(
     store, parent = open_tracking(settings)
     run = RunLog(store, parent)
     for path in (report, folder / "table.csv", folder / "table.tex", folder / "paired.csv", *(f for f, _ in figures)):
-        run.artifact(path)
+        run.artifact(path, "vector" if path.suffix == ".pdf" else None)
     run.tags(provenance)
+    shown = to_text(table[table["metric"].isin(_SCREEN)])
+    run.describe(f"```\n{shown}\n```\nThe whole report: Artifacts, `report.html`.")
     run.end(Status.finished)
 
 
@@ -196,7 +198,7 @@ def _runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]
     networks = means.drop(index=RESIMULATION, errors="ignore")
     metrics = [m for m in _TIMED if m in means.columns]
     rows = [
-        {"series": v, "setting": v, "ms": networks.loc[v, "ms_per_frame"], "metric": m, "error": networks.loc[v, m]}
+        {"series": v, "setting": "", "ms": networks.loc[v, "ms_per_frame"], "metric": m, "error": networks.loc[v, m]}
         for v in networks.index
         for m in metrics
     ]

@@ -152,6 +152,10 @@ class RunLog:
     def tags(self, values: Mapping[str, object]) -> None:
         self._client.log_batch(self.run_id, tags=[RunTag(k, str(v)) for k, v in values.items()])
 
+    def describe(self, markdown: str) -> None:
+        """The text on the run's first page."""
+        self.tags({"mlflow.note.content": markdown})
+
     def artifact(self, path: Path, folder: str | None = None) -> None:
         self._client.log_artifact(self.run_id, str(path), folder)
 
