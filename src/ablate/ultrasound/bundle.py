@@ -23,8 +23,6 @@ class Bundle:
     ----------
     starts, directions : (groups, 3) float64
         Of the scanlines: the element on the face, and where it looks.
-    start_inside : (groups, words) uint32
-        The structures that each element is inside of.
     origins, ray_directions : (groups * rays, 3) float32
     inside : (groups * rays, words) uint32
     rays : int
@@ -33,7 +31,6 @@ class Bundle:
 
     starts: np.ndarray
     directions: np.ndarray
-    start_inside: np.ndarray
     origins: np.ndarray
     ray_directions: np.ndarray
     inside: np.ndarray
@@ -93,7 +90,6 @@ def leave_probe(
     return Bundle(
         starts=starts,
         directions=directions,
-        start_inside=start_inside,
         origins=origins.astype(np.float32),
         ray_directions=rays.astype(np.float32),
         inside=inside,

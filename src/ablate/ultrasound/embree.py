@@ -53,7 +53,8 @@ class Geometry:
     Attributes
     ----------
     step_mm : float
-        How far a ray is put beyond a surface that it has crossed: some thirty times float32's spacing.
+        How far a ray is put beyond a surface that it has crossed: a few times float32's spacing. Smaller, and a
+        grazing ray meets a surface twice; larger, and it jumps over the second side of a corner that it clips.
 
     Raises
     ------
@@ -74,7 +75,7 @@ class Geometry:
             self._meshes.append(TriangleMesh(self._scene, vertices.astype(np.float32), faces))
         self._centre_mm = np.mean(bounds_mm, axis=0) - origin_mm
         self._radius_mm = float(np.linalg.norm(bounds_mm[1] - bounds_mm[0])) / 2
-        self.step_mm = 2e-6 * max(2 * self._radius_mm, extent_mm)
+        self.step_mm = 2e-7 * max(2 * self._radius_mm, extent_mm)
 
     def closest(self, origins: np.ndarray, directions: np.ndarray, reach_mm: np.ndarray) -> Hits:
         """The first surface within reach.
@@ -97,8 +98,8 @@ class Geometry:
         found = self._scene.run(origins, directions, dists=np.maximum(reach_mm, 0), query="INTERSECT", output=True)
         return Hits(found["tfar"], found["geomID"], found["primID"], found["Ng"])
 
-    def outside(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """How far back along a ray one must go to be outside every structure.
+    def through(self, points: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far back and how far ahead along a line everything ends.
 
         Parameters
         ----------
@@ -106,11 +107,13 @@ class Geometry:
 
         Returns
         -------
-        (n,) float64, mm
-            0 where going back never meets the scene's bounding sphere.
+        back, ahead : (n,) float64, mm, at least 0
+            To outside the scene's bounding sphere; 0 where that side never meets it.
         """
         from_centre = points - self._centre_mm
         towards = (from_centre * directions).sum(axis=-1)
         off_axis = (from_centre**2).sum(axis=-1) - towards**2
         chord = np.sqrt(np.maximum((1.01 * self._radius_mm) ** 2 - off_axis, 0.0))
-        return np.where(chord > 0, np.maximum(towards + chord + self.step_mm, 0.0), 0.0)
+        meets = chord > 0
+        back, ahead = towards + chord + self.step_mm, chord - towards + self.step_mm
+        return np.where(meets, np.maximum(back, 0), 0.0), np.where(meets, np.maximum(ahead, 0), 0.0)

@@ -7,7 +7,7 @@ import numpy as np
 from ablate.ultrasound.bundle import Bundle
 from ablate.ultrasound.embree import Geometry
 from ablate.ultrasound.media import Media
-from ablate.ultrasound.ownership import Crossings, carry, inside_at, nowhere, walk
+from ablate.ultrasound.ownership import Crossings, walk_lines
 from ablate.ultrasound.probe import pixel_coordinates_mm, scanlines_in_plane, to_world
 from ablate.ultrasound.settings import ConvexProbe, DepthMode, SimulatorSettings
 
@@ -111,19 +111,9 @@ def segment(
     top = np.stack([x, np.zeros_like(x), np.full_like(x, z[0])], axis=-1)
     starts = to_world(pose, top)
     directions = np.broadcast_to(pose[:3, 2], starts.shape)
-    back = geometry.outside(starts, directions)
-    length = back + (z[-1] - z[0]) + geometry.step_mm
-    inside = nowhere(len(x), len(tissue_of_owner) - 1)
-    crossings = walk(
-        geometry,
-        (starts - back[:, None] * directions).astype(np.float32),
-        np.ascontiguousarray(directions, np.float32),
-        length.astype(np.float32),
-        inside,
-    )
-    below_top = Crossings(crossings.row, crossings.distance_mm - back[crossings.row], crossings.owner)
+    crossings = walk_lines(geometry, starts, directions, len(tissue_of_owner) - 1)
     spacing = (z[-1] - z[0]) / max(shape[0] - 1, 1) or 1.0
-    owners = sample_owners(below_top, len(x), 0.0, spacing, shape[0])
+    owners = sample_owners(crossings, len(x), 0.0, spacing, shape[0])
     return np.ascontiguousarray(tissue_of_owner[owners].T)
 
 
@@ -137,11 +127,7 @@ def plane_labels(
     """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8."""
     starts, directions = (part[0] for part in scanlines_in_plane(probe, settings.scanlines, np.zeros(1)))
     starts, directions = to_world(pose, starts), directions @ pose[:3, :3].T
-    middle = np.broadcast_to(pose[:3, 3], starts.shape)
-    at_middle = np.repeat(inside_at(geometry, pose[:3, 3], len(tissue_of_owner) - 1), len(starts), axis=0)
-    inside = carry(geometry, at_middle, middle, starts)
-    length = np.full(len(starts), probe.depth_mm, np.float32)
-    crossings = walk(geometry, starts.astype(np.float32), directions.astype(np.float32), length, inside)
+    crossings = walk_lines(geometry, starts, directions, len(tissue_of_owner) - 1)
     spacing = probe.depth_mm / settings.axial_samples
     owners = sample_owners(crossings, len(starts), spacing / 2, spacing, settings.axial_samples)
     return tissue_of_owner[owners]
@@ -167,14 +153,7 @@ def sampled_lines(
     groups, samples = len(bundle.starts), settings.axial_samples
     spacing = probe.depth_mm / samples
     stretch = media.stretch[tissue_of_owner]
-    length = np.full(groups, probe.depth_mm / stretch.min(initial=1.0), np.float32)
-    crossings = walk(
-        geometry,
-        bundle.starts.astype(np.float32),
-        bundle.directions.astype(np.float32),
-        length,
-        bundle.start_inside.copy(),
-    )
+    crossings = walk_lines(geometry, bundle.starts, bundle.directions, len(tissue_of_owner) - 1)
     ranges = ((np.arange(samples) + 0.5) * spacing).astype(np.float32)
     if settings.depth_mode is DepthMode.time_of_flight:
         shown = displayed(crossings, stretch)
