@@ -139,6 +139,18 @@ def test_compare_rebuilds_from_disk_and_plan_tells_what_is_there(
     assert printed.count("missing") == 2
 
 
+def test_the_notebook_reads_the_study(finished: Path) -> None:
+    notebook = Path(__file__).parents[2] / "notebooks" / "table2.py"
+    environment = {**os.environ, "ABLATE_STUDY": str(finished / "quick-fetal")}
+    done = subprocess.run([sys.executable, notebook], env=environment, capture_output=True, text=True, check=True)
+    assert "re-simulation" in done.stdout
+    assert r"\toprule" in done.stdout
+    nowhere = {**os.environ, "ABLATE_STUDY": str(finished / "nowhere")}
+    missing = subprocess.run([sys.executable, notebook], env=nowhere, capture_output=True, text=True, check=False)
+    assert missing.returncode != 0
+    assert "make sweep" in missing.stderr
+
+
 @pytest.mark.slow
 def test_a_killed_sweep_is_finished_by_the_same_command(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "ablate", "-m", "variant=sa2h,sa2h-att", f"runs_dir={tmp_path}", *TINY]
