@@ -7,6 +7,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import torch
+
 from ablate.anatomy import validate_scene_folder
 from ablate.config import SceneKind, Task
 from ablate.networks import Family
@@ -40,6 +42,9 @@ def check(jobs: Sequence[Job]) -> None:
             )
         if s.model.family is Family.unet and s.training.crop % stride:
             raise ConfigurationError(f"training.crop={s.training.crop}: a multiple of {stride} for variant {job.label}")
+        for key, device in (("training", s.training.device), ("simulator", s.simulator.device)):
+            if device.startswith("cuda") and not torch.cuda.is_available():
+                raise ConfigurationError(f"{key}.device={device}: this machine has no usable GPU; allowed is cpu")
     _check_writable(jobs[0].settings.runs)
     if jobs[0].settings.task in (Task.study, Task.plan):
         for job in jobs:

@@ -159,7 +159,7 @@ def _compose(overrides: list[str], with_hydra: bool = False) -> DictConfig:
 def _explain(error: Exception) -> str:
     """Hydra's message on one line, with what is allowed where a key or a choice is unknown."""
     choice = re.search(
-        r"Could not find '(\w+)/(.+?)'\s+Available options in '\w+':(.*?)\n\s*Config search", str(error), re.S
+        r"Could not find '(.+)/([^/]+)'\s+Available options in '.+?':(.*?)\n\s*Config search", str(error), re.S
     )
     if choice:
         return f"{choice[1]}={choice[2]}: allowed are {', '.join(choice[3].split())}"

@@ -13,7 +13,7 @@ from ablate.studies.compare import compare_study
 from ablate.studies.data import Data, dataset_folder, dataset_hash, maps_needed, prepare_data
 from ablate.studies.identity import finished
 from ablate.studies.preflight import check
-from ablate.studies.sweep import Job
+from ablate.studies.sweep import ConfigurationError, Job
 from ablate.studies.tracked import open_tracking
 from ablate.studies.variants import describe as describe_variants
 
@@ -53,7 +53,10 @@ def _simulate_for(jobs: Sequence[Job]) -> list[Data]:
     sets: dict[str, list[Job]] = {}
     for job in jobs:
         sets.setdefault(dataset_hash(job.settings), []).append(job)
-    return [prepare_data(js[0].settings, maps_needed(j.settings.model for j in js)) for js in sets.values()]
+    try:
+        return [prepare_data(js[0].settings, maps_needed(j.settings.model for j in js)) for js in sets.values()]
+    except (ValueError, FileNotFoundError) as error:  # a mesh with a hole, more frames than poses, ...
+        raise ConfigurationError(str(error)) from error
 
 
 def _studies(jobs: Sequence[Job]) -> list[StudySettings]:
