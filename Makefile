@@ -40,4 +40,4 @@ ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
 	$(BIN)/mlflow ui --backend-store-uri sqlite:///runs/mlflow.db --host 127.0.0.1 --port 5000 --workers 1
 
 bench: $(STAMP) ## milliseconds of each stage of the simulator
-	$(BIN)/python -m ablate.ultrasound.benchmark
+	$(BIN)/python tests/benchmark_simulator.py
