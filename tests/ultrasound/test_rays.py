@@ -13,7 +13,8 @@ from ablate.ultrasound.draws import CHOICE, Draws, stratified
 from ablate.ultrasound.embree import Geometry
 from ablate.ultrasound.illumination import SILENCE_DB, illumination_db
 from ablate.ultrasound.plan import compile_scene
-from ablate.ultrasound.rays import Descent, Echoes, trace
+from ablate.ultrasound.rays import Descent, Echoes
+from ablate.ultrasound.transport import Surroundings, trace
 
 NODES = 151
 
@@ -25,7 +26,8 @@ def follow(
     geometry = Geometry(compiled.structures, np.array([[-400.0] * 3, [400.0] * 3]), np.zeros(3), 200.0)
     draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
     bundle = leave_probe(geometry, len(scene.structures), probe, settings, np.eye(4), draws)
-    return trace(geometry, compiled.media, compiled.tissue_of_owner, bundle, draws, probe.depth_mm, faintest_db)
+    around = Surroundings(geometry, compiled.media, compiled.tissue_of_owner, draws, probe.depth_mm, faintest_db)
+    return trace(around, bundle)
 
 
 def lit(descent: Descent, settings: SimulatorSettings) -> np.ndarray:

@@ -32,16 +32,16 @@ class Draws:
     groups : int
         Scanlines times layers.
     rays : int
-        Of each group.
+        Of each group; also an attribute.
     """
 
     def __init__(self, path_seed: int, groups: int, rays: int) -> None:
-        self._seed, self._groups, self._rays = path_seed, groups, rays
+        self._seed, self._groups, self.rays = path_seed, groups, rays
         self._table = np.empty((0, groups * rays, 6), np.float32)
 
     def aperture(self) -> np.ndarray:
         """Where in the aperture each ray starts, (2, groups, rays) float32 in [0, 1)."""
-        return stratified(self._generator(0), self._groups, self._rays, 2)
+        return stratified(self._generator(0), self._groups, self.rays, 2)
 
     def at(self, interfaces: np.ndarray, ray: np.ndarray) -> np.ndarray:
         """Draws of some rays at their next interface.
@@ -65,7 +65,7 @@ class Draws:
 
     def _row(self, number: int) -> np.ndarray:
         generator = self._generator(number + 1)
-        u = stratified(generator, self._groups, self._rays, 3).reshape(3, -1)
+        u = stratified(generator, self._groups, self.rays, 3).reshape(3, -1)
         row = np.empty((u.shape[1], 6), np.float32)
         angle = np.float32(2 * np.pi) * u[2]
         row[:, CHOICE] = u[0]

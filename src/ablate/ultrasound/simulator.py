@@ -21,11 +21,11 @@ from ablate.ultrasound.illumination import illumination_db, node_count
 from ablate.ultrasound.plan import compile_scene
 from ablate.ultrasound.point_spread import blur, layer_weights, point_spread
 from ablate.ultrasound.probe import check_pose
-from ablate.ultrasound.rays import trace
 from ablate.ultrasound.scan_conversion import ScanConverter
 from ablate.ultrasound.settings import ConvexProbe, Frame, SimulatorSettings
 from ablate.ultrasound.slices import plane_labels, sampled_lines, segment
 from ablate.ultrasound.speckle import LitLines, Speckle
+from ablate.ultrasound.transport import Surroundings, trace
 
 _SCENE_GRID_MM = 1000.0
 _CLUTTER_ROLL = (61, 1021)  # lines and samples between the noise of the display and that of clutter
@@ -171,9 +171,10 @@ class Simulator:
         bundle = leave_probe(self._geometry, len(scene.structures), probe, settings, self._local(pose), self._draws)
         loudest_tgc_db = 20 * math.log10(float(self._gain[-1]))
         faintest_db = settings.noise_floor_db - 20 - loudest_tgc_db + 20 * math.log10(settings.reference_level)
-        echoes, descent = trace(
-            self._geometry, scene.media, scene.tissue_of_owner, bundle, self._draws, probe.depth_mm, faintest_db
+        around = Surroundings(
+            self._geometry, scene.media, scene.tissue_of_owner, self._draws, probe.depth_mm, faintest_db
         )
+        echoes, descent = trace(around, bundle)
         where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
         nodes = node_count(settings.axial_samples)
