@@ -28,7 +28,9 @@ def main() -> None:
     per_angle = len(grid.tilts_deg) * len(grid.rolls_deg)
     place = grid.heights_mm.index(HEIGHT_MM) * len(grid.angles_deg) + grid.angles_deg.index(ANGLE_DEG)
     turn = grid.tilts_deg.index(TILT_DEG) * len(grid.rolls_deg) + grid.rolls_deg.index(ROLL_DEG)
-    frame = Simulator(scene, ConvexProbe(frequency_mhz=FREQUENCY_MHZ)).render(poses[place * per_angle + turn].probe_to_world)
+    frame = Simulator(scene, ConvexProbe(frequency_mhz=FREQUENCY_MHZ)).render(
+        poses[place * per_angle + turn].probe_to_world
+    )
     hues = np.arange(256) * 0.381966 % 1
     colours = hsv2rgb(np.stack([hues, np.full(256, 0.5), np.full(256, 0.85)], axis=-1))
     colours[0] = 0
