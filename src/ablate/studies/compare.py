@@ -27,7 +27,7 @@ from ablate.analysis import (
     write_report,
 )
 from ablate.config import StudySettings
-from ablate.dataset import open_pairs
+from ablate.studies.data import dataset_folder, open_data
 from ablate.studies.identity import read_result
 from ablate.studies.tracked import open_tracking
 from ablate.tracking import RunLog, Status, default_uri, git_state, hardware
@@ -66,6 +66,13 @@ def finished_runs(study_dir: Path) -> list[Finished]:
     return runs
 
 
+def _on_one_data_set(settings: StudySettings, runs: list[Finished]) -> list[Finished]:
+    """The runs on the data set of `settings`, or else on that of the first run."""
+    names = [str(run.result["data"]) for run in runs]
+    chosen = dataset_folder(settings).name
+    return [run for run, name in zip(runs, names, strict=True) if name == (chosen if chosen in names else names[0])]
+
+
 def compare_study(settings: StudySettings, rebuild: bool) -> str:
     """Compare the finished runs of a study, write everything beside them and onto the parent run.
 
@@ -81,7 +88,7 @@ def compare_study(settings: StudySettings, rebuild: bool) -> str:
         The comparison for the screen, with where to look next.
     """
     folder = settings.study_dir / "comparison"
-    runs = finished_runs(settings.study_dir)
+    runs = _on_one_data_set(settings, finished_runs(settings.study_dir))
     if not runs:
         return f"{settings.study_dir}: no finished run to compare"
     per_image, scalars = _tables(runs)
@@ -151,7 +158,7 @@ def _write(
         paired,
         claims=seed_claims(per_image, reference),
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
-        left_out=_left_out(runs),
+        left_out=[*open_data(_data_folder(settings, runs)).left_out, *_left_out(settings, runs)],
         provenance=provenance,
         reference=reference,
     )
@@ -214,7 +221,7 @@ def _pictures(settings: StudySettings, runs: list[Finished]) -> list[FramePictur
         chosen.setdefault(run.label, run)
     stored = {label: np.load(run.folder / "pictures.npz") for label, run in chosen.items()}
     numbers = next(iter(stored.values()))["frames"]
-    pairs = open_pairs(settings.runs / "data" / f"{settings.scene_name}-{runs[0].result['data']}")
+    pairs = open_data(_data_folder(settings, runs)).pairs
     maps = {name: pairs.read(name, numbers) for name in ("segmentation", "attenuation", "high", "high_again")}
     return [
         FramePictures(
@@ -229,7 +236,11 @@ def _pictures(settings: StudySettings, runs: list[Finished]) -> list[FramePictur
     ]
 
 
-def _left_out(runs: list[Finished]) -> list[str]:
+def _data_folder(settings: StudySettings, runs: list[Finished]) -> Path:
+    return settings.runs / "data" / str(runs[0].result["data"])
+
+
+def _left_out(settings: StudySettings, runs: list[Finished]) -> list[str]:
     """What this study did without, and why."""
     said = [
         "FID and KID: no Inception weights were given; fd_speckle and kd_speckle are the same distances on a "
@@ -237,4 +248,7 @@ def _left_out(runs: list[Finished]) -> list[str]:
     ]
     if not any(run.spec["settings"]["model"]["extra_input"] == "low" for run in runs):
         said.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
+    others = [run.label for run in finished_runs(settings.study_dir) if run.result["data"] != runs[0].result["data"]]
+    if others:
+        said.append(f"Runs on another data set, which cannot be compared frame by frame: {', '.join(others)}.")
     return said

@@ -37,16 +37,18 @@ from ablate.dataset import (
 )
 from ablate.networks import GeneratorSpec, conditions
 from ablate.ultrasound import SIMULATOR_VERSION, fan_mask
+from ablate.ultrasound.plan import compile_scene
 
 _INCIDENTAL_SIMULATOR = ("device", "plan")
 
 
 @dataclass(frozen=True)
 class Data:
-    """A data set on disk with the tissues behind its labels; no scene is loaded for it."""
+    """A data set on disk, the tissues behind its labels and what its plan left out; no scene is loaded for it."""
 
     pairs: Pairs
     tissues: tuple[Tissue, ...]
+    left_out: tuple[str, ...]
 
 
 def maps_needed(models: Iterable[GeneratorSpec]) -> frozenset[str]:
@@ -104,7 +106,7 @@ def prepare_data(settings: StudySettings, maps: frozenset[str]) -> Data:
     """Simulate what is missing of the study's pairs; returns at once when nothing is."""
     folder = dataset_folder(settings)
     if (folder / "about.json").exists():
-        data = open_data(settings)
+        data = open_data(folder)
         if not data.pairs.missing(maps):
             return data
     tqdm.write(f"Simulating pairs into {folder}")
@@ -115,33 +117,36 @@ def prepare_data(settings: StudySettings, maps: frozenset[str]) -> Data:
     sites = np.array([poses[i].site for i in picked])
     split = split_frames(sites, chosen.split, chosen.validation, chosen.test, chosen.seed)
     order = np.argsort(split, kind="stable")  # validation and test frames lie together: few shards hold both
+    chosen_poses = np.stack([poses[picked[i]].probe_to_world for i in order])
+    left_out = compile_scene(scene, settings.probe, settings.simulator, chosen_poses).left_out
+    for line in left_out:
+        tqdm.write(f"left out: {line}")
     pairs = create_pairs(
         folder,
-        np.stack([poses[picked[i]].probe_to_world for i in order]),
+        chosen_poses,
         sites[order],
         split[order],
         fan_mask(settings.probe, settings.simulator.image_shape),
         chosen.shard,
         [t.name for t in scene.tissues],
-        {**_about(settings), "tissues": [plain(t) for t in scene.tissues]},
+        {**_about(settings), "tissues": [plain(t) for t in scene.tissues], "left_out": left_out},
     )
     recipe = Recipe(scene, settings.probe, settings.simulator, chosen.seed)
     todo = sum(len(pairs.frames_of_shard(s)) for s in pairs.missing(maps))
     with tqdm(total=todo, unit="frame", desc="simulate", mininterval=1.0) as bar:
         simulate_pairs(recipe, pairs, maps, chosen.workers, bar.update)
     write_contact_sheet(pairs, folder / "contact_sheet.png")
-    return open_data(settings)
+    return open_data(folder)
 
 
-def open_data(settings: StudySettings) -> Data:
-    """The study's data set as it lies on disk.
+def open_data(folder: Path) -> Data:
+    """A data set as it lies on disk.
 
     Raises
     ------
     FileNotFoundError
         When it has not been simulated.
     """
-    folder = dataset_folder(settings)
     pairs = open_pairs(folder)
     about = json.loads((folder / "about.json").read_text())
-    return Data(pairs, tuple(build(Tissue, t) for t in about["tissues"]))
+    return Data(pairs, tuple(build(Tissue, t) for t in about["tissues"]), tuple(about["left_out"]))

@@ -15,7 +15,7 @@ from torch import Tensor
 from ablate.dataset import Crops, CropSettings, Part, crop_loader, label_values
 from ablate.metrics import psnr
 from ablate.networks import Generator, count_discriminator, count_generator, draws_noise
-from ablate.studies.data import Data, dataset_hash, maps_needed, prepare_data
+from ablate.studies.data import Data, dataset_folder, maps_needed, prepare_data
 from ablate.studies.evaluate import Evaluation, Render, evaluate, resimulated
 from ablate.studies.identity import claim_place, config_hash, finished, write_json
 from ablate.studies.sweep import Job
@@ -148,7 +148,7 @@ def _write(
     scalars["parameters_discriminator"] = float(count_discriminator(s.model))
     run.metrics(scalars, step=s.training.steps * s.training.batch_size)
     run.artifact(job.folder / "per_image.parquet")
-    result = {"hash": config_hash(s), "label": job.label, "seed": s.seed, "data": dataset_hash(s)}
+    result = {"hash": config_hash(s), "label": job.label, "seed": s.seed, "data": dataset_folder(s).name}
     write_json(job.folder / "result.json", {**result, "scalars": scalars, "mlflow_run_id": run.run_id})
 
 
