@@ -180,3 +180,19 @@ def test_a_flat_disc_of_needle_triangles_is_survived(gel, tissue, probe, one_lin
     _, descent = follow(Scene((Structure(mesh, tissue),), gel, "s"), probe, one_line)
     expected = 10 ** (-2 * 0.5 * 3.0 * 1.0 / 20)
     assert lit(descent, one_line)[0, 100] == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_ray_along_a_surface_takes_few_steps(gel, tissue, probe, one_line, monkeypatch) -> None:
+    """It meets the same triangles again and again; steps of a fixed small length would take a million."""
+    mesh = trimesh.creation.box((100.0, 100.0, 400.0))
+    mesh.apply_translation((50.0, 0, 100.0))  # its side is the plane x = 0, which the line lies in
+    casts = []
+    closest = Geometry.closest
+
+    def counted(self: Geometry, *rays: np.ndarray) -> object:
+        casts.append(1)
+        return closest(self, *rays)
+
+    monkeypatch.setattr(Geometry, "closest", counted)
+    follow(Scene((Structure(mesh, replace(tissue, impedance_mrayl=3.0)),), gel, "s"), probe, one_line)
+    assert len(casts) < 500

@@ -53,6 +53,15 @@ def owner(inside: np.ndarray) -> np.ndarray:
     return last.astype(np.int32, copy=False)
 
 
+def next_step(step_mm: np.ndarray, fresh: np.ndarray, geometry: Geometry) -> np.ndarray:
+    """How far to go beyond a surface just met, (n,) float32, mm.
+
+    Twice as far each time that the same triangle is met again: a ray that runs along it would take it in steps
+    of a tenth of a micrometre.
+    """
+    return np.where(fresh, np.float32(geometry.step_mm), np.maximum(2 * step_mm, np.float32(geometry.step_mm)))
+
+
 def walk(
     geometry: Geometry, origins: np.ndarray, directions: np.ndarray, length_mm: np.ndarray, inside: np.ndarray
 ) -> Crossings:
@@ -75,7 +84,7 @@ def walk(
     here = owner(inside)
     rows, distances, owners = [active], [distance], [here]
     triangle = np.full((2, len(origins)), -1, np.int32)
-    step = np.float32(geometry.step_mm)
+    step = np.full(len(origins), geometry.step_mm, np.float32)
     while active.size:
         hits = geometry.closest(origins, directions, length_mm - distance)
         found = np.flatnonzero(hits.structure >= 0)
@@ -84,6 +93,7 @@ def walk(
         here, distance = here[found], distance[found] + hits.distance_mm
         again = (hits.structure == triangle[0]) & (hits.triangle == triangle[1])  # a plane is met only once
         crossed = np.flatnonzero(~again)
+        step = next_step(step[found], ~again, geometry)
         chosen = active[crossed]
         inside[chosen] = after = toggle(inside[chosen], hits.structure[crossed])
         there = here.copy()

@@ -36,6 +36,8 @@ class Rays:
         How many it has met, and how many turned it back.
     structure, triangle : (n,) int32
         Of the last surface.
+    step_mm : (n,) float32
+        How far beyond it the ray goes before it looks for the next; that length is part of its way.
     """
 
     number: np.ndarray
@@ -51,6 +53,7 @@ class Rays:
     reflections: np.ndarray
     structure: np.ndarray
     triangle: np.ndarray
+    step_mm: np.ndarray
 
     def take(self, chosen: np.ndarray) -> Rays:
         """Copies of some rays, by index or mask."""
@@ -138,6 +141,7 @@ def start_rays(bundle: Bundle, tissue_of_owner: np.ndarray) -> Rays:
         reflections=filled(0, np.int32),
         structure=filled(-1, np.int32),
         triangle=filled(-1, np.int32),
+        step_mm=filled(0, np.float32),
     )
 
 

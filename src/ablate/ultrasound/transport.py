@@ -26,7 +26,7 @@ from ablate.ultrasound.interfaces import (
     transmission_cosine,
 )
 from ablate.ultrasound.media import Media
-from ablate.ultrasound.ownership import owner, toggle
+from ablate.ultrasound.ownership import next_step, owner, toggle
 from ablate.ultrasound.rays import Descent, Echoes, Rays, piece, start_rays
 
 Record = TypeVar("Record", Echoes, Descent)
@@ -84,17 +84,17 @@ def trace(around: Surroundings, bundle: Bundle) -> tuple[Echoes, Descent]:
     elements = bundle.starts.astype(np.float32)
     rays = start_rays(bundle, around.tissue_of_owner)
     echoes, descent = [_no_echoes()], [piece(rays, media)]
-    step = np.float32(0)  # beyond the surface just met; its length is part of the way
     while rays.number.size:
         ways = np.where(rays.reflections > 0, np.float32(2), np.float32(1))  # a turned ray goes down and up again
         left_mm = (ways * np.float32(around.depth_mm) - rays.shown_mm) / media.stretch[rays.medium]
-        hits = around.geometry.closest(rays.origin + step * rays.direction, rays.direction, left_mm)
+        beyond = rays.origin + rays.step_mm[:, None] * rays.direction
+        hits = around.geometry.closest(beyond, rays.direction, left_mm)
         found = np.flatnonzero(hits.structure >= 0)
         rays, hits = rays.take(found), hits.take(found)
-        rays.advance(hits.distance_mm + step, media)
-        step = np.float32(around.geometry.step_mm)
+        rays.advance(hits.distance_mm + rays.step_mm, media)
         fresh = (hits.structure != rays.structure) | (hits.triangle != rays.triangle)  # a plane is met only once
         rays.structure, rays.triangle = hits.structure, hits.triangle
+        rays.step_mm = next_step(rays.step_mm, fresh, around.geometry)
         inside = np.where(fresh[:, None], toggle(rays.inside, hits.structure), rays.inside)
         medium = np.where(fresh, around.tissue_of_owner[owner(inside)], rays.medium)
         met = media.differs[rays.medium, medium]
