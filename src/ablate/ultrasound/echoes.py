@@ -12,8 +12,8 @@ from torch.nn import functional as F
 from ablate.ultrasound.rays import Echoes
 
 #: Echoes of reflected rays are few and out of focus: they are spread over these standard deviations.
-_CLUTTER_LINES = 2.5
-_CLUTTER_MM = 1.0
+_CLUTTER_LINES = 6.0
+_CLUTTER_MM = 2.0
 _CLUTTER_CELLS_PER_SIGMA = 2.0
 
 

@@ -92,7 +92,7 @@ class SimulatorSettings:
     tgc_db_cm_mhz: float = 0.4
     noise_floor_db: float = -55.0
     dynamic_range_db: float = 60.0
-    reference_level: float = 1.0
+    reference_level: float = 0.2
     axial_fwhm_mm: float = 0.30
     lateral_fwhm_mm: float = 0.8
     elevational_fwhm_mm: float = 2.5
@@ -102,7 +102,7 @@ class SimulatorSettings:
     elevational_aperture_mm: float = 2.0
     layer_extent_mm: float = 1.5
     scatterer_pitch_mm: float = 0.1
-    scatterer_level_db: float = -30.0
+    scatterer_level_db: float = -44.0
     depth_mode: DepthMode = DepthMode.geometric
     plan: Plan = Plan.auto
     precision: Precision = Precision.float32
