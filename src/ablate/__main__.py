@@ -9,20 +9,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from ablate.config import Task, register
-from ablate.studies.sweep import ConfigurationError, configuration_dir, job_from_hydra, jobs_of
-
-_HYDRAS_OWN = {
-    "--help",
-    "-h",
-    "--hydra-help",
-    "--version",
-    "--cfg",
-    "-c",
-    "--info",
-    "-i",
-    "--shell-completion",
-    "-sc",
-}
+from ablate.studies.sweep import ConfigurationError, asks_hydra, configuration_dir, job_from_hydra, jobs_of
 
 
 def main() -> None:
@@ -30,7 +17,7 @@ def main() -> None:
     multirun = {"-m", "--multirun"} & set(sys.argv[1:])
     if multirun:  # argparse takes it in front of the overrides only; people write it anywhere
         sys.argv[1:] = ["--multirun", *(a for a in sys.argv[1:] if a not in multirun)]
-    if _HYDRAS_OWN & set(sys.argv[1:]):
+    if asks_hydra(sys.argv[1:]):
         _launch()
         return
     try:
@@ -40,7 +27,8 @@ def main() -> None:
 
         code = tasks.study(jobs, _launch) if task is Task.study else tasks.TASKS[task](jobs)
     except ConfigurationError as error:
-        sys.exit(f"ablate: {error}")
+        print(f"ablate: {error}", file=sys.stderr)
+        sys.exit(2)
     except KeyboardInterrupt:
         sys.exit("ablate: interrupted; the same command continues where it stopped")
     sys.exit(code)

@@ -41,6 +41,12 @@ class SceneKind(StrEnum):
     folder = "folder"
 
 
+def _at_least(group: str, values: object, **least: int) -> None:
+    for name, low in least.items():
+        if getattr(values, name) < low:
+            raise ValueError(f"{group}.{name}={getattr(values, name)}: allowed are {low} and more")
+
+
 @dataclass(frozen=True)
 class SceneSettings:
     """Which anatomy.
@@ -72,6 +78,17 @@ class DatasetSettings:
     shard: int = 16
     workers: int = 0
 
+    def __post_init__(self) -> None:
+        _at_least("dataset", self, frames=1, seed=0, shard=1, workers=0)
+        if self.grid is not None and (len(self.grid) != 4 or min(self.grid) < 1):
+            raise ValueError(
+                f"dataset.grid={list(self.grid)}: four counts of at least 1 (heights, angles, tilts, rolls)"
+            )
+        if not (self.validation > 0 and self.test > 0 and self.validation + self.test < 1):
+            raise ValueError(
+                f"dataset.validation={self.validation}, dataset.test={self.test}: each above 0, together below 1"
+            )
+
 
 @dataclass(frozen=True)
 class CropChoice:
@@ -90,6 +107,9 @@ class EvaluationSettings:
     noise_frames: int = 10
     pictures: int = 4
     timed_frames: int = 20
+
+    def __post_init__(self) -> None:
+        _at_least("evaluation", self, noise_draws=2, noise_frames=1, pictures=1, timed_frames=1)
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,7 @@ def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, incidental: str
         "scene.anatomy_seed=3",
         "crops.flip=false",
         "training.precision=fp32",
+        "evaluation.noise_draws=5",
     ],
 )
 def test_what_decides_the_result_counts(tmp_path: Path, semantic: str) -> None:
@@ -60,6 +61,18 @@ def test_another_configuration_in_the_same_place_is_refused_with_the_difference(
     claim_place(job(tmp_path, "training.threads=2"))
     with pytest.raises(ConfigurationError, match=r"training\.steps: \d+ there, 7 here.*study_name"):
         claim_place(job(tmp_path, "training.steps=7"))
+
+
+def test_a_study_is_one_configuration_but_for_what_its_labels_say(tmp_path: Path) -> None:
+    claim_place(job(tmp_path))
+    claim_place(job(tmp_path, "variant=nsa2h", "seed=3"))
+    claim_place(job(tmp_path, "variant=sa2h-att", "encoding=arbitrary", "model.noise=none"))
+    with pytest.raises(ConfigurationError, match=r"training\.steps: \d+ there, 7 here"):
+        claim_place(job(tmp_path, "variant=lsa2h", "training.steps=7"))
+    with pytest.raises(ConfigurationError, match=r"data\.dataset\.frames: \d+ there, 99 here"):
+        claim_place(job(tmp_path, "variant=lsa2h", "dataset.frames=99"))
+    with pytest.raises(ConfigurationError, match=r"model\.width: 0\.25 there, 0\.5 here"):
+        claim_place(job(tmp_path, "variant=lsa2h", "model.width=0.5"))
 
 
 def test_only_the_result_of_this_configuration_counts_as_finished(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pandas as pd
@@ -57,10 +58,19 @@ def state(runs: Path) -> dict[str, float]:
     return made | {str(p): p.stat().st_mtime for p in runs.glob("data/*/pairs.zarr/*/c/*/0/0")}
 
 
+def command(runs: Path, *more: str) -> list[str]:
+    sweep_of_two = ["-m", "variant=sa2h,sa2h-att", "hydra/launcher=joblib", f"runs_dir={runs}"]
+    return [sys.executable, "-m", "ablate", *sweep_of_two, *TINY, *more]
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study made by the command that README names, two jobs at a time."""
     runs = tmp_path_factory.mktemp("runs")
-    assert study(sweep(runs)) == 0
+    done = subprocess.run(command(runs), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for said in ("re-simulation", "sa2h-att", "report.html", "mlflow ui"):
+        assert said in done.stdout
     return runs
 
 
@@ -151,26 +161,59 @@ def test_the_notebook_reads_the_study(finished: Path) -> None:
     assert "make sweep" in missing.stderr
 
 
+def wait_for(condition: Callable[[], object], process: subprocess.Popen[bytes]) -> None:
+    deadline = time.monotonic() + 180
+    while not condition() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+
+
+def start(*arguments: str) -> subprocess.Popen[bytes]:
+    quiet = subprocess.DEVNULL
+    return subprocess.Popen(arguments, start_new_session=True, stderr=quiet, stdout=quiet)
+
+
 @pytest.mark.slow
 def test_a_killed_sweep_is_finished_by_the_same_command(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "ablate", "-m", "variant=sa2h,sa2h-att", f"runs_dir={tmp_path}", *TINY]
-    command += ["training.steps=60"]
-    first = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-    place = tmp_path / "quick-fetal" / "sa2h" / "seed0"
-    deadline = time.monotonic() + 120
-    while not (place / "last.ckpt").exists() and first.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.05)
+    """Killed while simulating, with all its processes; then while training, the parent alone."""
+    again = command(tmp_path, "training.steps=80", "dataset.frames=12")
+
+    def shards() -> dict[Path, float]:
+        return {p: p.stat().st_mtime for p in tmp_path.glob("data/*/pairs.zarr/high/c/*/0/0")}
+
+    first = start(*again)
+    wait_for(lambda: shards(), first)
     os.killpg(first.pid, signal.SIGKILL)
     first.wait()
-    assert (place / "last.ckpt").exists()
+    simulated = shards()
+    assert 0 < len(simulated) < 4
+
+    place = tmp_path / "quick-fetal" / "sa2h" / "seed0"
+    second = start(*again)
+    wait_for(lambda: (place / "last.ckpt").exists(), second)
+    os.kill(second.pid, signal.SIGKILL)
+    second.wait()
     assert not (place / "result.json").exists()
-    simulated = {p: p.stat().st_mtime for p in tmp_path.glob("data/*/pairs.zarr/*/c/*/0/0")}
-    assert simulated
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    done = subprocess.run(again, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert {p: p.stat().st_mtime for p in simulated} == simulated
+    assert {p: m for p, m in shards().items() if p in simulated} == simulated
+    results = [json.loads(p.read_text()) for p in tmp_path.glob("quick-fetal/*/seed0/result.json")]
+    assert len(results) == 2
     client = MlflowClient(default_uri(tmp_path))
     (experiment,) = [e for e in client.search_experiments() if e.name == "ablate"]
-    names = sorted(r.info.run_name or "" for r in client.search_runs([experiment.experiment_id]))
-    assert names == ["quick-fetal", "sa2h-att/seed0", "sa2h/seed0"]
-    assert json.loads((place / "result.json").read_text())["scalars"]["test/psnr"] > 0
+    runs = client.search_runs([experiment.experiment_id])
+    assert sorted(r.info.run_name or "" for r in runs) == ["quick-fetal", "sa2h-att/seed0", "sa2h/seed0"]
+    assert {r.info.status for r in runs} == {"FINISHED"}
+
+
+@pytest.mark.slow
+def test_a_run_killed_in_training_is_resumed(tmp_path: Path) -> None:
+    alone = [sys.executable, "-m", "ablate", f"runs_dir={tmp_path}", *TINY, "training.steps=80"]
+    place = tmp_path / "quick-fetal" / "sa2h" / "seed0"
+    first = start(*alone)
+    wait_for(lambda: (place / "last.ckpt").exists(), first)
+    os.killpg(first.pid, signal.SIGKILL)
+    first.wait()
+    done = subprocess.run(alone, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads((place / "result.json").read_text())["scalars"]["train/resumed_at"] >= 2

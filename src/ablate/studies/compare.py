@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,9 @@ from ablate.analysis import (
     write_report,
 )
 from ablate.config import StudySettings
-from ablate.studies.data import dataset_folder, open_data
-from ablate.studies.identity import read_result
+from ablate.studies.data import open_data
+from ablate.studies.identity import read_result, write_json
+from ablate.studies.sweep import ConfigurationError
 from ablate.studies.tracked import open_tracking
 from ablate.tracking import RunLog, Status, default_uri, git_state, hardware
 
@@ -66,34 +68,37 @@ def finished_runs(study_dir: Path) -> list[Finished]:
     return runs
 
 
-def _on_one_data_set(settings: StudySettings, runs: list[Finished]) -> list[Finished]:
-    """The runs on the data set of `settings`, or else on that of the first run."""
-    names = [str(run.result["data"]) for run in runs]
-    chosen = dataset_folder(settings).name
-    return [run for run, name in zip(runs, names, strict=True) if name == (chosen if chosen in names else names[0])]
-
-
-def compare_study(settings: StudySettings, rebuild: bool) -> str:
+def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
     """Compare the finished runs of a study, write everything beside them and onto the parent run.
+
+    What is there already is taken when it was made from the same runs, unless `rebuild` asks for it anew.
 
     Parameters
     ----------
     settings : StudySettings
     rebuild : bool
-        False takes the tables and figures of the last time when they are there.
 
     Returns
     -------
     str
         The comparison for the screen, with where to look next.
+
+    Raises
+    ------
+    ConfigurationError
+        When the study has no finished run.
     """
     folder = settings.study_dir / "comparison"
-    runs = _on_one_data_set(settings, finished_runs(settings.study_dir))
+    runs = finished_runs(settings.study_dir)
     if not runs:
-        return f"{settings.study_dir}: no finished run to compare"
+        raise ConfigurationError(f"{settings.study_dir} holds no finished run to compare")
     per_image, scalars = _tables(runs)
-    if rebuild or not (folder / "report.html").exists():
+    made_from = {"runs": [run.result["hash"] for run in runs], "reference": settings.reference}
+    marker = folder / "made_from.json"
+    if rebuild or not marker.exists() or json.loads(marker.read_text()) != made_from:
+        shutil.rmtree(folder, ignore_errors=True)
         _write(settings, runs, per_image, scalars, folder)
+        write_json(marker, made_from)
     table = comparison_table(per_image, scalars, settings.reference)
     warnings = "\n".join(f"Note: {c}" for c in cautions(per_image, settings.reference))
     uri = settings.tracking.uri or default_uri(settings.runs)
@@ -158,7 +163,7 @@ def _write(
         paired,
         claims=seed_claims(per_image, reference),
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
-        left_out=[*open_data(_data_folder(settings, runs)).left_out, *_left_out(settings, runs)],
+        left_out=[*open_data(_data_folder(settings, runs)).left_out, *_left_out(runs)],
         provenance=provenance,
         reference=reference,
     )
@@ -219,15 +224,15 @@ def _pictures(settings: StudySettings, runs: list[Finished]) -> list[FramePictur
     chosen: dict[str, Finished] = {}
     for run in sorted(runs, key=lambda r: (r.label != settings.reference, r.label, r.seed)):
         chosen.setdefault(run.label, run)
-    stored = {label: np.load(run.folder / "pictures.npz") for label, run in chosen.items()}
-    numbers = next(iter(stored.values()))["frames"]
+    stored = {label: _stored_pictures(run) for label, run in chosen.items()}
+    numbers = sorted(set.intersection(*(set(images) for images in stored.values())))
     pairs = open_data(_data_folder(settings, runs)).pairs
     maps = {name: pairs.read(name, numbers) for name in ("segmentation", "attenuation", "high", "high_again")}
     return [
         FramePictures(
             name=f"frame {number}",
             target=maps["high"][k],
-            predictions={RESIMULATION: maps["high_again"][k], **{v: s["images"][k] for v, s in stored.items()}},
+            predictions={RESIMULATION: maps["high_again"][k], **{v: s[number] for v, s in stored.items()}},
             mask=pairs.mask(),
             segmentation=maps["segmentation"][k],
             attenuation=maps["attenuation"][k],
@@ -236,11 +241,17 @@ def _pictures(settings: StudySettings, runs: list[Finished]) -> list[FramePictur
     ]
 
 
+def _stored_pictures(run: Finished) -> dict[int, np.ndarray]:
+    """The frames that a run kept, by their number in the data set."""
+    with np.load(run.folder / "pictures.npz") as kept:
+        return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
+
+
 def _data_folder(settings: StudySettings, runs: list[Finished]) -> Path:
     return settings.runs / "data" / str(runs[0].result["data"])
 
 
-def _left_out(settings: StudySettings, runs: list[Finished]) -> list[str]:
+def _left_out(runs: list[Finished]) -> list[str]:
     """What this study did without, and why."""
     said = [
         "FID and KID: no Inception weights were given; fd_speckle and kd_speckle are the same distances on a "
@@ -248,7 +259,4 @@ def _left_out(settings: StudySettings, runs: list[Finished]) -> list[str]:
     ]
     if not any(run.spec["settings"]["model"]["extra_input"] == "low" for run in runs):
         said.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
-    others = [run.label for run in finished_runs(settings.study_dir) if run.result["data"] != runs[0].result["data"]]
-    if others:
-        said.append(f"Runs on another data set, which cannot be compared frame by frame: {', '.join(others)}.")
     return said

@@ -21,6 +21,7 @@ from ablate.anatomy import (
     fetal_sites,
     load_scene,
     load_sites,
+    validate_scene_folder,
 )
 from ablate.config import SceneKind, StudySettings, build, plain
 from ablate.dataset import (
@@ -59,14 +60,15 @@ def maps_needed(models: Iterable[GeneratorSpec]) -> frozenset[str]:
 
 def dataset_hash(settings: StudySettings) -> str:
     """Hash over scene, probe, simulator settings and version, sites, split and seed."""
-    return hashlib.sha256(json.dumps(_about(settings), sort_keys=True).encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps(about_data(settings), sort_keys=True).encode()).hexdigest()[:16]
 
 
 def dataset_folder(settings: StudySettings) -> Path:
     return settings.runs / "data" / f"{settings.scene_name}-{dataset_hash(settings)}"
 
 
-def _about(settings: StudySettings) -> dict[str, Any]:
+def about_data(settings: StudySettings) -> dict[str, Any]:
+    """What every pair of the data set is made from, fit for JSON."""
     chosen = plain(settings.dataset)
     return {
         "scene": _scene_identity(settings),
@@ -86,10 +88,10 @@ def _scene_identity(settings: StudySettings) -> dict[str, Any]:
             "seed": scene.anatomy_seed,
             "version": ANATOMY_VERSION,
         }
+    folder = Path(scene.folder or "")
     digest = hashlib.sha256()
-    for path in sorted(Path(scene.folder or "").iterdir()):
-        if path.suffix.lower() in {".yaml", ".obj", ".stl", ".ply", ".off", ".glb"}:
-            digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    for path in (folder / "scene.yaml", *(mesh for mesh, _ in validate_scene_folder(folder).meshes)):
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
     return {"kind": "folder", "files": digest.hexdigest(), "version": ANATOMY_VERSION}
 
 
@@ -108,6 +110,7 @@ def prepare_data(settings: StudySettings, maps: frozenset[str]) -> Data:
     if (folder / "about.json").exists():
         data = open_data(folder)
         if not data.pairs.missing(maps):
+            _show(data.pairs)
             return data
     tqdm.write(f"Simulating pairs into {folder}")
     scene, grid = build_scene(settings)
@@ -129,14 +132,21 @@ def prepare_data(settings: StudySettings, maps: frozenset[str]) -> Data:
         fan_mask(settings.probe, settings.simulator.image_shape),
         chosen.shard,
         [t.name for t in scene.tissues],
-        {**_about(settings), "tissues": [plain(t) for t in scene.tissues], "left_out": left_out},
+        {**about_data(settings), "tissues": [plain(t) for t in scene.tissues], "left_out": left_out},
     )
     recipe = Recipe(scene, settings.probe, settings.simulator, chosen.seed)
     todo = sum(len(pairs.frames_of_shard(s)) for s in pairs.missing(maps))
     with tqdm(total=todo, unit="frame", desc="simulate", mininterval=1.0) as bar:
         simulate_pairs(recipe, pairs, maps, chosen.workers, bar.update)
-    write_contact_sheet(pairs, folder / "contact_sheet.png")
+    _show(pairs)
     return open_data(folder)
+
+
+def _show(pairs: Pairs) -> None:
+    """The picture of a data set, where it is not there yet."""
+    picture = pairs.folder / "contact_sheet.png"
+    if not picture.exists():
+        write_contact_sheet(pairs, picture)
 
 
 def open_data(folder: Path) -> Data:

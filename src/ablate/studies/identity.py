@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ablate.config import StudySettings, plain
-from ablate.studies.data import dataset_hash
+from ablate.studies.data import about_data
 from ablate.studies.sweep import ConfigurationError, Job
 
 # Where a job runs, how often it saves and what it is called do not change what comes out.
@@ -22,14 +22,26 @@ def semantic(settings: StudySettings) -> dict[str, Any]:
     encoding: dict[str, Any] = {"order": settings.encoding.name}
     if settings.encoding.name == "arbitrary":
         encoding["seed"] = settings.encoding_seed
+    scored = {k: v for k, v in plain(settings.evaluation).items() if k != "pictures"}
     return {
-        "data": dataset_hash(settings),
+        "data": about_data(settings),
         "encoding": encoding,
         "model": plain(settings.model),
         "training": training,
+        "evaluation": scored,
         "crops": {k: v for k, v in plain(settings.crops).items() if k != "workers"},
         "seed": settings.seed,
     }
+
+
+def shared(content: Mapping[str, Any]) -> dict[str, Any]:
+    """What all runs of a study have in common: `semantic` without what a run is labelled with.
+
+    Two variants are comparable only if they were trained alike on the same pairs.
+    """
+    training = {k: v for k, v in content["training"].items() if k != "seed"}
+    rest = {k: content[k] for k in ("data", "crops", "evaluation")}
+    return {**rest, "model.width": content["model"]["width"], "training": training}
 
 
 def config_hash(settings: StudySettings) -> str:
@@ -43,22 +55,22 @@ def digest(value: Any) -> str:
 
 
 def check_place(job: Job) -> None:
-    """Refuse a run directory that holds another configuration.
+    """Refuse a run directory, or a study, that holds another configuration.
 
     Raises
     ------
     ConfigurationError
         Naming the keys that differ, each with its value there and here.
     """
-    spec = job.folder / "spec.json"
-    if not spec.exists():
-        return
-    there, here = json.loads(spec.read_text())["semantic"], semantic(job.settings)
-    if there != here:
-        differences = ", ".join(f"{k}: {a} there, {b} here" for k, a, b in _differences(there, here))
-        raise ConfigurationError(
-            f"{job.folder} holds another configuration ({differences}); give this one a place with study_name=..."
-        )
+    here = semantic(job.settings)
+    for spec in sorted(job.settings.study_dir.glob("*/seed*/spec.json")):
+        there = json.loads(spec.read_text())["semantic"]
+        pair = (there, here) if spec.parent == job.folder else (shared(there), shared(here))
+        differences = ", ".join(f"{k}: {a} there, {b} here" for k, a, b in _differences(*pair))
+        if differences:
+            raise ConfigurationError(
+                f"{spec.parent} holds another configuration ({differences}); give this one a place with study_name=..."
+            )
 
 
 def claim_place(job: Job) -> None:

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
-from ablate.anatomy import validate_scene_folder
-from ablate.config import SceneKind, Task
-from ablate.networks import Family
+from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
+from ablate.config import SceneKind, StudySettings, Task
+from ablate.dataset import resample_grid
 from ablate.studies.identity import check_place
 from ablate.studies.sweep import ConfigurationError, Job
+from ablate.studies.variants import variant_names
 
 
 def check(jobs: Sequence[Job]) -> None:
-    """Check every job of a sweep against the files and folders it will meet.
+    """Check every job of a sweep against the files, folders and devices it will meet.
 
     Raises
     ------
@@ -25,30 +27,59 @@ def check(jobs: Sequence[Job]) -> None:
         One line that names the key or file and what is allowed.
     """
     for job in jobs:
-        s = job.settings
-        if s.scene.kind is SceneKind.folder:
-            if not s.scene.folder:
-                raise ConfigurationError("scene=folder needs scene.folder=path/to/folder")
-            try:
-                validate_scene_folder(Path(s.scene.folder))
-            except (ValueError, OSError) as error:
-                raise ConfigurationError(str(error)) from error
-        if s.dataset.frames < 1:
-            raise ConfigurationError(f"dataset.frames={s.dataset.frames}: at least 1")
-        stride = 2**s.model.depth
-        if s.training.crop < stride:
-            raise ConfigurationError(
-                f"training.crop={s.training.crop}: at least 2^model.depth = {stride} for variant {job.label}"
-            )
-        if s.model.family is Family.unet and s.training.crop % stride:
-            raise ConfigurationError(f"training.crop={s.training.crop}: a multiple of {stride} for variant {job.label}")
-        for key, device in (("training", s.training.device), ("simulator", s.simulator.device)):
-            if device.startswith("cuda") and not torch.cuda.is_available():
-                raise ConfigurationError(f"{key}.device={device}: this machine has no usable GPU; allowed is cpu")
-    _check_writable(jobs[0].settings.runs)
-    if jobs[0].settings.task in (Task.study, Task.plan):
+        _check_data(job.settings)
+        _check_training(job)
+    starts = jobs[0].settings.task in (Task.study, Task.simulate)
+    if starts:
+        _check_writable(jobs[0].settings.runs)
+    if starts or jobs[0].settings.task is Task.plan:
         for job in jobs:
             check_place(job)
+
+
+def _check_data(s: StudySettings) -> None:
+    sites: SiteGrid | None = fetal_sites()
+    if s.scene.kind is SceneKind.folder:
+        if not s.scene.folder:
+            raise ConfigurationError("scene=folder needs scene.folder=path/to/folder")
+        try:
+            sites = validate_scene_folder(Path(s.scene.folder)).sites
+        except (ValueError, OSError) as error:
+            raise ConfigurationError(str(error)) from error
+        if sites is None:
+            raise ConfigurationError(f"{s.scene.folder}/scene.yaml has no `sites`: where to put the probe")
+    assert sites is not None
+    grid = resample_grid(sites, s.dataset.grid)
+    poses = len(grid.heights_mm) * len(grid.angles_deg) * len(grid.tilts_deg) * len(grid.rolls_deg)
+    if s.dataset.frames > poses:
+        raise ConfigurationError(
+            f"dataset.frames={s.dataset.frames}: at most {poses}, the poses of the probe sites; "
+            "more of them: dataset.grid=[heights,angles,tilts,rolls]"
+        )
+
+
+def _check_training(job: Job) -> None:
+    s = job.settings
+    stride = 2**s.model.depth
+    if s.training.crop < stride:
+        raise ConfigurationError(
+            f"training.crop={s.training.crop}: at least 2^model.depth = {stride} for variant {job.label}"
+        )
+    seen = s.dataset.frames * (1 - s.dataset.validation - s.dataset.test)
+    if s.training.batch_size > seen:
+        raise ConfigurationError(
+            f"training.batch_size={s.training.batch_size}: more than the {seen:.0f} training frames"
+        )
+    for key, device in (("training", s.training.device), ("simulator", s.simulator.device)):
+        if device.partition(":")[0] not in ("auto", "cpu", "cuda"):
+            raise ConfigurationError(f"{key}.device={device}: allowed are cpu and cuda")
+        if device.startswith("cuda") and not torch.cuda.is_available():
+            raise ConfigurationError(f"{key}.device={device}: this machine has no usable GPU; allowed is cpu")
+    known = {job.label, *variant_names(), *(path.name for path in s.study_dir.glob("*"))}
+    if s.reference not in known:
+        raise ConfigurationError(f"reference={s.reference}: allowed are {', '.join(sorted(known))}")
+    if not re.fullmatch(r"[\w.+ -]+", s.study):
+        raise ConfigurationError(f"study_name={s.study}: letters, digits, '.', '_', '+', '-' and spaces only")
 
 
 def _check_writable(runs: Path) -> None:

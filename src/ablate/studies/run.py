@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import torch
+from filelock import FileLock
 from torch import Tensor
 
 from ablate.dataset import Crops, CropSettings, Part, crop_loader, label_values
@@ -36,6 +37,13 @@ def run_job(job: Job) -> None:
     """
     if finished(job) is not None:
         return
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(job.folder / ".lock"):  # a worker that outlived its killed parent may still be at it
+        if finished(job) is None:
+            _run(job)
+
+
+def _run(job: Job) -> None:
     logging.basicConfig(format=f"{job.name}: %(message)s", force=True)
     logging.getLogger("ablate").setLevel(logging.INFO)
     claim_place(job)
@@ -43,14 +51,18 @@ def run_job(job: Job) -> None:
     store, parent = open_tracking(job.settings)
     run = open_child(job, store, parent)
     try:
-        _train_and_score(job, data, run)
+        scalars = _train_and_score(job, data, run)
     except BaseException as error:
         run.end(Status.killed if isinstance(error, KeyboardInterrupt) else Status.failed)
         raise
     run.end(Status.finished)
+    result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed}
+    where = {"data": dataset_folder(job.settings).name, "mlflow_run_id": run.run_id}
+    write_json(job.folder / "result.json", {**result, **where, "scalars": scalars})  # the last word: all is done
 
 
-def _train_and_score(job: Job, data: Data, run: RunLog) -> None:
+def _train_and_score(job: Job, data: Data, run: RunLog) -> dict[str, float]:
+    """Everything a job is for; returns the scalars of its result."""
     s = job.settings
     started = time.perf_counter()
     values = label_values(data.tissues, s.encoding, s.encoding_seed)
@@ -64,13 +76,15 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> None:
         sink=run.metrics,
         validation=_validation(job, data, values),
     )
-    seconds = time.perf_counter() - started
+    costs = {"train/resumed_at": float(trained.resumed_at)}
+    if trained.resumed_at == 0:
+        costs["train/seconds"] = time.perf_counter() - started
     render = renderer(trained.generator, data, values, s.training.precision)
     scores = {part: _score(job, data, part, render) for part in (Part.validation, Part.test)}
     floors = {part: floor(data, job, part) for part in (Part.validation, Part.test)}
     maps, _ = network_inputs(data, data.pairs.frames(Part.test)[:1], values)
     milliseconds = median_ms_per_frame(trained.generator, maps, s.training.precision, s.evaluation.timed_frames)
-    _write(job, data, scores, floors, render, {"ms_per_frame": milliseconds, "train/seconds": seconds}, run)
+    return _write(job, data, scores, floors, render, {**costs, "ms_per_frame": milliseconds}, run)
 
 
 def _validation(job: Job, data: Data, values: np.ndarray) -> Callable[[Generator], dict[str, float]]:
@@ -128,8 +142,8 @@ def _write(
     render: Render,
     costs: dict[str, float],
     run: RunLog,
-) -> None:
-    """Per-image values, pictures, scalars and, last, the result that says all is done."""
+) -> dict[str, float]:
+    """Per-image values and pictures on disk, scalars in the run."""
     s = job.settings
     tables = []
     scalars = dict(costs)
@@ -148,8 +162,7 @@ def _write(
     scalars["parameters_discriminator"] = float(count_discriminator(s.model))
     run.metrics(scalars, step=s.training.steps * s.training.batch_size)
     run.artifact(job.folder / "per_image.parquet")
-    result = {"hash": config_hash(s), "label": job.label, "seed": s.seed, "data": dataset_folder(s).name}
-    write_json(job.folder / "result.json", {**result, "scalars": scalars, "mlflow_run_id": run.run_id})
+    return scalars
 
 
 def picture_frames(data: Data, count: int) -> np.ndarray:

@@ -81,6 +81,13 @@ def _model_of(variant: str) -> dict[str, object]:
     return {k: v for model in (*inherited, own.get("model", {})) for k, v in model.items()}
 
 
+def asks_hydra(arguments: Sequence[str]) -> bool:
+    """Whether a command line is a question to Hydra (`--help`, `--cfg job`, `--info`, ...) and starts no task."""
+    parsed = get_args_parser().parse_args(list(arguments))
+    questions = ("help", "hydra_help", "cfg", "info", "shell_completion")
+    return any(getattr(parsed, name) not in (None, False) for name in questions)
+
+
 def jobs_of(arguments: Sequence[str]) -> list[Job]:
     """Every job that a command line stands for.
 
@@ -101,6 +108,11 @@ def jobs_of(arguments: Sequence[str]) -> list[Job]:
         jobs, and for two jobs that would share a place on disk.
     """
     parsed = get_args_parser().parse_args(list(arguments))
+    for name in ("config_path", "config_name", "config_dir"):
+        if getattr(parsed, name):
+            raise ConfigurationError(
+                f"--{name.replace('_', '-')}: not taken; add 'hydra.searchpath=[file:///a/folder]'"
+            )
     register()
     with initialize_config_dir(str(configuration_dir()), version_base="1.3", job_name="ablate"):
         lists = _expand(parsed.overrides, multirun=bool(parsed.multirun))
@@ -164,7 +176,8 @@ def _explain(error: Exception) -> str:
     if choice:
         return f"{choice[1]}={choice[2]}: allowed are {', '.join(choice[3].split())}"
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
-    text = _one_line(error) if cause is error else f"{_one_line(error)}: {_one_line(cause)}"
+    text = _one_line(error).partition("; Config search path")[0]
+    text = text if cause is error else f"{text}: {_one_line(cause)}"
     key = getattr(cause, "full_key", None)
     unknown = re.search(r"(?:Key|key) '([^']+)' (?:is not in struct|not in '\w+')", f"{text} {_one_line(cause)}")
     if unknown and key:

@@ -24,16 +24,15 @@ def study(jobs: Sequence[Job], launch: Callable[[], None]) -> int:
     waiting = [job for job in jobs if finished(job) is None]
     code = 0
     if waiting:
-        _simulate_for(waiting)
         for settings in _studies(waiting):
             open_tracking(settings)  # database, experiment and parent run exist before any job starts
+        _simulate_for(waiting)
         try:
             launch()
         except SystemExit as end:
             code = int(end.code) if isinstance(end.code, int) else 1
-    changed = {s.study_dir for s in _studies(waiting)}
-    for settings in _studies(jobs):
-        print(compare_study(settings, rebuild=settings.study_dir in changed))
+    for settings in _studies([job for job in jobs if finished(job) is not None]):
+        print(compare_study(settings))
     failed = [job.name for job in jobs if finished(job) is None]
     if failed:
         print(f"not finished: {', '.join(failed)}; the same command takes them up again", file=sys.stderr)
@@ -86,7 +85,7 @@ def plan(jobs: Sequence[Job]) -> int:
     for job in jobs:
         done = finished(job)
         state = "finished" if done else "resumes" if (job.folder / "last.ckpt").exists() else "missing"
-        seconds = f"{done['scalars']['train/seconds']:.0f}" if done else ""
+        seconds = f"{done['scalars'].get('train/seconds', float('nan')):.0f}" if done else ""
         rows.append({"job": job.name, "state": state, "training_seconds": seconds, "folder": str(job.folder)})
     print(pd.DataFrame(rows).to_string(index=False))
     first = jobs[0].settings

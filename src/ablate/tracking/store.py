@@ -92,7 +92,9 @@ def parent_run(store: Store, study: str) -> str:
 def child_run(store: Store, parent: str, name: str, config_hash: str, tags: Mapping[str, str]) -> str:
     """Id of the job's run under `parent`; the one that a killed job left behind is taken up again."""
     wanted = {**tags, "kind": "job", "config_hash": config_hash, _PARENT_TAG: parent}
-    query = f"tags.config_hash = '{config_hash}' and tags.`{_PARENT_TAG}` = '{parent}'"
+    query = (
+        f"attributes.run_name = '{name}' and tags.config_hash = '{config_hash}' and tags.`{_PARENT_TAG}` = '{parent}'"
+    )
     return _run(store, query, name, wanted)
 
 
