@@ -17,7 +17,7 @@ from ablate.dataset import probe_poses
 from ablate.ultrasound import ConvexProbe, Simulator
 
 HERE = Path(__file__).parent
-HEIGHT_MM, ANGLE_DEG, TILT_DEG, ROLL_DEG = 45.0, -36.0, 15.0, 0.0
+HEIGHT_MM, ANGLE_DEG, TILT_DEG, ROLL_DEG = -15.0, 36.0, 0.0, 90.0
 FREQUENCY_MHZ = 3.0  # of the quick preset; at the paper's 8 MHz little of the attenuation map is left to see
 
 
