@@ -75,6 +75,10 @@ def describe(jobs: Sequence[Job]) -> int:
     numbers = [c for c in table.columns if c in ("generator", "discriminator") or c.startswith("total")]
     print(table.to_string(index=False, formatters=dict.fromkeys(numbers, "{:,}".format)))
     print("\ngenerator, discriminator, total: parameters at the paper's width (model.width=1).")
+    read = maps_needed(job.settings.model for job in jobs)
+    print(f"maps simulated for {', '.join(dict.fromkeys(j.label for j in jobs))}: {', '.join(sorted(read))}")
+    if "low" not in read:
+        print("left out: low, the low-quality image; none of these variants reads it")
     return 0
 
 
