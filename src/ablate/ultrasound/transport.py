@@ -34,6 +34,10 @@ Record = TypeVar("Record", Echoes, Descent)
 #: From this many reflections on, half of the rays end at each further one and the others count twice.
 PATIENT_REFLECTIONS = 3
 
+#: A scanline listens along its axis: echoes of reflected rays fall off with the distance from it as a Gaussian of
+#: this standard deviation (assumed). Twice the aperture, so that reverberation between layers is hardly touched.
+LISTENING_MM = 6.0
+
 
 @dataclass(frozen=True)
 class Surroundings:
@@ -81,7 +85,7 @@ def trace(around: Surroundings, bundle: Bundle) -> tuple[Echoes, Descent]:
     Echoes, Descent
     """
     media = around.media
-    elements = bundle.starts.astype(np.float32)
+    elements, axes = bundle.starts.astype(np.float32), bundle.directions.astype(np.float32)
     rays = start_rays(bundle, around.tissue_of_owner)
     echoes, descent = [_no_echoes()], [piece(rays, media)]
     while rays.number.size:
@@ -108,7 +112,7 @@ def trace(around: Surroundings, bundle: Bundle) -> tuple[Echoes, Descent]:
         if at.size:
             meeting = rays.take(at)
             direct = np.flatnonzero(meeting.reflections == 0)
-            heard, alive = _meet(meeting, hits.take(at), inside[at], medium[at], elements, around)
+            heard, alive = _meet(meeting, hits.take(at), inside[at], medium[at], (elements, axes), around)
             echoes.append(heard)
             descent.append(piece(meeting.take(direct), media, ended=meeting.reflections[direct] > 0))
             rays.put(at, meeting)
@@ -118,7 +122,12 @@ def trace(around: Surroundings, bundle: Bundle) -> tuple[Echoes, Descent]:
 
 
 def _meet(
-    rays: Rays, hits: Hits, inside: np.ndarray, medium: np.ndarray, elements: np.ndarray, around: Surroundings
+    rays: Rays,
+    hits: Hits,
+    inside: np.ndarray,
+    medium: np.ndarray,
+    scanlines: tuple[np.ndarray, np.ndarray],
+    around: Surroundings,
 ) -> tuple[Echoes, np.ndarray]:
     """Echo at an interface, then reflect or transmit: changes `rays`; also returns which of them go on."""
     media = around.media
@@ -128,6 +137,7 @@ def _meet(
     thickness = drawn[:, column.THICKNESS] * media.thickness_mm[surface] if media.thick else np.float32(0)
 
     group = rays.number // around.draws.rays
+    elements, axes = scanlines
     to_element = elements[group] - rays.origin
     way_back = np.maximum(np.sqrt(dot(to_element, to_element)), np.float32(1e-6))
     reflected = rays.reflections > 0
@@ -138,6 +148,8 @@ def _meet(
     two_way_db = rays.loss_db * (1 + back) + 2 * thickness * media.loss_db_mm[rays.medium]
     lobe = np.maximum(dot(scattered.back, to_element) / way_back, 0) ** media.specularity[surface]
     amplitude = rays.weight * np.abs(scattered.pressure) * lobe * 10 ** (-two_way_db / 20)
+    off_axis_2 = np.maximum(way_back**2 - dot(to_element, axes[group]) ** 2, 0)
+    amplitude *= np.where(reflected, np.exp(-0.5 * off_axis_2 / LISTENING_MM**2), np.float32(1))
     heard = np.flatnonzero((amplitude > 0) & (depth_mm < around.depth_mm))
     echoes = Echoes(group[heard], depth_mm[heard], amplitude[heard], reflected[heard])
 
