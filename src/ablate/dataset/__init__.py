@@ -4,6 +4,7 @@ from ablate.dataset.contact_sheet import write_contact_sheet
 from ablate.dataset.crops import Crops, CropSettings, crop_loader
 from ablate.dataset.encoding import Encoding, label_values
 from ablate.dataset.pairs import Pairs, create_pairs, fill_pairs, open_pairs
+from ablate.dataset.processes import end_with_parent
 from ablate.dataset.simulate import Recipe, simulate_pairs
 from ablate.dataset.sites import Pose, probe_poses, resample_grid
 from ablate.dataset.split import Part, SplitBy, choose_frames, split_frames
@@ -20,6 +21,7 @@ __all__ = [
     "choose_frames",
     "create_pairs",
     "crop_loader",
+    "end_with_parent",
     "fill_pairs",
     "label_values",
     "open_pairs",

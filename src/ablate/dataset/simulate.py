@@ -13,6 +13,7 @@ import numpy as np
 
 from ablate.anatomy import Scene
 from ablate.dataset.pairs import Pairs, fill_pairs
+from ablate.dataset.processes import end_with_parent
 from ablate.dataset.split import Part
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 
@@ -139,6 +140,7 @@ def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], worke
 def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], done: multiprocessing.Queue[int]) -> None:
     import torch
 
+    end_with_parent()
     torch.set_num_threads(1)
     for frames in fill_pairs(pairs, maps, renderer(recipe, pairs)):
         done.put(frames)

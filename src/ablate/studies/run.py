@@ -13,7 +13,7 @@ import torch
 from filelock import FileLock
 from torch import Tensor
 
-from ablate.dataset import Crops, CropSettings, Part, crop_loader, label_values
+from ablate.dataset import Crops, CropSettings, Part, crop_loader, end_with_parent, label_values
 from ablate.metrics import psnr
 from ablate.networks import Generator, count_discriminator, count_generator, draws_noise
 from ablate.studies.data import Data, dataset_folder, maps_needed, prepare_data
@@ -37,8 +37,9 @@ def run_job(job: Job) -> None:
     """
     if finished(job) is not None:
         return
+    end_with_parent()
     job.folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(job.folder / ".lock"):  # a worker that outlived its killed parent may still be at it
+    with FileLock(job.folder / ".lock"):  # another call of the same command may be at it
         if finished(job) is None:
             _run(job)
 
