@@ -149,6 +149,30 @@ def test_compare_rebuilds_from_disk_and_plan_tells_what_is_there(
     assert printed.count("missing") == 2
 
 
+def test_a_job_that_fails_is_said_and_the_others_are_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    jobs = sweep(tmp_path, "training.steps=2")
+
+    def broken(*_: object, **__: object) -> None:
+        raise FloatingPointError("the loss is not finite")
+
+    def launch() -> None:
+        run_job(jobs[0])
+        monkeypatch.setattr("ablate.studies.run.train", broken)
+        with pytest.raises(FloatingPointError):
+            run_job(jobs[1])
+
+    assert tasks.study(jobs, launch) == 1
+    printed = capsys.readouterr()
+    assert "There is one variant" in printed.out
+    assert "not finished: sa2h-att/seed0" in printed.err
+    client = MlflowClient(default_uri(tmp_path))
+    (experiment,) = [e for e in client.search_experiments() if e.name == "ablate"]
+    states = {r.info.run_name: r.info.status for r in client.search_runs([experiment.experiment_id])}
+    assert states == {"quick-fetal": "FAILED", "sa2h/seed0": "FINISHED", "sa2h-att/seed0": "FAILED"}
+
+
 def test_the_notebook_reads_the_study(finished: Path) -> None:
     notebook = Path(__file__).parents[2] / "notebooks" / "table2.py"
     environment = {**os.environ, "ABLATE_STUDY": str(finished / "quick-fetal")}

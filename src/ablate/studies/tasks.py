@@ -16,6 +16,7 @@ from ablate.studies.preflight import check
 from ablate.studies.sweep import ConfigurationError, Job
 from ablate.studies.tracked import open_tracking
 from ablate.studies.variants import describe as describe_variants
+from ablate.tracking import RunLog, Status
 
 
 def study(jobs: Sequence[Job], launch: Callable[[], None]) -> int:
@@ -33,9 +34,12 @@ def study(jobs: Sequence[Job], launch: Callable[[], None]) -> int:
             code = int(end.code) if isinstance(end.code, int) else 1
     for settings in _studies([job for job in jobs if finished(job) is not None]):
         print(compare_study(settings))
-    failed = [job.name for job in jobs if finished(job) is None]
+    failed = [job for job in jobs if finished(job) is None]
+    for settings in _studies(failed):
+        RunLog(*open_tracking(settings)).end(Status.failed)
     if failed:
-        print(f"not finished: {', '.join(failed)}; the same command takes them up again", file=sys.stderr)
+        names = ", ".join(job.name for job in failed)
+        print(f"not finished: {names}; the same command takes them up again", file=sys.stderr)
     return code or int(bool(failed))
 
 
