@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep test test-all lint ui bench
+.PHONY: help sweep test test-all check lint ui bench
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -21,20 +21,20 @@ $(STAMP): pyproject.toml constraints.txt
 sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; about 10 minutes on two cores
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h hydra/launcher=joblib
 
-test: $(STAMP) ## style, types and tests
-	$(BIN)/ruff check src tests
-	$(BIN)/ruff format --check src tests
-	$(BIN)/mypy
+test: $(STAMP) check ## style, types and tests
 	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow"
 
-test-all: $(STAMP) ## the same with the slow tests
-	$(BIN)/ruff check src tests
-	$(BIN)/mypy
+test-all: $(STAMP) check ## the same with the slow tests
 	OMP_NUM_THREADS=1 $(BIN)/pytest
 
+check: $(STAMP)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
 lint: $(STAMP) ## mend what the linter can mend
-	$(BIN)/ruff check --fix src tests
-	$(BIN)/ruff format src tests
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
 
 ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
 	$(BIN)/mlflow ui --backend-store-uri sqlite:///runs/mlflow.db --host 127.0.0.1 --port 5000 --workers 1
