@@ -7,7 +7,7 @@ from ablate.dataset.pairs import Pairs, create_pairs, fill_pairs, open_pairs
 from ablate.dataset.processes import end_with_parent
 from ablate.dataset.simulate import Recipe, simulate_pairs
 from ablate.dataset.sites import Pose, probe_poses, resample_grid
-from ablate.dataset.split import Part, SplitBy, choose_frames, split_frames
+from ablate.dataset.split import Part, SplitBy, choose_frames, equally_spaced, split_frames
 
 __all__ = [
     "CropSettings",
@@ -22,6 +22,7 @@ __all__ = [
     "create_pairs",
     "crop_loader",
     "end_with_parent",
+    "equally_spaced",
     "fill_pairs",
     "label_values",
     "open_pairs",

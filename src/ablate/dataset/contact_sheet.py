@@ -34,7 +34,7 @@ def write_contact_sheet(pairs: Pairs, path: Path, per_part: int = 8) -> None:
     tiles = []
     for part in Part:
         frames = pairs.frames(part)
-        shown = frames[np.linspace(0, len(frames) - 1, per_part).round().astype(int)]
+        shown = frames[np.linspace(0, len(frames) - 1, per_part).round().astype(int)]  # repeated where there are few
         images = pairs.read("high", shown) / 255.0
         labels = pairs.read("segmentation", shown)
         tiles += [np.repeat(_thumbnail(i)[..., None], 3, axis=2) for i in images]

@@ -88,10 +88,6 @@ class Pairs:
     def _shard_file(self, name: str, shard: int) -> Path:
         return self.folder / "pairs.zarr" / name / "c" / str(shard) / "0" / "0"
 
-    def has(self, name: str) -> bool:
-        """Whether every shard of this map is on disk."""
-        return not self.missing(frozenset({name}))
-
     def array(self, name: str) -> zarr.Array:
         """The Zarr array of one map, (n, H, W); checksums are verified on reading."""
         found = zarr.open_group(self.folder / "pairs.zarr", mode="r")[name]

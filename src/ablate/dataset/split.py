@@ -23,6 +23,11 @@ class SplitBy(StrEnum):
     frame = "frame"
 
 
+def equally_spaced(frames: np.ndarray, count: int) -> np.ndarray:
+    """At most `count` of some frames, the first and the last among them."""
+    return frames[np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int)]
+
+
 def choose_frames(sites: Sequence[int] | np.ndarray, frames: int, seed: int) -> np.ndarray:
     """Indices of `frames` poses, as equally spread over the sites as the number allows.
 

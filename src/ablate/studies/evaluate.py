@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from ablate.anatomy import Tissue
 from ablate.config import EvaluationSettings
-from ablate.dataset import Pairs, Part
+from ablate.dataset import Pairs, Part, equally_spaced
 from ablate.metrics import Pair, evaluate_image, frechet_distance, kernel_distance, noise_sd, speckle_features
 from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.probe import pixel_polar
@@ -74,7 +74,9 @@ def evaluate(
     frames = pairs.frames(part)
     rows: list[dict[str, object]] = []
     target_features, features = [], []
-    for start in tqdm(range(0, len(frames), _BATCH), desc=f"evaluate {part.name}", leave=False, mininterval=1.0):
+    for start in tqdm(
+        range(0, len(frames), _BATCH), desc=f"evaluate {part.name}", leave=False, mininterval=1.0, disable=None
+    ):
         batch = frames[start : start + _BATCH]
         images, targets = render(batch, 0), pairs.read("high", batch)
         labels, attenuation = pairs.read("segmentation", batch), pairs.read("attenuation", batch)
@@ -107,7 +109,7 @@ def evaluate(
 
 def _spread(pairs: Pairs, frames: np.ndarray, solid: np.ndarray, render: Render, settings: EvaluationSettings) -> float:
     """Mean over some frames of the standard deviation over noise draws, in tissue, grey levels."""
-    shown = frames[np.linspace(0, len(frames) - 1, min(settings.noise_frames, len(frames))).round().astype(int)]
+    shown = equally_spaced(frames, settings.noise_frames)
     draws = np.stack([render(shown, draw) for draw in range(settings.noise_draws)])
     labels = pairs.read("segmentation", shown)
     found = [noise_sd(draws[:, k], np.isin(labels[k], solid)) for k in range(len(shown))]

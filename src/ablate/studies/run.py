@@ -13,9 +13,9 @@ import torch
 from filelock import FileLock
 from torch import Tensor
 
-from ablate.dataset import Crops, CropSettings, Part, crop_loader, end_with_parent, label_values
+from ablate.dataset import Crops, CropSettings, Part, crop_loader, end_with_parent, equally_spaced, label_values
 from ablate.metrics import psnr
-from ablate.networks import Generator, count_discriminator, count_generator, draws_noise
+from ablate.networks import Generator, conditions, count_discriminator, count_generator, draws_noise
 from ablate.studies.data import Data, dataset_folder, maps_needed, prepare_data
 from ablate.studies.evaluate import Evaluation, Render, evaluate, resimulated
 from ablate.studies.identity import claim_place, config_hash, finished, write_json
@@ -83,14 +83,14 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> dict[str, float]:
     render = renderer(trained.generator, data, values, s.training.precision)
     scores = {part: _score(job, data, part, render) for part in (Part.validation, Part.test)}
     floors = {part: floor(data, job, part) for part in (Part.validation, Part.test)}
-    maps, _ = network_inputs(data, data.pairs.frames(Part.test)[:1], values)
+    maps = network_inputs(trained.generator, data, data.pairs.frames(Part.test)[:1], values)
     milliseconds = median_ms_per_frame(trained.generator, maps, s.training.precision, s.evaluation.timed_frames)
     return _write(job, data, scores, floors, render, {**costs, "ms_per_frame": milliseconds}, run)
 
 
 def _validation(job: Job, data: Data, values: np.ndarray) -> Callable[[Generator], dict[str, float]]:
     """PSNR in the fan over a few validation frames, for the curve; presets are chosen on it."""
-    frames = _spread(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
+    frames = equally_spaced(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
     targets, mask = data.pairs.read("high", frames), data.pairs.mask()
 
     def validate(generator: Generator) -> dict[str, float]:
@@ -101,23 +101,22 @@ def _validation(job: Job, data: Data, values: np.ndarray) -> Callable[[Generator
     return validate
 
 
-def network_inputs(data: Data, frames: np.ndarray, values: np.ndarray) -> tuple[dict[str, Tensor], Tensor]:
-    """Maps of some frames as networks read them, (k, 1, H, W) float32, and the fan, (H, W) bool."""
-    pairs, mask = data.pairs, data.pairs.mask()
-    maps = {
-        "segmentation": values[pairs.read("segmentation", frames)],
-        "attenuation": pairs.read("attenuation", frames),
-    }
-    if pairs.has("low"):
-        maps["low"] = np.where(mask, pairs.read("low", frames) / np.float32(127.5) - 1, np.float32(-1))
-    return {k: torch.from_numpy(v)[:, None] for k, v in maps.items()}, torch.from_numpy(mask)
+def network_inputs(generator: Generator, data: Data, frames: np.ndarray, values: np.ndarray) -> dict[str, Tensor]:
+    """The maps of some frames that a generator reads, (k, 1, H, W) float32 each."""
+    pairs = data.pairs
+    maps = {name: pairs.read(name, frames) for name in conditions(generator.spec)}
+    maps["segmentation"] = values[maps["segmentation"]]
+    if "low" in maps:
+        maps["low"] = np.where(pairs.mask(), maps["low"] / np.float32(127.5) - 1, np.float32(-1))
+    return {name: torch.from_numpy(value)[:, None] for name, value in maps.items()}
 
 
 def renderer(generator: Generator, data: Data, values: np.ndarray, precision: Precision) -> Render:
     """Frames of a data set through a trained generator; a frame's noise depends on its number and the draw."""
+    mask = torch.from_numpy(data.pairs.mask())
 
     def render(frames: np.ndarray, draw: int) -> np.ndarray:
-        maps, mask = network_inputs(data, frames, values)
+        maps = network_inputs(generator, data, frames, values)
         seeds = torch.from_numpy(np.asarray(frames, np.int64)) * 1_000_003 + draw
         return generate(generator, maps, mask, seeds, precision)
 
@@ -157,19 +156,10 @@ def _write(
         scalars |= {f"{prefix}/floor_{k}": v for k, v in floors[part].scalars.items()}
     per_image = pd.concat(tables, ignore_index=True).assign(variant=job.label, seed=s.seed)
     per_image.to_parquet(job.folder / "per_image.parquet")
-    shown = picture_frames(data, s.evaluation.pictures)
+    shown = equally_spaced(data.pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant
     np.savez_compressed(job.folder / "pictures.npz", frames=shown, images=render(shown, 0))
     scalars["parameters_generator"] = float(count_generator(s.model))
     scalars["parameters_discriminator"] = float(count_discriminator(s.model))
     run.metrics(scalars, step=s.training.steps * s.training.batch_size)
     run.artifact(job.folder / "per_image.parquet")
     return scalars
-
-
-def picture_frames(data: Data, count: int) -> np.ndarray:
-    """The test frames that every variant of a study shows, equally spaced."""
-    return _spread(data.pairs.frames(Part.test), count)
-
-
-def _spread(frames: np.ndarray, count: int) -> np.ndarray:
-    return frames[np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int)]
