@@ -1,0 +1,53 @@
+"""A data set is known by what its frames are made from: no more, and no less."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import trimesh
+import yaml
+
+from ablate.networks import GeneratorSpec
+from ablate.studies.data import dataset_hash, maps_needed
+from ablate.studies.sweep import jobs_of
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    scene = {
+        "unit": "mm",
+        "background": "coupling_gel",
+        "structures": [{"mesh": "organs/body.obj", "tissue": "soft_tissue"}],
+        "sites": {
+            "axis": [0, 0, 1],
+            "front": [0, -1, 0],
+            "heights": {"range": [-10, 10], "count": 2},
+            "angles": {"range": [-20, 20], "count": 2},
+            "tilts": [0],
+            "rolls": [0],
+        },
+    }
+    (tmp_path / "organs").mkdir()
+    trimesh.creation.icosphere(2, radius=60).export(tmp_path / "organs" / "body.obj")
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
+    return tmp_path
+
+
+def hash_of(folder: Path) -> str:
+    return dataset_hash(jobs_of(["scene=folder", f"scene.folder={folder}"])[0].settings)
+
+
+def test_a_mesh_decides_and_what_lies_beside_it_does_not(folder: Path) -> None:
+    before = hash_of(folder)
+    (folder / "notes.txt").write_text("seen on Monday")
+    (folder / "unused.obj").write_text("v 0 0 0\n")
+    assert hash_of(folder) == before
+    trimesh.creation.icosphere(2, radius=61).export(folder / "organs" / "body.obj")
+    assert hash_of(folder) != before
+
+
+def test_the_low_quality_image_is_made_for_those_who_read_it() -> None:
+    unet = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none", "depth": 8}
+    assert "low" not in maps_needed([GeneratorSpec()])
+    assert "low" in maps_needed([GeneratorSpec(), GeneratorSpec(**unet, extra_input="low")])  # type: ignore[arg-type]
