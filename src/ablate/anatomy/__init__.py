@@ -1,6 +1,7 @@
 """Tissues, meshes, built-in anatomies and scene folders."""
 
 from ablate.anatomy.fetal_abdomen import fetal_abdomen, fetal_sites
+from ablate.anatomy.fetal_planes import fetal_planes
 from ablate.anatomy.folder import load_scene, load_sites, validate_scene_folder
 from ablate.anatomy.scene import ANATOMY_VERSION, Scene, Structure, Tissue, content_hash
 from ablate.anatomy.sites import SiteGrid
@@ -15,6 +16,7 @@ __all__ = [
     "content_hash",
     "echogenicity_order",
     "fetal_abdomen",
+    "fetal_planes",
     "fetal_sites",
     "load_scene",
     "load_sites",
