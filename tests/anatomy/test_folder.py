@@ -94,6 +94,10 @@ def structure(**values: object) -> dict[str, object]:
         ({"sites": {"angles": []}}, r"sites: site grid: angles_deg must be one or more"),
         ({"sites": {"axis": [0, 1, 0]}}, r"must not point along axis"),
         ({"sites": {"tilts": ["steep"]}}, r"sites\.tilts: must be a finite number, not 'steep'"),
+        (
+            {"sites": {"region": ["skn.obj"]}},
+            r"sites\.region: no mesh 'skn\.obj' \(did you mean skin\.obj\?\); known: ",
+        ),
     ],
 )
 def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, changes: dict[str, object], message: str) -> None:

@@ -20,7 +20,7 @@ from ablate.anatomy.walls import warn_of_shared_walls
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 SCENE_KEYS = ("unit", "background", "structures", "tissues", "sites")
 STRUCTURE_KEYS = ("mesh", "tissue")
-SITE_KEYS = ("axis", "front", "heights", "angles", "tilts", "rolls")
+SITE_KEYS = ("axis", "front", "heights", "angles", "tilts", "rolls", "region")
 RANGE_KEYS = ("range", "count")
 TISSUE_KEYS = tuple(field.name for field in fields(Tissue) if field.name != "name")
 
@@ -92,7 +92,8 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
         )
     )
     background = _tissue(content.get("background", "coupling_gel"), tissues, f"{path}: background")
-    sites = _sites(content["sites"], f"{path}: sites", UNITS_MM[unit]) if content.get("sites") else None
+    names = [mesh.name for mesh, _ in meshes]
+    sites = _sites(content["sites"], f"{path}: sites", UNITS_MM[unit], names) if content.get("sites") else None
     return SceneFolder(folder.resolve().name, UNITS_MM[unit], background, meshes, sites)
 
 
@@ -189,7 +190,7 @@ def _mesh_path(entry: Mapping[str, Any], folder: Path, where: str) -> Path:
     return path
 
 
-def _sites(content: Any, where: str, mm_per_unit: float) -> SiteGrid:
+def _sites(content: Any, where: str, mm_per_unit: float, meshes: Iterable[str]) -> SiteGrid:
     content = _mapping(content, where, SITE_KEYS)
     values: dict[str, Any] = {}
     for key, field, factor in (
@@ -203,10 +204,21 @@ def _sites(content: Any, where: str, mm_per_unit: float) -> SiteGrid:
     for key in ("axis", "front"):
         if key in content:
             values[key] = _numbers(content[key], f"{where}.{key}", 3)
+    if "region" in content:
+        values["region"] = _region(content["region"], meshes, f"{where}.region")
     try:
         return SiteGrid(**values)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
+
+
+def _region(value: Any, meshes: Iterable[str], where: str) -> tuple[str, ...]:
+    """A list of mesh file names of the scene."""
+    known = list(meshes)
+    for name in value if isinstance(value, list) else [value]:
+        if name not in known:
+            raise ValueError(f"{where}: no mesh {name!r}{_closest(name, known)}; known: {', '.join(known)}")
+    return tuple(value) if isinstance(value, list) else (value,)
 
 
 def _series(value: Any, where: str) -> tuple[float, ...]:
