@@ -1,5 +1,6 @@
 """Tissues, meshes, built-in anatomies and scene folders."""
 
+from ablate.anatomy.check import check_scene
 from ablate.anatomy.fetal_abdomen import fetal_abdomen, fetal_sites
 from ablate.anatomy.fetal_planes import fetal_planes
 from ablate.anatomy.folder import load_scene, load_sites, validate_scene_folder
@@ -13,6 +14,7 @@ __all__ = [
     "SiteGrid",
     "Structure",
     "Tissue",
+    "check_scene",
     "content_hash",
     "echogenicity_order",
     "fetal_abdomen",

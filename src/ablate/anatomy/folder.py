@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from ablate.anatomy.check import BODY_MM, largest_extent_mm
 from ablate.anatomy.meshes import MESH_SUFFIXES, load_mesh
 from ablate.anatomy.scene import Scene, Structure, Tissue
 from ablate.anatomy.sites import SiteGrid
@@ -73,7 +74,7 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: no scene.yaml in this folder")
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from None
     content = _mapping(content, f"{path}", SCENE_KEYS)
@@ -113,12 +114,15 @@ def load_scene(folder: str | Path) -> Scene:
     ------
     FileNotFoundError, ValueError
         As `validate_scene_folder`, before any mesh is read; and ValueError from `load_mesh` for a mesh that is
-        empty, not finite or cannot be closed.
+        empty, not finite or cannot be closed, and when the unit makes the scene larger or smaller than any body.
     """
     checked = validate_scene_folder(folder)
     structures = tuple(Structure(load_mesh(path, checked.mm_per_unit)[0], tissue) for path, tissue in checked.meshes)
+    scene = Scene(structures, checked.background, checked.name)
+    if structures:
+        _check_unit(largest_extent_mm(scene), checked.mm_per_unit, f"{Path(folder) / 'scene.yaml'}: unit")
     warn_of_shared_walls([structure.mesh for structure in structures])
-    return Scene(structures, checked.background, checked.name)
+    return scene
 
 
 def load_sites(folder: str | Path) -> SiteGrid:
@@ -133,6 +137,32 @@ def load_sites(folder: str | Path) -> SiteGrid:
     if sites is None:
         raise ValueError(f"{Path(folder) / 'scene.yaml'}: sites: missing; allowed keys are {', '.join(SITE_KEYS)}")
     return sites
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML without keys that are given twice, the first of which would be dropped in silence."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen = set()
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} is given twice", key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def _check_unit(extent_mm: float, mm_per_unit: float, where: str) -> None:
+    """Raise ValueError when a scene's largest extent is not that of a body."""
+    low, high = BODY_MM
+    if low <= extent_mm <= high:
+        return
+    unit = {factor: name for name, factor in UNITS_MM.items()}[mm_per_unit]
+    others = {name: extent_mm / mm_per_unit * factor for name, factor in UNITS_MM.items()}
+    better = [f"{name} would make it {size:.3g} mm" for name, size in others.items() if low <= size <= high]
+    raise ValueError(
+        f"{where}: {unit} makes the scene's largest extent {extent_mm:.3g} mm; bodies have {low:g} to {high:g} mm"
+        + (f"; {' and '.join(better)}" if better else "")
+    )
 
 
 def _mapping(value: Any, where: str, allowed: Iterable[str]) -> Mapping[str, Any]:
