@@ -4,6 +4,7 @@ from ablate.analysis.boxplots import paired_boxplots
 from ablate.analysis.effects import factorial_effects
 from ablate.analysis.image_figures import FramePictures, chi2_maps_figure, qualitative_figure
 from ablate.analysis.metric_facts import METRICS, REFERENCE, RESIMULATION, facts_of
+from ablate.analysis.preview_figure import Preview, preview_figure
 from ablate.analysis.report import cautions, write_report
 from ablate.analysis.runtime_figure import error_vs_runtime, pareto_front
 from ablate.analysis.statistics import (
@@ -24,6 +25,7 @@ __all__ = [
     "ComponentClaim",
     "FramePictures",
     "PairedDifference",
+    "Preview",
     "Verdict",
     "cautions",
     "chi2_maps_figure",
@@ -37,6 +39,7 @@ __all__ = [
     "paired_difference",
     "paired_table",
     "pareto_front",
+    "preview_figure",
     "qualitative_figure",
     "seed_claims",
     "to_html",

@@ -1,0 +1,182 @@
+"""A body in 3-D axes with the probe on it and the image on its fan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from matplotlib.image import AxesImage
+from matplotlib.ticker import MultipleLocator
+from skimage.transform import resize
+
+from ablate.analysis import probe_model
+from ablate.analysis.tissue_colours import is_bone, is_gas, tissue_colours
+from ablate.analysis.translucent import Surface, look_through
+from ablate.anatomy import Scene
+from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound.probe import fan_size_mm
+
+Axes3D = Any  # mpl_toolkits carries no types
+
+MARK = "#2ca02c"
+_HOUSING, _FACE, _OUTLINE = (0.27, 0.30, 0.36), (0.80, 0.83, 0.87), "#ffb000"
+# Opacity facing the camera, and seen edge on.
+_BONE, _GAS, _ORGAN, _ENVELOPE = (0.95, 1.0), (0.3, 0.7), (0.2, 0.6), (0.05, 0.5)
+_LARGE = 0.03  # of the scene's bounds: what fills more of them surrounds the rest
+_FAN_OPACITY = 0.9
+_FILLED = 0.84  # of the panel by the box of its axes; the labels need the rest
+_COLUMNS_PX = 1000
+_TEXTURE_PX = 500  # height that an image is brought to before it is put on the fan: no more of it can be seen
+_MARGIN_MM = 2.0
+
+
+def draw_body(
+    space: Axes3D,
+    scene: Scene,
+    probe: ConvexProbe,
+    pose: np.ndarray,
+    image: np.ndarray,
+    fan: np.ndarray,
+    axis: Sequence[float],
+) -> None:
+    """Draw a scene into orthographic 3-D axes, in mm and of equal aspect.
+
+    The body is translucent, more so before the image plane; bone is opaque. The camera looks across the image
+    plane, from behind the probe and a little from above.
+
+    Parameters
+    ----------
+    space : Axes3D
+        With `proj_type="ortho"`; empty.
+    scene : Scene
+    probe : ConvexProbe
+    pose : (4, 4) float64
+        Probe to world, mm.
+    image : (H, W) uint8
+    fan : (H, W) bool
+    axis : 3 floats
+        The scene's long axis, drawn upright.
+    """
+    surfaces = _surfaces(scene, probe, pose, _image_on_fan(probe, pose, image, fan))
+    bounds = np.array([s.mesh.bounds for s in surfaces])
+    low, high = bounds[:, 0].min(axis=0) - _MARGIN_MM, bounds[:, 1].max(axis=0) + _MARGIN_MM
+    space.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    space.set_box_aspect(high - low)
+    view = _turn_camera(space, pose, np.asarray(axis, float) / np.linalg.norm(axis))
+    _zoom_to_fit(space, low, high)
+    space.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)")
+    space.tick_params(pad=2)
+    for each in (space.xaxis, space.yaxis, space.zaxis):
+        each.labelpad = -2
+        each.set_pane_color((0.97, 0.97, 0.98))
+        each.set_major_locator(MultipleLocator(_tick_mm(float((high - low).max()))))
+    space.add_artist(_picture(space, surfaces, low, high, view, (pose[:3, 3], pose[:3, 1])))
+    space.plot(*probe_model.fan_outline(probe, pose).T, color=_OUTLINE, lw=0.8)
+
+
+def seen_direction(space: Axes3D, vector: Sequence[float]) -> np.ndarray:
+    """A world direction as it lies in the picture, (2,) float, of length 1 where it does not point to the camera."""
+    turn = space.get_proj()[:2, :3]
+    seen: np.ndarray = turn @ np.asarray(vector, float) / np.linalg.norm(vector) / np.linalg.norm(turn[0])
+    return seen
+
+
+def _tick_mm(extent: float) -> float:
+    """A round distance of which two to five lie in an extent."""
+    decade = 10.0 ** math.floor(math.log10(extent / 2))
+    return max(step * decade for step in (1, 2, 5) if 2 * step * decade <= extent)
+
+
+def _turn_camera(space: Axes3D, pose: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Point the axes' camera at the probe, the body upright; its direction from the body, a unit vector."""
+    across = pose[:3, 1] if pose[:3, 1] @ axis >= 0 else -pose[:3, 1]
+    view = 0.75 * across - 0.7 * pose[:3, 2] + 0.2 * axis
+    view /= np.linalg.norm(view)
+    upright = int(np.argmax(np.abs(axis)))
+    forward, side, up = np.roll(view, 2 - upright)
+    elevation, azimuth = math.degrees(math.asin(up)), math.degrees(math.atan2(side, forward))
+    space.view_init(elevation, azimuth, roll=0 if axis[upright] > 0 else 180, vertical_axis="xyz"[upright])
+    return view
+
+
+def _zoom_to_fit(space: Axes3D, low: np.ndarray, high: np.ndarray) -> None:
+    """Fill the panel with the box, but for room for the labels of its axes."""
+    half_view = np.array([space.viewLim.width, space.viewLim.height]) / 2
+    reach = np.abs(_flat_corners(space, low, high)).max(axis=0)
+    space.set_box_aspect(high - low, zoom=float((_FILLED * half_view / reach).min()))
+
+
+def _flat_corners(space: Axes3D, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The box's corners in the plane of the picture, (8, 2)."""
+    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=-1)), axis=-1).reshape(-1, 3)
+    projection = space.get_proj()
+    flat: np.ndarray = (corners @ projection[:2, :3].T + projection[:2, 3]) / projection[3, 3]
+    return flat
+
+
+def _picture(
+    space: Axes3D,
+    surfaces: Sequence[Surface],
+    low: np.ndarray,
+    high: np.ndarray,
+    view: np.ndarray,
+    plane: tuple[np.ndarray, np.ndarray],
+) -> AxesImage:
+    """All surfaces as the axes' projection sees them, as an image that lies on it."""
+    projection = space.get_proj()
+    scale, shift = projection[:3, :3] / projection[3, 3], projection[:3, 3] / projection[3, 3]
+    flat = _flat_corners(space, low, high)
+    (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
+    columns, rows = _COLUMNS_PX, round(_COLUMNS_PX * (top - bottom) / (right - left))
+    x = left + (np.arange(columns) + 0.5) * (right - left) / columns
+    y = top - (np.arange(rows) + 0.5) * (top - bottom) / rows
+    grid = np.stack([*np.meshgrid(x, y), np.zeros((rows, columns))], axis=-1).reshape(-1, 3)
+    points = np.linalg.solve(scale, (grid - shift).T).T
+    points += np.outer(np.linalg.norm(high - low) - (points - (low + high) / 2) @ view, view)
+    seen = look_through(surfaces, points, -view, plane).reshape(rows, columns, 4)
+    picture = AxesImage(space, extent=(left, right, bottom, top), origin="upper", interpolation="antialiased")
+    picture.set_data(np.clip(seen, 0, 1))
+    return picture
+
+
+def _surfaces(
+    scene: Scene, probe: ConvexProbe, pose: np.ndarray, paint: Callable[[np.ndarray], np.ndarray]
+) -> list[Surface]:
+    """The scene's structures, the image on its plane, and the probe."""
+    colours = tissue_colours(scene.tissues)
+    bounds = np.array([s.mesh.bounds for s in scene.structures])
+    whole = (bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)).prod()
+    drawn = []
+    for structure, tissue in zip(scene.structures, scene.structure_tissues, strict=True):
+        large = structure.mesh.extents.prod() > _LARGE * whole
+        soft = _ENVELOPE if large else _ORGAN
+        opacity, rim = _BONE if is_bone(structure.tissue) else _GAS if is_gas(structure.tissue) else soft
+        drawn.append(Surface(structure.mesh, colours[tissue], opacity, rim))
+    drawn.append(Surface(probe_model.fan_plane(probe, pose), paint=paint))
+    drawn.append(Surface(probe_model.probe_body(probe, pose), _HOUSING))
+    drawn.append(Surface(probe_model.probe_face(probe, pose), _FACE))
+    drawn.append(Surface(probe_model.first_column_mark(probe, pose), to_rgb(MARK)))
+    return drawn
+
+
+def _image_on_fan(
+    probe: ConvexProbe, pose: np.ndarray, image: np.ndarray, fan: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """The image's grey at points of its plane, transparent outside the fan."""
+    fewer = min(1.0, _TEXTURE_PX / image.shape[0])
+    shape = round(image.shape[0] * fewer), round(image.shape[1] * fewer)
+    grey = resize(image / 255, shape, anti_aliasing=fewer < 1)
+    alpha = _FAN_OPACITY * resize(fan.astype(float), shape, anti_aliasing=fewer < 1)
+    size = np.array(fan_size_mm(probe))
+    corner = np.array([-probe_model.sag_mm(probe), -size[1] / 2])
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        pixel = np.floor((local[:, [2, 0]] - corner) / size * shape).astype(int)
+        row, column = np.clip(pixel, 0, np.array(shape) - 1).T
+        return np.column_stack([*[grey[row, column]] * 3, alpha[row, column]])
+
+    return paint
