@@ -94,6 +94,10 @@ def structure(**values: object) -> dict[str, object]:
         ({"sites": {"angles": []}}, r"sites: site grid: angles_deg must be one or more"),
         ({"sites": {"axis": [0, 1, 0]}}, r"must not point along axis"),
         ({"sites": {"tilts": ["steep"]}}, r"sites\.tilts: must be a finite number, not 'steep'"),
+        (
+            {"sites": {"region": ["skn.obj"]}},
+            r"sites\.region: no mesh 'skn\.obj' \(did you mean skin\.obj\?\); known: ",
+        ),
     ],
 )
 def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, changes: dict[str, object], message: str) -> None:
@@ -113,11 +117,37 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
         load_scene(write(tmp_path, **structure(mesh="gone.obj")))
 
 
-@pytest.mark.parametrize("text", ["structures: [", "just words", "[1, 2]", ""])
+@pytest.mark.parametrize("text", ["structures: [", "just words", "[1, 2]", "", "unit: mm\nunit: cm", "? [a]\n: 1"])
 def test_what_is_not_a_mapping_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "scene.yaml").write_text(text)
     with pytest.raises(ValueError, match=r"scene\.yaml"):
         validate_scene_folder(tmp_path)
+
+
+def test_keys_given_twice_are_refused(tmp_path: Path) -> None:
+    write(tmp_path)
+    with (tmp_path / "scene.yaml").open("a") as stream:
+        stream.write("background: fat\n")
+    with pytest.raises(ValueError, match=r"scene\.yaml: not readable as YAML: 'background' is given twice .*line"):
+        validate_scene_folder(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("unit", "size", "message"),
+    [
+        ("mm", 0.31, r"unit: mm makes the scene's largest extent 0.31 mm; bodies have 5 to 2250 mm; m would make it"),
+        ("mm", 0.2, r"largest extent 0.2 mm; bodies have 5 to 2250 mm; m would make it 200 mm$"),
+        ("cm", 300.0, r"unit: cm makes the scene's largest extent 3e\+03 mm;.*; mm would make it 300 mm$"),
+        ("m", 30.0, r"largest extent 3e\+04 mm;.*; mm would make it 30 mm and cm would make it 300 mm$"),
+        ("mm", 3e5, r"largest extent 3e\+05 mm; bodies have 5 to 2250 mm$"),
+    ],
+)
+def test_units_that_make_no_body_are_refused(tmp_path: Path, unit: str, size: float, message: str) -> None:
+    write(tmp_path, unit=unit, **structure())
+    trimesh.creation.box((size / 2, size, size / 3)).export(tmp_path / "skin.obj")
+    with pytest.raises(ValueError, match=message) as caught:
+        load_scene(tmp_path)
+    assert "scene.yaml" in str(caught.value)
 
 
 def test_site_grid_refuses_what_is_not_finite() -> None:

@@ -95,8 +95,8 @@ def test_ends_on_different_planes_and_side_by_side_are_capped_apart() -> None:
 def test_loops_that_touch_in_one_vertex_are_both_closed() -> None:
     faces = np.array([(0, 1, 2), (0, 3, 4)])
     vertices = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (-1, 0, 0), (-1, -1, 0)], float)
-    caps, ends = cap_open_ends(vertices, faces, "bow tie")
-    assert ends == 2
+    caps, widths_mm = cap_open_ends(vertices, faces, "bow tie")
+    assert len(widths_mm) == 2
     assert len(odd_edges(np.concatenate([faces, caps]))) == 0
 
 
@@ -138,6 +138,16 @@ def test_surface_exported_twice_stays_once_and_a_folded_flap_goes() -> None:
     assert report.duplicate == 2
     assert report.capped_ends == 0
     assert len(mesh.faces) == 12
+
+
+def test_lone_flap_goes_though_its_edges_are_open() -> None:
+    box = trimesh.creation.box((4, 4, 4))
+    vertices = np.concatenate([box.vertices, [(9.0, 9.0, 9.0)]])
+    mesh, _ = repair(vertices, np.concatenate([box.faces, [(*box.edges[0], 8)]]), "flap")
+    assert len(mesh.faces) == 12
+    assert mesh.volume == pytest.approx(64)
+    with pytest.raises(ValueError, match="leaf: its 1 triangles enclose nothing"):
+        repair(vertices, np.array([(0, 1, 8)]), "leaf")
 
 
 def test_needle_in_the_middle_of_a_wall_keeps_the_mesh_closed() -> None:
@@ -188,6 +198,12 @@ def test_files_that_hold_no_mesh_are_refused_by_name(tmp_path: Path) -> None:
     infinite.write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(ValueError, match=r"infinite\.obj: has vertices that are not finite"):
         load_mesh(infinite)
+    missing = tmp_path / "missing.off"
+    missing.write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n")
+    with pytest.raises(ValueError, match=r"missing\.off: not readable as a mesh: .*index outside"):
+        load_mesh(missing)
+    with pytest.raises(ValueError, match=r"missing: has triangles with vertices that are not among its 3"):
+        repair(np.eye(3), np.array([(0, 1, 7)]), "missing")
     point = tmp_path / "point.obj"
     point.write_text("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n")
     with pytest.raises(ValueError, match=r"point\.obj: all its 1 triangles are degenerate"):
@@ -197,7 +213,7 @@ def test_files_that_hold_no_mesh_are_refused_by_name(tmp_path: Path) -> None:
 def test_repairs_are_logged(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO, logger="ablate.anatomy.meshes"):
         repair(*prism(circle(5), 3.0), "tube")
-    assert "capped 2 open ends" in caplog.text
+    assert "capped 2 flat open ends of up to 10.0 mm" in caplog.text
 
 
 def test_shared_walls_are_found_and_named(caplog: pytest.LogCaptureFixture) -> None:

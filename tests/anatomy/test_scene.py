@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 
+import pytest
 import trimesh
 
-from ablate.anatomy import Scene, Structure, content_hash, fetal_abdomen, load_tissues
+from ablate.anatomy import Scene, Structure, Tissue, content_hash, fetal_abdomen, load_tissues
 
 TISSUES = load_tissues()
 
@@ -48,3 +50,30 @@ def test_hash_is_the_same_in_another_process() -> None:
     code = "from ablate.anatomy import *; print(content_hash(fetal_abdomen(4000, seed=3)))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == content_hash(fetal_abdomen(4000, seed=3))
+
+
+def test_lists_are_taken_as_tuples() -> None:
+    box = box_scene()
+    assert Scene(list(box.structures), box.background, "box") == box
+    tissue = Tissue("striped", texture_mm=[1.0, 2.0, 3.0])
+    assert tissue == Tissue("striped", texture_mm=(1.0, 2.0, 3.0))
+    assert Scene((), tissue, "all stripes").tissues == (tissue,)
+
+
+BOX, GEL = trimesh.creation.box((1, 1, 1)), TISSUES["coupling_gel"]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Structure(trimesh.Scene(BOX), GEL), "mesh must be a trimesh.Trimesh, not Scene"),
+        (lambda: Structure("liver.obj", GEL), "mesh must be a trimesh.Trimesh, not str"),
+        (lambda: Structure(BOX, "liver"), "tissue must be a Tissue, not 'liver'; load_tissues"),
+        (lambda: Scene((), "gel", "s"), "background must be a Tissue, not 'gel'"),
+        (lambda: Scene(Structure(BOX, GEL), GEL, "s"), "structures must be a tuple of Structure"),
+        (lambda: Scene((BOX,), GEL, "s"), "structures must be a tuple of Structure"),
+    ],
+)
+def test_what_is_of_another_kind_is_refused_at_once(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        make()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,11 +11,12 @@ import torch
 import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue
-from ablate.ultrasound import ConvexProbe, SimulatorSettings
+from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 
 torch.set_num_threads(1)
 
 Box = Callable[..., Structure]
+Amplitudes = Callable[..., np.ndarray]
 
 
 @pytest.fixture
@@ -76,3 +78,51 @@ def empty(gel: Tissue) -> Scene:
 def ahead() -> np.ndarray:
     """The probe at the world's origin, looking along z."""
     return np.eye(4)
+
+
+@pytest.fixture
+def pencil() -> ConvexProbe:
+    """Scanlines that are as good as parallel: all of them meet a flat slab at one angle."""
+    return ConvexProbe(fov_deg=0.002, frequency_mhz=3.0)
+
+
+@pytest.fixture
+def apart() -> SimulatorSettings:
+    """Scanlines that are not blurred into each other, with all rays along their axes."""
+    return SimulatorSettings(
+        scanlines=128, axial_samples=1024, rays=32, layers=1, image_shape=(8, 8), axial_fwhm_mm=1.2,
+        lateral_fwhm_mm=1e-6, noise_floor_db=-300.0, tgc_db_cm_mhz=0.0, aperture_mm=0.0, elevational_aperture_mm=0.0,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def amplitudes() -> Amplitudes:
+    """Amplitude of the echoes between two depths, (path seeds, scanlines) float.
+
+    The area under the envelope, over that under a Gaussian of unit peak: FWHM sqrt(pi / (4 ln 2)).
+    """
+
+    def measure(
+        scene: Scene,
+        probe: ConvexProbe,
+        settings: SimulatorSettings,
+        between_mm: tuple[float, float],
+        pose: np.ndarray | None = None,
+        path_seeds: Iterable[int] = (0,),
+    ) -> np.ndarray:
+        spacing = probe.depth_mm / settings.axial_samples
+        first, last = (round(depth / spacing) for depth in between_mm)
+        pulse_mm = settings.axial_fwhm_mm * np.sqrt(np.pi / (4 * np.log(2)))
+        frames = (
+            Simulator(scene, probe, replace(settings, path_seed=seed)).render(np.eye(4) if pose is None else pose)
+            for seed in path_seeds
+        )
+        return np.array([f.envelope[first:last].sum(axis=0, dtype=float) for f in frames]) * spacing / pulse_mm
+
+    return measure
+
+
+@pytest.fixture
+def depths() -> Callable[[ConvexProbe, SimulatorSettings], np.ndarray]:
+    """Depths of the axial samples, mm: the middles of equal parts of the imaging depth."""
+    return lambda probe, settings: (np.arange(settings.axial_samples) + 0.5) * probe.depth_mm / settings.axial_samples

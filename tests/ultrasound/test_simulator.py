@@ -24,12 +24,6 @@ def images_equal(a, b) -> bool:
     )
 
 
-def correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Of two parts of an envelope, without the fall with depth that they share."""
-    a, b = (part / part.mean(axis=1, keepdims=True) for part in (a, b))
-    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
-
-
 def test_same_seeds_same_frame(scene, probe, small, ahead) -> None:
     simulator = Simulator(scene, probe, small)
     first = simulator.render(ahead, seed=3)
@@ -40,36 +34,7 @@ def test_same_seeds_same_frame(scene, probe, small, ahead) -> None:
     assert images_equal(first, Simulator(scene, probe, small).render(ahead, seed=3))
 
 
-def test_seeds_choose_scatterers_and_paths_apart(scene, probe, small, ahead) -> None:
-    simulator = Simulator(scene, probe, small)
-    first, other = simulator.render(ahead, seed=0), simulator.render(ahead, seed=1)
-    assert (first.envelope != other.envelope).any()
-    assert (first.segmentation == other.segmentation).all()
-    paths = Simulator(scene, probe, replace(small, path_seed=1)).render(ahead, seed=0)
-    lit = (slice(50, 300), slice(20, 44))
-    assert correlation(first.envelope[lit], paths.envelope[lit]) > 0.95
-    assert abs(correlation(first.envelope[lit], other.envelope[lit])) < 0.1
-
-
-def test_low_quality_has_the_same_scatterers(scene, probe, small, ahead) -> None:
-    low = Simulator(scene, probe, replace(small, rays=1, layers=1)).render(ahead)
-    again = Simulator(scene, probe, replace(small, layers=1)).render(ahead)
-    lit = (slice(50, 300), slice(20, 44))
-    assert correlation(low.envelope[lit], again.envelope[lit]) > 0.95
-
-
-def test_speckle_moves_with_the_anatomy(probe, small) -> None:
-    """A probe moved by whole scanline spacings sees the scatterers of the world, not its own."""
-    simulator = Simulator(Scene((), BODY, "s"), probe, replace(small, layers=1))
-    pose = np.eye(4)
-    first = simulator.render(pose).envelope
-    pose[2, 3] = 10 * 150.0 / small.axial_samples
-    deeper = simulator.render(pose).envelope
-    axis = first[200:400, 32], deeper[190:390, 32]
-    assert np.corrcoef(*axis)[0, 1] > 0.6
-
-
-def test_turned_by_180_degrees_the_image_is_mirrored(gel, slab, ball, probe, small, ahead) -> None:
+def test_turned_by_180_degrees_bone_and_its_shadow_are_mirrored(gel, slab, ball, probe, small, ahead) -> None:
     scene = Scene((slab(BODY, 3.0, 200.0), ball(BONE, (30.0, 0.0, 70.0), 20.0)), gel, "s")
     simulator = Simulator(scene, probe, small)
     there, back = simulator.render(ahead), simulator.render(np.diag([-1.0, -1.0, 1.0, 1.0]))

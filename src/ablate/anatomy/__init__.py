@@ -1,6 +1,8 @@
 """Tissues, meshes, built-in anatomies and scene folders."""
 
+from ablate.anatomy.check import check_scene
 from ablate.anatomy.fetal_abdomen import fetal_abdomen, fetal_sites
+from ablate.anatomy.fetal_planes import fetal_planes
 from ablate.anatomy.folder import load_scene, load_sites, validate_scene_folder
 from ablate.anatomy.scene import ANATOMY_VERSION, Scene, Structure, Tissue, content_hash
 from ablate.anatomy.sites import SiteGrid
@@ -12,9 +14,11 @@ __all__ = [
     "SiteGrid",
     "Structure",
     "Tissue",
+    "check_scene",
     "content_hash",
     "echogenicity_order",
     "fetal_abdomen",
+    "fetal_planes",
     "fetal_sites",
     "load_scene",
     "load_sites",

@@ -23,14 +23,14 @@ def odd_edges(faces: np.ndarray) -> np.ndarray:
     """
     if len(faces) == 0:
         return np.empty((0, 2), np.int64)
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
     span = int(faces.max()) + 1
     keys, counts = np.unique(edges[:, 0] * span + edges[:, 1], return_counts=True)
     keys = keys[counts % 2 == 1]
     return np.stack([keys // span, keys % span], axis=1)
 
 
-def cap_open_ends(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[np.ndarray, int]:
+def cap_open_ends(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[np.ndarray, tuple[float, ...]]:
     """Triangles that close every flat open end; ends inside one another on a plane become a ring.
 
     Parameters
@@ -44,17 +44,17 @@ def cap_open_ends(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[n
     -------
     caps : (k, 3) int
         On the vertices given; with `faces` they are closed modulo 2.
-    ends : int
-        Loops closed.
+    widths_mm : tuple of float
+        Of the loops closed.
 
     Raises
     ------
     ValueError
         Naming the mesh and the size of its largest hole that is not flat.
     """
-    loops = _loops(odd_edges(faces))
+    loops = simple_loops(odd_edges(faces))
     if not loops:
-        return np.empty((0, 3), np.int64), 0
+        return np.empty((0, 3), np.int64), ()
     widths, uneven, planes = zip(*(_flatness(vertices[loop]) for loop in loops), strict=True)
     worst = max(
         (
@@ -76,11 +76,20 @@ def cap_open_ends(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[n
         for hole in group[1:]:
             ring = _bridged(flat, ring, loops[hole])
         caps.append(_clip_ears(flat, ring))
-    return np.concatenate(caps), len(loops)
+    return np.concatenate(caps), widths
 
 
-def _loops(edges: np.ndarray) -> list[np.ndarray]:
-    """Split edges, an even number at every vertex, into simple loops of vertices."""
+def simple_loops(edges: np.ndarray) -> list[np.ndarray]:
+    """Split edges, an even number at every vertex, into simple loops of vertices.
+
+    Parameters
+    ----------
+    edges : (k, 2) int
+
+    Returns
+    -------
+    list of (n,) int
+    """
     neighbours: dict[int, list[int]] = {}
     for a, b in edges.tolist():
         neighbours.setdefault(a, []).append(b)

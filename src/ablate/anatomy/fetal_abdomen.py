@@ -60,7 +60,7 @@ def fetal_abdomen(triangles: int = 675_000, seed: int = 0) -> Scene:
 
 
 def fetal_sites() -> SiteGrid:
-    """Probe sites that look at the fetus of `fetal_abdomen` through the mother's front: mm and degrees."""
+    """Probe sites that look at the uterus of `fetal_abdomen` through the mother's front: mm and degrees."""
     return SiteGrid(
         axis=(0.0, 0.0, 1.0),
         front=(0.0, -1.0, 0.0),
@@ -68,4 +68,5 @@ def fetal_sites() -> SiteGrid:
         angles_deg=tuple(float(angle) for angle in range(-48, 49, 12)),
         tilts_deg=(-15.0, 0.0, 15.0),
         rolls_deg=(0.0, 90.0),
+        region=("uterus",),
     )

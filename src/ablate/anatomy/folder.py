@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from ablate.anatomy.check import BODY_MM, largest_extent_mm
 from ablate.anatomy.meshes import MESH_SUFFIXES, load_mesh
 from ablate.anatomy.scene import Scene, Structure, Tissue
 from ablate.anatomy.sites import SiteGrid
@@ -20,7 +21,7 @@ from ablate.anatomy.walls import warn_of_shared_walls
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 SCENE_KEYS = ("unit", "background", "structures", "tissues", "sites")
 STRUCTURE_KEYS = ("mesh", "tissue")
-SITE_KEYS = ("axis", "front", "heights", "angles", "tilts", "rolls")
+SITE_KEYS = ("axis", "front", "heights", "angles", "tilts", "rolls", "region")
 RANGE_KEYS = ("range", "count")
 TISSUE_KEYS = tuple(field.name for field in fields(Tissue) if field.name != "name")
 
@@ -73,7 +74,7 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: no scene.yaml in this folder")
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from None
     content = _mapping(content, f"{path}", SCENE_KEYS)
@@ -92,7 +93,8 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
         )
     )
     background = _tissue(content.get("background", "coupling_gel"), tissues, f"{path}: background")
-    sites = _sites(content["sites"], f"{path}: sites", UNITS_MM[unit]) if content.get("sites") else None
+    names = [mesh.name for mesh, _ in meshes]
+    sites = _sites(content["sites"], f"{path}: sites", UNITS_MM[unit], names) if content.get("sites") else None
     return SceneFolder(folder.resolve().name, UNITS_MM[unit], background, meshes, sites)
 
 
@@ -112,12 +114,15 @@ def load_scene(folder: str | Path) -> Scene:
     ------
     FileNotFoundError, ValueError
         As `validate_scene_folder`, before any mesh is read; and ValueError from `load_mesh` for a mesh that is
-        empty, not finite or cannot be closed.
+        empty, not finite or cannot be closed, and when the unit makes the scene larger or smaller than any body.
     """
     checked = validate_scene_folder(folder)
     structures = tuple(Structure(load_mesh(path, checked.mm_per_unit)[0], tissue) for path, tissue in checked.meshes)
+    scene = Scene(structures, checked.background, checked.name)
+    if structures:
+        _check_unit(largest_extent_mm(scene), checked.mm_per_unit, f"{Path(folder) / 'scene.yaml'}: unit")
     warn_of_shared_walls([structure.mesh for structure in structures])
-    return Scene(structures, checked.background, checked.name)
+    return scene
 
 
 def load_sites(folder: str | Path) -> SiteGrid:
@@ -132,6 +137,32 @@ def load_sites(folder: str | Path) -> SiteGrid:
     if sites is None:
         raise ValueError(f"{Path(folder) / 'scene.yaml'}: sites: missing; allowed keys are {', '.join(SITE_KEYS)}")
     return sites
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML without keys that are given twice, the first of which would be dropped in silence."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        seen = set()
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} is given twice", key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def _check_unit(extent_mm: float, mm_per_unit: float, where: str) -> None:
+    """Raise ValueError when a scene's largest extent is not that of a body."""
+    low, high = BODY_MM
+    if low <= extent_mm <= high:
+        return
+    unit = {factor: name for name, factor in UNITS_MM.items()}[mm_per_unit]
+    others = {name: extent_mm / mm_per_unit * factor for name, factor in UNITS_MM.items()}
+    better = [f"{name} would make it {size:.3g} mm" for name, size in others.items() if low <= size <= high]
+    raise ValueError(
+        f"{where}: {unit} makes the scene's largest extent {extent_mm:.3g} mm; bodies have {low:g} to {high:g} mm"
+        + (f"; {' and '.join(better)}" if better else "")
+    )
 
 
 def _mapping(value: Any, where: str, allowed: Iterable[str]) -> Mapping[str, Any]:
@@ -189,7 +220,7 @@ def _mesh_path(entry: Mapping[str, Any], folder: Path, where: str) -> Path:
     return path
 
 
-def _sites(content: Any, where: str, mm_per_unit: float) -> SiteGrid:
+def _sites(content: Any, where: str, mm_per_unit: float, meshes: Iterable[str]) -> SiteGrid:
     content = _mapping(content, where, SITE_KEYS)
     values: dict[str, Any] = {}
     for key, field, factor in (
@@ -203,10 +234,21 @@ def _sites(content: Any, where: str, mm_per_unit: float) -> SiteGrid:
     for key in ("axis", "front"):
         if key in content:
             values[key] = _numbers(content[key], f"{where}.{key}", 3)
+    if "region" in content:
+        values["region"] = _region(content["region"], meshes, f"{where}.region")
     try:
         return SiteGrid(**values)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
+
+
+def _region(value: Any, meshes: Iterable[str], where: str) -> tuple[str, ...]:
+    """A list of mesh file names of the scene."""
+    known = list(meshes)
+    for name in value if isinstance(value, list) else [value]:
+        if name not in known:
+            raise ValueError(f"{where}: no mesh {name!r}{_closest(name, known)}; known: {', '.join(known)}")
+    return tuple(value) if isinstance(value, list) else (value,)
 
 
 def _series(value: Any, where: str) -> tuple[float, ...]:

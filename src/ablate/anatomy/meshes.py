@@ -18,6 +18,7 @@ from ablate.anatomy.closing import cap_open_ends, odd_edges
 logger = logging.getLogger(__name__)
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", ".3mf")
+LARGEST_MM = 1.8e18  # coordinates that Embree takes: within +-1.844e18
 NEEDLE = 1e-12  # a triangle of less than this, twice its area over its longest side squared, has no area
 
 
@@ -34,6 +35,8 @@ class MeshReport:
         Triangles dropped: without area; pairs that cancel or copies.
     capped_ends : int
         Flat open ends closed.
+    widest_end_mm : float
+        Of those; 0 without.
     cap_triangles : int
     """
 
@@ -42,6 +45,7 @@ class MeshReport:
     degenerate: int
     duplicate: int
     capped_ends: int
+    widest_end_mm: float
     cap_triangles: int
 
 
@@ -64,8 +68,8 @@ def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> tuple[trimesh.Trime
     Raises
     ------
     ValueError
-        Naming the file, when it cannot be read, is empty, has vertices that are not finite, or has a hole that
-        cannot be closed.
+        Naming the file, when it cannot be read, is empty, has vertices that are missing or not finite, or has a
+        hole that cannot be closed.
     """
     path = Path(path)
     try:
@@ -95,38 +99,57 @@ def repair(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[trimesh.
     Raises
     ------
     ValueError
-        Naming the mesh, when nothing is left, a vertex is not finite, or a hole cannot be closed.
+        Naming the mesh, when nothing is left, a vertex is missing or not finite, or a hole cannot be closed.
     """
-    if len(faces) == 0:
-        raise ValueError(f"{name}: holds no triangles")
-    if not np.isfinite(vertices[np.unique(faces)]).all():
-        raise ValueError(f"{name}: has vertices that are not finite")
-    merged, faces = _merge(vertices, faces)
+    if fault := array_fault(vertices, faces):
+        raise ValueError(f"{name}: {fault}")
+    merged, faces = merge_vertices(vertices, faces)
     kept = _without_degenerate(merged, faces)
     unique = _without_duplicates(kept)
     if len(unique) == 0:
         raise ValueError(f"{name}: all its {len(faces)} triangles are degenerate")
-    caps, ends = cap_open_ends(merged, unique, name)
-    mesh = trimesh.Trimesh(merged, np.concatenate([unique, caps]), process=False)
+    caps, widths_mm = cap_open_ends(merged, unique, name)
+    closed = unique
+    if len(caps):
+        closed = _of_odd_count(np.concatenate([unique, caps]))  # the cap of a lone flap is the flap: both go
+    if len(closed) == 0:
+        raise ValueError(f"{name}: its {len(faces)} triangles enclose nothing")
+    mesh = trimesh.Trimesh(merged, closed, process=False)
     mesh.metadata["name"] = Path(name).name
     report = MeshReport(
         Path(name).name,
         len(vertices) - len(merged),
         len(faces) - len(kept),
         len(kept) - len(unique),
-        ends,
+        len(widths_mm),
+        max(widths_mm, default=0.0),
         len(caps),
     )
     if report.degenerate or report.duplicate or report.capped_ends:
         logger.info(
-            "%s: dropped %d degenerate and %d duplicate triangles, capped %d open ends with %d triangles",
-            report.name, report.degenerate, report.duplicate, report.capped_ends, report.cap_triangles,
+            "%s: dropped %d degenerate and %d duplicate triangles, capped %d flat open ends of up to %.1f mm",
+            report.name, report.degenerate, report.duplicate, report.capped_ends, report.widest_end_mm,
         )  # fmt: skip
     return mesh, report
 
 
-def _merge(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices that are used, those at the very same place once; faces renumbered."""
+def array_fault(vertices: np.ndarray, faces: np.ndarray) -> str | None:
+    """What makes vertices (n, 3), mm, and faces (m, 3) no triangles at all; None for nothing."""
+    if len(faces) == 0:
+        return "holds no triangles"
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        return f"has triangles with vertices that are not among its {len(vertices)}"
+    if not _within_reach(vertices) and not _within_reach(vertices[np.unique(faces)]):
+        return f"has vertices that are not finite or beyond {LARGEST_MM:g} mm"
+    return None
+
+
+def _within_reach(vertices: np.ndarray) -> bool:
+    return bool(max(vertices.max(), -vertices.min()) <= LARGEST_MM)  # false for nan
+
+
+def merge_vertices(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) that are used, those at the very same place once; faces (m, 3) renumbered."""
     used = np.unique(faces)
     order = np.lexsort(vertices[used].T)
     ordered = vertices[used][order]
@@ -138,13 +161,22 @@ def _merge(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def _without_degenerate(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Faces with three different corners and an area; all needles stay where dropping them would open edges."""
+    corners = with_three_corners(faces)
+    return _fewest_odd_edges(corners[have_area(vertices, corners)], corners)
+
+
+def with_three_corners(faces: np.ndarray) -> np.ndarray:
+    """The faces (m, 3) that name no vertex twice."""
     a, b, c = faces.T
-    corners = faces[(a != b) & (b != c) & (c != a)]
-    a, b, c = (vertices[corners[:, i]] for i in range(3))
+    return faces[(a != b) & (b != c) & (c != a)]
+
+
+def have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Whether triangles are more than needles, (m,) bool."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
     twice_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.maximum(np.linalg.norm(b - a, axis=1), np.linalg.norm(c - a, axis=1))
-    with_area = corners[twice_area > NEEDLE * longest**2]
-    return _fewest_odd_edges(with_area, corners)
+    return twice_area > NEEDLE * longest**2
 
 
 def _without_duplicates(faces: np.ndarray) -> np.ndarray:
@@ -152,8 +184,14 @@ def _without_duplicates(faces: np.ndarray) -> np.ndarray:
 
     A surface exported twice must stay once; a flap of one triangle folded onto itself must go.
     """
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return _fewest_odd_edges(faces[np.sort(first)], _of_odd_count(faces))
+
+
+def _of_odd_count(faces: np.ndarray) -> np.ndarray:
+    """Each triangle that occurs an odd number of times, once."""
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    return _fewest_odd_edges(faces[np.sort(first)], faces[np.sort(first[count % 2 == 1])])
+    return faces[np.sort(first[count % 2 == 1])]
 
 
 def _fewest_odd_edges(*candidates: np.ndarray) -> np.ndarray:

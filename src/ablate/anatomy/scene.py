@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
 from functools import cached_property
 from numbers import Real
@@ -85,8 +86,9 @@ class Tissue:
             if field.name in TISSUE_RANGES:
                 low, high = TISSUE_RANGES[field.name]
                 _check_number(self.name, field.name, getattr(self, field.name), low, high)
-        if len(self.texture_mm) != 3:
+        if not isinstance(self.texture_mm, Iterable) or len(lengths := tuple(self.texture_mm)) != 3:
             raise ValueError(f"tissue {self.name!r}: texture_mm must be 3 lengths, not {self.texture_mm!r}")
+        object.__setattr__(self, "texture_mm", lengths)  # a list would not hash
         for length_mm in self.texture_mm:
             _check_number(self.name, "texture_mm", length_mm, 1e-3, 1e6)
 
@@ -104,12 +106,29 @@ def _check_number(tissue: str, field: str, value: object, low: float, high: floa
         raise ValueError(f"tissue {tissue!r}: {field} must be between {low:g} and {high:g}, not {value!r}")
 
 
+def _check_tissue(what: str, value: object) -> None:
+    if not isinstance(value, Tissue):
+        raise TypeError(f"{what} must be a Tissue, not {value!r}; load_tissues() has the built-in ones by name")
+
+
 @dataclass(frozen=True)
 class Structure:
-    """One closed surface and the tissue inside it; vertices in mm, winding irrelevant."""
+    """One closed surface and the tissue inside it; vertices in mm, winding irrelevant.
+
+    Raises
+    ------
+    TypeError
+        When the mesh is no `trimesh.Trimesh` (files of several parts load as a `trimesh.Scene`) or the tissue no
+        `Tissue`.
+    """
 
     mesh: trimesh.Trimesh
     tissue: Tissue
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.mesh, trimesh.Trimesh):
+            raise TypeError(f"structure: mesh must be a trimesh.Trimesh, not {type(self.mesh).__name__}")
+        _check_tissue("structure: tissue", self.tissue)
 
 
 @dataclass(frozen=True)
@@ -122,11 +141,23 @@ class Scene:
         May be empty: the scene is then all background.
     background : Tissue
     name : str
+
+    Raises
+    ------
+    TypeError
+        When a structure or the background is something else.
     """
 
     structures: tuple[Structure, ...]
     background: Tissue
     name: str
+
+    def __post_init__(self) -> None:
+        listed = isinstance(self.structures, (tuple, list))
+        if not listed or not all(isinstance(structure, Structure) for structure in self.structures):
+            raise TypeError("scene: structures must be a tuple of Structure")
+        object.__setattr__(self, "structures", tuple(self.structures))
+        _check_tissue("scene: background", self.background)
 
     @cached_property
     def tissues(self) -> tuple[Tissue, ...]:

@@ -24,6 +24,8 @@ class SiteGrid:
         About the probe's y: rocked within its own plane.
     rolls_deg : tuple of float
         About the probe's z; at 0 the plane is transverse (x = z cross axis), at 90 sagittal.
+    region : tuple of str
+        Names of the structures of interest: poses whose fan misses them all are not used. Empty: any fan will do.
 
     Raises
     ------
@@ -37,9 +39,12 @@ class SiteGrid:
     angles_deg: tuple[float, ...] = (0.0,)
     tilts_deg: tuple[float, ...] = (0.0,)
     rolls_deg: tuple[float, ...] = (0.0,)
+    region: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for field in fields(self):
+            if field.name == "region":
+                continue
             values = getattr(self, field.name)
             if len(values) == 0 or not all(math.isfinite(value) for value in values):
                 raise ValueError(f"site grid: {field.name} must be one or more finite numbers, not {values!r}")

@@ -6,15 +6,17 @@ from ablate.dataset.encoding import Encoding, label_values
 from ablate.dataset.pairs import Pairs, create_pairs, fill_pairs, open_pairs
 from ablate.dataset.processes import end_with_parent
 from ablate.dataset.simulate import Recipe, simulate_pairs
-from ablate.dataset.sites import Pose, probe_poses, resample_grid
+from ablate.dataset.sites import Dropped, Placement, Pose, place_probe, probe_poses, resample_grid
 from ablate.dataset.split import Part, SplitBy, choose_frames, equally_spaced, split_frames
 
 __all__ = [
     "CropSettings",
     "Crops",
+    "Dropped",
     "Encoding",
     "Pairs",
     "Part",
+    "Placement",
     "Pose",
     "Recipe",
     "SplitBy",
@@ -26,6 +28,7 @@ __all__ = [
     "fill_pairs",
     "label_values",
     "open_pairs",
+    "place_probe",
     "probe_poses",
     "resample_grid",
     "simulate_pairs",

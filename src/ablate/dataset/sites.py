@@ -1,17 +1,16 @@
-"""Probe sites: a regular grid of poses on the outer surface of a scene."""
+"""Probe sites: a regular grid of poses on the outer surface of a scene, and why some of them are left out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
-import trimesh
-from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from ablate.anatomy import Scene, SiteGrid
-
-_PATCH_MM = 12.0  # half-width of the skin patch whose mean normal the probe follows
+from ablate.dataset.contact import Skin, meets, press
+from ablate.ultrasound import ConvexProbe
 
 
 @dataclass(frozen=True)
@@ -28,6 +27,38 @@ class Pose:
 
     probe_to_world: np.ndarray
     site: int
+
+
+class Dropped(StrEnum):
+    """Why a pose of the grid is not used."""
+
+    no_skin = "the direction misses the body"
+    off_body = "part of the face has no body before it"
+    hard = "the face lies in bone or gas"
+    off_region = "the fan misses the region of interest"
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The poses of a grid that can be used, and how many cannot.
+
+    Attributes
+    ----------
+    poses : tuple of Pose
+        In the order heights, angles, tilts, rolls.
+    dropped : dict of Dropped to int
+        Poses left out by reason, every reason present; a pose counts once, under the first that holds.
+    """
+
+    poses: tuple[Pose, ...]
+    dropped: dict[Dropped, int]
+
+    def __str__(self) -> str:
+        """One line for a log: poses and sites used, and what was dropped for which reason."""
+        sites = len({pose.site for pose in self.poses})
+        why = ", ".join(f"{count} {reason.value}" for reason, count in self.dropped.items() if count)
+        said = f"; dropped {sum(self.dropped.values())}: {why}" if why else "; none dropped"
+        return f"{len(self.poses)} probe poses at {sites} sites{said}"
 
 
 def resample_grid(grid: SiteGrid, counts: Sequence[int] | None) -> SiteGrid:
@@ -70,11 +101,12 @@ def resample_grid(grid: SiteGrid, counts: Sequence[int] | None) -> SiteGrid:
     )
 
 
-def probe_poses(scene: Scene, grid: SiteGrid, press_mm: float) -> tuple[Pose, ...]:
-    """Poses of the whole grid, in the order heights, angles, tilts, rolls; directions that miss are dropped.
+def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: ConvexProbe | None = None) -> Placement:
+    """Press the probe on the skin at every pose of a grid.
 
-    The probe's face touches the outermost surface that a ray from outside towards the body's axis meets, is
-    pressed in by `press_mm`, and looks along the mean inward normal of the skin around it.
+    The probe comes from outside along the mean inward normal of the skin around the point where a ray towards the
+    body's axis first meets it, rolled and tilted, until the deepest part of its face lies `press_mm` under the
+    undeformed skin. The skin is the first surface met, of whichever structure.
 
     Parameters
     ----------
@@ -82,76 +114,88 @@ def probe_poses(scene: Scene, grid: SiteGrid, press_mm: float) -> tuple[Pose, ..
         With at least one structure.
     grid : SiteGrid
     press_mm : float
-        How far the middle of the face lies under the undeformed skin, mm.
+        At least 0.
+    probe : ConvexProbe, optional
+
+    Returns
+    -------
+    Placement
 
     Raises
     ------
     ValueError
-        When the scene has no structure, or no site of the grid meets the body.
+        When the scene has no structure, lacks one that `grid.region` names, no pose is left, or `press_mm` is
+        negative.
     """
     if not scene.structures:
         raise ValueError(f"scene '{scene.name}' has no structure to put a probe on")
-    body = trimesh.util.concatenate([s.mesh for s in scene.structures])
-    surface = RayMeshIntersector(body)
-    low, high = body.bounds
-    centre, reach = (low + high) / 2, float(np.linalg.norm(high - low))
+    if press_mm < 0:
+        raise ValueError(f"dataset.press_mm={press_mm}: allowed are 0 and more")
+    probe = probe or ConvexProbe()
+    skin, region = Skin(scene), _region(scene, grid)
     axis = _unit(np.asarray(grid.axis, float))
     front = np.asarray(grid.front, float)
     front = _unit(front - axis * (front @ axis))
     side = np.cross(axis, front)
-    poses: list[Pose] = []
-    site = 0
-    for height in grid.heights_mm:
-        middle = centre + axis * (height - centre @ axis)
-        for angle in np.deg2rad(grid.angles_deg):
-            outward = np.cos(angle) * front + np.sin(angle) * side
-            contact = _contact(surface, middle, outward, axis, reach)
-            if contact is not None:
-                point, depth = contact
-                for tilt in grid.tilts_deg:
-                    for roll in grid.rolls_deg:
-                        poses.append(Pose(_pose(point, depth, axis, tilt, roll, press_mm), site))
-            site += 1
+    turns = [(tilt, roll) for tilt in grid.tilts_deg for roll in grid.rolls_deg]
+    started: list[np.ndarray] = []
+    approaches: list[np.ndarray] = []
+    sites: list[int] = []
+    places = [(height, angle) for height in grid.heights_mm for angle in np.deg2rad(grid.angles_deg)]
+    for site, (height, angle) in enumerate(places):
+        middle = skin.centre + axis * (height - skin.centre @ axis)
+        contact = skin.contact(middle, np.cos(angle) * front + np.sin(angle) * side, axis)
+        if contact is not None:
+            point, inward = contact
+            started += [_pose(point, inward, axis, tilt, roll) for tilt, roll in turns]
+            approaches += [inward] * len(turns)
+            sites += [site] * len(turns)
+    dropped = dict.fromkeys(Dropped, 0)
+    dropped[Dropped.no_skin] = len(places) * len(turns) - len(started)
+    poses: tuple[Pose, ...] = ()
+    if started:
+        pressed = press(skin, probe, np.stack(started), np.stack(approaches), press_mm)
+        kept = np.ones(len(started), bool)
+        reasons = [(Dropped.off_body, ~pressed.on_body), (Dropped.hard, pressed.hard)]
+        if region is not None:
+            reasons.append((Dropped.off_region, ~meets(region, probe, pressed.poses)))
+        for reason, holds in reasons:
+            dropped[reason] = int((kept & holds).sum())
+            kept &= ~holds
+        poses = tuple(Pose(pressed.poses[i], sites[i]) for i in np.flatnonzero(kept))
+    placement = Placement(poses, dropped)
     if not poses:
-        raise ValueError(f"scene '{scene.name}': no probe site meets the body; check sites.heights and sites.angles")
-    return tuple(poses)
+        raise ValueError(f"scene '{scene.name}': no probe site can be used; check `sites` ({placement})")
+    return placement
 
 
-def _contact(
-    surface: RayMeshIntersector, middle: np.ndarray, outward: np.ndarray, axis: np.ndarray, reach: float
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Skin point and inward normal, from nine parallel rays around the site; None where the middle one misses."""
-    across = np.cross(outward, axis)
-    offsets = [(u, v) for v in (-_PATCH_MM, 0.0, _PATCH_MM) for u in (-_PATCH_MM, 0.0, _PATCH_MM)]
-    starts = np.array([middle + outward * reach + across * u + axis * v for u, v in offsets])
-    directions = np.tile(-outward, (len(starts), 1))
-    points, rays, _ = surface.intersects_location(starts, directions, multiple_hits=False)
-    if 4 not in rays:
+def probe_poses(scene: Scene, grid: SiteGrid, press_mm: float) -> tuple[Pose, ...]:
+    """The usable poses of `place_probe` alone."""
+    return place_probe(scene, grid, press_mm).poses
+
+
+def _region(scene: Scene, grid: SiteGrid) -> Skin | None:
+    """The surfaces that a fan should meet; None where the grid names none."""
+    if not grid.region:
         return None
-    point = points[list(rays).index(4)]
-    near = points[np.abs((points - point) @ outward) < 2 * _PATCH_MM]
-    if len(near) < 3:
-        return point, -outward
-    _, spread, axes = np.linalg.svd(near - near.mean(0))
-    normal = axes[2]
-    if len(near) < 5 or spread[1] < 1e-6 or abs(normal @ outward) < 0.5:
-        return point, -outward
-    return point, -normal * np.sign(normal @ outward)
+    names = [str(s.mesh.metadata.get("name")) for s in scene.structures]
+    unknown = sorted(set(grid.region) - set(names))
+    if unknown:
+        raise ValueError(f"scene '{scene.name}': sites.region: no structure '{unknown[0]}'; known: {', '.join(names)}")
+    chosen = tuple(s for s, name in zip(scene.structures, names, strict=True) if name in grid.region)
+    return Skin(replace(scene, structures=chosen))
 
 
-def _pose(
-    point: np.ndarray, depth: np.ndarray, axis: np.ndarray, tilt: float, roll: float, press_mm: float
-) -> np.ndarray:
-    """Transform with z along `depth`, rolled about z (0: x = z cross axis), then tilted about the probe's y."""
-    x = _unit(np.cross(depth, axis))
-    y = np.cross(depth, x)
+def _pose(point: np.ndarray, inward: np.ndarray, axis: np.ndarray, tilt: float, roll: float) -> np.ndarray:
+    """Face's middle at `point`, z along `inward`, rolled about z (0: x = z cross axis), then tilted about y."""
+    x = _unit(np.cross(inward, axis))
+    y = np.cross(inward, x)
     c, s = np.cos(np.deg2rad(roll)), np.sin(np.deg2rad(roll))
     x, y = c * x + s * y, c * y - s * x
     c, s = np.cos(np.deg2rad(tilt)), np.sin(np.deg2rad(tilt))
-    x, z = c * x - s * depth, c * depth + s * x
+    x, z = c * x - s * inward, c * inward + s * x
     pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2] = x, y, z
-    pose[:3, 3] = point + press_mm * depth
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = x, y, z, point
     return pose
 
 

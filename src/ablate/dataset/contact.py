@@ -1,0 +1,165 @@
+"""Where a probe touches a body, how far it can be pressed, and what lies before it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ablate.anatomy import Scene
+from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound.embree import Geometry
+from ablate.ultrasound.ownership import nowhere, owner, walk
+
+_PATCH_MM = 12.0  # half-width of the skin patch whose mean normal the probe follows
+_FACE_HALF_WIDTH_MM = 6.0  # of the probe's face, across the image plane (assumed)
+_FACE_POINTS = (29, 3)  # along the arc and across it
+_LINES = 32  # of a fan that is asked whether it meets something
+_LEAST_SHARE = 0.1  # of them, or the fan misses it
+_SOFT_MRAYL = (0.5, 3.0)  # impedance of what a face can be pressed into: neither gas nor bone
+
+
+class Skin:
+    """The outside of a body, to be met by rays.
+
+    Parameters
+    ----------
+    scene : Scene
+        With at least one structure.
+
+    Attributes
+    ----------
+    centre : (3,) float64
+        Of the scene's bounds, mm.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        bounds = np.array([s.mesh.bounds for s in scene.structures])
+        low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+        self.centre = (low + high) / 2
+        reach = float(np.linalg.norm(high - low))
+        self._geometry = Geometry(scene.structures, np.stack([low, high]), self.centre, reach)
+        impedance = np.array([scene.background.impedance_mrayl, *(s.tissue.impedance_mrayl for s in scene.structures)])
+        self._hard = (impedance < _SOFT_MRAYL[0]) | (impedance > _SOFT_MRAYL[1])
+        self._hard[0] = False  # outside every structure is the couplant's business
+        self._structures = len(scene.structures)
+
+    def depth(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """How deep points lie under the first surface met on the way in, (n,) float64, mm.
+
+        Negative before it; minus infinity where the whole line meets nothing.
+        """
+        local = points - self.centre
+        back, ahead = self._geometry.through(local, directions)
+        starts = (local - back[:, None] * directions).astype(np.float32)
+        hits = self._geometry.closest(starts, directions.astype(np.float32), (back + ahead).astype(np.float32))
+        return np.where(hits.structure >= 0, back - hits.distance_mm, -np.inf)
+
+    def hard_at(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Whether bone or gas owns points that are reached from outside along `directions`, (n,) bool."""
+        local = points - self.centre
+        back, _ = self._geometry.through(local, directions)
+        starts = (local - back[:, None] * directions).astype(np.float32)
+        inside = nowhere(len(points), self._structures)
+        walk(self._geometry, starts, directions.astype(np.float32), back.astype(np.float32), inside)
+        return self._hard[owner(inside)]
+
+    def within(self, starts: np.ndarray, directions: np.ndarray, reach_mm: float) -> np.ndarray:
+        """Whether rays meet a surface within reach, (n,) bool."""
+        local = (starts - self.centre).astype(np.float32)
+        reach = np.full(len(local), reach_mm, np.float32)
+        return self._geometry.closest(local, directions.astype(np.float32), reach).structure >= 0
+
+    def contact(
+        self, middle: np.ndarray, outward: np.ndarray, axis: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Skin point and inward normal, from nine parallel rays around a site; None where the middle one misses.
+
+        Parameters
+        ----------
+        middle : (3,) float, mm
+            On the body's axis.
+        outward, axis : (3,) float
+            Unit vectors: from there to the site, and along the body.
+        """
+        across = np.cross(outward, axis)
+        offsets = [(u, v) for v in (-_PATCH_MM, 0.0, _PATCH_MM) for u in (-_PATCH_MM, 0.0, _PATCH_MM)]
+        starts = np.array([middle + across * u + axis * v for u, v in offsets])
+        depth = self.depth(starts, np.tile(-outward, (len(starts), 1)))
+        points = starts + outward * np.where(np.isfinite(depth), depth, 0.0)[:, None]
+        if not np.isfinite(depth[4]):
+            return None
+        near = points[np.abs(depth - depth[4]) < 2 * _PATCH_MM]
+        _, spread, axes = np.linalg.svd(near - near.mean(axis=0))
+        normal = axes[2]
+        if len(near) < 5 or spread[1] < 1e-6 or abs(normal @ outward) < 0.5:
+            return points[4], -outward
+        return points[4], -normal * np.sign(normal @ outward)
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """Poses after pressing, (n, 4, 4) float64, mm; for each whether all of the face has body before it, (n,) bool,
+    and whether any of it lies in bone or gas, (n,) bool.
+    """
+
+    poses: np.ndarray
+    on_body: np.ndarray
+    hard: np.ndarray
+
+
+def press(skin: Skin, probe: ConvexProbe, poses: np.ndarray, approaches: np.ndarray, press_mm: float) -> Pressed:
+    """Move probes along their approach until the deepest point of each face lies `press_mm` under the skin.
+
+    Parameters
+    ----------
+    skin : Skin
+    probe : ConvexProbe
+    poses : (n, 4, 4) float64, mm
+    approaches : (n, 3) float64
+        Unit vectors into the body; a probe's own z may be tilted against its approach.
+    press_mm : float
+
+    Returns
+    -------
+    Pressed
+    """
+    face = face_points(probe)
+    n, k = len(poses), len(face)
+    directions = np.repeat(approaches, k, axis=0)
+    depth = skin.depth(_in_world(poses, face), directions).reshape(n, k)
+    on_body = np.isfinite(depth).all(axis=1)
+    deepest = depth.max(axis=1)
+    pressed = poses.copy()
+    pressed[:, :3, 3] += np.where(np.isfinite(deepest), press_mm - deepest, 0.0)[:, None] * approaches
+    hard = skin.hard_at(_in_world(pressed, face), directions).reshape(n, k)
+    return Pressed(pressed, on_body, np.asarray(hard.any(axis=1)))
+
+
+def meets(region: Skin, probe: ConvexProbe, poses: np.ndarray) -> np.ndarray:
+    """Whether at least a tenth of a fan's lines meet a region within the imaging depth, (n,) bool."""
+    starts, directions = face_arc(probe, _LINES)
+    rays = np.einsum("nij,kj->nki", poses[:, :3, :3], directions).reshape(-1, 3)
+    met = region.within(_in_world(poses, starts), rays, probe.depth_mm).reshape(len(poses), _LINES)
+    return met.mean(axis=1) >= _LEAST_SHARE
+
+
+def face_arc(probe: ConvexProbe, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the face in the image plane, (count, 3) mm, and the directions they look in, (count, 3)."""
+    angle = np.linspace(-0.5, 0.5, count) * math.radians(probe.fov_deg)
+    directions = np.stack([np.sin(angle), np.zeros(count), np.cos(angle)], axis=-1)
+    return probe.radius_mm * directions - (0.0, 0.0, probe.radius_mm), directions
+
+
+def face_points(probe: ConvexProbe) -> np.ndarray:
+    """Points all over the face in probe coordinates, (k, 3) float64, mm."""
+    along, across = _FACE_POINTS
+    arc, _ = face_arc(probe, along)
+    offsets = np.linspace(-_FACE_HALF_WIDTH_MM, _FACE_HALF_WIDTH_MM, across)
+    return np.concatenate([arc + np.array([0.0, offset, 0.0]) for offset in offsets])
+
+
+def _in_world(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Each of k points through each of n poses, (n * k, 3)."""
+    return (np.einsum("nij,kj->nki", poses[:, :3, :3], points) + poses[:, None, :3, 3]).reshape(-1, 3)

@@ -1,0 +1,164 @@
+"""Speckle: its first-order statistics, its level, and that it belongs to the world."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ablate.anatomy import Scene, Tissue
+from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
+
+DENSE = Tissue("dense", attenuation_db_cm_mhz=0.0, scatterer_density=0.6, scatterer_sd=0.3)
+TEXTURED = replace(DENSE, attenuation_db_cm_mhz=0.5, texture_contrast_db=3.0)
+PAPER = SimulatorSettings(rays=1, image_shape=(50, 70))  # rays make no difference to tissue without surfaces
+
+
+def intensity(envelope: np.ndarray) -> np.ndarray:
+    """Squared envelope without its fall with depth."""
+    power = envelope.astype(float) ** 2
+    return power / power.mean(axis=1, keepdims=True)
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
+
+
+def scatter_variance(p: float, mean: float, sd: float) -> float:
+    """Var of [u <= p] (mean + sd n): E[s^2] - E[s]^2."""
+    return p * (sd**2 + mean**2) - (p * mean) ** 2
+
+
+def rayleigh_p_value(sample: np.ndarray) -> float:
+    """Of a Kolmogorov-Smirnov test whose null distribution is drawn with the scale estimated as in the sample."""
+    n = sample.size
+
+    def distance(x: np.ndarray) -> np.ndarray:
+        x = np.sort(x, axis=-1)
+        expected = 1 - np.exp(-(x**2) / (x**2).mean(axis=-1, keepdims=True))
+        rank = np.arange(n) / n
+        return np.maximum(expected - rank, rank + 1 / n - expected).max(axis=-1)
+
+    null = distance(np.random.default_rng(0).rayleigh(size=(499, n)))
+    return float((1 + (null >= distance(sample)).sum()) / 500)
+
+
+@pytest.fixture(scope="module")
+def paper_envelope() -> np.ndarray:
+    return Simulator(Scene((), DENSE, "s"), ConvexProbe(), PAPER).render(np.eye(4)).envelope
+
+
+@pytest.mark.parametrize("range_mm", [(5, 50), (50, 100), (100, 145)])
+def test_speckle_is_fully_developed(paper_envelope, depths, range_mm) -> None:
+    probe = ConvexProbe()
+    depth = depths(probe, PAPER)
+    part = paper_envelope[(depth > range_mm[0]) & (depth < range_mm[1])].astype(float)
+    assert part.mean() / part.std() == pytest.approx(1.91, abs=0.05)
+    # Samples two widths of the pulse apart are as good as independent: their correlation is exp(-11).
+    ends_mm = np.array(range_mm)
+    width_mm = 0.8 * np.sqrt(1 + ((ends_mm - 70) / 40) ** 2)
+    spacing_mm = (40 + ends_mm) * np.radians(70) / 191
+    lines_apart = int(np.ceil((2 * width_mm / spacing_mm).max()))
+    assert rayleigh_p_value(part[::26, ::lines_apart].ravel()) > 0.01
+
+
+@pytest.mark.parametrize("axial_samples", [512, 1024, 3072])
+def test_level_does_not_depend_on_sampling(probe, small, ahead, axial_samples) -> None:
+    tissue = Tissue("t", attenuation_db_cm_mhz=0.0, scatterer_density=0.7, scatterer_mean=0.5, scatterer_sd=0.6)
+    settings = replace(small, axial_samples=axial_samples, scatterer_level_db=-30.0)
+    pose = ahead.copy()
+    pose[:3, :3] = [[0.6, 0, 0.8], [0, 1, 0], [-0.8, 0, 0.6]]
+    envelope = Simulator(Scene((), tissue, "s"), probe, settings).render(pose).envelope
+    rms_db = 10 * np.log10((envelope.astype(float) ** 2).mean())
+    assert rms_db == pytest.approx(-30 + 10 * np.log10(scatter_variance(0.7, 0.5, 0.6)), abs=0.35)
+
+
+@pytest.mark.parametrize(
+    ("near", "far"),
+    [
+        ((0.5, 0.4, 0.2), (0.9, 0.0, 0.9)),
+        ((0.6, 0.0, 1.0), (0.6, 0.0, 0.3)),
+        ((1.0, 0.19, 0.24), (0.6, 0.4, 0.3)),
+        ((0.5, 0.8, 0.0), (1.0, 0.8, 0.1)),
+        ((0.1, 0.0, 1.0), (0.9, 0.0, 1.0)),
+    ],
+)
+def test_contrast_follows_the_scatterers(probe, small, ahead, slab, near, far) -> None:
+    a, b = (
+        Tissue(name, attenuation_db_cm_mhz=0.0, scatterer_density=p, scatterer_mean=mean, scatterer_sd=sd)
+        for name, (p, mean, sd) in (("a", near), ("b", far))
+    )
+    envelope = Simulator(Scene((slab(b, 75.0, 300.0),), a, "s"), probe, small).render(ahead).envelope.astype(float)
+    level_db = 10 * np.log10([(envelope[part] ** 2).mean() for part in (slice(50, 450), slice(720, 1000))])
+    contrast_db = 10 * np.log10(scatter_variance(*far) / scatter_variance(*near))
+    assert level_db[1] - level_db[0] == pytest.approx(contrast_db, abs=1.0)
+
+
+def test_texture_keeps_the_mean_power(probe, small, ahead) -> None:
+    plain = Tissue("t", attenuation_db_cm_mhz=0.0)
+    textured = replace(plain, texture_contrast_db=4.0, texture_mm=(2.0, 2.0, 2.0))
+    power = [
+        (Simulator(Scene((), tissue, "s"), probe, small).render(ahead).envelope.astype(float) ** 2).mean()
+        for tissue in (plain, textured)
+    ]
+    assert 10 * np.log10(power[1] / power[0]) == pytest.approx(0, abs=0.5)
+
+
+@pytest.mark.parametrize("layers", [1, 3])
+def test_turned_by_180_degrees_the_speckle_is_mirrored(probe, small, layers) -> None:
+    simulator = Simulator(Scene((), TEXTURED, "s"), probe, replace(small, layers=layers, tgc_db_cm_mhz=0.5))
+    pose = np.eye(4)
+    pose[:3, 3] = 13.0, -7.0, 22.0
+    there, back = simulator.render(pose), simulator.render(pose @ np.diag([-1.0, -1.0, 1.0, 1.0]))
+    assert correlation(intensity(there.envelope), intensity(back.envelope)[:, ::-1]) > 0.999
+    assert np.mean(np.abs(there.image.astype(int) - back.image[:, ::-1]) > 1) < 1e-3
+    # Turned by 90 degrees it is another plane, which shares no more than its axis.
+    quarter = pose @ np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    beside = np.r_[0:28, 36:64]
+    other = simulator.render(quarter).envelope
+    assert abs(correlation(intensity(there.envelope)[:, beside], intensity(other)[:, beside])) < 0.05
+
+
+def test_speckle_stays_when_the_probe_swings(probe, small) -> None:
+    """Turned about its centre of curvature by five scanlines, each line lies where its fifth neighbour lay."""
+    simulator = Simulator(Scene((), DENSE, "s"), probe, replace(small, layers=1))
+    angle = 5 * np.radians(70) / 63
+    pose = np.eye(4)
+    pose[0, 0], pose[0, 2], pose[2, 0], pose[2, 2] = np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)
+    pose[:3, 3] = 40 * pose[:3, 2] - (0, 0, 40)
+    before, after = (simulator.render(p).envelope for p in (np.eye(4), pose))
+    clear = slice(15, -20)  # the lateral blur of a line near the edge is not that of one further in
+    assert correlation(intensity(before[:, 5:])[:, clear], intensity(after[:, :-5])[:, clear]) > 0.999
+
+
+def test_speckle_stays_when_the_probe_is_pulled_back(probe, small, ahead) -> None:
+    settings = replace(small, layers=1, scanlines=65, lateral_fwhm_mm=1e-3)
+    simulator = Simulator(Scene((), DENSE, "s"), probe, settings)
+    pose = ahead.copy()
+    pose[2, 3] = 10 * 150.0 / 1024
+    before, after = (simulator.render(p).envelope[:, 32] for p in (ahead, pose))
+    assert correlation(before[20:900], after[10:890]) > 0.999
+
+
+@pytest.mark.parametrize("range_mm", [(5, 40), (60, 80), (110, 145)])
+def test_low_quality_shows_the_same_speckle(paper_envelope, depths, range_mm) -> None:
+    """L sees the middle one of H's three layers; the correlation of intensities is that layer's share of the power."""
+    low = SimulatorSettings.low_quality(image_shape=(50, 70))
+    assert (low.rays, low.layers) == (1, 1)
+    envelope = Simulator(Scene((), DENSE, "s"), ConvexProbe(), low).render(np.eye(4)).envelope
+    depth = depths(ConvexProbe(), PAPER)
+    rows = (depth > range_mm[0]) & (depth < range_mm[1])
+    sigma_mm = 2.5 * np.sqrt(1 + ((depth[rows] - 70) / 40) ** 2) / np.sqrt(8 * np.log(2))
+    share = 1 / (1 + 2 * np.exp(-((1.5 / sigma_mm) ** 2)))
+    assert correlation(paper_envelope[rows] ** 2, envelope[rows] ** 2) == pytest.approx(share.mean(), abs=0.04)
+
+
+def test_seeds_choose_scatterers_and_paths_apart(gel, slab, ball, probe, small, ahead) -> None:
+    body = Tissue("body", 1540, 1.6, 0.5, 0.6, 0.0, 0.8)
+    bone = Tissue("bone", 2600, 4.2, 5.0, 0.6, 0.0, 0.2)
+    scene = Scene((slab(body, 3.0, 200.0), ball(bone, (0.0, 0.0, 60.0), 10.0)), gel, "s")
+    lit = (slice(50, 300), slice(20, 44))
+    simulator = Simulator(scene, probe, small)
+    first, *others = (intensity(simulator.render(ahead, seed).envelope[lit]) for seed in (0, 1, 2**31, 2**40 + 1))
+    paths = intensity(Simulator(scene, probe, replace(small, path_seed=1)).render(ahead).envelope[lit])
+    assert correlation(first, paths) > 0.95
+    assert max(abs(correlation(first, other)) for other in others) < 0.1
