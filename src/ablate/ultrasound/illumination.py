@@ -6,7 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from ablate.ultrasound.compiled import compiled
 
 #: Depths at which the rays' mean is taken; between them it is interpolated in dB.
 NODES = 256
@@ -37,7 +38,7 @@ def dark(groups: int, depth_mm: float, samples: int) -> Nodes:
     return Nodes(first, (depth_mm - 2 * first) / max(count - 1, 1) or 1.0, np.zeros((groups, count)))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def shine(nodes: Nodes, group: int, from_mm: float, to_mm: float, loss_db: float, slope_db_mm: float) -> None:
     """Add one ray of weight 1 at the nodes in [from_mm, to_mm): its one-way loss is loss_db at first, then rises.
 
@@ -45,10 +46,10 @@ def shine(nodes: Nodes, group: int, from_mm: float, to_mm: float, loss_db: float
     """
     amplitude = nodes.amplitude[group]
     count = len(amplitude)
-    first = min(max(int(math.ceil((from_mm - nodes.first_mm) / nodes.spacing_mm)), 0), count)
+    first = min(max(math.ceil((from_mm - nodes.first_mm) / nodes.spacing_mm), 0), count)
     last = count
     if to_mm < nodes.first_mm + count * nodes.spacing_mm:
-        last = max(int(math.ceil((to_mm - nodes.first_mm) / nodes.spacing_mm)), 0)
+        last = max(math.ceil((to_mm - nodes.first_mm) / nodes.spacing_mm), 0)
     if first >= last:
         return
     at_first = loss_db + slope_db_mm * (nodes.first_mm + first * nodes.spacing_mm - from_mm)

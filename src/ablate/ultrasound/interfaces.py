@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from ablate.ultrasound.compiled import compiled
 
 Vector = tuple[float, float, float]
 
 
-@njit(cache=True)
+@compiled
 def dot(a: Vector, b: Vector) -> float:
     """Scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@compiled
 def along(point: Vector, direction: Vector, length: float) -> Vector:
     """point + length direction."""
     return (
@@ -28,14 +28,14 @@ def along(point: Vector, direction: Vector, length: float) -> Vector:
     )
 
 
-@njit(cache=True)
+@compiled
 def facing(normal: Vector, direction: Vector) -> Vector:
     """The unit normal turned against a ray, from a normal of any length and sign."""
     scale = -math.copysign(1 / max(math.sqrt(dot(normal, normal)), 1e-30), dot(normal, direction))
     return scale * normal[0], scale * normal[1], scale * normal[2]
 
 
-@njit(cache=True)
+@compiled
 def rough_normal(normal: Vector, log_u: float, cos_azimuth: float, sin_azimuth: float, exponent: float) -> Vector:
     """A normal drawn from a power-cosine lobe about the surface's own (Mattausch and Goksel 2016).
 
@@ -69,7 +69,7 @@ def rough_normal(normal: Vector, log_u: float, cos_azimuth: float, sin_azimuth: 
     )
 
 
-@njit(cache=True)
+@compiled
 def transmission_cosine(cos_i: float, speed_1: float, speed_2: float) -> float:
     """Cosine of the refracted angle by Snell's law, sin t / sin i = c2 / c1; 0 at total reflection."""
     if speed_1 == speed_2:
@@ -78,20 +78,20 @@ def transmission_cosine(cos_i: float, speed_1: float, speed_2: float) -> float:
     return math.sqrt(max(1 - ratio * ratio * (1 - cos_i * cos_i), 0.0))
 
 
-@njit(cache=True)
+@compiled
 def pressure_reflection(impedance_1: float, impedance_2: float, cos_i: float, cos_t: float) -> float:
     """R_p = (Z2 cos i - Z1 cos t) / (Z2 cos i + Z1 cos t); the energy reflected is R_p^2."""
     a, b = impedance_2 * cos_i, impedance_1 * cos_t
     return (a - b) / max(a + b, 1e-30)
 
 
-@njit(cache=True)
+@compiled
 def mirrored(direction: Vector, normal: Vector, cos_i: float) -> Vector:
     """Direction of reflection, d + 2 cos i n."""
     return along(direction, normal, 2 * cos_i)
 
 
-@njit(cache=True)
+@compiled
 def refracted(direction: Vector, normal: Vector, cos_i: float, cos_t: float, speed_ratio: float) -> Vector:
     """Direction of transmission, eta d + (eta cos i - cos t) n with eta = c2 / c1.
 

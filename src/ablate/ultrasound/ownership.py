@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from ablate.ultrasound.compiled import compiled
 
 
 def nowhere(rows: int, structures: int) -> np.ndarray:
@@ -17,13 +18,13 @@ def nowhere(rows: int, structures: int) -> np.ndarray:
     return np.zeros((rows, max(1, -(-structures // 32))), np.uint32)
 
 
-@njit(cache=True)
+@compiled
 def toggle(inside: np.ndarray, structure: int) -> None:
     """Cross a surface: changes one set, (words,) uint32."""
     inside[structure >> 5] ^= np.uint32(1) << np.uint32(structure & 31)
 
 
-@njit(cache=True)
+@compiled
 def owner(inside: np.ndarray) -> int:
     """1 + the last structure of a set, (words,) uint32; 0 where it is empty."""
     for word in range(len(inside) - 1, -1, -1):
@@ -33,7 +34,7 @@ def owner(inside: np.ndarray) -> int:
     return 0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def owners(inside: np.ndarray) -> np.ndarray:
     """`owner` of each set of (n, words) uint32, (n,) int32."""
     found = np.empty(len(inside), np.int32)
@@ -42,7 +43,7 @@ def owners(inside: np.ndarray) -> np.ndarray:
     return found
 
 
-@njit(cache=True)
+@compiled
 def next_step(step_mm: float, fresh: bool, least_mm: float) -> float:
     """How far to go beyond a surface just met, mm.
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from ablate.ultrasound.bundle import Bundle
+from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.draws import CHOICE, COS_AZIMUTH, LOG_U, MAX_ROWS, SIN_AZIMUTH, SURVIVAL, THICKNESS, Draws
 from ablate.ultrasound.embree import Geometry, Hits
 from ablate.ultrasound.illumination import Nodes, shine
@@ -76,7 +76,7 @@ def trace(geometry: Geometry, view: View, draws: Draws, bundle: Bundle, nodes: N
     return Echoes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _bounce(
     rays: Rays,
     hits: Hits,
@@ -127,9 +127,9 @@ def _bounce(
             middle_mm = shown_mm * ways / 2
             two_way_db = loss_db * ways + 2 * thickness_mm * loss_db_mm
             depth_mm = middle_mm + thickness_mm * stretch
-            towards = dot(back, to_element) / way_back_mm
-            if towards > 0 and depth_mm < view.depth_mm:
-                amplitude = weight * abs(pressure) * towards ** media.specularity[surface]
+            if depth_mm < view.depth_mm:
+                lobe = max(dot(back, to_element) / way_back_mm, 0.0) ** media.specularity[surface]
+                amplitude = weight * abs(pressure) * lobe
                 amplitude *= math.exp(-two_way_db * _NEPER_PER_DB)
                 if not direct:
                     on_axis = dot(to_element, _vector(view.axes, group))
@@ -173,13 +173,13 @@ def _bounce(
     return left, heard
 
 
-@njit(cache=True)
+@compiled
 def _vector(rows: np.ndarray, i: int) -> Vector:
     """A row as a tuple of doubles."""
     return float(rows[i, 0]), float(rows[i, 1]), float(rows[i, 2])
 
 
-@njit(cache=True)
+@compiled
 def _scatter(
     direction: Vector, normal: Vector, before: int, after: int, surface: int, drawn: np.ndarray, media: Media
 ) -> tuple[Vector, Vector, float]:
@@ -194,7 +194,7 @@ def _scatter(
     return back, onward, pressure
 
 
-@njit(cache=True)
+@compiled
 def _about(
     direction: Vector, normal: Vector, before: int, after: int, media: Media
 ) -> tuple[Vector, Vector, float, float, bool]:
@@ -210,7 +210,7 @@ def _about(
     return mirrored(direction, normal, cos_i), onward, pressure, cos_i, cos_t == 0
 
 
-@njit(cache=True)
+@compiled
 def _chance(weight: float, two_way_db: float, faintest_db: float, often: bool) -> float:
     """Chance of a faint or often turned ray to go on; survivors' weights grow by its inverse, without bias."""
     level_db = 20 * math.log10(max(weight, 1e-30)) - two_way_db

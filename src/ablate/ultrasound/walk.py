@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.embree import Geometry, Hits
 from ablate.ultrasound.ownership import next_step, nowhere, owner, toggle
 from ablate.ultrasound.threads import in_parts
@@ -137,7 +137,7 @@ def walk(
     return inside, values, ranges_mm
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _cross(
     walkers: Walkers,
     hits: Hits,
@@ -159,7 +159,7 @@ def _cross(
         if not ends:
             distance = last + walkers.step_mm[i] + hits.distance_mm[i]
             reached = shown + max(distance - max(last, 0.0), 0.0) * stretch_of_owner[here]
-            end = min(max(int(math.ceil((reached - first_mm) / spacing_mm)), 0), samples)
+            end = min(max(math.ceil((reached - first_mm) / spacing_mm), 0), samples)
         for k in range(walkers.filled[i], end):
             values[row, k] = value_of_owner[here]
             if stretched:
