@@ -8,9 +8,9 @@ import numpy as np
 
 from ablate.ultrasound.draws import Draws
 from ablate.ultrasound.embree import Geometry
-from ablate.ultrasound.ownership import carry, inside_at
 from ablate.ultrasound.probe import layer_offsets_mm, scanlines_in_plane, to_world
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.walk import carry, inside_at
 
 _STEEPEST_RAD = 0.3
 
@@ -39,7 +39,6 @@ class Bundle:
 
 def leave_probe(
     geometry: Geometry,
-    structures: int,
     probe: ConvexProbe,
     settings: SimulatorSettings,
     pose: np.ndarray,
@@ -54,7 +53,6 @@ def leave_probe(
     Parameters
     ----------
     geometry : Geometry
-    structures : int
     probe : ConvexProbe
     settings : SimulatorSettings
     pose : (4, 4) float64
@@ -79,7 +77,7 @@ def leave_probe(
     starts, directions = to_world(pose, starts), directions @ rotation.T
     origins, rays = to_world(pose, origins.reshape(-1, 3)), rays.reshape(-1, 3) @ rotation.T
     middle = np.broadcast_to(pose[:3, 3], starts.shape)
-    at_middle = np.repeat(inside_at(geometry, pose[:3, 3], structures), len(starts), axis=0)
+    at_middle = np.repeat(inside_at(geometry, pose[:3, 3]), len(starts), axis=0)
     start_inside = carry(geometry, at_middle, middle, starts)
     inside = carry(
         geometry,

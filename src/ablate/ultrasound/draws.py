@@ -7,6 +7,8 @@ and layer exactly one falls into each n-th of [0, 1), in an order that is permut
 
 from __future__ import annotations
 
+from threading import Lock
+
 import numpy as np
 
 #: Beyond this many interfaces a ray's draws repeat.
@@ -37,31 +39,32 @@ class Draws:
 
     def __init__(self, path_seed: int, groups: int, rays: int) -> None:
         self._seed, self._groups, self.rays = path_seed, groups, rays
-        self._table = np.empty((0, groups * rays, 6), np.float32)
+        self._table = np.empty((MAX_ROWS, groups * rays, 6), np.float32)
+        self._made = 0
+        self._making = Lock()
 
     def aperture(self) -> np.ndarray:
         """Where in the aperture each ray starts, (2, groups, rays) float32 in [0, 1)."""
         return stratified(self._generator(0), self._groups, self.rays, 2)
 
-    def at(self, interfaces: np.ndarray, ray: np.ndarray) -> np.ndarray:
-        """Draws of some rays at their next interface.
+    def table(self, interfaces: int) -> np.ndarray:
+        """Draws of all rays; the rows that serve up to so many interfaces are filled.
 
         Parameters
         ----------
-        interfaces : (n,) int
-            How many each ray has met before.
-        ray : (n,) int
+        interfaces : int
 
         Returns
         -------
-        (n, 6) float32
-            Uniform choice, |normal|, log of a uniform, cosine and sine of a uniform angle, uniform.
+        (MAX_ROWS, groups * rays, 6) float32
+            By interface (modulo MAX_ROWS) and ray: uniform choice, |normal|, log of a uniform, cosine and sine of
+            a uniform angle, uniform.
         """
-        rows = interfaces % MAX_ROWS
-        while len(self._table) <= rows.max(initial=-1):
-            more = range(len(self._table), max(4, 2 * len(self._table)))
-            self._table = np.concatenate([self._table, np.stack([self._row(number) for number in more])])
-        return self._table[rows, ray]
+        with self._making:
+            while self._made < min(interfaces, MAX_ROWS):
+                self._table[self._made] = self._row(self._made)
+                self._made += 1
+        return self._table
 
     def _row(self, number: int) -> np.ndarray:
         generator = self._generator(number + 1)

@@ -84,9 +84,9 @@ def clutter_lines(
     lines, samples = shape
     line, position, amplitude = _placed(echoes, echoes.reflected, weights, rays, depth_mm, shape)
     cells = max(1, min(samples, math.ceil(depth_mm / _CLUTTER_MM * _CLUTTER_CELLS_PER_SIGMA)))
-    coarse = splat(line, (position + 0.5) * (cells / samples) - 0.5, amplitude, (lines, cells))
+    coarse = torch.from_numpy(splat(line, (position + 0.5) * (cells / samples) - 0.5, amplitude, (lines, cells)))
     coarse = _spreading(lines, _CLUTTER_LINES) @ coarse @ _spreading(cells, _CLUTTER_CELLS_PER_SIGMA).T
-    fine = F.interpolate(torch.from_numpy(coarse)[None], size=samples, mode="linear", align_corners=False)
+    fine = F.interpolate(coarse[None], size=samples, mode="linear", align_corners=False)
     return fine[0].numpy() * (cells / samples)
 
 
@@ -107,8 +107,8 @@ def _placed(
 
 
 @cache
-def _spreading(n: int, sigma: float) -> np.ndarray:
+def _spreading(n: int, sigma: float) -> torch.Tensor:
     """A Gaussian smoothing matrix whose columns sum to 1, so that nothing is lost at the ends, (n, n)."""
     apart = np.minimum(np.abs(np.arange(n)[:, None] - np.arange(n)) / sigma, 5.0)
     matrix = np.where(apart < 4, np.exp(-0.5 * apart**2), 0.0)
-    return matrix / matrix.sum(axis=0)
+    return torch.from_numpy(matrix / matrix.sum(axis=0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -12,9 +12,8 @@ from embreex.rtcore_scene import EmbreeScene
 from ablate.anatomy import Structure
 
 
-@dataclass(frozen=True)
-class Hits:
-    """Closest hits of n rays.
+class Hits(NamedTuple):
+    """Closest hits of n rays; a tuple, so that compiled code can take it.
 
     Attributes
     ----------
@@ -30,10 +29,6 @@ class Hits:
     structure: np.ndarray
     triangle: np.ndarray
     normal: np.ndarray
-
-    def take(self, chosen: np.ndarray) -> Hits:
-        """The hits of some rays, by index or mask."""
-        return Hits(self.distance_mm[chosen], self.structure[chosen], self.triangle[chosen], self.normal[chosen])
 
 
 class Geometry:
@@ -52,6 +47,8 @@ class Geometry:
 
     Attributes
     ----------
+    structures : int
+        How many there are.
     step_mm : float
         How far a ray is put beyond a surface that it has crossed: a few times float32's spacing. Smaller, and a
         grazing ray meets a surface twice; larger, and it jumps over the second side of a corner that it clips.
@@ -65,6 +62,7 @@ class Geometry:
     def __init__(
         self, structures: Sequence[Structure], bounds_mm: np.ndarray, origin_mm: np.ndarray, extent_mm: float
     ) -> None:
+        self.structures = len(structures)
         self._scene = EmbreeScene() if structures else None
         self._meshes = []  # keeps the buffers that Embree reads
         for number, structure in enumerate(structures):

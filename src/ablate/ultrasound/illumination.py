@@ -1,67 +1,66 @@
-"""How strongly each scanline of each layer is insonified at each depth, from the rays that were never reflected."""
+"""How strongly each scanline of each layer is insonified at each depth, by the rays that were never reflected."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-import torch
 
-from ablate.ultrasound.rays import Descent
-from ablate.ultrasound.slices import fill_rows, first_sample
+from ablate.ultrasound.compiled import compiled
 
 #: Depths at which the rays' mean is taken; between them it is interpolated in dB.
 NODES = 256
-#: Levels below this are silence, dB: far under any display, far above the smallest float32.
+#: Levels below this are silence, dB: far under any display, far above the smallest double.
 SILENCE_DB = -600.0
-_GROUPS_AT_A_TIME = 64  # so that the rays of a chunk stay in the processor's cache
+_NEPER_PER_TWO_WAY_DB = math.log(10) / 10
 
 
-def node_count(samples: int) -> int:
-    """Number of depths that the illumination is computed at."""
-    return min(samples, NODES)
+class Nodes(NamedTuple):
+    """Depths at which the illumination is kept, and what has been collected there.
 
-
-def illumination_db(
-    descent: Descent, groups: int, rays: int, first_mm: float, last_mm: float, nodes: int
-) -> torch.Tensor:
-    """Mean over the rays of a group of weight x 10^(-2 loss / 20), in dB.
-
-    The loss of a ray is exact at every node; the mean is a log-sum-exp, so thousands of dB do no harm.
-
-    Parameters
+    Attributes
     ----------
-    descent : Descent
-    groups, rays : int
-    first_mm, last_mm : float
-        Depths of the first and the last node.
-    nodes : int
-
-    Returns
-    -------
-    (groups, nodes) float32 tensor, dB, at least `SILENCE_DB`
+    first_mm, spacing_mm : float
+    amplitude : (groups, nodes) float64
+        Sum over the rays of weight x 10^(-2 loss / 20).
     """
-    spacing = (last_mm - first_mm) / max(nodes - 1, 1) or 1.0
-    first = np.maximum(first_sample(descent.shown_mm, first_mm, spacing), 0)
-    at_first = descent.loss_db + descent.slope_db_mm * (np.float32(first_mm) - descent.shown_mm)
-    line = np.stack([at_first, descent.slope_db_mm * np.float32(spacing)], axis=-1)
-    order = np.argsort(descent.ray, kind="stable")
-    ray, first, line = descent.ray[order], first[order], line[order].astype(np.float32)
-    chunk = _GROUPS_AT_A_TIME * rays
-    node = torch.arange(nodes, dtype=torch.float32)
-    levels = []
-    for begin in range(0, groups * rays, chunk):
-        end = min(begin + chunk, groups * rays)
-        a, b = np.searchsorted(ray, (begin, end))
-        lines = fill_rows(ray[a:b] - begin, first[a:b], line[a:b], (end - begin, nodes))
-        loss = torch.from_numpy(lines).reshape(-1, rays, nodes, 2)
-        levels.append(_mean_level_db(loss[..., 0] + loss[..., 1] * node))
-    return torch.cat(levels)
+
+    first_mm: float
+    spacing_mm: float
+    amplitude: np.ndarray
 
 
-def _mean_level_db(loss_db: torch.Tensor) -> torch.Tensor:
-    """Level of the mean amplitude over dim 1 of (groups, rays, nodes), two-way from one-way losses."""
-    least = loss_db.amin(dim=1, keepdim=True)
-    relative = torch.exp((least - loss_db).clamp_(min=-300) * (2 * math.log(10) / 20))
-    level = 20 * torch.log10(relative.mean(dim=1)) - 2 * least[:, 0]
-    return level.clamp_(min=SILENCE_DB)
+def dark(groups: int, depth_mm: float, samples: int) -> Nodes:
+    """Nodes from the first sample to the last, before any ray has come."""
+    count = min(samples, NODES)
+    first = depth_mm / samples / 2
+    return Nodes(first, (depth_mm - 2 * first) / max(count - 1, 1) or 1.0, np.zeros((groups, count)))
+
+
+@compiled
+def shine(nodes: Nodes, group: int, from_mm: float, to_mm: float, loss_db: float, slope_db_mm: float) -> None:
+    """Add one ray of weight 1 at the nodes in [from_mm, to_mm): its one-way loss is loss_db at first, then rises.
+
+    Between nodes the amplitude falls by one factor, so a piece costs two powers, however long it is.
+    """
+    amplitude = nodes.amplitude[group]
+    count = len(amplitude)
+    first = min(max(math.ceil((from_mm - nodes.first_mm) / nodes.spacing_mm), 0), count)
+    last = count
+    if to_mm < nodes.first_mm + count * nodes.spacing_mm:
+        last = max(math.ceil((to_mm - nodes.first_mm) / nodes.spacing_mm), 0)
+    if first >= last:
+        return
+    at_first = loss_db + slope_db_mm * (nodes.first_mm + first * nodes.spacing_mm - from_mm)
+    level = math.exp(-at_first * _NEPER_PER_TWO_WAY_DB)
+    factor = math.exp(-slope_db_mm * nodes.spacing_mm * _NEPER_PER_TWO_WAY_DB)
+    for k in range(first, last):
+        amplitude[k] += level
+        level *= factor
+
+
+def mean_level_db(nodes: Nodes, rays: int) -> np.ndarray:
+    """Level of the mean over the rays of each group, (groups, nodes) float32, dB, at least `SILENCE_DB`."""
+    mean = nodes.amplitude / rays
+    return (20 * np.log10(np.maximum(mean, 10 ** (SILENCE_DB / 20)))).astype(np.float32)

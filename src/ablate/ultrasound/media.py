@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,9 +14,8 @@ from ablate.ultrasound.settings import DepthMode
 DISPLAY_SPEED_M_S = 1540.0
 
 
-@dataclass(frozen=True)
-class Media:
-    """Tables over tissues, float32 unless said otherwise.
+class Media(NamedTuple):
+    """Tables over tissues, float32 unless said otherwise; a tuple, so that compiled code can take it.
 
     Attributes
     ----------

@@ -1,43 +1,40 @@
-"""Rays under way, and what they bring back."""
+"""Rays under way, what they travel through, and what they bring back."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ablate.ultrasound.bundle import Bundle
 from ablate.ultrasound.media import Media
-from ablate.ultrasound.ownership import owner
-
-#: Loss that stands for "no sound at all", dB: finite, so that no sum or interpolation of it is NaN.
-SILENT_DB = 1e9
+from ablate.ultrasound.ownership import owners
 
 
-@dataclass
-class Rays:
-    """Rays under way, one row a ray; lengths in mm.
+class Rays(NamedTuple):
+    """Rays under way, one row a ray; lengths in mm. A tuple, so that compiled code can take it.
 
     Attributes
     ----------
     number : (n,) int32
         Among all rays of the frame.
     origin, direction : (n, 3) float32
-        Where the ray last met a surface, and where it goes from there.
+        From where the next surface is looked for: `step_mm` beyond the last one.
     inside : (n, words) uint32
         The structures that it is inside of.
     medium : (n,) int32
         Index of the tissue that it goes through.
-    path_mm, shown_mm, loss_db : (n,) float32
-        So far: length, length as displayed, loss one way.
-    weight : (n,) float32
+    path_mm, shown_mm, loss_db : (n,) float64
+        Up to the last surface: length, length as displayed, loss one way.
+    weight : (n,) float64
         Two-way amplitude without losses.
     interfaces, reflections : (n,) int32
         How many it has met, and how many turned it back.
     structure, triangle : (n,) int32
         Of the last surface.
-    step_mm : (n,) float32
-        How far beyond it the ray goes before it looks for the next; that length is part of its way.
+    step_mm, reach_mm : (n,) float32
+        From the last surface to `origin`, and how far from there the next one may be.
     """
 
     number: np.ndarray
@@ -54,29 +51,36 @@ class Rays:
     structure: np.ndarray
     triangle: np.ndarray
     step_mm: np.ndarray
-
-    def take(self, chosen: np.ndarray) -> Rays:
-        """Copies of some rays, by index or mask."""
-        return Rays(*(getattr(self, name)[chosen] for name in _FIELDS))
-
-    def put(self, chosen: np.ndarray, others: Rays) -> None:
-        """Replace some rays, by index."""
-        for name in _FIELDS:
-            getattr(self, name)[chosen] = getattr(others, name)
-
-    def advance(self, distance_mm: np.ndarray, media: Media) -> None:
-        """Move every ray along its way."""
-        self.origin += distance_mm[:, None] * self.direction
-        self.lengthen(distance_mm, media)
-
-    def lengthen(self, distance_mm: np.ndarray, media: Media) -> None:
-        """Add to every ray's way without moving it."""
-        self.path_mm += distance_mm
-        self.shown_mm += distance_mm * media.stretch[self.medium]
-        self.loss_db += distance_mm * media.loss_db_mm[self.medium]
+    reach_mm: np.ndarray
 
 
-_FIELDS = tuple(field.name for field in fields(Rays))
+class View(NamedTuple):
+    """What rays travel through, and who listens; a tuple, so that compiled code can take it.
+
+    Attributes
+    ----------
+    media : Media
+    tissue_of_owner : (structures + 1,) uint8
+    elements, axes : (groups, 3) float64, mm
+        Where each scanline begins, and where it looks.
+    rays : int
+        Of each group.
+    depth_mm : float
+        Of the image; an echo that would be drawn deeper is not followed.
+    faintest_db : float
+        Reflected rays whose two-way amplitude is under this are ended by roulette.
+    step_mm : float
+        Beyond a surface that was met.
+    """
+
+    media: Media
+    tissue_of_owner: np.ndarray
+    elements: np.ndarray
+    axes: np.ndarray
+    rays: int
+    depth_mm: float
+    faintest_db: float
+    step_mm: float
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,7 @@ class Echoes:
 
     Attributes
     ----------
-    group : (n,) int
+    group : (n,) int32
         Scanline and layer.
     depth_mm : (n,) float32
         As displayed.
@@ -101,54 +105,25 @@ class Echoes:
     reflected: np.ndarray
 
 
-@dataclass(frozen=True)
-class Descent:
-    """Loss along the rays that were never reflected, as pieces of straight lines: loss_db + slope (z - shown).
-
-    Every ray has a first piece at 0; a piece lasts until the ray's next one. Within a ray, depth never falls.
-
-    Attributes
-    ----------
-    ray : (n,) int32
-    shown_mm, loss_db, slope_db_mm : (n,) float32
-        One way, per displayed mm; `SILENT_DB` from where a ray is turned back.
-    """
-
-    ray: np.ndarray
-    shown_mm: np.ndarray
-    loss_db: np.ndarray
-    slope_db_mm: np.ndarray
-
-
-def start_rays(bundle: Bundle, tissue_of_owner: np.ndarray) -> Rays:
-    """All rays of a frame, at the probe."""
-    n = len(bundle.origins)
-
-    def filled(value: float, kind: type) -> np.ndarray:
-        return np.full(n, value, kind)
-
+def start_rays(bundle: Bundle, chosen: slice, view: View) -> Rays:
+    """Some rays of a frame, at the probe."""
+    inside = bundle.inside[chosen].copy()
+    n = len(inside)
+    medium = view.tissue_of_owner[owners(inside)].astype(np.int32)
     return Rays(
-        number=np.arange(n, dtype=np.int32),
-        origin=bundle.origins.copy(),
-        direction=bundle.ray_directions.copy(),
-        inside=bundle.inside.copy(),
-        medium=tissue_of_owner[owner(bundle.inside)].astype(np.int32),
-        path_mm=filled(0, np.float32),
-        shown_mm=filled(0, np.float32),
-        loss_db=filled(0, np.float32),
-        weight=filled(1, np.float32),
-        interfaces=filled(0, np.int32),
-        reflections=filled(0, np.int32),
-        structure=filled(-1, np.int32),
-        triangle=filled(-1, np.int32),
-        step_mm=filled(0, np.float32),
+        number=np.arange(chosen.start, chosen.start + n, dtype=np.int32),
+        origin=bundle.origins[chosen].copy(),
+        direction=bundle.ray_directions[chosen].copy(),
+        inside=inside,
+        medium=medium,
+        path_mm=np.zeros(n),
+        shown_mm=np.zeros(n),
+        loss_db=np.zeros(n),
+        weight=np.ones(n),
+        interfaces=np.zeros(n, np.int32),
+        reflections=np.zeros(n, np.int32),
+        structure=np.full(n, -1, np.int32),
+        triangle=np.full(n, -1, np.int32),
+        step_mm=np.zeros(n, np.float32),
+        reach_mm=np.float32(view.depth_mm) / view.media.stretch[medium],
     )
-
-
-def piece(rays: Rays, media: Media, ended: np.ndarray | None = None) -> Descent:
-    """How the loss of each ray goes on from where it is; silent where it has `ended`, (n,) bool."""
-    loss = rays.loss_db.copy()
-    slope = media.loss_db_mm[rays.medium] / media.stretch[rays.medium]
-    if ended is not None:
-        loss[ended], slope[ended] = SILENT_DB, 0
-    return Descent(rays.number, rays.shown_mm, loss, slope)

@@ -17,15 +17,16 @@ from ablate.ultrasound.bundle import leave_probe
 from ablate.ultrasound.draws import Draws
 from ablate.ultrasound.echoes import clutter_lines, surface_lines
 from ablate.ultrasound.embree import Geometry
-from ablate.ultrasound.illumination import illumination_db, node_count
+from ablate.ultrasound.illumination import dark, mean_level_db
 from ablate.ultrasound.plan import compile_scene
 from ablate.ultrasound.point_spread import blur, layer_weights, point_spread
 from ablate.ultrasound.probe import check_pose
+from ablate.ultrasound.rays import View
 from ablate.ultrasound.scan_conversion import ScanConverter
 from ablate.ultrasound.settings import ConvexProbe, Frame, SimulatorSettings
 from ablate.ultrasound.slices import plane_labels, sampled_lines, segment
 from ablate.ultrasound.speckle import LitLines, Speckle
-from ablate.ultrasound.transport import Surroundings, trace
+from ablate.ultrasound.transport import trace
 
 _SCENE_GRID_MM = 1000.0
 _CLUTTER_ROLL = (61, 1021)  # lines and samples between the noise of the display and that of clutter
@@ -167,20 +168,24 @@ class Simulator:
             return self._traced[1]
         probe, settings, scene = self.probe, self.settings, self._compiled
         shape = settings.scanlines, settings.axial_samples
-        spacing = probe.depth_mm / settings.axial_samples
-        bundle = leave_probe(self._geometry, len(scene.structures), probe, settings, self._local(pose), self._draws)
+        bundle = leave_probe(self._geometry, probe, settings, self._local(pose), self._draws)
         loudest_tgc_db = 20 * math.log10(float(self._gain[-1]))
         faintest_db = settings.noise_floor_db - 20 - loudest_tgc_db + 20 * math.log10(settings.reference_level)
-        around = Surroundings(
-            self._geometry, scene.media, scene.tissue_of_owner, self._draws, probe.depth_mm, faintest_db
+        view = View(
+            scene.media,
+            scene.tissue_of_owner,
+            bundle.starts,
+            bundle.directions,
+            settings.rays,
+            probe.depth_mm,
+            faintest_db,
+            self._geometry.step_mm,
         )
-        echoes, descent = trace(around, bundle)
+        nodes = dark(len(bundle.starts), probe.depth_mm, settings.axial_samples)
+        echoes = trace(self._geometry, view, self._draws, bundle, nodes)
         where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
-        nodes = node_count(settings.axial_samples)
-        level = illumination_db(
-            descent, len(bundle.starts), settings.rays, spacing / 2, probe.depth_mm - spacing / 2, nodes
-        )
+        level = torch.from_numpy(mean_level_db(nodes, settings.rays))
         labels, ranges = sampled_lines(self._geometry, scene.tissue_of_owner, scene.media, bundle, probe, settings)
         lit = self._speckle.light(bundle.starts + self._origin_mm, bundle.directions, labels, ranges, level)
         clutter_t = None if clutter is None else self._tensor(clutter) * self._spread.axial.sum()

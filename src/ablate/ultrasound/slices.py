@@ -7,81 +7,50 @@ import numpy as np
 from ablate.ultrasound.bundle import Bundle
 from ablate.ultrasound.embree import Geometry
 from ablate.ultrasound.media import Media
-from ablate.ultrasound.ownership import Crossings, walk_lines
+from ablate.ultrasound.ownership import nowhere
 from ablate.ultrasound.probe import pixel_coordinates_mm, scanlines_in_plane, to_world
 from ablate.ultrasound.settings import ConvexProbe, DepthMode, SimulatorSettings
+from ablate.ultrasound.walk import Samples, walk
+
+_ATTEMPTS = 4
+_ASIDE_STEPS = 300
 
 
-def fill_rows(row: np.ndarray, first: np.ndarray, value: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Rows of a table that hold one value from each entry's first column to the next one's.
+def sample_lines(
+    geometry: Geometry, starts: np.ndarray, directions: np.ndarray, samples: Samples
+) -> tuple[np.ndarray, np.ndarray]:
+    """What each sample of some lines holds, followed from outside everything to outside everything.
 
-    Parameters
-    ----------
-    row : (n,) int
-        Every row occurs, and its first entry begins at column 0.
-    first : (n,) int
-        First column of each entry; within a row it never falls.
-    value : (n, ...)
-    shape : (rows, columns)
-
-    Returns
-    -------
-    (rows, columns, ...)
-    """
-    rows, columns = shape
-    order = np.argsort(row, kind="stable")
-    begin = row[order].astype(np.int64) * columns + np.clip(first[order], 0, columns)
-    counts = np.diff(begin, append=rows * columns)
-    return np.repeat(value[order], counts, axis=0).reshape(rows, columns, *value.shape[1:])
-
-
-def first_sample(distance_mm: np.ndarray, first_mm: float, spacing_mm: float) -> np.ndarray:
-    """Index of the first sample at or beyond a distance, int64; samples lie at first + k spacing."""
-    return np.ceil((distance_mm.astype(np.float64) - first_mm) / spacing_mm).astype(np.int64)
-
-
-def sample_owners(crossings: Crossings, rows: int, first_mm: float, spacing_mm: float, samples: int) -> np.ndarray:
-    """Owner of each sample of each row, (rows, samples) int32."""
-    first = first_sample(crossings.distance_mm, first_mm, spacing_mm)
-    return fill_rows(crossings.row, np.maximum(first, 0), crossings.owner, (rows, samples))
-
-
-def displayed(crossings: Crossings, stretch: np.ndarray) -> Crossings:
-    """The same crossings at displayed distances, ordered by row.
+    A line that does not end inside nothing has missed a surface: it jumped over a corner, or ran along an edge. It
+    is followed again a few hundredths of a millimetre beside, so that one slip does not run down the whole line.
 
     Parameters
     ----------
-    crossings : Crossings
-    stretch : (structures + 1,) float
-        Displayed length over geometric length for each owner.
+    geometry : Geometry
+    starts, directions : (n, 3) float, mm
+    samples : Samples
 
     Returns
     -------
-    Crossings
+    values : (n, samples) uint8
+    ranges_mm : (n, samples) float32
+        How far along its line the displayed point lies; (n, 0) where nothing is stretched.
     """
-    order = np.argsort(crossings.row, kind="stable")
-    row, distance = crossings.row[order], crossings.distance_mm[order].astype(np.float64)
-    owner = crossings.owner[order]
-    length = np.diff(distance, append=0.0)
-    length[np.diff(row, append=-1) != 0] = 0  # a row's last piece has no end
-    end = np.cumsum(length * stretch[owner])
-    begin = np.concatenate([[0.0], end[:-1]])
-    first = np.flatnonzero(np.diff(row, prepend=-1) != 0)
-    return Crossings(row, begin - np.repeat(begin[first], np.diff(first, append=len(row))), owner)
-
-
-def sample_ranges_mm(
-    crossings: Crossings, shown: Crossings, stretch: np.ndarray, shape: tuple[int, int], spacing_mm: float
-) -> np.ndarray:
-    """How far along its line the point lies that each sample displays, (rows, samples) float32, mm."""
-    order = np.argsort(crossings.row, kind="stable")
-    distance = crossings.distance_mm[order]
-    rate = 1 / stretch[shown.owner]
-    line = np.stack([distance - rate * shown.distance_mm, rate], axis=-1).astype(np.float32)
-    first = np.maximum(first_sample(shown.distance_mm, spacing_mm / 2, spacing_mm), 0)
-    pieces = fill_rows(shown.row, first, line, shape)
-    depth = ((np.arange(shape[1]) + 0.5) * spacing_mm).astype(np.float32)
-    return pieces[..., 0] + pieces[..., 1] * depth
+    back, ahead = geometry.through(starts, directions)
+    values, ranges_mm = samples.empty(len(starts))
+    rows = np.arange(len(starts))
+    for attempt in range(_ATTEMPTS):
+        aside = attempt * _ASIDE_STEPS * geometry.step_mm * np.roll(directions[rows], 1, axis=-1)
+        origins = starts[rows] + aside - back[rows, None] * directions[rows]
+        outside = nowhere(len(rows), geometry.structures)
+        length = (back + ahead)[rows]
+        inside, values[rows], ranges_mm[rows] = walk(
+            geometry, origins, directions[rows], length, outside, samples, back[rows]
+        )
+        rows = rows[(inside != 0).any(axis=1)]
+        if not rows.size:
+            break
+    return values, ranges_mm
 
 
 def segment(
@@ -111,10 +80,9 @@ def segment(
     top = np.stack([x, np.zeros_like(x), np.full_like(x, z[0])], axis=-1)
     starts = to_world(pose, top)
     directions = np.broadcast_to(pose[:3, 2], starts.shape)
-    crossings = walk_lines(geometry, starts, directions, len(tissue_of_owner) - 1)
     spacing = (z[-1] - z[0]) / max(shape[0] - 1, 1) or 1.0
-    owners = sample_owners(crossings, len(x), 0.0, spacing, shape[0])
-    return np.ascontiguousarray(tissue_of_owner[owners].T)
+    labels, _ = sample_lines(geometry, starts, directions, Samples(0.0, spacing, shape[0], tissue_of_owner))
+    return np.ascontiguousarray(labels.T)
 
 
 def plane_labels(
@@ -127,10 +95,9 @@ def plane_labels(
     """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8."""
     starts, directions = (part[0] for part in scanlines_in_plane(probe, settings.scanlines, np.zeros(1)))
     starts, directions = to_world(pose, starts), directions @ pose[:3, :3].T
-    crossings = walk_lines(geometry, starts, directions, len(tissue_of_owner) - 1)
     spacing = probe.depth_mm / settings.axial_samples
-    owners = sample_owners(crossings, len(starts), spacing / 2, spacing, settings.axial_samples)
-    return tissue_of_owner[owners]
+    samples = Samples(spacing / 2, spacing, settings.axial_samples, tissue_of_owner)
+    return sample_lines(geometry, starts, directions, samples)[0]
 
 
 def sampled_lines(
@@ -150,14 +117,10 @@ def sampled_lines(
     ranges_mm : (samples,) or, in time-of-flight mode, (groups, samples) float32
         Where along its line the displayed point lies.
     """
-    groups, samples = len(bundle.starts), settings.axial_samples
-    spacing = probe.depth_mm / samples
-    stretch = media.stretch[tissue_of_owner]
-    crossings = walk_lines(geometry, bundle.starts, bundle.directions, len(tissue_of_owner) - 1)
-    ranges = ((np.arange(samples) + 0.5) * spacing).astype(np.float32)
-    if settings.depth_mode is DepthMode.time_of_flight:
-        shown = displayed(crossings, stretch)
-        ranges = sample_ranges_mm(crossings, shown, stretch, (groups, samples), spacing)
-        crossings = shown
-    owners = sample_owners(crossings, groups, spacing / 2, spacing, samples)
-    return tissue_of_owner[owners], ranges
+    spacing = probe.depth_mm / settings.axial_samples
+    stretched = settings.depth_mode is DepthMode.time_of_flight
+    stretch = media.stretch[tissue_of_owner] if stretched else None
+    samples = Samples(spacing / 2, spacing, settings.axial_samples, tissue_of_owner, stretch)
+    labels, ranges = sample_lines(geometry, bundle.starts, bundle.directions, samples)
+    depth = (np.arange(samples.count) + 0.5) * spacing
+    return labels, ranges if stretched else depth.astype(np.float32)

@@ -101,7 +101,7 @@ class Speckle:
         level = level_db.reshape(*shape[:2], nodes) + torch.from_numpy(
             (line_db.reshape(*shape[:2], 1) + self._weights_db[:, None, at_nodes]).astype(np.float32)
         )
-        level = self._interpolate(level.to(settings.device))
+        level = level.to(settings.device)
         label = torch.from_numpy(labels).to(settings.device).reshape(shape)
 
         def tensor(values: np.ndarray, *size: int) -> torch.Tensor:
@@ -110,8 +110,10 @@ class Speckle:
         ends = tensor(starts, *shape[:2], 3), tensor(directions, *shape[:2], 3)
         ranges = tensor(ranges_mm, *((shape[2],) if ranges_mm.ndim == 1 else shape))
         if self._contrasts[np.bincount(labels.ravel(), minlength=1).nonzero()].any():
-            level += self._texture_db(*ends, ranges, label)
-        amplitude = level.mul_(_DB_TO_NEPER).to(self._dtype).exp_()
+            texture = self._texture_db(*ends, ranges, label)
+            level = _interpolated(level, texture.shape[-1]) + texture
+        level = _interpolated(level.mul_(_DB_TO_NEPER), shape[2])
+        amplitude = level.to(self._dtype).exp_()
         return LitLines(*ends, ranges, label.to(torch.int32) * TABLE_SIZE, amplitude)
 
     def __call__(self, lit: LitLines, seed: int) -> torch.Tensor:
@@ -130,16 +132,16 @@ class Speckle:
     def _texture_db(
         self, starts: torch.Tensor, directions: torch.Tensor, ranges_mm: torch.Tensor, label: torch.Tensor
     ) -> torch.Tensor:
-        """Gain of the slow texture at every sample, looked up on a coarser grid and interpolated, dB."""
+        """Gain of the slow texture at samples some `_TEXTURE_SPACING_MM` apart, from the first to the last, dB."""
         stride = max(1, int(_TEXTURE_SPACING_MM / self._spacing_mm))
         samples = label.shape[-1]
         coarse = torch.linspace(0, samples - 1, max(2, samples // stride)).round().long()[:samples]
         coarse = coarse.to(label.device)
         along = ranges_mm[..., coarse, None]
         points = starts[:, :, None] + directions[:, :, None] * along
-        return self._interpolate(texture_gain_db(points, label[..., coarse].long(), self._textures))
+        return texture_gain_db(points, label[..., coarse].long(), self._textures)
 
-    def _interpolate(self, values: torch.Tensor) -> torch.Tensor:
-        """From nodes between the first and the last sample to all samples, along the last axis."""
-        size = self._settings.axial_samples
-        return F.interpolate(values, size=size, mode="linear", align_corners=True)
+
+def _interpolated(values: torch.Tensor, size: int) -> torch.Tensor:
+    """From nodes between the first and the last sample to so many, along the last axis."""
+    return F.interpolate(values, size=size, mode="linear", align_corners=True)

@@ -7,16 +7,18 @@ pulse keeps on its way there and back.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeVar
+import math
 
 import numpy as np
 
-from ablate.ultrasound import draws as column
 from ablate.ultrasound.bundle import Bundle
-from ablate.ultrasound.draws import Draws
+from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.draws import CHOICE, COS_AZIMUTH, LOG_U, MAX_ROWS, SIN_AZIMUTH, SURVIVAL, THICKNESS, Draws
 from ablate.ultrasound.embree import Geometry, Hits
+from ablate.ultrasound.illumination import Nodes, shine
 from ablate.ultrasound.interfaces import (
+    Vector,
+    along,
     dot,
     facing,
     mirrored,
@@ -27,9 +29,8 @@ from ablate.ultrasound.interfaces import (
 )
 from ablate.ultrasound.media import Media
 from ablate.ultrasound.ownership import next_step, owner, toggle
-from ablate.ultrasound.rays import Descent, Echoes, Rays, piece, start_rays
-
-Record = TypeVar("Record", Echoes, Descent)
+from ablate.ultrasound.rays import Echoes, Rays, View, start_rays
+from ablate.ultrasound.threads import in_parts
 
 #: From this many reflections on, half of the rays end at each further one and the others count twice.
 PATIENT_REFLECTIONS = 3
@@ -38,189 +39,180 @@ PATIENT_REFLECTIONS = 3
 #: this standard deviation (assumed). Twice the aperture, so that reverberation between layers is hardly touched.
 LISTENING_MM = 6.0
 
-
-@dataclass(frozen=True)
-class Surroundings:
-    """What rays travel through.
-
-    Attributes
-    ----------
-    geometry : Geometry
-    media : Media
-    tissue_of_owner : (structures + 1,) uint8
-    draws : Draws
-    depth_mm : float
-        Of the image; an echo that would be drawn deeper is not followed.
-    faintest_db : float
-        Reflected rays whose two-way amplitude is under this are ended by roulette.
-    """
-
-    geometry: Geometry
-    media: Media
-    tissue_of_owner: np.ndarray
-    draws: Draws
-    depth_mm: float
-    faintest_db: float
+_GROUPS_OF_A_PART = 96
+_NEPER_PER_DB = math.log(10) / 20
 
 
-@dataclass(frozen=True)
-class Scattered:
-    """What a surface makes of rays that meet it: directions back and onward (n, 3), and R_p (n,)."""
-
-    back: np.ndarray
-    onward: np.ndarray
-    pressure: np.ndarray
-
-
-def trace(around: Surroundings, bundle: Bundle) -> tuple[Echoes, Descent]:
+def trace(geometry: Geometry, view: View, draws: Draws, bundle: Bundle, nodes: Nodes) -> Echoes:
     """Follow all rays of a frame until they are deeper than the image.
 
     Parameters
     ----------
-    around : Surroundings
+    geometry : Geometry
+    view : View
+    draws : Draws
     bundle : Bundle
+    nodes : Nodes
+        Collects the illumination.
 
     Returns
     -------
-    Echoes, Descent
+    Echoes
     """
-    media = around.media
-    elements, axes = bundle.starts.astype(np.float32), bundle.directions.astype(np.float32)
-    rays = start_rays(bundle, around.tissue_of_owner)
-    echoes, descent = [_no_echoes()], [piece(rays, media)]
-    while rays.number.size:
-        ways = np.where(rays.reflections > 0, np.float32(2), np.float32(1))  # a turned ray goes down and up again
-        left_mm = (ways * np.float32(around.depth_mm) - rays.shown_mm) / media.stretch[rays.medium]
-        beyond = rays.origin + rays.step_mm[:, None] * rays.direction
-        hits = around.geometry.closest(beyond, rays.direction, left_mm)
-        found = np.flatnonzero(hits.structure >= 0)
-        rays, hits = rays.take(found), hits.take(found)
-        rays.advance(hits.distance_mm + rays.step_mm, media)
-        fresh = (hits.structure != rays.structure) | (hits.triangle != rays.triangle)  # a plane is met only once
-        rays.structure, rays.triangle = hits.structure, hits.triangle
-        rays.step_mm = next_step(rays.step_mm, fresh, around.geometry)
-        inside = np.where(fresh[:, None], toggle(rays.inside, hits.structure), rays.inside)
-        medium = np.where(fresh, around.tissue_of_owner[owner(inside)], rays.medium)
-        met = media.differs[rays.medium, medium]
 
-        across = np.flatnonzero(~met)  # nothing to see: go straight on
-        changed = across[(medium[across] != rays.medium[across]) & (rays.reflections[across] == 0)]
-        rays.inside[across], rays.medium[across] = inside[across], medium[across]
-        descent.append(piece(rays.take(changed), media))
+    def part(begin: int, end: int) -> list[np.ndarray]:
+        rays = start_rays(bundle, slice(begin, end), view)
+        n, bounces = end - begin, 0
+        room = np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, bool)
+        kept = [[column[:0] for column in room]]
+        while n:
+            hits = geometry.closest(rays.origin[:n], rays.direction[:n], rays.reach_mm[:n])
+            bounces += 1
+            n, heard = _bounce(rays, hits, view, draws.table(bounces), nodes, room)
+            kept.append([column[:heard].copy() for column in room])
+        return [np.concatenate(column) for column in zip(*kept, strict=True)]
 
-        at = np.flatnonzero(met)
-        if at.size:
-            meeting = rays.take(at)
-            direct = np.flatnonzero(meeting.reflections == 0)
-            heard, alive = _meet(meeting, hits.take(at), inside[at], medium[at], (elements, axes), around)
-            echoes.append(heard)
-            descent.append(piece(meeting.take(direct), media, ended=meeting.reflections[direct] > 0))
-            rays.put(at, meeting)
-            if not alive.all():
-                rays = rays.take(np.delete(np.arange(len(met)), at[~alive]))
-    return _joined(echoes), _joined(descent)
+    parts = in_parts(part, len(bundle.origins), _GROUPS_OF_A_PART * view.rays)
+    return Echoes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _meet(
+@compiled
+def _bounce(
     rays: Rays,
     hits: Hits,
-    inside: np.ndarray,
-    medium: np.ndarray,
-    scanlines: tuple[np.ndarray, np.ndarray],
-    around: Surroundings,
-) -> tuple[Echoes, np.ndarray]:
-    """Echo at an interface, then reflect or transmit: changes `rays`; also returns which of them go on."""
-    media = around.media
-    drawn = around.draws.at(rays.interfaces, rays.number)
-    surface = around.tissue_of_owner[hits.structure + 1]
-    scattered = _scatter(rays, hits, medium, surface, drawn, media)
-    thickness = drawn[:, column.THICKNESS] * media.thickness_mm[surface] if media.thick else np.float32(0)
+    view: View,
+    draws: np.ndarray,
+    nodes: Nodes,
+    echoes: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+) -> tuple[int, int]:
+    """Take rays to the surfaces that they hit: echo there, go on or turn back.
 
-    group = rays.number // around.draws.rays
-    elements, axes = scanlines
-    to_element = elements[group] - rays.origin
-    way_back = np.maximum(np.sqrt(dot(to_element, to_element)), np.float32(1e-6))
-    reflected = rays.reflections > 0
-    # A reflected ray's way back to its element is not its way there; its loss is taken in proportion to length.
-    back = np.where(reflected, way_back / np.maximum(rays.path_mm, np.float32(1e-6)), np.float32(1))
-    middle_mm = rays.shown_mm * (1 + back) / 2
-    depth_mm = middle_mm + thickness * media.stretch[rays.medium]
-    two_way_db = rays.loss_db * (1 + back) + 2 * thickness * media.loss_db_mm[rays.medium]
-    lobe = np.maximum(dot(scattered.back, to_element) / way_back, 0) ** media.specularity[surface]
-    amplitude = rays.weight * np.abs(scattered.pressure) * lobe * 10 ** (-two_way_db / 20)
-    off_axis_2 = np.maximum(way_back**2 - dot(to_element, axes[group]) ** 2, 0)
-    amplitude *= np.where(reflected, np.exp(-0.5 * off_axis_2 / LISTENING_MM**2), np.float32(1))
-    heard = np.flatnonzero((amplitude > 0) & (depth_mm < around.depth_mm))
-    echoes = Echoes(group[heard], depth_mm[heard], amplitude[heard], reflected[heard])
+    Those that go on are moved up; returns how many they are, and how many echoes were written.
+    """
+    media = view.media
+    left = heard = 0
+    for i in range(len(hits.structure)):
+        number, medium, direct = rays.number[i], rays.medium[i], rays.reflections[i] == 0
+        group = number // view.rays
+        loss_db_mm, stretch = float(media.loss_db_mm[medium]), float(media.stretch[medium])
+        structure, triangle = hits.structure[i], hits.triangle[i]
+        length = float(hits.distance_mm[i]) + rays.step_mm[i]
+        shown_mm, loss_db = rays.shown_mm[i] + length * stretch, rays.loss_db[i] + length * loss_db_mm
+        if direct:
+            until = shown_mm if structure >= 0 else math.inf
+            shine(nodes, group, rays.shown_mm[i], until, rays.loss_db[i], loss_db_mm / stretch)
+        if structure < 0:
+            continue
+        path_mm, weight = rays.path_mm[i] + length, rays.weight[i]
+        interfaces, reflections = rays.interfaces[i], rays.reflections[i]
+        direction = _vector(rays.direction, i)
+        point = along(_vector(rays.origin, i), direction, float(hits.distance_mm[i]))
+        fresh = structure != rays.structure[i] or triangle != rays.triangle[i]  # a plane is met only once
+        beyond = medium
+        if fresh:
+            toggle(rays.inside[i], structure)
+            beyond = np.int32(view.tissue_of_owner[owner(rays.inside[i])])
+        alive = True
+        if media.differs[medium, beyond]:
+            drawn = draws[interfaces % MAX_ROWS, number]
+            surface = view.tissue_of_owner[structure + 1]
+            back, onward, pressure = _scatter(direction, _vector(hits.normal, i), medium, beyond, surface, drawn, media)
+            thickness_mm = float(drawn[THICKNESS]) * media.thickness_mm[surface] if media.thick else 0.0
 
-    turned = drawn[:, column.CHOICE] < scattered.pressure**2
-    if media.thick:  # into the surface's thickness and out again
-        rays.lengthen(2 * thickness * turned, media)
-    rays.direction = np.where(turned[:, None], scattered.back, scattered.onward)
-    rays.inside = np.where(turned[:, None], rays.inside, inside)
-    rays.medium = np.where(turned, rays.medium, medium)
-    rays.interfaces += 1
-    rays.reflections += turned
-    survives = _roulette(rays, turned, two_way_db, drawn[:, column.SURVIVAL], around.faintest_db)
-    return echoes, survives & (middle_mm < around.depth_mm)
+            element = _vector(view.elements, group)
+            to_element = element[0] - point[0], element[1] - point[1], element[2] - point[2]
+            way_back_mm = max(math.sqrt(dot(to_element, to_element)), 1e-6)
+            # A reflected ray's way back to its element is not its way there; its loss is taken in proportion.
+            ways = 2.0 if direct else 1 + way_back_mm / max(path_mm, 1e-6)
+            middle_mm = shown_mm * ways / 2
+            two_way_db = loss_db * ways + 2 * thickness_mm * loss_db_mm
+            depth_mm = middle_mm + thickness_mm * stretch
+            if depth_mm < view.depth_mm:
+                lobe = max(dot(back, to_element) / way_back_mm, 0.0) ** media.specularity[surface]
+                amplitude = weight * abs(pressure) * lobe
+                amplitude *= math.exp(-two_way_db * _NEPER_PER_DB)
+                if not direct:
+                    on_axis = dot(to_element, _vector(view.axes, group))
+                    amplitude *= math.exp(-0.5 * max(way_back_mm**2 - on_axis**2, 0.0) / LISTENING_MM**2)
+                if amplitude > 0:
+                    echoes[0][heard], echoes[1][heard], echoes[2][heard] = group, depth_mm, amplitude
+                    echoes[3][heard] = not direct
+                    heard += 1
+
+            interfaces += 1
+            turned = drawn[CHOICE] < pressure * pressure
+            if turned:  # back, through the surface's thickness twice
+                toggle(rays.inside[i], structure)
+                beyond, direction = medium, back
+                reflections += 1
+                path_mm += 2 * thickness_mm
+                shown_mm += 2 * thickness_mm * stretch
+                loss_db += 2 * thickness_mm * loss_db_mm
+            else:
+                direction = onward
+            if reflections > 0:
+                often = turned and reflections > PATIENT_REFLECTIONS
+                chance = _chance(weight, two_way_db, view.faintest_db, often)
+                weight /= max(chance, 1e-30)
+                alive = drawn[SURVIVAL] < chance
+            alive = alive and middle_mm < view.depth_mm
+        if not alive:
+            continue
+
+        step_mm = next_step(rays.step_mm[i], fresh, view.step_mm)
+        rays.number[left], rays.medium[left], rays.inside[left] = number, beyond, rays.inside[i]
+        rays.path_mm[left], rays.shown_mm[left], rays.loss_db[left] = path_mm, shown_mm, loss_db
+        rays.weight[left], rays.interfaces[left], rays.reflections[left] = weight, interfaces, reflections
+        rays.structure[left], rays.triangle[left], rays.step_mm[left] = structure, triangle, step_mm
+        start = along(point, direction, step_mm)
+        for axis in range(3):
+            rays.origin[left, axis], rays.direction[left, axis] = start[axis], direction[axis]
+        ways = 1.0 if reflections == 0 else 2.0  # a turned ray goes down and up again
+        rays.reach_mm[left] = (ways * view.depth_mm - shown_mm) / media.stretch[beyond]
+        left += 1
+    return left, heard
 
 
+@compiled
+def _vector(rows: np.ndarray, i: int) -> Vector:
+    """A row as a tuple of doubles."""
+    return float(rows[i, 0]), float(rows[i, 1]), float(rows[i, 2])
+
+
+@compiled
 def _scatter(
-    rays: Rays, hits: Hits, medium: np.ndarray, surface: np.ndarray, drawn: np.ndarray, media: Media
-) -> Scattered:
-    """Reflect and refract about a rough normal, or about the surface's own where the rough one cannot be."""
-    flat = facing(hits.normal, rays.direction)
-    if not media.rough:
-        return _about(rays.direction, flat, rays.medium, medium, media)[0]
-    normal = rough_normal(
-        flat,
-        drawn[:, column.LOG_U],
-        drawn[:, column.COS_AZIMUTH],
-        drawn[:, column.SIN_AZIMUTH],
-        media.lobe_exponent[surface],
-    )
-    scattered, cos_i, total = _about(rays.direction, normal, rays.medium, medium, media)
-    wrong = (cos_i <= 0) | (dot(scattered.back, flat) <= 0) | (~total & (dot(scattered.onward, flat) >= 0))
-    redo = np.flatnonzero(wrong)
-    if redo.size:
-        again, _, _ = _about(rays.direction[redo], flat[redo], rays.medium[redo], medium[redo], media)
-        scattered.back[redo], scattered.onward[redo] = again.back, again.onward
-        scattered.pressure[redo] = again.pressure
-    return scattered
+    direction: Vector, normal: Vector, before: int, after: int, surface: int, drawn: np.ndarray, media: Media
+) -> tuple[Vector, Vector, float]:
+    """Directions back and onward, and R_p, about a rough normal, or the surface's own where that one cannot be."""
+    flat = facing(normal, direction)
+    if media.rough:
+        tilted = rough_normal(flat, drawn[LOG_U], drawn[COS_AZIMUTH], drawn[SIN_AZIMUTH], media.lobe_exponent[surface])
+        back, onward, pressure, cos_i, total = _about(direction, tilted, before, after, media)
+        if cos_i > 0 and dot(back, flat) > 0 and (total or dot(onward, flat) < 0):
+            return back, onward, pressure
+    back, onward, pressure, _, _ = _about(direction, flat, before, after, media)
+    return back, onward, pressure
 
 
+@compiled
 def _about(
-    direction: np.ndarray, normal: np.ndarray, before: np.ndarray, after: np.ndarray, media: Media
-) -> tuple[Scattered, np.ndarray, np.ndarray]:
-    """Mirror, Snell and Fresnel about given normals; also cos i and where the reflection is total."""
+    direction: Vector, normal: Vector, before: int, after: int, media: Media
+) -> tuple[Vector, Vector, float, float, bool]:
+    """Mirror, Snell and Fresnel about a normal; also cos i, and whether the reflection is total."""
     cos_i = -dot(direction, normal)
+    cos_t, onward = cos_i, direction
     if media.refracts:
-        speed_1, speed_2 = media.speed_m_s[before], media.speed_m_s[after]
+        speed_1, speed_2 = float(media.speed_m_s[before]), float(media.speed_m_s[after])
         cos_t = transmission_cosine(cos_i, speed_1, speed_2)
         onward = refracted(direction, normal, cos_i, cos_t, speed_2 / speed_1)
-    else:
-        cos_t, onward = cos_i, direction.copy()
-    pressure = pressure_reflection(media.impedance_mrayl[before], media.impedance_mrayl[after], cos_i, cos_t)
-    return Scattered(mirrored(direction, normal, cos_i), onward, pressure), cos_i, cos_t == 0
+    impedance_1, impedance_2 = float(media.impedance_mrayl[before]), float(media.impedance_mrayl[after])
+    pressure = pressure_reflection(impedance_1, impedance_2, cos_i, cos_t)
+    return mirrored(direction, normal, cos_i), onward, pressure, cos_i, cos_t == 0
 
 
-def _roulette(
-    rays: Rays, turned: np.ndarray, two_way_db: np.ndarray, uniform: np.ndarray, faintest_db: float
-) -> np.ndarray:
-    """End faint or often turned rays without bias: survivors' weights grow by what their chance was."""
-    level_db = 20 * np.log10(np.maximum(rays.weight, np.float32(1e-30))) - two_way_db
-    chance = np.minimum(np.float32(1), 10 ** ((level_db - faintest_db) / 20))
-    chance = np.where(turned & (rays.reflections > PATIENT_REFLECTIONS), np.minimum(chance, 0.5), chance)
-    chance = np.where(rays.reflections > 0, chance, np.float32(1)).astype(np.float32)
-    rays.weight = rays.weight / np.maximum(chance, np.float32(1e-30))
-    return uniform < chance
-
-
-def _no_echoes() -> Echoes:
-    nothing = np.empty(0, np.float32)
-    return Echoes(np.empty(0, np.int32), nothing, nothing, np.empty(0, bool))
-
-
-def _joined(parts: list[Record]) -> Record:
-    columns = zip(*(vars(part).values() for part in parts), strict=True)
-    return type(parts[0])(*(np.concatenate(column) for column in columns))
+@compiled
+def _chance(weight: float, two_way_db: float, faintest_db: float, often: bool) -> float:
+    """Chance of a faint or often turned ray to go on; survivors' weights grow by its inverse, without bias."""
+    level_db = 20 * math.log10(max(weight, 1e-30)) - two_way_db
+    chance = min(1.0, 10 ** ((level_db - faintest_db) / 20))
+    return min(chance, 0.5) if often else chance
