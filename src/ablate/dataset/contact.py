@@ -10,7 +10,8 @@ import numpy as np
 from ablate.anatomy import Scene
 from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.embree import Geometry
-from ablate.ultrasound.ownership import nowhere, owner, walk
+from ablate.ultrasound.ownership import nowhere, owners
+from ablate.ultrasound.walk import walk
 
 _PATCH_MM = 12.0  # half-width of the skin patch whose mean normal the probe follows
 _FACE_HALF_WIDTH_MM = 6.0  # of the probe's face, across the image plane (assumed)
@@ -43,7 +44,6 @@ class Skin:
         impedance = np.array([scene.background.impedance_mrayl, *(s.tissue.impedance_mrayl for s in scene.structures)])
         self._hard = (impedance < _SOFT_MRAYL[0]) | (impedance > _SOFT_MRAYL[1])
         self._hard[0] = False  # outside every structure is the couplant's business
-        self._structures = len(scene.structures)
 
     def depth(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """How deep points lie under the first surface met on the way in, (n,) float64, mm.
@@ -60,10 +60,9 @@ class Skin:
         """Whether bone or gas owns points that are reached from outside along `directions`, (n,) bool."""
         local = points - self.centre
         back, _ = self._geometry.through(local, directions)
-        starts = (local - back[:, None] * directions).astype(np.float32)
-        inside = nowhere(len(points), self._structures)
-        walk(self._geometry, starts, directions.astype(np.float32), back.astype(np.float32), inside)
-        return self._hard[owner(inside)]
+        outside = nowhere(len(points), self._geometry.structures)
+        inside, _, _ = walk(self._geometry, local - back[:, None] * directions, directions, back, outside)
+        return self._hard[owners(inside)]
 
     def within(self, starts: np.ndarray, directions: np.ndarray, reach_mm: float) -> np.ndarray:
         """Whether rays meet a surface within reach, (n,) bool."""
