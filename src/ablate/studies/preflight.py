@@ -55,9 +55,9 @@ def _check_pairs(job: Job) -> int:
                 f"variant {job.label} reads {name}, but {checked.folder} has no folder {name}; "
                 f"allowed are variants without it: {', '.join(allowed)}"
             )
-    return (
-        _training_frames(s, len(checked.names)) if checked.parts is None else int((checked.parts == Part.train).sum())
-    )
+    if checked.parts is not None:
+        return int((checked.parts == Part.train).sum())
+    return _training_frames(s, len(checked.names))
 
 
 def _check_scene(s: StudySettings) -> int:
