@@ -95,11 +95,17 @@ class DatasetSettings:
 
 @dataclass(frozen=True)
 class CropChoice:
-    """How crops are drawn, besides `training.crop` and `training.batch_size`; see `dataset.CropSettings`."""
+    """How crops are drawn, besides `training.crop` and `training.batch_size`; see `dataset.CropSettings`.
+
+    `workers` threads prepare batches ahead; 0 prepares each when it is asked for.
+    """
 
     fan_fraction: float = 0.0
     flip: bool = False
-    workers: int = 0
+    workers: int = 2
+
+    def __post_init__(self) -> None:
+        _at_least("crops", self, workers=0)
 
 
 @dataclass(frozen=True)

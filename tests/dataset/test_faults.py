@@ -28,7 +28,6 @@ def shards(pairs: Pairs) -> dict[str, tuple[int, int]]:
     return {str(p): (p.stat().st_ino, p.stat().st_mtime_ns) for p in pairs.folder.glob("pairs.zarr/*/c/*/0/0")}
 
 
-@pytest.mark.slow
 def test_killed_ten_times_the_set_is_that_of_one_go(
     tmp_path: Path, recipe: Recipe, blank: Blank, contents: Contents
 ) -> None:
@@ -64,7 +63,6 @@ def test_killed_ten_times_the_set_is_that_of_one_go(
     assert contents(pairs.folder) == contents(whole.folder)
 
 
-@pytest.mark.slow
 def test_a_worker_that_is_killed_is_reported_and_the_rest_is_kept(tmp_path: Path, recipe: Recipe, blank: Blank) -> None:
     pairs = blank(tmp_path / "set", 3000, 3)
     errors: list[BaseException] = []
@@ -109,7 +107,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("workers", [1, 2])
 def test_a_full_disk_stops_with_its_name_and_nothing_half_written(
     tmp_path: Path, recipe: Recipe, blank: Blank, workers: int
 ) -> None:

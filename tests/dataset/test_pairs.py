@@ -81,6 +81,16 @@ def test_a_frame_that_is_not_made_is_an_error_and_not_an_empty_image(empty: Pair
         empty.read("high", [4])
 
 
+@pytest.mark.parametrize("name", ["pose", "site", "split", "mask"])
+def test_a_damaged_list_of_frames_is_named(empty: Pairs, name: str) -> None:
+    (file,) = (p for p in (empty.folder / "pairs.zarr" / name / "c").rglob("*") if p.is_file())
+    whole = file.read_bytes()
+    for damaged in (whole[:-1], bytes([whole[0] ^ 1]) + whole[1:], b""):
+        file.write_bytes(damaged)
+        with pytest.raises(ValueError, match=rf"pairs.zarr/{name} is damaged"):
+            open_pairs(empty.folder)
+
+
 def test_a_missing_set_says_how_to_make_it(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="task=simulate"):
         open_pairs(tmp_path)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import zarr
 from filelock import FileLock
+from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from ablate.dataset.shards import FrameFormat, check_shard, read_frame
 from ablate.dataset.split import Part
@@ -150,7 +151,7 @@ class Pairs:
 
     def mask(self) -> np.ndarray:
         """The fan, (H, W) bool."""
-        return np.asarray(zarr.open_group(self.folder / "pairs.zarr", mode="r")["mask"][...])
+        return _read_whole(self.folder, "mask")
 
 
 def encode_attenuation(values: np.ndarray) -> np.ndarray:
@@ -203,7 +204,8 @@ def create_pairs(
                 ("split", split),
                 ("mask", mask),
             ):
-                group.create_array(name, data=np.ascontiguousarray(data))
+                checksummed = [ZstdCodec(), Crc32cCodec()]
+                group.create_array(name, data=np.ascontiguousarray(data), compressors=checksummed)
             group.attrs.update({"shard": shard, "tissues": list(tissues)})
             partial = folder / "about.json.partial"
             partial.write_text(json.dumps(dict(about), indent=2, sort_keys=True, default=str))
@@ -218,11 +220,13 @@ def open_pairs(folder: Path) -> Pairs:
     ------
     FileNotFoundError
         When there is none.
+    ValueError
+        When its poses, sites, split or mask are not as they were written.
     """
     if not (folder / "about.json").exists():
         raise FileNotFoundError(f"no data set at {folder}; {_MEND} makes it")
+    pose, site, split, mask = (_read_whole(folder, name) for name in ("pose", "site", "split", "mask"))
     group = zarr.open_group(folder / "pairs.zarr", mode="r")
-    pose, site, split, mask = (np.asarray(group[k][...]) for k in ("pose", "site", "split", "mask"))
     height, width = mask.shape
     return Pairs(
         folder=folder,
@@ -233,3 +237,12 @@ def open_pairs(folder: Path) -> Pairs:
         shard=int(group.attrs["shard"]),
         tissues=tuple(str(t) for t in group.attrs["tissues"]),
     )
+
+
+def _read_whole(folder: Path, name: str) -> np.ndarray:
+    """One of the small arrays that are written once, when the set is laid out."""
+    path = folder / "pairs.zarr" / name
+    try:
+        return np.asarray(zarr.open_array(path, mode="r")[...])
+    except (ValueError, RuntimeError) as error:
+        raise ValueError(f"{path} is damaged ({error}); the set cannot be used without: remove {folder}") from error

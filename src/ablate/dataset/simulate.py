@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import queue
 import signal
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ import numpy as np
 from ablate.anatomy import Scene
 from ablate.dataset.filling import fill_pairs, unclaimed
 from ablate.dataset.pairs import Pairs
-from ablate.dataset.processes import end_with_parent
+from ablate.dataset.processes import deaf_to_interrupts, end_with_parent
 from ablate.dataset.split import Part
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 
@@ -128,9 +129,10 @@ def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], worke
     stop = context.Event()
     arguments = recipe, pairs, maps, done, stop
     processes = [context.Process(target=_work, args=arguments, daemon=True) for _ in range(workers)]
-    for process in processes:
-        process.start()
     try:
+        with deaf_to_interrupts():  # Ctrl-C reaches every process of a terminal; the parent ends its workers
+            for process in processes:
+                process.start()
         while any(p.is_alive() for p in processes) or not done.empty():
             try:
                 told = done.get(timeout=0.2)
@@ -141,10 +143,15 @@ def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], worke
                 raise told
             count(told)
         _raise_for([p.exitcode for p in processes])
+    except KeyboardInterrupt:
+        for process in (p for p in processes if p.is_alive()):
+            process.terminate()
+        raise
     finally:
         stop.set()  # where one has failed, the others finish the shard they are at
         for process in processes:
-            process.join()
+            if process.pid is not None:
+                process.join()
 
 
 def _raise_for(codes: list[int | None]) -> None:
@@ -161,6 +168,7 @@ def _work(
 ) -> None:
     import torch
 
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # what is half-written is removed
     end_with_parent()
     torch.set_num_threads(1)
     try:
