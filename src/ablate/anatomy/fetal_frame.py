@@ -1,4 +1,4 @@
-"""Frames of the fetus at 22 weeks: its curled trunk, its head, and where it lies in the mother.
+"""Frames of the fetus at 22 weeks: its curled trunk and its head.
 
 Fetal axes in mm: x to its left, y to its back, z to its head. Organs and bones of the trunk are designed in a
 straight trunk (x, y, s) and bent forward afterwards; cross-sections at constant s keep their shape.
@@ -11,13 +11,15 @@ import trimesh
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from ablate.anatomy.implicit import Field, first_order_distance, smooth_max
+from ablate.anatomy.implicit import Bounds, Field, first_order_distance, smooth_max
 
 BEND_RADIUS_MM = 125.0  # of the back's curve, with its centre in front of the belly
 BEND_REACH_MM = 52.0  # the trunk is bent for |s| below this and straight beyond
 NECK_TOP = (0.0, 5.0, 55.0)  # in the trunk
 NECK_IN_HEAD = (0.0, 10.0, -25.0)
-HEAD_FLEXION_DEG = 36.0
+HEAD_FLEXION_DEG = 34.0
+TRUNK_BOX: Bounds = ((-40.0, -40.0, -75.0), (40.0, 40.0, 75.0))
+WALL_OUTSIDE_MM, WALL_INSIDE_MM = 2.6, 5.8  # depth of the muscles of the trunk under its skin
 ABDOMEN_S_MM = -17.0  # level of the stomach, where the abdominal circumference is taken
 #: Trunk outline: s, half width, half depth, middle in y (all mm).
 TRUNK_OUTLINE = np.array(
@@ -42,10 +44,6 @@ TRUNK_OUTLINE = np.array(
 _LEVELS = np.linspace(TRUNK_OUTLINE[0, 0], TRUNK_OUTLINE[-1, 0], 400)
 _OUTLINE = PchipInterpolator(TRUNK_OUTLINE[:, 0], TRUNK_OUTLINE[:, 1:])(_LEVELS)
 
-#: Fetal left, back and head in the mother: head down, on its right side, its back to her right.
-_LIE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]).T
-LIE_ROTATION = Rotation.from_euler("xyz", [4.0, -8.0, -14.5], degrees=True).as_matrix() @ _LIE
-LIE_ORIGIN = (-15.5, -18.5, 16.0)
 HEAD_ROTATION = Rotation.from_euler("x", HEAD_FLEXION_DEG, degrees=True).as_matrix()
 
 
@@ -63,6 +61,22 @@ def trunk(x: np.ndarray, y: np.ndarray, s: np.ndarray) -> np.ndarray:
     slope = np.sqrt((u / width) ** 2 + (v / depth) ** 2)
     around = first_order_distance(level, slope, np.minimum(width, depth))
     return smooth_max(around, np.abs(s) - 65.0, 2.0)
+
+
+def spine_y(s: np.ndarray | float) -> np.ndarray:
+    """Depth of the middle of the vertebral bodies at level s, mm."""
+    _, depth, middle = outline(np.asarray(s, float))
+    return middle + depth - 10.0
+
+
+def above_diaphragm(gap_mm: float) -> Field:
+    """The space of the straight trunk at least `gap_mm` above the two-domed diaphragm."""
+
+    def field(x: np.ndarray, y: np.ndarray, s: np.ndarray) -> np.ndarray:
+        dome = 8.0 - (x * x + (y - 2.0) ** 2) / 62.0
+        return 0.8 * (dome + gap_mm - s)
+
+    return field
 
 
 def curl(points: np.ndarray) -> np.ndarray:
@@ -118,35 +132,13 @@ def in_head(field: Field) -> Field:
     return placed
 
 
-def to_world(points: np.ndarray) -> np.ndarray:
-    """From fetal axes (n, 3) to the mother's (n, 3), mm."""
-    return np.asarray(points) @ LIE_ROTATION.T + np.array(LIE_ORIGIN)
-
-
-def trunk_to_world(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh, designed in the straight trunk, where it lies in the mother."""
-    mesh.vertices = to_world(curl(mesh.vertices))
+def from_trunk(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh, designed in the straight trunk, in fetal axes."""
+    mesh.vertices = curl(mesh.vertices)
     return mesh
 
 
-def head_to_world(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh, designed in the head's axes, where it lies in the mother."""
-    mesh.vertices = to_world(head_to_fetus(mesh.vertices))
+def from_head(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh, designed in the head's axes, in fetal axes."""
+    mesh.vertices = head_to_fetus(mesh.vertices)
     return mesh
-
-
-def fetus_to_world(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh, designed in fetal axes, where it lies in the mother."""
-    mesh.vertices = to_world(mesh.vertices)
-    return mesh
-
-
-def head_plane() -> tuple[np.ndarray, np.ndarray]:
-    """Point and normal, world mm, of the plane where BPD and HC are measured."""
-    return to_world(head_origin()[None])[0], LIE_ROTATION @ HEAD_ROTATION[:, 2]
-
-
-def abdomen_plane() -> tuple[np.ndarray, np.ndarray]:
-    """Point and normal, world mm, of the plane where AC is measured."""
-    point, ahead = to_world(curl(np.array([[0.0, 0.0, ABDOMEN_S_MM], [0.0, 0.0, ABDOMEN_S_MM + 1e-3]])))
-    return point, (ahead - point) / np.linalg.norm(ahead - point)

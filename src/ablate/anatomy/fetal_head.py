@@ -1,14 +1,15 @@
-"""Inside of the fetal head: skull shell, cerebrospinal fluid, brain, midline, ventricles, cerebellum, eyes."""
+"""Inside of the fetal head: skull with its sutures, cerebrospinal fluid, brain, midline, ventricles, eyes."""
 
 from __future__ import annotations
 
 import numpy as np
 import trimesh
 
-from ablate.anatomy.fetal_frame import head_to_world
+from ablate.anatomy.fetal_frame import from_head
 from ablate.anatomy.implicit import (
     Bounds,
     Field,
+    box,
     ellipsoid,
     intersection,
     mesh_field,
@@ -24,10 +25,14 @@ HEAD_BOX: Bounds = ((-45.0, -55.0, -50.0), (45.0, 50.0, 45.0))
 SKULL_RADII = (27.0, 36.35, 29.0)  # BPD 54 mm, HC 200 mm, outer edge to outer edge
 SKULL_MM = 1.3
 FALX_MM = 1.0
+EYE_CENTER = (11.8, -31.0, -17.5)  # of the left one
+CAVUM_CENTER = (0.0, -12.5, 1.0)
+CAVUM_HALF = (2.1, 4.4, 3.2)
+SIDES = (-1.0, 1.0)
 
 
 def fetal_head(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure]:
-    """The head's contents in world mm, outermost first.
+    """The head's contents in fetal axes, outermost first.
 
     Parameters
     ----------
@@ -46,35 +51,74 @@ def fetal_head(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Stru
         coarsest_mm: float | tuple[float, float, float],
     ) -> Structure:
         pitch = np.minimum(np.asarray(pitch_mm) * scale, coarsest_mm)
-        return Structure(head_to_world(mesh_field(field, HEAD_BOX, pitch, name)), tissues[tissue])
+        return Structure(from_head(mesh_field(field, HEAD_BOX, pitch, name)), tissues[tissue])
 
     skull = rippled(ellipsoid((0.0, 0.0, 0.0), SKULL_RADII), seed, 0.12, 30.0)
     cortex = rippled(shrunk(skull, SKULL_MM + 1.3), seed + 1, 0.35, 7.0)
-    fissures = [outside(ellipsoid((s * 24.0, -4.0, -3.0), (4.5, 9.0, 3.0))) for s in (-1.0, 1.0)]
+    fissures = [outside(ellipsoid((s * 24.0, -4.0, -2.0), (4.5, 9.0, 3.0))) for s in SIDES]
     brain = intersection([cortex, *fissures], 1.5)
     cistern = intersection([ellipsoid((0.0, 22.0, -14.0), (15.0, 9.5, 8.5)), shrunk(skull, SKULL_MM + 0.7)], 1.0)
-    cerebellum = union([ellipsoid((s * 6.6, 20.0, -13.5), (7.2, 5.8, 5.8)) for s in (-1.0, 1.0)], 4.0)
+    cerebellum = union([ellipsoid((s * 6.6, 20.0, -13.5), (7.2, 5.8, 5.8)) for s in SIDES], 4.0)
     cerebellum = intersection([cerebellum, shrunk(cistern, 1.0)], 1.0)
     sheet = intersection(
         [
             lambda x, y, z: np.abs(x) - FALX_MM / 2.0 + 0.0 * (y + z),
             shrunk(skull, SKULL_MM + 0.5),
-            outside(ellipsoid((0.0, 2.0, -9.0), (40.0, 17.0, 14.0))),
+            outside(ellipsoid((0.0, -0.5, -9.0), (40.0, 21.5, 14.0))),
             lambda x, y, z: -9.0 - z + 0.0 * (x + y),
         ],
         0.4,
     )
+    thalami = union([_thalamus(s) for s in SIDES], 0.8)
+    cavum = box(CAVUM_CENTER, CAVUM_HALF, 1.2)
+    third_ventricle = ellipsoid((0.0, 4.0, 0.0), (0.75, 5.6, 4.5))
     return [
         solid(skull, "fetal_bone", 0.95, "skull", 7.0),
+        Structure(from_head(joined(_sutures(scale), "sutures")), tissues["soft_tissue"]),
+        solid(_fontanelle(skull), "soft_tissue", 0.6, "anterior fontanelle", 2.0),
         solid(shrunk(skull, SKULL_MM), "csf", 0.95, "subarachnoid space", 7.0),
         solid(brain, "brain", 0.85, "brain", 7.0),
         solid(cistern, "csf", 0.7, "cisterna magna", 3.0),
         solid(cerebellum, "brain", 0.6, "cerebellum", 3.0),
         solid(sheet, "falx", (0.35, 1.0, 1.0), "falx", (0.45, 7.0, 7.0)),
-        solid(ellipsoid((0.0, -11.5, 3.5), (2.1, 5.0, 3.2)), "csf", 0.5, "cavum septi pellucidi", 1.4),
+        solid(thalami, "thalamus", 0.55, "thalami", 2.5),
+        solid(third_ventricle, "csf", (0.35, 0.6, 0.6), "third ventricle", (0.5, 1.5, 1.5)),
+        solid(shrunk(cavum, -0.7), "falx", 0.5, "septa pellucida", 1.4),
+        solid(cavum, "csf", 0.5, "cavum septi pellucidi", 1.4),
         *_ventricles(tissues, scale),
-        _eyes(tissues, scale),
+        *_eyes(tissues, scale),
     ]
+
+
+def _thalamus(side: float) -> Field:
+    """Half of the diamond that the thalami make in an axial plane."""
+    turn = np.deg2rad(side * 16.0)
+    axes = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    return ellipsoid((side * 5.2, 5.0, 0.0), (4.4, 8.2, 5.6), axes)
+
+
+def _fontanelle(skull: Field) -> Field:
+    """Soft gap between frontal and parietal bones, from outside the skull into it."""
+    gap = ellipsoid((0.0, -17.5, 25.5), (6.0, 9.5, 6.0))
+    return intersection([gap, shrunk(skull, -0.35), outside(shrunk(skull, SKULL_MM + 0.35))], 0.3)
+
+
+def _sutures(scale: float) -> list[trimesh.Trimesh]:
+    """Narrow gaps of the skull: the coronal, sagittal and lambdoid sutures, which stop short of each other."""
+    sides, count = max(4, round(10 / scale)), max(8, round(40 / scale))
+    a, b, c = np.array(SKULL_RADII) - SKULL_MM / 2.0
+    t = np.linspace(0.0, 1.0, count)
+    lines = [np.stack([0.0 * t, -4.0 + 29.0 * t, np.ones(count)], axis=1)]
+    for side in SIDES:
+        lines.append(np.stack([side * (8.0 + 19.0 * t), -14.5 - 2.0 * t, 24.0 - 30.0 * t], axis=1))
+        lines.append(np.stack([side * (3.0 + 17.0 * t), 28.0 - 4.0 * t, 18.0 - 26.0 * t], axis=1))
+    lines[0][:, 2] = 30.0
+    sutures = []
+    for line in lines:
+        path = line / np.linalg.norm(line / (a, b, c), axis=1, keepdims=True)
+        radii = np.broadcast_to((SKULL_MM / 2.0 + 0.35, 0.8), (count, 2))
+        sutures.append(tube(path, radii, sides, up=path[0] / np.array((a, b, c)) ** 2))
+    return sutures
 
 
 def _ventricles(tissues: dict[str, Tissue], scale: float) -> list[Structure]:
@@ -83,32 +127,36 @@ def _ventricles(tissues: dict[str, Tissue], scale: float) -> list[Structure]:
     t = np.linspace(0.0, 1.0, 6)
     stations = np.array(
         [
-            (4.0, -17.0, 5.0),
-            (5.0, -9.0, 8.0),
-            (7.0, 1.0, 8.5),
-            (9.5, 11.0, 5.0),
-            (10.5, 17.0, 1.0),
-            (9.0, 23.0, -1.0),
+            (4.5, -17.0, 5.0),
+            (5.5, -9.0, 8.0),
+            (7.5, 1.0, 9.0),
+            (10.0, 11.0, 6.0),
+            (11.0, 18.0, 1.0),
+            (9.5, 24.0, -1.0),
         ]
     )
-    radii = np.array([0.9, 1.6, 1.9, 3.4, 3.0, 0.9])
+    radii = np.array([0.9, 1.6, 1.9, 3.2, 3.2, 1.0])
     ventricles: list[trimesh.Trimesh] = []
     plexus: list[trimesh.Trimesh] = []
-    for part, reach, share in ((ventricles, (0.0, 1.0), 1.0), (plexus, (0.42, 0.78), 0.62)):
+    for part, reach, share in ((ventricles, (0.0, 1.0), 1.0), (plexus, (0.42, 0.86), 0.66)):
         along = np.linspace(*reach, count)
         path = np.stack([np.interp(along, t, stations[:, i]) for i in range(3)], axis=1)
         radius = share * np.interp(along, t, radii)
-        part += [tube(path * (side, 1.0, 1.0), radius, sides) for side in (-1.0, 1.0)]
+        part += [tube(path * (side, 1.0, 1.0), radius, sides) for side in SIDES]
     return [
-        Structure(head_to_world(joined(ventricles, "lateral ventricles")), tissues["csf"]),
-        Structure(head_to_world(joined(plexus, "choroid plexus")), tissues["vessel_wall"]),
+        Structure(from_head(joined(ventricles, "lateral ventricles")), tissues["csf"]),
+        Structure(from_head(joined(plexus, "choroid plexus")), tissues["vessel_wall"]),
     ]
 
 
-def _eyes(tissues: dict[str, Tissue], scale: float) -> Structure:
-    pitch = min(0.6 * scale, 3.2)
-    eyes = [
-        mesh_field(ellipsoid((side * 11.8, -31.0, -17.5), (5.2, 5.2, 5.2)), HEAD_BOX, pitch, "eye")
-        for side in (-1.0, 1.0)
-    ]
-    return Structure(head_to_world(joined(eyes, "eyes")), tissues["csf"])
+def _eyes(tissues: dict[str, Tissue], scale: float) -> list[Structure]:
+    """Eyes and their lenses."""
+    x, y, z = EYE_CENTER
+    parts: dict[str, list[trimesh.Trimesh]] = {"eyes": [], "lenses": []}
+    for side in SIDES:
+        eye = ellipsoid((side * x, y, z), (5.2, 5.2, 5.2))
+        parts["eyes"].append(mesh_field(eye, HEAD_BOX, min(0.6 * scale, 3.2), "eye"))
+        lens = ellipsoid((side * x, y - 3.4, z), (1.6, 0.9, 1.6))
+        parts["lenses"].append(mesh_field(lens, HEAD_BOX, min(0.35 * scale, 0.6), "lens"))
+    matter = {"eyes": "csf", "lenses": "cartilage"}
+    return [Structure(from_head(joined(meshes, name)), tissues[matter[name]]) for name, meshes in parts.items()]

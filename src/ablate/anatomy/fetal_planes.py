@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
-from ablate.anatomy.fetal_frame import LIE_ROTATION, abdomen_plane, curl, head_plane, to_world
-from ablate.anatomy.fetal_organs import HEART_AXES, HEART_CENTER
-from ablate.anatomy.fetal_skeleton import leg
-from ablate.anatomy.mother import PLACENTA_TOWARDS, UTERUS_CENTER, UTERUS_RADII, torso
+from ablate.anatomy.fetal_chest import HEART_AXES, HEART_CENTER
+from ablate.anatomy.fetal_frame import ABDOMEN_S_MM, HEAD_ROTATION, curl, head_origin
+from ablate.anatomy.fetal_limbs import SIDES
+from ablate.anatomy.mother import UTERUS_CENTER, UTERUS_RADII, torso
+from ablate.anatomy.patient import Patient, draw_patient
 
+DEEPEST_MM = 115.0  # of what is looked at, under the skin
 MOST_OBLIQUE_DEG = 35.0  # between the beam and the skin's normal
 _ANGLES_DEG = np.arange(-72.0, 73.0, 3.0)  # about the mother's long axis, 0 in front
 _HEIGHTS_MM = np.arange(-105.0, 106.0, 5.0)
@@ -18,10 +21,14 @@ _HEIGHTS_MM = np.arange(-105.0, 106.0, 5.0)
 
 @dataclass(frozen=True)
 class _Plane:
-    """A point to look at, the plane's normal, and, where it matters, the best direction of the beam (any sign)."""
+    """What to see: a point, the plane's normal or a line in the plane, and the best direction of the beam.
+
+    Signs do not matter; without `beam` any direction in the plane is as good.
+    """
 
     point: np.ndarray
-    normal: np.ndarray
+    normal: np.ndarray | None = None
+    line: np.ndarray | None = None
     beam: np.ndarray | None = None
 
 
@@ -49,51 +56,67 @@ def fetal_planes(seed: int = 0, press_mm: float = 8.0) -> dict[str, np.ndarray]:
     ValueError
         When `seed` is negative.
     """
-    if seed < 0:
-        raise ValueError(f"fetal_planes: seed must be at least 0, not {seed}")
-    return {name: _pose(plane, press_mm) for name, plane in _planes().items()}
-
-
-def _planes() -> dict[str, _Plane]:
-    head, head_normal = head_plane()
-    abdomen, abdomen_normal = abdomen_plane()
-    heart, base = to_world(curl(np.stack([HEART_CENTER, HEART_CENTER + 0.1 * HEART_AXES[:, 2]])))
-    hip, knee = to_world(np.stack(leg(1.0)[:2]))
-    spine = to_world(curl(np.array([[0.0, 12.0, 5.0]])))[0]
-    towards = np.array(PLACENTA_TOWARDS) / np.linalg.norm(PLACENTA_TOWARDS)
-    placenta = np.array(UTERUS_CENTER) + 0.8 * np.array(UTERUS_RADII) * towards
+    wanted = _planes(draw_patient(seed))
     return {
-        "head": _Plane(head, head_normal, LIE_ROTATION[:, 0]),
-        "abdomen": _Plane(abdomen, abdomen_normal),
-        "four_chambers": _Plane(heart, _unit(base - heart)),
-        "femur": _Plane((hip + knee) / 2, _unit(np.cross(knee - hip, [0.0, 1.0, 0.0])), np.cross(knee - hip, [0, 0, 1])),
-        "spine": _Plane(spine, LIE_ROTATION[:, 0], LIE_ROTATION[:, 1]),
-        "placenta": _Plane(placenta, np.array([1.0, 0.0, 0.0]), towards),
+        name: min((_pose(plane, press_mm) for plane in planes), key=itemgetter(0))[1] for name, planes in wanted.items()
     }
 
 
-def _pose(plane: _Plane, press_mm: float) -> np.ndarray:
-    """The pose on the skin that fits the plane best."""
+def _planes(patient: Patient) -> dict[str, tuple[_Plane, ...]]:
+    """What to see, by name; of several the one is taken that the probe reaches best."""
+    heart, base = patient.to_world(curl(np.stack([HEART_CENTER, HEART_CENTER + 0.1 * HEART_AXES[:, 2]])))
+    legs = [patient.to_world(np.stack(patient.limbs.leg(side))[:2]) for side in SIDES]
+    spine = patient.to_world(curl(np.array([[0.0, 12.0, 5.0]])))[0]
+    placenta = np.array(UTERUS_CENTER) + 0.85 * np.array(UTERUS_RADII) * patient.placenta
+    left, back, _ = patient.rotation.T
+    return {
+        "head": (_Plane(*head_plane(patient), beam=left),),
+        "abdomen": (_Plane(*abdomen_plane(patient), beam=left),),
+        "four_chambers": (_Plane(heart, _unit(base - heart)),),
+        "femur": tuple(_Plane((hip + knee) / 2, line=_unit(knee - hip)) for hip, knee in legs),
+        "spine": (_Plane(spine, left, beam=back),),
+        "placenta": (_Plane(placenta, np.array([1.0, 0.0, 0.0]), beam=patient.placenta),),
+    }
+
+
+def head_plane(patient: Patient) -> tuple[np.ndarray, np.ndarray]:
+    """Point (3,), mm, and unit normal (3,) of the plane where BPD and HC are measured."""
+    return patient.to_world(head_origin()), patient.rotation @ HEAD_ROTATION[:, 2]
+
+
+def abdomen_plane(patient: Patient) -> tuple[np.ndarray, np.ndarray]:
+    """Point (3,), mm, and unit normal (3,) of the plane where AC is measured."""
+    point, ahead = patient.to_world(curl(np.array([[0.0, 0.0, ABDOMEN_S_MM], [0.0, 0.0, ABDOMEN_S_MM + 1e-3]])))
+    return point, _unit(ahead - point)
+
+
+def _pose(plane: _Plane, press_mm: float) -> tuple[float, np.ndarray]:
+    """The pose on the skin that fits the plane best, and how badly it does."""
     skin, inward = _skin()
     beam = plane.point - skin
-    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
-    off_plane = np.arcsin(np.clip(np.abs(beam @ plane.normal), 0.0, 1.0))
+    depth = np.linalg.norm(beam, axis=1)
+    beam /= depth[:, None]
     oblique = np.arccos(np.clip((beam * inward).sum(1), -1.0, 1.0))
-    cost = (off_plane / np.deg2rad(8.0)) ** 2 + (oblique / np.deg2rad(20.0)) ** 2
-    cost += (np.linalg.norm(plane.point - skin, axis=1) / 120.0) ** 2
+    cost = (oblique / np.deg2rad(20.0)) ** 2 + (depth / 120.0) ** 2
+    cost += (np.maximum(depth - DEEPEST_MM, 0.0) / 5.0) ** 2
     cost += 1e3 * (oblique > np.deg2rad(MOST_OBLIQUE_DEG))
+    if plane.normal is not None:
+        cost += (np.arcsin(np.clip(beam @ plane.normal, -1.0, 1.0)) / np.deg2rad(3.0)) ** 2
+    if plane.line is not None:
+        cost += 4.0 * (beam @ plane.line) ** 2
     if plane.beam is not None:
         cost += 2.0 * (1.0 - (beam @ _unit(plane.beam)) ** 2)
     best = int(np.argmin(cost))
     z = beam[best]
-    y = _unit(plane.normal - z * (plane.normal @ z))
+    normal = plane.normal if plane.line is None else np.cross(z, plane.line)
+    y = _unit(normal - z * (normal @ z))
     x = np.cross(y, z)
     if x @ (1.0, 0.0, -1.0) < 0.0:  # the mother's left or her feet are on the image's right
         x, y = -x, -y
     pose = np.eye(4)
     pose[:3, :3] = np.stack([x, y, z], axis=1)
-    pose[:3, 3] = skin[best] + press_mm * inward[best]
-    return pose
+    pose[:3, 3] = skin[best] + press_mm * z
+    return float(cost[best]), pose
 
 
 def _skin() -> tuple[np.ndarray, np.ndarray]:

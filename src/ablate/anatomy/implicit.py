@@ -34,6 +34,17 @@ def ellipsoid(center: Vector, radii: Vector, turn: np.ndarray | None = None) -> 
     return field
 
 
+def box(center: Vector, half: Vector, round_mm: float) -> Field:
+    """Box with its edges rounded; `half` are its half lengths."""
+
+    def field(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        u, v, w = (np.abs(p - c) - h + round_mm for p, c, h in zip((x, y, z), center, half, strict=True))
+        beyond = np.sqrt(np.maximum(u, 0.0) ** 2 + np.maximum(v, 0.0) ** 2 + np.maximum(w, 0.0) ** 2)
+        return beyond + np.minimum(np.maximum(u, np.maximum(v, w)), 0.0) - round_mm
+
+    return field
+
+
 def first_order_distance(level: np.ndarray, slope: np.ndarray, radius_mm: np.ndarray | float) -> np.ndarray:
     """Distance to where level = 1, given level = |p / r| and slope = |p / r^2|; about -`radius_mm` in the middle."""
     return (level - 1.0) * (level + 1e-3) / (slope + 1e-3 / radius_mm)
@@ -86,6 +97,12 @@ def intersection(fields: Sequence[Field], blend_mm: float) -> Field:
         return joined
 
     return field
+
+
+def half_space(normal: Vector, at_mm: float) -> Field:
+    """Everything where normal . p > at_mm; the normal is made a unit vector."""
+    i, j, k = np.asarray(normal, float) / np.linalg.norm(normal)
+    return lambda x, y, z: at_mm - (i * x + j * y + k * z)
 
 
 def outside(field: Field) -> Field:

@@ -1,6 +1,6 @@
-"""The mother's abdomen in the second trimester: wall, uterus, placenta, bladder, bowel, vessels and spine.
+"""The mother's abdomen in the second trimester: wall, uterus, bladder, bowel, vessels and spine.
 
-World frame in mm: x to her left, y to her back, z up; the navel is near (0, -122, 5).
+World frame in mm: x to her left, y to her back, z up; the navel is near (0, -133, 2).
 """
 
 from __future__ import annotations
@@ -26,20 +26,19 @@ from ablate.anatomy.sweep import joined, tube
 
 BODY_BOX: Bounds = ((-175.0, -150.0, -185.0), (175.0, 150.0, 185.0))
 SKIN_MM = 2.0
-FAT_MM = 16.0
+FAT_MM = 15.0
 MUSCLE_MM = 10.0
 UTERUS_WALL_MM = 8.0
-UTERUS_CENTER = (0.0, -29.0, 4.0)
-UTERUS_RADII = (88.0, 62.0, 112.0)
-PLACENTA_TOWARDS = (-0.62, -0.52, 0.59)  # from the middle of the uterus: right, front, fundus
-PLACENTA_MM = 27.0
+UTERUS_CENTER = (0.0, -33.0, 4.0)
+UTERUS_RADII = (77.0, 64.0, 111.0)
+UTERUS_POWER = 2.5
 GAS_POCKETS = (  # center (mm) and radius (mm); the bowel around each is 3 mm thick
-    ((107.0, -34.0, 62.0), 10.0),
-    ((109.0, -20.0, 20.0), 8.0),
-    ((108.0, -30.0, -30.0), 11.0),
-    ((-106.0, -36.0, -52.0), 10.0),
-    ((-108.0, -22.0, 12.0), 9.0),
-    ((-106.0, -34.0, 60.0), 11.0),
+    ((105.0, -30.0, 66.0), 10.0),
+    ((108.0, -12.0, 22.0), 8.0),
+    ((104.0, -26.0, -34.0), 11.0),
+    ((-104.0, -28.0, -56.0), 10.0),
+    ((-107.0, -10.0, 10.0), 9.0),
+    ((-104.0, -26.0, 66.0), 11.0),
 )
 
 
@@ -47,7 +46,7 @@ def torso(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """About the distance to the skin, mm, negative inside: an egg-shaped cylinder with a belly in front."""
     belly = np.exp(-(((z - 2.0) / 85.0) ** 2))
     width = 146.0 + 6.0 * belly
-    front = 98.0 + 24.0 * belly
+    front = 100.0 + 33.0 * belly
     depth = np.where(y < 0.0, front, 114.0)
     level = np.sqrt((x / width) ** 2 + (y / depth) ** 2)
     slope = np.sqrt((x / width**2) ** 2 + (y / depth**2) ** 2)
@@ -57,40 +56,31 @@ def torso(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 def _muscle_inside(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Inner face of the abdominal wall: two bellies of rectus beside a thin midline, obliques at the flanks."""
-    beside_midline = np.clip((np.abs(x) - 1.0) / 9.0, 0.0, 1.0)
-    belly = 3.0 * beside_midline**2 * (3.0 - 2.0 * beside_midline)
-    at_edge = -2.2 * np.exp(-(((np.abs(x) - 66.0) / 8.0) ** 2))
-    front = (y < 40.0) * (belly + at_edge) - 3.0
+    beside_midline = np.clip((np.abs(x) - 1.5) / 11.0, 0.0, 1.0)
+    belly = 6.0 * beside_midline**2 * (3.0 - 2.0 * beside_midline)
+    at_edge = -3.2 * np.exp(-(((np.abs(x) - 66.0) / 8.0) ** 2))
+    front = (y < 40.0) * (belly + at_edge) - 5.0
     return torso(x, y, z) + (SKIN_MM + FAT_MM + MUSCLE_MM + front * np.exp(-np.maximum(y + 60.0, 0.0) / 40.0))
 
 
 def _uterus(seed: int) -> Field:
     """Outer face of the uterus, held 2 mm behind the abdominal wall."""
     wall = SKIN_MM + FAT_MM + MUSCLE_MM + 2.0
-    return rippled(intersection([ellipsoid(UTERUS_CENTER, UTERUS_RADII), shrunk(torso, wall)], 6.0), seed, 1.0, 90.0)
+    return rippled(intersection([_fundus, shrunk(torso, wall)], 6.0), seed, 1.0, 90.0)
+
+
+def _fundus(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """A superellipsoid, fuller at its ends than an ellipsoid."""
+    parts = [(np.abs(p - c) / r) for p, c, r in zip((x, y, z), UTERUS_CENTER, UTERUS_RADII, strict=True)]
+    power = UTERUS_POWER
+    level = sum(part**power for part in parts) ** (1.0 / power)
+    slope = np.sqrt(sum((part ** (power - 1.0) / r) ** 2 for part, r in zip(parts, UTERUS_RADII, strict=True)))
+    return (level - 1.0) * level ** (power - 1.0) / (slope + 1e-3 / min(UTERUS_RADII))
 
 
 def cavity(seed: int) -> Field:
     """Inner face of the uterine wall: the space of the fluid, the placenta and the fetus."""
     return rippled(shrunk(_uterus(seed), UTERUS_WALL_MM), seed + 1, 0.7, 50.0)
-
-
-def _placenta(seed: int) -> Field:
-    """A lobed disc that reaches 3 mm into the uterine wall, thickest in its middle."""
-    inner = cavity(seed)
-    towards = np.array(PLACENTA_TOWARDS) / np.linalg.norm(PLACENTA_TOWARDS)
-    scale = np.array(UTERUS_RADII)
-
-    def face(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-        u, v, w = ((p - c) / r for p, c, r in zip((x, y, z), UTERUS_CENTER, scale, strict=True))
-        along = towards[0] * u + towards[1] * v + towards[2] * w
-        cosine = along / np.maximum(np.sqrt(u * u + v * v + w * w), 1e-3)
-        opening = np.arccos(np.clip(cosine, -1.0, 1.0)) / np.deg2rad(54.0)
-        thickness = PLACENTA_MM * (1.0 - opening**2.6)
-        return -(inner(x, y, z) + np.maximum(thickness, -12.0))
-
-    lobed = rippled(face, seed + 2, 1.3, 24.0)
-    return intersection([lobed, shrunk(inner, -3.0)], 3.0)
 
 
 def mother(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure]:
@@ -120,13 +110,15 @@ def mother(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structur
         solid(_uterus(seed), "uterine_wall", 2.4, "uterus"),
         *_bladder(tissues, scale, seed),
         solid(cavity(seed), "amniotic_fluid", 2.2, "amniotic cavity"),
-        solid(_placenta(seed), "placenta", 1.6, "placenta"),
     ]
 
 
 def _bladder(tissues: dict[str, Tissue], scale: float, seed: int) -> list[Structure]:
-    """Half-filled bladder in front of the lower uterus."""
-    lumen = rippled(ellipsoid((3.0, -66.0, -101.0), (36.0, 11.0, 17.0)), seed + 6, 0.8, 40.0)
+    """Half-filled bladder, moulded to the front of the lower uterus."""
+    room = intersection(
+        [ellipsoid((3.0, -70.0, -104.0), (38.0, 20.0, 22.0)), outside(shrunk(_uterus(seed), -5.5))], 5.0
+    )
+    lumen = rippled(room, seed + 6, 0.6, 40.0)
     structures = []
     for field, tissue, name in ((shrunk(lumen, -3.0), "muscle", "bladder wall"), (lumen, "urine", "bladder")):
         mesh = mesh_field(field, BODY_BOX, min(1.8 * scale, 8.0), name)

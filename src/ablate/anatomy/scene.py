@@ -27,7 +27,7 @@ TISSUE_RANGES: dict[str, tuple[float, float]] = {
     "texture_contrast_db": (0.0, 40.0),
 }
 
-ANATOMY_VERSION = 1  # of the built-in anatomy, the tissue table and mesh repair: raised when a scene changes
+ANATOMY_VERSION = 2  # of the built-in anatomy, the tissue table and mesh repair: raised when a scene changes
 
 
 @dataclass(frozen=True)

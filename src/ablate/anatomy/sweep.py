@@ -86,16 +86,16 @@ def spindle(
 
 
 def rod(start: Vector, end: Vector, radius: float, sides: int, bow_mm: float = 0.0) -> trimesh.Trimesh:
-    """Long bone: blunt ends, a waist, and a slight bow; as long as `start` to `end`."""
+    """Long bone: blunt, flared ends, a waist, and a slight bow; as long as `start` to `end`."""
     start, end = np.asarray(start, float), np.asarray(end, float)
-    t = np.linspace(0.0, 1.0, max(5, sides))
+    t = (1.0 - np.cos(np.pi * np.linspace(0.0, 1.0, max(6, 2 * sides)))) / 2.0
     along = end - start
     side = np.cross(along, [0.3, 0.5, 0.8])
     side /= np.linalg.norm(side)
     path = start + t[:, None] * along + bow_mm * (4.0 * t * (1.0 - t))[:, None] ** 2 * side
-    waist = 1.0 - 0.28 * np.sin(np.pi * t) ** 2
-    blunt = np.minimum(1.0, 0.75 + 6.0 * np.minimum(t, 1.0 - t))
-    return tube(path, radius * waist * blunt, sides, up=side)
+    flare = 0.7 + 0.4 * np.exp(-((np.minimum(t, 1.0 - t) / 0.13) ** 2))
+    blunt = np.minimum(1.0, 0.72 + 12.0 * np.minimum(t, 1.0 - t))
+    return tube(path, radius * flare * blunt, sides, up=side)
 
 
 def joined(meshes: Sequence[trimesh.Trimesh], name: str) -> trimesh.Trimesh:

@@ -1,0 +1,140 @@
+"""The way of the umbilical cord through the free fluid: loops between the navel and the placenta. World, mm."""
+
+from __future__ import annotations
+
+from itertools import pairwise, permutations
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, map_coordinates, maximum_filter
+from skimage.graph import MCP_Geometric
+
+from ablate.anatomy.fetal_frame import curl
+from ablate.anatomy.free_space import PITCH_MM, FreeSpace
+from ablate.anatomy.mother import UTERUS_RADII
+from ablate.anatomy.patient import NAVEL_IN_TRUNK, Patient
+from ablate.anatomy.placenta import REACH_DEG, face_points, from_middle, placenta_field, unit
+from ablate.anatomy.sweep import smooth_path
+
+JELLY_MM = 4.5  # radius of the cord
+ROOM_MM = 0.5  # between the cord and anything else
+SPACING_MM = 4.0  # of the points that are moved
+_ROOT_IN_TRUNK = ((0.0, -20.0, -27.0), (0.0, -27.0, -27.0))
+_BLOCKED = 1e4
+
+
+def cord_route(patient: Patient) -> tuple[np.ndarray, np.ndarray]:
+    """Middle line of the cord, and where it meets the placenta.
+
+    The shortest way through roomy fluid is found by way of up to three pockets far from everything, then drawn tight:
+    points are pushed from walls, fetus and other turns of the cord, and pulled straight. The way by most pockets that
+    keeps clear of all is taken.
+
+    Parameters
+    ----------
+    patient : Patient
+
+    Returns
+    -------
+    path : (n, 3) float, mm
+        From under the skin of the navel into the placenta, smooth.
+    insertion : (3,) float, mm
+        On the placenta's fetal face.
+    """
+    space = patient.uterus.without(patient.balls())
+    root = patient.to_world(curl(np.array([*_ROOT_IN_TRUNK, NAVEL_IN_TRUNK])))
+    leave = root[2] + 10.0 * unit(root[2] - root[1])
+    insertion, into = _insertion(patient, space)
+    arrive = insertion - 13.0 * into
+    first, last = np.array([root[0], root[1], root[2]]), np.array([insertion, insertion + 6.0 * into])
+    pockets = _pockets(space)
+    best, least = np.empty((0, 3)), -np.inf
+    for stops in [*permutations(pockets, 3), *permutations(pockets, 2), *((pocket,) for pocket in pockets), ()]:
+        way = _by_way_of(space, [leave, *stops, arrive])
+        path = _relaxed(space, np.concatenate([first, way, last]))
+        room = _room(space, path)
+        if room > least:
+            best, least = path, room
+        if room > ROOM_MM:
+            break
+    return smooth_path(best, 4 * len(best)), insertion
+
+
+def _insertion(patient: Patient, space: FreeSpace) -> tuple[np.ndarray, np.ndarray]:
+    """The roomiest place near the middle of the placenta's face, and the unit direction into it."""
+    field = placenta_field(patient.seed, patient.placenta)
+    turn = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
+    polar = np.deg2rad(REACH_DEG) * np.repeat((0.1, 0.3, 0.45), 10)
+    directions = from_middle(patient.placenta, polar, np.tile(turn, 3))
+    points, into = face_points(field, directions), unit(directions / np.array(UTERUS_RADII))
+    best = int(np.argmax(np.minimum(space.at(points - 13.0 * into), 12.0) - 6.0 * polar))
+    return points[best], into[best]
+
+
+def _pockets(space: FreeSpace) -> list[np.ndarray]:
+    """The roomiest places of the fluid, at most three, 45 mm apart: (3,) mm each."""
+    roomy = space.clearance * (space.clearance == maximum_filter(space.clearance, 7))
+    order = np.argsort(roomy, axis=None)[::-1][:200]
+    order = order[roomy.ravel()[order] > 2.0 * JELLY_MM]
+    chosen: list[np.ndarray] = []
+    for point in space.points.reshape(-1, 3)[order]:
+        if all(np.linalg.norm(point - other) > 45.0 for other in chosen):
+            chosen.append(point)
+    return chosen[:3]
+
+
+def _by_way_of(space: FreeSpace, stops: list[np.ndarray]) -> np.ndarray:
+    """Shortest way through roomy fluid from stop to stop, which keeps off what it has passed; (n, 3) mm."""
+    points = space.points
+    clearance = space.clearance.copy()
+    legs = []
+    for start, end in pairwise(stops):
+        spare = clearance - JELLY_MM - ROOM_MM
+        cost = np.where(spare > 0.0, 1.0 + (6.0 / np.maximum(spare, 0.5)) ** 2, _BLOCKED)
+        index = [tuple(np.rint((p - space.low) / PITCH_MM).astype(int)) for p in (start, end)]
+        search = MCP_Geometric(cost)
+        search.find_costs([index[0]], [index[1]])
+        leg = points[tuple(np.array(search.traceback(index[1])).T)]
+        legs.append(leg)
+        passed = np.ones(clearance.shape, bool)
+        passed[tuple(np.array(search.traceback(index[1]))[np.linalg.norm(leg - end, axis=1) > 12.0].T)] = False
+        clearance = np.minimum(clearance, distance_transform_edt(passed, PITCH_MM) - JELLY_MM)
+    return np.concatenate(legs)
+
+
+def _relaxed(space: FreeSpace, path: np.ndarray) -> np.ndarray:
+    """The path drawn tight and pushed off everything; its first two points and its last stay. (n, 3) mm."""
+    length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
+    path, keep = path[np.r_[True, np.diff(length) > 1e-6]], length[np.r_[True, np.diff(length) > 1e-6]]
+    at = np.linspace(0.0, keep[-1], round(keep[-1] / SPACING_MM))
+    moving = np.stack([np.interp(at, keep, path[:, i]) for i in range(3)], axis=1)
+    slope = np.stack(np.gradient(space.clearance, PITCH_MM))
+    far = np.abs(at[:, None] - at) > 5.0 * SPACING_MM
+    free = ((at > keep[1] + 1.0) & (at < keep[-1] - 1.0))[:, None]
+    inside = np.clip(np.minimum(at - keep[2], keep[-2] - at) / 14.0, 0.0, 1.0)[:, None]  # 0 at both ends
+    for _ in range(150):
+        pull = np.zeros_like(moving)
+        pull[1:-1] = (moving[:-2] + moving[2:]) / 2.0 - moving[1:-1]
+        bend = np.zeros_like(moving)
+        bend[2:-2] = (4.0 * (moving[1:-3] + moving[3:-1]) - moving[:-4] - moving[4:]) / 6.0 - moving[2:-2]
+        index = ((moving - space.low) / PITCH_MM).T
+        away = np.stack([map_coordinates(part, index, order=1, mode="nearest") for part in slope], axis=1)
+        narrow = np.clip(JELLY_MM + 3.0 - space.at(moving), 0.0, 6.0)[:, None]
+        apart = moving[:, None] - moving
+        distance = np.maximum(np.linalg.norm(apart, axis=2), 1e-6)
+        push = np.where(far, np.clip(2.0 * JELLY_MM + 4.0 - distance, 0.0, 6.0), 0.0)
+        aside = (push[:, :, None] * apart / distance[:, :, None]).sum(axis=1)
+        moving = moving + free * (0.15 * pull + 0.35 * bend + 0.25 * inside * narrow * away + 0.15 * aside)
+    return moving
+
+
+def _room(space: FreeSpace, path: np.ndarray) -> float:
+    """The least distance between the cord's surface and other things, or itself, mm; negative where it kinks."""
+    fine = smooth_path(path, 3 * len(path))
+    at = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))]
+    outside = (at > 20.0) & (at < at[-1] - 21.0)
+    from_others = float(space.at(fine[outside]).min()) - JELLY_MM
+    far = np.abs(at[:, None] - at) > np.pi * JELLY_MM
+    from_itself = float(np.linalg.norm(fine[:, None] - fine, axis=2)[far].min()) - 2.0 * JELLY_MM
+    tangent = np.gradient(fine, at, axis=0)
+    sharpest = float(np.linalg.norm(np.gradient(tangent, at, axis=0), axis=1).max())
+    return min(from_others, from_itself, 1.0 / sharpest - 1.2 * JELLY_MM)

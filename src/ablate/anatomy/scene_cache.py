@@ -1,0 +1,85 @@
+"""Built scenes kept on disk, one file each; a file that does not hold what was written is built again."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from ablate.anatomy.scene import Scene, Structure, content_hash
+from ablate.anatomy.tissues import load_tissues
+
+logger = logging.getLogger(__name__)
+
+
+def cached_scene(folder: Path, build: Callable[[], Scene], **parameters: object) -> Scene:
+    """The scene of these parameters, read where it was written before, built and written otherwise.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it is missing. A file in it is named by the scene and a hash of the parameters, and appears at once
+        and whole.
+    build : callable
+        Makes the scene; its tissues must be those of the built-in table.
+    **parameters
+        All that the scene follows from, a version of the code that builds it included.
+
+    Returns
+    -------
+    Scene
+        The same whether read or built: vertices bit for bit.
+    """
+    key = hashlib.sha256(repr(sorted(parameters.items())).encode()).hexdigest()[:16]
+    path = folder / f"scene-{key}.npz"
+    if path.exists():
+        try:
+            return _read(path)
+        except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as error:
+            logger.warning("%s: built again, because it cannot be read: %s", path, " ".join(str(error).split()))
+    scene = build()
+    folder.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(f".{os.getpid()}.part")
+    try:
+        _write(part, scene)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+    return scene
+
+
+def _write(path: Path, scene: Scene) -> None:
+    meshes = [structure.mesh for structure in scene.structures]
+    with path.open("wb") as stream:
+        np.savez(
+            stream,
+            vertices=np.concatenate([mesh.vertices for mesh in meshes]),
+            faces=np.concatenate([mesh.faces for mesh in meshes]).astype(np.int32),
+            counts=np.array([(len(mesh.vertices), len(mesh.faces)) for mesh in meshes]),
+            names=np.array([mesh.metadata["name"] for mesh in meshes]),
+            tissues=np.array([structure.tissue.name for structure in scene.structures]),
+            scene=np.array([scene.background.name, scene.name, content_hash(scene)]),
+        )
+
+
+def _read(path: Path) -> Scene:
+    table = load_tissues()
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as held:
+        background, name, digest = (str(text) for text in held["scene"])
+        ends = np.cumsum(held["counts"], axis=0)[:-1]
+        vertices, faces = np.split(held["vertices"], ends[:, 0]), np.split(held["faces"], ends[:, 1])
+        structures = []
+        for points, corners, label, tissue in zip(vertices, faces, held["names"], held["tissues"], strict=True):
+            mesh = trimesh.Trimesh(points, corners, process=False)
+            mesh.metadata["name"] = str(label)
+            structures.append(Structure(mesh, table[str(tissue)]))
+    scene = Scene(tuple(structures), table[background], name)
+    if content_hash(scene) != digest:
+        raise ValueError("its content is not what was written")
+    return scene

@@ -1,0 +1,102 @@
+"""Built scenes on disk: the same scene again, made anew when the file is not what was written."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ablate.anatomy import Scene, Structure, content_hash, fetal_abdomen, load_tissues
+from ablate.anatomy.scene_cache import cached_scene
+
+import trimesh  # isort: skip
+
+
+def small() -> Scene:
+    tissues = load_tissues()
+    ball, cube = trimesh.creation.icosphere(1, radius=10 / 3), trimesh.creation.box((20.0, 20.0, 20.0))
+    ball.metadata["name"], cube.metadata["name"] = "ball", "cube"
+    return Scene((Structure(cube, tissues["liver"]), Structure(ball, tissues["bile"])), tissues["coupling_gel"], "two")
+
+
+class Builds:
+    """Counts how often the scene is built."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def __call__(self) -> Scene:
+        self.count += 1
+        return small()
+
+
+def test_second_call_reads_the_same_scene(tmp_path: Path) -> None:
+    build = Builds()
+    first, second = (cached_scene(tmp_path / "new", build, kind="two") for _ in range(2))
+    assert build.count == 1
+    assert second.name == first.name
+    assert second.background == first.background
+    for a, b in zip(first.structures, second.structures, strict=True):
+        assert np.array_equal(a.mesh.vertices, b.mesh.vertices)
+        assert np.array_equal(a.mesh.faces, b.mesh.faces)
+        assert a.tissue == b.tissue
+        assert a.mesh.metadata["name"] == b.mesh.metadata["name"]
+    assert [path.suffix for path in (tmp_path / "new").iterdir()] == [".npz"]
+
+
+def test_other_parameters_are_another_file(tmp_path: Path) -> None:
+    build = Builds()
+    cached_scene(tmp_path, build, seed=0)
+    cached_scene(tmp_path, build, seed=1)
+    assert build.count == 2
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("harm", ["empty", "cut", "text", "flipped", "other scene"])
+def test_broken_file_is_built_again(tmp_path: Path, caplog: pytest.LogCaptureFixture, harm: str) -> None:
+    build = Builds()
+    cached_scene(tmp_path, build)
+    path = next(tmp_path.iterdir())
+    held = path.read_bytes()
+    middle = held.index(np.float64(10.0).tobytes()) + 5
+    path.write_bytes(
+        {
+            "empty": b"",
+            "cut": held[: len(held) // 2],
+            "text": b"not a zip",
+            "flipped": held[:middle] + bytes([held[middle] ^ 1]) + held[middle + 1 :],
+            "other scene": held,
+        }[harm]
+    )
+    if harm == "other scene":
+        with np.load(path) as arrays:
+            changed = dict(arrays)
+        changed["vertices"] = changed["vertices"] + 1.0
+        np.savez(path, **changed)
+    with caplog.at_level(logging.WARNING):
+        again = cached_scene(tmp_path, build)
+    assert build.count == 2
+    assert str(path) in caplog.text
+    assert content_hash(again) == content_hash(small())
+    assert cached_scene(tmp_path, build).name == "two"
+    assert build.count == 2
+
+
+def test_a_build_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    def fails() -> Scene:
+        raise RuntimeError("no")
+
+    with pytest.raises(RuntimeError):
+        cached_scene(tmp_path, fails)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_fetal_abdomen_is_cached_only_where_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    built = fetal_abdomen(4_000, seed=1)
+    assert list(tmp_path.iterdir()) == []
+    for _ in range(2):
+        assert content_hash(fetal_abdomen(4_000, seed=1, cache_dir=tmp_path / "kept")) == content_hash(built)
+    assert len(list((tmp_path / "kept").iterdir())) == 1
