@@ -181,7 +181,7 @@ class Simulator:
             faintest_db,
             self._geometry.step_mm,
         )
-        nodes = dark(len(bundle.starts), probe.depth_mm, settings.axial_samples)
+        nodes = dark(len(bundle.starts), probe, settings)
         echoes = trace(self._geometry, view, self._draws, bundle, nodes)
         where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
