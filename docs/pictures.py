@@ -1,10 +1,12 @@
-"""The simulated frame that README shows: image, segmentation and attenuation map side by side, at the paper's size.
+"""The pictures of one simulated frame, at the paper's size: image, segmentation and attenuation map side by side
+(frame.png), and the probe that saw it on the body in 3-D, as `task=preview` draws it (preview.png).
 
 python docs/pictures.py
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +14,10 @@ from skimage.color import hsv2rgb
 from skimage.io import imsave
 from skimage.transform import resize
 
+from ablate.analysis import Preview, preview_figure
 from ablate.anatomy import fetal_abdomen, fetal_sites
 from ablate.dataset import probe_poses
-from ablate.ultrasound import ConvexProbe, Simulator
+from ablate.ultrasound import ConvexProbe, Frame, Simulator
 
 HERE = Path(__file__).parent
 HEIGHT_MM, ANGLE_DEG, TILT_DEG, ROLL_DEG = -15.0, 36.0, 0.0, 90.0
@@ -22,15 +25,21 @@ FREQUENCY_MHZ = 3.0  # of the quick preset; at the paper's 8 MHz little of the a
 
 
 def main() -> None:
-    """Render and write frame.png beside this file."""
-    scene, grid = fetal_abdomen(), fetal_sites()
-    poses = probe_poses(scene, grid, press_mm=8)
-    per_angle = len(grid.tilts_deg) * len(grid.rolls_deg)
-    place = grid.heights_mm.index(HEIGHT_MM) * len(grid.angles_deg) + grid.angles_deg.index(ANGLE_DEG)
-    turn = grid.tilts_deg.index(TILT_DEG) * len(grid.rolls_deg) + grid.rolls_deg.index(ROLL_DEG)
-    frame = Simulator(scene, ConvexProbe(frequency_mhz=FREQUENCY_MHZ)).render(
-        poses[place * per_angle + turn].probe_to_world
+    """Render and write both beside this file."""
+    scene, probe = fetal_abdomen(), ConvexProbe(frequency_mhz=FREQUENCY_MHZ)
+    grid = replace(
+        fetal_sites(), heights_mm=(HEIGHT_MM,), angles_deg=(ANGLE_DEG,), tilts_deg=(TILT_DEG,), rolls_deg=(ROLL_DEG,)
     )
+    (pose,) = (p.probe_to_world for p in probe_poses(scene, grid, press_mm=8))
+    frame = Simulator(scene, probe).render(pose)
+    write_panels(frame)
+    title = f"height {HEIGHT_MM:g} mm, angle {ANGLE_DEG:g}°, roll {ROLL_DEG:g}°"
+    shown = Preview(title, pose, frame.image, frame.segmentation, grid.axis, grid.front)
+    preview_figure(scene, probe, shown, HERE / "preview.png")
+
+
+def write_panels(frame: Frame) -> None:
+    """Write frame.png: image, segmentation and attenuation map."""
     hues = np.arange(256) * 0.381966 % 1
     colours = hsv2rgb(np.stack([hues, np.full(256, 0.5), np.full(256, 0.85)], axis=-1))
     colours[0] = 0

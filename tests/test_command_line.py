@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 import yaml
@@ -17,8 +18,8 @@ SCENE = {
     "sites": {
         "axis": [0, 0, 1],
         "front": [0, -1, 0],
-        "heights": {"range": [-10, 10], "count": 2},
-        "angles": {"range": [-20, 20], "count": 2},
+        "heights": {"range": [-10, 10], "count": 8},
+        "angles": {"range": [-20, 20], "count": 8},
         "tilts": [0],
         "rolls": [0],
     },
@@ -28,7 +29,7 @@ SCENE = {
 def refused(tmp_path: Path, *arguments: str) -> str:
     command = [sys.executable, "-m", "ablate", f"runs_dir={tmp_path / 'runs'}", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, timeout=60)
-    assert done.returncode != 0
+    assert done.returncode == 2
     assert done.stdout == ""
     lines = done.stderr.strip().splitlines()
     assert len(lines) == 1, done.stderr
@@ -39,7 +40,13 @@ def refused(tmp_path: Path, *arguments: str) -> str:
 def scene_folder(tmp_path: Path, **changes: object) -> Path:
     folder = tmp_path / "scene"
     folder.mkdir()
-    trimesh.creation.icosphere(3, radius=60).export(folder / "body.obj")
+    body = trimesh.creation.icosphere(3, radius=60)
+    body.export(folder / "body.obj")
+    wave = np.sin(2 * np.arctan2(body.triangles_center[:, 1], body.triangles_center[:, 0]))
+    torn = body.faces[body.triangles_center[:, 2] < 12.0 * wave]
+    trimesh.Trimesh(body.vertices, torn, process=False).export(folder / "torn.obj")
+    (folder / "garbage.ply").write_bytes(b"not a mesh")
+    (folder / "nan.obj").write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")
     (folder / "empty.obj").write_text("")
     (folder / "scene.yaml").write_text(yaml.safe_dump({**SCENE, **changes}))
     return folder
@@ -67,12 +74,29 @@ def test_bad_values_are_refused_in_one_line(tmp_path: Path, arguments: list[str]
         ({"mesh": "body.obj", "tissue": "unobtainium"}, "unobtainium"),
         ({"mesh": "absent.obj", "tissue": "liver"}, "absent.obj"),
         ({"mesh": "empty.obj", "tissue": "liver"}, "empty.obj"),
+        ({"mesh": "torn.obj", "tissue": "liver"}, "torn.obj: cannot be closed: a hole of 1"),
+        ({"mesh": "garbage.ply", "tissue": "liver"}, "garbage.ply: not readable as a mesh"),
+        ({"mesh": "nan.obj", "tissue": "liver"}, "nan.obj: has vertices that are not finite"),
     ],
 )
 def test_bad_scenes_are_refused_in_one_line(tmp_path: Path, structure: dict[str, str], named: str) -> None:
     folder = scene_folder(tmp_path, structures=[structure])
-    message = refused(tmp_path, "scene=folder", f"scene.folder={folder}")
+    message = refused(tmp_path, "scene=folder", f"scene.folder={folder}", "dataset.frames=12")
     assert named in message
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"unit": "m"}, "scene.yaml: unit: m makes the scene's largest extent 1.2e+05 mm"),
+        ({"sites": {"heights": {"range": [500, 600], "count": 4}, "tilts": [-5, 0, 5]}}, "12 the direction misses the body"),
+        ({"sites": {"heights": {"range": [0, 1]}}}, "sites.heights.count"),
+        ({"sites": None}, "no `sites`"),
+    ],
+)
+def test_bad_units_and_sites_are_refused_in_one_line(tmp_path: Path, changes: dict[str, object], named: str) -> None:
+    folder = scene_folder(tmp_path, **changes)
+    assert named in refused(tmp_path, "scene=folder", f"scene.folder={folder}", "dataset.frames=12")
 
 
 def test_a_runs_directory_that_cannot_be_written_is_refused(tmp_path: Path) -> None:

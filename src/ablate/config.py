@@ -32,6 +32,7 @@ class Task(StrEnum):
     describe = "describe"
     plan = "plan"
     compare = "compare"
+    preview = "preview"
 
 
 class SceneKind(StrEnum):
@@ -64,8 +65,9 @@ class SceneSettings:
 class DatasetSettings:
     """Which pairs are simulated and how they are split; the paper's 6,669 frames, 6,000 of them for training.
 
-    `grid` replaces the counts of the scene's heights, angles, tilts and rolls; `validation` and `test` are shares of
-    the sites (`split=site`) or frames; `press_mm` is how far the probe is pressed in; `workers` 0 is one a core.
+    There are fewer `frames` where the probe sites offer fewer usable poses. `grid` replaces the counts of the scene's
+    heights, angles, tilts and rolls; `validation` and `test` are shares of the sites (`split=site`) or frames;
+    `press_mm` is how far the probe is pressed in; `workers` 0 is one a core.
     """
 
     frames: int = 6669
@@ -122,7 +124,10 @@ class TrackingSettings:
 
 @dataclass(frozen=True)
 class StudySettings:
-    """A whole job, as the rooms take it. `model` is the composed generator; see conf/ for every value."""
+    """A whole job, as the rooms take it. `model` is the composed generator; see conf/ for every value.
+
+    `frame` is the one that `task=preview` shows.
+    """
 
     task: Task = Task.study
     preset: str = "paper"
@@ -142,6 +147,7 @@ class StudySettings:
     tracking: TrackingSettings = TrackingSettings()
     study_name: str | None = None
     runs_dir: str = "runs"
+    frame: int = 0
 
     @property
     def scene_name(self) -> str:

@@ -18,7 +18,9 @@ BALL = trimesh.creation.icosphere(subdivisions=3, radius=40.0)
 def scene_of(vertices: np.ndarray, faces: np.ndarray) -> Scene:
     """A sound structure, and one of these vertices and faces."""
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    return Scene((Structure(BALL, TISSUES["fat"]), Structure(mesh, TISSUES["liver"])), TISSUES["coupling_gel"], "s")
+    return Scene(
+        (Structure(BALL.copy(), TISSUES["fat"]), Structure(mesh, TISSUES["liver"])), TISSUES["coupling_gel"], "s"
+    )
 
 
 def moved(index: int, value: float) -> np.ndarray:
@@ -117,11 +119,18 @@ def test_holes_are_measured() -> None:
 
 @pytest.mark.parametrize(("scale", "said"), [(1e-3, "0.08 mm"), (1e3, "8e[+]04 mm"), (40.0, "3.2e[+]03 mm")])
 def test_a_scene_of_no_body_s_size_is_warned_of(scale: float, said: str) -> None:
-    mesh = BALL.copy().apply_scale(scale)
-    scene = Scene((Structure(mesh, TISSUES["liver"]),), TISSUES["coupling_gel"], "s")
+    scene = scene_of(BALL.vertices, BALL.faces)
+    for structure in scene.structures:
+        structure.mesh.apply_scale(scale)
     with pytest.warns(UserWarning, match=rf"'s': its largest extent is {said} and the probe images 150 mm deep"):
         check_scene(scene, 150.0)
     check_scene(scene, 150.0 * scale)  # scaled together with its probe
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_point_target_passes() -> None:
+    mesh = BALL.copy().apply_scale(1e-3)
+    check_scene(Scene((Structure(mesh, TISSUES["liver"]),), TISSUES["coupling_gel"], "s"), 150.0)
 
 
 @pytest.mark.filterwarnings("error")

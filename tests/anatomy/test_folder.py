@@ -93,6 +93,7 @@ def structure(**values: object) -> dict[str, object]:
         ({"sites": {"heights": {"range": [1], "count": 2}}}, r"sites\.heights\.range: must be a list of 2"),
         ({"sites": {"angles": []}}, r"sites: site grid: angles_deg must be one or more"),
         ({"sites": {"axis": [0, 1, 0]}}, r"must not point along axis"),
+        ({"sites": {"tilts": [0, 120]}}, r"sites: site grid: tilts_deg must lie between -90 and 90"),
         ({"sites": {"tilts": ["steep"]}}, r"sites\.tilts: must be a finite number, not 'steep'"),
         (
             {"sites": {"region": ["skn.obj"]}},

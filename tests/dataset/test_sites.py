@@ -115,7 +115,7 @@ def test_a_face_in_bone_is_dropped_and_counted() -> None:
     grid = SiteGrid((0, 0, 1), (0, -1, 0), (0.0,), (-20.0, 0.0, 20.0), (0.0,), (0.0, 90.0))
     body = scene((slab, SKIN), (plate, BONE))
     assert place_probe(body, grid, press_mm=4.5).dropped[Dropped.hard] == 0
-    with pytest.raises(ValueError, match=r"no probe site can be used.*dropped 6: 6 the face lies in bone or gas"):
+    with pytest.raises(ValueError, match=r"no probe pose can be used.*dropped 6: 6 the face lies in bone or gas"):
         place_probe(body, grid, press_mm=5.5)
     half = scene((slab, SKIN), (box((0, 5, -90), (90, 10, 90)), BONE))
     placed = place_probe(half, replace(grid, angles_deg=(-60.0, 60.0)), press_mm=6)  # +60 degrees is at x > 0
@@ -164,7 +164,7 @@ def test_directions_that_miss_are_dropped_and_nothing_left_is_an_error() -> None
     assert len(placed.poses) == 2
     assert placed.dropped[Dropped.no_skin] == 2
     beyond = SiteGrid((0, 0, 1), (0, -1, 0), (500.0,), (0.0,), (0.0,), (0.0,))
-    with pytest.raises(ValueError, match=r"no probe site can be used.*1 the direction misses the body"):
+    with pytest.raises(ValueError, match=r"no probe pose can be used.*1 the direction misses the body"):
         probe_poses(cylinder(100), beyond, 5)
     with pytest.raises(ValueError, match="no structure"):
         probe_poses(Scene((), Tissue("gel"), "empty"), GRID, 5)

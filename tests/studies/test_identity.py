@@ -19,6 +19,7 @@ def job(runs: Path, *arguments: str) -> Job:
     "incidental",
     [
         "training.device=cpu",
+        "frame=3",
         "training.threads=2",
         "training.checkpoint_every=7",
         "crops.workers=3",

@@ -69,7 +69,7 @@ def test_after_a_crash_at_any_step(
     assert_same_state(tmp_path / "whole", tmp_path / "crashed")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR2])
 def test_a_signal_saves_the_step_and_is_handed_on(
     spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, number: int
 ) -> None:
@@ -93,6 +93,26 @@ def test_a_signal_saves_the_step_and_is_handed_on(
     train(spec, settings, loader, tmp_path / "signalled")
     train(spec, settings, loader, tmp_path / "whole")
     assert_same_state(tmp_path / "whole", tmp_path / "signalled")
+
+
+def test_a_signal_that_is_passed_over_stops_the_training_all_the_same(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+) -> None:
+    """A cluster's launcher has such a handler; the evaluation of half a training must not follow."""
+
+    def signalled(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
+            if step == 4:
+                os.kill(os.getpid(), signal.SIGTERM)
+            yield batch
+
+    previous = signal.signal(signal.SIGTERM, lambda *_: None)
+    try:
+        with pytest.raises(InterruptedError, match=rf"SIGTERM after step [45] of {settings.steps}"):
+            train(spec, settings, signalled, tmp_path)
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    assert read_checkpoint(tmp_path / LAST)["steps_done"] in (4, 5)
 
 
 def test_a_finished_run_is_not_trained_again_and_a_longer_one_goes_on(

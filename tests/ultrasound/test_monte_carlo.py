@@ -153,6 +153,23 @@ def plates(gel, slab) -> Scene:
     return Scene(tuple(slab(t, near, 400.0) for t, near in zip(tissues, (30.0, 60.0), strict=True)), gel, "s")
 
 
+def test_roulette_is_unbiased(plates, pencil, apart, amplitudes) -> None:
+    """Reverberation is as strong on average when most of its rays are ended."""
+    lossy = Scene(
+        tuple(replace(s, tissue=replace(s.tissue, attenuation_db_cm_mhz=1.0)) for s in plates.structures),
+        replace(plates.background, attenuation_db_cm_mhz=1.0),
+        "s",
+    )
+    patient, hasty = (  # rays are followed to 20 dB under the display's noise
+        amplitudes(lossy, pencil, replace(apart, rays=256, noise_floor_db=floor), (75, 105), path_seeds=range(6))
+        for floor in (-300.0, 0.0)
+    )
+    difference = (hasty - patient).mean(axis=1)
+    assert abs(difference.mean()) <= 3 * difference.std(ddof=1) / np.sqrt(6)
+    assert abs(difference.mean()) < 0.1 * patient.mean()
+    assert (hasty / patient).std() > 0.01  # it did end rays
+
+
 @pytest.mark.xfail(
     strict=True,
     reason="a turned ray is weighed with R_p^2 a reflection, as if its way back were its way there; but its echo is "

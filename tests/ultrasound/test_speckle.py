@@ -161,4 +161,5 @@ def test_seeds_choose_scatterers_and_paths_apart(gel, slab, ball, probe, small, 
     first, *others = (intensity(simulator.render(ahead, seed).envelope[lit]) for seed in (0, 1, 2**31, 2**40 + 1))
     paths = intensity(Simulator(scene, probe, replace(small, path_seed=1)).render(ahead).envelope[lit])
     assert correlation(first, paths) > 0.95
+    assert (first != paths).mean() > 0.5
     assert max(abs(correlation(first, other)) for other in others) < 0.1

@@ -99,7 +99,7 @@ def _draw_image(axes: Axes, probe: ConvexProbe, image: np.ndarray, title: str) -
 
 def _draw_compass(figure: Figure, space: Axes3D, shown: Preview) -> None:
     """Arrows along the scene's axis and to its front, as the 3-D view sees them."""
-    axes = figure.add_axes((0.0, 0.74, 0.11, 0.11 / _HEIGHT))
+    axes = figure.add_axes((0.025, 0.74, 0.11, 0.11 / _HEIGHT))
     axes.set(xlim=(-1.6, 1.6), ylim=(-1.6, 1.6), aspect="equal")
     axes.set_axis_off()
     for name, vector in (("axis", shown.axis), ("front", shown.front)):

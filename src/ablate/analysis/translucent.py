@@ -75,15 +75,15 @@ def look_through(
     along = direction.astype(np.float32)
     for _ in range(_MOST_SURFACES):
         hits = geometry.closest(at, np.tile(along, (len(at), 1)), np.full(len(at), reach, np.float32))
-        found = hits.structure >= 0
-        hits, active, at = hits.take(found), active[found], at[found]
-        if not active.size:
+        found = np.flatnonzero(hits.structure >= 0)
+        if not found.size:
             break
-        at = at + hits.distance_mm[:, None] * along
-        facing = np.abs(hits.normal @ along) / np.maximum(np.linalg.norm(hits.normal, axis=-1), 1e-12)
+        active, hit, normals = active[found], hits.structure[found], hits.normal[found]
+        at = at[found] + hits.distance_mm[found, None] * along
+        facing = np.abs(normals @ along) / np.maximum(np.linalg.norm(normals, axis=-1), 1e-12)
         points = at + centre
         before = (points - plane[0]) @ normal < 0
-        shown = _shade(surfaces, hits.structure, facing, before, points)
+        shown = _shade(surfaces, hit, facing, before, points)
         share = light[active] * shown[:, 3]
         colour[active] += share[:, None] * shown[:, :3]
         light[active] -= share

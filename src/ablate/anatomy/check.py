@@ -52,7 +52,8 @@ def check_scene(scene: Scene, depth_mm: float) -> None:
     if not scene.structures:
         return
     size_mm, scale = largest_extent_mm(scene), depth_mm / _BODY_DEPTH_MM
-    if not BODY_MM[0] * scale <= size_mm <= BODY_MM[1] * scale:
+    small = size_mm < BODY_MM[0] * scale and len(scene.structures) > 1  # a lone one may be a point target
+    if small or size_mm > BODY_MM[1] * scale:
         warnings.warn(
             f"scene {scene.name!r}: its largest extent is {size_mm:.3g} mm and the probe images {depth_mm:.3g} mm "
             "deep; are the vertices in mm?",

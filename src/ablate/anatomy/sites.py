@@ -30,7 +30,8 @@ class SiteGrid:
     Raises
     ------
     ValueError
-        When a list is empty, a value is not finite, or axis and front do not span a plane.
+        When a list is empty, a value is not finite, a tilt turns the probe away from the body, or axis and front do
+        not span a plane.
     """
 
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -48,6 +49,8 @@ class SiteGrid:
             values = getattr(self, field.name)
             if len(values) == 0 or not all(math.isfinite(value) for value in values):
                 raise ValueError(f"site grid: {field.name} must be one or more finite numbers, not {values!r}")
+        if not all(-90 < tilt < 90 for tilt in self.tilts_deg):
+            raise ValueError(f"site grid: tilts_deg must lie between -90 and 90, not {self.tilts_deg!r}")
         for name in ("axis", "front"):
             if len(getattr(self, name)) != 3:
                 raise ValueError(f"site grid: {name} must be 3 numbers, not {getattr(self, name)!r}")

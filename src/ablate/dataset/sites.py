@@ -165,7 +165,9 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: ConvexProb
         poses = tuple(Pose(pressed.poses[i], sites[i]) for i in np.flatnonzero(kept))
     placement = Placement(poses, dropped)
     if not poses:
-        raise ValueError(f"scene '{scene.name}': no probe site can be used; check `sites` ({placement})")
+        raise ValueError(
+            f"scene '{scene.name}': no probe pose can be used; check sites.heights and sites.angles ({placement})"
+        )
     return placement
 
 

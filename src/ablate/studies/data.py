@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
 from ablate.anatomy import (
@@ -27,16 +26,13 @@ from ablate.config import SceneKind, StudySettings, build, plain
 from ablate.dataset import (
     Pairs,
     Recipe,
-    choose_frames,
     create_pairs,
     open_pairs,
-    probe_poses,
-    resample_grid,
     simulate_pairs,
-    split_frames,
     write_contact_sheet,
 )
 from ablate.networks import GeneratorSpec, conditions
+from ablate.studies.layout import lay_out
 from ablate.ultrasound import SIMULATOR_VERSION, fan_mask
 from ablate.ultrasound.plan import compile_scene
 
@@ -112,32 +108,32 @@ def prepare_data(settings: StudySettings, maps: frozenset[str]) -> Data:
         if not data.pairs.missing(maps):
             _show(data.pairs)
             return data
-    tqdm.write(f"Simulating pairs into {folder}")
     scene, grid = build_scene(settings)
-    chosen = settings.dataset
-    poses = probe_poses(scene, resample_grid(grid, chosen.grid), chosen.press_mm)
-    picked = choose_frames([p.site for p in poses], chosen.frames, chosen.seed)
-    sites = np.array([poses[i].site for i in picked])
-    split = split_frames(sites, chosen.split, chosen.validation, chosen.test, chosen.seed)
-    order = np.argsort(split, kind="stable")  # validation and test frames lie together: few shards hold both
-    chosen_poses = np.stack([poses[picked[i]].probe_to_world for i in order])
-    left_out = compile_scene(scene, settings.probe, settings.simulator, chosen_poses).left_out
+    layout = lay_out(settings, scene, grid)
+    left_out = compile_scene(scene, settings.probe, settings.simulator, layout.poses).left_out
+    tqdm.write(f"Simulating pairs into {folder}")
+    tqdm.write(f"{layout.placement}; {len(layout)} of {settings.dataset.frames} frames asked for")
     for line in left_out:
         tqdm.write(f"left out: {line}")
     pairs = create_pairs(
         folder,
-        chosen_poses,
-        sites[order],
-        split[order],
+        layout.poses,
+        layout.sites,
+        layout.split,
         fan_mask(settings.probe, settings.simulator.image_shape),
-        chosen.shard,
+        settings.dataset.shard,
         [t.name for t in scene.tissues],
-        {**about_data(settings), "tissues": [plain(t) for t in scene.tissues], "left_out": left_out},
+        {
+            **about_data(settings),
+            "tissues": [plain(t) for t in scene.tissues],
+            "left_out": left_out,
+            "poses": {"usable": len(layout.placement.poses), "dropped": layout.placement.dropped},
+        },
     )
-    recipe = Recipe(scene, settings.probe, settings.simulator, chosen.seed)
+    recipe = Recipe(scene, settings.probe, settings.simulator, settings.dataset.seed)
     todo = sum(len(pairs.frames_of_shard(s)) for s in pairs.missing(maps))
     with tqdm(total=todo, unit="frame", desc="simulate", mininterval=1.0) as bar:
-        simulate_pairs(recipe, pairs, maps, chosen.workers, bar.update)
+        simulate_pairs(recipe, pairs, maps, settings.dataset.workers, bar.update)
     _show(pairs)
     return open_data(folder)
 

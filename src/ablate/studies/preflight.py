@@ -30,7 +30,7 @@ def check(jobs: Sequence[Job]) -> None:
         _check_data(job.settings)
         _check_training(job)
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
-    if starts:
+    if starts or jobs[0].settings.task is Task.preview:
         _check_writable(jobs[0].settings.runs)
     if starts or jobs[0].settings.task is Task.plan:
         for job in jobs:

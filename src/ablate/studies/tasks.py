@@ -13,6 +13,7 @@ from ablate.studies.compare import compare_study
 from ablate.studies.data import Data, dataset_folder, dataset_hash, maps_needed, prepare_data
 from ablate.studies.identity import finished
 from ablate.studies.preflight import check
+from ablate.studies.preview import preview
 from ablate.studies.sweep import ConfigurationError, Job
 from ablate.studies.tracked import open_tracking
 from ablate.studies.variants import describe as describe_variants
@@ -25,9 +26,9 @@ def study(jobs: Sequence[Job], launch: Callable[[], None]) -> int:
     waiting = [job for job in jobs if finished(job) is None]
     code = 0
     if waiting:
+        _simulate_for(waiting)  # what is wrong with a mesh shows here, before anything is tracked
         for settings in _studies(waiting):
             open_tracking(settings)  # database, experiment and parent run exist before any job starts
-        _simulate_for(waiting)
         try:
             launch()
         except SystemExit as end:
@@ -116,4 +117,5 @@ TASKS: dict[Task, Callable[[Sequence[Job]], int]] = {
     Task.describe: describe,
     Task.plan: plan,
     Task.compare: compare,
+    Task.preview: preview,
 }

@@ -1,4 +1,4 @@
-"""Stop between two steps when asked to (SIGTERM, Ctrl-C), so that what is saved is a whole step."""
+"""Stop between two steps when asked to (SIGTERM, Ctrl-C, SIGUSR2), so that what is saved is a whole step."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from lightning.pytorch import Callback, Trainer
 
-_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR2)  # SIGUSR2: submitit's notice that a job's time is up
 
 
 class Interruption(Callback):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -58,7 +59,7 @@ def train(
 
     A run that was stopped at any step and is called again with the same arguments ends with the weights of a run
     that was not stopped: to the bit on the same CPU, and as far as the convolutions of cuDNN repeat themselves
-    on a GPU. SIGTERM and Ctrl-C are answered after the
+    on a GPU. SIGTERM, SIGUSR2 and Ctrl-C are answered after the
     current step, with a checkpoint, and are then handed on.
 
     Parameters
@@ -82,6 +83,8 @@ def train(
     ------
     ValueError
         Where the crop is smaller than 2^depth, or `last.ckpt` is of another run.
+    InterruptedError
+        Where a signal stopped it and whoever the signal was handed on to carries on.
     DivergenceError
         Where training has failed; the last good checkpoint stays.
     RuntimeError
@@ -111,6 +114,9 @@ def train(
             interruption.restore()
         interruption.deliver()
         if module.steps_done < settings.steps:
+            if interruption.signal is not None:  # its own handler passed over it, as submitit's does over SIGTERM
+                name = signal.Signals(interruption.signal).name
+                raise InterruptedError(f"stopped by {name} after step {module.steps_done} of {settings.steps}")
             raise RuntimeError(f"loader: ended after step {module.steps_done}, needed are {settings.steps}")
     return TrainedGenerator(module.evaluated.eval().to(device), checkpoint, start)
 
@@ -141,13 +147,14 @@ def _fit(
 
 @contextmanager
 def _quiet_lightning() -> Iterator[None]:
-    """Silence Lightning's notes on hardware, loaders (the caller's matter) and on itself."""
+    """Silence Lightning's notes on hardware, loaders, SLURM (the caller's matters) and on itself."""
     log = logging.getLogger("lightning.pytorch")
     level = log.level
     log.setLevel(logging.WARNING)
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+            warnings.filterwarnings("ignore", message=".*`srun` command is available.*")
             # Lightning's own call of a name that torch has deprecated.
             warnings.filterwarnings("ignore", message=".*LeafSpec.*", category=FutureWarning)
             yield

@@ -24,7 +24,7 @@ def contact_warning(labels: np.ndarray, tissues: Sequence[Tissue], probe: Convex
     Parameters
     ----------
     labels : (scanlines, samples) uint8
-        Index into `tissues` of each sample of the image plane's scanlines, from the face on.
+        Index into `tissues` of each sample, from the face on; of all layers, or what only they see is missed.
     tissues : sequence of Tissue
         The scene's; the first is the background.
     probe : ConvexProbe
