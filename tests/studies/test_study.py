@@ -107,6 +107,18 @@ def test_the_parent_run_carries_the_comparison(finished: Path) -> None:
         }
 
 
+def test_simulate_makes_again_what_is_damaged_and_only_that(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (damaged, *_), before = sorted(finished.glob("data/*/pairs.zarr/high/c/*/0/0")), state(finished)
+    whole = damaged.read_bytes()
+    damaged.write_bytes(whole[:100] + bytes([whole[100] ^ 1]) + whole[101:])
+    assert tasks.simulate(sweep(finished, "task=simulate")) == 0
+    told = capsys.readouterr().err
+    assert f"{damaged}, 'high' of frames 0 to 2, is damaged" in told
+    assert damaged.read_bytes() == whole
+    after = state(finished)
+    assert {path for path in before if after[path] != before[path]} == {str(damaged)}
+
+
 def test_paired_differences_are_those_of_the_per_image_values(finished: Path) -> None:
     folder = next(finished.glob("quick-fetal"))
     paired = pd.read_csv(folder / "comparison" / "paired.csv")

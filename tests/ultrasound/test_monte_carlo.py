@@ -156,8 +156,8 @@ def plates(gel, slab) -> Scene:
 def test_roulette_is_unbiased(plates, pencil, apart, amplitudes) -> None:
     """Reverberation is as strong on average when most of its rays are ended."""
     lossy = Scene(
-        tuple(replace(s, tissue=replace(s.tissue, attenuation_db_cm_mhz=1.0)) for s in plates.structures),
-        replace(plates.background, attenuation_db_cm_mhz=1.0),
+        tuple(replace(s, tissue=replace(s.tissue, attenuation_db_cm_mhz=1.4)) for s in plates.structures),
+        replace(plates.background, attenuation_db_cm_mhz=1.4),
         "s",
     )
     patient, hasty = (  # rays are followed to 20 dB under the display's noise
@@ -190,8 +190,10 @@ def test_first_reverberation_between_two_plates(plates, pencil, apart, amplitude
 )
 def test_other_paths_have_other_clutter(plates, pencil, apart) -> None:
     """Else the mean over path seeds does not converge to the mean over paths."""
+    settings = replace(apart, rays=256)
     first, second = (
-        Simulator(plates, pencil, replace(apart, path_seed=seed)).render(np.eye(4)).envelope[580:650] for seed in (0, 1)
+        Simulator(plates, pencil, replace(settings, path_seed=seed)).render(np.eye(4)).envelope[600:630]
+        for seed in (0, 1)
     )
-    assert first.mean() > 0
+    assert min(first.min(), second.min()) > 0
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.3

@@ -1,17 +1,21 @@
 """Probe sites, pairs on disk, and the crops that training sees."""
 
 from ablate.dataset.contact_sheet import write_contact_sheet
-from ablate.dataset.crops import Crops, CropSettings, crop_loader
+from ablate.dataset.crops import CropLoader, Crops, CropSettings
 from ablate.dataset.encoding import Encoding, label_values
-from ablate.dataset.pairs import Pairs, create_pairs, fill_pairs, open_pairs
+from ablate.dataset.filling import fill_pairs, remove_damaged
+from ablate.dataset.pairs import PAIRS_VERSION, DamagedShardError, Pairs, create_pairs, open_pairs
 from ablate.dataset.processes import end_with_parent
 from ablate.dataset.simulate import Recipe, simulate_pairs
 from ablate.dataset.sites import Dropped, Placement, Pose, place_probe, probe_poses, resample_grid
 from ablate.dataset.split import Part, SplitBy, choose_frames, equally_spaced, split_frames
 
 __all__ = [
+    "PAIRS_VERSION",
+    "CropLoader",
     "CropSettings",
     "Crops",
+    "DamagedShardError",
     "Dropped",
     "Encoding",
     "Pairs",
@@ -22,7 +26,6 @@ __all__ = [
     "SplitBy",
     "choose_frames",
     "create_pairs",
-    "crop_loader",
     "end_with_parent",
     "equally_spaced",
     "fill_pairs",
@@ -30,6 +33,7 @@ __all__ = [
     "open_pairs",
     "place_probe",
     "probe_poses",
+    "remove_damaged",
     "resample_grid",
     "simulate_pairs",
     "split_frames",

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch.utils.data import DataLoader, Dataset
 
-from ablate.dataset.pairs import Pairs
+from ablate.dataset.pairs import FORMATS, Pairs, decode_attenuation
 
-_IN_MEMORY_BYTES = 1 << 30
 _TRIES = 50
+_AHEAD = 2  # batches a worker prepares before the first of them is taken
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class CropSettings:
     seed: int = 0
 
 
-class Crops(Dataset[dict[str, torch.Tensor]]):
+class Crops:
     """Batch number `step` of an endless training run, as a dict of tensors.
 
     Item `step` holds `segmentation`, `image` and, where the pairs are read with them, `attenuation` and `low`:
@@ -55,11 +56,13 @@ class Crops(Dataset[dict[str, torch.Tensor]]):
     values : (labels,) float32
         From `label_values`.
     settings : CropSettings
+    in_memory_bytes : int
+        Frames that take no more than this are kept in memory, as they are stored.
 
     Raises
     ------
     ValueError
-        When a batch is larger than the number of frames.
+        When a batch is larger than the number of frames, or no pixel lies in the fan.
     """
 
     def __init__(
@@ -69,53 +72,66 @@ class Crops(Dataset[dict[str, torch.Tensor]]):
         maps: frozenset[str],
         values: np.ndarray,
         settings: CropSettings,
+        in_memory_bytes: int = 1 << 30,
     ) -> None:
         if settings.batch_size > len(frames):
             raise ValueError(f"training.batch_size={settings.batch_size}: more than the {len(frames)} training frames")
         self.pairs, self.frames, self.values, self.settings = pairs, np.asarray(frames), values, settings
         self.names = ("segmentation", "high", *sorted(maps & {"attenuation", "low"}))
         self.mask = pairs.mask()
-        bytes_needed = len(frames) * self.mask.size * (len(self.names) + 1)
-        self._held = None if bytes_needed > _IN_MEMORY_BYTES else {n: pairs.read(n, frames) for n in self.names}
+        if not self.mask.any():
+            raise ValueError(f"{pairs.folder}: no pixel of the frames lies in the fan")
+        bytes_needed = len(frames) * self.mask.size * sum(FORMATS[n].itemsize for n in self.names)
+        fits = bytes_needed <= in_memory_bytes
+        self._held = {n: np.stack([pairs.stored(n, i) for i in frames]) for n in self.names} if fits else None
 
     def __getitem__(self, step: int) -> dict[str, torch.Tensor]:
-        samples = [self._sample(step, index) for index in range(self.settings.batch_size)]
-        return {k: torch.stack([s[k] for s in samples]) for k in samples[0]}
+        shape = self.settings.batch_size, 1, self.settings.size, self.settings.size
+        batch = {name: np.empty(shape, np.float32) for name in ("mask", "segmentation", "image", *self.names[2:])}
+        seeds = [self._fill(batch, step, index) for index in range(self.settings.batch_size)]
+        return {**{k: torch.from_numpy(v) for k, v in batch.items()}, "noise_seed": torch.tensor(seeds)}
 
-    def _sample(self, step: int, index: int) -> dict[str, torch.Tensor]:
+    def _fill(self, batch: dict[str, np.ndarray], step: int, index: int) -> int:
+        """Cut crop `index` of a batch into its place; returns its noise seed."""
         rng = np.random.default_rng([self.settings.seed, step, index])
         item = int(rng.integers(len(self.frames)))
         corner = self._window(rng)
         mirror = self.settings.flip and bool(rng.integers(2))
         mask = self._cut(self.mask, corner, mirror)
-        sample = {"mask": mask.astype(np.float32)}
-        for name in self.names:
-            cut = self._cut(self._map(name, item), corner, mirror)
+        batch["mask"][index, 0] = mask
+        for name in self.names:  # in place: temporary arrays of this size cost more than the arithmetic
+            cut = self._cut(self._frame(name, item), corner, mirror)
+            place = batch["image" if name == "high" else name][index, 0]
             if name == "segmentation":
-                cut = self.values[cut]
-            elif name != "attenuation":
-                cut = np.where(mask, cut.astype(np.float32) / 127.5 - 1, np.float32(-1))
-            sample["image" if name == "high" else name] = cut.astype(np.float32)
-        tensors = {k: torch.from_numpy(np.ascontiguousarray(v))[None] for k, v in sample.items()}
-        tensors["noise_seed"] = torch.tensor(int(rng.integers(2**62)))
-        return tensors
+                np.take(self.values, cut, out=place)
+            elif name == "attenuation":
+                decode_attenuation(cut, out=place)
+            else:
+                np.divide(cut, np.float32(127.5), out=place)
+                place -= 1
+                np.copyto(place, -1, where=~mask)
+        return int(rng.integers(2**62))
 
-    def _map(self, name: str, item: int) -> np.ndarray:
-        if self._held is not None:
-            return self._held[name][item]
-        return self.pairs.read(name, [self.frames[item]])[0]
+    def _frame(self, name: str, item: int) -> np.ndarray:
+        return self._held[name][item] if self._held else self.pairs.stored(name, self.frames[item])
 
     def _window(self, rng: np.random.Generator) -> tuple[int, int]:
         """Top left corner of a crop with enough of the fan in it; where none is found, of the best one seen."""
         (height, width), size = self.mask.shape, self.settings.size
-        best, best_share = (0, 0), -1.0
+        rows, columns = max(height - size, 0), max(width - size, 0)
+        least = max(1.0, self.settings.fan_fraction * size**2)
+        best, best_count = (0, 0), -1
         for _ in range(_TRIES):
-            corner = int(rng.integers(max(height - size, 0) + 1)), int(rng.integers(max(width - size, 0) + 1))
-            share = self.mask[corner[0] : corner[0] + size, corner[1] : corner[1] + size].mean()
-            if share > best_share:
-                best, best_share = corner, share
-            if share > 0 and share >= self.settings.fan_fraction:
+            row, column = int(rng.integers(rows + 1)), int(rng.integers(columns + 1))
+            count = int(np.count_nonzero(self.mask[row : row + size, column : column + size]))
+            if count > best_count:
+                best, best_count = (row, column), count
+            if count >= least:
                 break
+        if best_count == 0:  # a fan of a few pixels: a window about one of them
+            inside = np.argwhere(self.mask)
+            row, column = (int(v) for v in inside[rng.integers(len(inside))])
+            best = min(max(row - size // 2, 0), rows), min(max(column - size // 2, 0), columns)
         return best
 
     def _cut(self, image: np.ndarray, corner: tuple[int, int], mirror: bool) -> np.ndarray:
@@ -126,26 +142,39 @@ class Crops(Dataset[dict[str, torch.Tensor]]):
         return cut[:, ::-1] if mirror else cut
 
 
-class _Steps:
-    """Sampler of the steps from `start` to `stop`, so that a resumed run sees what it would have seen."""
+class CropLoader:
+    """Batches of the steps `start` to `stop - 1`, one a step, in order; a resumed run sees what it would have seen.
 
-    def __init__(self, start: int, stop: int) -> None:
-        self.start, self.stop = start, stop
+    Parameters
+    ----------
+    crops : Crops
+    start, stop : int
+    workers : int
+        Threads that prepare batches ahead; 0 prepares each when it is asked for. Decoding leaves other threads free
+        to run, and nothing has to be copied from one process to another.
+    """
 
-    def __iter__(self) -> Iterator[int]:
-        return iter(range(self.start, self.stop))
+    def __init__(self, crops: Crops, start: int, stop: int, workers: int = 0) -> None:
+        self.crops, self.steps, self.workers = crops, range(start, stop), workers
 
     def __len__(self) -> int:
-        return max(0, self.stop - self.start)
+        return len(self.steps)
 
+    def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
+        batches = self._ahead() if self.workers else map(self.crops.__getitem__, self.steps)
+        pinned = torch.cuda.is_available()
+        for batch in batches:
+            yield {k: v.pin_memory() for k, v in batch.items()} if pinned else batch
 
-def crop_loader(crops: Crops, start: int, stop: int, workers: int = 0) -> DataLoader[dict[str, torch.Tensor]]:
-    """Batches of the steps `start` to `stop - 1`, one a step, in order."""
-    return DataLoader(
-        crops,
-        batch_size=None,
-        sampler=_Steps(start, stop),
-        num_workers=workers,
-        persistent_workers=workers > 0,
-        pin_memory=torch.cuda.is_available(),
-    )
+    def _ahead(self) -> Iterator[dict[str, torch.Tensor]]:
+        pool = ThreadPoolExecutor(self.workers, thread_name_prefix="crops")
+        coming: deque[Future[dict[str, torch.Tensor]]] = deque()
+        try:
+            for step in self.steps:
+                coming.append(pool.submit(self.crops.__getitem__, step))
+                if len(coming) > _AHEAD * self.workers:
+                    yield coming.popleft().result()
+            while coming:
+                yield coming.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)

@@ -5,20 +5,25 @@ from __future__ import annotations
 import multiprocessing
 import os
 import queue
+import signal
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from multiprocessing.synchronize import Event
 
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.dataset.pairs import Pairs, fill_pairs
+from ablate.dataset.filling import fill_pairs, unclaimed
+from ablate.dataset.pairs import Pairs
 from ablate.dataset.processes import end_with_parent
 from ablate.dataset.split import Part
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 
 Progress = Callable[[int], object]
 _RESIMULATION = 1_000_003  # added to the scatterer seed
+_WAIT_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -43,29 +48,28 @@ class Recipe:
 
 def renderer(recipe: Recipe, pairs: Pairs) -> Callable[[np.ndarray, frozenset[str]], Mapping[str, np.ndarray]]:
     """A function that renders the wanted maps of some frames of a data set, for `fill_pairs`."""
-    high = Simulator(recipe.scene, recipe.probe, recipe.settings, poses=pairs.poses)
-    low: list[Simulator] = []
+
+    @cache
+    def simulator(low: bool) -> Simulator:
+        settings = replace(recipe.settings, rays=1, layers=1) if low else recipe.settings
+        return Simulator(recipe.scene, recipe.probe, settings, poses=pairs.poses)
 
     def render(frames: np.ndarray, maps: frozenset[str]) -> Mapping[str, np.ndarray]:
         out = {m: np.zeros((len(frames), *pairs.shape), np.float32 if m == "attenuation" else np.uint8) for m in maps}
-        if "low" in maps and not low:
-            settings = replace(recipe.settings, rays=1, layers=1)
-            low.append(Simulator(recipe.scene, recipe.probe, settings, poses=pairs.poses))
         for k, frame in enumerate(frames):
             pose = pairs.poses[frame]
-            if maps & {"high", "segmentation", "attenuation"}:
-                shown = high.render(pose, seed=recipe.seed)
-                for name, value in (
-                    ("high", shown.image),
-                    ("segmentation", shown.segmentation),
-                    ("attenuation", shown.attenuation),
-                ):
-                    if name in maps:
-                        out[name][k] = value
+            made: dict[str, np.ndarray] = {}
+            if "high" in maps:
+                shown = simulator(low=False).render(pose, seed=recipe.seed)
+                made |= {"high": shown.image, "segmentation": shown.segmentation, "attenuation": shown.attenuation}
+            elif maps & {"segmentation", "attenuation"}:
+                made["segmentation"], made["attenuation"] = simulator(low=False).maps(pose)
             if "high_again" in maps and pairs.split[frame] != Part.train:
-                out["high_again"][k] = high.render(pose, seed=recipe.seed + _RESIMULATION).image
+                made["high_again"] = simulator(low=False).render(pose, seed=recipe.seed + _RESIMULATION).image
             if "low" in maps:
-                out["low"][k] = low[0].render(pose, seed=recipe.seed).image
+                made["low"] = simulator(low=True).render(pose, seed=recipe.seed).image
+            for name in made.keys() & maps:
+                out[name][k] = made[name]
         return out
 
     return render
@@ -92,6 +96,8 @@ def simulate_pairs(
 
     Raises
     ------
+    OSError
+        When a shard cannot be written, as on a full disk; those before it stay.
     RuntimeError
         When a worker process dies.
     """
@@ -103,44 +109,63 @@ def simulate_pairs(
         if progress is not None:
             progress(frames)
 
-    while missing := pairs.missing(maps):
-        wanted = min(workers or os.cpu_count() or 1, len(missing))
-        before = made
-        if wanted == 1:
+    while pairs.missing(maps):
+        wanted = min(workers or os.cpu_count() or 1, len(unclaimed(pairs, maps)))
+        if wanted > 1:
+            _fill_in_processes(recipe, pairs, maps, wanted, count)
+        elif wanted == 1:
             for frames in fill_pairs(pairs, maps, renderer(recipe, pairs)):
                 count(frames)
         else:
-            _fill_in_processes(recipe, pairs, maps, wanted, count)
-        if made == before:
-            time.sleep(1.0)  # all that is missing is in other hands
+            time.sleep(_WAIT_S)  # all that is missing is in other hands
     return made
 
 
 def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int, count: Progress) -> None:
     context = multiprocessing.get_context("spawn")
-    done = context.Queue()
-    processes = [context.Process(target=_work, args=(recipe, pairs, maps, done), daemon=True) for _ in range(workers)]
+    done: multiprocessing.Queue[int | OSError] = context.Queue()
+    stop = context.Event()
+    arguments = recipe, pairs, maps, done, stop
+    processes = [context.Process(target=_work, args=arguments, daemon=True) for _ in range(workers)]
     for process in processes:
         process.start()
-    while any(p.is_alive() for p in processes) or not done.empty():
-        try:
-            count(done.get(timeout=0.2))
-        except queue.Empty:
-            failed = [p.exitcode for p in processes if p.exitcode]
-            if failed:
-                for p in processes:
-                    p.terminate()
-                raise RuntimeError(
-                    f"a simulation process ended with code {failed[0]}; its error is printed above"
-                ) from None
-    for process in processes:
-        process.join()
+    try:
+        while any(p.is_alive() for p in processes) or not done.empty():
+            try:
+                told = done.get(timeout=0.2)
+            except queue.Empty:
+                _raise_for([p.exitcode for p in processes])
+                continue
+            if isinstance(told, OSError):
+                raise told
+            count(told)
+        _raise_for([p.exitcode for p in processes])
+    finally:
+        stop.set()  # where one has failed, the others finish the shard they are at
+        for process in processes:
+            process.join()
 
 
-def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], done: multiprocessing.Queue[int]) -> None:
+def _raise_for(codes: list[int | None]) -> None:
+    for code in codes:
+        if code and code < 0:
+            killed = f"a simulation process was ended by {signal.Signals(-code).name}"
+            raise RuntimeError(f"{killed}; SIGKILL is often the system's, out of memory: try fewer dataset.workers")
+        if code:
+            raise RuntimeError(f"a simulation process ended with code {code}; its error is printed above")
+
+
+def _work(
+    recipe: Recipe, pairs: Pairs, maps: frozenset[str], done: multiprocessing.Queue[int | OSError], stop: Event
+) -> None:
     import torch
 
     end_with_parent()
     torch.set_num_threads(1)
-    for frames in fill_pairs(pairs, maps, renderer(recipe, pairs)):
-        done.put(frames)
+    try:
+        for frames in fill_pairs(pairs, maps, renderer(recipe, pairs)):
+            done.put(frames)
+            if stop.is_set():
+                return
+    except OSError as error:
+        done.put(error)

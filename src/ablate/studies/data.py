@@ -24,10 +24,12 @@ from ablate.anatomy import (
 )
 from ablate.config import SceneKind, StudySettings, build, plain
 from ablate.dataset import (
+    PAIRS_VERSION,
     Pairs,
     Recipe,
     create_pairs,
     open_pairs,
+    remove_damaged,
     simulate_pairs,
     write_contact_sheet,
 )
@@ -71,6 +73,7 @@ def about_data(settings: StudySettings) -> dict[str, Any]:
         "probe": plain(settings.probe),
         "simulator": {k: v for k, v in plain(settings.simulator).items() if k not in _INCIDENTAL_SIMULATOR},
         "simulator_version": SIMULATOR_VERSION,
+        "pairs_version": PAIRS_VERSION,
         "dataset": {k: v for k, v in chosen.items() if k not in ("workers", "shard")},
     }
 
@@ -98,6 +101,15 @@ def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
         return fetal_abdomen(triangles=scene.triangles, seed=scene.anatomy_seed), fetal_sites()
     folder = Path(scene.folder or "")
     return load_scene(folder), load_sites(folder)
+
+
+def drop_damaged(settings: StudySettings, maps: frozenset[str]) -> tuple[str, ...]:
+    """Compare what is on disk of the study's pairs with its checksums; what is damaged is removed and named."""
+    folder = dataset_folder(settings)
+    if not (folder / "about.json").exists():
+        return ()
+    with tqdm(unit="shard", desc="check", mininterval=1.0, leave=False) as bar:
+        return remove_damaged(open_pairs(folder), maps, bar.update)
 
 
 def prepare_data(settings: StudySettings, maps: frozenset[str]) -> Data:

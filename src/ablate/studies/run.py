@@ -13,7 +13,7 @@ import torch
 from filelock import FileLock
 from torch import Tensor
 
-from ablate.dataset import Crops, CropSettings, Part, crop_loader, end_with_parent, equally_spaced, label_values
+from ablate.dataset import CropLoader, Crops, CropSettings, Part, end_with_parent, equally_spaced, label_values
 from ablate.metrics import psnr
 from ablate.networks import Generator, conditions, count_discriminator, count_generator, draws_noise
 from ablate.studies.data import Data, dataset_folder, maps_needed, prepare_data
@@ -72,7 +72,7 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> dict[str, float]:
     trained = train(
         s.model,
         s.training,
-        lambda start, stop: crop_loader(crops, start, stop, s.crops.workers),
+        lambda start, stop: CropLoader(crops, start, stop, s.crops.workers),
         job.folder,
         sink=run.metrics,
         validation=_validation(job, data, values),

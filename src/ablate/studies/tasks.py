@@ -10,7 +10,7 @@ import pandas as pd
 
 from ablate.config import StudySettings, Task
 from ablate.studies.compare import compare_study
-from ablate.studies.data import Data, dataset_folder, dataset_hash, maps_needed, prepare_data
+from ablate.studies.data import Data, dataset_folder, dataset_hash, drop_damaged, maps_needed, prepare_data
 from ablate.studies.identity import finished
 from ablate.studies.preflight import check
 from ablate.studies.preview import preview
@@ -45,21 +45,28 @@ def study(jobs: Sequence[Job], launch: Callable[[], None]) -> int:
 
 
 def simulate(jobs: Sequence[Job]) -> int:
-    """Only the pairs that the jobs read."""
+    """Only the pairs that the jobs read; those that are there are checked, and made again where they are damaged."""
     check(jobs)
+    for settings, maps in _data_sets(jobs):
+        for damaged in drop_damaged(settings, maps):
+            print(damaged, file=sys.stderr)
     for data in _simulate_for(jobs):
         print(f"{len(data.pairs)} frames in {data.pairs.folder}; a look at them: contact_sheet.png there")
     return 0
 
 
-def _simulate_for(jobs: Sequence[Job]) -> list[Data]:
+def _data_sets(jobs: Sequence[Job]) -> list[tuple[StudySettings, frozenset[str]]]:
     """Every data set that the jobs read, with the maps that at least one of them does."""
     sets: dict[str, list[Job]] = {}
     for job in jobs:
         sets.setdefault(dataset_hash(job.settings), []).append(job)
+    return [(js[0].settings, maps_needed(j.settings.model for j in js)) for js in sets.values()]
+
+
+def _simulate_for(jobs: Sequence[Job]) -> list[Data]:
     try:
-        return [prepare_data(js[0].settings, maps_needed(j.settings.model for j in js)) for js in sets.values()]
-    except (ValueError, FileNotFoundError) as error:  # a mesh with a hole, more frames than poses, ...
+        return [prepare_data(settings, maps) for settings, maps in _data_sets(jobs)]
+    except (ValueError, OSError) as error:  # a mesh with a hole, more frames than poses, a full disk, ...
         raise ConfigurationError(str(error)) from error
 
 

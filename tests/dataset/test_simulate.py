@@ -1,0 +1,71 @@
+"""Pairs by the real path: what the simulator renders, in one process or several, and no more of it than is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ablate.dataset import Pairs, Part, Recipe, simulate_pairs
+from ablate.ultrasound import Simulator
+
+Blank = Callable[..., Pairs]
+Contents = Callable[[Path], dict[str, bytes]]
+MAPS = frozenset({"segmentation", "attenuation", "high", "high_again"})
+
+
+@pytest.fixture
+def pairs(tmp_path: Path, blank: Blank) -> Pairs:
+    return blank(tmp_path / "set", 7, 3)
+
+
+def test_the_maps_are_those_of_the_simulator(pairs: Pairs, recipe: Recipe) -> None:
+    counted: list[int] = []
+    assert simulate_pairs(recipe, pairs, MAPS | {"low"}, 1, counted.append) == 7
+    assert sum(counted) == 7
+    high = Simulator(recipe.scene, recipe.probe, recipe.settings)
+    low = Simulator(recipe.scene, recipe.probe, replace(recipe.settings, rays=1, layers=1))
+    for i, pose in enumerate(pairs.poses):
+        frame = high.render(pose, seed=recipe.seed)
+        np.testing.assert_array_equal(pairs.stored("high", i), frame.image)
+        np.testing.assert_array_equal(pairs.stored("segmentation", i), frame.segmentation)
+        np.testing.assert_allclose(pairs.read("attenuation", [i])[0], frame.attenuation, rtol=2**-9, atol=1e-5)
+        np.testing.assert_array_equal(pairs.stored("low", i), low.render(pose, seed=recipe.seed).image)
+    for i in np.flatnonzero(pairs.split != Part.train):
+        again = pairs.stored("high_again", i)
+        assert (again != pairs.stored("high", i)).mean() > 0.3
+
+
+def test_two_processes_make_the_same_set_as_one(
+    pairs: Pairs, recipe: Recipe, blank: Blank, contents: Contents, tmp_path: Path
+) -> None:
+    assert simulate_pairs(recipe, pairs, MAPS, 1) == 7
+    two = blank(tmp_path / "two", 7, 3)
+    assert simulate_pairs(recipe, two, MAPS, 2) == 7
+    assert contents(two.folder) == contents(pairs.folder)
+
+
+def test_only_what_is_missing_is_rendered(
+    pairs: Pairs, recipe: Recipe, contents: Contents, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulate_pairs(recipe, pairs, MAPS, 1)
+    before = contents(pairs.folder)
+    rendered: list[tuple[int, int]] = []
+    render = Simulator.render
+
+    def watched(self: Simulator, pose: np.ndarray, seed: int = 0) -> object:
+        rendered.append((self.settings.rays, seed))
+        return render(self, pose, seed)
+
+    monkeypatch.setattr(Simulator, "render", watched)
+    simulate_pairs(recipe, pairs, MAPS, 1)
+    assert rendered == []
+    pairs.shard_file("segmentation", 1).unlink()
+    simulate_pairs(recipe, pairs, MAPS, 1)
+    assert rendered == []  # the maps alone need no rays
+    simulate_pairs(recipe, pairs, MAPS | {"low"}, 1)
+    assert rendered == [(1, recipe.seed)] * 7
+    assert before.items() <= contents(pairs.folder).items()
