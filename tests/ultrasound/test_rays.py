@@ -25,7 +25,7 @@ def follow(
     geometry = Geometry(compiled.structures, np.array([[-400.0] * 3, [400.0] * 3]), np.zeros(3), 200.0)
     draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
     bundle = leave_probe(geometry, probe, settings, np.eye(4), draws)
-    nodes = Nodes(0.0, 1.0, 1e3, np.zeros((len(bundle.starts), 151)))
+    nodes = Nodes(0.0, 1.0, np.ones((len(bundle.starts), 151), bool), np.zeros((len(bundle.starts), 151)))
     lines, ways = (bundle.starts, bundle.directions), (settings.rays, probe.depth_mm, faintest_db, geometry.step_mm)
     view = View(compiled.media, compiled.tissue_of_owner, *lines, *ways)
     return trace(geometry, view, draws, bundle, nodes), nodes

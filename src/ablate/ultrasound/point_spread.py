@@ -14,6 +14,7 @@ from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 
 FWHM_PER_SIGMA = 2 * math.sqrt(2 * math.log(2))
 _BLOCKS = 64  # of depth, within which the lateral kernel is taken as constant
+_FAINTEST = -16.0  # exponent of the lateral kernel's last entry
 _TAIL = 4.0  # standard deviations kept of the axial kernel
 _WINDOW = 64  # samples that one product of `along_lines` makes
 
@@ -84,7 +85,7 @@ def point_spread(probe: ConvexProbe, settings: SimulatorSettings, dtype: torch.d
     sigma = settings.lateral_fwhm_mm / FWHM_PER_SIGMA * beam_widening(settings, depth) / spacing
     apart = np.arange(lines)[:, None] - np.arange(lines)
     exponent = -0.5 * (apart / np.maximum(sigma, 1e-3)[:, None, None]) ** 2
-    lateral = np.where(exponent > -40, np.exp(np.maximum(exponent, -40)), 0.0)
+    lateral = np.where(exponent > _FAINTEST, np.exp(np.maximum(exponent, _FAINTEST)), 0.0)
     lateral /= lateral.sum(axis=-1, keepdims=True)
     axial = axial_kernel(probe, settings)
     energy = np.sqrt((lateral**2).sum(axis=-1)) * math.sqrt((axial**2).sum())

@@ -15,7 +15,7 @@ from ablate.ultrasound.bundle import Bundle
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.draws import CHOICE, COS_AZIMUTH, LOG_U, MAX_ROWS, SIN_AZIMUTH, SURVIVAL, THICKNESS, Draws
 from ablate.ultrasound.embree import Geometry, Hits
-from ablate.ultrasound.illumination import Nodes, Piece, shine
+from ablate.ultrasound.illumination import Nodes, shine
 from ablate.ultrasound.interfaces import (
     Vector,
     along,
@@ -98,16 +98,16 @@ def _bounce(
         structure, triangle = hits.structure[i], hits.triangle[i]
         length = float(hits.distance_mm[i]) + rays.step_mm[i]
         shown_mm, loss_db = rays.shown_mm[i] + length * stretch, rays.loss_db[i] + length * loss_db_mm
-        direction, origin = _vector(rays.direction, i), _vector(rays.origin, i)
         if direct:
-            aside = _aside(origin, direction, _vector(view.elements, group), _vector(view.axes, group))
-            piece = Piece(rays.shown_mm[i], rays.loss_db[i], loss_db_mm / stretch, stretch, *aside)
-            shine(nodes, group, piece, shown_mm if structure >= 0 else math.inf)
+            until = shown_mm if structure >= 0 else math.inf
+            slope, silent = loss_db_mm / stretch, media.silent[medium]
+            shine(nodes, group, rays.shown_mm[i], until, rays.loss_db[i], slope, silent)
         if structure < 0:
             continue
         path_mm, weight = rays.path_mm[i] + length, rays.weight[i]
         interfaces, reflections = rays.interfaces[i], rays.reflections[i]
-        point = along(origin, direction, float(hits.distance_mm[i]))
+        direction = _vector(rays.direction, i)
+        point = along(_vector(rays.origin, i), direction, float(hits.distance_mm[i]))
         fresh = structure != rays.structure[i] or triangle != rays.triangle[i]  # a plane is met only once
         beyond = medium
         if fresh:
@@ -178,14 +178,6 @@ def _bounce(
 def _vector(rows: np.ndarray, i: int) -> Vector:
     """A row as a tuple of doubles."""
     return float(rows[i, 0]), float(rows[i, 1]), float(rows[i, 2])
-
-
-@compiled
-def _aside(point: Vector, direction: Vector, element: Vector, axis: Vector) -> Vector:
-    """Squared distance from a scanline's axis along a line, as the coefficients of `Piece`."""
-    away = point[0] - element[0], point[1] - element[1], point[2] - element[2]
-    on_axis, cosine = dot(away, axis), dot(direction, axis)
-    return dot(away, away) - on_axis**2, dot(away, direction) - on_axis * cosine, 1 - cosine**2
 
 
 @compiled
