@@ -6,13 +6,18 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from torch.nn import functional as F
 
 from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.point_spread import lateral_kernels
+from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 
 #: Depths at which the rays' mean is taken; between them it is interpolated in dB.
 NODES = 256
 #: Levels below this are silence, dB: far under any display, and no product of it with a kernel's tail is denormal.
 SILENCE_DB = -400.0
+_BLOCKS = 64  # of depth, within which the beam's overlap is taken as constant
 _NEPER_PER_TWO_WAY_DB = math.log(10) / 10
 
 
@@ -23,7 +28,7 @@ class Nodes(NamedTuple):
     ----------
     first_mm, spacing_mm : float
     silent : (groups, nodes) bool
-        Whether the scanline itself has no scatterers there.
+        Whether the scanline itself is in a background without scatterers there.
     amplitude : (groups, nodes) float64
         Sum over the rays of weight x 10^(-2 loss / 20).
     """
@@ -56,9 +61,9 @@ def shine(
 ) -> None:
     """Add one ray of weight 1 at the nodes in [from_mm, to_mm): its one-way loss is loss_db at first, then rises.
 
-    Between nodes the amplitude falls by one factor, so a piece costs two powers, however long it is. A ray that is
-    where no scatterers are lights those of its scanline not: bone bends rays out of the body, and one that came back
-    in no time would outshine the shadow.
+    Between nodes the amplitude falls by one factor, so a piece costs two powers, however long it is. A ray in the
+    silent background does not light a scanline that is in the body: bone bends rays out of it, and one that loses
+    nothing there would outshine the shadow.
     """
     amplitude = nodes.amplitude[group]
     count = len(amplitude)
@@ -77,7 +82,37 @@ def shine(
         level *= factor
 
 
-def mean_level_db(nodes: Nodes, rays: int) -> np.ndarray:
-    """Level of the mean over the rays of each group, (groups, nodes) float32, dB, at least `SILENCE_DB`."""
-    mean = nodes.amplitude / rays
-    return (20 * np.log10(np.maximum(mean, 10 ** (SILENCE_DB / 20)))).astype(np.float32)
+def transmit_beam(probe: ConvexProbe, settings: SimulatorSettings) -> torch.Tensor:
+    """How the sound of neighbouring scanlines overlaps, (blocks of depth, scanlines, scanlines) float64 tensor.
+
+    The point spread function is that of both ways; one way of two equal Gaussians is wider by sqrt(2).
+    """
+    blocks = min(settings.axial_samples, _BLOCKS)
+    depth = (np.arange(blocks) + 0.5) * (probe.depth_mm / blocks)
+    return torch.from_numpy(lateral_kernels(probe, settings, depth, widen=math.sqrt(2)))
+
+
+def mean_level_db(nodes: Nodes, rays: int, beam: torch.Tensor) -> torch.Tensor:
+    """Level of the mean over rays and, as the beam overlaps, over scanlines.
+
+    Parameters
+    ----------
+    nodes : Nodes
+        Groups layer by layer.
+    rays : int
+        Of each group.
+    beam : (blocks, scanlines, scanlines) float64 tensor
+        From `transmit_beam`.
+
+    Returns
+    -------
+    (groups, nodes) float32 tensor, dB, at least `SILENCE_DB`
+    """
+    blocks, lines, _ = beam.shape
+    groups, count = nodes.amplitude.shape
+    part = -(-count // blocks)
+    mean = F.pad(torch.from_numpy(nodes.amplitude / rays), (0, blocks * part - count))
+    by_block = mean.reshape(-1, lines, blocks, part).permute(2, 1, 0, 3).reshape(blocks, lines, -1)
+    overlapping = torch.bmm(beam, by_block).reshape(blocks, lines, -1, part).permute(2, 1, 0, 3)
+    level = 20 * torch.log10(overlapping.reshape(groups, -1)[:, :count].clamp(min=10 ** (SILENCE_DB / 20)))
+    return level.float()

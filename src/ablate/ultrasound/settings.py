@@ -98,7 +98,7 @@ class SimulatorSettings:
     elevational_fwhm_mm: float = 2.5
     focus_mm: float = 70.0
     focal_range_mm: float = 40.0
-    aperture_mm: float = 2.0
+    aperture_mm: float = 0.2
     elevational_aperture_mm: float = 1.5
     layer_extent_mm: float = 1.5
     scatterer_pitch_mm: float = 0.1

@@ -19,7 +19,7 @@ from ablate.ultrasound.contact import contact_warning
 from ablate.ultrasound.draws import Draws
 from ablate.ultrasound.echoes import clutter_lines, surface_lines
 from ablate.ultrasound.embree import Geometry
-from ablate.ultrasound.illumination import dark, mean_level_db
+from ablate.ultrasound.illumination import dark, mean_level_db, transmit_beam
 from ablate.ultrasound.plan import compile_scene
 from ablate.ultrasound.point_spread import blur, layer_weights, point_spread
 from ablate.ultrasound.probe import check_pose
@@ -91,6 +91,7 @@ class Simulator:
         self._geometry = Geometry(self._compiled.structures, bounds, self._origin_mm, extent)
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
         self._convert = ScanConverter(probe, settings, self._dtype)
+        self._beam = transmit_beam(probe, settings)
         self._spread = point_spread(probe, settings, self._dtype)
         self._speckle = Speckle(scene.tissues, probe, settings, self._dtype)
         self._gain = torch.from_numpy(time_gain(probe, settings)).to(settings.device, self._dtype)
@@ -190,7 +191,7 @@ class Simulator:
         echoes = trace(self._geometry, view, self._draws, bundle, nodes)
         where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
-        level = torch.from_numpy(mean_level_db(nodes, settings.rays))
+        level = mean_level_db(nodes, settings.rays, self._beam)
         lit = self._speckle.light(bundle.starts + self._origin_mm, bundle.directions, labels, ranges, level)
         clutter_t = None if clutter is None else self._tensor(clutter) * self._spread.axial.sum()
         traced = Traced(lit, self._tensor(surfaces), clutter_t)
