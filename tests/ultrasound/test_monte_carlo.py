@@ -185,9 +185,6 @@ def test_first_reverberation_between_two_plates(plates, pencil, apart, amplitude
     assert echoes.mean() / (np.sqrt(np.pi) / 2) == pytest.approx(truth, rel=0.1)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the noise's key, a list with a number over 2^63, becomes float64: path seeds share their noise"
-)
 def test_other_paths_have_other_clutter(plates, pencil, apart) -> None:
     """Else the mean over path seeds does not converge to the mean over paths."""
     settings = replace(apart, rays=256)

@@ -15,8 +15,9 @@ from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 
 #: Depths at which the rays' mean is taken; between them it is interpolated in dB.
 NODES = 256
-#: Levels below this are silence, dB: far under any display, and no product of it with a kernel's tail is denormal.
-SILENCE_DB = -400.0
+#: Level of no sound at all, dB: finite, so that interpolation makes no NaN, and zero as a float32 amplitude.
+SILENCE_DB = -4000.0
+_INAUDIBLE_DB = -600.0  # and all below is silence: far under any display, and spares the signal chain denormals
 _BLOCKS = 64  # of depth, within which the beam's overlap is taken as constant
 _NEPER_PER_TWO_WAY_DB = math.log(10) / 10
 
@@ -28,7 +29,7 @@ class Nodes(NamedTuple):
     ----------
     first_mm, spacing_mm : float
     silent : (groups, nodes) bool
-        Whether the scanline itself is in a background without scatterers there.
+        Whether the scanline itself is in a background without scatterers there or half a node beside.
     amplitude : (groups, nodes) float64
         Sum over the rays of weight x 10^(-2 loss / 20).
     """
@@ -52,7 +53,9 @@ def dark(silent: np.ndarray, depth_mm: float) -> Nodes:
     first = depth_mm / samples / 2
     spacing = (depth_mm - 2 * first) / max(count - 1, 1) or 1.0
     nearest = np.rint(np.linspace(0, samples - 1, count)).astype(int)
-    return Nodes(first, spacing, silent[:, nearest], np.zeros((groups, count)))
+    half = samples // (2 * count)
+    around = [np.clip(nearest + shift, 0, samples - 1) for shift in (-half, 0, half)]
+    return Nodes(first, spacing, np.any([silent[:, place] for place in around], axis=0), np.zeros((groups, count)))
 
 
 @compiled
@@ -106,7 +109,7 @@ def mean_level_db(nodes: Nodes, rays: int, beam: torch.Tensor) -> torch.Tensor:
 
     Returns
     -------
-    (groups, nodes) float32 tensor, dB, at least `SILENCE_DB`
+    (groups, nodes) float32 tensor, dB
     """
     blocks, lines, _ = beam.shape
     groups, count = nodes.amplitude.shape
@@ -114,5 +117,5 @@ def mean_level_db(nodes: Nodes, rays: int, beam: torch.Tensor) -> torch.Tensor:
     mean = F.pad(torch.from_numpy(nodes.amplitude / rays), (0, blocks * part - count))
     by_block = mean.reshape(-1, lines, blocks, part).permute(2, 1, 0, 3).reshape(blocks, lines, -1)
     overlapping = torch.bmm(beam, by_block).reshape(blocks, lines, -1, part).permute(2, 1, 0, 3)
-    level = 20 * torch.log10(overlapping.reshape(groups, -1)[:, :count].clamp(min=10 ** (SILENCE_DB / 20)))
-    return level.float()
+    level = 20 * torch.log10(overlapping.reshape(groups, -1)[:, :count])
+    return level.where(level > _INAUDIBLE_DB, SILENCE_DB).float()

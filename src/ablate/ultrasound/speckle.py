@@ -11,7 +11,6 @@ import torch
 from torch.nn import functional as F
 
 from ablate.anatomy import Tissue
-from ablate.ultrasound.illumination import SILENCE_DB
 from ablate.ultrasound.point_spread import autocorrelation, axial_kernel, layer_weights
 from ablate.ultrasound.scatterers import TABLE_SIZE, cell_hash, scatterer_tables, shared_cell_gain
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
@@ -113,7 +112,7 @@ class Speckle:
         if self._contrasts[np.bincount(labels.ravel(), minlength=1).nonzero()].any():
             texture = self._texture_db(*ends, ranges, label)
             level = _interpolated(level, texture.shape[-1]) + texture
-        level = _interpolated(level.clamp_(min=SILENCE_DB).mul_(_DB_TO_NEPER), shape[2])
+        level = _interpolated(level.mul_(_DB_TO_NEPER), shape[2])
         amplitude = level.to(self._dtype).exp_()
         return LitLines(*ends, ranges, label.to(torch.int32) * TABLE_SIZE, amplitude)
 
