@@ -6,10 +6,10 @@ STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep test test-all check lint ui bench
+.PHONY: help sweep test test-all check lint ui bench bench-dataset
 
 help: ## this list
-	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
 
 $(STAMP): pyproject.toml constraints.txt
 	@echo "Creating the environment in $(VENV) (about 2 GB, one to three minutes) ..."
@@ -41,3 +41,6 @@ ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
 
 bench: $(STAMP) ## milliseconds of each stage of the simulator
 	$(BIN)/python tests/benchmark_simulator.py
+
+bench-dataset: $(STAMP) ## what the paper's data set costs: to simulate, to store, to read crops from
+	$(BIN)/python tests/benchmark_dataset.py

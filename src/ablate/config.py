@@ -36,10 +36,11 @@ class Task(StrEnum):
 
 
 class SceneKind(StrEnum):
-    """`fetal`: the built-in anatomy; `folder`: a folder with meshes and a scene.yaml."""
+    """`fetal`: the built-in anatomy; `folder`: meshes and a scene.yaml; `pairs`: no scene, but PNGs made elsewhere."""
 
     fetal = "fetal"
     folder = "folder"
+    pairs = "pairs"
 
 
 def _at_least(group: str, values: object, **least: int) -> None:
@@ -52,7 +53,7 @@ def _at_least(group: str, values: object, **least: int) -> None:
 class SceneSettings:
     """Which anatomy.
 
-    `triangles` and `anatomy_seed` shape the built-in one, `folder` is the path of your own.
+    `triangles` and `anatomy_seed` shape the built-in one, `folder` is the path of your own, or of your own pairs.
     """
 
     kind: SceneKind = SceneKind.fetal

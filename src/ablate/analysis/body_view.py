@@ -70,7 +70,7 @@ def draw_body(
     space.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)")
     space.tick_params(pad=2)
     for each in (space.xaxis, space.yaxis, space.zaxis):
-        each.labelpad = -2
+        each.labelpad = 1
         each.set_pane_color((0.97, 0.97, 0.98))
         each.set_major_locator(MultipleLocator(_tick_mm(float((high - low).max()))))
     space.add_artist(_picture(space, surfaces, low, high, view, (pose[:3, 3], pose[:3, 1])))

@@ -42,8 +42,9 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], render: Renderer) -> Iterator
             if not names:
                 continue
             frames = pairs.frames_of_shard(shard)
-            for name, stack in render(frames, names).items():
-                _write(pairs, name, shard, stack)
+            made = render(frames, names)
+            for name in sorted(names):
+                _write(pairs, name, shard, made[name])
             yield len(frames)
 
 

@@ -2,8 +2,8 @@
 
 The format is the sharding of Zarr version 3, and zarr opens the arrays: encoded frames one after the other, each
 followed by its CRC-32C, then an index with the offset and length of each, uint64, then a CRC-32C of the index.
-The files are read and written without zarr, because a crop is then ready in less than half the time
-(`make bench-dataset`), threads may read side by side, and what a kill or a full disk leaves behind is decided here.
+The files are read and written without zarr, because a frame is then ready in half the time (`make bench-dataset`),
+threads may read side by side, and what a kill or a full disk leaves behind is decided here.
 """
 
 from __future__ import annotations

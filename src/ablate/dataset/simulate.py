@@ -49,9 +49,10 @@ class Recipe:
 def renderer(recipe: Recipe, pairs: Pairs) -> Callable[[np.ndarray, frozenset[str]], Mapping[str, np.ndarray]]:
     """A function that renders the wanted maps of some frames of a data set, for `fill_pairs`."""
 
+    high, low = recipe.settings, replace(recipe.settings, rays=1, layers=1)
+
     @cache
-    def simulator(low: bool) -> Simulator:
-        settings = replace(recipe.settings, rays=1, layers=1) if low else recipe.settings
+    def simulator(settings: SimulatorSettings) -> Simulator:
         return Simulator(recipe.scene, recipe.probe, settings, poses=pairs.poses)
 
     def render(frames: np.ndarray, maps: frozenset[str]) -> Mapping[str, np.ndarray]:
@@ -60,14 +61,14 @@ def renderer(recipe: Recipe, pairs: Pairs) -> Callable[[np.ndarray, frozenset[st
             pose = pairs.poses[frame]
             made: dict[str, np.ndarray] = {}
             if "high" in maps:
-                shown = simulator(low=False).render(pose, seed=recipe.seed)
+                shown = simulator(high).render(pose, seed=recipe.seed)
                 made |= {"high": shown.image, "segmentation": shown.segmentation, "attenuation": shown.attenuation}
             elif maps & {"segmentation", "attenuation"}:
-                made["segmentation"], made["attenuation"] = simulator(low=False).maps(pose)
+                made["segmentation"], made["attenuation"] = simulator(high).maps(pose)
             if "high_again" in maps and pairs.split[frame] != Part.train:
-                made["high_again"] = simulator(low=False).render(pose, seed=recipe.seed + _RESIMULATION).image
+                made["high_again"] = simulator(high).render(pose, seed=recipe.seed + _RESIMULATION).image
             if "low" in maps:
-                made["low"] = simulator(low=True).render(pose, seed=recipe.seed).image
+                made["low"] = simulator(low).render(pose, seed=recipe.seed).image
             for name in made.keys() & maps:
                 out[name][k] = made[name]
         return out

@@ -118,18 +118,19 @@ def _tables(runs: list[Finished]) -> tuple[pd.DataFrame, pd.DataFrame]:
         table = pd.read_parquet(run.folder / "per_image.parquet")
         table = table[table["split"] == "test"]
         frames.append(table[table["source"] == "model"])
-        if i == 0:
-            frames.append(table[table["source"] == "floor"].assign(variant=RESIMULATION))
+        floor = table[table["source"] == "floor"]
+        if i == 0 and len(floor):
+            frames.append(floor.assign(variant=RESIMULATION))
         per_image_metrics = set(table["metric"])
         values: dict[str, float] = run.result["scalars"]
         for name, value in values.items():
             part, _, metric = name.rpartition("/")
-            floor = metric.startswith("floor_")
+            is_floor = metric.startswith("floor_")
             metric = metric.removeprefix("floor_")
             if metric in per_image_metrics:
                 continue
-            if part == "test" and (i == 0 or not floor):
-                variant = RESIMULATION if floor else run.label
+            if part == "test" and (i == 0 or not is_floor):
+                variant = RESIMULATION if is_floor else run.label
                 scalars.append({"variant": variant, "seed": run.seed, "metric": metric, "value": value})
             elif name == "ms_per_frame":
                 scalars.append({"variant": run.label, "seed": run.seed, "metric": name, "value": value})
@@ -220,22 +221,27 @@ def _runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]
 
 
 def _pictures(settings: StudySettings, runs: list[Finished]) -> list[FramePictures]:
-    """The frames every variant shows, with target, maps and re-simulation; the lowest seed speaks for a variant."""
+    """The frames every variant shows, with target, maps and, where it is, the re-simulation; the lowest seed speaks
+    for a variant.
+    """
     chosen: dict[str, Finished] = {}
     for run in sorted(runs, key=lambda r: (r.label != settings.reference, r.label, r.seed)):
         chosen.setdefault(run.label, run)
     stored = {label: _stored_pictures(run) for label, run in chosen.items()}
     numbers = sorted(set.intersection(*(set(images) for images in stored.values())))
     pairs = open_data(_data_folder(settings, runs)).pairs
-    maps = {name: pairs.read(name, numbers) for name in ("segmentation", "attenuation", "high", "high_again")}
+    maps = {name: pairs.read(name, numbers) for name in pairs.maps - {"low"}}
     return [
         FramePictures(
             name=f"frame {number}",
             target=maps["high"][k],
-            predictions={RESIMULATION: maps["high_again"][k], **{v: s[number] for v, s in stored.items()}},
+            predictions={
+                **({RESIMULATION: maps["high_again"][k]} if "high_again" in maps else {}),
+                **{v: s[number] for v, s in stored.items()},
+            },
             mask=pairs.mask(),
             segmentation=maps["segmentation"][k],
-            attenuation=maps["attenuation"][k],
+            attenuation=maps["attenuation"][k] if "attenuation" in maps else None,
         )
         for k, number in enumerate(numbers)
     ]

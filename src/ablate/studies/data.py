@@ -34,6 +34,7 @@ from ablate.dataset import (
     write_contact_sheet,
 )
 from ablate.networks import GeneratorSpec, conditions
+from ablate.studies.imported import about_imported, checked_folder, import_data
 from ablate.studies.layout import lay_out
 from ablate.ultrasound import SIMULATOR_VERSION, fan_mask
 from ablate.ultrasound.plan import compile_scene
@@ -67,6 +68,8 @@ def dataset_folder(settings: StudySettings) -> Path:
 
 def about_data(settings: StudySettings) -> dict[str, Any]:
     """What every pair of the data set is made from, fit for JSON."""
+    if settings.scene.kind is SceneKind.pairs:
+        return {**about_imported(settings), "pairs_version": PAIRS_VERSION}
     chosen = plain(settings.dataset)
     return {
         "scene": _scene_identity(settings),
@@ -95,8 +98,16 @@ def _scene_identity(settings: StudySettings) -> dict[str, Any]:
 
 
 def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
-    """The scene and its own grid of probe sites."""
+    """The scene and its own grid of probe sites.
+
+    Raises
+    ------
+    ValueError
+        When the settings name pairs made elsewhere, or a mesh cannot be used.
+    """
     scene = settings.scene
+    if scene.kind is SceneKind.pairs:
+        raise ValueError("scene=pairs: pairs made elsewhere have no scene; allowed are scene=fetal and scene=folder")
     if scene.kind is SceneKind.fetal:
         return fetal_abdomen(triangles=scene.triangles, seed=scene.anatomy_seed), fetal_sites()
     folder = Path(scene.folder or "")
@@ -113,13 +124,22 @@ def drop_damaged(settings: StudySettings, maps: frozenset[str]) -> tuple[str, ..
 
 
 def prepare_data(settings: StudySettings, maps: frozenset[str]) -> Data:
-    """Simulate what is missing of the study's pairs; returns at once when nothing is."""
+    """Simulate, or import, what is missing of the study's pairs; returns at once when nothing is."""
     folder = dataset_folder(settings)
+    imported = settings.scene.kind is SceneKind.pairs
+    if imported:
+        maps &= checked_folder(settings).maps
     if (folder / "about.json").exists():
         data = open_data(folder)
         if not data.pairs.missing(maps):
             _show(data.pairs)
             return data
+    pairs = import_data(settings, folder, maps) if imported else _simulate(settings, folder, maps)
+    _show(pairs)
+    return open_data(folder)
+
+
+def _simulate(settings: StudySettings, folder: Path, maps: frozenset[str]) -> Pairs:
     scene, grid = build_scene(settings)
     layout = lay_out(settings, scene, grid)
     left_out = compile_scene(scene, settings.probe, settings.simulator, layout.poses).left_out
@@ -146,8 +166,7 @@ def prepare_data(settings: StudySettings, maps: frozenset[str]) -> Data:
     todo = sum(len(pairs.frames_of_shard(s)) for s in pairs.missing(maps))
     with tqdm(total=todo, unit="frame", desc="simulate", mininterval=1.0) as bar:
         simulate_pairs(recipe, pairs, maps, settings.dataset.workers, bar.update)
-    _show(pairs)
-    return open_data(folder)
+    return pairs
 
 
 def _show(pairs: Pairs) -> None:

@@ -13,12 +13,13 @@ from ablate.anatomy import Tissue
 from ablate.config import EvaluationSettings
 from ablate.dataset import Pairs, Part, equally_spaced
 from ablate.metrics import Pair, evaluate_image, frechet_distance, kernel_distance, noise_sd, speckle_features
-from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.ultrasound.probe import pixel_polar
 
 # (frames of the data set, number of the noise draw) -> (k, H, W) uint8
 Render = Callable[[np.ndarray, int], np.ndarray]
 _BATCH = 8
+_SAME_FAN = 0.98  # of the pixels of two fans together lie in both
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,12 @@ def tissue_labels(tissues: tuple[Tissue, ...]) -> np.ndarray:
     return np.asarray(solid, np.uint8)
 
 
+def describes_fan(probe: ConvexProbe, mask: np.ndarray) -> bool:
+    """Whether a fan is that of a probe, as far as pixels can tell; only then is it known how deep they lie."""
+    expected = fan_mask(probe, (mask.shape[0], mask.shape[1]))
+    return bool((expected & mask).sum() >= _SAME_FAN * (expected | mask).sum())
+
+
 def evaluate(
     pairs: Pairs,
     part: Part,
@@ -52,7 +59,7 @@ def evaluate(
     settings: EvaluationSettings,
     draws_noise: bool,
 ) -> Evaluation:
-    """Score `render` against the simulated frames of one part.
+    """Score `render` against the frames of one part; what the data set does not hold leaves out its metrics.
 
     Parameters
     ----------
@@ -70,7 +77,8 @@ def evaluate(
     Evaluation
     """
     mask, solid = pairs.mask(), tissue_labels(tissues)
-    depth, _ = pixel_polar(probe, pairs.shape)
+    depth = pixel_polar(probe, pairs.shape)[0] if describes_fan(probe, mask) else None
+    has_attenuation = "attenuation" in pairs.maps
     frames = pairs.frames(part)
     rows: list[dict[str, object]] = []
     target_features, features = [], []
@@ -79,7 +87,8 @@ def evaluate(
     ):
         batch = frames[start : start + _BATCH]
         images, targets = render(batch, 0), pairs.read("high", batch)
-        labels, attenuation = pairs.read("segmentation", batch), pairs.read("attenuation", batch)
+        labels = pairs.read("segmentation", batch)
+        attenuation = pairs.read("attenuation", batch) if has_attenuation else [None] * len(batch)
         for k, frame in enumerate(batch):
             pair = Pair(
                 prediction=images[k],

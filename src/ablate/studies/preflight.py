@@ -12,10 +12,12 @@ import torch
 
 from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
 from ablate.config import SceneKind, StudySettings, Task
-from ablate.dataset import resample_grid
+from ablate.dataset import Part, resample_grid
+from ablate.networks import conditions
 from ablate.studies.identity import check_place
+from ablate.studies.imported import checked_folder
 from ablate.studies.sweep import ConfigurationError, Job
-from ablate.studies.variants import variant_names
+from ablate.studies.variants import variant_model, variant_names
 
 
 def check(jobs: Sequence[Job]) -> None:
@@ -27,8 +29,8 @@ def check(jobs: Sequence[Job]) -> None:
         One line that names the key or file and what is allowed.
     """
     for job in jobs:
-        _check_data(job.settings)
-        _check_training(job)
+        seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
+        _check_training(job, seen)
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
     if starts or jobs[0].settings.task is Task.preview:
         _check_writable(jobs[0].settings.runs)
@@ -37,7 +39,29 @@ def check(jobs: Sequence[Job]) -> None:
             check_place(job)
 
 
-def _check_data(s: StudySettings) -> None:
+def _check_pairs(job: Job) -> int:
+    """Number of frames to train on in a folder of pairs that has what the variant reads."""
+    s = job.settings
+    if s.task is Task.preview:
+        raise ConfigurationError("task=preview: pairs made elsewhere have no scene; allowed are scene=fetal and folder")
+    try:
+        checked = checked_folder(s)
+    except (ValueError, OSError) as error:
+        raise ConfigurationError(str(error)) from error
+    for name in conditions(s.model):
+        if name not in checked.maps:
+            allowed = [v for v in variant_names() if checked.maps.issuperset(conditions(variant_model(v)))]
+            raise ConfigurationError(
+                f"variant {job.label} reads {name}, but {checked.folder} has no folder {name}; "
+                f"allowed are variants without it: {', '.join(allowed)}"
+            )
+    if checked.parts is not None:
+        return int((checked.parts == Part.train).sum())
+    return _training_frames(s, len(checked.names))
+
+
+def _check_scene(s: StudySettings) -> int:
+    """Number of frames to train on; those asked for are at most the poses of the grid."""
     sites: SiteGrid | None = fetal_sites()
     if s.scene.kind is SceneKind.folder:
         if not s.scene.folder:
@@ -56,20 +80,22 @@ def _check_data(s: StudySettings) -> None:
             f"dataset.frames={s.dataset.frames}: at most {poses}, the poses of the probe sites; "
             "more of them: dataset.grid=[heights,angles,tilts,rolls]"
         )
+    return _training_frames(s, s.dataset.frames)
 
 
-def _check_training(job: Job) -> None:
+def _training_frames(s: StudySettings, frames: int) -> int:
+    return round(frames * (1 - s.dataset.validation - s.dataset.test))
+
+
+def _check_training(job: Job, seen: int) -> None:
     s = job.settings
     stride = 2**s.model.depth
     if s.training.crop < stride:
         raise ConfigurationError(
             f"training.crop={s.training.crop}: at least 2^model.depth = {stride} for variant {job.label}"
         )
-    seen = s.dataset.frames * (1 - s.dataset.validation - s.dataset.test)
     if s.training.batch_size > seen:
-        raise ConfigurationError(
-            f"training.batch_size={s.training.batch_size}: more than the {seen:.0f} training frames"
-        )
+        raise ConfigurationError(f"training.batch_size={s.training.batch_size}: more than the {seen} training frames")
     for key, device in (("training", s.training.device), ("simulator", s.simulator.device)):
         if device.partition(":")[0] not in ("auto", "cpu", "cuda"):
             raise ConfigurationError(f"{key}.device={device}: allowed are cpu and cuda")

@@ -68,7 +68,7 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> dict[str, float]:
     started = time.perf_counter()
     values = label_values(data.tissues, s.encoding, s.encoding_seed)
     settings = CropSettings(s.training.crop, s.training.batch_size, s.crops.fan_fraction, s.crops.flip, s.seed)
-    crops = Crops(data.pairs, data.pairs.frames(Part.train), maps_needed([s.model]), values, settings)
+    crops = Crops(data.pairs, data.pairs.frames(Part.train), frozenset(conditions(s.model)), values, settings)
     trained = train(
         s.model,
         s.training,
@@ -82,7 +82,7 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> dict[str, float]:
         costs["train/seconds"] = time.perf_counter() - started
     render = renderer(trained.generator, data, values, s.training.precision)
     scores = {part: _score(job, data, part, render) for part in (Part.validation, Part.test)}
-    floors = {part: floor(data, job, part) for part in (Part.validation, Part.test)}
+    floors = {part: floor(data, job, part) for part in scores if "high_again" in data.pairs.maps}
     maps = network_inputs(trained.generator, data, data.pairs.frames(Part.test)[:1], values)
     milliseconds = median_ms_per_frame(trained.generator, maps, s.training.precision, s.evaluation.timed_frames)
     return _write(job, data, scores, floors, render, {**costs, "ms_per_frame": milliseconds}, run)
@@ -148,12 +148,10 @@ def _write(
     tables = []
     scalars = dict(costs)
     for part, prefix in ((Part.validation, "val"), (Part.test, "test")):
-        tables += [
-            evaluation.per_image.assign(source=source, split=part.name)
-            for source, evaluation in (("model", scores[part]), ("floor", floors[part]))
-        ]
-        scalars |= {f"{prefix}/{k}": v for k, v in scores[part].scalars.items()}
-        scalars |= {f"{prefix}/floor_{k}": v for k, v in floors[part].scalars.items()}
+        for source, mark, scored in (("model", "", scores), ("floor", "floor_", floors)):
+            if part in scored:
+                tables.append(scored[part].per_image.assign(source=source, split=part.name))
+                scalars |= {f"{prefix}/{mark}{k}": v for k, v in scored[part].scalars.items()}
     per_image = pd.concat(tables, ignore_index=True).assign(variant=job.label, seed=s.seed)
     per_image.to_parquet(job.folder / "per_image.parquet")
     shown = equally_spaced(data.pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant

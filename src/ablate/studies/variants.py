@@ -45,6 +45,11 @@ def variant_names() -> tuple[str, ...]:
     return (*[n for n in order if n in found], *sorted(found - set(order)))
 
 
+def variant_model(name: str) -> GeneratorSpec:
+    """The generator of a variant as conf/variant has it."""
+    return jobs_of([f"variant={name}"])[0].settings.model
+
+
 def describe(jobs: Sequence[Job]) -> pd.DataFrame:
     """One row a variant: components, inputs, receptive field, parameters at the paper's width and at this preset's.
 

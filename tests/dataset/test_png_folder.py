@@ -1,0 +1,218 @@
+"""A folder of PNGs is taken as it is, or refused with the name of what does not fit."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from skimage.io import imread, imsave
+
+from ablate.dataset import (
+    Part,
+    PngFolder,
+    content_digest,
+    create_pairs,
+    import_pairs,
+    read_fan,
+    validate_png_folder,
+)
+
+H, W = 20, 30
+NAMES = ("a_0", "a_1", "b_0", "b_1", "c_0")
+FAN = np.zeros((H, W), bool)
+FAN[2:18, 5:25] = True
+
+
+def save(path: Path, image: np.ndarray) -> None:
+    path.parent.mkdir(exist_ok=True)
+    imsave(path, image, check_contrast=False)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(0)
+    for name in NAMES:
+        save(tmp_path / "segmentation" / f"{name}.png", (rng.integers(1, 4, (H, W)) * FAN).astype(np.uint8))
+        save(tmp_path / "image" / f"{name}.png", rng.integers(0, 256, (H, W), dtype=np.uint8))
+    return tmp_path
+
+
+def with_attenuation(folder: Path, dtype: type) -> None:
+    rng = np.random.default_rng(1)
+    for name in NAMES:
+        save(folder / "attenuation" / f"{name}.png", rng.integers(0, np.iinfo(dtype).max, (H, W), dtype=dtype))
+
+
+def imported(checked: PngFolder, path: Path) -> dict[str, np.ndarray]:
+    mask, _ = read_fan(checked)
+    n = len(checked.names)
+    poses, part = np.zeros((n, 4, 4)), np.zeros(n, np.uint8)
+    pairs = create_pairs(path, poses, np.arange(n), part, mask, 2, ["x"] * 3, {})
+    told: list[int] = []
+    import_pairs(checked, checked.names, pairs, checked.maps, told.append)
+    assert sum(told) == n
+    assert not pairs.missing(checked.maps)
+    assert pairs.maps == checked.maps
+    assert (pairs.mask() == FAN).all()
+    return {name: pairs.read(name, range(n)) for name in checked.maps}
+
+
+def test_sites_are_the_names_before_the_last_underscore(folder: Path) -> None:
+    checked = validate_png_folder(folder)
+    assert checked.names == NAMES
+    assert checked.sites == ("a", "a", "b", "b", "c")
+    assert checked.maps == {"segmentation", "high"}
+    assert (checked.shape, checked.parts, checked.tissues) == ((H, W), None, None)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_pixels_become_pairs_and_what_is_outside_the_fan_becomes_0(folder: Path, tmp_path: Path, dtype: type) -> None:
+    with_attenuation(folder, dtype)
+    stored = imported(validate_png_folder(folder), tmp_path / "set")
+    for k, name in enumerate(NAMES):
+        np.testing.assert_array_equal(stored["segmentation"][k], imread(folder / "segmentation" / f"{name}.png"))
+        np.testing.assert_array_equal(stored["high"][k], imread(folder / "image" / f"{name}.png") * FAN)
+        share = imread(folder / "attenuation" / f"{name}.png") / np.iinfo(dtype).max * FAN
+        np.testing.assert_allclose(stored["attenuation"][k], share, rtol=2.1e-3, atol=1 / 65535)
+    np.testing.assert_array_equal(stored["attenuation"][:, ~FAN], 0)
+
+
+def test_tables_name_sites_parts_and_tissues(folder: Path) -> None:
+    rows = ["name, site, part", "a_0.png, p1, train", "a_1, p1, train", "b_0, p2, validation", "b_1, p2, validation"]
+    (folder / "frames.csv").write_text("\n".join([*rows, "c_0, p3, test"]), encoding="utf-8-sig")  # as Excel writes
+    (folder / "labels.csv").write_text("label,tissue\n2,liver\n1,coupling_gel\n3,blood\n")
+    checked = validate_png_folder(folder)
+    assert checked.sites == ("p1", "p1", "p2", "p2", "p3")
+    assert checked.parts is not None
+    assert checked.parts.tolist() == [Part.train] * 2 + [Part.validation] * 2 + [Part.test]
+    assert checked.tissues is not None
+    assert [t.name for t in checked.tissues] == ["coupling_gel", "liver", "blood"]
+
+
+def test_the_digest_follows_names_pixels_and_tables_and_nothing_else(folder: Path) -> None:
+    def digest() -> str:
+        return content_digest(validate_png_folder(folder))
+
+    before = digest()
+    (folder / "notes.txt").write_text("seen on Monday")
+    (folder / "image" / "thumbs.db").write_text("")
+    assert digest() == before
+    (folder / "frames.csv").write_text("name,site\n" + "".join(f"{name},{name}\n" for name in NAMES))
+    with_sites = digest()
+    save(folder / "image" / "a_0.png", np.zeros((H, W), np.uint8))
+    assert len({before, with_sites, digest()}) == 3
+
+
+def png(width: int, height: int, bits: int, colour: int) -> bytes:
+    header = b"IHDR" + struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
+
+
+def remove(path: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        if (folder / path).is_dir():
+            for file in (folder / path).iterdir():
+                file.unlink()
+            (folder / path).rmdir()
+        else:
+            (folder / path).unlink()
+
+    return change
+
+
+def write(path: str, content: bytes | str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        (folder / path).parent.mkdir(exist_ok=True)
+        (folder / path).write_bytes(content if isinstance(content, bytes) else content.encode())
+
+    return change
+
+
+FRAMES = "name,site,part\na_0,1,train\na_1,1,train\nb_0,2,validation\nb_1,2,validation\n"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (remove("segmentation"), r"no folder segmentation in it; needed are segmentation and image"),
+        (remove("image/a_0.png"), r"image/a_0\.png: missing, though its partner .*segmentation/a_0\.png is there"),
+        (write("attenuation/a_0.png", png(W, H, 8, 0)), r"attenuation/a_1\.png: missing \(and 3 more\), though its"),
+        (write("image/d_0.png", png(W, H, 8, 0)), r"segmentation/d_0\.png: missing, though its partner .*image/d_0"),
+        (write("image/a_1.png", png(W + 1, H, 8, 0)), r"image/a_1\.png: is 31 x 20 px, but .*a_0\.png is 30 x 20"),
+        (write("image/a_1.png", png(W, H, 8, 2)), r"image/a_1\.png: is 8-bit RGB; allowed is 8-bit grey"),
+        (write("image/a_1.png", png(W, H, 16, 0)), r"image/a_1\.png: is 16-bit grey; allowed is 8-bit grey"),
+        (write("image/a_1.png", png(W, H, 1, 0)), r"image/a_1\.png: is 1-bit grey; allowed is 8-bit grey"),
+        (write("segmentation/a_1.png", png(W, H, 8, 3)), r"segmentation/a_1\.png: is 8-bit with a palette"),
+        (write("image/a_1.png", "JFIF"), r"image/a_1\.png: not a PNG file"),
+        (write("frames.csv", "frame,site\n"), r"frames\.csv: its first line must be name,site and, if wanted, part"),
+        (write("frames.csv", "name,site\nz_0,1\n"), r"frames\.csv, line 2: there is no frame 'z_0'"),
+        (write("frames.csv", "name,site\na_0,1\na_0,1\n"), r"frames\.csv, line 3: frame 'a_0' is listed twice"),
+        (write("frames.csv", "name,site\na_0,\n"), r"frames\.csv, line 2: no site"),
+        (write("frames.csv", "name,site\na_0,1\n"), r"frames\.csv: 4 frames are not listed, the first is 'a_1'"),
+        (write("frames.csv", FRAMES + "c_0,3,tset\n"), r"line 6: part 'tset' is not one of train, validation, test"),
+        (write("frames.csv", FRAMES + "c_0,3,train\n"), r"frames\.csv: no frame is in part test"),
+        (write("labels.csv", "label,name\n"), r"labels\.csv: its first line must be label,tissue, not label,name"),
+        (
+            write("labels.csv", "label,tissue\n1,livr\n"),
+            r"line 2: unknown tissue 'livr'; did you mean 'liver'",
+        ),
+        (write("labels.csv", "label,tissue\n255,fat\n"), r"labels\.csv, line 2: label '255'; allowed are 1 to 254"),
+        (write("labels.csv", "label,tissue\none,fat\n"), r"labels\.csv, line 2: label 'one'"),
+        (write("labels.csv", "label,tissue\n1,fat\n1,fat\n"), r"labels\.csv, line 3: label 1 is listed twice"),
+        (write("labels.csv", "label,tissue\n1,fat\n3,fat\n"), r"labels\.csv: the labels must be 1, 2, .* \[1, 3\]"),
+    ],
+)
+def test_what_does_not_fit_is_named_in_one_line(folder: Path, change: Callable[[Path], None], message: str) -> None:
+    change(folder)
+    with pytest.raises((ValueError, FileNotFoundError), match=message) as caught:
+        validate_png_folder(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="nowhere is not a folder"):
+        validate_png_folder(tmp_path / "nowhere")
+
+
+def repainted(folder: Path, name: str, where: tuple[int, int], value: int) -> None:
+    path = folder / "segmentation" / f"{name}.png"
+    image = imread(path).copy()
+    image[where] = value
+    save(path, image)
+
+
+def test_labels_and_fans_are_checked_before_anything_is_written(folder: Path) -> None:
+    mask, labels = read_fan(validate_png_folder(folder))
+    assert (mask == FAN).all()
+    assert labels == 3
+    repainted(folder, "b_0", (10, 10), 9)
+    assert read_fan(validate_png_folder(folder))[1] == 9
+    (folder / "labels.csv").write_text("label,tissue\n1,fat\n2,liver\n3,blood\n")
+    with pytest.raises(ValueError, match=r"b_0\.png: has label 9; allowed are 0, outside the fan, to 3, those that"):
+        read_fan(validate_png_folder(folder))
+    repainted(folder, "b_0", (10, 10), 1)
+    repainted(folder, "c_0", (0, 0), 1)
+    with pytest.raises(ValueError, match=r"c_0\.png: its fan, .*differs at 1 of 600 pixels from that of .*a_0\.png"):
+        read_fan(validate_png_folder(folder))
+
+
+def test_a_mask_of_255_is_no_segmentation(folder: Path) -> None:
+    for name in NAMES:
+        save(folder / "segmentation" / f"{name}.png", (255 * FAN).astype(np.uint8))
+    with pytest.raises(ValueError, match=r"a_0\.png: has label 255; allowed are 0, outside the fan, to 254"):
+        read_fan(validate_png_folder(folder))
+    for name in NAMES:
+        save(folder / "segmentation" / f"{name}.png", np.zeros((H, W), np.uint8))
+    with pytest.raises(ValueError, match=r"a_0\.png: all its pixels are 0"):
+        read_fan(validate_png_folder(folder))
+
+
+def test_a_truncated_file_is_named(folder: Path) -> None:
+    path = folder / "segmentation" / "b_1.png"
+    path.write_bytes(path.read_bytes()[:60])
+    with pytest.raises(ValueError, match=r"b_1\.png: cannot be decoded"):
+        read_fan(validate_png_folder(folder))
