@@ -170,11 +170,6 @@ def test_roulette_is_unbiased(plates, pencil, apart, amplitudes) -> None:
     assert (hasty / patient).std() > 0.01  # it did end rays
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a turned ray is weighed with R_p^2 a reflection, as if its way back were its way there; but its echo is "
-    "heard along the straight way back, on which it is reflected no more",
-)
 def test_first_reverberation_between_two_plates(plates, pencil, apart, amplitudes) -> None:
     """Down, off the second face, off the first, off the second, up: t12 R23 R12 R23 t21, at 60 + 30 mm.
 

@@ -122,10 +122,10 @@ def test_reverberation_between_two_plates(gel, slab, probe, one_line) -> None:
     mean = echoes.amplitude[at_50].sum() / settings.rays
     t, r = 0.75, 0.5  # two-way transmission; reflection of pressure
     # Face 20, face 30, face 40: paths of 100 mm that end at a face, heard there with R_p.
-    gap = t * t * r**2 * r**2 * r  # off 40, off 30 from outside, heard at 40
-    inside_first = t * r**2 * r**2 * t * r  # off 30, off 20 from within, through 30, heard at 40
-    off_40_and_20 = t * t * r**2 * t * r**2 * r  # off 40, up through 30, off 20 from within, heard at 30
-    within = t * r**2 * r**2 * r**2 * r**2 * r  # twice to and fro inside the plate, heard at 30
+    gap = t * t * r * r * r  # off 40, off 30 from outside, heard at 40
+    inside_first = t * r * r * t * r  # off 30, off 20 from within, through 30, heard at 40
+    off_40_and_20 = t * t * r * t * r * r  # off 40, up through 30, off 20 from within, heard at 30
+    within = t * r * r * r * r * r  # twice to and fro inside the plate, heard at 30
     assert echoes.reflected[at_50].all()
     assert mean == pytest.approx(gap + inside_first + off_40_and_20 + within, rel=0.1)
 
