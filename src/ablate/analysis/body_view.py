@@ -69,8 +69,9 @@ def draw_body(
     _zoom_to_fit(space, low, high)
     space.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)")
     space.tick_params(pad=2)
-    for each in (space.xaxis, space.yaxis, space.zaxis):
-        each.labelpad = 1
+    upright = np.argmax(np.abs(axis))
+    for number, each in enumerate((space.xaxis, space.yaxis, space.zaxis)):
+        each.labelpad = -4 if number == upright else 1  # the upright one stands next to the image
         each.set_pane_color((0.97, 0.97, 0.98))
         each.set_major_locator(MultipleLocator(_tick_mm(float((high - low).max()))))
     space.add_artist(_picture(space, surfaces, low, high, view, (pose[:3, 3], pose[:3, 1])))

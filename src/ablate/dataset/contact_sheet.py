@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 from skimage.color import hsv2rgb
@@ -40,7 +41,7 @@ def write_contact_sheet(pairs: Pairs, path: Path, per_part: int = 8) -> None:
         tiles += [np.repeat(_thumbnail(i)[..., None], 3, axis=2) for i in images]
         tiles += [_thumbnail(_COLOURS[s]) for s in labels]
     sheet = montage(np.stack(tiles), channel_axis=3, grid_shape=(2 * len(Part), per_part), padding_width=4)
-    partial = path.with_suffix(".partial.png")
+    partial = path.with_name(f"{path.stem}.{uuid4().hex}.partial.png")  # others that filled the set write it too
     imsave(partial, (np.clip(sheet, 0, 1) * 255).astype(np.uint8), check_contrast=False)
     partial.replace(path)
 

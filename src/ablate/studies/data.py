@@ -126,17 +126,25 @@ def drop_damaged(settings: StudySettings, maps: frozenset[str]) -> tuple[str, ..
 def prepare_data(settings: StudySettings, maps: frozenset[str]) -> Data:
     """Simulate, or import, what is missing of the study's pairs; returns at once when nothing is."""
     folder = dataset_folder(settings)
-    imported = settings.scene.kind is SceneKind.pairs
-    if imported:
-        maps &= checked_folder(settings).maps
-    if (folder / "about.json").exists():
-        data = open_data(folder)
-        if not data.pairs.missing(maps):
-            _show(data.pairs)
-            return data
-    pairs = import_data(settings, folder, maps) if imported else _simulate(settings, folder, maps)
+    if made := made_data(settings, maps):
+        pairs = made.pairs
+    elif settings.scene.kind is SceneKind.pairs:
+        pairs = import_data(settings, folder, maps & checked_folder(settings).maps)
+    else:
+        pairs = _simulate(settings, folder, maps)
     _show(pairs)
     return open_data(folder)
+
+
+def made_data(settings: StudySettings, maps: frozenset[str]) -> Data | None:
+    """The study's pairs, or None where something is missing of them."""
+    folder = dataset_folder(settings)
+    if not (folder / "about.json").exists():
+        return None
+    if settings.scene.kind is SceneKind.pairs:
+        maps &= checked_folder(settings).maps
+    data = open_data(folder)
+    return None if data.pairs.missing(maps) else data
 
 
 def _simulate(settings: StudySettings, folder: Path, maps: frozenset[str]) -> Pairs:

@@ -54,7 +54,8 @@ def _run(job: Job) -> None:
     try:
         scalars = _train_and_score(job, data, run)
     except BaseException as error:
-        run.end(Status.killed if isinstance(error, KeyboardInterrupt) else Status.failed)
+        stopped = isinstance(error, KeyboardInterrupt | InterruptedError | SystemExit)
+        run.end(Status.killed if stopped else Status.failed)
         raise
     run.end(Status.finished)
     result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed}

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from shutil import which
 
 from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -18,7 +19,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 import ablate
-from ablate.config import StudySettings, register, settings
+from ablate.config import StudySettings, Task, register, settings
 
 
 class ConfigurationError(ValueError):
@@ -117,6 +118,8 @@ def jobs_of(arguments: Sequence[str]) -> list[Job]:
     with initialize_config_dir(str(configuration_dir()), version_base="1.3", job_name="ablate"):
         lists = _expand(parsed.overrides, multirun=bool(parsed.multirun))
         jobs = [_job(overrides) for overrides in lists]
+    if jobs[0].settings.task is Task.simulate:
+        return jobs  # as many as were asked for: those that read the same pairs fill them side by side
     places: dict[Path, Job] = {}
     for job in jobs:
         if places.setdefault(job.folder, job).settings != job.settings:
@@ -127,6 +130,26 @@ def jobs_of(arguments: Sequence[str]) -> list[Job]:
     return list({job.folder: job for job in jobs}.values())
 
 
+def cluster_folder(arguments: Sequence[str]) -> Path | None:
+    """Where the jobs print that a command line hands to SLURM; None where they run on this machine.
+
+    Raises
+    ------
+    ConfigurationError
+        Where it does, and SLURM's commands are not on this machine.
+    """
+    overrides = _parse(get_args_parser().parse_args(list(arguments)).overrides)
+    register()
+    with initialize_config_dir(str(configuration_dir()), version_base="1.3", job_name="ablate"):
+        plain = [o.input_line or "" for o in overrides if not o.is_sweep_override()]
+        launcher = _compose(plain, with_hydra=True).hydra.launcher
+    if not str(launcher._target_).endswith(".SlurmLauncher"):
+        return None
+    if which("srun") is None:
+        raise ConfigurationError("hydra/launcher=slurm: there is no srun here; start it on a login node")
+    return Path(launcher.submitit_folder).parent
+
+
 def _expand(overrides: list[str], multirun: bool) -> list[list[str]]:
     plain = [o for o in _parse(overrides) if not o.is_sweep_override()]
     hydra = _compose([o.input_line or "" for o in plain], with_hydra=True).hydra
@@ -135,6 +158,9 @@ def _expand(overrides: list[str], multirun: bool) -> list[list[str]]:
         swept = [o.input_line for o in _parse(overrides) if o.is_sweep_override()]
         if swept:
             raise ConfigurationError(f"'{swept[0]}' asks for several jobs: add -m")
+        launcher = hydra.runtime.choices["hydra/launcher"]
+        if launcher != "basic":
+            raise ConfigurationError(f"hydra/launcher={launcher} starts the jobs of a sweep: add -m")
         return [overrides]
     try:
         return BasicSweeper.split_arguments(_parse([*params, *overrides]), None)[0]

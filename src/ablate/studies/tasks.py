@@ -10,7 +10,7 @@ import pandas as pd
 
 from ablate.config import StudySettings, Task
 from ablate.studies.compare import compare_study
-from ablate.studies.data import Data, dataset_folder, dataset_hash, drop_damaged, maps_needed, prepare_data
+from ablate.studies.data import dataset_folder, dataset_hash, drop_damaged, made_data, maps_needed, prepare_data
 from ablate.studies.identity import finished
 from ablate.studies.preflight import check
 from ablate.studies.preview import preview
@@ -20,19 +20,20 @@ from ablate.studies.variants import describe as describe_variants
 from ablate.tracking import RunLog, Status
 
 
-def study(jobs: Sequence[Job], launch: Callable[[], None]) -> int:
-    """Simulate what is missing, run every job through Hydra's launcher, compare."""
+def study(jobs: Sequence[Job], launch: Callable[[], None], elsewhere: bool = False) -> int:
+    """Simulate what is missing, run every job through Hydra's launcher, compare.
+
+    Jobs that run elsewhere simulate too: the login node of a cluster is no place to compute.
+    """
     check(jobs)
     waiting = [job for job in jobs if finished(job) is None]
     code = 0
     if waiting:
-        _simulate_for(waiting)  # what is wrong with a mesh shows here, before anything is tracked
+        if not elsewhere:
+            _simulate_for(waiting)  # what is wrong with a mesh shows here, before anything is tracked
         for settings in _studies(waiting):
             open_tracking(settings)  # database, experiment and parent run exist before any job starts
-        try:
-            launch()
-        except SystemExit as end:
-            code = int(end.code) if isinstance(end.code, int) else 1
+        code = _exit_code(launch)
     for settings in _studies([job for job in jobs if finished(job) is not None]):
         print(compare_study(settings))
     failed = [job for job in jobs if finished(job) is None]
@@ -44,14 +45,36 @@ def study(jobs: Sequence[Job], launch: Callable[[], None]) -> int:
     return code or int(bool(failed))
 
 
-def simulate(jobs: Sequence[Job]) -> int:
-    """Only the pairs that the jobs read; those that are there are checked, and made again where they are damaged."""
+def simulate(jobs: Sequence[Job], launch: Callable[[], None] | None = None) -> int:
+    """Only the pairs that the jobs read, made here or, side by side, by the jobs that a launcher starts elsewhere.
+
+    Those that are there are checked, and made again where they are damaged.
+    """
     check(jobs)
-    for settings, maps in _data_sets(jobs):
+    sets = _data_sets(jobs)
+    for settings, maps in sets:
         for damaged in drop_damaged(settings, maps):
             print(damaged, file=sys.stderr)
-    for data in _simulate_for(jobs):
-        print(f"{len(data.pairs)} frames in {data.pairs.folder}; a look at them: contact_sheet.png there")
+    code = 0
+    if launch is None:
+        _simulate_for(jobs)
+    else:
+        code = _exit_code(launch)
+    for settings, maps in sets:
+        if made := made_data(settings, maps):
+            folder = made.pairs.folder
+            print(f"{len(made.pairs)} frames in {folder}; a look at them: contact_sheet.png there")
+        else:
+            print(f"not finished: {dataset_folder(settings)}; the same command takes it up again", file=sys.stderr)
+            code = code or 1
+    return code
+
+
+def _exit_code(launch: Callable[[], None]) -> int:
+    try:
+        launch()
+    except SystemExit as end:
+        return int(end.code) if isinstance(end.code, int) else 1
     return 0
 
 
@@ -63,9 +86,10 @@ def _data_sets(jobs: Sequence[Job]) -> list[tuple[StudySettings, frozenset[str]]
     return [(js[0].settings, maps_needed(j.settings.model for j in js)) for js in sets.values()]
 
 
-def _simulate_for(jobs: Sequence[Job]) -> list[Data]:
+def _simulate_for(jobs: Sequence[Job]) -> None:
     try:
-        return [prepare_data(settings, maps) for settings, maps in _data_sets(jobs)]
+        for settings, maps in _data_sets(jobs):
+            prepare_data(settings, maps)
     except (ValueError, OSError) as error:  # a mesh with a hole, more frames than poses, a full disk, ...
         raise ConfigurationError(str(error)) from error
 
