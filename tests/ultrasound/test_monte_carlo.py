@@ -170,11 +170,6 @@ def test_roulette_is_unbiased(plates, pencil, apart, amplitudes) -> None:
     assert (hasty / patient).std() > 0.01  # it did end rays
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a turned ray is weighed with R_p^2 a reflection, as if its way back were its way there; but its echo is "
-    "heard along the straight way back, on which it is reflected no more",
-)
 def test_first_reverberation_between_two_plates(plates, pencil, apart, amplitudes) -> None:
     """Down, off the second face, off the first, off the second, up: t12 R23 R12 R23 t21, at 60 + 30 mm.
 
@@ -185,9 +180,6 @@ def test_first_reverberation_between_two_plates(plates, pencil, apart, amplitude
     assert echoes.mean() / (np.sqrt(np.pi) / 2) == pytest.approx(truth, rel=0.1)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the noise's key, a list with a number over 2^63, becomes float64: path seeds share their noise"
-)
 def test_other_paths_have_other_clutter(plates, pencil, apart) -> None:
     """Else the mean over path seeds does not converge to the mean over paths."""
     settings = replace(apart, rays=256)

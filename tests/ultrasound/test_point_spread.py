@@ -72,25 +72,8 @@ def test_a_scatterer_has_the_elevational_width_asked_for(gel, ball, probe, setti
     assert full_width(np.array(peaks), 0.3) == pytest.approx(2.5 * widening(depth_mm), rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("aperture_mm", "depth_mm"),
-    [
-        *((0.0, depth) for depth in DEPTHS_MM),
-        (3.0, 70.0),
-        *(
-            pytest.param(
-                3.0,
-                depth,
-                marks=pytest.mark.xfail(
-                    strict=True,
-                    reason="away from the focus the rays of an aperture of 3 mm are spread over more than the pulse's "
-                    "width, and the pulse widens what they bring back once more",
-                ),
-            )
-            for depth in (20.0, 130.0)
-        ),
-    ],
-)
+@pytest.mark.parametrize("depth_mm", DEPTHS_MM)
+@pytest.mark.parametrize("aperture_mm", [0.0, SimulatorSettings.aperture_mm])
 def test_a_wire_has_the_width_asked_for(gel, probe, settings, ahead, depth_mm, aperture_mm) -> None:
     """A reflector of 0.1 mm, a hard wire along the probe's y."""
     wire = trimesh.creation.cylinder(radius=0.05, height=40.0, sections=32)

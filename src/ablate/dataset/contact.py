@@ -10,8 +10,8 @@ import numpy as np
 from ablate.anatomy import Scene
 from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.embree import Geometry
-from ablate.ultrasound.ownership import nowhere, owners
-from ablate.ultrasound.walk import walk
+from ablate.ultrasound.ownership import owners
+from ablate.ultrasound.walk import inside_at
 
 _PATCH_MM = 12.0  # half-width of the skin patch whose mean normal the probe follows
 _FACE_HALF_WIDTH_MM = 6.0  # of the probe's face, across the image plane (assumed)
@@ -58,11 +58,7 @@ class Skin:
 
     def hard_at(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Whether bone or gas owns points that are reached from outside along `directions`, (n,) bool."""
-        local = points - self.centre
-        back, _ = self._geometry.through(local, directions)
-        outside = nowhere(len(points), self._geometry.structures)
-        inside, _, _ = walk(self._geometry, local - back[:, None] * directions, directions, back, outside)
-        return self._hard[owners(inside)]
+        return self._hard[owners(inside_at(self._geometry, points - self.centre, directions))]
 
     def within(self, starts: np.ndarray, directions: np.ndarray, reach_mm: float) -> np.ndarray:
         """Whether rays meet a surface within reach, (n,) bool."""

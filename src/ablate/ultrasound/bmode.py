@@ -33,7 +33,8 @@ def receiver_noise(settings: SimulatorSettings, axial: torch.Tensor, seed: int) 
     -------
     (2, scanlines, samples) tensor of the type of `axial`
     """
-    generator = np.random.Generator(np.random.Philox(key=[(settings.path_seed + _KEY) % 2**64, seed % 2**64]))
+    key = np.array([(settings.path_seed + _KEY) % 2**64, seed % 2**64], np.uint64)  # a list would become float64
+    generator = np.random.Generator(np.random.Philox(key=key))
     shape = (2, settings.scanlines, settings.axial_samples)
     white = torch.from_numpy(generator.standard_normal(shape, np.float32)).to(axial)
     return along_lines(white, axial / (2 * axial.square().sum()).sqrt())

@@ -10,7 +10,7 @@ from ablate.ultrasound.draws import Draws
 from ablate.ultrasound.embree import Geometry
 from ablate.ultrasound.probe import layer_offsets_mm, scanlines_in_plane, to_world
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
-from ablate.ultrasound.walk import carry, inside_at
+from ablate.ultrasound.walk import inside_at
 
 _STEEPEST_RAD = 0.3
 
@@ -47,8 +47,7 @@ def leave_probe(
     """Rays spread over the aperture, all at `focus_mm` from the focal point of their scanline and layer.
 
     Because path lengths to the focus agree, a point at the focus stays a point, and shadows get soft edges. Which
-    structures a start is inside of is found by crossings, from outside everything to the middle of the face,
-    along the face to each element, and on to each ray's start.
+    structures a start is inside of is found by crossings, from outside everything.
 
     Parameters
     ----------
@@ -76,20 +75,31 @@ def leave_probe(
     rotation = pose[:3, :3]
     starts, directions = to_world(pose, starts), directions @ rotation.T
     origins, rays = to_world(pose, origins.reshape(-1, 3)), rays.reshape(-1, 3) @ rotation.T
-    middle = np.broadcast_to(pose[:3, 3], starts.shape)
-    at_middle = np.repeat(inside_at(geometry, pose[:3, 3]), len(starts), axis=0)
-    start_inside = carry(geometry, at_middle, middle, starts)
-    inside = carry(
-        geometry,
-        np.repeat(start_inside, settings.rays, axis=0),
-        np.repeat(starts, settings.rays, axis=0),
-        origins,
-    )
     return Bundle(
         starts=starts,
         directions=directions,
         origins=origins.astype(np.float32),
         ray_directions=rays.astype(np.float32),
-        inside=inside,
+        inside=_inside(geometry, starts, directions, origins, rays),
         rays=settings.rays,
     )
+
+
+def _inside(
+    geometry: Geometry, starts: np.ndarray, directions: np.ndarray, origins: np.ndarray, rays: np.ndarray
+) -> np.ndarray:
+    """The sets at the rays' origins: those of their element, unless some surface lies between.
+
+    Then each ray of that group is followed from outside in its own direction: along the face, which nearly lies in
+    the skin, a crossing can be missed, and a ray without the loss of its tissue outshines all others.
+    """
+    of_group = len(origins) // len(starts)
+    inside = np.repeat(inside_at(geometry, starts, directions), of_group, axis=0)
+    element = np.repeat(starts, of_group, axis=0)
+    aside = origins - element
+    length = np.sqrt(np.einsum("ij,ij->i", aside, aside))
+    towards = (aside / np.maximum(length, 1e-12)[:, None]).astype(np.float32)
+    between = geometry.closest(element.astype(np.float32), towards, length.astype(np.float32)).structure >= 0
+    unsure = np.flatnonzero(np.repeat(between.reshape(-1, of_group).any(axis=1), of_group))
+    inside[unsure] = inside_at(geometry, origins[unsure], rays[unsure])
+    return inside

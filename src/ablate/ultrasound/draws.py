@@ -79,4 +79,4 @@ class Draws:
         return row
 
     def _generator(self, counter: int) -> np.random.Generator:
-        return np.random.Generator(np.random.Philox(key=[self._seed % 2**64, counter]))
+        return np.random.Generator(np.random.Philox(key=np.array([self._seed % 2**64, counter], np.uint64)))

@@ -52,11 +52,6 @@ class Geometry:
     step_mm : float
         How far a ray is put beyond a surface that it has crossed: a few times float32's spacing. Smaller, and a
         grazing ray meets a surface twice; larger, and it jumps over the second side of a corner that it clips.
-
-    Raises
-    ------
-    ValueError
-        When a mesh has no triangles.
     """
 
     def __init__(
@@ -65,9 +60,7 @@ class Geometry:
         self.structures = len(structures)
         self._scene = EmbreeScene() if structures else None
         self._meshes = []  # keeps the buffers that Embree reads
-        for number, structure in enumerate(structures):
-            if len(structure.mesh.faces) == 0:
-                raise ValueError(f"structure {number} ({structure.tissue.name}): its mesh has no triangles")
+        for structure in structures:
             vertices = np.asarray(structure.mesh.vertices, np.float64) - origin_mm
             faces = np.ascontiguousarray(structure.mesh.faces, np.int32)
             self._meshes.append(TriangleMesh(self._scene, vertices.astype(np.float32), faces))

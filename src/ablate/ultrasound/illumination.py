@@ -6,13 +6,19 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from torch.nn import functional as F
 
 from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.point_spread import lateral_kernels
+from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 
 #: Depths at which the rays' mean is taken; between them it is interpolated in dB.
 NODES = 256
-#: Levels below this are silence, dB: far under any display, far above the smallest double.
-SILENCE_DB = -600.0
+#: Level of no sound at all, dB: finite, so that interpolation makes no NaN, and zero as a float32 amplitude.
+SILENCE_DB = -4000.0
+_INAUDIBLE_DB = -600.0  # and all below is silence: far under any display, and spares the signal chain denormals
+_BLOCKS = 64  # of depth, within which the beam's overlap is taken as constant
 _NEPER_PER_TWO_WAY_DB = math.log(10) / 10
 
 
@@ -22,27 +28,45 @@ class Nodes(NamedTuple):
     Attributes
     ----------
     first_mm, spacing_mm : float
+    silent : (groups, nodes) bool
+        Whether the scanline itself is in a background without scatterers there or half a node beside.
     amplitude : (groups, nodes) float64
         Sum over the rays of weight x 10^(-2 loss / 20).
     """
 
     first_mm: float
     spacing_mm: float
+    silent: np.ndarray
     amplitude: np.ndarray
 
 
-def dark(groups: int, depth_mm: float, samples: int) -> Nodes:
-    """Nodes from the first sample to the last, before any ray has come."""
+def dark(silent: np.ndarray, depth_mm: float) -> Nodes:
+    """Nodes from the first sample to the last, before any ray has come.
+
+    Parameters
+    ----------
+    silent : (groups, samples) bool
+    depth_mm : float
+    """
+    groups, samples = silent.shape
     count = min(samples, NODES)
     first = depth_mm / samples / 2
-    return Nodes(first, (depth_mm - 2 * first) / max(count - 1, 1) or 1.0, np.zeros((groups, count)))
+    spacing = (depth_mm - 2 * first) / max(count - 1, 1) or 1.0
+    nearest = np.rint(np.linspace(0, samples - 1, count)).astype(int)
+    half = samples // (2 * count)
+    around = [np.clip(nearest + shift, 0, samples - 1) for shift in (-half, 0, half)]
+    return Nodes(first, spacing, np.any([silent[:, place] for place in around], axis=0), np.zeros((groups, count)))
 
 
 @compiled
-def shine(nodes: Nodes, group: int, from_mm: float, to_mm: float, loss_db: float, slope_db_mm: float) -> None:
+def shine(
+    nodes: Nodes, group: int, from_mm: float, to_mm: float, loss_db: float, slope_db_mm: float, silent: bool
+) -> None:
     """Add one ray of weight 1 at the nodes in [from_mm, to_mm): its one-way loss is loss_db at first, then rises.
 
-    Between nodes the amplitude falls by one factor, so a piece costs two powers, however long it is.
+    Between nodes the amplitude falls by one factor, so a piece costs two powers, however long it is. A ray in the
+    silent background does not light a scanline that is in the body: bone bends rays out of it, and one that loses
+    nothing there would outshine the shadow.
     """
     amplitude = nodes.amplitude[group]
     count = len(amplitude)
@@ -56,11 +80,42 @@ def shine(nodes: Nodes, group: int, from_mm: float, to_mm: float, loss_db: float
     level = math.exp(-at_first * _NEPER_PER_TWO_WAY_DB)
     factor = math.exp(-slope_db_mm * nodes.spacing_mm * _NEPER_PER_TWO_WAY_DB)
     for k in range(first, last):
-        amplitude[k] += level
+        if not silent or nodes.silent[group, k]:
+            amplitude[k] += level
         level *= factor
 
 
-def mean_level_db(nodes: Nodes, rays: int) -> np.ndarray:
-    """Level of the mean over the rays of each group, (groups, nodes) float32, dB, at least `SILENCE_DB`."""
-    mean = nodes.amplitude / rays
-    return (20 * np.log10(np.maximum(mean, 10 ** (SILENCE_DB / 20)))).astype(np.float32)
+def transmit_beam(probe: ConvexProbe, settings: SimulatorSettings) -> torch.Tensor:
+    """How the sound of neighbouring scanlines overlaps, (blocks of depth, scanlines, scanlines) float64 tensor.
+
+    The point spread function is that of both ways; one way of two equal Gaussians is wider by sqrt(2).
+    """
+    blocks = min(settings.axial_samples, _BLOCKS)
+    depth = (np.arange(blocks) + 0.5) * (probe.depth_mm / blocks)
+    return torch.from_numpy(lateral_kernels(probe, settings, depth, widen=math.sqrt(2)))
+
+
+def mean_level_db(nodes: Nodes, rays: int, beam: torch.Tensor) -> torch.Tensor:
+    """Level of the mean over rays and, as the beam overlaps, over scanlines.
+
+    Parameters
+    ----------
+    nodes : Nodes
+        Groups layer by layer.
+    rays : int
+        Of each group.
+    beam : (blocks, scanlines, scanlines) float64 tensor
+        From `transmit_beam`.
+
+    Returns
+    -------
+    (groups, nodes) float32 tensor, dB
+    """
+    blocks, lines, _ = beam.shape
+    groups, count = nodes.amplitude.shape
+    part = -(-count // blocks)
+    mean = F.pad(torch.from_numpy(nodes.amplitude / rays), (0, blocks * part - count))
+    by_block = mean.reshape(-1, lines, blocks, part).permute(2, 1, 0, 3).reshape(blocks, lines, -1)
+    overlapping = torch.bmm(beam, by_block).reshape(blocks, lines, -1, part).permute(2, 1, 0, 3)
+    level = 20 * torch.log10(overlapping.reshape(groups, -1)[:, :count])
+    return level.where(level > _INAUDIBLE_DB, SILENCE_DB).float()

@@ -26,6 +26,8 @@ class Media(NamedTuple):
         1 / (s + 1) of the power-cosine lobe of normals, roughness / (1 + roughness).
     stretch : (tissues,)
         Displayed length over geometric length: 1, or 1540 / speed in time-of-flight mode.
+    silent : (tissues,) bool
+        Whether it is the background, and has no scatterers.
     differs : (tissues, tissues) bool
         Where an interface reflects or refracts.
     refracts, rough, thick : bool
@@ -39,6 +41,7 @@ class Media(NamedTuple):
     loss_db_mm: np.ndarray
     lobe_exponent: np.ndarray
     stretch: np.ndarray
+    silent: np.ndarray
     differs: np.ndarray
     refracts: bool
     rough: bool
@@ -64,6 +67,7 @@ def tabulate(tissues: Sequence[Tissue], used: np.ndarray, frequency_mhz: float, 
         loss_db_mm=column([loss_db_mm(t, frequency_mhz) for t in tissues]),
         lobe_exponent=roughness / (1 + roughness),
         stretch=np.ones_like(speed) if geometric else np.float32(DISPLAY_SPEED_M_S) / speed,
+        silent=np.array([i == 0 and t.scatter_power == 0 for i, t in enumerate(tissues)]),
         differs=(impedance[:, None] != impedance) | (speed[:, None] != speed),
         refracts=full or bool((speed[used] != speed[used][0]).any()),
         rough=full or bool(roughness[used].any()),

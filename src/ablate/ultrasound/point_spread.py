@@ -14,6 +14,7 @@ from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 
 FWHM_PER_SIGMA = 2 * math.sqrt(2 * math.log(2))
 _BLOCKS = 64  # of depth, within which the lateral kernel is taken as constant
+_FAINTEST = -16.0  # exponent of the lateral kernel's last entry
 _TAIL = 4.0  # standard deviations kept of the axial kernel
 _WINDOW = 64  # samples that one product of `along_lines` makes
 
@@ -53,6 +54,26 @@ def layer_weights(probe: ConvexProbe, settings: SimulatorSettings) -> tuple[np.n
     return weights / np.sqrt((weights**2).sum(axis=0)), weights / weights.sum(axis=0)
 
 
+def lateral_kernels(
+    probe: ConvexProbe, settings: SimulatorSettings, depth_mm: np.ndarray, widen: float = 1.0
+) -> np.ndarray:
+    """What each scanline adds to each other one at some depths.
+
+    The width in scanlines is sigma(z) / ((R + z) d theta), times `widen`.
+
+    Returns
+    -------
+    (depths, scanlines, scanlines) float64
+        Rows sum to 1.
+    """
+    spacing = scanline_spacing_mm(probe, settings.scanlines, depth_mm)
+    sigma = widen * settings.lateral_fwhm_mm / FWHM_PER_SIGMA * beam_widening(settings, depth_mm) / spacing
+    apart = np.arange(settings.scanlines)[:, None] - np.arange(settings.scanlines)
+    exponent = -0.5 * (apart / np.maximum(sigma, 1e-3)[:, None, None]) ** 2
+    lateral = np.where(exponent > _FAINTEST, np.exp(np.maximum(exponent, _FAINTEST)), 0.0)
+    return lateral / lateral.sum(axis=-1, keepdims=True)
+
+
 @dataclass(frozen=True)
 class PointSpread:
     """Kernels of one probe and settings.
@@ -75,17 +96,11 @@ class PointSpread:
 
 
 def point_spread(probe: ConvexProbe, settings: SimulatorSettings, dtype: torch.dtype) -> PointSpread:
-    """Kernels for `blur`; the lateral width in scanlines is sigma(z) / ((R + z) d theta)."""
-    lines, samples = settings.scanlines, settings.axial_samples
+    """Kernels for `blur`."""
+    samples = settings.axial_samples
     block = -(-samples // _BLOCKS)
     blocks = -(-samples // block)
-    depth = (np.arange(blocks) + 0.5) * block * (probe.depth_mm / samples)
-    spacing = scanline_spacing_mm(probe, lines, depth)
-    sigma = settings.lateral_fwhm_mm / FWHM_PER_SIGMA * beam_widening(settings, depth) / spacing
-    apart = np.arange(lines)[:, None] - np.arange(lines)
-    exponent = -0.5 * (apart / np.maximum(sigma, 1e-3)[:, None, None]) ** 2
-    lateral = np.where(exponent > -40, np.exp(np.maximum(exponent, -40)), 0.0)
-    lateral /= lateral.sum(axis=-1, keepdims=True)
+    lateral = lateral_kernels(probe, settings, (np.arange(blocks) + 0.5) * block * (probe.depth_mm / samples))
     axial = axial_kernel(probe, settings)
     energy = np.sqrt((lateral**2).sum(axis=-1)) * math.sqrt((axial**2).sum())
     return PointSpread(

@@ -10,7 +10,7 @@ from numbers import Integral, Real
 import numpy as np
 
 #: Part of every data set's identity: raise it when the same settings give another image.
-SIMULATOR_VERSION = 1
+SIMULATOR_VERSION = 2
 
 
 class Plan(StrEnum):
@@ -92,17 +92,17 @@ class SimulatorSettings:
     tgc_db_cm_mhz: float = 0.4
     noise_floor_db: float = -55.0
     dynamic_range_db: float = 60.0
-    reference_level: float = 0.2
+    reference_level: float = 0.1
     axial_fwhm_mm: float = 0.30
     lateral_fwhm_mm: float = 0.8
     elevational_fwhm_mm: float = 2.5
     focus_mm: float = 70.0
     focal_range_mm: float = 40.0
-    aperture_mm: float = 3.0
-    elevational_aperture_mm: float = 2.0
+    aperture_mm: float = 0.2
+    elevational_aperture_mm: float = 1.5
     layer_extent_mm: float = 1.5
     scatterer_pitch_mm: float = 0.1
-    scatterer_level_db: float = -44.0
+    scatterer_level_db: float = -50.0
     depth_mode: DepthMode = DepthMode.geometric
     plan: Plan = Plan.auto
     precision: Precision = Precision.float32

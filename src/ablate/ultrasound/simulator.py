@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,14 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ablate.anatomy import Scene
+from ablate.anatomy import Scene, check_scene
 from ablate.ultrasound.attenuation import integral_attenuation
 from ablate.ultrasound.bmode import floor_amplitude, grey_levels, receiver_noise, time_gain
 from ablate.ultrasound.bundle import leave_probe
+from ablate.ultrasound.contact import contact_warning
 from ablate.ultrasound.draws import Draws
 from ablate.ultrasound.echoes import clutter_lines, surface_lines
 from ablate.ultrasound.embree import Geometry
-from ablate.ultrasound.illumination import dark, mean_level_db
+from ablate.ultrasound.illumination import dark, mean_level_db, transmit_beam
 from ablate.ultrasound.plan import compile_scene
 from ablate.ultrasound.point_spread import blur, layer_weights, point_spread
 from ablate.ultrasound.probe import check_pose
@@ -65,7 +67,7 @@ class Simulator:
     Raises
     ------
     ValueError
-        When the scene has more than 254 tissues, a mesh has no triangles, or a pose is not rigid.
+        When a mesh is open, empty or not finite, the scene has more than 254 tissues, or a pose is not rigid.
     """
 
     def __init__(
@@ -77,6 +79,7 @@ class Simulator:
     ) -> None:
         self.scene = scene
         self.probe = probe = probe or ConvexProbe()
+        check_scene(scene, probe.depth_mm)
         self.settings = settings = settings or SimulatorSettings()
         self._dtype = getattr(torch, settings.precision.value)
         self._compiled = compile_scene(scene, probe, settings, poses)
@@ -88,12 +91,14 @@ class Simulator:
         self._geometry = Geometry(self._compiled.structures, bounds, self._origin_mm, extent)
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
         self._convert = ScanConverter(probe, settings, self._dtype)
+        self._beam = transmit_beam(probe, settings)
         self._spread = point_spread(probe, settings, self._dtype)
         self._speckle = Speckle(scene.tissues, probe, settings, self._dtype)
         self._gain = torch.from_numpy(time_gain(probe, settings)).to(settings.device, self._dtype)
         self._noise: tuple[int, torch.Tensor] | None = None
         self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None
         self._traced: tuple[bytes, Traced] | None = None
+        self._warned: set[str] = set()
 
     @property
     def mask(self) -> np.ndarray:
@@ -122,7 +127,6 @@ class Simulator:
             raise ValueError(f"seed must be at least 0, not {seed}")
         pose = check_pose(pose)
         segmentation, attenuation = self.maps(pose)
-        torch.set_flush_denormal(True)  # denormal tails of Gaussians cost four times the frame
         with torch.inference_mode():
             traced = self._trace(pose)
             signal = blur(self._speckle(traced.lit, seed), traced.surfaces, self._spread)
@@ -181,17 +185,24 @@ class Simulator:
             faintest_db,
             self._geometry.step_mm,
         )
-        nodes = dark(len(bundle.starts), probe.depth_mm, settings.axial_samples)
+        labels, ranges = sampled_lines(self._geometry, scene.tissue_of_owner, scene.media, bundle, probe, settings)
+        self._warn(contact_warning(labels, self.scene.tissues, probe))
+        nodes = dark(scene.media.silent[labels], probe.depth_mm)
         echoes = trace(self._geometry, view, self._draws, bundle, nodes)
         where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
-        level = torch.from_numpy(mean_level_db(nodes, settings.rays))
-        labels, ranges = sampled_lines(self._geometry, scene.tissue_of_owner, scene.media, bundle, probe, settings)
+        level = mean_level_db(nodes, settings.rays, self._beam)
         lit = self._speckle.light(bundle.starts + self._origin_mm, bundle.directions, labels, ranges, level)
         clutter_t = None if clutter is None else self._tensor(clutter) * self._spread.axial.sum()
         traced = Traced(lit, self._tensor(surfaces), clutter_t)
         self._traced = pose.tobytes(), traced
         return traced
+
+    def _warn(self, words: str | None) -> None:
+        """Once a simulator, however many frames it renders."""
+        if words is not None and words not in self._warned:
+            self._warned.add(words)
+            warnings.warn(words, stacklevel=4)
 
     def _tensor(self, values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(values).to(self.settings.device, self._dtype)

@@ -1,8 +1,9 @@
 """Monte-Carlo transport: rays that meet surfaces, echo there, and are reflected or transmitted.
 
-The weight of a ray is a two-way amplitude. It is reflected with probability R = R_p^2, else transmitted, and its
-weight stays: the expectation through an interface is then 1 - R = t12 t21, and off it R_p R_p, both exactly what a
-pulse keeps on its way there and back.
+The weight of a ray is a two-way amplitude. It is reflected with probability R = R_p^2, else transmitted, and then its
+weight stays: the expectation through an interface is 1 - R = t12 t21, exactly what a pulse keeps on its way there and
+back. A ray that was reflected is heard along the straight way back, where that surface does not turn it again: its
+weight is divided by |R_p|, so that the expectation is R_p, once.
 """
 
 from __future__ import annotations
@@ -100,7 +101,8 @@ def _bounce(
         shown_mm, loss_db = rays.shown_mm[i] + length * stretch, rays.loss_db[i] + length * loss_db_mm
         if direct:
             until = shown_mm if structure >= 0 else math.inf
-            shine(nodes, group, rays.shown_mm[i], until, rays.loss_db[i], loss_db_mm / stretch)
+            slope, silent = loss_db_mm / stretch, media.silent[medium]
+            shine(nodes, group, rays.shown_mm[i], until, rays.loss_db[i], slope, silent)
         if structure < 0:
             continue
         path_mm, weight = rays.path_mm[i] + length, rays.weight[i]
@@ -145,6 +147,7 @@ def _bounce(
                 toggle(rays.inside[i], structure)
                 beyond, direction = medium, back
                 reflections += 1
+                weight /= abs(pressure)
                 path_mm += 2 * thickness_mm
                 shown_mm += 2 * thickness_mm * stretch
                 loss_db += 2 * thickness_mm * loss_db_mm

@@ -186,39 +186,21 @@ def _cross(
     return left
 
 
-def inside_at(geometry: Geometry, point: np.ndarray) -> np.ndarray:
-    """The set that one point is inside of, by a ray that comes from outside everything.
+def inside_at(geometry: Geometry, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """The sets that points are inside of, by rays that come from outside everything.
 
     Parameters
     ----------
     geometry : Geometry
-    point : (3,) float, mm, relative to the geometry's origin
-
-    Returns
-    -------
-    (1, words) uint32
-    """
-    direction = np.array([[0.57735026, 0.57735026, 0.57735026]])
-    back, _ = geometry.through(point[None], direction)
-    start = point[None] - back[:, None] * direction
-    return walk(geometry, start, direction, back, nowhere(1, geometry.structures))[0]
-
-
-def carry(geometry: Geometry, inside: np.ndarray, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """The sets at other points, by straight walks from points whose sets are known.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    inside : (n, words) uint32
-        The sets at `start`.
-    start, ends : (n, 3) float, mm
+    points : (n, 3) float, mm
+        Relative to the geometry's origin.
+    directions : (n, 3) float
+        In which they are reached; the less it grazes surfaces the better.
 
     Returns
     -------
     (n, words) uint32
     """
-    offset = ends - start
-    length = np.linalg.norm(offset, axis=-1)
-    direction = offset / np.maximum(length, 1e-12)[:, None]
-    return walk(geometry, start, direction, length, inside)[0]
+    back, _ = geometry.through(points, directions)
+    outside = nowhere(len(points), geometry.structures)
+    return walk(geometry, points - back[:, None] * directions, directions, back, outside)[0]
