@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep test test-all check lint ui bench bench-dataset
+.PHONY: help sweep test test-all check lint ui bench-simulator bench-dataset
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -39,8 +39,8 @@ lint: $(STAMP) ## mend what the linter can mend
 ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
 	$(BIN)/mlflow ui --backend-store-uri sqlite:///runs/mlflow.db --host 127.0.0.1 --port 5000 --workers 1
 
-bench: $(STAMP) ## milliseconds of each stage of the simulator
-	$(BIN)/python tests/benchmark_simulator.py
+bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size; SCENE=folder adds one to the table of plans
+	$(BIN)/python tests/benchmark_simulator.py $(if $(SCENE),--scene $(SCENE))
 
 bench-dataset: $(STAMP) ## what the paper's data set costs: to simulate, to store, to read crops from
 	$(BIN)/python tests/benchmark_dataset.py

@@ -10,7 +10,7 @@ from scipy.interpolate import InterpolatedUnivariateSpline
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import Simulator, SimulatorSettings
-from ablate.ultrasound.point_spread import along_lines, blur, point_spread
+from ablate.ultrasound.point_spread import Across, along_lines, blur, point_spread
 
 DEPTHS_MM = [20.0, 70.0, 130.0]
 LINES = 257
@@ -107,6 +107,16 @@ def test_kernels_have_the_widths_asked_for(probe, small, depth_mm) -> None:
     assert lateral == pytest.approx(3.0 * widening(depth_mm), rel=0.02)
     assert by_moments(response[128]) * 150.0 / settings.axial_samples == pytest.approx(1.2, rel=0.02)
     assert response[:, sample].sum() == pytest.approx(1, rel=0.02)
+
+
+@pytest.mark.parametrize("lines", [1, 5, 32, 75])
+def test_across_is_a_product_of_banded_matrices(lines: int) -> None:
+    generator = np.random.default_rng(0)
+    apart = np.abs(np.arange(lines)[:, None] - np.arange(lines))
+    kernels = generator.random((3, lines, lines)) * (apart < 4)
+    values = generator.random((3, lines, 7))
+    got = Across(kernels, "cpu", torch.float64)(torch.from_numpy(values))
+    np.testing.assert_allclose(got.numpy(), kernels @ values, atol=1e-12)
 
 
 def test_along_lines_is_a_convolution() -> None:

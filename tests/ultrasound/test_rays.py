@@ -14,6 +14,7 @@ from ablate.ultrasound.draws import CHOICE, Draws, stratified
 from ablate.ultrasound.embree import Geometry
 from ablate.ultrasound.illumination import SILENCE_DB, Nodes, mean_level_db
 from ablate.ultrasound.plan import compile_scene
+from ablate.ultrasound.point_spread import Across
 from ablate.ultrasound.rays import Echoes, View
 from ablate.ultrasound.transport import trace
 
@@ -156,7 +157,7 @@ def test_roulette_is_unbiased(gel, slab, probe, one_line) -> None:
 def test_illumination_of_thousands_of_decibels_is_silence(gel, slab, probe, one_line) -> None:
     stiff = Tissue("stiff", 1540, 1.5, 1e4, roughness=0.0)
     _, nodes = follow(Scene((slab(stiff, 50.0, 300.0),), gel, "s"), probe, one_line)
-    level = mean_level_db(nodes, 64, torch.ones(1, 1, 1, dtype=torch.float64)).numpy()
+    level = mean_level_db(nodes, 64, Across(np.ones((1, 1, 1)), "cpu", torch.float64)).numpy()
     assert level[0, 49] == pytest.approx(0, abs=1e-4)
     assert level[0, -1] == SILENCE_DB
     assert np.isfinite(level).all()

@@ -10,7 +10,7 @@ import torch
 from torch.nn import functional as F
 
 from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.point_spread import lateral_kernels
+from ablate.ultrasound.point_spread import Across, lateral_kernels
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 
 #: Depths at which the rays' mean is taken; between them it is interpolated in dB.
@@ -85,17 +85,17 @@ def shine(
         level *= factor
 
 
-def transmit_beam(probe: ConvexProbe, settings: SimulatorSettings) -> torch.Tensor:
-    """How the sound of neighbouring scanlines overlaps, (blocks of depth, scanlines, scanlines) float64 tensor.
+def transmit_beam(probe: ConvexProbe, settings: SimulatorSettings) -> Across:
+    """How the sound of neighbouring scanlines overlaps.
 
     The point spread function is that of both ways; one way of two equal Gaussians is wider by sqrt(2).
     """
     blocks = min(settings.axial_samples, _BLOCKS)
     depth = (np.arange(blocks) + 0.5) * (probe.depth_mm / blocks)
-    return torch.from_numpy(lateral_kernels(probe, settings, depth, widen=math.sqrt(2)))
+    return Across(lateral_kernels(probe, settings, depth, widen=math.sqrt(2)), "cpu", torch.float64)
 
 
-def mean_level_db(nodes: Nodes, rays: int, beam: torch.Tensor) -> torch.Tensor:
+def mean_level_db(nodes: Nodes, rays: int, beam: Across) -> torch.Tensor:
     """Level of the mean over rays and, as the beam overlaps, over scanlines.
 
     Parameters
@@ -104,18 +104,18 @@ def mean_level_db(nodes: Nodes, rays: int, beam: torch.Tensor) -> torch.Tensor:
         Groups layer by layer.
     rays : int
         Of each group.
-    beam : (blocks, scanlines, scanlines) float64 tensor
+    beam : Across
         From `transmit_beam`.
 
     Returns
     -------
     (groups, nodes) float32 tensor, dB
     """
-    blocks, lines, _ = beam.shape
+    blocks, lines = beam.blocks, beam.lines
     groups, count = nodes.amplitude.shape
     part = -(-count // blocks)
     mean = F.pad(torch.from_numpy(nodes.amplitude / rays), (0, blocks * part - count))
     by_block = mean.reshape(-1, lines, blocks, part).permute(2, 1, 0, 3).reshape(blocks, lines, -1)
-    overlapping = torch.bmm(beam, by_block).reshape(blocks, lines, -1, part).permute(2, 1, 0, 3)
+    overlapping = beam(by_block).reshape(blocks, lines, -1, part).permute(2, 1, 0, 3)
     level = 20 * torch.log10(overlapping.reshape(groups, -1)[:, :count])
     return level.where(level > _INAUDIBLE_DB, SILENCE_DB).float()

@@ -14,7 +14,8 @@ from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 
 FWHM_PER_SIGMA = 2 * math.sqrt(2 * math.log(2))
 _BLOCKS = 64  # of depth, within which the lateral kernel is taken as constant
-_FAINTEST = -16.0  # exponent of the lateral kernel's last entry
+_LINES_AT_ONCE = 32  # rows of a window of the lateral kernels
+_FAINTEST = -12.0  # exponent of the lateral kernel's last entry
 _TAIL = 4.0  # standard deviations kept of the axial kernel
 _WINDOW = 64  # samples that one product of `along_lines` makes
 
@@ -57,14 +58,14 @@ def layer_weights(probe: ConvexProbe, settings: SimulatorSettings) -> tuple[np.n
 def lateral_kernels(
     probe: ConvexProbe, settings: SimulatorSettings, depth_mm: np.ndarray, widen: float = 1.0
 ) -> np.ndarray:
-    """What each scanline adds to each other one at some depths.
+    """What each scanline gets of each other one at some depths.
 
     The width in scanlines is sigma(z) / ((R + z) d theta), times `widen`.
 
     Returns
     -------
     (depths, scanlines, scanlines) float64
-        Rows sum to 1.
+        Rows sum to 1; far from the diagonal they are zero.
     """
     spacing = scanline_spacing_mm(probe, settings.scanlines, depth_mm)
     sigma = widen * settings.lateral_fwhm_mm / FWHM_PER_SIGMA * beam_widening(settings, depth_mm) / spacing
@@ -74,14 +75,47 @@ def lateral_kernels(
     return lateral / lateral.sum(axis=-1, keepdims=True)
 
 
+class Across:
+    """Products with matrices that are zero far from the diagonal, one for each block of depth.
+
+    Only a window about the diagonal is multiplied: three times less work for the paper's 192 scanlines.
+
+    Parameters
+    ----------
+    kernels : (blocks, scanlines, scanlines) float64
+    device, dtype
+        Of the products.
+    """
+
+    def __init__(self, kernels: np.ndarray, device: str, dtype: torch.dtype) -> None:
+        self.blocks, self.lines, _ = kernels.shape
+        rows, columns = np.nonzero(kernels.any(axis=0))
+        self._half = int(np.abs(rows - columns).max())
+        self._groups = -(-self.lines // _LINES_AT_ONCE)
+        self._window = _LINES_AT_ONCE + 2 * self._half
+        more = self._groups * _LINES_AT_ONCE - self.lines
+        padded = np.pad(kernels, ((0, 0), (0, more), (self._half, self._half + more)))
+        first = _LINES_AT_ONCE * np.arange(self._groups)[:, None]
+        rows, columns = first + np.arange(_LINES_AT_ONCE), first + np.arange(self._window)
+        windows = padded[:, rows[:, :, None], columns[:, None, :]].reshape(-1, _LINES_AT_ONCE, self._window)
+        self._windows = torch.from_numpy(windows).to(device, dtype)
+
+    def __call__(self, values: torch.Tensor) -> torch.Tensor:
+        """Apply to (blocks, scanlines, n) values."""
+        more = self._groups * _LINES_AT_ONCE - self.lines
+        padded = F.pad(values, (0, 0, self._half, self._half + more))
+        windows = padded.unfold(1, self._window, _LINES_AT_ONCE).flatten(0, 1).transpose(1, 2)
+        return torch.bmm(self._windows, windows).reshape(self.blocks, -1, values.shape[-1])[:, : self.lines]
+
+
 @dataclass(frozen=True)
 class PointSpread:
     """Kernels of one probe and settings.
 
     Attributes
     ----------
-    lateral : (blocks, scanlines, scanlines) tensor
-        Row i holds what each scanline adds to scanline i; rows sum to 1.
+    lateral : Across
+        Rows sum to 1.
     scatterer_scale : (scanlines, blocks) tensor
         Makes a row's squares sum to 1 instead, and the axial kernel's too.
     axial : (taps,) tensor, peak 1
@@ -89,7 +123,7 @@ class PointSpread:
         Samples that share a lateral kernel.
     """
 
-    lateral: torch.Tensor
+    lateral: Across
     scatterer_scale: torch.Tensor
     axial: torch.Tensor
     block: int
@@ -104,7 +138,7 @@ def point_spread(probe: ConvexProbe, settings: SimulatorSettings, dtype: torch.d
     axial = axial_kernel(probe, settings)
     energy = np.sqrt((lateral**2).sum(axis=-1)) * math.sqrt((axial**2).sum())
     return PointSpread(
-        lateral=torch.from_numpy(lateral).to(settings.device, dtype),
+        lateral=Across(lateral, settings.device, dtype),
         scatterer_scale=torch.from_numpy(1 / energy.T.copy()).to(settings.device, dtype),
         axial=torch.from_numpy(axial).to(settings.device, dtype),
         block=block,
@@ -127,11 +161,11 @@ def blur(scatterers: torch.Tensor, surfaces: torch.Tensor, spread: PointSpread) 
     (2, scanlines, samples) tensor
     """
     lines, samples = surfaces.shape
-    blocks = len(spread.lateral)
+    blocks = spread.lateral.blocks
     stacked = torch.cat([scatterers, surfaces[None]])
     stacked = F.pad(stacked, (0, blocks * spread.block - samples)).reshape(3, lines, blocks, spread.block)
     by_block = stacked.permute(2, 1, 0, 3).reshape(blocks, lines, 3 * spread.block)
-    spread_out = torch.bmm(spread.lateral, by_block).reshape(blocks, lines, 3, spread.block)
+    spread_out = spread.lateral(by_block).reshape(blocks, lines, 3, spread.block)
     total = spread_out[:, :, :2] * spread.scatterer_scale.T[:, :, None, None]
     total[:, :, 0] += spread_out[:, :, 2]
     total = total.permute(2, 1, 0, 3).reshape(2, lines, -1)[..., :samples]
