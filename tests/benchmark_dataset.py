@@ -29,7 +29,7 @@ from ablate.studies.sweep import Job, jobs_of
 from ablate.tracking import hardware
 from ablate.ultrasound import Simulator
 
-FRAMES, SHARD, WORKERS = 64, 4, 2
+FRAMES, LEAST_FRAMES, SHARD, WORKERS = 96, 32, 4, 2
 PAPER = DatasetSettings().frames
 CODEC_FRAMES, READ_FRAMES = 8, 16
 LOADER_BATCHES, MEMORY_BATCHES = 200, 3000
@@ -167,6 +167,8 @@ def main() -> None:
     """Simulate, then measure on what was simulated."""
     torch.set_num_threads(1)
     frames = int(sys.argv[1]) if len(sys.argv) > 1 else FRAMES
+    if frames < LEAST_FRAMES:
+        sys.exit(f"{frames} frames are too few to tell a rate from; allowed are {LEAST_FRAMES} and more")
     print(hardware())
     with tempfile.TemporaryDirectory() as runs:
         changed = [f"dataset.frames={frames}", f"dataset.shard={SHARD}", f"dataset.workers={WORKERS}"]

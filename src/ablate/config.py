@@ -15,6 +15,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
+from ablate.anatomy.fetal_abdomen import FEWEST_TRIANGLES
 from ablate.dataset.encoding import Encoding
 from ablate.dataset.split import SplitBy
 from ablate.networks.spec import GeneratorSpec
@@ -60,6 +61,9 @@ class SceneSettings:
     folder: str | None = None
     triangles: int = 675_000
     anatomy_seed: int = 0
+
+    def __post_init__(self) -> None:
+        _at_least("scene", self, triangles=FEWEST_TRIANGLES, anatomy_seed=0)
 
 
 @dataclass(frozen=True)

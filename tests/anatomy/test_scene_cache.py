@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from ablate.anatomy import Scene, Structure, content_hash, fetal_abdomen, load_tissues
 from ablate.anatomy.scene_cache import cached_scene
-
-import trimesh  # isort: skip
 
 
 def small() -> Scene:
@@ -91,6 +90,15 @@ def test_a_build_that_fails_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError):
         cached_scene(tmp_path, fails)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_that_cannot_be_kept_is_still_built(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    taken = tmp_path / "file"
+    taken.write_text("not a folder")
+    with caplog.at_level(logging.WARNING):
+        assert content_hash(cached_scene(taken, small)) == content_hash(small())
+    assert "not kept" in caplog.text
+    assert taken.read_text() == "not a folder"
 
 
 def test_fetal_abdomen_is_cached_only_where_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,10 @@ import threading
 import time
 from pathlib import Path
 
+import pytest
+
 from ablate.dataset import end_with_parent
+from ablate.dataset.processes import allotted_cores
 
 PARENT = """
 import multiprocessing, os, sys, time
@@ -53,3 +56,14 @@ def test_a_main_process_watches_nobody() -> None:
     before = threading.active_count()
     end_with_parent()
     assert threading.active_count() == before
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system binds no process to cores")
+def test_cores_are_those_that_the_process_is_bound_to() -> None:
+    everywhere = os.sched_getaffinity(0)
+    assert allotted_cores() == len(everywhere)
+    try:
+        os.sched_setaffinity(0, {min(everywhere)})
+        assert allotted_cores() == 1
+    finally:
+        os.sched_setaffinity(0, everywhere)

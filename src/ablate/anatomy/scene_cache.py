@@ -7,6 +7,7 @@ import logging
 import os
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,8 @@ def cached_scene(folder: Path, build: Callable[[], Scene], **parameters: object)
     Parameters
     ----------
     folder : Path
-        Made where it is missing. A file in it is named by the scene and a hash of the parameters, and appears at once
-        and whole.
+        Made where it is missing. A file in it is named by a hash of the parameters, and appears at once and whole;
+        where it cannot be written, a warning is logged.
     build : callable
         Makes the scene; its tissues must be those of the built-in table.
     **parameters
@@ -44,13 +45,16 @@ def cached_scene(folder: Path, build: Callable[[], Scene], **parameters: object)
         except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as error:
             logger.warning("%s: built again, because it cannot be read: %s", path, " ".join(str(error).split()))
     scene = build()
-    folder.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(f".{os.getpid()}.part")
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         _write(part, scene)
         part.replace(path)
+    except OSError as error:
+        logger.warning("%s: the built scene is not kept: %s", path, error)
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
     return scene
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import queue
 import signal
 import sys
@@ -18,7 +17,7 @@ import numpy as np
 from ablate.anatomy import Scene
 from ablate.dataset.filling import fill_pairs, unclaimed
 from ablate.dataset.pairs import Pairs
-from ablate.dataset.processes import deaf_to_interrupts, end_with_parent
+from ablate.dataset.processes import allotted_cores, deaf_to_interrupts, end_with_parent
 from ablate.dataset.split import Part
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 
@@ -112,7 +111,7 @@ def simulate_pairs(
             progress(frames)
 
     while pairs.missing(maps):
-        wanted = min(workers or os.cpu_count() or 1, len(unclaimed(pairs, maps)))
+        wanted = min(workers or allotted_cores(), len(unclaimed(pairs, maps)))
         if wanted > 1:
             _fill_in_processes(recipe, pairs, maps, wanted, count)
         elif wanted == 1:

@@ -109,7 +109,8 @@ def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
     if scene.kind is SceneKind.pairs:
         raise ValueError("scene=pairs: pairs made elsewhere have no scene; allowed are scene=fetal and scene=folder")
     if scene.kind is SceneKind.fetal:
-        return fetal_abdomen(triangles=scene.triangles, seed=scene.anatomy_seed), fetal_sites()
+        kept = settings.runs / "data" / "anatomy"
+        return fetal_abdomen(triangles=scene.triangles, seed=scene.anatomy_seed, cache_dir=kept), fetal_sites()
     folder = Path(scene.folder or "")
     return load_scene(folder), load_sites(folder)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import pandas as pd
@@ -27,13 +28,12 @@ def study(jobs: Sequence[Job], launch: Callable[[], None], elsewhere: bool = Fal
     """
     check(jobs)
     waiting = [job for job in jobs if finished(job) is None]
-    code = 0
     if waiting:
         if not elsewhere:
             _simulate_for(waiting)  # what is wrong with a mesh shows here, before anything is tracked
         for settings in _studies(waiting):
             open_tracking(settings)  # database, experiment and parent run exist before any job starts
-        code = _exit_code(launch)
+        _started(launch)
     for settings in _studies([job for job in jobs if finished(job) is not None]):
         print(compare_study(settings))
     failed = [job for job in jobs if finished(job) is None]
@@ -42,7 +42,7 @@ def study(jobs: Sequence[Job], launch: Callable[[], None], elsewhere: bool = Fal
     if failed:
         names = ", ".join(job.name for job in failed)
         print(f"not finished: {names}; the same command takes them up again", file=sys.stderr)
-    return code or int(bool(failed))
+    return int(bool(failed))
 
 
 def simulate(jobs: Sequence[Job], launch: Callable[[], None] | None = None) -> int:
@@ -55,27 +55,25 @@ def simulate(jobs: Sequence[Job], launch: Callable[[], None] | None = None) -> i
     for settings, maps in sets:
         for damaged in drop_damaged(settings, maps):
             print(damaged, file=sys.stderr)
-    code = 0
     if launch is None:
         _simulate_for(jobs)
     else:
-        code = _exit_code(launch)
+        _started(launch)
+    code = 0
     for settings, maps in sets:
+        folder = dataset_folder(settings)
         if made := made_data(settings, maps):
-            folder = made.pairs.folder
             print(f"{len(made.pairs)} frames in {folder}; a look at them: contact_sheet.png there")
         else:
-            print(f"not finished: {dataset_folder(settings)}; the same command takes it up again", file=sys.stderr)
-            code = code or 1
+            print(f"not finished: {folder}; the same command takes it up again", file=sys.stderr)
+            code = 1
     return code
 
 
-def _exit_code(launch: Callable[[], None]) -> int:
-    try:
+def _started(launch: Callable[[], None]) -> None:
+    """Hydra exits where it gave a job up; what is on disk tells whether a cluster has not taken it up again."""
+    with suppress(SystemExit):
         launch()
-    except SystemExit as end:
-        return int(end.code) if isinstance(end.code, int) else 1
-    return 0
 
 
 def _data_sets(jobs: Sequence[Job]) -> list[tuple[StudySettings, frozenset[str]]]:
