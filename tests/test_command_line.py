@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 import yaml
+
+from ablate.__main__ import main
+from ablate.studies.sweep import Job
 
 SCENE = {
     "unit": "mm",
@@ -102,3 +106,26 @@ def test_bad_units_and_sites_are_refused_in_one_line(tmp_path: Path, changes: di
 def test_a_runs_directory_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     assert "file/runs" in refused(tmp_path, f"runs_dir={tmp_path / 'file' / 'runs'}")
+
+
+def test_a_job_that_fails_is_shown_where_it_happened_and_the_next_one_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def study(_: object, launch: Callable[[], None], elsewhere: bool) -> int:
+        assert not elsewhere
+        launch()
+        return 0
+
+    def broken(job: Job) -> None:
+        raise FloatingPointError(f"{job.name}: the loss is not finite")
+
+    monkeypatch.setattr("ablate.studies.tasks.study", study)
+    monkeypatch.setattr("ablate.studies.run.run_job", broken)
+    monkeypatch.setattr("sys.argv", ["ablate", "-m", "variant=sa2h,nsa2h", f"runs_dir={tmp_path}"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 0
+    shown = capsys.readouterr().err
+    assert shown.count("in broken") == 2
+    assert "sa2h/seed0: the loss is not finite" in shown
+    assert "nsa2h/seed0: the loss is not finite" in shown

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import traceback
 from functools import partial
 from pathlib import Path
 
@@ -64,15 +65,22 @@ def _launch_on_cluster(jobs: int, folder: Path) -> None:
 
 
 def _job(config: DictConfig) -> None:
-    """One job of a sweep, possibly in a process or on a machine of its own."""
+    """One job of a sweep, possibly in a process or on a machine of its own.
+
+    What stops it is printed where it happened and goes no further: Hydra would show it without its origin, and what
+    is on disk tells that the job has not finished.
+    """
     from ablate.studies.data import maps_needed, prepare_data
     from ablate.studies.run import run_job
 
     job = job_from_hydra(config, list(HydraConfig.get().overrides.task))
-    if job.settings.task is Task.simulate:
-        prepare_data(job.settings, maps_needed([job.settings.model]))
-    else:
-        run_job(job)
+    try:
+        if job.settings.task is Task.simulate:
+            prepare_data(job.settings, maps_needed([job.settings.model]))
+        else:
+            run_job(job)
+    except Exception:
+        traceback.print_exc()
 
 
 if __name__ == "__main__":
