@@ -105,7 +105,7 @@ def _pose(plane: _Plane, press_mm: float) -> tuple[float, np.ndarray]:
     if plane.line is not None:
         cost += 4.0 * (beam @ plane.line) ** 2
     if plane.beam is not None:
-        cost += 2.0 * (1.0 - (beam @ _unit(plane.beam)) ** 2)
+        cost += 6.0 * (1.0 - (beam @ _unit(plane.beam)) ** 2)
     best = int(np.argmin(cost))
     z = beam[best]
     normal = plane.normal if plane.line is None else np.cross(z, plane.line)

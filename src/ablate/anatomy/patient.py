@@ -71,8 +71,8 @@ def draw_patient(seed: int) -> Patient:
     """The patient of a seed.
 
     Seed 0 is the picture-book case: head down, its left side and its back to the probe, placenta high in front.
-    Others vary in size (standard deviation 4 %), presentation (a third breech), lie, limbs and placenta; of several
-    lies the first is taken in which the fetus keeps clear of the wall.
+    Others vary in size (about 0.93 to 1.03), presentation (a third breech), lie, limbs and placenta: lies and limbs
+    are drawn until the fetus keeps clear of wall and placenta, every time a little smaller.
 
     Raises
     ------
