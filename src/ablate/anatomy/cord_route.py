@@ -45,12 +45,12 @@ def cord_route(patient: Patient) -> tuple[np.ndarray, np.ndarray]:
     leave = root[2] + 10.0 * unit(root[2] - root[1])
     insertion, into = _insertion(patient, space)
     arrive = insertion - 13.0 * into
-    first, last = np.array([root[0], root[1], root[2]]), np.array([insertion, insertion + 6.0 * into])
+    end = np.array([insertion, insertion + 6.0 * into])
     pockets = _pockets(space)
     best, least = np.empty((0, 3)), -np.inf
     for stops in [*permutations(pockets, 3), *permutations(pockets, 2), *((pocket,) for pocket in pockets), ()]:
         way = _by_way_of(space, [leave, *stops, arrive])
-        path = _relaxed(space, np.concatenate([first, way, last]))
+        path = _relaxed(space, np.concatenate([root, way, end]))
         room = _room(space, path)
         if room > least:
             best, least = path, room

@@ -69,9 +69,8 @@ class Limbs:
 def leg(side: float, pose: LimbPose) -> Limb:
     """Joints of the left (+1) or right (-1) leg."""
     hip = curl(np.array([[side * 12.0, -1.0, -47.0]]))[0]
-    thigh, back, inward = _axes(side, pose)
-    back = -back
-    shin, heel = _turned(thigh, back, inward, pose.bend_deg, pose.inward_deg)
+    thigh, front, inward = _axes(side, pose)
+    shin, heel = _turned(thigh, -front, inward, pose.bend_deg, pose.inward_deg)
     knee = hip + 46.0 * thigh
     ankle = knee + 41.0 * shin
     foot = 0.35 * shin - heel
@@ -119,15 +118,10 @@ def limb_flesh(tissues: dict[str, Tissue], scale: float, seed: int, limbs: Limbs
         Of the surface displacements.
     limbs : Limbs
     """
+    names = tuple(zip(SIDES, ("left", "right"), strict=True))
     shapes = [
-        *(
-            (_leg_flesh(limbs.leg(side), seed), 1.05, 2.0, name)
-            for side, name in zip(SIDES, ("left leg", "right leg"), strict=True)
-        ),
-        *(
-            (_arm_flesh(limbs.arm(side), seed), 0.85, 1.5, name)
-            for side, name in zip(SIDES, ("left arm", "right arm"), strict=True)
-        ),
+        *((_leg_flesh(limbs.leg(side), seed), 1.05, 2.0, f"{name} leg") for side, name in names),
+        *((_arm_flesh(limbs.arm(side), seed), 0.85, 1.5, f"{name} arm") for side, name in names),
     ]
 
     def solid(field: Field, tissue: str, pitch_mm: float, name: str) -> Structure:

@@ -111,7 +111,7 @@ def _pose(plane: _Plane, press_mm: float) -> tuple[float, np.ndarray]:
     normal = plane.normal if plane.line is None else np.cross(z, plane.line)
     y = _unit(normal - z * (normal @ z))
     x = np.cross(y, z)
-    if x @ (1.0, 0.0, -1.0) < 0.0:  # the mother's left or her feet are on the image's right
+    if x @ (1.0, 0.0, -1.0) < 0.0:  # her left or her feet belong on the right of the image
         x, y = -x, -y
     pose = np.eye(4)
     pose[:3, :3] = np.stack([x, y, z], axis=1)

@@ -1,7 +1,7 @@
 """The placenta: a lobed disc on the uterine wall, with vessels on its fetal face and lakes of blood in its lobes.
 
-World frame, mm. Directions are taken from the middle of the uterus, in units of its radii, so that the wall is a
-sphere of radius 1 about the origin.
+World frame, mm. Directions are taken from the middle of the uterus, in units of its radii, so that the wall is
+about a sphere of radius 1.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ THICKNESS_MM = 22.0
 REACH_DEG = 50.0  # of the disc, seen from the middle of the uterus
 LOBE_MM = 36.0  # from the middle of a lobe to the next one's, on the wall
 GROOVE_MM = 3.2  # depth of the groove between two lobes
+GOLDEN_ANGLE = 2.399963  # rad
 _WALL_MM = 80.0  # mean distance of the wall from the middle
 _RADII = np.array(UTERUS_RADII)
 
@@ -33,7 +34,7 @@ def lobes(seed: int, towards: np.ndarray) -> np.ndarray:
     count = round(3.6 * (_WALL_MM * np.deg2rad(REACH_DEG) / LOBE_MM) ** 2)
     k = np.arange(count) + 0.5
     polar = np.deg2rad(REACH_DEG) * np.sqrt(k / count)
-    turn = 2.399963 * k + generator.uniform(0.0, 2.0 * np.pi)
+    turn = GOLDEN_ANGLE * k + generator.uniform(0.0, 2.0 * np.pi)
     polar, turn = polar + generator.normal(0.0, 0.04, count), turn + generator.normal(0.0, 0.1, count)
     return from_middle(towards, polar, turn)
 
