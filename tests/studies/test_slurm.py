@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
+from submitit.slurm.slurm import SlurmJob
 
 from ablate.config import register
 from ablate.studies import tasks
 from ablate.studies.data import dataset_folder, maps_needed, prepare_data
+from ablate.studies.slurm import QueueWatcher, ended_jobs
 from ablate.studies.sweep import ConfigurationError, Job, cluster_folder, configuration_dir, jobs_of
 
 TINY = [
@@ -90,8 +92,6 @@ def test_a_launcher_without_a_sweep_or_a_cluster_is_refused(command: Command, mo
 
 
 def test_a_job_that_the_queue_does_not_list_has_ended(command: Command, tmp_path: Path) -> None:
-    from ablate.studies.slurm import QueueWatcher
-
     watcher = QueueWatcher()
     for job in ("7_0", "7_1", "8"):
         watcher.register_job(job)
@@ -103,6 +103,20 @@ def test_a_job_that_the_queue_does_not_list_has_ended(command: Command, tmp_path
     command("squeue", f"[ -e {asked} ] || echo 8; touch {asked}")
     watcher.wait(every_s=0.01)
     assert watcher.is_done("8", mode="cache")
+
+
+def test_a_killed_job_is_waited_for_and_is_no_error(
+    command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("watcher", "results"):
+        monkeypatch.setattr(SlurmJob, name, getattr(SlurmJob, name))  # put back at the end
+    asked = tmp_path / "asked"
+    command("squeue", f"[ -e {asked} ] || echo 7_0; touch {asked}")
+    with ended_jobs():
+        job = SlurmJob(folder=tmp_path, job_id="7_0")
+        (returned,) = job.results()
+        assert asked.exists()
+    assert returned.return_value is None
 
 
 def filling(*more: str) -> list[Job]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from hydra.core.utils import JobReturn, JobStatus
 from submitit.slurm.slurm import SlurmInfoWatcher, SlurmJob
 
 
@@ -36,10 +37,14 @@ class QueueWatcher(SlurmInfoWatcher):
 
 @contextmanager
 def ended_jobs() -> Iterator[None]:
-    """Around Hydra's launcher, which gives up at the first killed job: leave only when all jobs have ended."""
+    """Around Hydra's launcher: leave when all jobs have ended, killed ones and those queued again among them."""
     watcher = SlurmJob.watcher = QueueWatcher(delay_s=60)
-    try:
-        yield
-    except SystemExit:
-        watcher.wait()
-        raise
+    SlurmJob.results = _ended  # type: ignore[assignment]
+    yield
+    watcher.wait()
+
+
+def _ended(job: SlurmJob[Any]) -> list[JobReturn]:
+    """In place of what a job returned: nothing is, and what is on disk tells how it ended."""
+    job.wait()
+    return [JobReturn(status=JobStatus.COMPLETED)]
