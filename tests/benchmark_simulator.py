@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from statistics import median
 from unittest.mock import patch
@@ -114,7 +115,8 @@ def totals(scene: Scene, poses: list[np.ndarray]) -> None:
         high, maps = Simulator(scene), Simulator(scene)
         low = Simulator(scene, settings=SimulatorSettings.low_quality())
         whole = milliseconds(high.render, poses)
-        again = median(milliseconds(partial(_again, high), [pose]) for pose in poses[:4])
+        seeds = count(1)
+        again = median(milliseconds(lambda p, s=high: s.render(p, seed=next(seeds)), [pose]) for pose in poses[:4])
         s_and_a = milliseconds(maps.maps, poses)
         with_low = milliseconds(low.render, poses)
         cells = (s_and_a, whole, whole - s_and_a, again, with_low, with_low - s_and_a)
@@ -126,18 +128,20 @@ def totals(scene: Scene, poses: list[np.ndarray]) -> None:
     )
 
 
-def _again(simulator: Simulator, pose: np.ndarray) -> object:
-    return simulator.render(pose, seed=1)
-
-
 def by_stage(scene: Scene, poses: list[np.ndarray]) -> None:
     """Medians of each stage of S, A and H."""
     simulator = Simulator(scene)
     simulator.render(poses[-1])
+    frames = []
     with stopwatch() as taken:
         for pose in poses:
+            start = time.perf_counter()
             simulator.render(pose)
-    rows = [(name, f"{median(np.sum(np.reshape(taken[name], (len(poses), -1)), 1)):.1f}") for name, *_ in STAGES]
+            frames.append(1e3 * (time.perf_counter() - start))
+    each = {name: np.sum(np.reshape(taken[name], (len(poses), -1)), axis=1) for name, *_ in STAGES}
+    rows = [(name, f"{median(times):.1f}") for name, times in each.items()]
+    rows.append(("everything else", f"{median(frames - np.sum(list(each.values()), axis=0)):.1f}"))
+    rows.append(("the frame", f"{median(frames):.1f}"))
     table(f"**Stages** of S, A and H, ms, {torch.get_num_threads()} threads.", ("stage", "ms"), rows)
 
 

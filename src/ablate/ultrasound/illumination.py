@@ -60,9 +60,16 @@ def dark(silent: np.ndarray, depth_mm: float) -> Nodes:
 
 @compiled
 def shine(
-    nodes: Nodes, group: int, from_mm: float, to_mm: float, loss_db: float, slope_db_mm: float, silent: bool
+    nodes: Nodes,
+    group: int,
+    from_mm: float,
+    to_mm: float,
+    weight: float,
+    loss_db: float,
+    slope_db_mm: float,
+    silent: bool,
 ) -> None:
-    """Add one ray of weight 1 at the nodes in [from_mm, to_mm): its one-way loss is loss_db at first, then rises.
+    """Add one ray at the nodes in [from_mm, to_mm): its one-way loss is loss_db at first, then rises.
 
     Between nodes the amplitude falls by one factor, so a piece costs two powers, however long it is. A ray in the
     silent background does not light a scanline that is in the body: bone bends rays out of it, and one that loses
@@ -77,7 +84,7 @@ def shine(
     if first >= last:
         return
     at_first = loss_db + slope_db_mm * (nodes.first_mm + first * nodes.spacing_mm - from_mm)
-    level = math.exp(-at_first * _NEPER_PER_TWO_WAY_DB)
+    level = weight * math.exp(-at_first * _NEPER_PER_TWO_WAY_DB)
     factor = math.exp(-slope_db_mm * nodes.spacing_mm * _NEPER_PER_TWO_WAY_DB)
     for k in range(first, last):
         if not silent or nodes.silent[group, k]:
@@ -90,8 +97,9 @@ def transmit_beam(probe: ConvexProbe, settings: SimulatorSettings) -> Across:
 
     The point spread function is that of both ways; one way of two equal Gaussians is wider by sqrt(2).
     """
-    blocks = min(settings.axial_samples, _BLOCKS)
-    depth = (np.arange(blocks) + 0.5) * (probe.depth_mm / blocks)
+    count = min(settings.axial_samples, NODES)
+    part = -(-count // _BLOCKS)
+    depth = (np.arange(-(-count // part)) + 0.5) * part * (probe.depth_mm / count)
     return Across(lateral_kernels(probe, settings, depth, widen=math.sqrt(2)), "cpu", torch.float64)
 
 

@@ -44,10 +44,10 @@ def owners(inside: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def next_step(step_mm: float, fresh: bool, least_mm: float) -> float:
+def next_step(step_mm: float, away: bool, least_mm: float) -> float:
     """How far to go beyond a surface just met, mm.
 
-    Twice as far each time that the same triangle is met again: a ray that runs along it would take it in steps
-    of a tenth of a micrometre.
+    Twice as far each time that the ray has not got away, from the same triangle or from one as near: a ray that runs
+    along a surface would take it in steps of a tenth of a micrometre.
     """
-    return least_mm if fresh else max(2 * step_mm, least_mm)
+    return least_mm if away else max(2 * step_mm, least_mm)

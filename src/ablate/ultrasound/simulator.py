@@ -30,7 +30,6 @@ from ablate.ultrasound.slices import plane_labels, sampled_lines, segment
 from ablate.ultrasound.speckle import LitLines, Speckle
 from ablate.ultrasound.transport import trace
 
-_SCENE_GRID_MM = 1000.0
 _CLUTTER_ROLL = (61, 1021)  # lines and samples between the noise of the display and that of clutter
 
 
@@ -85,9 +84,10 @@ class Simulator:
         self._compiled = compile_scene(scene, probe, settings, poses)
         self.left_out = self._compiled.left_out
         bounds = _scene_bounds_mm(scene)
-        # Zero for every scene about the world's origin; float32 then serves scenes that are far from it.
-        self._origin_mm = _SCENE_GRID_MM * np.rint(bounds.mean(axis=0) / _SCENE_GRID_MM)
         extent = probe.radius_mm + probe.depth_mm
+        # Zero for every scene about the world's origin; float32 then serves scenes that are far from it.
+        grid_mm = 10 ** math.ceil(math.log10(extent + float(np.linalg.norm(bounds[1] - bounds[0]))))
+        self._origin_mm = grid_mm * np.rint(bounds.mean(axis=0) / grid_mm)
         self._geometry = Geometry(self._compiled.structures, bounds, self._origin_mm, extent)
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
         self._convert = ScanConverter(probe, settings, self._dtype)

@@ -3,7 +3,7 @@
 The weight of a ray is a two-way amplitude. It is reflected with probability R = R_p^2, else transmitted, and then its
 weight stays: the expectation through an interface is 1 - R = t12 t21, exactly what a pulse keeps on its way there and
 back. A ray that was reflected is heard along the straight way back, where that surface does not turn it again: its
-weight is divided by |R_p|, so that the expectation is R_p, once.
+weight is divided by |R_p|, so that the expectation is R_p, once. Where R_p is faint, no ray is turned.
 """
 
 from __future__ import annotations
@@ -36,8 +36,12 @@ from ablate.ultrasound.threads import in_parts
 #: From this many reflections on, half of the rays end at each further one and the others count twice.
 PATIENT_REFLECTIONS = 3
 
+#: Surfaces of a smaller R_p turn no ray back, they only take 1 - R of its weight: one ray in some thousand, standing
+#: for all others, would be an isolated dot. Reverberation 26 dB down before its second surface is left out.
+FAINT_REFLECTION = 0.05
+
 #: A scanline listens along its axis: echoes of reflected rays fall off with the distance from it as a Gaussian of
-#: this standard deviation (assumed). Twice the aperture, so that reverberation between layers is hardly touched.
+#: this standard deviation (assumed); reverberation between layers that face the probe is hardly touched.
 LISTENING_MM = 6.0
 
 _GROUPS_OF_A_PART = 96
@@ -99,10 +103,10 @@ def _bounce(
         structure, triangle = hits.structure[i], hits.triangle[i]
         length = float(hits.distance_mm[i]) + rays.step_mm[i]
         shown_mm, loss_db = rays.shown_mm[i] + length * stretch, rays.loss_db[i] + length * loss_db_mm
+        slope, silent = loss_db_mm / stretch, media.silent[medium]
         if direct:
             until = shown_mm if structure >= 0 else math.inf
-            slope, silent = loss_db_mm / stretch, media.silent[medium]
-            shine(nodes, group, rays.shown_mm[i], until, rays.loss_db[i], slope, silent)
+            shine(nodes, group, rays.shown_mm[i], until, rays.weight[i], rays.loss_db[i], slope, silent)
         if structure < 0:
             continue
         path_mm, weight = rays.path_mm[i] + length, rays.weight[i]
@@ -142,7 +146,12 @@ def _bounce(
                     heard += 1
 
             interfaces += 1
-            turned = drawn[CHOICE] < pressure * pressure
+            gambles = abs(pressure) >= FAINT_REFLECTION
+            turned = gambles and drawn[CHOICE] < pressure * pressure
+            if not gambles:
+                weight *= 1 - pressure * pressure
+            if turned and direct:  # the level is interpolated between nodes: keep it up to the surface
+                shine(nodes, group, shown_mm, shown_mm + nodes.spacing_mm, weight, loss_db, slope, silent)
             if turned:  # back, through the surface's thickness twice
                 toggle(rays.inside[i], structure)
                 beyond, direction = medium, back
@@ -162,7 +171,8 @@ def _bounce(
         if not alive:
             continue
 
-        step_mm = next_step(rays.step_mm[i], fresh, view.step_mm)
+        away = fresh and hits.distance_mm[i] > rays.step_mm[i]
+        step_mm = next_step(rays.step_mm[i], away, view.step_mm)
         rays.number[left], rays.medium[left], rays.inside[left] = number, beyond, rays.inside[i]
         rays.path_mm[left], rays.shown_mm[left], rays.loss_db[left] = path_mm, shown_mm, loss_db
         rays.weight[left], rays.interfaces[left], rays.reflections[left] = weight, interfaces, reflections
@@ -208,6 +218,8 @@ def _about(
         speed_1, speed_2 = float(media.speed_m_s[before]), float(media.speed_m_s[after])
         cos_t = transmission_cosine(cos_i, speed_1, speed_2)
         onward = refracted(direction, normal, cos_i, cos_t, speed_2 / speed_1)
+        if cos_t == 0 and speed_1 != speed_2:  # total, along the surface too, where R_p is 0 / 0
+            return mirrored(direction, normal, cos_i), onward, 1.0, cos_i, True
     impedance_1, impedance_2 = float(media.impedance_mrayl[before]), float(media.impedance_mrayl[after])
     pressure = pressure_reflection(impedance_1, impedance_2, cos_i, cos_t)
     return mirrored(direction, normal, cos_i), onward, pressure, cos_i, cos_t == 0

@@ -170,7 +170,8 @@ def _cross(
         fresh = hits.structure[i] != walkers.structure[i] or hits.triangle[i] != walkers.triangle[i]
         if fresh:  # a plane is met only once
             toggle(inside[row], hits.structure[i])
-        step = next_step(walkers.step_mm[i], fresh, least_step_mm)
+        away = fresh and hits.distance_mm[i] > walkers.step_mm[i]
+        step = next_step(walkers.step_mm[i], away, least_step_mm)
         ahead = hits.distance_mm[i] + step
         for axis in range(3):
             direction = walkers.direction[i, axis]
