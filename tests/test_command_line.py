@@ -93,7 +93,7 @@ def test_bad_scenes_are_refused_in_one_line(tmp_path: Path, structure: dict[str,
     ("changes", "named"),
     [
         ({"unit": "m"}, "scene.yaml: unit: m makes the scene's largest extent 1.2e+05 mm"),
-        ({"sites": {"heights": {"range": [500, 600], "count": 4}, "tilts": [-5, 0, 5]}}, "12 the direction misses the body"),
+        ({"sites": {"heights": {"range": [500, 600], "count": 4}, "tilts": [-5, 0, 5]}}, "12 the direction misses"),
         ({"sites": {"heights": {"range": [0, 1]}}}, "sites.heights.count"),
         ({"sites": None}, "no `sites`"),
     ],

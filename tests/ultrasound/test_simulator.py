@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import Plan, Precision, Simulator, SimulatorSettings
@@ -95,6 +96,64 @@ def test_the_plan_changes_nothing(gel, slab, ball, probe, small, ahead) -> None:
     notes = " ".join(auto.left_out)
     assert all(word in notes for word in ("1 of 3 structures", "refraction", "rough", "thickness", "texture"))
     assert images_equal(auto.render(ahead), full.render(ahead))
+
+
+def test_the_plan_changes_nothing_of_random_surfaces(slab, ball, probe, small, ahead) -> None:
+    """Draws belong to rays, so what is left out moves none of them."""
+    gel = Tissue("gel", 1540, 1.5, 0.0, 0.0, 0.0, 0.0)
+    far = ball(Tissue("far"), (0.0, 0.0, 900.0), 50.0)
+    scene = Scene((far, slab(BODY, 3.0, 200.0), ball(BONE, (0.0, 0.0, 60.0), 10.0)), gel, "s")
+    auto, full = (Simulator(scene, probe, replace(small, plan=plan), poses=[ahead]) for plan in Plan)
+    assert images_equal(auto.render(ahead), full.render(ahead))
+
+
+def test_threads_do_not_change_the_frame(scene, probe, small, ahead) -> None:
+    frames = []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            frames.append(Simulator(scene, probe, small).render(ahead))
+    finally:
+        torch.set_num_threads(1)
+    first, second = frames
+    assert (first.segmentation == second.segmentation).all()
+    np.testing.assert_allclose(first.envelope, second.envelope, atol=1e-6 * first.envelope.max())
+    assert np.abs(first.image.astype(int) - second.image).max() <= 1
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
+def test_a_gpu_draws_the_same_image(scene, probe, small, ahead) -> None:
+    here, there = (Simulator(scene, probe, replace(small, device=device)).render(ahead) for device in ("cpu", "cuda"))
+    assert (np.abs(here.image.astype(int) - there.image) <= 1).mean() > 0.999
+
+
+def test_tissue_is_lit_up_to_an_opaque_surface(slab, probe, small, ahead) -> None:
+    """A mirror of gas, heard by none of the lines that meet it obliquely, at any place between two nodes."""
+    body = Tissue("body", 1540, 1.6, 0.5, 0.6, 0.0, 0.8, roughness=0.0)
+    gas = Tissue("gas", 330, 4e-4, 0.0, 0.0, 0.0, 0.0, roughness=0.0, specularity=1e6)
+    settings = replace(small, axial_samples=3072, axial_fwhm_mm=0.2)
+    free, faced = (
+        Simulator(scene, probe, settings).render(ahead).envelope
+        for scene in (Scene((), body, "s"), Scene((slab(gas, 50.3, 400.0),), body, "s"))
+    )
+    depth = (np.arange(3072) + 0.5) * 150 / 3072
+    cosine = np.cos(np.radians(np.linspace(-35, 35, 64)[:20]))
+    surface = (50.3 + 40) / cosine - 40
+    near = (depth[:, None] > surface - 0.4) & (depth[:, None] < surface - 0.2)
+    change_db = 20 * np.log10(faced[:, :20][near].mean() / free[:, :20][near].mean())
+    assert change_db == pytest.approx(0, abs=0.5)
+
+
+@pytest.mark.parametrize("where", ["in bone", "past the scene"])
+def test_a_probe_that_sees_nothing_is_told_once(gel, slab, ball, probe, small, ahead, where) -> None:
+    bone = Tissue("bone", 3200, 6.0, 7.0, 0.6, 0.0, 0.1)
+    structure = slab(bone, -30.0, 400.0) if where == "in bone" else ball(bone, (0.0, 0.0, -300.0), 50.0)
+    simulator = Simulator(Scene((structure,), gel, "s"), probe, small)
+    with pytest.warns(UserWarning, match="bone" if where == "in bone" else "looks past the scene"):
+        frame = simulator.render(ahead)
+    simulator.render(ahead, seed=1)
+    simulator.render(np.diag([-1.0, -1.0, 1.0, 1.0]))  # a second warning would be an error
+    assert frame.segmentation[frame.mask].min() == (2 if where == "in bone" else 1)
 
 
 def test_double_precision_agrees(scene, probe, small, ahead) -> None:
