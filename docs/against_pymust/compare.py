@@ -52,7 +52,7 @@ PHANTOM = Phantom(
         Lesion("+6 dB lesion", 16.0, 50.0, 7.0, 6.0),
     ),
 )
-PYMUST_SEEDS, ABLATE_SEEDS = range(3), range(30)
+PYMUST_SEEDS, ABLATE_SEEDS = range(3), range(100)
 
 
 def matched_settings(phantom: Phantom, widths: PointWidths) -> SimulatorSettings:
@@ -67,7 +67,7 @@ def matched_settings(phantom: Phantom, widths: PointWidths) -> SimulatorSettings
     return SimulatorSettings(
         scanlines=phantom.lines, axial_samples=phantom.samples, rays=1, layers=1, image_shape=(64, 64),
         axial_fwhm_mm=float(widths.axial_mm.mean()), lateral_fwhm_mm=float(fit[0]), focus_mm=float(fit[1]),
-        focal_range_mm=float(fit[2]),
+        focal_range_mm=float(fit[2]), aperture_mm=0.0, elevational_aperture_mm=0.0,
     )  # fmt: skip
 
 
@@ -199,7 +199,8 @@ def main() -> None:
     settings = matched_settings(PHANTOM, widths)
     for depth, axial, lateral in zip(widths.depth_mm, widths.axial_mm, widths.lateral_mm, strict=True):
         print(f"a point in PyMUST at {depth:.0f} mm: {axial:.3f} mm axially, {lateral:.3f} mm laterally;", end=" ")
-        print(f"in ablate: {settings.axial_fwhm_mm:.3f} mm and {lateral_fwhm_mm(settings, depth):.3f} mm")
+        print(f"in ablate: {settings.axial_fwhm_mm:.3f} mm and {lateral_fwhm_mm(settings, depth):.3f} mm;", end=" ")
+        print(f"{PHANTOM.per_mm2 * axial * lateral:.1f} of PyMUST's scatterers in that area")
     alone = points(PHANTOM)
     clouds = [*alone, *(scatterers(PHANTOM, seed) for seed in PYMUST_SEEDS)]
     seen = images(array, clouds, PHANTOM.depths_mm, PHANTOM.angles_rad)
