@@ -102,11 +102,12 @@ def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
     table = comparison_table(per_image, scalars, settings.reference)
     warnings = "\n".join(f"Note: {c}" for c in cautions(per_image, settings.reference))
     uri = settings.tracking.uri or default_uri(settings.runs)
+    pages = uri if uri.startswith("http") else f"make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
     where = (
         f"all metrics    {folder / 'table.csv'}\n"
         f"paired tests   {folder / 'paired.csv'}\n"
         f"report         {folder / 'report.html'}\n"
-        f"MLflow         make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
+        f"MLflow         {pages}"
     )
     return f"{to_text(table[table['metric'].isin(_SCREEN)])}\n{warnings}\n\n{where}"
 
