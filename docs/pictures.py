@@ -6,43 +6,35 @@ python docs/pictures.py
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from skimage.color import hsv2rgb
 from skimage.io import imsave
 from skimage.transform import resize
 
 from ablate.analysis import Preview, preview_figure
-from ablate.anatomy import fetal_abdomen, fetal_sites
-from ablate.dataset import probe_poses
+from ablate.analysis.tissue_colours import tissue_colours
+from ablate.anatomy import Scene, fetal_abdomen, fetal_planes, fetal_sites
 from ablate.ultrasound import ConvexProbe, Frame, Simulator
 
 HERE = Path(__file__).parent
-HEIGHT_MM, ANGLE_DEG, TILT_DEG, ROLL_DEG = -15.0, 36.0, 0.0, 90.0
+PLANE = "spine"
 FREQUENCY_MHZ = 3.0  # of the quick preset; at the paper's 8 MHz little of the attenuation map is left to see
 
 
 def main() -> None:
     """Render and write both beside this file."""
-    scene, probe = fetal_abdomen(), ConvexProbe(frequency_mhz=FREQUENCY_MHZ)
-    grid = replace(
-        fetal_sites(), heights_mm=(HEIGHT_MM,), angles_deg=(ANGLE_DEG,), tilts_deg=(TILT_DEG,), rolls_deg=(ROLL_DEG,)
-    )
-    (pose,) = (p.probe_to_world for p in probe_poses(scene, grid, press_mm=8))
+    scene, probe, grid = fetal_abdomen(), ConvexProbe(frequency_mhz=FREQUENCY_MHZ), fetal_sites()
+    pose = fetal_planes()[PLANE]
     frame = Simulator(scene, probe).render(pose)
-    write_panels(frame)
-    title = f"height {HEIGHT_MM:g} mm, angle {ANGLE_DEG:g}°, roll {ROLL_DEG:g}°"
-    shown = Preview(title, pose, frame.image, frame.segmentation, grid.axis, grid.front)
+    write_panels(scene, frame)
+    shown = Preview(f"sagittal plane of the {PLANE}", pose, frame.image, frame.segmentation, grid.axis, grid.front)
     preview_figure(scene, probe, shown, HERE / "preview.png")
 
 
-def write_panels(frame: Frame) -> None:
+def write_panels(scene: Scene, frame: Frame) -> None:
     """Write frame.png: image, segmentation and attenuation map."""
-    hues = np.arange(256) * 0.381966 % 1
-    colours = hsv2rgb(np.stack([hues, np.full(256, 0.5), np.full(256, 0.85)], axis=-1))
-    colours[0] = 0
+    colours = np.concatenate([[(0.0, 0.0, 0.0)], tissue_colours(scene.tissues)])
     panels = [
         np.repeat(frame.image[..., None] / 255, 3, axis=2),
         colours[frame.segmentation],
