@@ -213,16 +213,18 @@ def _fresh(poses: list[np.ndarray]) -> list[np.ndarray]:
 
 
 _CHILD = """
-import pickle, resource, sys
+import pickle, sys
 from ablate.ultrasound import Simulator
 with open(sys.argv[1], "rb") as file:
     scene, poses = pickle.load(file)
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+def peak():  # of this program; getrusage would count what its parent had
+    with open("/proc/self/status") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith("VmHWM")) / 2**20
+before = peak()
 simulator = Simulator(scene)
 for pose in poses:
     simulator.render(pose)
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-print(f"{peak / 2**20:.2f} GiB, of which {before / 2**20:.2f} before the first line of the simulator's own")
+print(f"{peak():.2f} GiB, of which {before:.2f} are Python, torch and the scene")
 """
 
 
@@ -232,7 +234,7 @@ def memory(scene: Scene, poses: list[np.ndarray]) -> None:
         pickle.dump((scene, poses[:4]), file)
         file.flush()
         done = subprocess.run([sys.executable, "-c", _CHILD, file.name], check=True, capture_output=True, text=True)
-    print(f"\n**Peak memory** of one process, scene already built: {done.stdout.strip()} (Python, torch, the scene).")
+    print(f"\n**Peak memory** of one process, scene already built: {done.stdout.strip()}.")
 
 
 def main() -> None:

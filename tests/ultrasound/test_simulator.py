@@ -56,6 +56,17 @@ def test_an_empty_scene_is_all_background(empty, probe, small, ahead) -> None:
     assert frame.image[~frame.mask].max() == 0
 
 
+def test_nothing_is_cast_where_nothing_comes_back(slab, gel, probe, small, ahead) -> None:
+    """Fluid of the gel's impedance and speed, with a loss: the image is that of the full plan."""
+    lossy = replace(gel, name="lossy", attenuation_db_cm_mhz=1.0)
+    scene = Scene((slab(lossy, 40.0, 60.0),), gel, "s")
+    settings = replace(small, noise_floor_db=-55.0)
+    auto, full = (Simulator(scene, probe, replace(settings, plan=plan)) for plan in Plan)
+    assert any(note.startswith("rays, scatterers") for note in auto.left_out)
+    assert images_equal(auto.render(ahead), full.render(ahead))
+    assert not any(note.startswith("rays") for note in Simulator(Scene((), BODY, "s"), probe, small).left_out)
+
+
 def test_an_empty_scene_of_tissue_is_speckle(probe, small, ahead) -> None:
     frame = Simulator(Scene((), BODY, "s"), probe, small).render(ahead)
     assert frame.envelope.std() > 0

@@ -27,6 +27,8 @@ class CompiledScene:
     tissue_of_owner : (structures + 1,) uint8
         Index into `Scene.tissues`; entry 0 is the background's.
     media : Media
+    silent : bool
+        Whether nothing within reach scatters or reflects: then no ray is cast.
     left_out : tuple of str
         What was left out, and why, one line each.
     """
@@ -34,6 +36,7 @@ class CompiledScene:
     structures: tuple[Structure, ...]
     tissue_of_owner: np.ndarray
     media: Media
+    silent: bool
     left_out: tuple[str, ...]
 
 
@@ -57,8 +60,12 @@ def compile_scene(
     tissue_of_owner = np.array([0, *(scene.structure_tissues[i] for i in kept)], np.uint8)
     used = np.unique(tissue_of_owner)
     media = tabulate(scene.tissues, used, probe.frequency_mhz, settings.depth_mode, full)
+    sounds = any(scene.tissues[i].scatter_power for i in used) or bool(media.differs[np.ix_(used, used)].any())
+    silent = not (full or sounds) and bool(near.all())  # past the scene, the probe's contact is still looked at
     notes = [] if full else _notes(scene, near, used, media, settings)
-    return CompiledScene(tuple(scene.structures[i] for i in kept), tissue_of_owner, media, tuple(notes))
+    if silent:
+        notes = ["rays, scatterers and pulse: nothing in reach scatters or reflects", *notes]
+    return CompiledScene(tuple(scene.structures[i] for i in kept), tissue_of_owner, media, silent, tuple(notes))
 
 
 def _within_reach(scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, poses: list[np.ndarray]) -> np.ndarray:

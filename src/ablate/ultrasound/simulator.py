@@ -128,11 +128,8 @@ class Simulator:
         pose = check_pose(pose)
         segmentation, attenuation = self.maps(pose)
         with torch.inference_mode():
-            traced = self._trace(pose)
-            signal = blur(self._speckle(traced.lit, seed), traced.surfaces, self._spread)
             noise = self._noise_at(pose, seed)
-            if traced.clutter is not None:  # from all sides, so with the phases of noise
-                signal.addcmul_(traced.clutter, noise.roll(_CLUTTER_ROLL, dims=(1, 2)))
+            signal = torch.zeros_like(noise) if self._compiled.silent else self._signal(pose, seed, noise)
             envelope = signal.square().sum(dim=0).sqrt_()
             shown = signal.mul_(self._gain).add_(noise, alpha=floor_amplitude(self.settings))
             image = self._convert(grey_levels(shown, self.settings))
@@ -165,6 +162,14 @@ class Simulator:
                 attenuation = self._convert(self._tensor(lines)).clip(0, 1)
             self._maps = pose.tobytes(), labels, attenuation
         return self._maps[1].copy(), self._maps[2].copy()
+
+    def _signal(self, pose: np.ndarray, seed: int, noise: torch.Tensor) -> torch.Tensor:
+        """What comes back, (2, scanlines, samples): real and imaginary part."""
+        traced = self._trace(pose)
+        signal = blur(self._speckle(traced.lit, seed), traced.surfaces, self._spread)
+        if traced.clutter is not None:  # from all sides, so with the phases of noise
+            signal.addcmul_(traced.clutter, noise.roll(_CLUTTER_ROLL, dims=(1, 2)))
+        return signal
 
     def _trace(self, pose: np.ndarray) -> Traced:
         """Cast the rays of a pose, unless they were the last ones cast."""
