@@ -80,7 +80,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def data_of(runs: Path) -> Pairs:
-    return open_data(next(runs.glob("data/*"))).pairs
+    return open_data(next(runs.glob("data/*/about.json")).parent).pairs
 
 
 @pytest.fixture(scope="module")
