@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import os
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 import trimesh
@@ -45,7 +45,7 @@ def cached_scene(folder: Path, build: Callable[[], Scene], **parameters: object)
         except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as error:
             logger.warning("%s: built again, because it cannot be read: %s", path, " ".join(str(error).split()))
     scene = build()
-    part = path.with_suffix(f".{os.getpid()}.part")
+    part = path.with_suffix(f".{uuid4().hex}.part")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _write(part, scene)
