@@ -9,7 +9,7 @@ import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
-from ablate.ultrasound.bundle import leave_probe
+from ablate.ultrasound.bundle import leave_probe, probe_rays
 from ablate.ultrasound.draws import CHOICE, Draws, stratified
 from ablate.ultrasound.embree import Geometry
 from ablate.ultrasound.illumination import SILENCE_DB, Nodes, mean_level_db
@@ -25,7 +25,7 @@ def follow(
     compiled = compile_scene(scene, probe, settings, None)
     geometry = Geometry(compiled.structures, np.array([[-400.0] * 3, [400.0] * 3]), np.zeros(3), 200.0)
     draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
-    bundle = leave_probe(geometry, probe, settings, np.eye(4), draws)
+    bundle = leave_probe(geometry, probe_rays(probe, settings, draws), np.eye(4))
     nodes = Nodes(0.0, 1.0, np.ones((len(bundle.starts), 151), bool), np.zeros((len(bundle.starts), 151)))
     lines, ways = (bundle.starts, bundle.directions), (settings.rays, probe.depth_mm, faintest_db, geometry.step_mm)
     view = View(compiled.media, compiled.tissue_of_owner, *lines, *ways)

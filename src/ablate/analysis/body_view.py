@@ -15,7 +15,7 @@ from skimage.transform import resize
 from ablate.analysis import probe_model
 from ablate.analysis.tissue_colours import is_bone, is_gas, tissue_colours
 from ablate.analysis.translucent import Surface, look_through
-from ablate.anatomy import Scene
+from ablate.anatomy import Scene, bounds_mm
 from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.probe import fan_size_mm
 
@@ -61,8 +61,7 @@ def draw_body(
         The scene's long axis, drawn upright.
     """
     surfaces = _surfaces(scene, probe, pose, _image_on_fan(probe, pose, image, fan))
-    bounds = np.array([s.mesh.bounds for s in surfaces])
-    low, high = bounds[:, 0].min(axis=0) - _MARGIN_MM, bounds[:, 1].max(axis=0) + _MARGIN_MM
+    low, high = bounds_mm(s.mesh for s in surfaces) + np.array([[-_MARGIN_MM], [_MARGIN_MM]])
     space.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     space.set_box_aspect(high - low)
     view = _turn_camera(space, pose, np.asarray(axis, float) / np.linalg.norm(axis))
@@ -148,8 +147,7 @@ def _surfaces(
 ) -> list[Surface]:
     """The scene's structures, the image on its plane, and the probe."""
     colours = tissue_colours(scene.tissues)
-    bounds = np.array([s.mesh.bounds for s in scene.structures])
-    whole = (bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)).prod()
+    whole = np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).prod()
     drawn = []
     for structure, tissue in zip(scene.structures, scene.structure_tissues, strict=True):
         large = structure.mesh.extents.prod() > _LARGE * whole

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from ablate.anatomy import Structure, Tissue
+from ablate.anatomy import Structure, Tissue, bounds_mm
 from ablate.ultrasound.embree import Geometry
 
 _MOST_SURFACES = 80  # that one ray is followed through
@@ -62,8 +62,7 @@ def look_through(
     (n, 4) float32
         RGBA in [0, 1], colours not multiplied by alpha.
     """
-    bounds = np.array([s.mesh.bounds for s in surfaces])
-    corners = np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)])
+    corners = bounds_mm(s.mesh for s in surfaces)
     centre = corners.mean(axis=0)
     reach = float(np.linalg.norm(origins - centre, axis=-1).max() + np.linalg.norm(corners[1] - corners[0]))
     geometry = Geometry([Structure(s.mesh, _DRAWN) for s in surfaces], corners, centre, reach)

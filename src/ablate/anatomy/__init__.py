@@ -4,7 +4,7 @@ from ablate.anatomy.check import check_scene
 from ablate.anatomy.fetal_abdomen import fetal_abdomen, fetal_sites
 from ablate.anatomy.fetal_planes import fetal_planes
 from ablate.anatomy.folder import load_scene, load_sites, validate_scene_folder
-from ablate.anatomy.scene import ANATOMY_VERSION, Scene, Structure, Tissue, content_hash
+from ablate.anatomy.scene import ANATOMY_VERSION, Scene, Structure, Tissue, bounds_mm, content_hash
 from ablate.anatomy.sites import SiteGrid
 from ablate.anatomy.tissues import echogenicity_order, load_tissues
 
@@ -14,6 +14,7 @@ __all__ = [
     "SiteGrid",
     "Structure",
     "Tissue",
+    "bounds_mm",
     "check_scene",
     "content_hash",
     "echogenicity_order",

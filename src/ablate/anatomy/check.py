@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ablate.anatomy.closing import odd_edges, simple_loops
 from ablate.anatomy.meshes import array_fault, have_area, merge_vertices, with_three_corners
-from ablate.anatomy.scene import Scene, Structure
+from ablate.anatomy.scene import Scene, Structure, bounds_mm
 
 GAP = 1e-5  # of a structure's largest extent: vertices nearer than this count as one, and no ray finds such a gap
 #: Largest extent of a body: a superficial gland, and more than a whole adult. Metres read as mm make an abdomen 0.3 mm
@@ -63,8 +63,7 @@ def check_scene(scene: Scene, depth_mm: float) -> None:
 
 def largest_extent_mm(scene: Scene) -> float:
     """Of the bounding box around all structures; there must be one."""
-    bounds = np.array([structure.mesh.bounds for structure in scene.structures])
-    return float((bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)).max())
+    return float(np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).max())
 
 
 def _problem(structure: Structure) -> str | None:

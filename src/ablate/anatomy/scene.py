@@ -171,6 +171,12 @@ class Scene:
         return tuple(index[s.tissue] for s in self.structures)
 
 
+def bounds_mm(meshes: Iterable[trimesh.Trimesh]) -> np.ndarray:
+    """Lower and upper corner of the box around all meshes, (2, 3) float64, mm; zeros where there is none."""
+    bounds = np.array([mesh.bounds for mesh in meshes])
+    return np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)]) if len(bounds) else np.zeros((2, 3))
+
+
 def content_hash(scene: Scene) -> str:
     """SHA-256, hexadecimal, over what a scene is: vertices, faces, tissues and background; its name is left out.
 

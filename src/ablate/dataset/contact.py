@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ablate.anatomy import Scene
+from ablate.anatomy import Scene, bounds_mm
 from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.embree import Geometry
 from ablate.ultrasound.ownership import owners
@@ -36,11 +36,10 @@ class Skin:
     """
 
     def __init__(self, scene: Scene) -> None:
-        bounds = np.array([s.mesh.bounds for s in scene.structures])
-        low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
-        self.centre = (low + high) / 2
-        reach = float(np.linalg.norm(high - low))
-        self._geometry = Geometry(scene.structures, np.stack([low, high]), self.centre, reach)
+        bounds = bounds_mm(s.mesh for s in scene.structures)
+        self.centre = bounds.mean(axis=0)
+        reach = float(np.linalg.norm(bounds[1] - bounds[0]))
+        self._geometry = Geometry(scene.structures, bounds, self.centre, reach)
         impedance = np.array([scene.background.impedance_mrayl, *(s.tissue.impedance_mrayl for s in scene.structures)])
         self._hard = (impedance < _SOFT_MRAYL[0]) | (impedance > _SOFT_MRAYL[1])
         self._hard[0] = False  # outside every structure is the couplant's business

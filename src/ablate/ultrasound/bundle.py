@@ -16,6 +16,23 @@ _STEEPEST_RAD = 0.3
 
 
 @dataclass(frozen=True)
+class ProbeRays:
+    """Scanlines and rays in probe coordinates, the same for every pose.
+
+    Attributes
+    ----------
+    starts, directions : (groups, 3) float64, mm
+        Of the scanlines: the element on the face, and where it looks; layer by layer.
+    origins, ray_directions : (groups * rays, 3) float64, mm
+    """
+
+    starts: np.ndarray
+    directions: np.ndarray
+    origins: np.ndarray
+    ray_directions: np.ndarray
+
+
+@dataclass(frozen=True)
 class Bundle:
     """Scanlines and rays in the geometry's coordinates; a group is one scanline of one layer, layer by layer.
 
@@ -25,8 +42,6 @@ class Bundle:
         Of the scanlines: the element on the face, and where it looks.
     origins, ray_directions : (groups * rays, 3) float32
     inside : (groups * rays, words) uint32
-    rays : int
-        Of each group.
     """
 
     starts: np.ndarray
@@ -34,33 +49,12 @@ class Bundle:
     origins: np.ndarray
     ray_directions: np.ndarray
     inside: np.ndarray
-    rays: int
 
 
-def leave_probe(
-    geometry: Geometry,
-    probe: ConvexProbe,
-    settings: SimulatorSettings,
-    pose: np.ndarray,
-    draws: Draws,
-) -> Bundle:
+def probe_rays(probe: ConvexProbe, settings: SimulatorSettings, draws: Draws) -> ProbeRays:
     """Rays spread over the aperture, all at `focus_mm` from the focal point of their scanline and layer.
 
-    Because path lengths to the focus agree, a point at the focus stays a point, and shadows get soft edges. Which
-    structures a start is inside of is found by crossings, from outside everything.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    probe : ConvexProbe
-    settings : SimulatorSettings
-    pose : (4, 4) float64
-        Probe to the geometry's coordinates, mm.
-    draws : Draws
-
-    Returns
-    -------
-    Bundle
+    Because path lengths to the focus agree, a point at the focus stays a point.
     """
     starts, directions = scanlines_in_plane(probe, settings.scanlines, layer_offsets_mm(settings))
     starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
@@ -71,17 +65,32 @@ def leave_probe(
     rays = directions[:, None] + np.tan(tilt_x)[..., None] * lateral[:, None] + np.tan(tilt_y)[..., None] * (0, 1, 0)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     origins = (starts + settings.focus_mm * directions)[:, None] - settings.focus_mm * rays
+    return ProbeRays(starts, directions, origins.reshape(-1, 3), rays.reshape(-1, 3))
 
+
+def leave_probe(geometry: Geometry, rays: ProbeRays, pose: np.ndarray) -> Bundle:
+    """The rays at a pose; which structures each starts inside of is found by crossings, from outside everything.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    rays : ProbeRays
+    pose : (4, 4) float64
+        Probe to the geometry's coordinates, mm.
+
+    Returns
+    -------
+    Bundle
+    """
     rotation = pose[:3, :3]
-    starts, directions = to_world(pose, starts), directions @ rotation.T
-    origins, rays = to_world(pose, origins.reshape(-1, 3)), rays.reshape(-1, 3) @ rotation.T
+    starts, directions = to_world(pose, rays.starts), rays.directions @ rotation.T
+    origins, ray_directions = to_world(pose, rays.origins), rays.ray_directions @ rotation.T
     return Bundle(
         starts=starts,
         directions=directions,
         origins=origins.astype(np.float32),
-        ray_directions=rays.astype(np.float32),
-        inside=_inside(geometry, starts, directions, origins, rays),
-        rays=settings.rays,
+        ray_directions=ray_directions.astype(np.float32),
+        inside=_inside(geometry, starts, directions, origins, ray_directions),
     )
 
 

@@ -34,18 +34,18 @@ class Draws:
     groups : int
         Scanlines times layers.
     rays : int
-        Of each group; also an attribute.
+        Of each group.
     """
 
     def __init__(self, path_seed: int, groups: int, rays: int) -> None:
-        self._seed, self._groups, self.rays = path_seed, groups, rays
+        self._seed, self._groups, self._rays = path_seed, groups, rays
         self._table = np.empty((MAX_ROWS, groups * rays, 6), np.float32)
         self._made = 0
         self._making = Lock()
 
     def aperture(self) -> np.ndarray:
         """Where in the aperture each ray starts, (2, groups, rays) float32 in [0, 1)."""
-        return stratified(self._generator(0), self._groups, self.rays, 2)
+        return stratified(self._generator(0), self._groups, self._rays, 2)
 
     def table(self, interfaces: int) -> np.ndarray:
         """Draws of all rays; the rows that serve up to so many interfaces are filled.
@@ -68,7 +68,7 @@ class Draws:
 
     def _row(self, number: int) -> np.ndarray:
         generator = self._generator(number + 1)
-        u = stratified(generator, self._groups, self.rays, 3).reshape(3, -1)
+        u = stratified(generator, self._groups, self._rays, 3).reshape(3, -1)
         row = np.empty((u.shape[1], 6), np.float32)
         angle = np.float32(2 * np.pi) * u[2]
         row[:, CHOICE] = u[0]

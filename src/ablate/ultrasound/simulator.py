@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ablate.anatomy import Scene, check_scene
+from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.ultrasound.attenuation import integral_attenuation
 from ablate.ultrasound.bmode import floor_amplitude, grey_levels, receiver_noise, time_gain
-from ablate.ultrasound.bundle import leave_probe
+from ablate.ultrasound.bundle import leave_probe, probe_rays
 from ablate.ultrasound.contact import contact_warning
 from ablate.ultrasound.draws import Draws
 from ablate.ultrasound.echoes import clutter_lines, surface_lines
@@ -83,13 +83,14 @@ class Simulator:
         self._dtype = getattr(torch, settings.precision.value)
         self._compiled = compile_scene(scene, probe, settings, poses)
         self.left_out = self._compiled.left_out
-        bounds = _scene_bounds_mm(scene)
+        bounds = bounds_mm(s.mesh for s in scene.structures)
         extent = probe.radius_mm + probe.depth_mm
         # Zero for every scene about the world's origin; float32 then serves scenes that are far from it.
         grid_mm = 10 ** math.ceil(math.log10(extent + float(np.linalg.norm(bounds[1] - bounds[0]))))
         self._origin_mm = grid_mm * np.rint(bounds.mean(axis=0) / grid_mm)
         self._geometry = Geometry(self._compiled.structures, bounds, self._origin_mm, extent)
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
+        self._rays = probe_rays(probe, settings, self._draws)
         self._convert = ScanConverter(probe, settings, self._dtype)
         self._beam = transmit_beam(probe, settings)
         self._spread = point_spread(probe, settings, self._dtype)
@@ -177,7 +178,7 @@ class Simulator:
             return self._traced[1]
         probe, settings, scene = self.probe, self.settings, self._compiled
         shape = settings.scanlines, settings.axial_samples
-        bundle = leave_probe(self._geometry, probe, settings, self._local(pose), self._draws)
+        bundle = leave_probe(self._geometry, self._rays, self._local(pose))
         loudest_tgc_db = 20 * math.log10(float(self._gain[-1]))
         faintest_db = settings.noise_floor_db - 20 - loudest_tgc_db + 20 * math.log10(settings.reference_level)
         view = View(
@@ -223,11 +224,3 @@ class Simulator:
             self._noise = seed, receiver_noise(self.settings, self._spread.axial, seed)
         key = zlib.crc32(pose.tobytes())
         return self._noise[1].roll((key % 65521, key // 7), dims=(1, 2))
-
-
-def _scene_bounds_mm(scene: Scene) -> np.ndarray:
-    """Lower and upper corner of all structures, (2, 3) float64; zeros where there is none."""
-    if not scene.structures:
-        return np.zeros((2, 3))
-    bounds = np.array([structure.mesh.bounds for structure in scene.structures])
-    return np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)])
