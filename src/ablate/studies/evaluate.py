@@ -19,6 +19,7 @@ from ablate.ultrasound.probe import pixel_polar
 # (frames of the data set, number of the noise draw) -> (k, H, W) uint8
 Render = Callable[[np.ndarray, int], np.ndarray]
 _BATCH = 8
+_GAS_MRAYL, _FLUID_MRAYL, _FLUID_SCATTER = 0.5, 2.0, 0.01  # blood scatters 0.006, thalamus, the darkest tissue, 0.017
 _SAME_FAN = 0.98  # of the pixels of two fans together lie in both
 
 
@@ -39,9 +40,13 @@ class Evaluation:
 
 
 def tissue_labels(tissues: tuple[Tissue, ...]) -> np.ndarray:
-    """Labels of solid tissue: what scatters, and is neither fluid nor gas."""
-    solid = [i + 1 for i, t in enumerate(tissues) if t.scatter_power > 0.02 and t.impedance_mrayl > 0.5]
-    return np.asarray(solid, np.uint8)
+    """Labels of tissue: neither gas nor fluid, which is as hard as water and scatters next to nothing; bone is tissue."""
+    found = [
+        i + 1
+        for i, t in enumerate(tissues)
+        if t.impedance_mrayl > _GAS_MRAYL and (t.impedance_mrayl > _FLUID_MRAYL or t.scatter_power > _FLUID_SCATTER)
+    ]
+    return np.asarray(found, np.uint8)
 
 
 def describes_fan(probe: ConvexProbe, mask: np.ndarray) -> bool:
@@ -112,17 +117,22 @@ def evaluate(
     found, wanted = np.concatenate(features), np.concatenate(target_features)
     scalars["fd_speckle"] = frechet_distance(found, wanted)
     scalars["kd_speckle"] = kernel_distance(found, wanted)
-    scalars["noise_sd"] = _spread(pairs, frames, solid, render, settings) if draws_noise else 0.0
+    spread = _spread(pairs, frames, solid, render, settings) if draws_noise else 0.0
+    if spread is not None:
+        scalars["noise_sd"] = spread
     return Evaluation(per_image, scalars)
 
 
-def _spread(pairs: Pairs, frames: np.ndarray, solid: np.ndarray, render: Render, settings: EvaluationSettings) -> float:
-    """Mean over some frames of the standard deviation over noise draws, in tissue, grey levels."""
+def _spread(
+    pairs: Pairs, frames: np.ndarray, solid: np.ndarray, render: Render, settings: EvaluationSettings
+) -> float | None:
+    """Mean over some frames of the standard deviation over noise draws, in tissue, grey levels; None without tissue."""
     shown = equally_spaced(frames, settings.noise_frames)
     draws = np.stack([render(shown, draw) for draw in range(settings.noise_draws)])
     labels = pairs.read("segmentation", shown)
     found = [noise_sd(draws[:, k], np.isin(labels[k], solid)) for k in range(len(shown))]
-    return float(np.mean([f for f in found if f is not None] or [0.0]))
+    known = [f for f in found if f is not None]
+    return float(np.mean(known)) if known else None
 
 
 def resimulated(pairs: Pairs) -> Render:
