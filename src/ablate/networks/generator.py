@@ -16,6 +16,7 @@ from ablate.networks.unet import UNetwork
 
 # What lies outside the fan, and is padded with.
 OUTSIDE = {"segmentation": -1.0, "attenuation": 0.0, "low": -1.0}
+_CHANNEL = "noise"
 # The noise channel is a field of its own, apart from those injected at levels 0 to depth - 1.
 _CHANNEL_FIELD = 64
 
@@ -73,11 +74,49 @@ class Generator(nn.Module):
         ValueError
             Where a map that the variant reads is missing or has another shape.
         """
-        height, width = segmentation.shape[-2:]
-        maps = self._padded({"segmentation": segmentation, "attenuation": attenuation, "low": low})
-        noise = self._noise(maps, noise_seed)
-        image: Tensor = self.network(self._stacked(maps, noise_seed), self._pyramid(maps), noise)
+        given = {"segmentation": segmentation, "attenuation": attenuation, "low": low}
+        if noise_seed is None:
+            return self.render(given, {})
+        return self.render(given, self.draw_noise(noise_seed.to(segmentation.device), *segmentation.shape[-2:]))
+
+    def render(self, given: Mapping[str, Tensor | None], noise: Mapping[str, Tensor]) -> Tensor:
+        """Render images with noise that is drawn already.
+
+        Parameters
+        ----------
+        given : mapping of (N, 1, H, W) float
+            The maps of `conditions(spec)`, as in `forward`; others are not read.
+        noise : mapping of (N, 1, h, w) float
+            The fields of `noise_sizes(H, W)`, standard normal; empty to switch noise off.
+
+        Returns
+        -------
+        (N, 1, H, W) float in [-1, 1]
+        """
+        maps = self._padded(given)
+        injected = [noise.get(_injected(level)) for level in range(self.spec.depth)]
+        image: Tensor = self.network(self._stacked(maps, noise.get(_CHANNEL)), self._pyramid(maps), injected)
+        height, width = next(value.shape[-2:] for value in given.values() if value is not None)
         return image if image.shape[-2:] == (height, width) else image[..., :height, :width]
+
+    def noise_sizes(self, height: int, width: int) -> dict[str, tuple[int, int]]:
+        """Name the noise fields that an image of this size takes, with the height and width of each, px.
+
+        `noise` is an input channel, `noise_<level>` is injected at 1/2^level of the resolution. The sizes are those
+        of the image padded to a multiple of 2^depth. Empty where the variant draws none.
+        """
+        height, width = height + -height % 2**self.spec.depth, width + -width % 2**self.spec.depth
+        sizes = {_CHANNEL: (height, width)} if _CHANNEL in inputs(self.spec) else {}
+        if self.spec.noise is Noise.inject:
+            sizes |= {_injected(level): (height >> level, width >> level) for level in range(self.spec.depth)}
+        return sizes
+
+    def draw_noise(self, seed: Tensor, height: int, width: int) -> dict[str, Tensor]:
+        """Draw the fields of `noise_sizes(height, width)`, (N, 1, h, w) float32 each, from (N,) int64 seeds."""
+        number = {_CHANNEL: _CHANNEL_FIELD} | {_injected(level): level for level in range(self.spec.depth)}
+        return {
+            name: gaussian_field(seed, number[name], *size) for name, size in self.noise_sizes(height, width).items()
+        }
 
     def noise_magnitude(self) -> Tensor | None:
         """Mean absolute weight of the injected noise, a scalar; None where none is injected.
@@ -109,14 +148,12 @@ class Generator(nn.Module):
         kind = stacked.device.type
         return stacked.to(torch.get_autocast_dtype(kind)) if torch.is_autocast_enabled(kind) else stacked
 
-    def _stacked(self, maps: Tensor, seed: Tensor | None) -> Tensor:
+    def _stacked(self, maps: Tensor, noise: Tensor | None) -> Tensor:
         """Append the noise channel to the conditions if the variant has one."""
-        if "noise" not in inputs(self.spec):
+        if _CHANNEL not in inputs(self.spec):
             return maps
-        if seed is None:
-            return torch.cat((maps, torch.zeros_like(maps[:, :1])), dim=1)
-        field = gaussian_field(seed.to(maps.device), _CHANNEL_FIELD, *maps.shape[-2:])
-        return torch.cat((maps, field.to(maps.dtype)), dim=1)
+        channel = torch.zeros_like(maps[:, :1]) if noise is None else noise.to(maps.dtype)
+        return torch.cat((maps, channel), dim=1)
 
     def _pyramid(self, maps: Tensor) -> list[Tensor | None]:
         """Resize segmentation (nearest) and attenuation (bilinear) to every level, once."""
@@ -136,10 +173,7 @@ class Generator(nn.Module):
             pyramid.append(torch.cat(resized, dim=1))
         return pyramid
 
-    def _noise(self, maps: Tensor, seed: Tensor | None) -> list[Tensor | None]:
-        """Draw the field injected at each level."""
-        if self.spec.noise is not Noise.inject or seed is None:
-            return [None] * self.spec.depth
-        height, width = maps.shape[-2:]
-        seed = seed.to(maps.device)
-        return [gaussian_field(seed, level, height >> level, width >> level) for level in range(self.spec.depth)]
+
+def _injected(level: int) -> str:
+    """Name the field injected at 1/2^level of the resolution."""
+    return f"{_CHANNEL}_{level}"
