@@ -1,0 +1,145 @@
+"""The finished runs of a study as they lie on disk: their values, their pictures, what they were made with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ablate.analysis import REFERENCE, RESIMULATION, FramePictures
+from ablate.studies.data import Data, open_data
+from ablate.studies.identity import read_result
+
+_TIMED = ("psnr", "mae", "pchi2", "fd_speckle")
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A finished run as it lies on disk."""
+
+    folder: Path
+    spec: dict[str, Any]
+    result: dict[str, Any]
+
+    @property
+    def label(self) -> str:
+        return str(self.result["label"])
+
+    @property
+    def seed(self) -> int:
+        return int(self.result["seed"])
+
+    @property
+    def name(self) -> str:
+        return f"{self.label}/seed{self.seed}"
+
+
+def finished_runs(study_dir: Path) -> list[Finished]:
+    """Every run of a study whose result belongs to its configuration."""
+    runs = []
+    for path in sorted(study_dir.glob("*/seed*/spec.json")):
+        spec = json.loads(path.read_text())
+        result = read_result(path.parent, spec["hash"])
+        if result is not None:
+            runs.append(Finished(path.parent, spec, result))
+    return runs
+
+
+def scored_frames(runs: Sequence[Finished]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Test values of every run, re-simulation once.
+
+    Returns
+    -------
+    per_image : DataFrame
+        Columns variant, seed, frame, site, metric, value: one row a metric of a frame of a run.
+    scalars : DataFrame
+        Columns variant, seed, metric, value: one row a metric that only a run has.
+    """
+    frames, scalars = [], []
+    for i, run in enumerate(runs):
+        table = pd.read_parquet(run.folder / "per_image.parquet")
+        table = table[table["split"] == "test"]
+        frames.append(table[table["source"] == "model"])
+        floor = table[table["source"] == "floor"]
+        if i == 0 and len(floor):
+            frames.append(floor.assign(variant=RESIMULATION))
+        per_image_metrics = set(table["metric"])
+        values: dict[str, float] = run.result["scalars"]
+        for name, value in values.items():
+            part, _, metric = name.rpartition("/")
+            is_floor = metric.startswith("floor_")
+            metric = metric.removeprefix("floor_")
+            if metric in per_image_metrics:
+                continue
+            if part == "test" and (i == 0 or not is_floor):
+                variant = RESIMULATION if is_floor else run.label
+                scalars.append({"variant": variant, "seed": run.seed, "metric": metric, "value": value})
+            elif name == "ms_per_frame":
+                scalars.append({"variant": run.label, "seed": run.seed, "metric": name, "value": value})
+        parameters = values["parameters_generator"] + values["parameters_discriminator"]
+        scalars.append({"variant": run.label, "seed": run.seed, "metric": "parameters", "value": parameters})
+    return pd.concat(frames, ignore_index=True), pd.DataFrame(scalars)
+
+
+def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]:
+    """Error of every variant against its milliseconds a frame, and the re-simulation's value by metric.
+
+    Parameters
+    ----------
+    table : DataFrame
+        What `comparison_table` gives.
+    """
+    means = table.pivot(index="variant", columns="metric", values="mean")
+    networks = means.drop(index=RESIMULATION, errors="ignore")
+    metrics = [m for m in _TIMED if m in means.columns]
+    rows = [
+        {"series": v, "setting": "", "ms": networks.loc[v, "ms_per_frame"], "metric": m, "error": networks.loc[v, m]}
+        for v in networks.index
+        for m in metrics
+    ]
+    floors = {m: float(means[m].to_dict()[RESIMULATION]) for m in metrics} if RESIMULATION in means.index else {}
+    return pd.DataFrame(rows), floors
+
+
+def data_of(runs: Sequence[Finished]) -> Data:
+    """The pairs that the runs of a study were trained on and scored against."""
+    run = runs[0]
+    return open_data(run.folder.parents[2] / "data" / str(run.result["data"]))
+
+
+def pictures(runs: Sequence[Finished], reference: str = REFERENCE) -> list[FramePictures]:
+    """The frames every variant shows, with target, maps and, where it is, the re-simulation; the lowest seed speaks
+    for a variant.
+    """
+    chosen: dict[str, Finished] = {}
+    for run in sorted(runs, key=lambda r: (r.label != reference, r.label, r.seed)):
+        chosen.setdefault(run.label, run)
+    stored = {label: _stored_pictures(run) for label, run in chosen.items()}
+    numbers = sorted(set.intersection(*(set(images) for images in stored.values())))
+    pairs = data_of(runs).pairs
+    maps = {name: pairs.read(name, numbers) for name in pairs.maps - {"low"}}
+    return [
+        FramePictures(
+            name=f"frame {number}",
+            target=maps["high"][k],
+            predictions={
+                **({RESIMULATION: maps["high_again"][k]} if "high_again" in maps else {}),
+                **{v: s[number] for v, s in stored.items()},
+            },
+            mask=pairs.mask(),
+            segmentation=maps["segmentation"][k],
+            attenuation=maps["attenuation"][k] if "attenuation" in maps else None,
+        )
+        for k, number in enumerate(numbers)
+    ]
+
+
+def _stored_pictures(run: Finished) -> dict[int, np.ndarray]:
+    """The frames that a run kept, by their number in the data set."""
+    with np.load(run.folder / "pictures.npz") as kept:
+        return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
