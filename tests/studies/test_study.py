@@ -155,10 +155,12 @@ def test_compare_rebuilds_from_disk_and_plan_tells_what_is_there(
     report.unlink()
     assert tasks.TASKS[jobs_of(["task=compare"])[0].settings.task](sweep(finished)[:1]) == 0
     assert report.exists()
+    capsys.readouterr()
     tasks.plan([*sweep(finished), *sweep(finished, "seed=1")])
     printed = capsys.readouterr().out
-    assert printed.count("finished") == 2
-    assert printed.count("missing") == 2
+    assert printed.count(" finished ") == 2
+    assert printed.count(" missing ") == 2
+    assert "2 of 4 jobs are left: about" in printed
 
 
 def test_a_job_that_fails_is_said_and_the_others_are_compared(

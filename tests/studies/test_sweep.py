@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from itertools import combinations
+
+import numpy as np
 import pytest
 
 from ablate.config import Task
 from ablate.dataset import Encoding
-from ablate.studies.sweep import ConfigurationError, jobs_of, label_of
+from ablate.networks import Family
+from ablate.studies.sweep import ConfigurationError, Job, jobs_of, label_of
+from ablate.studies.variants import variant_names
 
 
 def test_a_sweep_is_the_product_of_its_values() -> None:
@@ -25,6 +31,7 @@ def test_labels_name_what_differs_from_the_variant() -> None:
     assert label_of("sa2h", ["seed=1", "training.steps=3"]) == "sa2h"
     assert label_of("sa2h", ["model.depth=8"]) == "sa2h.depth-8"
     assert label_of("sa2h", ["model.width=0.5"]) == "sa2h"
+    assert label_of("sa2h", ["model={depth:8,noise:inject,width:0.5}"]) == "sa2h.depth-8"
     assert label_of("sa2h-depth", ["model.depth=8"]) == "sa2h-depth"
     assert label_of("sa2h", ["encoding=arbitrary", "model.noise=none"]) == "sa2h.encoding-arbitrary.noise-none"
 
@@ -33,6 +40,38 @@ def test_no_two_cells_of_the_factorial_share_a_place() -> None:
     jobs = jobs_of(["+study=factorial"])
     assert len({job.folder for job in jobs}) == 32
     assert len({job.settings.model for job in jobs}) == 32
+
+
+OFF = {"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "input", "depth": 8}
+
+
+def off(job: Job) -> set[str]:
+    """The components that a job goes without."""
+    return {name for name, value in OFF.items() if getattr(job.settings.model, name) == value}
+
+
+def test_half_of_the_factorial_tells_main_effects_and_interactions_apart() -> None:
+    whole = {job.label: job for job in jobs_of(["+study=factorial"])}
+    half = jobs_of(["+study=factorial_half"])
+    assert len(half) == 16
+    assert all(whole[job.label].settings == job.settings for job in half)  # so the whole can follow the half
+    effects = [(name,) for name in OFF] + list(combinations(OFF, 2))
+    signs = np.array([[math.prod(-1 if c in off(job) else 1 for c in effect) for effect in effects] for job in half])
+    np.testing.assert_array_equal(signs.T @ signs, 16 * np.eye(len(effects)))
+
+
+def test_add_one_in_starts_from_nothing() -> None:
+    nothing, *others = jobs_of(["+study=add_one_in"])
+    assert off(nothing) == set(OFF)
+    assert nothing.label == nothing.settings.reference
+    assert [set(OFF) - off(job) for job in others] == [{name} for name in OFF]
+    assert {job.settings.model.family for job in others} == {Family.local}
+
+
+def test_table_2_is_every_variant() -> None:
+    jobs = jobs_of(["+study=table2", "preset=laptop", "seed=0,1,2"])
+    assert {job.label for job in jobs} == set(variant_names())
+    assert len(jobs) == 24
 
 
 def test_study_groups_take_seeds() -> None:
@@ -54,7 +93,7 @@ def test_a_folder_names_its_study() -> None:
     [
         (["variant=sa3h"], r"variant=sa3h: allowed are lsa2h, nsa2h, sa2h, "),
         (["-m", "variant=sa2h,sa3h"], r"variant=sa3h: allowed are"),
-        (["preset=huge"], r"preset=huge: allowed are paper, quick"),
+        (["preset=huge"], r"preset=huge: allowed are laptop, paper, quick"),
         (["varian=sa2h"], r"unknown key 'varian'; did you mean 'variant'\?"),
         (["training.stepz=3"], r"unknown key 'training.stepz'; did you mean 'steps'\? allowed in training: "),
         (["+colour=blue"], r"unknown key 'colour'"),

@@ -30,7 +30,7 @@ def check(jobs: Sequence[Job]) -> None:
     """
     for job in jobs:
         seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
-        _check_training(job, seen)
+        _check_training(job, seen, {other.label for other in jobs})
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
     if starts or jobs[0].settings.task is Task.preview:
         _check_writable(jobs[0].settings.runs)
@@ -87,7 +87,7 @@ def _training_frames(s: StudySettings, frames: int) -> int:
     return round(frames * (1 - s.dataset.validation - s.dataset.test))
 
 
-def _check_training(job: Job, seen: int) -> None:
+def _check_training(job: Job, seen: int, labels: set[str]) -> None:
     s = job.settings
     stride = 2**s.model.depth
     if s.training.crop < stride:
@@ -101,7 +101,7 @@ def _check_training(job: Job, seen: int) -> None:
             raise ConfigurationError(f"{key}.device={device}: allowed are cpu and cuda")
         if device.startswith("cuda") and not torch.cuda.is_available():
             raise ConfigurationError(f"{key}.device={device}: this machine has no usable GPU; allowed is cpu")
-    known = {job.label, *variant_names(), *(path.name for path in s.study_dir.glob("*"))}
+    known = {*labels, *variant_names(), *(path.name for path in s.study_dir.glob("*"))}
     if s.reference not in known:
         raise ConfigurationError(f"reference={s.reference}: allowed are {', '.join(sorted(known))}")
     if not re.fullmatch(r"[\w.+ -]+", s.study):

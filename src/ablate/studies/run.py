@@ -51,6 +51,7 @@ def _run(job: Job) -> None:
     data = prepare_data(job.settings, maps_needed([job.settings.model]))
     store, parent = open_tracking(job.settings)
     run = open_child(job, store, parent)
+    started = time.perf_counter()
     try:
         scalars = _train_and_score(job, data, run)
     except BaseException as error:
@@ -58,6 +59,8 @@ def _run(job: Job) -> None:
         run.end(Status.killed if stopped else Status.failed)
         raise
     run.end(Status.finished)
+    if scalars["train/resumed_at"] == 0:
+        scalars["seconds"] = time.perf_counter() - started  # from which task=plan tells how long another will take
     result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed}
     where = {"data": dataset_folder(job.settings).name, "mlflow_run_id": run.run_id}
     write_json(job.folder / "result.json", {**result, **where, "scalars": scalars})  # the last word: all is done

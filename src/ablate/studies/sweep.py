@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -62,13 +62,18 @@ def label_of(variant: str, overrides: Sequence[str]) -> str:
     The width is a size of the whole study, like the number of steps, and no part of it.
     """
     own = {"encoding": "echogenicity", **_model_of(variant)}
-    changed = []
-    for override in overrides:
-        key, _, value = override.lstrip("+").partition("=")
-        name = key.removeprefix("model.")
-        if (name != key or key == "encoding") and name != "width" and str(own.get(name)) != value:
-            changed.append(re.sub(r"[^A-Za-z0-9.+_-]", "_", f"{name}-{value}"))
-    return ".".join([variant, *sorted(changed)])
+    changed = {name: value for override in _parse(list(overrides)) for name, value in _components(override)}
+    named = [f"{name}-{value}" for name, value in sorted(changed.items()) if str(own.get(name)) != str(value)]
+    return ".".join([variant, *(re.sub(r"[^A-Za-z0-9.+_-]", "_", name) for name in named)])
+
+
+def _components(override: Override) -> Iterator[tuple[str, object]]:
+    """What an override says of the components: `model.depth=8`, `model={depth:8,noise:input}` or `encoding=...`."""
+    key, value = override.key_or_group, override.value()
+    if key == "model" and isinstance(value, dict):
+        yield from ((str(name), v) for name, v in value.items() if name != "width")
+    elif key == "encoding" or (key.startswith("model.") and key != "model.width"):
+        yield key.removeprefix("model."), value
 
 
 def _model_of(variant: str) -> dict[str, object]:

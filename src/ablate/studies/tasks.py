@@ -7,12 +7,11 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-import pandas as pd
-
 from ablate.config import StudySettings, Task
 from ablate.studies.compare import compare_study
 from ablate.studies.data import dataset_folder, dataset_hash, drop_damaged, made_data, maps_needed, prepare_data
 from ablate.studies.identity import finished
+from ablate.studies.plan import plan
 from ablate.studies.preflight import check
 from ablate.studies.preview import preview
 from ablate.studies.sweep import ConfigurationError, Job
@@ -113,23 +112,6 @@ def describe(jobs: Sequence[Job]) -> int:
     print(f"maps simulated for {', '.join(dict.fromkeys(j.label for j in jobs))}: {', '.join(sorted(read))}")
     if "low" not in read:
         print("left out: low, the low-quality image; none of these variants reads it")
-    return 0
-
-
-def plan(jobs: Sequence[Job]) -> int:
-    """What would run and what is done."""
-    check(jobs)
-    rows = []
-    for job in jobs:
-        done = finished(job)
-        state = "finished" if done else "resumes" if (job.folder / "last.ckpt").exists() else "missing"
-        seconds = f"{done['scalars'].get('train/seconds', float('nan')):.0f}" if done else ""
-        rows.append({"job": job.name, "state": state, "training_seconds": seconds, "folder": str(job.folder)})
-    print(pd.DataFrame(rows).to_string(index=False))
-    first = jobs[0].settings
-    folder = dataset_folder(first)
-    state = "there" if (folder / "about.json").exists() else "to be simulated"
-    print(f"\ndata: {folder} ({state})")
     return 0
 
 
