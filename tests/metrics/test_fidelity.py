@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from skimage.metrics import peak_signal_noise_ratio
@@ -14,6 +14,7 @@ from ablate.metrics import mae, psnr
 SHAPES = hnp.array_shapes(min_dims=2, max_dims=2, max_side=9)
 
 
+@settings(deadline=None)
 @given(shape=SHAPES, data=st.data())
 def test_psnr_and_mae_agree_with_others_and_are_symmetric(shape, data):
     a, b = (data.draw(hnp.arrays(np.uint8, shape)) for _ in range(2))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.fft import rfft2
 
-from ablate.metrics.patch_histograms import as_patches, patches_inside
+from ablate.metrics.patch_histograms import as_patches, patches_inside, value_counts
 
 PATCH = 48
 QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
@@ -31,18 +32,30 @@ FEATURE_NAMES: tuple[str, ...] = (
 )
 
 
-def _moments(x: np.ndarray) -> np.ndarray:
-    """(n, 9): mean, sd, log skewness and kurtosis, and quantiles of patches (n, PATCH * PATCH)."""
-    mean = x.mean(axis=1, keepdims=True)
-    centred = x - mean
-    variance = np.mean(centred**2, axis=1) + QUANTISATION_VARIANCE
+def _moments(patches: np.ndarray) -> np.ndarray:
+    """(n, 9): mean, sd, log skewness and kurtosis, and quantiles of patches (n, PATCH * PATCH) uint8."""
+    counts, levels, pixels = value_counts(patches, 256), np.arange(256.0), patches.shape[1]
+    mean = counts @ levels / pixels
+    centred = levels - mean[:, None]
+    second, third, fourth = (np.sum(counts * centred**k, axis=1) / pixels for k in (2, 3, 4))
+    variance = second + QUANTISATION_VARIANCE
     # A single bright pixel in a black patch has a kurtosis of thousands: both are taken as logarithms.
-    cubed = np.mean(centred**3, axis=1) / variance**1.5
+    cubed = third / variance**1.5
     skewness = np.sign(cubed) * np.log1p(np.abs(cubed))
-    kurtosis = np.log1p(np.mean(centred**4, axis=1) / variance**2)
-    quantiles = np.quantile(x, QUANTILES, axis=1)
-    columns = (mean[:, 0] / GREY_UNIT, np.sqrt(variance) / GREY_UNIT, skewness, kurtosis)
-    return np.column_stack((*columns, *(quantiles / GREY_UNIT)))
+    kurtosis = np.log1p(fourth / variance**2)
+    columns = (mean / GREY_UNIT, np.sqrt(variance) / GREY_UNIT, skewness, kurtosis)
+    return np.column_stack((*columns, _quantiles(counts, pixels) / GREY_UNIT))
+
+
+def _quantiles(counts: np.ndarray, pixels: int) -> np.ndarray:
+    """(n, len(QUANTILES)): quantiles of grey levels from their counts, interpolated linearly as by NumPy."""
+    up_to = np.cumsum(counts, axis=1)
+    columns = []
+    for q in QUANTILES:
+        rank = q * (pixels - 1)
+        low, high = ((up_to <= k).sum(axis=1) for k in (int(rank), min(int(rank) + 1, pixels - 1)))
+        columns.append(low + (high - low) * (rank - int(rank)))
+    return np.column_stack(columns)
 
 
 def _spatial(x: np.ndarray) -> np.ndarray:
@@ -62,7 +75,7 @@ def _band_powers(x: np.ndarray) -> np.ndarray:
     """(n, 8): log10 power in four octaves, nearer to the lateral or to the axial frequency axis."""
     window = np.hanning(PATCH)
     tapered = (x - x.mean(axis=(1, 2), keepdims=True)) * np.outer(window, window)
-    power = np.abs(np.fft.rfft2(tapered)) ** 2 / np.square(np.outer(window, window)).sum()
+    power = np.abs(rfft2(tapered)) ** 2 / np.square(np.outer(window, window)).sum()
     axial, lateral = np.abs(np.fft.fftfreq(PATCH))[:, None], np.fft.rfftfreq(PATCH)[None, :]
     octave = np.digitize(np.hypot(axial, lateral), BAND_EDGES) - 1
     columns = []
@@ -73,6 +86,16 @@ def _band_powers(x: np.ndarray) -> np.ndarray:
     return np.column_stack(columns)
 
 
+def _pattern_of_code() -> np.ndarray:
+    """(256,) uint8: for each choice of brighter neighbours, a bit each, its rotation-invariant uniform pattern."""
+    bits = np.arange(256)[:, None] >> np.arange(8) & 1
+    changes = np.count_nonzero(bits != np.roll(bits, 1, axis=1), axis=1)
+    return np.where(changes <= 2, bits.sum(axis=1), 9).astype(np.uint8)
+
+
+_PATTERN_OF_CODE = _pattern_of_code()
+
+
 def _local_binary_patterns(image: np.ndarray) -> np.ndarray:
     """(H, W) uint8: rotation-invariant uniform pattern of the 8 neighbours (Ojala et al. 2002).
 
@@ -81,10 +104,10 @@ def _local_binary_patterns(image: np.ndarray) -> np.ndarray:
     """
     padded = np.pad(image, 1, mode="edge")
     height, width = image.shape
-    around = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
-    signs = np.stack([padded[i : i + height, j : j + width] >= image for i, j in around])
-    changes = np.count_nonzero(signs != np.roll(signs, 1, axis=0), axis=0)
-    return np.where(changes <= 2, np.count_nonzero(signs, axis=0), 9).astype(np.uint8)
+    codes = np.zeros(image.shape, np.uint8)
+    for bit, (i, j) in enumerate(((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))):
+        codes |= (padded[i : i + height, j : j + width] >= image).view(np.uint8) << np.uint8(bit)
+    return _PATTERN_OF_CODE[codes]
 
 
 def speckle_features(images: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
@@ -122,8 +145,8 @@ def speckle_features(images: np.ndarray, mask: np.ndarray | None = None) -> np.n
 
 
 def _features_of_one(image: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    flat = as_patches(image, PATCH)[inside].astype(np.float64)
-    square = flat.reshape(-1, PATCH, PATCH)
+    flat = as_patches(image, PATCH)[inside]
+    square = flat.reshape(-1, PATCH, PATCH).astype(np.float64)
     patterns = as_patches(_local_binary_patterns(image), PATCH)[inside]
-    histogram = (patterns[..., None] == np.arange(10, dtype=np.uint8)).mean(axis=1) / FRACTION_UNIT
+    histogram = value_counts(patterns, 10) / patterns.shape[1] / FRACTION_UNIT
     return np.hstack((_moments(flat), _spatial(square), _band_powers(square), histogram))

@@ -8,6 +8,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from scipy.fft import rfft2
 from scipy.ndimage import gaussian_filter
 
 from ablate.metrics.fidelity import check_pair
@@ -41,16 +42,10 @@ def relative_attenuation(
     (H, W) float32
         1 at the median, under 1 in shadow; NaN outside the fan and where the median is 0.
     """
-    depth_bin = np.maximum(depth_mm[mask] / bin_mm, 0.0).astype(np.int64)
+    depth_bin = np.clip(depth_mm[mask] / bin_mm, 0, np.iinfo(np.uint16).max).astype(np.uint16)
     values = np.ascontiguousarray(attenuation[mask], dtype=np.float32)
-    # Positive floats sort as their bit patterns do, so one sort of (bin, value) orders every bin at once.
-    keys = np.sort((depth_bin << 32) | np.maximum(values, 0.0).view(np.int32))
-    counts = np.bincount(depth_bin)
-    first = np.cumsum(counts) - counts
-    last = max(len(keys) - 1, 0)
-    middle = [np.minimum(first + np.maximum(k, 0) // 2, last) for k in (counts - 1, counts)]
-    ordered = (keys & 0x7FFFFFFF).astype(np.int32).view(np.float32)
-    median = (ordered[middle[0]] + ordered[middle[1]]) / 2 if len(keys) else np.zeros(0, np.float32)
+    by_depth = np.split(values[np.argsort(depth_bin, kind="stable")], np.cumsum(np.bincount(depth_bin))[:-1])
+    median = np.array([np.median(level) if level.size else np.nan for level in by_depth], dtype=np.float32)
     relative = np.full(attenuation.shape, np.nan, dtype=np.float32)
     at_pixel = median[depth_bin]
     relative[mask] = np.divide(values, at_pixel, out=np.full_like(values, np.nan), where=at_pixel > 0)
@@ -152,7 +147,7 @@ def _mean_spectrum(image: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     window = np.outer(np.hanning(BLOCK), np.hanning(BLOCK)).astype(np.float32)
     cut = as_patches(image, BLOCK)[blocks].astype(np.float32).reshape(-1, BLOCK, BLOCK)
     cut -= cut.mean(axis=(1, 2), keepdims=True)
-    spectrum = np.fft.rfft2(cut * window)
+    spectrum = rfft2(cut * window)
     power = (spectrum.real**2 + spectrum.imag**2).mean(axis=0, dtype=np.float64)
     # Rounding to 8 bits has this power whatever the image; it keeps empty blocks finite.
     return power / np.square(window).sum() + 1.0 / 12.0

@@ -46,7 +46,26 @@ def patches_inside(mask: np.ndarray, patch: int = 20) -> np.ndarray:
 def _bin_of_grey_level(bins: int) -> np.ndarray:
     """Bin of each grey level over `linspace(0, 255, bins + 1)`, last closed, as `numpy.histogram` has it."""
     edges = np.linspace(0.0, PEAK, bins + 1)
-    return np.minimum(np.searchsorted(edges, np.arange(256), side="right") - 1, bins - 1)
+    return np.minimum(np.searchsorted(edges, np.arange(256), side="right") - 1, bins - 1).astype(np.uint8)
+
+
+def value_counts(patches: np.ndarray, values: int) -> np.ndarray:
+    """How often each value occurs in each patch.
+
+    Parameters
+    ----------
+    patches : (..., pixels) uint8
+        Under `values`.
+    values : int
+
+    Returns
+    -------
+    (..., values) int64
+    """
+    flat = patches.reshape(-1, patches.shape[-1])
+    first = np.arange(len(flat), dtype=np.int32)[:, None] * np.int32(values)
+    counts = np.bincount((flat + first).ravel(), minlength=len(flat) * values)
+    return counts.reshape(*patches.shape[:-1], values)
 
 
 def patch_counts(image: np.ndarray, patch: int, bins: int) -> np.ndarray:
@@ -66,11 +85,7 @@ def patch_counts(image: np.ndarray, patch: int, bins: int) -> np.ndarray:
     (H // patch, W // patch, bins) int64
         Pixels of each patch in each bin.
     """
-    binned = as_patches(_bin_of_grey_level(bins)[image], patch)
-    rows, columns, _ = binned.shape
-    first = np.arange(rows * columns).reshape(rows, columns, 1) * bins
-    counts = np.bincount((binned + first).ravel(), minlength=rows * columns * bins)
-    return counts.reshape(rows, columns, bins)
+    return value_counts(as_patches(_bin_of_grey_level(bins).take(image), patch), bins)
 
 
 def patch_chi2(a: np.ndarray, b: np.ndarray, patch: int = 20, bins: int = 50) -> np.ndarray:
