@@ -9,6 +9,7 @@ import numpy as np
 from ablate.anatomy import Tissue
 
 DB_PER_NEPER = 20 / math.log(10)  # 8.686
+_STIFF_NEPERS = 1e3  # float32 is 6e-5 apart there, less than a sample of soft tissue takes
 
 
 def loss_db_mm(tissue: Tissue, frequency_mhz: float) -> float:
@@ -35,12 +36,13 @@ def integral_attenuation(labels: np.ndarray, losses_db_mm: np.ndarray, spacing_m
     (scanlines, samples) float32 in [0, 1]
     """
     nepers = (losses_db_mm * spacing_mm / DB_PER_NEPER).astype(np.float32)
-    total = np.cumsum(nepers[labels], axis=1, dtype=np.float32)
+    stiff = nepers.max() * labels.shape[1] > _STIFF_NEPERS
+    total = np.cumsum(nepers[labels], axis=1, dtype=np.float64 if stiff else np.float32)
     scale = _percentile_of_decay(total, 98.0)
-    return np.exp(np.minimum(scale - total, 0))
+    return np.exp(np.minimum(scale - total, 0)).astype(np.float32, copy=False)
 
 
-def _percentile_of_decay(total: np.ndarray, percent: float) -> np.float32:
+def _percentile_of_decay(total: np.ndarray, percent: float) -> np.floating:
     """-log of the percentile of exp(-total), interpolated as `numpy.percentile` does."""
     position = (1 - percent / 100) * (total.size - 1)
     low = int(position)
@@ -48,4 +50,4 @@ def _percentile_of_decay(total: np.ndarray, percent: float) -> np.float32:
     ordered = np.partition(total, (low, high), axis=None)
     a, b = float(ordered[low]), float(ordered[high])  # a <= b: the larger and the smaller amplitude
     between = position - low
-    return np.float32(a - math.log1p(between * math.expm1(a - b)))
+    return total.dtype.type(a - math.log1p(between * math.expm1(a - b)))

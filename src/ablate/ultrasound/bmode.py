@@ -10,12 +10,14 @@ from ablate.ultrasound.probe import sample_depths_mm
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 
 _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
+_LARGEST_GAIN_DB = 700.0  # finite as float32, so that silence stays silence; all that is audible is white by then
 
 
 def time_gain(probe: ConvexProbe, settings: SimulatorSettings) -> np.ndarray:
     """Gain of each sample that makes up for `tgc_db_cm_mhz` on the way there and back, (samples,) float64."""
     depth_cm = sample_depths_mm(probe, settings.axial_samples) / 10
-    return 10 ** (2 * settings.tgc_db_cm_mhz * probe.frequency_mhz * depth_cm / 20)
+    gain_db = 2 * settings.tgc_db_cm_mhz * probe.frequency_mhz * depth_cm
+    return 10 ** (np.minimum(gain_db, _LARGEST_GAIN_DB) / 20)
 
 
 def receiver_noise(settings: SimulatorSettings, axial: torch.Tensor, seed: int) -> torch.Tensor:
@@ -57,7 +59,8 @@ def grey_levels(signal: torch.Tensor, settings: SimulatorSettings) -> torch.Tens
     Returns
     -------
     (scanlines, samples) tensor, not yet rounded
+        Silence, at minus infinity dB, is black whatever the dynamic range.
     """
     power = signal.square().sum(dim=0) / settings.reference_level**2
-    level_db = 10 * torch.log10(power.clamp_(min=1e-30))
+    level_db = 10 * torch.log10(power)
     return (level_db / settings.dynamic_range_db + 1).clamp_(0, 1).mul_(255)

@@ -20,6 +20,7 @@ TABLE_SIZE = 8192
 _AXIS_FACTORS = (0x1B873593, 0x2545F491, 0x27D4EB2F)
 _TABLE_SEED = 20201
 _MASK = 0xFFFFFFFF
+_ANCHOR_CELLS = 1 << 20  # float32 tells a sixteenth of a cell apart up to there
 
 
 def scatterer_tables(tissues: Sequence[Tissue]) -> np.ndarray:
@@ -53,23 +54,47 @@ def scatterer_tables(tissues: Sequence[Tissue]) -> np.ndarray:
     return tables
 
 
-def cell_hash(points_mm: Sequence[torch.Tensor], pitch_mm: float, seed: int) -> torch.Tensor:
+def lattice_anchor(points_mm: np.ndarray, pitch_mm: float) -> np.ndarray:
+    """The corner of the lattice that points are counted from, so that float32 tells their cells apart.
+
+    Parameters
+    ----------
+    points_mm : (n, 3) float64, mm
+        World coordinates.
+    pitch_mm : float
+
+    Returns
+    -------
+    (3,) float64
+        Cells from the world's origin: the multiple of `_ANCHOR_CELLS` nearest to the first point, 0 within 50 m of
+        the origin at a pitch of 0.1 mm.
+    """
+    return np.rint(points_mm[0] / (pitch_mm * _ANCHOR_CELLS)) * _ANCHOR_CELLS
+
+
+def cell_hash(
+    points_mm: Sequence[torch.Tensor], pitch_mm: float, seed: int, anchor: Sequence[float] = (0, 0, 0)
+) -> torch.Tensor:
     """A number in [0, TABLE_SIZE) for the lattice cell that each point lies in.
 
     Parameters
     ----------
     points_mm : three tensors of one shape
-        World coordinates; overwritten.
+        Coordinates from the anchor; overwritten.
     pitch_mm : float
     seed : int
+    anchor : three numbers
+        From `lattice_anchor`.
 
     Returns
     -------
     int32 tensor of the same shape
     """
     mixed = None
-    for axis, factor in zip(points_mm, _AXIS_FACTORS, strict=True):
+    for axis, factor, first in zip(points_mm, _AXIS_FACTORS, anchor, strict=True):
         cell = axis.mul_(1 / pitch_mm).floor_().to(torch.int32)
+        if first:
+            cell.add_(_wrapped(int(first)))
         cell.mul_(factor)
         mixed = cell if mixed is None else mixed.bitwise_xor_(cell)
     assert mixed is not None
@@ -91,7 +116,12 @@ def _mix_seed(seed: int) -> int:
         value ^= value >> 16
         seed >>= 32
         if seed <= 0:
-            return value - (1 << 32) if value >= 1 << 31 else value
+            return _wrapped(value)
+
+
+def _wrapped(value: int) -> int:
+    """A whole number modulo 2^32, in the range of int32."""
+    return (value + (1 << 31)) % (1 << 32) - (1 << 31)
 
 
 def shared_cell_gain(

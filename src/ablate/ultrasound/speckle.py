@@ -12,12 +12,13 @@ from torch.nn import functional as F
 
 from ablate.anatomy import Tissue
 from ablate.ultrasound.point_spread import autocorrelation, axial_kernel, layer_weights
-from ablate.ultrasound.scatterers import TABLE_SIZE, cell_hash, scatterer_tables, shared_cell_gain
+from ablate.ultrasound.scatterers import TABLE_SIZE, cell_hash, lattice_anchor, scatterer_tables, shared_cell_gain
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.texture import texture_gain_db, texture_tables
 
 _DB_TO_NEPER = math.log(10) / 20
 _TEXTURE_SPACING_MM = 0.3
+_MOST_CELLS = 1 << 24  # of the lattice along a scanline: float32 tells no more apart
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,9 @@ class LitLines:
     Attributes
     ----------
     starts, directions : (layers, scanlines, 3) float32 tensor, mm
-        In world coordinates.
+        Along the world's axes; starts are counted from the anchor.
+    anchor : (3,) float64
+        From `lattice_anchor`, cells.
     ranges_mm : (samples,) or (layers, scanlines, samples) float32 tensor
         Along the scanline, of the point that each sample displays.
     table_offset : (layers, scanlines, samples) int32 tensor
@@ -38,6 +41,7 @@ class LitLines:
 
     starts: torch.Tensor
     directions: torch.Tensor
+    anchor: np.ndarray
     ranges_mm: torch.Tensor
     table_offset: torch.Tensor
     amplitude: torch.Tensor
@@ -60,6 +64,8 @@ class Speckle:
     ) -> None:
         self._settings, self._dtype = settings, dtype
         self._spacing_mm = probe.depth_mm / settings.axial_samples
+        reach_mm = probe.radius_mm + probe.depth_mm
+        self._pitch_mm = max(settings.scatterer_pitch_mm, reach_mm / _MOST_CELLS)
         tables = torch.from_numpy(scatterer_tables(tissues)).to(settings.device)
         self._tables = torch.view_as_real(tables).flatten(0, 1).to(dtype)
         textures = texture_tables(tissues)
@@ -94,7 +100,7 @@ class Speckle:
         """
         settings = self._settings
         shape = settings.layers, settings.scanlines, settings.axial_samples
-        gain = shared_cell_gain(directions, self._spacing_mm, settings.scatterer_pitch_mm, self._kernel_correlation)
+        gain = shared_cell_gain(directions, self._spacing_mm, self._pitch_mm, self._kernel_correlation)
         line_db = settings.scatterer_level_db - 10 * np.log10(gain)
         nodes = level_db.shape[-1]
         at_nodes = np.rint(np.linspace(0, shape[2] - 1, nodes)).astype(int)
@@ -114,7 +120,9 @@ class Speckle:
             level = _interpolated(level, texture.shape[-1]) + texture
         level = _interpolated(level.mul_(_DB_TO_NEPER), shape[2])
         amplitude = level.to(self._dtype).exp_()
-        return LitLines(*ends, ranges, label.to(torch.int32) * TABLE_SIZE, amplitude)
+        anchor = lattice_anchor(starts, self._pitch_mm)
+        from_anchor = tensor(starts - anchor * self._pitch_mm, *shape[:2], 3)
+        return LitLines(from_anchor, ends[1], anchor, ranges, label.to(torch.int32) * TABLE_SIZE, amplitude)
 
     def __call__(self, lit: LitLines, seed: int) -> torch.Tensor:
         """Sum over layers of amplitude x scatterer, (2, scanlines, samples) tensor: real and imaginary part."""
@@ -124,7 +132,7 @@ class Speckle:
             points = [
                 lit.starts[layer, :, axis, None] + lit.directions[layer, :, axis, None] * along for axis in range(3)
             ]
-            entry = cell_hash(points, self._settings.scatterer_pitch_mm, seed).add_(lit.table_offset[layer])
+            entry = cell_hash(points, self._pitch_mm, seed, lit.anchor).add_(lit.table_offset[layer])
             strength = self._tables.index_select(0, entry.flatten()).view_as(total)
             total.addcmul_(strength, amplitude[..., None])
         return total.permute(2, 0, 1).contiguous()
