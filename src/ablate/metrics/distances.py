@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+LARGEST = 1e50  # of a feature: the kernel's cube of a square stays finite
+
 
 def _checked(features: np.ndarray, name: str) -> np.ndarray:
     features = np.asarray(features, dtype=np.float64)
@@ -15,6 +17,8 @@ def _checked(features: np.ndarray, name: str) -> np.ndarray:
         raise ValueError(f"{name} needs at least 2 samples for a covariance, got {features.shape[0]}")
     if not np.isfinite(features).all():
         raise ValueError(f"{name} holds values that are not finite")
+    if (np.abs(features) > LARGEST).any():
+        raise ValueError(f"{name} holds values beyond {LARGEST:g}, of which the distance would overflow")
     return features
 
 
@@ -53,7 +57,7 @@ def frechet_distance(X: np.ndarray, Y: np.ndarray) -> float:
     Raises
     ------
     ValueError
-        When a set has fewer than two samples, is not finite, or the dimensions differ.
+        When a set has fewer than two samples, is not finite or beyond 1e50, or the dimensions differ.
     """
     X, Y = _checked_pair(X, Y)
     mean_x, mean_y = X.mean(axis=0), Y.mean(axis=0)
@@ -84,7 +88,7 @@ def kernel_distance(X: np.ndarray, Y: np.ndarray) -> float:
     Raises
     ------
     ValueError
-        When a set has fewer than two samples, is not finite, or the dimensions differ.
+        When a set has fewer than two samples, is not finite or beyond 1e50, or the dimensions differ.
     """
     X, Y = _checked_pair(X, Y)
     n, m, d = X.shape[0], Y.shape[0], X.shape[1]
