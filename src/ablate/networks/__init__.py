@@ -1,6 +1,7 @@
 """Generators composed of the components that an ablation switches, and their discriminator."""
 
 from ablate.networks.discriminator import PatchDiscriminator, discriminator_channels
+from ablate.networks.export import export_onnx
 from ablate.networks.gaussian_fields import gaussian_field
 from ablate.networks.generator import Generator
 from ablate.networks.parameters import count_discriminator, count_generator, count_parameters
@@ -34,6 +35,7 @@ __all__ = [
     "count_parameters",
     "discriminator_channels",
     "draws_noise",
+    "export_onnx",
     "gaussian_field",
     "inputs",
     "patch_size",

@@ -2,6 +2,7 @@
 
 from ablate.training.checkpoints import LAST, load_generator, read_checkpoint
 from ablate.training.divergence import DivergenceError
+from ablate.training.engines import Engine, missing_for, open_exported, renderer
 from ablate.training.inference import generate, median_ms_per_frame
 from ablate.training.loop import Loader, TrainedGenerator, train
 from ablate.training.module import PairGAN
@@ -13,6 +14,7 @@ __all__ = [
     "LAST",
     "AdversarialLoss",
     "DivergenceError",
+    "Engine",
     "Loader",
     "MetricSink",
     "PairGAN",
@@ -25,6 +27,9 @@ __all__ = [
     "generate",
     "load_generator",
     "median_ms_per_frame",
+    "missing_for",
+    "open_exported",
     "read_checkpoint",
+    "renderer",
     "train",
 ]

@@ -1,0 +1,120 @@
+"""What computes a frame: torch as it is, torch's compiler, or a runtime for the exported file."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import torch
+from torch import Tensor
+
+from ablate.networks import Generator, conditions, export_onnx
+from ablate.training.precision import autocast, chosen_precision
+from ablate.training.settings import Precision
+
+# Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
+Render = Callable[[Mapping[str, Tensor], Tensor], Tensor]
+
+
+class Engine(StrEnum):
+    """`eager`: torch; `compiled`: `torch.compile`; `exported`: OpenVINO, on a CPU, from the ONNX file."""
+
+    eager = "eager"
+    compiled = "compiled"
+    exported = "exported"
+
+
+def missing_for(engine: Engine, device: torch.device) -> str | None:
+    """Say in a few words what this machine lacks to run an engine on a device; None if nothing."""
+    if engine is Engine.exported:
+        if device.type != "cpu":
+            return "a CPU: on a GPU, take the exported file to TensorRT or ONNX Runtime"
+        lacking = [name for name in ("onnx", "onnxscript", "openvino") if find_spec(name) is None]
+        return f"the package {lacking[0]}: pip install 'ablate[export]'" if lacking else None
+    if engine is Engine.compiled:
+        if device.type != "cpu":
+            return None if find_spec("triton") else "the package triton, which writes torch's compiled GPU code"
+        compiler = os.environ.get("CXX", "g++")
+        return None if shutil.which(compiler) else f"a C++ compiler ({compiler}), which torch.compile calls"
+    return None
+
+
+def renderer(
+    generator: Generator, height: int, width: int, precision: Precision = Precision.auto, engine: Engine = Engine.eager
+) -> Render:
+    """Make a function that renders one frame of a fixed size, on the generator's device.
+
+    Compiling and exporting take their time here or at the first frame. A compiled generator on a GPU replays a
+    CUDA graph: an image is overwritten by the next one.
+
+    Parameters
+    ----------
+    generator : Generator
+    height, width : int
+        Of a frame, px.
+    precision : Precision
+        Of the convolutions.
+    engine : Engine
+
+    Returns
+    -------
+    callable
+        (maps, seed) -> image; maps beyond `conditions(generator.spec)` are not read.
+
+    Raises
+    ------
+    RuntimeError
+        Where the machine lacks what the engine needs.
+    """
+    device = next(generator.parameters()).device
+    lacking = missing_for(engine, device)
+    if lacking is not None:
+        raise RuntimeError(f"engine={engine}: needs {lacking}")
+    if engine is Engine.exported:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "model.onnx"
+            export_onnx(generator, path, height, width)
+            return open_exported(generator, path, precision)
+    call: Callable[..., Tensor] = generator
+    if engine is Engine.compiled:
+        torch.compiler.reset()  # else the eighth network of a process is not compiled any more, without a word
+        call = torch.compile(generator, dynamic=False, mode="reduce-overhead" if device.type == "cuda" else "default")
+    names = conditions(generator.spec)
+
+    @torch.inference_mode()
+    def render(maps: Mapping[str, Tensor], seed: Tensor) -> Tensor:
+        with autocast(precision, device):
+            return call(**{name: maps[name] for name in names}, noise_seed=seed)
+
+    return render
+
+
+def open_exported(generator: Generator, path: Path, precision: Precision = Precision.auto) -> Render:
+    """Make a function that renders with OpenVINO from a file of `export_onnx`, on as many threads as torch has.
+
+    The generator draws the noise, of which the file is given the fields; its weights are not used.
+    """
+    import openvino
+
+    hint = "bf16" if chosen_precision(precision, torch.device("cpu")) is Precision.bf16 else "f32"
+    options = {
+        "INFERENCE_PRECISION_HINT": hint,
+        "PERFORMANCE_HINT": "LATENCY",
+        "INFERENCE_NUM_THREADS": torch.get_num_threads(),
+    }
+    compiled = openvino.Core().compile_model(path, "CPU", options)
+    names = conditions(generator.spec)
+
+    @torch.inference_mode()
+    def render(maps: Mapping[str, Tensor], seed: Tensor) -> Tensor:
+        given = {name: maps[name] for name in names}
+        fields = generator.draw_noise(seed, *given[names[0]].shape[-2:])
+        image = compiled({name: value.numpy() for name, value in {**given, **fields}.items()})
+        return torch.from_numpy(image[0])
+
+    return render
