@@ -12,15 +12,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
 from statistics import median
-from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -30,58 +27,10 @@ from ablate.anatomy import Scene, Structure, fetal_abdomen, fetal_sites, load_sc
 from ablate.dataset import probe_poses
 from ablate.tracking import hardware
 from ablate.ultrasound import ConvexProbe, Plan, Simulator, SimulatorSettings
-from ablate.ultrasound import simulator as stages
-from ablate.ultrasound.scan_conversion import ScanConverter
-from ablate.ultrasound.speckle import Speckle
+from ablate.ultrasound.stage_times import STAGES, stage_times
 
 POSES = 12
 REPEATS = 3
-#: Name of a stage, where its function is looked up, and the function's name.
-STAGES = (
-    ("labels of the pixels", stages, "segment"),
-    ("attenuation, its labels", stages, "plane_labels"),
-    ("attenuation, its sum", stages, "integral_attenuation"),
-    ("rays at the probe", stages, "leave_probe"),
-    ("rays, to the last echo", stages, "trace"),
-    ("labels of the scanlines", stages, "sampled_lines"),
-    ("echoes onto lines", stages, "surface_lines"),
-    ("clutter onto lines", stages, "clutter_lines"),
-    ("illumination", stages, "mean_level_db"),
-    ("level and texture", Speckle, "light"),
-    ("scatterers", Speckle, "__call__"),
-    ("point spread", stages, "blur"),
-    ("grey levels", stages, "grey_levels"),
-    ("scan conversion", ScanConverter, "__call__"),
-)
-
-
-@contextmanager
-def stopwatch() -> Iterator[dict[str, list[float]]]:
-    """Collects the milliseconds of every call of every stage."""
-    taken: dict[str, list[float]] = defaultdict(list)
-
-    def timed(name: str, function: Callable, *args: object, **kwargs: object) -> object:
-        start = time.perf_counter()
-        result = function(*args, **kwargs)
-        taken[name].append(1e3 * (time.perf_counter() - start))
-        return result
-
-    patches = [
-        patch.object(owner, attribute, _method(partial(timed, name, getattr(owner, attribute)), owner))
-        for name, owner, attribute in STAGES
-    ]
-    for each in patches:
-        each.start()
-    try:
-        yield taken
-    finally:
-        for each in patches:
-            each.stop()
-
-
-def _method(function: Callable, owner: object) -> Callable:
-    """A stand-in that is bound as a method where it stands in for one."""
-    return (lambda self, *args: function(self, *args)) if isinstance(owner, type) else function
 
 
 def milliseconds(call: Callable[[np.ndarray], object], poses: list[np.ndarray]) -> float:
@@ -136,7 +85,7 @@ def by_stage(scene: Scene, poses: list[np.ndarray]) -> None:
     simulator = Simulator(scene)
     simulator.render(poses[-1])
     frames = []
-    with stopwatch() as taken:
+    with stage_times() as taken:
         for pose in poses:
             start = time.perf_counter()
             simulator.render(pose)
