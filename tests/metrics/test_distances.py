@@ -118,6 +118,7 @@ def test_kernel_distance_is_unbiased_where_frechet_is_not():
         (np.ones(3), r"\(n, d\)"),
         (np.ones((4, 2)), "one feature dimension"),
         (np.full((4, 3), np.nan), "not finite"),
+        (np.full((4, 2), 1e60), "beyond 1e"),
     ],
 )
 def test_bad_features_are_refused(distance, x, message):

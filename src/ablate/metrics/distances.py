@@ -6,6 +6,8 @@ import numpy as np
 
 from ablate.metrics.kernel_sums import kernel_sums
 
+LARGEST = 1e50  # of a feature: the kernel's cube of a square stays finite
+
 
 def check_features(X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two sets of features as float64, or a refusal.
@@ -22,7 +24,7 @@ def check_features(X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray
     Raises
     ------
     ValueError
-        When a set has fewer than two samples, is not finite, or the dimensions differ.
+        When a set has fewer than two samples, is not finite or beyond 1e50, or the dimensions differ.
     """
     X, Y = np.asarray(X, dtype=np.float64), np.asarray(Y, dtype=np.float64)
     for name, features in (("X", X), ("Y", Y)):
@@ -32,6 +34,8 @@ def check_features(X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray
             raise ValueError(f"{name} needs at least 2 samples for a covariance, got {features.shape[0]}")
         if not np.isfinite(features).all():
             raise ValueError(f"{name} holds values that are not finite")
+        if (np.abs(features) > LARGEST).any():
+            raise ValueError(f"{name} holds values beyond {LARGEST:g}, of which the distance would overflow")
     if X.shape[1] != Y.shape[1]:
         raise ValueError(f"X and Y must have one feature dimension, got {X.shape[1]} and {Y.shape[1]}")
     return X, Y
@@ -65,7 +69,7 @@ def frechet_distance(X: np.ndarray, Y: np.ndarray) -> float:
     Raises
     ------
     ValueError
-        When a set has fewer than two samples, is not finite, or the dimensions differ.
+        When a set has fewer than two samples, is not finite or beyond 1e50, or the dimensions differ.
     """
     X, Y = check_features(X, Y)
     mean_x, mean_y = X.mean(axis=0), Y.mean(axis=0)
@@ -96,7 +100,7 @@ def kernel_distance(X: np.ndarray, Y: np.ndarray) -> float:
     Raises
     ------
     ValueError
-        When a set has fewer than two samples, is not finite, or the dimensions differ.
+        When a set has fewer than two samples, is not finite or beyond 1e50, or the dimensions differ.
     """
     X, Y = check_features(X, Y)
     all_x, all_y = np.zeros(len(X), np.intp), np.zeros(len(Y), np.intp)
