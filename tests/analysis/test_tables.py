@@ -5,6 +5,7 @@ import io
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from ablate.analysis import (
     RESIMULATION,
@@ -18,7 +19,7 @@ from ablate.analysis import (
     to_text,
     wide_table,
 )
-from ablate.analysis.tables import PAIRED_COLUMNS
+from ablate.analysis.paired_differences import PAIRED_COLUMNS
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +91,13 @@ def test_paired_table_is_the_paired_difference_with_holm_over_networks(study):
         raw.append(found.p)
     networks = (table["variant"] != RESIMULATION).to_numpy()
     np.testing.assert_allclose(table["p_holm"][networks], holm(np.array(raw)[networks]))
+    site_means = (study.groupby(["metric", "variant", "site"])["value"].mean()).unstack("site")
+    raw = [
+        stats.wilcoxon(site_means.loc[row["metric"], row["variant"]] - site_means.loc[row["metric"], "sa2h"]).pvalue
+        for row in table[networks].to_dict("records")
+    ]
+    np.testing.assert_allclose(table["p_sites_holm"][networks], holm(raw))
+    assert set(table["sites"]) == {8}
     assert table.query("variant == 'nsa2h' and metric == 'psnr'")["shift"].iloc[0] == pytest.approx(-2, abs=0.1)
 
 
@@ -107,16 +115,59 @@ def test_missing_reference_or_single_variant_give_empty_tables(study_of):
     assert "sa2h" in to_text(alone)
 
 
-def test_seed_claims(study, study_of):
+def test_seed_claims(study, study_of, scalars):
     claims = seed_claims(study).set_index(["variant", "metric"])
     assert claims.loc[("nsa2h", "psnr"), "verdict"] == "differs"
+    means = study.groupby(["variant", "metric", "seed"])["value"].mean()
+    p = stats.ttest_ind(means["nsa2h", "psnr"], means["sa2h", "psnr"], equal_var=False).pvalue
+    assert claims.loc[("nsa2h", "psnr"), "p"] == pytest.approx(p)
+    assert claims.loc[("nsa2h", "pchi2"), "verdict"] == "not claimable", "no seed changes it: no error to judge by"
+    assert RESIMULATION not in claims.index.get_level_values("variant")
     assert set(seed_claims(study_of(seeds=(0,)))["verdict"]) == {"not claimable"}
+    assert "fd_speckle" in set(seed_claims(study, scalars)["metric"])
+    assert "parameters" not in set(seed_claims(study, scalars)["metric"])
+    assert seed_claims(study, reference="elsewhere").empty
 
 
-def test_bad_frames_are_refused(study):
-    with pytest.raises(ValueError, match="lacks the columns \\['site'\\]"):
-        comparison_table(study.drop(columns="site"))
+def test_a_claim_that_does_not_survive_holm_is_a_suggestion():
+    by_seed = {"sa2h": (0.0, 0.3, 0.6), "b0": (1.0, 1.4, 1.9), "b1": (0.1, 0.2, 0.5), "b2": (0.3, 0.2, 0.1)}
+    rows = [
+        (variant, seed, 0, 0, f"m{k}", value if k == 0 or variant == "sa2h" else value / 4)
+        for k in range(4)
+        for variant, values in by_seed.items()
+        for seed, value in enumerate(values)
+    ]
+    table = pd.DataFrame(rows, columns=["variant", "seed", "frame", "site", "metric", "value"])
+    claims = seed_claims(table)
+    np.testing.assert_allclose(claims["p_holm"].astype(float), holm(claims["p"].astype(float)))
+    row = claims.query("variant == 'b0' and metric == 'm0'").iloc[0]
+    assert row["p"] < 0.05 < row["p_holm"]
+    assert row["verdict"] == "suggested"
+    assert row["low"] > 0
+
+
+def test_missing_columns_are_refused(study):
+    for made in (comparison_table, paired_table):
+        with pytest.raises(ValueError, match="lacks the columns \\['site'\\]"):
+            made(study.drop(columns="site"))
+
+
+def test_one_nan_costs_one_frame_and_is_counted(study):
     broken = study.copy()
-    broken.loc[0, "value"] = np.nan
-    with pytest.raises(ValueError, match="NaN: metric psnr"):
-        paired_table(broken)
+    hit = (broken["variant"] == "nsa2h") & (broken["metric"] == "psnr") & (broken["frame"] == 5) & (broken["seed"] == 1)
+    broken.loc[hit, "value"] = np.nan
+    cell = comparison_table(broken).query("variant == 'nsa2h' and metric == 'psnr'").iloc[0]
+    assert (cell["n"], cell["dropped"]) == (71, 1)
+    row = paired_table(broken, resamples=10).query("variant == 'nsa2h' and metric == 'psnr'").iloc[0]
+    assert (row["n"], row["dropped"]) == (23, 1), "a frame that one seed has no value for is compared by no seed"
+    assert seed_claims(broken).query("variant == 'nsa2h' and metric == 'psnr'")["verdict"].iloc[0] == "differs"
+
+
+def test_a_metric_without_one_value_is_shown_as_such(study):
+    broken = study.copy()
+    broken.loc[(broken["variant"] == "nsa2h") & (broken["metric"] == "psnr"), "value"] = np.nan
+    table = comparison_table(broken)
+    assert table.query("variant == 'nsa2h' and metric == 'psnr'")["n"].iloc[0] == 0
+    for printed in (to_text(table), to_latex(table), to_html(table)):
+        assert "nan" not in printed.lower()
+    assert paired_table(broken, resamples=10).query("variant == 'nsa2h' and metric == 'psnr'").empty

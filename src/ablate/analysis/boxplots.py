@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 
 from ablate.analysis.figure_style import COLUMN_IN, FLOOR_COLOUR, colour_of, house_style, new_figure, save_figure
 from ablate.analysis.metric_facts import REFERENCE, RESIMULATION, Better, facts_of
-from ablate.analysis.tables import aligned_differences, ordered_metrics
+from ablate.analysis.order import ordered_metrics
+from ablate.analysis.paired_differences import aligned_differences
 
 HINTS = {Better.larger: "better →", Better.smaller: "← better", Better.nearest_zero: "", Better.unjudged: ""}
 

@@ -62,6 +62,8 @@ METRICS: dict[str, MetricFacts] = {
     "parameters": MetricFacts("Parameters", "", Better.unjudged, Resimulation.none, 0),
 }
 
+COSTS = ("ms_per_frame", "parameters")  # what a network costs, not what it scores
+
 
 def facts_of(metric: str) -> MetricFacts:
     """Facts of a metric; one that is not in `METRICS` is shown under its own name and not judged.

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from ablate.analysis.component_claims import FEWEST_SEEDS, Verdict
 from ablate.analysis.metric_facts import REFERENCE, RESIMULATION, facts_of
-from ablate.analysis.statistics import FEWEST_SEEDS, Verdict
 from ablate.analysis.table_formats import resimulation_note, to_html
 
 CSS = """
@@ -165,12 +165,13 @@ def write_report(
         )
     if claims is not None and len(claims):
         claimable = claims[claims["verdict"] != Verdict.not_claimable]
-        said = f"corrected for the number of rows.</p>{_claims_html(claimable)}"
-        if not len(claimable):
-            said = f"claimable here: it takes at least {FEWEST_SEEDS} seeds (<code>seed=0,1,2</code>).</p>"
-        parts.append(
-            f"<h2>Does the component matter?</h2><p>Judged on one mean a seed (Welch), not on frames, not {said}"
+        said = (
+            "; <i>differs</i> survives Holm's correction over all rows, <i>suggested</i> holds for its row alone.</p>"
+            f"{_claims_html(claimable)}"
         )
+        if not len(claimable):
+            said = f": not claimable here, it takes at least {FEWEST_SEEDS} seeds (<code>seed=0,1,2</code>).</p>"
+        parts.append(f"<h2>Does the component matter?</h2><p>Judged on one mean a seed (Welch), not on frames{said}")
     if figures:
         parts.append("<h2>Figures</h2>" + "".join(_figure_html(*figure) for figure in figures))
     if left_out:

@@ -38,7 +38,7 @@ def _cells(table: pd.DataFrame) -> tuple[list[str], list[str], dict[tuple[str, s
     for row in table.to_dict("records"):
         decimals = facts_of(row["metric"]).decimals
         sd = "" if pd.isna(row["sd"]) else f"{row['sd']:.{decimals}f}"
-        mean = f"{row['mean']:.{decimals}f}"
+        mean = "–" if pd.isna(row["mean"]) else f"{row['mean']:.{decimals}f}"
         if row["metric"] == "parameters":
             mean, sd = f"{row['mean'] / 1e6:.3g}M", ""
         cells[row["variant"], row["metric"]] = (mean, sd, bool(row["best"]))

@@ -101,7 +101,7 @@ def _write(
         per_image,
         table,
         paired,
-        claims=seed_claims(per_image, reference),
+        claims=seed_claims(per_image, scalars, reference),
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
         left_out=[*data_of(runs).left_out, *_left_out(runs)],
         provenance=provenance,

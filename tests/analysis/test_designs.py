@@ -1,0 +1,170 @@
+"""Designs are recognised, say what they cannot tell apart, and give the effects that were put in."""
+
+import itertools
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ablate.analysis import effects_table, find_design
+from ablate.analysis.effects import defining_relation
+
+FACTORS = ("attenuation", "concat", "upsampling", "noise", "depth")
+ON = {"attenuation": "integral", "concat": "every_level", "upsampling": "texture", "noise": "inject", "depth": 4}
+OFF = {"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "input", "depth": 8}
+
+
+def label_of(off):
+    return ".".join(["sa2h", *(f"{name}-{OFF[name]}" for name in off)])
+
+
+def study_of(subsets, **more):
+    """Components by label, each subset of the factors turned off."""
+    return {label_of(off): {"family": "local", **more, **ON, **{name: OFF[name] for name in off}} for off in subsets}
+
+
+ALL = [off for size in range(6) for off in itertools.combinations(FACTORS, size)]
+HALF = [off for off in ALL if len(off) % 2 == 0]
+LEAVE_ONE_OUT = [off for off in ALL if len(off) < 2]
+ADD_ONE_IN = [(), *(off for off in ALL if len(off) > 3)]
+
+
+def runs_of(components, response, seeds=3, noise=0.0):
+    rng = np.random.default_rng(0)
+    rows = [
+        (label, seed, frame, frame // 2, "psnr", response({f: made[f] == OFF[f] for f in FACTORS}) + shock)
+        for label, made in components.items()
+        for seed in range(seeds)
+        for shock in [noise * rng.normal()]
+        for frame in range(4)
+    ]
+    return pd.DataFrame(rows, columns=["variant", "seed", "frame", "site", "metric", "value"])
+
+
+def respond(off):
+    """Main effects, one interaction of two, one of four."""
+    two, four = off["attenuation"] * off["depth"], np.prod([off[f] for f in FACTORS[:4]])
+    return 20 - 2 * off["attenuation"] - off["concat"] + 0.5 * off["noise"] - two + 0.0 * four
+
+
+@pytest.mark.parametrize(
+    ("subsets", "name", "effects"),
+    [
+        (ALL, "full factorial of 5 components (32 cells)", 15),
+        (HALF, "half of the factorial of 5 components (16 of 32 cells)", 15),
+        (LEAVE_ONE_OUT, "one change at a time around sa2h (6 cells)", 5),
+        (ADD_ONE_IN, f"one change at a time around {label_of(FACTORS)} (6 cells)", 5),
+        ([*LEAVE_ONE_OUT, ("attenuation", "depth")], "7 of the 32 cells of 5 components", 6),
+    ],
+    ids=["full", "half", "leave one out", "add one in", "mixed"],
+)
+def test_every_design_is_named_and_gives_the_effects_it_can(subsets, name, effects):
+    components = study_of(subsets)
+    design = find_design(components, FACTORS)
+    assert design.name == name
+    table = effects_table(runs_of(components, respond), design)
+    assert len(table) == effects
+    found = table.set_index("effect")["estimate"]
+    # Averaged over the other levels an interaction of -1 adds half of itself to each of its components.
+    half, here = {"full": -0.5, "half": -0.5, "add": -1.0}, name.split()[0]
+    together = half.get(here, 0.0) if "around sa2h." not in name else -1.0
+    if here == "7":
+        together = -0.5
+    assert found["attenuation"] == pytest.approx(-2 + together)
+    assert found["concat"] == pytest.approx(-1)
+    assert found["noise"] == pytest.approx(0.5)
+    assert found["upsampling"] == pytest.approx(0, abs=1e-9)
+    if "attenuation:depth" in found:
+        assert found["attenuation:depth"] == pytest.approx(-0.5)
+
+
+def test_the_half_fraction_says_what_it_cannot_tell_apart():
+    components = study_of(HALF)
+    design = find_design(components, FACTORS)
+    words = defining_relation(design.cells, FACTORS)
+    assert words == ["-attenuation:concat:upsampling:noise:depth"], "an even number changed: their product is -1"
+    assert words[0] in design.reading
+    table = effects_table(runs_of(components, respond), design).set_index("effect")
+    assert table.loc["attenuation", "aliases"] == "-concat:upsampling:noise:depth"
+    assert table.loc["noise:depth", "aliases"] == "-attenuation:concat:upsampling"
+
+    def four_way(off):
+        signs = [1 if off[f] else -1 for f in FACTORS[1:]]
+        return 1.5 * np.prod(signs)
+
+    fooled = effects_table(runs_of(components, four_way), design).set_index("effect")["estimate"]
+    assert fooled["attenuation"] == pytest.approx(-3.0), "the four-way interaction comes back under its alias"
+    full = study_of(ALL)
+    told = effects_table(runs_of(full, four_way), find_design(full, FACTORS)).set_index("effect")
+    assert told["estimate"].abs().max() == pytest.approx(0, abs=1e-9)
+    assert (told["aliases"] != "").sum() == 0
+
+
+def test_one_change_at_a_time_says_that_interactions_are_out_of_reach():
+    components = study_of(LEAVE_ONE_OUT)
+    design = find_design(components, FACTORS)
+    assert "cannot be told" in design.reading
+    table = effects_table(runs_of(components, respond, noise=0.1), design)
+    assert set(table["aliases"]) == {"its interactions"}
+    assert (table["dof"] == 18 - 6).all()
+
+
+def test_a_quarter_fraction_keeps_only_what_is_not_confounded():
+    """Resolution III: no interaction of two is free of a main effect, so none is estimated."""
+    quarter = [
+        off
+        for off in ALL
+        if (("noise" in off) == (("attenuation" in off) ^ ("concat" in off)))
+        and (("depth" in off) == (("attenuation" in off) ^ ("upsampling" in off)))
+    ]
+    assert len(quarter) == 8
+    design = find_design(study_of([(), *quarter[1:]]), FACTORS)
+    assert len(defining_relation(design.cells, design.factors)) == 3
+    table = effects_table(runs_of(study_of(quarter), respond), design).set_index("effect")
+    assert {"attenuation", "concat", "upsampling", "noise", "depth"} <= set(table.index)
+    assert "concat:noise" in table.loc["attenuation", "aliases"]
+
+
+def test_what_differs_otherwise_is_left_out():
+    components = study_of(LEAVE_ONE_OUT)
+    components["nsa2h"] = {**components["sa2h"], "family": "unet"}
+    components["sa2h.noise-none"] = {**components["sa2h"], "noise": "none"}
+    components["sa2h-again"] = {**components["sa2h"], "noise": "input"}
+    design = find_design(components, FACTORS)
+    assert set(design.left_out) == {"nsa2h", "sa2h.noise-none"}
+    assert find_design(components, FACTORS, reference="elsewhere") is None
+    assert find_design({k: components[k] for k in ("sa2h", "nsa2h")}, FACTORS) is None
+
+
+def test_intervals_need_three_trainings_a_side():
+    components = study_of(LEAVE_ONE_OUT)
+    design = find_design(components, FACTORS)
+    for seeds, given in ((1, False), (2, False), (3, True)):
+        table = effects_table(runs_of(components, respond, seeds=seeds, noise=0.1), design)
+        assert table["p"].notna().all() == given
+    full = study_of(ALL)
+    once = effects_table(runs_of(full, respond, seeds=1, noise=0.1), find_design(full, FACTORS))
+    assert once["p"].notna().all(), "sixteen trainings a side"
+    assert (once["dof"] == 16).all()
+
+
+def test_missing_cells_are_said_and_do_not_stop():
+    components = study_of(LEAVE_ONE_OUT[:4])
+    design = find_design(components, FACTORS)
+    assert design.factors == ["attenuation", "concat", "upsampling"]
+    assert len(effects_table(runs_of(components, respond), design)) == 3
+
+
+def test_intervals_cover_the_truth():
+    """95 % intervals of 400 half fractions with one seed more than the saturated design."""
+    components = study_of(HALF)
+    design = find_design(components, FACTORS)
+    rng = np.random.default_rng(0)
+    labels = [label for label in components for _ in range(3)]
+    covered = []
+    for _ in range(400):
+        values = [respond({f: components[x][f] == OFF[f] for f in FACTORS}) + rng.normal() for x in labels]
+        runs = pd.DataFrame({"variant": labels, "value": values, "seed": [0, 1, 2] * 16, "metric": "psnr"})
+        table = effects_table(runs.assign(frame=0, site=0), design).set_index("effect")
+        covered.append(table.loc["concat", "low"] <= -1 <= table.loc["concat", "high"])
+    assert np.mean(covered) == pytest.approx(0.95, abs=3.5 * np.sqrt(0.95 * 0.05 / 400))
