@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import subprocess
+import tomllib
 from pathlib import Path
 
 import numpy as np
 
-from ablate.tracking import environment, git_state, hardware
+from ablate.tracking import environment, git_state, hardware, packages
 
 
 def test_git_state_tells_commit_and_diff(tmp_path: Path) -> None:
@@ -31,6 +32,14 @@ def test_git_state_tells_commit_and_diff(tmp_path: Path) -> None:
 
 def test_environment_names_versions() -> None:
     assert f"numpy=={np.__version__}" in environment().splitlines()
+
+
+def test_packages_are_those_that_the_project_names() -> None:
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    found = packages()
+    assert next(iter(found)) == "python"
+    assert len(found) == 1 + len(project["dependencies"])
+    assert found["numpy"] == np.__version__
 
 
 def test_hardware_is_one_line() -> None:

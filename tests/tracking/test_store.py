@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 import multiprocessing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mlflow import MlflowClient
+from PIL import Image
 
 from ablate.tracking import RunLog, Status, child_run, default_uri, open_store, parent_run
 
@@ -42,6 +45,46 @@ def test_a_run_carries_what_was_logged(tmp_path: Path) -> None:
     assert found.info.status == "FINISHED"
     assert found.info.artifact_uri.startswith((tmp_path / "artifacts").as_uri())
     assert [a.path for a in client.list_artifacts(run.run_id, "provenance")] == ["provenance/a.txt"]
+
+
+def test_a_resumed_run_has_each_image_of_a_series_once(tmp_path: Path) -> None:
+    store = open_store(tmp_path, None, "ablate")
+    parent = parent_run(store, "study")
+    frames = np.random.default_rng(0).integers(0, 256, (3, 20, 30), np.uint8)
+
+    def image_files() -> dict[str, Path]:
+        folder = Path(store.client.get_run(parent).info.artifact_uri.removeprefix("file://")) / "images"
+        return {path.name.partition("timestamp")[0]: path for path in sorted(folder.glob("*.png"))}
+
+    first = RunLog(store, parent)
+    for step in (0, 8):
+        first.image("frame 7 - a/b", frames[step // 8], step)
+    once = image_files()
+    assert list(once) == ["frame 7 - a~b+step+0+", "frame 7 - a~b+step+8+"]
+    small = next(once["frame 7 - a~b+step+8+"].parent.glob("*step+8+*.webp"))
+    small.unlink()  # killed between the two files of an image
+
+    second = RunLog(store, parent)
+    for step in (0, 8, 16):
+        second.image("frame 7 - a/b", frames[step // 8], step)
+    files = image_files()
+    assert files["frame 7 - a~b+step+0+"] == once["frame 7 - a~b+step+0+"]
+    assert len(files) == 3
+    for k, step in enumerate((0, 8, 16)):
+        path = files[f"frame 7 - a~b+step+{step}+"]
+        np.testing.assert_array_equal(np.asarray(Image.open(path)), frames[k])
+        assert path.with_name(f"{path.stem}+compressed.webp").exists()
+
+
+def test_a_run_has_its_data_set_once_and_the_experiment_is_one_of_models(tmp_path: Path) -> None:
+    store = open_store(tmp_path, None, "ablate")
+    run = RunLog(store, parent_run(store, "study"))
+    for _ in range(2):
+        run.dataset("fetal-abc", "abc", tmp_path / "data", 240)
+    (used,) = store.client.get_run(run.run_id).inputs.dataset_inputs
+    assert (used.dataset.name, used.dataset.digest) == ("fetal-abc", "abc")
+    assert json.loads(used.dataset.profile) == {"num_rows": 240}
+    assert store.client.get_experiment(store.experiment_id).tags["mlflow.experimentKind"] == "custom_model_development"
 
 
 def _open(folder: Path) -> str:

@@ -41,14 +41,14 @@ def test_lines_are_about_ten(
     assert caplog.messages[-1].startswith("step 40 of 40: ")
 
 
-def test_validation_is_called_with_the_generator_to_evaluate(
+def test_validation_is_called_with_the_generator_to_evaluate_from_the_start(
     spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
 ) -> None:
     calls: list[tuple[int, dict[str, float]]] = []
 
-    def validate(generator: Generator) -> dict[str, float]:
+    def validate(generator: Generator, images_seen: int) -> dict[str, float]:
         assert not torch.is_grad_enabled()
-        return {"val/weight": float(generator.network.stem.weight.sum())}
+        return {"val/weight": float(generator.network.stem.weight.sum()), "val/seen": images_seen}
 
     train(
         spec,
@@ -59,7 +59,7 @@ def test_validation_is_called_with_the_generator_to_evaluate(
         validation=validate,
     )
     validated = [(images, metrics) for images, metrics in calls if "val/weight" in metrics]
-    assert [images for images, _ in validated] == [8, 16]
+    assert [(images, metrics["val/seen"]) for images, metrics in validated] == [(0, 0), (8, 8), (16, 16)]
     average = read_checkpoint(tmp_path / LAST)["state_dict"]["average.network.stem.weight"]
     assert validated[-1][1]["val/weight"] == pytest.approx(float(average.sum()), abs=1e-6)
 

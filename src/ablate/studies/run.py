@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,9 +19,9 @@ from ablate.studies.data import Data, dataset_folder, maps_needed, prepare_data
 from ablate.studies.evaluate import Evaluation, Render, evaluate, resimulated
 from ablate.studies.identity import claim_place, config_hash, finished, write_json
 from ablate.studies.sweep import Job
-from ablate.studies.tracked import open_child, open_tracking
+from ablate.studies.tracked import log_samples, open_child, open_tracking
 from ablate.tracking import RunLog, Status
-from ablate.training import Precision, generate, median_ms_per_frame, train
+from ablate.training import Precision, Validation, generate, median_ms_per_frame, train
 
 _VALIDATION_FRAMES = 8
 
@@ -50,7 +49,7 @@ def _run(job: Job) -> None:
     claim_place(job)
     data = prepare_data(job.settings, maps_needed([job.settings.model]))
     store, parent = open_tracking(job.settings)
-    run = open_child(job, store, parent)
+    run = open_child(job, store, parent, len(data.pairs))
     started = time.perf_counter()
     try:
         scalars = _train_and_score(job, data, run)
@@ -79,7 +78,7 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> dict[str, float]:
         lambda start, stop: CropLoader(crops, start, stop, s.crops.workers),
         job.folder,
         sink=run.metrics,
-        validation=_validation(job, data, values),
+        validation=_validation(job, data, values, run),
     )
     costs = {"train/resumed_at": float(trained.resumed_at)}
     if trained.resumed_at == 0:
@@ -92,13 +91,14 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> dict[str, float]:
     return _write(job, data, scores, floors, render, {**costs, "ms_per_frame": milliseconds}, run)
 
 
-def _validation(job: Job, data: Data, values: np.ndarray) -> Callable[[Generator], dict[str, float]]:
-    """PSNR in the fan over a few validation frames, for the curve; presets are chosen on it."""
+def _validation(job: Job, data: Data, values: np.ndarray, run: RunLog) -> Validation:
+    """PSNR in the fan over a few validation frames, for the curve; presets are chosen on it. Some of them are shown."""
     frames = equally_spaced(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
     targets, mask = data.pairs.read("high", frames), data.pairs.mask()
 
-    def validate(generator: Generator) -> dict[str, float]:
+    def validate(generator: Generator, images_seen: int) -> dict[str, float]:
         images = renderer(generator, data, values, job.settings.training.precision)(frames, 0)
+        log_samples(run, frames, images, targets, images_seen)
         scores = [psnr(image, target, mask) for image, target in zip(images, targets, strict=True)]
         return {"val/psnr_fan_curve": float(np.mean(scores))}
 
@@ -162,6 +162,6 @@ def _write(
     np.savez_compressed(job.folder / "pictures.npz", frames=shown, images=render(shown, 0))
     scalars["parameters_generator"] = float(count_generator(s.model))
     scalars["parameters_discriminator"] = float(count_discriminator(s.model))
-    run.metrics(scalars, step=s.training.steps * s.training.batch_size)
+    run.metrics({k: v for k, v in scalars.items() if not k.startswith("val/floor_")})  # no curves: bars, at step 0
     run.artifact(job.folder / "per_image.parquet")
     return scalars

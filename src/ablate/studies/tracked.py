@@ -4,43 +4,106 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ablate.config import StudySettings, plain
-from ablate.studies.data import dataset_hash
+import numpy as np
+
+from ablate.config import SceneKind, StudySettings, plain
+from ablate.studies.data import dataset_folder, dataset_hash
 from ablate.studies.identity import config_hash, write_json
 from ablate.studies.sweep import Job
-from ablate.tracking import RunLog, Store, child_run, environment, git_state, hardware, open_store, parent_run
+from ablate.tracking import RunLog, Store, child_run, environment, git_state, hardware, open_store, packages, parent_run
+
+_TRAINING = ("steps", "batch_size", "crop", "learning_rate", "loss", "l1_weight", "ema_decay", "precision")
+_DATA = {
+    "dataset": ("frames", "split", "validation", "test"),
+    "simulator": ("rays", "layers", "scanlines", "image_shape"),
+}
+_SAMPLES = 2  # validation frames shown through training
+_SAMPLE_PX = 512  # larger frames are shown smaller: a run keeps a few dozen of them
 
 
 def open_tracking(settings: StudySettings) -> tuple[Store, str]:
     """The store and the id of the study's parent run, both made when missing."""
     tracking = settings.tracking
     store = open_store(settings.runs, tracking.uri, tracking.experiment)
-    return store, parent_run(store, settings.study)
+    parent = parent_run(store, settings.study)
+    RunLog(store, parent).parameters(_shared(settings))
+    return store, parent
 
 
-def open_child(job: Job, store: Store, parent: str) -> RunLog:
-    """The job's run, with its parameters, tags and provenance written."""
+def _shared(s: StudySettings) -> dict[str, object]:
+    """Parameters that all runs of a study have in common."""
+    made = {} if s.scene.kind is SceneKind.pairs else _DATA
+    data = {f"{group}.{k}": v for group, keys in made.items() for k, v in _of(getattr(s, group), keys).items()}
+    about = {"scene": s.scene_name, "preset": s.preset, "reference": s.reference, "model.width": s.model.width}
+    return {**about, **data, **_training(s)}
+
+
+def _training(s: StudySettings) -> dict[str, object]:
+    return {f"training.{k}": v for k, v in _of(s.training, _TRAINING).items()}
+
+
+def _of(values: object, keys: tuple[str, ...]) -> dict[str, object]:
+    return {k: v for k, v in plain(values).items() if k in keys}
+
+
+def open_child(job: Job, store: Store, parent: str, frames: int) -> RunLog:
+    """The job's run, with its parameters, tags and provenance written.
+
+    Parameters
+    ----------
+    job : Job
+    store : Store
+    parent : str
+    frames : int
+        Of the data set.
+    """
     s = job.settings
     code = git_state(Path(__file__).parent)
-    tags = {
-        "variant": job.label,
-        "seed": str(s.seed),
-        "study": s.study,
-        "data_hash": dataset_hash(s),
-        **{k: v for k, v in code.items() if k != "git_diff"},
-    }
+    made_with = {k: v for k, v in code.items() if k != "git_diff"} | {"hardware": hardware()}
+    tags = {"variant": job.label, "seed": str(s.seed), "study": s.study, "data_hash": dataset_hash(s)}
     run = RunLog(store, child_run(store, parent, job.name, config_hash(s), tags))
-    model = {f"model.{k}": v for k, v in plain(s.model).items()}
-    chosen = ("steps", "batch_size", "crop", "l1_weight", "ema_decay", "precision")
-    training = {f"training.{k}": v for k, v in plain(s.training).items() if k in chosen}
-    run.parameters({"variant": job.label, "seed": s.seed, "encoding": s.encoding.name, **model, **training})
-    run.tags({"hardware": hardware()})
+    run.tags(made_with)
+    run.describe(_about(job))
+    # `model` sorts first: MLflow's comparison draws the first parameters that differ.
+    model = {f"model.{k}": v for k, v in plain(s.model).items() if k != "noise_start" or s.model.noise == "inject"}
+    run.parameters({"model": job.label, "seed": s.seed, "encoding": s.encoding.name, **model, **_training(s)})
+    run.dataset(dataset_folder(s).name, dataset_hash(s), dataset_folder(s), frames)
     provenance = job.folder / "provenance"
     provenance.mkdir(exist_ok=True)
     write_json(provenance / "config.json", plain(s))
+    write_json(provenance / "made_with.json", {**made_with, **packages()})
     (provenance / "environment.txt").write_text(environment())
-    if code.get("git_diff"):
-        (provenance / "uncommitted.diff").write_text(code["git_diff"])
+    (provenance / "uncommitted.diff").write_text(code.get("git_diff", ""))
     for path in sorted(provenance.iterdir()):
         run.artifact(path, "provenance")
     return run
+
+
+def _about(job: Job) -> str:
+    return f"""\
+`{job.label}`, seed {job.settings.seed}, of the study `{job.settings.study}`. **Model metrics**: `train/` and `val/` are
+curves, their step is the number of images seen; `test/` was measured once, on frames of unseen probe sites, and
+`test/floor_` is what the same frames simulated with other scatterers score. At the end of that page are validation
+frames as training went on, rendered at the left and their target at the right. **Artifacts**: every metric of every
+frame in `per_image.parquet`, and `provenance`: configuration, code, environment."""
+
+
+def log_samples(run: RunLog, frames: np.ndarray, images: np.ndarray, targets: np.ndarray, images_seen: int) -> None:
+    """Some validation frames as they are rendered now, each beside its target.
+
+    Parameters
+    ----------
+    run : RunLog
+    frames : (n,) int
+        Their numbers in the data set.
+    images, targets : (n, H, W) uint8
+    images_seen : int
+    """
+    step = -(-images.shape[1] // _SAMPLE_PX)
+    height, width = (size // step * step for size in images.shape[1:])
+    for k in range(0, len(frames), -(-len(frames) // _SAMPLES)):
+        blocks = [
+            i[:height, :width].reshape(height // step, step, width // step, step) for i in (images[k], targets[k])
+        ]
+        smaller = [b.mean((1, 3)).round().astype(np.uint8) for b in blocks]
+        run.image(f"frame {frames[k]} - rendered left - target right", np.hstack(smaller), images_seen)

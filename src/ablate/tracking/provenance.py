@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import subprocess
 from importlib import metadata
 from pathlib import Path
@@ -31,6 +32,12 @@ def environment() -> str:
     """Installed distributions as `name==version` lines, sorted."""
     lines = {f"{d.metadata['Name']}=={d.version}" for d in metadata.distributions() if d.metadata["Name"]}
     return "\n".join(["# Python " + platform.python_version(), *sorted(lines, key=str.lower)]) + "\n"
+
+
+def packages() -> dict[str, str]:
+    """Versions of Python and of what this package is built on, without what that is built on."""
+    required = [re.split(r"[ ;<>=~!\[]", r)[0] for r in metadata.requires("ablate") or () if "extra ==" not in r]
+    return {"python": platform.python_version()} | {name: metadata.version(name) for name in sorted(required)}
 
 
 def hardware() -> str:

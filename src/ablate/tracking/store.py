@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
+import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,11 +14,23 @@ from pathlib import Path
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 
+import numpy as np
 from filelock import FileLock
 from mlflow import MlflowClient
-from mlflow.entities import Metric, Param, RunTag, ViewType
+from mlflow.entities import Dataset, DatasetInput, Metric, Param, RunTag, ViewType
 
 _PARENT_TAG = "mlflow.parentRunId"
+_ABOUT = """\
+Studies of ultrasound-rendering GANs. A run of the first level is a study: its description has the comparison, its
+artifacts the report. Below it (unfold with +) is a run for each variant and seed."""
+_EXPERIMENT_TAGS = {
+    "mlflow.experimentKind": "custom_model_development",  # the pages then show runs and models, not prompts and traces
+    "mlflow.note.content": _ABOUT,
+}
+
+
+# MLflow writes an image, then its small copy; only with both is it whole.
+_WHOLE_IMAGE = re.compile(r".+?\+step\+\d+\+(?=.*\+compressed\.webp$)")
 
 
 class Status(StrEnum):
@@ -78,7 +92,7 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
         found = client.get_experiment_by_name(experiment)
         if found is None:
             location = None if uri else (runs / "artifacts").as_uri()
-            identity = str(client.create_experiment(experiment, artifact_location=location))
+            identity = str(client.create_experiment(experiment, location, _EXPERIMENT_TAGS))
         else:
             identity = str(found.experiment_id)
     return Store(uri or default_uri(runs), identity, lock)
@@ -123,6 +137,7 @@ class RunLog:
         self.store, self.run_id = store, run_id
         self._client = store.client
         self._waiting: list[Metric] = []
+        self._images: set[str] | None = None  # those that the run has, once known
         self._flushed = time.monotonic()
 
     def metrics(self, values: Mapping[str, float], step: int = 0) -> None:
@@ -160,6 +175,31 @@ class RunLog:
 
     def artifact(self, path: Path, folder: str | None = None) -> None:
         self._client.log_artifact(self.run_id, str(path), folder)
+
+    def image(self, key: str, image: np.ndarray, step: int) -> None:
+        """An image of a series: MLflow shows those of one key with a slider over steps.
+
+        One that the run has of this key and step is left: a job that goes on at its last checkpoint makes some again.
+
+        Parameters
+        ----------
+        key : str
+            Letters, digits, spaces and `_-./`.
+        image : (h, w) uint8
+        step : int
+        """
+        if self._images is None:
+            there = self._client.list_artifacts(self.run_id, "images")
+            self._images = {m[0] for a in there if (m := _WHOLE_IMAGE.match(Path(a.path).name))}
+        name = f"{key.replace('/', '~')}+step+{step}+"
+        if name not in self._images:
+            self._client.log_image(self.run_id, image, key=key, step=step)
+            self._images.add(name)
+
+    def dataset(self, name: str, digest: str, folder: Path, frames: int) -> None:
+        """The data set that the run learns from; the run has it once, however often this is called."""
+        made = Dataset(name, digest, "local", str(folder), profile=json.dumps({"num_rows": frames}))
+        self._client.log_inputs(self.run_id, [DatasetInput(made)])
 
     def end(self, status: Status) -> None:
         """Send what is waiting and close the run."""

@@ -17,6 +17,7 @@ from lightning.pytorch.plugins.environments import LightningEnvironment
 from torch import Tensor
 
 from ablate.networks import Generator, GeneratorSpec
+from ablate.training.allocator import keep_freed_memory
 from ablate.training.checkpoints import LAST, LastCheckpoint, resume
 from ablate.training.interruption import Interruption
 from ablate.training.module import PairGAN
@@ -73,7 +74,8 @@ def train(
     sink : callable, optional
         `sink(metrics, images_seen)`; the `log_metrics` of a Lightning logger fits.
     validation : callable, optional
-        Called with the generator to evaluate every `settings.validate_every` steps; returns metrics.
+        Called with the generator to evaluate and the number of images it has seen, before the first step and every
+        `settings.validate_every` steps; returns metrics.
 
     Returns
     -------
@@ -95,6 +97,7 @@ def train(
     if settings.threads:
         torch.set_num_threads(settings.threads)
     device = chosen_device(settings.device)
+    keep_freed_memory()
     module = PairGAN(spec, settings)
     run_dir.mkdir(parents=True, exist_ok=True)
     checkpoint = run_dir / LAST

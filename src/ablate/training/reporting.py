@@ -18,7 +18,8 @@ from ablate.training.module import PairGAN
 
 # Takes metrics and the number of images seen; a Lightning logger's `log_metrics` is one.
 MetricSink = Callable[[dict[str, float], int], None]
-Validation = Callable[[Generator], Mapping[str, float]]
+# Called with the generator to evaluate and the number of images seen; gives metrics.
+Validation = Callable[[Generator, int], Mapping[str, float]]
 
 _LOG = logging.getLogger(__name__)
 _LINES = 10
@@ -80,17 +81,28 @@ class Report(Callback):
 
 
 class Validate(Callback):
-    """Call a function with the generator to evaluate, every `every` steps, and send what it returns."""
+    """Call a function with the generator to evaluate, before the first step and every `every` steps, and send what it
+    returns.
+    """
 
     def __init__(self, validation: Validation, every: int, sink: MetricSink | None) -> None:
         self.validation, self.every, self.sink = validation, every, sink
 
+    def on_train_start(self, _trainer: Trainer, module: LightningModule) -> None:
+        """Validate what has not learned anything yet: where curves begin."""
+        assert isinstance(module, PairGAN)
+        if module.steps_done == 0:
+            self._validate(module)
+
     def on_train_batch_end(self, _trainer: Trainer, module: LightningModule, *_: Any) -> None:
         """Validate if it is time."""
         assert isinstance(module, PairGAN)
-        if module.steps_done % self.every:
-            return
+        if module.steps_done % self.every == 0:
+            self._validate(module)
+
+    def _validate(self, module: PairGAN) -> None:
+        images_seen = module.steps_done * module.settings.batch_size
         with torch.no_grad():
-            metrics = dict(self.validation(module.evaluated))
+            metrics = dict(self.validation(module.evaluated, images_seen))
         if self.sink is not None:
-            self.sink(metrics, module.steps_done * module.settings.batch_size)
+            self.sink(metrics, images_seen)
