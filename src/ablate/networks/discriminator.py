@@ -41,6 +41,7 @@ class PatchDiscriminator(nn.Module):
         )
         self.last = nn.Conv2d(widths[3], 1, 4, stride=1, padding=1)
         draw_initial_weights(self)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, maps: Tensor, image: Tensor) -> Tensor:
         """Judge patches.

@@ -43,6 +43,7 @@ class Generator(nn.Module):
         self.network: LocalNetwork | UNetwork
         self.network = LocalNetwork(spec) if spec.family is Family.local else UNetwork(spec)
         draw_initial_weights(self)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(
         self,
@@ -144,7 +145,7 @@ class Generator(nn.Module):
         padding = (0, -width % unit, 0, -height % unit)
         if any(padding):
             stack = [F.pad(x, padding, value=OUTSIDE[name]) for x, name in zip(stack, names, strict=True)]
-        stacked = torch.cat(stack, dim=1)
+        stacked = torch.cat(stack, dim=1).contiguous(memory_format=torch.channels_last)
         kind = stacked.device.type
         return stacked.to(torch.get_autocast_dtype(kind)) if torch.is_autocast_enabled(kind) else stacked
 
@@ -170,7 +171,7 @@ class Generator(nn.Module):
                 # Bilinear: halfway between the four pixels around each cell's centre.
                 size = resized[0].shape[-2:]
                 resized.append(F.interpolate(maps[:, 1:2], size, mode="bilinear", align_corners=False))
-            pyramid.append(torch.cat(resized, dim=1))
+            pyramid.append(torch.cat(resized, dim=1).contiguous(memory_format=torch.channels_last))
         return pyramid
 
 

@@ -9,7 +9,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ablate.networks.layers import OneChannelConvolution, Stages, convolutions, instance_norm, joined
+from ablate.networks.layers import (
+    JointConvolution,
+    JointTransposedConvolution,
+    OneChannelConvolution,
+    Stages,
+    convolutions,
+    instance_norm,
+)
 from ablate.networks.spec import Concat, GeneratorSpec, Noise, Upsampling, inputs, scaled
 
 # Channels at full, half, quarter ... resolution; deeper levels stay at the last.
@@ -22,13 +29,13 @@ class DownBlock(nn.Module):
 
     def __init__(self, channels_in: int, channels_out: int, maps: int) -> None:
         super().__init__()
-        self.shrink = nn.Conv2d(channels_in + maps, channels_out, 3, stride=2, padding=1)
-        self.refine = nn.Conv2d(channels_out + maps, channels_out, 3, padding=1)
+        self.shrink = JointConvolution(channels_in + maps, channels_out, 3, stride=2, padding=1)
+        self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1)
 
     def forward(self, features: Tensor, fine_maps: Tensor | None, coarse_maps: Tensor | None) -> Tensor:
         """Halve (N, C, H, W); `fine_maps` has its resolution, `coarse_maps` half of it."""
-        features = encoded(self.shrink(joined(features, fine_maps)))
-        return encoded(self.refine(joined(features, coarse_maps)))
+        features = encoded(self.shrink(features, fine_maps))
+        return encoded(self.refine(features, coarse_maps))
 
 
 class UpBlock(nn.Module):
@@ -36,12 +43,14 @@ class UpBlock(nn.Module):
 
     def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
         super().__init__()
-        self.refine: nn.Conv2d | None = None
+        self.refine: JointConvolution | None = None
         if spec.upsampling is Upsampling.texture:
-            self.grow = nn.ConvTranspose2d(channels_in + maps, channels_out, 3, stride=2, padding=1, output_padding=1)
-            self.refine = nn.Conv2d(channels_out + maps, channels_out, 3, padding=1)
+            self.grow = JointTransposedConvolution(
+                channels_in + maps, channels_out, 3, stride=2, padding=1, output_padding=1
+            )
+            self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1)
         else:
-            self.grow = nn.ConvTranspose2d(channels_in + maps, channels_out, 4, stride=2, padding=1)
+            self.grow = JointTransposedConvolution(channels_in + maps, channels_out, 4, stride=2, padding=1)
         self.noise_weight: nn.Parameter | None = None
         if spec.noise is Noise.inject:
             start = torch.full((2 * channels_out, 1, 1), float(spec.noise_start))
@@ -56,9 +65,9 @@ class UpBlock(nn.Module):
         noise: Tensor | None,
     ) -> Tensor:
         """Double (N, C, H, W), append `skip` of as many channels, add `noise` (N, 1, 2H, 2W) by channel."""
-        features = decoded(self.grow(joined(features, coarse_maps)))
+        features = decoded(self.grow(features, coarse_maps))
         if self.refine is not None:
-            features = decoded(self.refine(joined(features, fine_maps)))
+            features = decoded(self.refine(features, fine_maps))
         features = torch.cat((features, skip), dim=1)
         if self.noise_weight is None or noise is None:
             return features
@@ -82,7 +91,7 @@ class LocalNetwork(nn.Module):
             maps = sum(name in ("segmentation", "attenuation") for name in inputs(spec))
         self.stem = nn.Conv2d(len(inputs(spec)), widths[0], 3, padding=1)
         self.down = nn.ModuleList(DownBlock(fine, coarse, maps) for fine, coarse in pairwise(widths))
-        self.bottleneck = nn.Conv2d(widths[-1] + maps, widths[-1], 3, padding=1)
+        self.bottleneck = JointConvolution(widths[-1] + maps, widths[-1], 3, padding=1)
         self.up = nn.ModuleList()
         channels = 2 * widths[-1]
         for width in reversed(widths[:-1]):
@@ -111,11 +120,11 @@ class LocalNetwork(nn.Module):
         for level, block in enumerate(self.down):
             skips.append(features)
             features = block(features, maps[level], maps[level + 1])
-        bottom = encoded(self.bottleneck(joined(features, maps[-1])))
+        bottom = encoded(self.bottleneck(features, maps[-1]))
         features = torch.cat((bottom, features), dim=1)
         for level, block in zip(reversed(range(len(skips))), self.up, strict=True):
             features = block(features, skips[level], maps[level + 1], maps[level], noise[level])
-        return torch.tanh(self.output(joined(features, maps[0])))
+        return torch.tanh(self.output(features, maps[0]))
 
     def stages(self) -> Stages:
         """List the convolutions."""

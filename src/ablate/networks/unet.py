@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ablate.networks.layers import Stages, convolutions, instance_norm
+from ablate.networks.layers import JointTransposedConvolution, Stages, convolutions, instance_norm
 from ablate.networks.spec import GeneratorSpec, inputs, scaled
 
 # Channels after each down-sampling; deeper levels stay at the last.
@@ -39,7 +39,7 @@ class UNetwork(nn.Module):
         self.up = nn.ModuleList()
         channels = widths[-1]
         for width in (*reversed(widths[:-1]), 1):
-            self.up.append(nn.ConvTranspose2d(channels, width, 4, stride=2, padding=1))
+            self.up.append(JointTransposedConvolution(channels, width, 4, stride=2, padding=1))
             channels = 2 * width
 
     def forward(self, stacked: Tensor, _maps: Sequence[Tensor | None], _noise: Sequence[Tensor | None]) -> Tensor:
