@@ -103,6 +103,12 @@ def parent_run(store: Store, study: str) -> str:
     return _run(store, f"tags.study = '{study}' and tags.kind = 'study'", study, {"study": study, "kind": "study"})
 
 
+def task_run(store: Store, task: str, study: str) -> str:
+    """Id of the run of a task that looks at a study from outside; made when there is none, named as the task."""
+    tags = {"study": study, "kind": task}
+    return _run(store, f"tags.study = '{study}' and tags.kind = '{task}'", task, tags)
+
+
 def child_run(store: Store, parent: str, name: str, config_hash: str, tags: Mapping[str, str]) -> str:
     """Id of the job's run under `parent`; the one that a killed job left behind is taken up again."""
     wanted = {**tags, "kind": "job", "config_hash": config_hash, _PARENT_TAG: parent}
