@@ -58,6 +58,7 @@ METRICS: dict[str, MetricFacts] = {
     "mae_smooth": MetricFacts("Smooth MAE", "grey levels", Better.smaller, Resimulation.level),
     "nyquist_excess": MetricFacts("Nyquist excess", "dB", Better.nearest_zero, Resimulation.floor),
     "noise_sd": MetricFacts("Noise sd", "grey levels", Better.unjudged, Resimulation.level, 1),
+    "envelope_rms": MetricFacts("Envelope error", "relative RMS", Better.smaller, Resimulation.level, 4),
     "ms_per_frame": MetricFacts("Time", "ms/frame", Better.smaller, Resimulation.none, 1),
     "parameters": MetricFacts("Parameters", "", Better.unjudged, Resimulation.none, 0),
 }
