@@ -94,9 +94,9 @@ class Tissue:
 
     @property
     def scatter_power(self) -> float:
-        """Variance of the scatterers, which the speckle's power follows: p (sd^2 + mean^2) - p^2 mean^2."""
+        """Variance of the scatterers, which the speckle's power follows: p (sd^2 + (1 - p) mean^2)."""
         p, m, s = self.scatterer_density, self.scatterer_mean, self.scatterer_sd
-        return p * (s * s + m * m) - (p * m) ** 2
+        return p * (s * s + (1 - p) * m * m)
 
 
 def _check_number(tissue: str, field: str, value: object, low: float, high: float) -> None:

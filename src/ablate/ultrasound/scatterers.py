@@ -46,8 +46,8 @@ def scatterer_tables(tissues: Sequence[Tissue]) -> np.ndarray:
         shape = (DRAWS_PER_SAMPLE, TABLE_SIZE)
         here = generator.random(shape, np.float32) <= tissue.scatterer_density
         n = generator.standard_normal(shape, np.float32)
-        strength = here * (tissue.scatterer_mean + tissue.scatterer_sd * n)
-        strength -= tissue.scatterer_density * tissue.scatterer_mean
+        strength = here * (tissue.scatterer_sd * n)
+        strength += (here - tissue.scatterer_density) * tissue.scatterer_mean  # a large mean cancels before it is added
         phase = generator.random(shape, np.float32) * np.float32(2 * math.pi)
         total = (strength * np.exp(1j * phase)).sum(axis=0)
         table[:] = total * math.sqrt(tissue.scatter_power / np.mean(np.abs(total) ** 2))
