@@ -6,6 +6,7 @@ The schema is made from the rooms' own frozen dataclasses, so a key, its type an
 from __future__ import annotations
 
 import dataclasses
+import re
 import types
 from dataclasses import MISSING, dataclass, field
 from enum import Enum, StrEnum
@@ -127,10 +128,18 @@ class EvaluationSettings:
 
 @dataclass(frozen=True)
 class TrackingSettings:
-    """Where runs are tracked; `uri` null is the SQLite file `mlflow.db` in `runs_dir`."""
+    """Where runs are tracked; `uri` null is the SQLite file `mlflow.db` in `runs_dir`.
+
+    `register` names the model in MLflow's registry that the reference variant's generator becomes a version of.
+    """
 
     uri: str | None = None
     experiment: str = "ablate"
+    register: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.register is not None and not re.fullmatch(r"\w[\w.+ -]*", self.register):
+            raise ValueError(f"tracking.register={self.register}: allowed are letters, digits, blanks and _.+-")
 
 
 @dataclass(frozen=True)

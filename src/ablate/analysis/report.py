@@ -14,13 +14,19 @@ from ablate.analysis.component_claims import FEWEST_SEEDS, Verdict
 from ablate.analysis.metric_facts import REFERENCE, RESIMULATION, facts_of
 from ablate.analysis.table_formats import resimulation_note, to_html
 
+# What a reader sees at once; every other metric is folded away.
+MAIN = ("psnr", "mae", "pchi2", "fd_speckle", "fid", "shadow_contrast", "ms_per_frame", "parameters")
+
 CSS = """
-body{font:14px/1.5 system-ui,sans-serif;max-width:76rem;margin:2rem auto;padding:0 1rem;color:#111}
+body{font:14px/1.5 system-ui,sans-serif;max-width:76rem;margin:2rem auto;padding:0 1rem;color:#111;background:#fff}
 table{border-collapse:collapse;margin:1rem 0;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
-th,td{padding:.2rem .6rem;text-align:right;border-bottom:1px solid #ddd;white-space:nowrap}
-th:first-child{text-align:left}thead th{border-bottom:2px solid #111}
+th,td{padding:.2rem .6rem;text-align:right;border-bottom:1px solid #ddd;white-space:nowrap;vertical-align:bottom}
+th:first-child{text-align:left}thead th{border-bottom:2px solid #111;white-space:normal}
 tr.resimulation{background:#eee;font-style:italic}
+table.facts td{text-align:left;white-space:normal;overflow-wrap:anywhere}
 figure{margin:1.5rem 0}img{max-width:100%}figcaption,small{color:#555}
+details{margin:.5rem 0}summary{cursor:pointer;color:#0072b2}
+pre{background:#f4f4f4;padding:.5rem;overflow:auto;max-height:40rem;font-size:12px}
 .warning{border-left:4px solid #d55e00;background:#fff4ee;padding:.5rem 1rem;margin:.5rem 0}
 """
 
@@ -106,10 +112,36 @@ def _claims_html(claims: pd.DataFrame) -> str:
     return f"<table><thead><tr><th>variant</th>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
 
 
+def _folded(title: str, content: str) -> str:
+    return f"<details><summary>{escape(title)}</summary>{content}</details>" if content else ""
+
+
+def _is_lesser(stem: str) -> bool:
+    """Whether a figure is folded: box plots of lesser metrics, chi-square maps of all frames but the first."""
+    if stem.startswith("boxplot_"):
+        return stem.removeprefix("boxplot_") not in MAIN
+    return stem.startswith("pchi2_maps_") and stem != "pchi2_maps_0"
+
+
 def _figure_html(path: Path, caption: str) -> str:
     data = base64.b64encode(path.read_bytes()).decode("ascii")
     image = f'<img alt="{escape(caption, quote=True)}" src="data:image/png;base64,{data}">'
     return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def _figures_html(figures: Sequence[tuple[Path, str]]) -> str:
+    lesser = [figure for figure in figures if _is_lesser(figure[0].stem)]
+    shown = "".join(_figure_html(*figure) for figure in figures if figure not in lesser)
+    return shown + _folded(f"{len(lesser)} more figures", "".join(_figure_html(*figure) for figure in lesser))
+
+
+def _compared(per_image: pd.DataFrame) -> str:
+    """One sentence on what the numbers are over."""
+    networks = per_image[per_image["variant"] != RESIMULATION]
+    variants, seeds = networks["variant"].nunique(), networks.groupby("variant")["seed"].nunique()
+    each = "" if seeds.empty else f", {seeds.min()}" + (f" to {seeds.max()}" if seeds.max() > seeds.min() else "")
+    frames, sites = per_image["frame"].nunique(), per_image["site"].nunique()
+    return f"{variants} variants{each} trained of each, {frames} test frames of {sites} probe sites."
 
 
 def write_report(
@@ -123,6 +155,7 @@ def write_report(
     left_out: Sequence[str] = (),
     provenance: Mapping[str, object] | None = None,
     reference: str = REFERENCE,
+    appendix: Mapping[str, str] | None = None,
 ) -> Path:
     """Write the report; it needs no other file and no network.
 
@@ -143,6 +176,8 @@ def write_report(
     provenance : mapping, optional
         Commit, data hash, hardware and the like, shown as a list.
     reference : str
+    appendix : mapping of str to str, optional
+        Longer texts by title, folded at the end: packages, uncommitted changes.
 
     Returns
     -------
@@ -151,8 +186,11 @@ def write_report(
     """
     metrics = list(dict.fromkeys(table["metric"]))
     warnings = "".join(f'<p class="warning">{escape(text)}</p>' for text in cautions(per_image, reference))
+    main, rest = table["metric"].isin(MAIN), ~table["metric"].isin(MAIN)
     parts = [
-        f"<h1>{escape(title)}</h1>{warnings}<h2>Comparison</h2>{to_html(table)}",
+        f"<h1>{escape(title)}</h1><p>{_compared(per_image)}</p>{warnings}",
+        f"<h2>Comparison</h2>{to_html(table[main])}",
+        _folded("All other metrics", to_html(table[rest]) if rest.any() else ""),
         "<p><small>Mean ± standard deviation over frames (over seeds for figures that a run has one of). "
         f"Bold is the best network. {escape(resimulation_note(metrics))}</small></p>",
     ]
@@ -161,8 +199,11 @@ def write_report(
             f"<h2>Paired differences to {escape(reference)}</h2>"
             "<p>Do these trained networks differ on these frames? Median shift (Hodges-Lehmann), interval from "
             "resampled probe sites (bold where it excludes 0), Wilcoxon with Holm's correction, rank-biserial "
-            f"effect. Where p is small and the interval holds 0, trust the interval.</p>{_paired_html(paired)}"
+            f"effect. Where p is small and the interval holds 0, trust the interval.</p>"
+            f"{_paired_html(paired[paired['metric'].isin(MAIN)])}"
         )
+        rest = ~paired["metric"].isin(MAIN)
+        parts.append(_folded("All other metrics", _paired_html(paired[rest]) if rest.any() else ""))
     if claims is not None and len(claims):
         claimable = claims[claims["verdict"] != Verdict.not_claimable]
         said = (
@@ -173,12 +214,13 @@ def write_report(
             said = f": not claimable here, it takes at least {FEWEST_SEEDS} seeds (<code>seed=0,1,2</code>).</p>"
         parts.append(f"<h2>Does the component matter?</h2><p>Judged on one mean a seed (Welch), not on frames{said}")
     if figures:
-        parts.append("<h2>Figures</h2>" + "".join(_figure_html(*figure) for figure in figures))
+        parts.append(f"<h2>Figures</h2>{_figures_html(figures)}")
     if left_out:
         parts.append("<h2>Left out</h2><ul>" + "".join(f"<li>{escape(x)}</li>" for x in left_out) + "</ul>")
     if provenance:
         rows = "".join(f"<tr><th>{escape(str(k))}</th><td>{escape(str(v))}</td></tr>" for k, v in provenance.items())
-        parts.append(f"<h2>Provenance</h2><table>{rows}</table>")
+        parts.append(f'<h2>Provenance</h2><table class="facts">{rows}</table>')
+    parts += [_folded(name, f"<pre>{escape(text)}</pre>") for name, text in (appendix or {}).items()]
     head = f'<meta charset="utf-8"><title>{escape(title)}</title><style>{CSS}</style>'
     path.parent.mkdir(parents=True, exist_ok=True)
     body = "\n".join(parts)

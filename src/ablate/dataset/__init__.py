@@ -2,7 +2,7 @@
 
 from ablate.dataset.contact_sheet import write_contact_sheet
 from ablate.dataset.crops import CropLoader, Crops, CropSettings
-from ablate.dataset.encoding import Encoding, label_values
+from ablate.dataset.encoding import Encoding, label_values, network_inputs
 from ablate.dataset.filling import fill_pairs, remove_damaged
 from ablate.dataset.pairs import PAIRS_VERSION, DamagedShardError, Pairs, create_pairs, open_pairs
 from ablate.dataset.png_folder import PngFolder, content_digest, validate_png_folder
@@ -35,6 +35,7 @@ __all__ = [
     "fill_pairs",
     "import_pairs",
     "label_values",
+    "network_inputs",
     "open_pairs",
     "place_probe",
     "probe_poses",

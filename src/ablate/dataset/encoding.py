@@ -6,10 +6,12 @@ under test. It is therefore chosen and recorded.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from ablate.anatomy import Tissue, echogenicity_order
 
@@ -43,3 +45,26 @@ def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -
     else:
         rank = np.random.default_rng([seed, 7]).permutation(n)
     return np.concatenate([[-1.0], -1 + 2 * (rank + 1) / n]).astype(np.float32)
+
+
+def network_inputs(maps: Mapping[str, np.ndarray], values: np.ndarray, mask: np.ndarray) -> dict[str, Tensor]:
+    """Maps as they are stored, as the networks read them.
+
+    Parameters
+    ----------
+    maps : dict of (k, H, W)
+        `segmentation` uint8 and, where they are wanted, `attenuation` float32 in [0, 1] and `low` uint8.
+    values : (labels,) float32
+        From `label_values`.
+    mask : (H, W) or (k, H, W) bool
+        The fan; outside of it `low` is black.
+
+    Returns
+    -------
+    dict of (k, 1, H, W) float32
+    """
+    read = dict(maps)
+    read["segmentation"] = values[maps["segmentation"]]
+    if "low" in maps:
+        read["low"] = np.where(mask, maps["low"] / np.float32(127.5) - 1, np.float32(-1))
+    return {name: torch.from_numpy(value)[:, None] for name, value in read.items()}

@@ -18,16 +18,26 @@ from ablate.analysis import (
     qualitative_figure,
     seed_claims,
     to_latex,
+    to_markdown,
     to_text,
     wide_table,
     write_report,
 )
 from ablate.config import StudySettings
 from ablate.studies.identity import write_json
-from ablate.studies.results import Finished, data_of, finished_runs, pictures, runtime_points, scored_frames
+from ablate.studies.results import (
+    Finished,
+    appendix,
+    data_of,
+    finished_runs,
+    pictures,
+    provenance,
+    runtime_points,
+    scored_frames,
+)
 from ablate.studies.sweep import ConfigurationError
-from ablate.studies.tracked import open_tracking
-from ablate.tracking import RunLog, Status, default_uri, git_state, hardware
+from ablate.studies.tracked import describe_study, open_tracking, register_reference
+from ablate.tracking import RunLog, Status, default_uri, hardware
 
 _SCREEN = ("psnr", "mae", "pchi2", "fd_speckle", "shadow_contrast", "mae_smooth", "noise_sd", "ms_per_frame")
 _BOXPLOTS = ("psnr", "mae", "pchi2")  # Fig. 4 of the paper; every metric has its own picture
@@ -75,6 +85,8 @@ def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
         f"report         {folder / 'report.html'}\n"
         f"MLflow         {pages}"
     )
+    if settings.tracking.register:
+        where += f"\nregistered     {register_reference(settings, runs)}"
     return f"{to_text(table[table['metric'].isin(_SCREEN)])}\n{warnings}\n\n{where}"
 
 
@@ -88,13 +100,6 @@ def _write(
     paired.to_csv(folder / "paired.csv", index=False)
     (folder / "table.tex").write_text(to_latex(table[table["metric"].isin(_TABLE_II)]))
     figures = _figures(settings, runs, per_image, table, paired, folder)
-    code = git_state(Path(__file__).parent)
-    provenance = {
-        "data": runs[0].result["data"],
-        "git_commit": code.get("git_commit", "not a checkout"),
-        "git_dirty": code.get("git_dirty", "unknown"),
-        "hardware": hardware(),
-    }
     report = write_report(
         folder / "report.html",
         settings.study,
@@ -104,16 +109,16 @@ def _write(
         claims=seed_claims(per_image, scalars, reference),
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
         left_out=[*data_of(runs).left_out, *_left_out(runs)],
-        provenance=provenance,
+        provenance=provenance(runs),
         reference=reference,
+        appendix=appendix(runs),
     )
     store, parent = open_tracking(settings)
     run = RunLog(store, parent)
     for path in (report, folder / "table.csv", folder / "table.tex", folder / "paired.csv", *(f for f, _ in figures)):
         run.artifact(path, "vector" if path.suffix == ".pdf" else None)
-    run.tags(provenance)
-    shown = to_text(table[table["metric"].isin(_SCREEN)])
-    run.describe(f"```\n{shown}\n```\nThe whole report: Artifacts, `report.html`.")
+    run.tags(provenance(runs))
+    describe_study(run, runs, to_markdown(table[table["metric"].isin(_SCREEN)]), cautions(per_image, reference))
     run.end(Status.finished)
 
 

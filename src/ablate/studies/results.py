@@ -15,6 +15,7 @@ from ablate.analysis import REFERENCE, RESIMULATION, FramePictures
 from ablate.studies.data import Data, open_data
 from ablate.studies.identity import read_result
 
+_ABOUT_CODE = ("git_commit", "git_dirty", "hardware")
 _TIMED = ("psnr", "mae", "pchi2", "fd_speckle")
 
 
@@ -143,3 +144,40 @@ def _stored_pictures(run: Finished) -> dict[int, np.ndarray]:
     """The frames that a run kept, by their number in the data set."""
     with np.load(run.folder / "pictures.npz") as kept:
         return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
+
+
+def provenance(runs: Sequence[Finished]) -> dict[str, str]:
+    """Data set, code and hardware of a study; where its runs differ, each value with the runs that it is of."""
+    return {"data": str(runs[0].result["data"]), **{k: v for k, v in _made_with(runs).items() if k in _ABOUT_CODE}}
+
+
+def appendix(runs: Sequence[Finished]) -> dict[str, str]:
+    """Texts by title: the packages that the runs were made with, and what their code had beyond its commit."""
+    packages = {k: v for k, v in _made_with(runs).items() if k not in _ABOUT_CODE}
+    texts = {"Packages": "\n".join(f"{k} {v}" for k, v in packages.items())} if packages else {}
+    names: dict[str, list[str]] = {}
+    for run in runs:
+        names.setdefault(_provenance(run, "uncommitted.diff"), []).append(run.name)
+    return {**texts, **{f"Uncommitted changes: {', '.join(of)}": diff for diff, of in names.items() if diff}}
+
+
+def _made_with(runs: Sequence[Finished]) -> dict[str, str]:
+    """What every run recorded of itself when it was last started."""
+    found = {run.name: _provenance(run, "made_with.json") for run in runs}
+    recorded = {name: json.loads(text) for name, text in found.items() if text}
+    keys = dict.fromkeys(key for of_run in recorded.values() for key in of_run)
+    return {key: _by_run({name: str(of_run.get(key, "")) for name, of_run in recorded.items()}) for key in keys}
+
+
+def _provenance(run: Finished, name: str) -> str:
+    path = run.folder / "provenance" / name
+    return path.read_text() if path.exists() else ""
+
+
+def _by_run(values: dict[str, str]) -> str:
+    distinct: dict[str, list[str]] = {}
+    for name, value in values.items():
+        distinct.setdefault(value, []).append(name)
+    if len(distinct) == 1:
+        return next(iter(distinct))
+    return "; ".join(f"{value} ({', '.join(names)})" for value, names in distinct.items())

@@ -12,7 +12,16 @@ import torch
 from filelock import FileLock
 from torch import Tensor
 
-from ablate.dataset import CropLoader, Crops, CropSettings, Part, end_with_parent, equally_spaced, label_values
+from ablate.dataset import (
+    CropLoader,
+    Crops,
+    CropSettings,
+    Part,
+    end_with_parent,
+    equally_spaced,
+    label_values,
+    network_inputs,
+)
 from ablate.metrics import psnr
 from ablate.networks import Generator, conditions, count_discriminator, count_generator, draws_noise
 from ablate.studies.data import Data, dataset_folder, maps_needed, prepare_data
@@ -86,7 +95,7 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> dict[str, float]:
     render = renderer(trained.generator, data, values, s.training.precision)
     scores = {part: _score(job, data, part, render) for part in (Part.validation, Part.test)}
     floors = {part: floor(data, job, part) for part in scores if "high_again" in data.pairs.maps}
-    maps = network_inputs(trained.generator, data, data.pairs.frames(Part.test)[:1], values)
+    maps = _inputs(trained.generator, data, data.pairs.frames(Part.test)[:1], values)
     milliseconds = median_ms_per_frame(trained.generator, maps, s.training.precision, s.evaluation.timed_frames)
     return _write(job, data, scores, floors, render, {**costs, "ms_per_frame": milliseconds}, run)
 
@@ -105,14 +114,10 @@ def _validation(job: Job, data: Data, values: np.ndarray, run: RunLog) -> Valida
     return validate
 
 
-def network_inputs(generator: Generator, data: Data, frames: np.ndarray, values: np.ndarray) -> dict[str, Tensor]:
+def _inputs(generator: Generator, data: Data, frames: np.ndarray, values: np.ndarray) -> dict[str, Tensor]:
     """The maps of some frames that a generator reads, (k, 1, H, W) float32 each."""
-    pairs = data.pairs
-    maps = {name: pairs.read(name, frames) for name in conditions(generator.spec)}
-    maps["segmentation"] = values[maps["segmentation"]]
-    if "low" in maps:
-        maps["low"] = np.where(pairs.mask(), maps["low"] / np.float32(127.5) - 1, np.float32(-1))
-    return {name: torch.from_numpy(value)[:, None] for name, value in maps.items()}
+    maps = {name: data.pairs.read(name, frames) for name in conditions(generator.spec)}
+    return network_inputs(maps, values, data.pairs.mask())
 
 
 def renderer(generator: Generator, data: Data, values: np.ndarray, precision: Precision) -> Render:
@@ -120,7 +125,7 @@ def renderer(generator: Generator, data: Data, values: np.ndarray, precision: Pr
     mask = torch.from_numpy(data.pairs.mask())
 
     def render(frames: np.ndarray, draw: int) -> np.ndarray:
-        maps = network_inputs(generator, data, frames, values)
+        maps = _inputs(generator, data, frames, values)
         seeds = torch.from_numpy(np.asarray(frames, np.int64)) * 1_000_003 + draw
         return generate(generator, maps, mask, seeds, precision)
 

@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ablate.config import SceneKind, StudySettings, plain
+from ablate.config import SceneKind, StudySettings, build, plain
+from ablate.dataset import Part, label_values
 from ablate.studies.data import dataset_folder, dataset_hash
 from ablate.studies.identity import config_hash, write_json
+from ablate.studies.results import Finished, data_of
 from ablate.studies.sweep import Job
-from ablate.tracking import RunLog, Store, child_run, environment, git_state, hardware, open_store, packages, parent_run
+from ablate.tracking import (
+    RunLog,
+    Store,
+    artifact_page,
+    child_run,
+    comparison_page,
+    environment,
+    git_state,
+    hardware,
+    open_store,
+    packages,
+    parent_run,
+    register_generator,
+)
+from ablate.training import LAST, load_generator
 
 _TRAINING = ("steps", "batch_size", "crop", "learning_rate", "loss", "l1_weight", "ema_decay", "precision")
 _DATA = {
@@ -18,6 +35,7 @@ _DATA = {
     "simulator": ("rays", "layers", "scanlines", "image_shape"),
 }
 _SAMPLES = 2  # validation frames shown through training
+_EXAMPLE_PX = 64  # of the input that a registered model shows
 _SAMPLE_PX = 512  # larger frames are shown smaller: a run keeps a few dozen of them
 
 
@@ -107,3 +125,47 @@ def log_samples(run: RunLog, frames: np.ndarray, images: np.ndarray, targets: np
         ]
         smaller = [b.mean((1, 3)).round().astype(np.uint8) for b in blocks]
         run.image(f"frame {frames[k]} - rendered left - target right", np.hstack(smaller), images_seen)
+
+
+def describe_study(run: RunLog, runs: Sequence[Finished], comparison: str, cautions: Sequence[str]) -> None:
+    """The parent run's first page: where to look, the comparison, what not to conclude; and its metrics, the floors.
+
+    Parameters
+    ----------
+    run : RunLog
+    runs : sequence of Finished
+    comparison : str
+        The table in Markdown.
+    cautions : sequence of str
+    """
+    first: dict[str, str] = {}
+    for finished in sorted(runs, key=lambda r: r.seed):
+        first.setdefault(finished.label, finished.result["mlflow_run_id"])
+    report = artifact_page(run.store, run.run_id, "report.html")
+    compared = comparison_page(run.store, list(first.values()))
+    links = f"[The report]({report}) · [the variants side by side]({compared})"
+    run.describe("\n\n".join([links, comparison, *cautions]))
+    run.metrics({k: v for k, v in runs[0].result["scalars"].items() if k.startswith("test/floor_")})
+
+
+def register_reference(settings: StudySettings, runs: Sequence[Finished]) -> str:
+    """Register the reference's generator, that of the seed that validates best; a line for the screen tells where."""
+    name = settings.tracking.register
+    of_reference = [run for run in runs if run.label == settings.reference]
+    if not of_reference:
+        return f"not registered: {settings.reference} has no finished run"
+    chosen = max(of_reference, key=lambda run: run.result["scalars"]["val/psnr_fan"])
+    trained, data = build(StudySettings, chosen.spec["settings"]), data_of(runs)
+    middle = [slice(size // 2 - _EXAMPLE_PX // 2, size // 2 + _EXAMPLE_PX // 2) for size in data.pairs.shape]
+    frame = data.pairs.frames(Part.test)[:1]
+    version = register_generator(
+        open_tracking(settings)[0],
+        str(name),
+        chosen.result["mlflow_run_id"],
+        load_generator(chosen.folder / LAST),
+        label_values(data.tissues, trained.encoding, trained.encoding_seed),
+        trained.training.precision,
+        {name: data.pairs.read(name, frame)[:, *middle] for name in data.pairs.maps},
+        f"{chosen.name} of the study {settings.study}, the seed that validates best.",
+    )
+    return f"models:/{name}/{version}    ({chosen.name})"

@@ -35,9 +35,11 @@ def environment() -> str:
 
 
 def packages() -> dict[str, str]:
-    """Versions of Python and of what this package is built on, without what that is built on."""
+    """Versions of Python, of this package and of what it is built on, without what that is built on."""
     required = [re.split(r"[ ;<>=~!\[]", r)[0] for r in metadata.requires("ablate") or () if "extra ==" not in r]
-    return {"python": platform.python_version()} | {name: metadata.version(name) for name in sorted(required)}
+    return {"python": platform.python_version()} | {
+        name: metadata.version(name) for name in ("ablate", *sorted(required))
+    }
 
 
 def hardware() -> str:

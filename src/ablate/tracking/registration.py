@@ -1,0 +1,147 @@
+"""A trained generator in MLflow's model registry, from which `mlflow.pyfunc.load_model` takes it to render frames."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import mlflow.pyfunc
+import numpy as np
+import torch
+from filelock import FileLock
+from mlflow.exceptions import MlflowException
+from mlflow.models import ModelSignature
+from mlflow.types import ParamSchema, ParamSpec, Schema, TensorSpec
+
+from ablate.dataset import network_inputs
+from ablate.networks import Generator, GeneratorSpec, conditions
+from ablate.tracking.provenance import packages
+from ablate.tracking.store import Store
+from ablate.training import Precision, chosen_device, generate
+
+_TYPES = {"segmentation": np.uint8, "attenuation": np.float32, "low": np.uint8}
+_FRAMES = (-1, -1, -1)
+_SEED = ParamSpec("seed", "long", 0)
+
+
+def write_generator(path: Path, generator: Generator, values: np.ndarray, precision: Precision) -> None:
+    """A generator and what it needs beside its weights, as a file that loads without running code.
+
+    Parameters
+    ----------
+    path : Path
+    generator : Generator
+    values : (labels,) float32
+        From `label_values`: how the labels of S are read.
+    precision : Precision
+    """
+    spec = {
+        name: value if isinstance(value, int | float) else str(value) for name, value in vars(generator.spec).items()
+    }
+    kept = {"spec": spec, "values": torch.from_numpy(values), "precision": str(precision)}
+    torch.save({**kept, "weights": generator.state_dict()}, path)
+
+
+class RegisteredGenerator(mlflow.pyfunc.PythonModel):
+    """Frames from the maps of a pair; what `mlflow.pyfunc.load_model` gives calls this."""
+
+    def load_context(self, context: Any) -> None:
+        """Take the generator from the file that was registered."""
+        saved = torch.load(context.artifacts["generator"], map_location="cpu", weights_only=True)
+        self.values = saved["values"].numpy()
+        self.precision = Precision(saved["precision"])
+        self.generator = Generator(GeneratorSpec(**saved["spec"]))
+        self.generator.load_state_dict(saved["weights"])
+        self.generator.eval().to(chosen_device("auto"))
+
+    def predict(self, context: Any, model_input: Any, params: Any = None) -> np.ndarray:  # noqa: ARG002
+        """Render (n, H, W) uint8; the noise of frame i has the seed `params["seed"]` + i.
+
+        Raises
+        ------
+        ValueError
+            Where a label was not among those trained with.
+        """
+        labels = model_input["segmentation"]
+        if labels.max() >= len(self.values):
+            raise ValueError(f"segmentation: label {labels.max()}, allowed are 0 to {len(self.values) - 1}")
+        mask = labels > 0
+        maps = network_inputs({name: model_input[name] for name in conditions(self.generator.spec)}, self.values, mask)
+        seeds = torch.arange(len(labels)) + int((params or {}).get("seed", 0))
+        return generate(self.generator, maps, torch.from_numpy(mask)[:, None], seeds, self.precision)
+
+
+def signature(spec: GeneratorSpec) -> ModelSignature:
+    """What a registered generator takes and gives.
+
+    Parameters
+    ----------
+    spec : GeneratorSpec
+
+    Returns
+    -------
+    ModelSignature
+        Inputs `segmentation` (n, H, W) uint8, 0 outside the fan, and, where the generator reads them, `attenuation`
+        float32 in [0, 1] and `low` uint8; the integer parameter `seed`; output (n, H, W) uint8.
+    """
+    inputs = [TensorSpec(np.dtype(_TYPES[name]), _FRAMES, name) for name in conditions(spec)]
+    return ModelSignature(Schema(inputs), Schema([TensorSpec(np.dtype(np.uint8), _FRAMES)]), ParamSchema([_SEED]))
+
+
+def register_generator(
+    store: Store,
+    name: str,
+    run_id: str,
+    generator: Generator,
+    values: np.ndarray,
+    precision: Precision,
+    example: Mapping[str, np.ndarray],
+    description: str,
+) -> int:
+    """Make a version of the registered model `name` from the generator of a run, unless there is one.
+
+    Parameters
+    ----------
+    store : Store
+    name : str
+    run_id : str
+        Run whose artifacts the model joins.
+    generator : Generator
+    values, precision
+        See `write_generator`.
+    example : dict of (n, H, W)
+        Maps by name, small: they are kept as text.
+    description : str
+
+    Returns
+    -------
+    int
+        The version.
+    """
+    client = store.client
+    with FileLock(store.lock):
+        try:
+            client.create_registered_model(name)
+        except MlflowException as error:
+            if error.error_code != "RESOURCE_ALREADY_EXISTS":
+                raise
+        found = client.search_model_versions(f"name = '{name}' and run_id = '{run_id}'")
+        if found:
+            return int(found[0].version)
+        with tempfile.TemporaryDirectory() as folder:
+            weights, model = Path(folder, "generator.pt"), Path(folder, "model")
+            write_generator(weights, generator, values, precision)
+            versions = {k: v.partition("+")[0] for k, v in packages().items() if k != "python"}
+            mlflow.pyfunc.save_model(
+                str(model),
+                python_model=str(Path(__file__).with_name("model_code.py")),
+                artifacts={"generator": str(weights)},
+                signature=signature(generator.spec),
+                input_example=({k: v for k, v in example.items() if k in conditions(generator.spec)}, {"seed": 0}),
+                pip_requirements=[f"{k}=={v}" for k, v in versions.items()],
+            )
+            client.log_artifacts(run_id, str(model), "model")
+        source = f"{client.get_run(run_id).info.artifact_uri}/model"
+        return int(client.create_model_version(name, source, run_id, description=description).version)
