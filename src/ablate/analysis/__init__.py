@@ -5,15 +5,18 @@ from ablate.analysis.component_claims import ComponentClaim, Verdict, component_
 from ablate.analysis.designs import Design, effects_table, find_design
 from ablate.analysis.effects import factorial_effects
 from ablate.analysis.image_figures import FramePictures, chi2_maps_figure, qualitative_figure
+from ablate.analysis.latex_table import to_latex
 from ablate.analysis.metric_facts import METRICS, REFERENCE, RESIMULATION, facts_of
 from ablate.analysis.order import ordered_metrics, ordered_variants
 from ablate.analysis.paired_differences import paired_table
+from ablate.analysis.precision_figures import order_figure, stages_figure, work_precision_figure
 from ablate.analysis.preview_figure import Preview, preview_figure
 from ablate.analysis.report import cautions, write_report
 from ablate.analysis.runtime_figure import error_vs_runtime, pareto_front
 from ablate.analysis.statistics import PairedDifference, holm, paired_difference
-from ablate.analysis.table_formats import to_html, to_latex, to_text, wide_table
+from ablate.analysis.table_formats import Spread, resimulation_note, to_html, to_markdown, to_text, wide_table
 from ablate.analysis.tables import comparison_table
+from ablate.analysis.work_precision import budget_table, observed_order
 
 __all__ = [
     "METRICS",
@@ -24,7 +27,9 @@ __all__ = [
     "FramePictures",
     "PairedDifference",
     "Preview",
+    "Spread",
     "Verdict",
+    "budget_table",
     "cautions",
     "chi2_maps_figure",
     "comparison_table",
@@ -35,6 +40,8 @@ __all__ = [
     "facts_of",
     "find_design",
     "holm",
+    "observed_order",
+    "order_figure",
     "ordered_metrics",
     "ordered_variants",
     "paired_boxplots",
@@ -43,10 +50,14 @@ __all__ = [
     "pareto_front",
     "preview_figure",
     "qualitative_figure",
+    "resimulation_note",
     "seed_claims",
+    "stages_figure",
     "to_html",
     "to_latex",
+    "to_markdown",
     "to_text",
     "wide_table",
+    "work_precision_figure",
     "write_report",
 ]

@@ -111,7 +111,8 @@ def _read(cells: pd.DataFrame) -> tuple[pd.DataFrame, str, str]:
             f"An effect is that of one change while everything else is as in {base}; whether it depends on the other "
             "components (an interaction) cannot be told."
         )
-        cells = cells.loc[near, [factor for factor in cells if cells.loc[near, factor].nunique() == 2]]
+        cells = cells[near]
+        cells = cells[[factor for factor in cells.columns if cells[factor].nunique() == 2]]
         return cells, f"one change at a time around {base} ({len(cells)} cells)", reading
     reading = (
         "Interactions are estimated where all four combinations of two components were run; a component's effect is "

@@ -1,13 +1,15 @@
-"""The comparison table in print: CSV, LaTeX, HTML and the console."""
+"""The comparison table in print: CSV, Markdown, HTML and the console."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from html import escape
 
 import pandas as pd
 
 from ablate.analysis.metric_facts import RESIMULATION, Better, Resimulation, facts_of
 
+NOTHING = "–"  # where a variant has no value
 ARROWS = {Better.larger: "↑", Better.smaller: "↓", Better.nearest_zero: "→0", Better.unjudged: ""}
 
 
@@ -32,13 +34,36 @@ def wide_table(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(list(rows.values())).dropna(axis="columns", how="all")
 
 
-def _cells(table: pd.DataFrame) -> tuple[list[str], list[str], dict[tuple[str, str], tuple[str, str, bool]]]:
-    """Variants, metrics, and (mean, sd, best) as text by variant and metric."""
+class Spread(StrEnum):
+    """What stands behind the ± of a cell."""
+
+    frames = "sd"  # standard deviation over test frames, as the paper prints it
+    seeds = "seed_sd"  # standard deviation of the means of the seeds: how far another training would be off
+
+
+def cell_texts(
+    table: pd.DataFrame, spread: Spread = Spread.frames
+) -> tuple[list[str], list[str], dict[tuple[str, str], tuple[str, str, bool]]]:
+    """Variants, metrics, and (mean, spread, best) as text by variant and metric.
+
+    Parameters
+    ----------
+    table : DataFrame
+        What `comparison_table` gives.
+    spread : Spread
+
+    Returns
+    -------
+    variants, metrics : list of str
+        In the order of the table.
+    cells : dict of (variant, metric) to (str, str, bool)
+        The spread is empty where there is none.
+    """
     cells = {}
     for row in table.to_dict("records"):
         decimals = facts_of(row["metric"]).decimals
-        sd = "" if pd.isna(row["sd"]) else f"{row['sd']:.{decimals}f}"
-        mean = "–" if pd.isna(row["mean"]) else f"{row['mean']:.{decimals}f}"
+        sd = "" if pd.isna(row[spread.value]) else f"{row[spread.value]:.{decimals}f}"
+        mean = NOTHING if pd.isna(row["mean"]) else f"{row['mean']:.{decimals}f}"
         if row["metric"] == "parameters":
             mean, sd = f"{row['mean'] / 1e6:.3g}M", ""
         cells[row["variant"], row["metric"]] = (mean, sd, bool(row["best"]))
@@ -82,12 +107,12 @@ def to_text(table: pd.DataFrame) -> str:
     str
         Aligned lines, never truncated, and a note on the re-simulation.
     """
-    variants, metrics, cells = _cells(table)
+    variants, metrics, cells = cell_texts(table)
     lines = [["variant", *(f"{facts_of(m).title} {ARROWS[facts_of(m).better]}".strip() for m in metrics)]]
     for variant in variants:
         line = [variant]
         for metric in metrics:
-            mean, sd, best = cells.get((variant, metric), ("-", "", False))
+            mean, sd, best = cells.get((variant, metric), (NOTHING, "", False))
             line.append(f"{mean}{' ± ' + sd if sd else ''}{'*' if best else ' '}")
         lines.append(line)
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
@@ -101,48 +126,32 @@ def to_text(table: pd.DataFrame) -> str:
     return "\n".join(text) + "\n"
 
 
-def _latex(text: str) -> str:
-    for plain, escaped in (("_", r"\_"), ("%", r"\%"), ("&", r"\&"), ("χ²", r"$\chi^2$")):
-        text = text.replace(plain, escaped)
-    return text
-
-
-def to_latex(table: pd.DataFrame) -> str:
-    """The table for a paper (booktabs): mean and standard deviation, the best network in bold.
+def to_markdown(table: pd.DataFrame, spread: Spread = Spread.frames) -> str:
+    """The table in Markdown, the best network of a column in bold.
 
     Parameters
     ----------
     table : DataFrame
         What `comparison_table` gives.
+    spread : Spread
+        What the ± of a cell is.
 
     Returns
     -------
     str
-        A tabular environment with the packages it needs in a comment.
+        A pipe table, with the number of seeds.
     """
-    variants, metrics, cells = _cells(table)
-    arrows = {Better.larger: r"$\uparrow$", Better.smaller: r"$\downarrow$", Better.nearest_zero: r"$\to 0$"}
-    heads = [f"{_latex(facts_of(m).title)} {arrows.get(facts_of(m).better, '')}".strip() for m in metrics]
-    lines = [
-        r"% needs \usepackage{booktabs}",
-        rf"\begin{{tabular}}{{l{'r' * len(metrics)}}}",
-        r"\toprule",
-        " & ".join(["", *heads]) + r" \\",
-        r"\midrule",
-    ]
+    variants, metrics, cells = cell_texts(table, spread)
+    seeds = table.groupby("variant")["seeds"].max()
+    lines = [["variant", "seeds", *(f"{facts_of(m).title} {ARROWS[facts_of(m).better]}".strip() for m in metrics)]]
+    lines.append(["---", *["---:"] * (len(metrics) + 1)])
     for variant in variants:
-        line = [_latex(variant)]
+        line = [variant, NOTHING if variant == RESIMULATION else str(seeds[variant])]
         for metric in metrics:
-            mean, sd, best = cells.get((variant, metric), ("--", "", False))
-            bold = rf"\textbf{{{mean}}}" if best else mean
-            line.append(rf"{bold} $\pm$ {sd}" if sd else bold)
-        lines.append(" & ".join(line) + r" \\")
-        if variant == RESIMULATION and len(variants) > 1:
-            lines.append(r"\midrule")
-    lines += [r"\bottomrule", r"\end{tabular}"]
-    if RESIMULATION in variants:
-        lines.append("% " + resimulation_note(metrics))
-    return "\n".join(lines) + "\n"
+            mean, sd, best = cells.get((variant, metric), (NOTHING, "", False))
+            line.append((f"**{mean}**" if best else mean) + (f" ± {sd}" if sd else ""))
+        lines.append(line)
+    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines) + "\n"
 
 
 def to_html(table: pd.DataFrame) -> str:
@@ -157,13 +166,13 @@ def to_html(table: pd.DataFrame) -> str:
     -------
     str
     """
-    variants, metrics, cells = _cells(table)
+    variants, metrics, cells = cell_texts(table)
     heads = "".join(f"<th>{escape(facts_of(m).title)} {ARROWS[facts_of(m).better]}</th>" for m in metrics)
     rows = []
     for variant in variants:
         row = [f"<th>{escape(variant)}</th>"]
         for metric in metrics:
-            mean, sd, best = cells.get((variant, metric), ("–", "", False))
+            mean, sd, best = cells.get((variant, metric), (NOTHING, "", False))
             shown = f"<b>{mean}</b>" if best else mean
             row.append(f"<td>{shown}{f' <small>± {sd}</small>' if sd else ''}</td>")
         style = ' class="resimulation"' if variant == RESIMULATION else ""

@@ -1,0 +1,243 @@
+"""Does the statistics keep its word? Simulated studies, judged by the project's own functions: false claims and power.
+
+python docs/calibration.py                             # the tables of docs/statistics.md
+python docs/calibration.py --study runs/laptop-fetal   # the random effects of a study of yours, and the tables for them
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from tqdm import trange
+
+from ablate.analysis import Verdict, factorial_effects, paired_difference, seed_claims
+
+VARIANTS, METRICS = 8, 5  # of a study: seven comparisons in five metrics
+LEVEL = 0.05
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Standard deviations of what makes two trainings of one network differ, in units of the metric.
+
+    Attributes
+    ----------
+    run : float
+        Of a whole training: the same on all frames.
+    run_site : float
+        Of a training at a probe site.
+    run_frame : float
+        Of a training at a frame.
+    sites, frames : int
+        Probe sites of the test part, and frames at each.
+    """
+
+    run: float
+    run_site: float
+    run_frame: float
+    sites: int
+    frames: int
+
+
+# PSNR in dB between seeds of one variant, as `--study` prints them of the study in docs/results.md.
+MEASURED = Sizes(run=0.25, run_site=0.15, run_frame=0.25, sites=16, frames=7)
+
+
+def sizes_of(study: Path, metric: str = "psnr") -> Sizes:
+    """Random effects between the seeds of the same variant, by moments (one-way analysis of variance over sites).
+
+    Parameters
+    ----------
+    study : Path
+        Holds `<label>/seed<k>/per_image.parquet`, at least one label with two seeds.
+    metric : str
+
+    Returns
+    -------
+    Sizes
+
+    Raises
+    ------
+    ValueError
+        When no label has two seeds.
+    """
+    tables = [pd.read_parquet(path) for path in sorted(study.glob("*/seed*/per_image.parquet"))]
+    values = pd.concat(tables) if tables else pd.DataFrame({"metric": [], "split": [], "source": []})
+    values = values[(values["metric"] == metric) & (values["split"] == "test") & (values["source"] == "model")]
+    found = []
+    for _, of in values.groupby("variant", observed=True) if len(values) else ():
+        by_seed = of.pivot(index=["site", "frame"], columns="seed", values="value")
+        for a, b in combinations(by_seed, 2):
+            difference = (by_seed[a] - by_seed[b]).dropna()
+            sites = difference.groupby("site")
+            sizes, means, n = sites.size(), sites.mean(), len(difference)
+            within = float(((difference - sites.transform("mean")) ** 2).sum() / (n - len(sizes)))
+            between = float((sizes * (means - difference.mean()) ** 2).sum() / (len(sizes) - 1))
+            weight = (n - float((sizes**2).sum()) / n) / (len(sizes) - 1)
+            site = max(0.0, (between - within) / weight)
+            run = difference.mean() ** 2 - between / n
+            found.append((run / 2, site / 2, within / 2, len(sizes), n / len(sizes)))
+    if not found:
+        raise ValueError(f"{study} holds no variant with two seeds")
+    run, site, frame, sites_, frames = np.mean(found, axis=0)
+    return Sizes(max(run, 0.0) ** 0.5, site**0.5, frame**0.5, round(sites_), round(frames))
+
+
+def draw_runs(sizes: Sizes, runs: int, rng: np.random.Generator) -> np.ndarray:
+    """(runs, sites, frames) deviations of trainings from what their network would score on average."""
+    return (
+        sizes.run * rng.normal(size=(runs, 1, 1))
+        + sizes.run_site * rng.normal(size=(runs, sizes.sites, 1))
+        + sizes.run_frame * rng.normal(size=(runs, sizes.sites, sizes.frames))
+    )
+
+
+def study_claims(sizes: Sizes, seeds: int, effect: float, rng: np.random.Generator) -> pd.DataFrame:
+    """`seed_claims` of one simulated study; the first variant differs from the reference by `effect` in every metric.
+
+    Frames add their own difficulty, which is the same for all trainings; metrics are independent.
+    """
+    frames = sizes.sites * sizes.frames
+    index = pd.MultiIndex.from_product(
+        [
+            [f"m{k}" for k in range(METRICS)],
+            ["sa2h", *(f"v{k}" for k in range(1, VARIANTS))],
+            range(seeds),
+            range(frames),
+        ],
+        names=["metric", "variant", "seed", "frame"],
+    )
+    values = np.stack([draw_runs(sizes, VARIANTS * seeds, rng) for _ in range(METRICS)])
+    values = values.reshape(METRICS, VARIANTS, seeds, frames) + rng.normal(size=(METRICS, 1, 1, frames))
+    values[:, 1] += effect
+    table = pd.DataFrame({"value": values.ravel()}, index=index).reset_index()
+    return seed_claims(table.assign(site=table["frame"] // sizes.frames))
+
+
+def seed_level(sizes: Sizes, seeds: int, effect: float, repetitions: int) -> dict[str, float]:
+    """How often a claim is made at the seed level.
+
+    Returns
+    -------
+    dict
+        `alone`: the first row taken alone has p below 5 %; `differs`: it survives Holm's correction over the study;
+        `any_alone`, `any_differs`: some row of the study does.
+    """
+    counts = dict.fromkeys(("alone", "differs", "any_alone", "any_differs"), 0)
+    for k in trange(repetitions, desc=f"{seeds} seeds, effect {effect:g}", leave=False, mininterval=1.0, disable=None):
+        claims = study_claims(sizes, seeds, effect, np.random.default_rng(k))
+        alone, differs = claims["p"].astype(float) < LEVEL, claims["verdict"] == Verdict.differs
+        first = (claims["variant"] == "v1") & (claims["metric"] == "m0")
+        counts["alone"] += int(alone[first].any())
+        counts["differs"] += int(differs[first].any())
+        counts["any_alone"] += int(alone.any())
+        counts["any_differs"] += int(differs.any())
+    return {name: count / repetitions for name, count in counts.items()}
+
+
+def frame_level(sizes: Sizes, same_mean: bool, repetitions: int) -> dict[str, float]:
+    """How often two trainings of one network are told apart on frames, and how often the interval holds the truth.
+
+    Parameters
+    ----------
+    sizes : Sizes
+    same_mean : bool
+        Whether the two score the same over all sites there are (no effect of a whole training).
+    repetitions : int
+
+    Returns
+    -------
+    dict
+        `frames`: Wilcoxon over frames below 5 %; `sites`: Wilcoxon over the sites' means below 5 %; `covered`: the
+        interval over sites holds the difference of the two over all sites.
+    """
+    counts = dict.fromkeys(("frames", "sites", "covered"), 0)
+    sites = np.repeat(np.arange(sizes.sites), sizes.frames)
+    for k in trange(repetitions, desc="frame level", leave=False, mininterval=1.0, disable=None):
+        rng = np.random.default_rng(k)
+        a, b = draw_runs(replace(sizes, run=0.0) if same_mean else sizes, 2, rng)
+        found = paired_difference(a.ravel(), b.ravel(), sites, resamples=1000)
+        counts["frames"] += int(found.p < LEVEL)
+        counts["sites"] += int(found.p_sites < LEVEL)
+        counts["covered"] += int(found.low <= 0 <= found.high)
+    return {name: count / repetitions for name, count in counts.items()}
+
+
+def half_fraction(seeds: int) -> pd.DataFrame:
+    """The runs of the 16 cells with an even number of five components changed."""
+    cells = [cell for cell in product((0, 1), repeat=5) if sum(cell) % 2 == 0]
+    table = pd.DataFrame(cells * seeds, columns=list("abcde"))
+    return table.apply(lambda column: pd.Categorical(column, [0, 1]))
+
+
+def factorial_level(sizes: Sizes, seeds: int, effect: float, repetitions: int) -> float:
+    """How often the main effect of the first of five components has p below 5 % in the half fraction."""
+    runs = half_fraction(seeds)
+    changed = runs["a"].astype(int).to_numpy() == 1
+    found = 0
+    for k in trange(repetitions, desc=f"factorial, {seeds} seeds", leave=False, mininterval=1.0, disable=None):
+        values = draw_runs(sizes, len(runs), np.random.default_rng(k)).mean(axis=(1, 2)) + effect * changed
+        p = factorial_effects(runs.assign(value=values), list("abcde"))["p"].iloc[0]
+        found += int(p < LEVEL)
+    return found / repetitions
+
+
+def spread_of_run_means(sizes: Sizes) -> float:
+    """Standard deviation of a run's mean over the test frames: the unit that effects are stated in."""
+    frames = sizes.sites * sizes.frames
+    return float(np.sqrt(sizes.run**2 + sizes.run_site**2 / sizes.sites + sizes.run_frame**2 / frames))
+
+
+def report(sizes: Sizes, repetitions: int) -> Iterator[str]:
+    """The tables in Markdown, line by line."""
+    unit = spread_of_run_means(sizes)
+    yield (
+        f"Random effects (PSNR, dB): training {sizes.run:.3f}, training x site {sizes.run_site:.3f}, training x frame "
+        f"{sizes.run_frame:.3f}; {sizes.sites} sites of {sizes.frames} frames; sd of a run's mean {unit:.3f}. "
+        f"{repetitions} repetitions."
+    )
+    yield "\n| two trainings of one network, on frames | Wilcoxon, frames | Wilcoxon, site means | interval holds 0 |"
+    yield "| --- | --- | --- | --- |"
+    for name, same in (("the same over all sites", True), ("as trainings differ", False)):
+        rate = frame_level(sizes, same, repetitions)
+        yield f"| {name} | {rate['frames']:.3f} | {rate['sites']:.3f} | {rate['covered']:.3f} |"
+    rows = (VARIANTS - 1) * METRICS
+    yield f"\n| no component matters, {rows} rows | p < 0.05 in a row | in any row | `differs` in a row | in any row |"
+    yield "| --- | --- | --- | --- | --- |"
+    for seeds in (3, 5):
+        rate = seed_level(sizes, seeds, 0.0, repetitions)
+        cells = (f"{rate[name]:.3f}" for name in ("alone", "any_alone", "differs", "any_differs"))
+        yield f"| {seeds} seeds | {' | '.join(cells)} |"
+    effects = (0.0, 1.0, 2.0, 3.0, 5.0, 8.0)
+    yield f"\n| power, effect in sd of a run's mean | {' | '.join(f'{e:g}' for e in effects[1:])} |"
+    yield f"| --- |{' --- |' * len(effects[1:])}"
+    for seeds in (3, 5, 10):
+        rates = [seed_level(sizes, seeds, e * unit, max(repetitions // 5, 1)) for e in effects[1:]]
+        for name, title in (("alone", "`suggested` or better"), ("differs", f"`differs` ({rows} rows)")):
+            yield f"| {seeds} seeds, {title} | {' | '.join(f'{rate[name]:.2f}' for rate in rates)} |"
+    for seeds in (2, 3):
+        found = [factorial_level(sizes, seeds, e * unit, repetitions) for e in effects]
+        yield (
+            f"| half fraction, 16 cells x {seeds} seeds, one effect alone (no effect: {found[0]:.3f}) | "
+            f"{' | '.join(f'{rate:.2f}' for rate in found[1:])} |"
+        )
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--study", type=Path, default=None, help="take the random effects from this study")
+    parser.add_argument("--repetitions", type=int, default=1000)
+    args = parser.parse_args()
+    for line in report(sizes_of(args.study) if args.study else MEASURED, args.repetitions):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()

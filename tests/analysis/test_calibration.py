@@ -1,0 +1,60 @@
+"""The statistics keep their word on simulated studies: with no true effect, no more false claims than were allowed."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "calibration.py"))
+REPETITIONS = 1000
+# As many false claims as 1,000 repetitions at 5 % exceed once in a thousand times.
+ALLOWED = stats.binom.ppf(0.999, REPETITIONS, 0.05) / REPETITIONS
+
+
+@pytest.mark.slow
+def test_false_claims_stay_below_five_per_cent_at_the_seed_level():
+    assert ALLOWED < 0.075
+    found = SCRIPT["seed_level"](SCRIPT["MEASURED"], seeds=3, effect=0.0, repetitions=REPETITIONS)
+    assert found["alone"] <= ALLOWED, "a row judged alone"
+    assert found["any_differs"] <= ALLOWED, "any `differs` in a whole study"
+    assert found["any_alone"] > 0.3, "why rows are not judged alone"
+
+
+@pytest.mark.slow
+def test_sites_keep_their_level_where_frames_do_not():
+    found = SCRIPT["frame_level"](SCRIPT["MEASURED"], same_mean=True, repetitions=REPETITIONS)
+    assert found["sites"] <= ALLOWED
+    assert found["covered"] >= 1 - ALLOWED
+    assert found["frames"] > ALLOWED, "Wilcoxon over frames takes a site's frames for independent"
+
+
+@pytest.mark.slow
+def test_factorial_effects_keep_their_level_and_find_what_is_there():
+    sizes = SCRIPT["MEASURED"]
+    assert SCRIPT["factorial_level"](sizes, 2, 0.0, REPETITIONS) <= ALLOWED
+    assert SCRIPT["factorial_level"](sizes, 3, SCRIPT["spread_of_run_means"](sizes), 200) > 0.8
+
+
+def test_random_effects_are_estimated_from_a_study(tmp_path):
+    sizes = SCRIPT["Sizes"](run=0.3, run_site=0.2, run_frame=0.4, sites=30, frames=6)
+    rng = np.random.default_rng(0)
+    frames = np.arange(180)
+    for variant in ("sa2h", "nsa2h"):
+        runs = SCRIPT["draw_runs"](sizes, 12, rng).reshape(12, -1)
+        for seed, values in enumerate(runs):
+            table = pd.DataFrame({"value": 20 + values, "frame": frames, "site": frames // 6, "metric": "psnr"})
+            folder = tmp_path / variant / f"seed{seed}"
+            folder.mkdir(parents=True)
+            table.assign(variant=variant, seed=seed, split="test", source="model").to_parquet(
+                folder / "per_image.parquet"
+            )
+    found = SCRIPT["sizes_of"](tmp_path)
+    assert found.run == pytest.approx(0.3, rel=0.3)
+    assert found.run_site == pytest.approx(0.2, rel=0.1)
+    assert found.run_frame == pytest.approx(0.4, rel=0.05)
+    assert (found.sites, found.frames) == (30, 6)
+    with pytest.raises(ValueError, match="no variant with two seeds"):
+        SCRIPT["sizes_of"](tmp_path / "nowhere")
