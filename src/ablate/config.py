@@ -35,6 +35,7 @@ class Task(StrEnum):
     plan = "plan"
     compare = "compare"
     preview = "preview"
+    precision = "precision"
 
 
 class SceneKind(StrEnum):

@@ -50,8 +50,22 @@ def _panel(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None) -
             where = (point["ms"], point["error"])
             offset: dict[str, Any] = {"xytext": (3, 3), "textcoords": "offset points", "rotation": tilt}
             axes.annotate(str(point["setting"]), where, fontsize=6, color="#333333", **offset)
+    draw_background(axes, points["ms"].to_numpy(float), points["error"].to_numpy(float), metric, floor)
+
+
+def draw_background(axes: Axes, ms: np.ndarray, error: np.ndarray, metric: str, floor: float | None) -> None:
+    """Pareto front, re-simulation, the paper's anchors, and a logarithmic axis of time.
+
+    Parameters
+    ----------
+    axes : Axes
+    ms, error : (n,) float
+        Of all points, for the front.
+    metric : str
+    floor : float or None
+        Re-simulation's value.
+    """
     sign = -1.0 if facts_of(metric).better is Better.larger else 1.0
-    ms, error = points["ms"].to_numpy(float), points["error"].to_numpy(float)
     front = pareto_front(ms, sign * error)
     axes.step(ms[front], error[front], where="post", color="#BBBBBB", lw=3, zorder=0, label="Pareto front")
     if floor is not None:

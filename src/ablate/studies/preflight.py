@@ -19,6 +19,8 @@ from ablate.studies.imported import checked_folder
 from ablate.studies.sweep import ConfigurationError, Job
 from ablate.studies.variants import variant_model, variant_names
 
+_NEED_SCENE = (Task.preview, Task.precision)
+
 
 def check(jobs: Sequence[Job]) -> None:
     """Check every job of a sweep against the files, folders and devices it will meet.
@@ -32,7 +34,7 @@ def check(jobs: Sequence[Job]) -> None:
         seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
         _check_training(job, seen, {other.label for other in jobs})
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
-    if starts or jobs[0].settings.task is Task.preview:
+    if starts or jobs[0].settings.task in _NEED_SCENE:
         _check_writable(jobs[0].settings.runs)
     if starts or jobs[0].settings.task is Task.plan:
         for job in jobs:
@@ -42,8 +44,10 @@ def check(jobs: Sequence[Job]) -> None:
 def _check_pairs(job: Job) -> int:
     """Number of frames to train on in a folder of pairs that has what the variant reads."""
     s = job.settings
-    if s.task is Task.preview:
-        raise ConfigurationError("task=preview: pairs made elsewhere have no scene; allowed are scene=fetal and folder")
+    if s.task in _NEED_SCENE:
+        raise ConfigurationError(
+            f"task={s.task}: pairs made elsewhere have no scene; allowed are scene=fetal and folder"
+        )
     try:
         checked = checked_folder(s)
     except (ValueError, OSError) as error:

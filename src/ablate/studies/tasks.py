@@ -12,6 +12,7 @@ from ablate.studies.compare import compare_study
 from ablate.studies.data import dataset_folder, dataset_hash, drop_damaged, made_data, maps_needed, prepare_data
 from ablate.studies.identity import finished
 from ablate.studies.plan import plan
+from ablate.studies.precision import precision
 from ablate.studies.preflight import check
 from ablate.studies.preview import preview
 from ablate.studies.sweep import ConfigurationError, Job
@@ -129,4 +130,5 @@ TASKS: dict[Task, Callable[[Sequence[Job]], int]] = {
     Task.plan: plan,
     Task.compare: compare,
     Task.preview: preview,
+    Task.precision: precision,
 }

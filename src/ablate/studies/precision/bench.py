@@ -1,0 +1,150 @@
+"""The poses that everything is measured on, and the simulator timed on them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+
+import numpy as np
+
+from ablate.anatomy import Scene
+from ablate.config import StudySettings
+from ablate.dataset import Part, equally_spaced
+from ablate.studies.data import build_scene, dataset_folder, open_data
+from ablate.studies.layout import lay_out
+from ablate.studies.precision.errors import Shots
+from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, fan_mask
+from ablate.ultrasound.stage_times import STAGES, stage_times
+
+_NUDGE_MM = 1e-3  # a pose of its own: a simulator remembers the last one
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Some test frames of a data set.
+
+    Attributes
+    ----------
+    scene : Scene
+    probe : ConvexProbe
+    simulator : SimulatorSettings
+        Of the data set.
+    frames : (n,) int
+        Their numbers in the data set.
+    poses : (n, 4, 4) float64
+        Probe to world, mm.
+    seed : int
+        Of the scatterers.
+    """
+
+    scene: Scene
+    probe: ConvexProbe
+    simulator: SimulatorSettings
+    frames: np.ndarray
+    poses: np.ndarray
+    seed: int
+
+    @property
+    def mask(self) -> np.ndarray:
+        """The fan, (H, W) bool."""
+        return fan_mask(self.probe, self.simulator.image_shape)
+
+
+def bench_of(settings: StudySettings) -> Bench:
+    """`evaluation.timed_frames` test frames of the study's data set, which need not have been simulated.
+
+    Raises
+    ------
+    ValueError
+        When a mesh cannot be used or no pose.
+    """
+    scene, grid = build_scene(settings)
+    folder = dataset_folder(settings)
+    known = open_data(folder).pairs if (folder / "about.json").exists() else lay_out(settings, scene, grid)
+    frames = equally_spaced(np.flatnonzero(known.split == Part.test), settings.evaluation.timed_frames)
+    seed = settings.dataset.seed
+    return Bench(scene, settings.probe, settings.simulator, frames, known.poses[frames], seed)
+
+
+def shoot(
+    bench: Bench, settings: SimulatorSettings, seeds: Sequence[int], advance: Callable[[], object]
+) -> tuple[list[Shots], float]:
+    """Render all poses with each seed of the scatterers.
+
+    Parameters
+    ----------
+    bench : Bench
+    settings : SimulatorSettings
+    seeds : sequence of int
+        The first is timed; the others reuse its rays.
+    advance : callable
+        Called after each pose.
+
+    Returns
+    -------
+    list of Shots, one a seed
+    float
+        Median milliseconds of a frame with its maps, each pose seen for the first time, after one that does not count.
+    """
+    simulator = Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
+    simulator.render(_nudged(bench.poses[0]), seeds[0])
+    rows, times = [], []
+    for pose in bench.poses:
+        start = time.perf_counter()
+        first = simulator.render(pose, seeds[0])
+        times.append(1e3 * (time.perf_counter() - start))
+        rows.append([first, *(simulator.render(pose, seed) for seed in seeds[1:])])
+        advance()
+    columns = zip(*rows, strict=True)
+    shots = [Shots(np.stack([f.image for f in c]), np.stack([f.envelope for f in c])) for c in columns]
+    return shots, median(times)
+
+
+def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[], object]) -> dict[str, float]:
+    """Median milliseconds of every stage of a frame, in the order they run, what is left as `everything else`."""
+    simulator = Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
+    simulator.render(_nudged(bench.poses[0]), bench.seed)
+    whole, each = [], []
+    for pose in bench.poses:
+        with stage_times() as taken:
+            start = time.perf_counter()
+            simulator.render(pose, bench.seed)
+            whole.append(1e3 * (time.perf_counter() - start))
+        each.append([sum(taken[name]) for name, *_ in STAGES])
+        advance()
+    stages = {name: median(column) for (name, *_), column in zip(STAGES, zip(*each, strict=True), strict=True)}
+    return stages | {"everything else": median(np.subtract(whole, np.sum(each, axis=1)).tolist())}
+
+
+def time_inputs(bench: Bench, advance: Callable[[], object]) -> dict[str, float]:
+    """Median milliseconds to make each input of a generator: segmentation, attenuation and the low-quality image.
+
+    Segmentation and attenuation come from one call of `Simulator.maps`; a generator that reads no attenuation is
+    charged for the labels of the pixels alone.
+    """
+    maps = Simulator(bench.scene, bench.probe, bench.simulator, poses=bench.poses)
+    low = Simulator(bench.scene, bench.probe, replace(bench.simulator, rays=1, layers=1), poses=bench.poses)
+    maps.maps(_nudged(bench.poses[0]))
+    low.render(_nudged(bench.poses[0]), bench.seed)
+    rows = []
+    for pose in bench.poses:
+        with stage_times() as taken:
+            start = time.perf_counter()
+            maps.maps(pose)
+            both = 1e3 * (time.perf_counter() - start)
+        labels = sum(taken["labels of the pixels"])
+        low.maps(pose)  # now remembered: what follows is the image alone
+        start = time.perf_counter()
+        low.render(pose, bench.seed)
+        rows.append((labels, both - labels, 1e3 * (time.perf_counter() - start)))
+        advance()
+    columns = zip(*rows, strict=True)
+    return {name: median(c) for name, c in zip(("segmentation", "attenuation", "low"), columns, strict=True)}
+
+
+def _nudged(pose: np.ndarray) -> np.ndarray:
+    moved = pose.copy()
+    moved[2, 3] += _NUDGE_MM
+    return moved

@@ -1,0 +1,177 @@
+"""Error and time of every trained run on disk that has learned from the same pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ablate.config import StudySettings, build
+from ablate.dataset import label_values
+from ablate.networks import Generator, conditions
+from ablate.studies.data import about_data, dataset_folder, open_data
+from ablate.studies.precision.bench import Bench, time_inputs
+from ablate.studies.precision.errors import Shots, mean_errors
+from ablate.studies.precision.ledger import Ledger
+from ablate.studies.results import Finished, finished_runs
+from ablate.studies.run import network_inputs
+from ablate.training import (
+    LAST,
+    Engine,
+    Precision,
+    chosen_device,
+    chosen_precision,
+    load_generator,
+    median_ms,
+    missing_for,
+    renderer,
+)
+from ablate.training.inference import to_grey_levels
+
+_WARMUP = 2
+
+
+@dataclass(frozen=True)
+class Way:
+    """Arithmetic and engine that a generator is run with."""
+
+    precision: Precision
+    engine: Engine
+
+
+def comparable_runs(settings: StudySettings) -> tuple[list[Finished], str]:
+    """Finished runs of all studies in `runs_dir` that learned from this very data set, and a word on the others.
+
+    Others were trained on another scene, another grid or other poses: their test frames are none of theirs, or not
+    unseen.
+    """
+    about = about_data(settings)
+    studies = sorted({path.parents[2] for path in settings.runs.glob("*/*/seed*/result.json")})
+    runs = [run for study in studies for run in finished_runs(study)]
+    fit = [run for run in runs if run.spec["semantic"]["data"] == about]
+    if not runs:
+        return [], f"no trained run in {settings.runs}: the simulator alone"
+    if len(fit) == len(runs):
+        return fit, f"{len(fit)} trained runs"
+    return fit, f"{len(fit)} trained runs; {len(runs) - len(fit)} left out, they learned from other data"
+
+
+def ways(settings: StudySettings) -> tuple[list[Way], tuple[str, ...]]:
+    """Every way to run a generator on this machine, eager ones first, and what it lacks for the others."""
+    device = chosen_device(settings.training.device)
+    notes = []
+    precisions = [Precision.fp32]
+    if chosen_precision(Precision.auto, device) is Precision.bf16:
+        precisions.append(Precision.bf16)
+    else:
+        notes.append(f"bf16: {device.type} here does not multiply it")
+    engines = []
+    for engine in Engine:
+        lacking = missing_for(engine, device)
+        if lacking is None:
+            engines.append(engine)
+        else:
+            notes.append(f"engine {engine}: needs {lacking}")
+    return [Way(p, e) for e in engines for p in precisions], tuple(notes)
+
+
+def plan_of(runs: list[Finished], settings: StudySettings) -> list[tuple[Finished, list[Way]]]:
+    """Which run is run in which ways.
+
+    Eager in every precision, each of them; compiled and exported, which takes a minute each, the lowest seed of each
+    study and label, because the time of a network is not a matter of its weights.
+    """
+    every, _ = ways(settings)
+    eager = [way for way in every if way.engine is Engine.eager]
+    seen: set[tuple[object, str]] = set()
+    planned = []
+    for run in sorted(runs, key=lambda r: (str(r.folder.parents[1]), r.label, r.seed)):
+        place = run.folder.parents[1], run.label
+        planned.append((run, eager if place in seen else every))
+        seen.add(place)
+    return planned
+
+
+def measure_generators(
+    bench: Bench,
+    planned: list[tuple[Finished, list[Way]]],
+    settings: StudySettings,
+    reference: Shots,
+    points: Ledger,
+    details: Ledger,
+    advance: Callable[[], object],
+) -> None:
+    """Fill the tables with every run; the time of a frame is that of its inputs and of the network.
+
+    Parameters
+    ----------
+    bench : Bench
+    planned : list of (Finished, list of Way)
+    settings : StudySettings
+    reference : Shots
+    points, details : Ledger
+    advance : callable
+        Called once for the inputs of each pose, then after each run and way.
+    """
+    if not planned:
+        return
+    inputs = time_inputs(bench, advance)
+    device = chosen_device(settings.training.device)
+    for run, its_ways in planned:
+        generator = load_generator(run.folder / LAST).to(device)
+        frames = _frames(run, generator, settings, bench.frames, device)
+        needed = {name: inputs[name] for name in conditions(generator.spec)}
+        exact: Shots | None = None
+        for way in its_ways:
+            shots, network_ms = _render(generator, frames, bench, way, settings.evaluation.timed_frames)
+            ms = sum(needed.values()) + network_ms
+            setting = _setting(run, way, settings)
+            for metric, error in mean_errors(shots, reference, bench.mask).items():
+                points.add(run.label, setting, ms, metric, error)
+            for stage, taken in {**needed, "network": network_ms}.items():
+                details.add("stage", run.label, setting, stage, taken)
+            if exact is None:
+                exact = shots
+            else:
+                for metric, error in mean_errors(shots, exact, bench.mask).items():
+                    details.add("limit", f"{run.label}, against fp32 eager", setting, metric, error)
+            advance()
+
+
+def _setting(run: Finished, way: Way, settings: StudySettings) -> str:
+    """What tells one point of a label from the others; the study only where it is not the one asked for."""
+    width = run.spec["settings"]["model"]["width"]
+    study = run.folder.parents[1].name
+    elsewhere = "" if study == settings.study else f", {study}"
+    return f"width {width:g}, {way.precision}, {way.engine}, seed {run.seed}{elsewhere}"
+
+
+def _frames(
+    run: Finished, generator: Generator, settings: StudySettings, numbers: np.ndarray, device: torch.device
+) -> list[Mapping[str, Tensor]]:
+    """The maps of each frame as the run reads them, (1, 1, H, W) each."""
+    trained = build(StudySettings, run.spec["settings"])
+    data = open_data(dataset_folder(settings))
+    values = label_values(data.tissues, trained.encoding, trained.encoding_seed)
+    maps = network_inputs(generator, data, numbers, values)
+    return [{name: m[k : k + 1].to(device) for name, m in maps.items()} for k in range(len(numbers))]
+
+
+@torch.inference_mode()
+def _render(
+    generator: Generator, frames: list[Mapping[str, Tensor]], bench: Bench, way: Way, repeats: int
+) -> tuple[Shots, float]:
+    """Every frame, and the median milliseconds of the first one."""
+    device = frames[0]["segmentation"].device
+    height, width = bench.simulator.image_shape
+    render = renderer(generator, height, width, way.precision, way.engine)
+    ms = median_ms(render, frames[0], repeats, _WARMUP)
+    mask = torch.from_numpy(bench.mask).to(device)
+    images = [
+        to_grey_levels(render(maps, torch.tensor([number], device=device))[0, 0], mask).cpu()
+        for maps, number in zip(frames, bench.frames.tolist(), strict=True)
+    ]
+    return Shots(torch.stack(images).numpy()), ms

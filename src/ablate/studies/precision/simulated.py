@@ -1,0 +1,122 @@
+"""Error and time of the simulator, one setting at a time away from those of the data set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ablate.studies.precision.bench import Bench, shoot, time_stages
+from ablate.studies.precision.errors import Shots, mean_errors, moved
+from ablate.studies.precision.ledger import Ledger
+from ablate.ultrasound import Plan, Precision, SimulatorSettings
+
+RAYS = (1, 2, 4, 8, 16, 32, 64, 128)
+LAYERS = (1, 3, 5)
+_PARTS = (0.25, 0.5, 1, 2)  # of the data set's scanlines and axial samples
+REFERENCE_RAYS = 2048
+_FINE = {"layers": 3, "scanlines": 4, "axial_samples": 4}  # times finer, and with as many times more rays
+RAYS_SERIES = "simulator, rays"
+FULL_SERIES = "simulator, rays, plan=full"
+OTHER_SERIES = "simulator, other scatterers"
+
+
+def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
+    """Settings by the name of what is changed and its value; all else is as in `base`."""
+    values: dict[str, tuple[int, ...]] = {"rays": RAYS, "layers": LAYERS}
+    for name in ("scanlines", "axial_samples"):
+        values[name] = tuple(sorted({max(1, round(part * getattr(base, name))) for part in _PARTS}))
+    return {name: {v: replace(base, **{name: v}) for v in chosen} for name, chosen in values.items()}
+
+
+def series_name(name: str) -> str:
+    """What a ladder is called in tables and figures."""
+    return f"simulator, {name.replace('_', ' ')}"
+
+
+def work(base: SimulatorSettings, frames: int) -> int:
+    """How many times `measure_simulator` advances."""
+    settings = sum(len(ladder) for ladder in ladders(base).values())
+    return frames * (2 + settings + len(RAYS) + len(_FINE) + 1 + len(_staged(base)))
+
+
+def _staged(base: SimulatorSettings) -> tuple[int, ...]:
+    return tuple(sorted({RAYS[0], base.rays, RAYS[-1]}))
+
+
+def measure_simulator(bench: Bench, points: Ledger, details: Ledger, advance: Callable[[], object]) -> Shots:
+    """Fill the tables with everything about the simulator.
+
+    The receiver's noise and the phases of clutter follow `path_seed` and the grid, not the rays: with another number of
+    rays and the same `path_seed`, the paths are others and all else is the same.
+
+    Returns
+    -------
+    Shots
+        The reference: `REFERENCE_RAYS` rays, all else as the data set.
+    """
+    base, seeds = bench.simulator, (bench.seed, bench.seed + 1)
+    (reference,), _ = shoot(bench, replace(base, rays=REFERENCE_RAYS), seeds[:1], advance)
+    (half,), _ = shoot(bench, replace(base, rays=REFERENCE_RAYS // 2), seeds[:1], advance)
+    for name, ladder in ladders(base).items():
+        fine = _finer(bench, name, details, advance) if name in _FINE else None
+        for value, settings in ladder.items():
+            (shots, other), ms = shoot(bench, settings, seeds, advance)
+            errors = mean_errors(shots, reference, bench.mask)
+            as_others = mean_errors(other, reference, bench.mask)
+            _add(points, series_name(name), value, ms, errors)
+            _add(points, OTHER_SERIES, f"{name.replace('_', ' ')} {value}", ms, as_others)
+            if name == "rays":
+                to_half = mean_errors(shots, half, bench.mask)
+                for metric, error in errors.items():
+                    details.add("reference", RAYS_SERIES, value, metric, moved(metric, error, to_half[metric]))
+                _full(bench, settings, shots, reference, points, details, advance)
+            if fine is not None:
+                for metric, error in mean_errors(shots, fine, bench.mask).items():
+                    details.add("convergence", series_name(name), value, metric, error)
+    _float64(bench, details, advance)
+    for rays in _staged(base):
+        for stage, ms in time_stages(bench, replace(base, rays=rays), advance).items():
+            details.add("stage", RAYS_SERIES, rays, stage, ms)
+    return reference
+
+
+def _add(points: Ledger, series: str, setting: object, ms: float, errors: dict[str, float]) -> None:
+    for metric, error in errors.items():
+        points.add(series, setting, ms, metric, error)
+
+
+def _full(
+    bench: Bench,
+    settings: SimulatorSettings,
+    planned: Shots,
+    reference: Shots,
+    points: Ledger,
+    details: Ledger,
+    advance: Callable[[], object],
+) -> None:
+    """The same with nothing left out, at once after it, so that both meet the same machine."""
+    (shots,), ms = shoot(bench, replace(settings, plan=Plan.full), (bench.seed,), advance)
+    _add(points, FULL_SERIES, settings.rays, ms, mean_errors(shots, reference, bench.mask))
+    apart = np.abs(shots.images.astype(np.int16) - planned.images).max()
+    details.add("plan", FULL_SERIES, settings.rays, "largest grey difference to planned", int(apart))
+
+
+def _finer(bench: Bench, name: str, details: Ledger, advance: Callable[[], object]) -> Shots:
+    """The limit of one dimension, as far as it can be told: against another draw of its own speckle."""
+    times = _FINE[name]
+    value, rays = times * getattr(bench.simulator, name), times * bench.simulator.rays
+    settings = replace(bench.simulator, **{name: value}, rays=rays)
+    (fine, other), _ = shoot(bench, settings, (bench.seed, bench.seed + 1), advance)
+    for metric, error in mean_errors(other, fine, bench.mask).items():
+        details.add("convergence", series_name(name), "other scatterers", metric, error)
+    return fine
+
+
+def _float64(bench: Bench, details: Ledger, advance: Callable[[], object]) -> None:
+    """What single precision of the signal chain costs, on the same paths."""
+    (single,), _ = shoot(bench, bench.simulator, (bench.seed,), lambda: None)
+    (double,), _ = shoot(bench, replace(bench.simulator, precision=Precision.float64), (bench.seed,), advance)
+    for metric, error in mean_errors(single, double, bench.mask).items():
+        details.add("limit", "simulator, float32 against float64", bench.simulator.rays, metric, error)
