@@ -104,7 +104,7 @@ def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None,
         axes.plot(of["ms"], of["error"], marker=marker, ls=line, ms=size, lw=0.8, color=colour, mfc=face, label=name)
         if line != "none":
             for end in (of.iloc[0], of.iloc[-1]):
-                shift = {"xytext": (3, 4), "textcoords": "offset points"}
+                shift: dict[str, Any] = {"xytext": (3, 4), "textcoords": "offset points"}
                 axes.annotate(end["setting"], (end["ms"], end["error"]), fontsize=6, color=colour, **shift)
     for k, name in enumerate(runs):
         colour, marker = COLOURS[k % 6], _GENERATOR_MARKERS[k % len(_GENERATOR_MARKERS)]

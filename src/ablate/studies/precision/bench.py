@@ -118,30 +118,39 @@ def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[],
     return stages | {"everything else": median(np.subtract(whole, np.sum(each, axis=1)).tolist())}
 
 
-def time_inputs(bench: Bench, advance: Callable[[], object]) -> dict[str, float]:
-    """Median milliseconds to make each input of a generator: segmentation, attenuation and the low-quality image.
+def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """What generators read, and the time that it takes to make.
 
     Segmentation and attenuation come from one call of `Simulator.maps`; a generator that reads no attenuation is
     charged for the labels of the pixels alone.
+
+    Returns
+    -------
+    maps : dict of (n, H, W)
+        `segmentation` uint8, `attenuation` float32 in [0, 1], `low` uint8.
+    ms : dict of str to float
+        Median milliseconds of each.
     """
     maps = Simulator(bench.scene, bench.probe, bench.simulator, poses=bench.poses)
     low = Simulator(bench.scene, bench.probe, replace(bench.simulator, rays=1, layers=1), poses=bench.poses)
     maps.maps(_nudged(bench.poses[0]))
     low.render(_nudged(bench.poses[0]), bench.seed)
-    rows = []
+    rows, made = [], []
     for pose in bench.poses:
         with stage_times() as taken:
             start = time.perf_counter()
-            maps.maps(pose)
+            segmentation, attenuation = maps.maps(pose)
             both = 1e3 * (time.perf_counter() - start)
         labels = sum(taken["labels of the pixels"])
         low.maps(pose)  # now remembered: what follows is the image alone
         start = time.perf_counter()
-        low.render(pose, bench.seed)
+        image = low.render(pose, bench.seed).image
         rows.append((labels, both - labels, 1e3 * (time.perf_counter() - start)))
+        made.append((segmentation, attenuation, image))
         advance()
-    columns = zip(*rows, strict=True)
-    return {name: median(c) for name, c in zip(("segmentation", "attenuation", "low"), columns, strict=True)}
+    names = ("segmentation", "attenuation", "low")
+    arrays = {name: np.stack(c) for name, c in zip(names, zip(*made, strict=True), strict=True)}
+    return arrays, {name: median(c) for name, c in zip(names, zip(*rows, strict=True), strict=True)}
 
 
 def _nudged(pose: np.ndarray) -> np.ndarray:

@@ -10,14 +10,13 @@ import torch
 from torch import Tensor
 
 from ablate.config import StudySettings, build
-from ablate.dataset import label_values
+from ablate.dataset import label_values, network_inputs
 from ablate.networks import Generator, conditions
-from ablate.studies.data import about_data, dataset_folder, open_data
-from ablate.studies.precision.bench import Bench, time_inputs
+from ablate.studies.data import about_data
+from ablate.studies.precision.bench import Bench, make_inputs
 from ablate.studies.precision.errors import Shots, mean_errors
 from ablate.studies.precision.ledger import Ledger
 from ablate.studies.results import Finished, finished_runs
-from ablate.studies.run import network_inputs
 from ablate.training import (
     LAST,
     Engine,
@@ -118,11 +117,11 @@ def measure_generators(
     """
     if not planned:
         return
-    inputs = time_inputs(bench, advance)
+    maps, inputs = make_inputs(bench, advance)
     device = chosen_device(settings.training.device)
     for run, its_ways in planned:
         generator = load_generator(run.folder / LAST).to(device)
-        frames = _frames(run, generator, settings, bench.frames, device)
+        frames = _frames(run, generator, maps, bench, device)
         needed = {name: inputs[name] for name in conditions(generator.spec)}
         exact: Shots | None = None
         for way in its_ways:
@@ -150,14 +149,13 @@ def _setting(run: Finished, way: Way, settings: StudySettings) -> str:
 
 
 def _frames(
-    run: Finished, generator: Generator, settings: StudySettings, numbers: np.ndarray, device: torch.device
+    run: Finished, generator: Generator, maps: dict[str, np.ndarray], bench: Bench, device: torch.device
 ) -> list[Mapping[str, Tensor]]:
     """The maps of each frame as the run reads them, (1, 1, H, W) each."""
     trained = build(StudySettings, run.spec["settings"])
-    data = open_data(dataset_folder(settings))
-    values = label_values(data.tissues, trained.encoding, trained.encoding_seed)
-    maps = network_inputs(generator, data, numbers, values)
-    return [{name: m[k : k + 1].to(device) for name, m in maps.items()} for k in range(len(numbers))]
+    values = label_values(bench.scene.tissues, trained.encoding, trained.encoding_seed)
+    read = network_inputs({name: maps[name] for name in conditions(generator.spec)}, values, bench.mask)
+    return [{name: m[k : k + 1].to(device) for name, m in read.items()} for k in range(len(bench.frames))]
 
 
 @torch.inference_mode()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,12 @@ def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
     values: dict[str, tuple[int, ...]] = {"rays": RAYS, "layers": LAYERS}
     for name in ("scanlines", "axial_samples"):
         values[name] = tuple(sorted({max(1, round(part * getattr(base, name))) for part in _PARTS}))
-    return {name: {v: replace(base, **{name: v}) for v in chosen} for name, chosen in values.items()}
+    return {name: {v: _changed(base, name, v) for v in chosen} for name, chosen in values.items()}
+
+
+def _changed(base: SimulatorSettings, name: str, value: int) -> SimulatorSettings:
+    changes: dict[str, Any] = {name: value}
+    return replace(base, **changes)
 
 
 def series_name(name: str) -> str:
@@ -107,7 +113,7 @@ def _finer(bench: Bench, name: str, details: Ledger, advance: Callable[[], objec
     """The limit of one dimension, as far as it can be told: against another draw of its own speckle."""
     times = _FINE[name]
     value, rays = times * getattr(bench.simulator, name), times * bench.simulator.rays
-    settings = replace(bench.simulator, **{name: value}, rays=rays)
+    settings = replace(_changed(bench.simulator, name, value), rays=rays)
     (fine, other), _ = shoot(bench, settings, (bench.seed, bench.seed + 1), advance)
     for metric, error in mean_errors(other, fine, bench.mask).items():
         details.add("convergence", series_name(name), "other scatterers", metric, error)
