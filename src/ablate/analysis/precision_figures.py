@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter, NullLocator
 
 from ablate.analysis.figure_style import COLOURS, FLOOR_COLOUR, PAGE_IN, house_style, new_figure, save_figure
-from ablate.analysis.metric_facts import Better, facts_of
+from ablate.analysis.metric_facts import RESIMULATION, Better, facts_of
 from ablate.analysis.runtime_figure import draw_background
 from ablate.analysis.work_precision import observed_order
 
@@ -28,6 +28,7 @@ _SIMULATOR: dict[str, tuple[str, str, str]] = {
 _HOLLOW = ("simulator, rays, plan=full",)
 _GENERATOR_MARKERS = ("D", "P", "X", "*", "h", "<", ">", "d", "p", "8")
 _ENGINE_FILL = {"eager": "none", "exported": "full", "compiled": "left"}
+_REST = "the rest"
 _HATCHES = ("", "////", "", "....", "", "xxxx", "", "----")
 
 
@@ -68,6 +69,7 @@ def work_precision_figure(points: pd.DataFrame, stem: Path, floors: dict[str, fl
         for axes, metric in zip(grid, metrics, strict=False):
             _diagram(axes, points[points["metric"] == metric], metric, floors.get(metric), runs)
             found, names = axes.get_legend_handles_labels()
+            names = [n.partition(" (")[0] if n.startswith(RESIMULATION) else n for n in names]
             handles |= {n: h for n, h in zip(names, found, strict=True) if n not in handles}
         for axes in grid[len(metrics) :]:
             axes.set_axis_off()
@@ -96,7 +98,7 @@ def _marker(colour: str, marker: str, engine: str) -> dict[str, Any]:
 
 def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None, runs: list[str]) -> None:
     for name, (colour, marker, line) in _SIMULATOR.items():
-        of = points[points["series"] == name].sort_values("ms", kind="stable")
+        of = points[points["series"] == name]
         if of.empty:
             continue
         face = "none" if name in _HOLLOW else colour
@@ -227,18 +229,17 @@ def stages_figure(stages: pd.DataFrame, stem: Path, hardware: str, fewest: float
     wide = stages.pivot_table(index=["series", "setting"], columns="quantity", values="value", sort=False).fillna(0.0)
     share = wide.div(wide.sum(axis=1), axis=0).max()
     small = [name for name in wide.columns if share[name] < fewest or name == "everything else"]
-    shown = wide.drop(columns=small).assign(**{"the rest": wide[small].sum(axis=1)})
+    shown = wide.drop(columns=small).assign(**{_REST: wide[small].sum(axis=1)})
     with house_style():
         figure = new_figure(PAGE_IN, 0.24 * len(shown) + 1.5)
         axes = figure.subplots()
-        names = [f"{series.replace('simulator, rays', 'simulator')}, {setting}" for series, setting in shown.index]
-        names = [f"{n} rays" if n.startswith("simulator") else n for n in names]
+        names = [f"{series}: {setting}" for series, setting in shown.index]
         left = np.zeros(len(shown))
         for k, stage in enumerate(shown.columns):
             width = shown[stage].to_numpy(float)
             axes.barh(
-                names, width, left=left, label=stage, color=COLOURS[k % 8], edgecolor="black", lw=0.4,
-                hatch=_HATCHES[k % len(_HATCHES)], height=0.7,
+                names, width, left=left, label=stage, edgecolor="black", lw=0.4, height=0.7,
+                color="white" if stage == _REST else COLOURS[k % 8], hatch="" if stage == _REST else _HATCHES[k % 8],
             )  # fmt: skip
             left += width
         axes.invert_yaxis()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,6 +14,7 @@ from ablate.config import StudySettings, build
 from ablate.dataset import label_values, network_inputs
 from ablate.networks import Generator, conditions
 from ablate.studies.data import about_data
+from ablate.studies.identity import digest
 from ablate.studies.precision.bench import Bench, make_inputs
 from ablate.studies.precision.errors import Shots, mean_errors
 from ablate.studies.precision.ledger import Ledger
@@ -80,17 +82,17 @@ def ways(settings: StudySettings) -> tuple[list[Way], tuple[str, ...]]:
 def plan_of(runs: list[Finished], settings: StudySettings) -> list[tuple[Finished, list[Way]]]:
     """Which run is run in which ways.
 
-    Eager in every precision, each of them; compiled and exported, which takes a minute each, the lowest seed of each
-    study and label, because the time of a network is not a matter of its weights.
+    Eager in every precision, each of them; compiled and exported, which takes up to a minute each, only the first run
+    of each network of a study, because the time of a network is no matter of its weights.
     """
     every, _ = ways(settings)
     eager = [way for way in every if way.engine is Engine.eager]
-    seen: set[tuple[object, str]] = set()
+    seen: set[tuple[Path, str]] = set()
     planned = []
     for run in sorted(runs, key=lambda r: (str(r.folder.parents[1]), r.label, r.seed)):
-        place = run.folder.parents[1], run.label
-        planned.append((run, eager if place in seen else every))
-        seen.add(place)
+        network = run.folder.parents[1], digest(run.spec["semantic"]["model"])
+        planned.append((run, eager if network in seen else every))
+        seen.add(network)
     return planned
 
 

@@ -17,7 +17,9 @@ RAYS = (1, 2, 4, 8, 16, 32, 64, 128)
 LAYERS = (1, 3, 5)
 _PARTS = (0.25, 0.5, 1, 2)  # of the data set's scanlines and axial samples
 REFERENCE_RAYS = 2048
-_FINE = {"layers": 3, "scanlines": 4, "axial_samples": 4}  # times finer, and with as many times more rays
+_FINEST_LAYERS = 9
+_FINER = 4  # times as many scanlines or axial samples; and rays, so that their noise does not count
+_GRIDS = ("layers", "scanlines", "axial_samples")
 RAYS_SERIES = "simulator, rays"
 FULL_SERIES = "simulator, rays, plan=full"
 OTHER_SERIES = "simulator, other scatterers"
@@ -44,7 +46,7 @@ def series_name(name: str) -> str:
 def work(base: SimulatorSettings, frames: int) -> int:
     """How many times `measure_simulator` advances."""
     settings = sum(len(ladder) for ladder in ladders(base).values())
-    return frames * (2 + settings + len(RAYS) + len(_FINE) + 1 + len(_staged(base)))
+    return frames * (2 + settings + len(RAYS) + len(_GRIDS) + 1 + len(_staged(base)))
 
 
 def _staged(base: SimulatorSettings) -> tuple[int, ...]:
@@ -66,7 +68,7 @@ def measure_simulator(bench: Bench, points: Ledger, details: Ledger, advance: Ca
     (reference,), _ = shoot(bench, replace(base, rays=REFERENCE_RAYS), seeds[:1], advance)
     (half,), _ = shoot(bench, replace(base, rays=REFERENCE_RAYS // 2), seeds[:1], advance)
     for name, ladder in ladders(base).items():
-        fine = _finer(bench, name, details, advance) if name in _FINE else None
+        fine = _finer(bench, name, details, advance) if name in _GRIDS else None
         for value, settings in ladder.items():
             (shots, other), ms = shoot(bench, settings, seeds, advance)
             errors = mean_errors(shots, reference, bench.mask)
@@ -111,9 +113,9 @@ def _full(
 
 def _finer(bench: Bench, name: str, details: Ledger, advance: Callable[[], object]) -> Shots:
     """The limit of one dimension, as far as it can be told: against another draw of its own speckle."""
-    times = _FINE[name]
-    value, rays = times * getattr(bench.simulator, name), times * bench.simulator.rays
-    settings = replace(_changed(bench.simulator, name, value), rays=rays)
+    base = bench.simulator
+    value = _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name)
+    settings = replace(_changed(base, name, value), rays=_FINER * base.rays)
     (fine, other), _ = shoot(bench, settings, (bench.seed, bench.seed + 1), advance)
     for metric, error in mean_errors(other, fine, bench.mask).items():
         details.add("convergence", series_name(name), "other scatterers", metric, error)

@@ -82,6 +82,11 @@ def tables(points: pd.DataFrame, details: pd.DataFrame) -> dict[str, pd.DataFram
     return {heading: table for heading, table in made.items() if len(table)}
 
 
+def as_text(tables: dict[str, pd.DataFrame]) -> str:
+    """Tables for a console, each under its heading, never truncated."""
+    return "\n\n".join(f"{heading}\n\n{table.to_string()}" for heading, table in tables.items())
+
+
 def _cell(metric: str, value: float) -> str:
     return f"{value:.{facts_of(metric).decimals}f}"
 
@@ -90,7 +95,7 @@ def _errors(points: pd.DataFrame) -> pd.DataFrame:
     named = points.rename(columns={"metric": "quantity", "error": "value"})
     wide = _spread_out(named, _cell)
     times = points.drop_duplicates(["series", "setting"])["ms"].map("{:.1f}".format)
-    wide.insert(2, "ms", times.to_list())
+    wide.insert(0, "ms", times.to_list())
     return wide
 
 
@@ -100,7 +105,10 @@ def _spread_out(rows: pd.DataFrame, show: Callable[[str, float], str]) -> pd.Dat
     for row in rows.to_dict("records"):
         cells = wide.setdefault((row["series"], row["setting"]), {})
         cells[facts_of(row["quantity"]).title] = show(row["quantity"], float(row["value"]))
-    return pd.DataFrame([{"series": a, "setting": b, **cells} for (a, b), cells in wide.items()]).fillna("")
+    if not wide:
+        return pd.DataFrame()
+    index = pd.MultiIndex.from_tuples(wide, names=["series", "setting"])
+    return pd.DataFrame(list(wide.values()), index).fillna("")
 
 
 def _orders(points: pd.DataFrame) -> pd.DataFrame:
@@ -108,7 +116,7 @@ def _orders(points: pd.DataFrame) -> pd.DataFrame:
     for row in orders(points).to_dict("records"):
         what = "RMS error of the image" if row["metric"] == "psnr" else facts_of(row["metric"]).label
         rows.append({"error": what, "p": f"{row['p']:.2f}", "standard error": f"{row['standard_error']:.2f}"})
-    return pd.DataFrame(rows)
+    return _indexed(rows, ["error"])
 
 
 def _plan(points: pd.DataFrame, plan: pd.DataFrame) -> pd.DataFrame:
@@ -118,7 +126,7 @@ def _plan(points: pd.DataFrame, plan: pd.DataFrame) -> pd.DataFrame:
         full, planned = ms[FULL_SERIES, row["setting"]], ms[RAYS_SERIES, row["setting"]]
         times = {"full, ms": f"{full:.0f}", "planned, ms": f"{planned:.0f}", "saved": f"{1 - planned / full:.0%}"}
         rows.append({"rays": row["setting"], **times, row["quantity"]: f"{float(row['value']):.0f}"})
-    return pd.DataFrame(rows)
+    return _indexed(rows, ["rays"])
 
 
 def _budgets(points: pd.DataFrame) -> pd.DataFrame:
@@ -129,18 +137,24 @@ def _budgets(points: pd.DataFrame) -> pd.DataFrame:
     found = budget_table(points, {_SAME: same, _OTHER: [OTHER_SERIES], _RUN: runs}, (_OTHER, _RUN))
     rows = []
     for row in found.to_dict("records"):
-        cells = {}
+        cells: dict[str, str] = {}
         for group in (_SAME, _OTHER, _RUN):
             name = row[group].replace("simulator, ", "").replace("other scatterers: ", "")
             cells[group] = f"{_cell(row['metric'], row[f'{group}_error'])} ({name})" if name else ""
         better = {_OTHER: "simulator", _RUN: _RUN}.get(row["better"], "none is that fast")
         rows.append({"metric": facts_of(row["metric"]).title, "ms": f"{row['budget_ms']:g}", **cells, "better": better})
-    return pd.DataFrame(rows)
+    return _indexed(rows, ["metric", "ms"])
+
+
+def _indexed(rows: list[dict[str, str]], names: list[str]) -> pd.DataFrame:
+    return pd.DataFrame(rows).set_index(names) if rows else pd.DataFrame()
 
 
 def _stages(stages: pd.DataFrame) -> pd.DataFrame:
     """A row a stage, a column a renderer."""
+    if stages.empty:
+        return pd.DataFrame()
     series = stages["series"].str.replace(RAYS_SERIES, "rays", regex=False)
     named = stages.assign(renderer=series + " " + stages["setting"], value=stages["value"].astype(float))
     wide = named.pivot_table(index="quantity", columns="renderer", values="value", sort=False)
-    return wide.map(lambda v: "" if pd.isna(v) else f"{v:.1f}").rename_axis(None, axis=1).rename_axis(None)
+    return wide.map(lambda v: "" if pd.isna(v) else f"{v:.1f}").rename_axis("", axis=1).rename_axis("")
