@@ -3,6 +3,8 @@
 import re
 from html.parser import HTMLParser
 
+import pandas as pd
+
 from ablate.analysis import (
     RESIMULATION,
     cautions,
@@ -54,6 +56,32 @@ def test_report_is_self_contained(study, tmp_path):
     for text in ("quick &lt;study&gt;", "refraction: speeds agree", "abc123", "floor for", "level of", "differs"):
         assert text in page
     assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", page).lower())
+
+
+def test_report_folds_what_is_secondary(study, tmp_path):
+    lesser = study.assign(metric=study["metric"].replace("psnr", "pchi2_fan"))
+    both = pd.concat([study, lesser[lesser["metric"] == "pchi2_fan"]])
+    paired = paired_table(both, resamples=50)
+    boxes = paired_boxplots(both, tmp_path, paired=paired)
+    path = write_report(
+        tmp_path / "report.html",
+        "folded",
+        both,
+        comparison_table(both),
+        paired,
+        figures=[(boxes[m][0], f"Box plot of {m}") for m in ("psnr", "pchi2_fan")],
+        appendix={"Uncommitted changes: sa2h/seed0": "-a <b>\n+c"},
+    )
+    page = re.sub(r"base64,[^\"]*", "", path.read_text("utf-8"))
+    folded = re.findall(r"<details><summary>(.*?)</summary>(.*?)</details>", page, re.S)
+    titles = [title for title, _ in folded]
+    assert titles == ["All other metrics", "All other metrics", "More figures", "Uncommitted changes: sa2h/seed0"]
+    shown = re.sub(r"<details>.*?</details>", "", page, flags=re.S)
+    for text in ("PSNR (dB)", "Box plot of psnr", "3 variants, 3 trained of each, 24 test frames of 8 probe sites."):
+        assert text in shown
+    for text in ("pχ², fan", "Box plot of pchi2_fan", "-a &lt;b&gt;\n+c"):
+        assert text not in shown
+        assert any(text in content for _, content in folded)
 
 
 def test_cautions_in_words(study, study_of):

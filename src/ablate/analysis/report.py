@@ -132,7 +132,7 @@ def _figure_html(path: Path, caption: str) -> str:
 def _figures_html(figures: Sequence[tuple[Path, str]]) -> str:
     lesser = [figure for figure in figures if _is_lesser(figure[0].stem)]
     shown = "".join(_figure_html(*figure) for figure in figures if figure not in lesser)
-    return shown + _folded(f"{len(lesser)} more figures", "".join(_figure_html(*figure) for figure in lesser))
+    return shown + _folded("More figures", "".join(_figure_html(*figure) for figure in lesser))
 
 
 def _compared(per_image: pd.DataFrame) -> str:
@@ -184,7 +184,6 @@ def write_report(
     Path
         The file written.
     """
-    metrics = list(dict.fromkeys(table["metric"]))
     warnings = "".join(f'<p class="warning">{escape(text)}</p>' for text in cautions(per_image, reference))
     main, rest = table["metric"].isin(MAIN), ~table["metric"].isin(MAIN)
     parts = [
@@ -192,7 +191,7 @@ def write_report(
         f"<h2>Comparison</h2>{to_html(table[main])}",
         _folded("All other metrics", to_html(table[rest]) if rest.any() else ""),
         "<p><small>Mean ± standard deviation over frames (over seeds for figures that a run has one of). "
-        f"Bold is the best network. {escape(resimulation_note(metrics))}</small></p>",
+        f"Bold is the best network. {escape(resimulation_note(list(dict.fromkeys(table[main]['metric']))))}</small></p>",
     ]
     if len(paired):
         parts.append(

@@ -25,7 +25,6 @@ from ablate.tracking import (
     open_store,
     packages,
     parent_run,
-    register_generator,
 )
 from ablate.training import LAST, load_generator
 
@@ -150,6 +149,8 @@ def describe_study(run: RunLog, runs: Sequence[Finished], comparison: str, cauti
 
 def register_reference(settings: StudySettings, runs: Sequence[Finished]) -> str:
     """Register the reference's generator, that of the seed that validates best; a line for the screen tells where."""
+    from ablate.tracking.registration import register_generator  # takes seconds, and few want it
+
     name = settings.tracking.register
     of_reference = [run for run in runs if run.label == settings.reference]
     if not of_reference:

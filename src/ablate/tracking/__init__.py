@@ -2,7 +2,6 @@
 
 from ablate.tracking.pages import artifact_page, comparison_page
 from ablate.tracking.provenance import environment, git_state, hardware, packages
-from ablate.tracking.registration import register_generator
 from ablate.tracking.store import RunLog, Status, Store, child_run, default_uri, open_store, parent_run, task_run
 
 __all__ = [
@@ -19,6 +18,5 @@ __all__ = [
     "open_store",
     "packages",
     "parent_run",
-    "register_generator",
     "task_run",
 ]

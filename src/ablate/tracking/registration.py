@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import tempfile
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import mlflow.pyfunc
 import numpy as np
 import torch
 from filelock import FileLock
@@ -20,6 +20,10 @@ from ablate.networks import Generator, GeneratorSpec, conditions
 from ablate.tracking.provenance import packages
 from ablate.tracking.store import Store
 from ablate.training import Precision, chosen_device, generate
+
+with warnings.catch_warnings():
+    warnings.filterwarnings("ignore", message=".*Any type hint is inferred as AnyType")  # in MLflow's own classes
+    import mlflow.pyfunc
 
 _TYPES = {"segmentation": np.uint8, "attenuation": np.float32, "low": np.uint8}
 _FRAMES = (-1, -1, -1)
@@ -44,19 +48,24 @@ def write_generator(path: Path, generator: Generator, values: np.ndarray, precis
     torch.save({**kept, "weights": generator.state_dict()}, path)
 
 
-class RegisteredGenerator(mlflow.pyfunc.PythonModel):
-    """Frames from the maps of a pair; what `mlflow.pyfunc.load_model` gives calls this."""
+class RegisteredGenerator:
+    """Frames from the maps of a pair; what `mlflow.pyfunc.load_model` gives wraps this.
 
-    def load_context(self, context: Any) -> None:
-        """Take the generator from the file that was registered."""
-        saved = torch.load(context.artifacts["generator"], map_location="cpu", weights_only=True)
+    Parameters
+    ----------
+    path : Path
+        What `write_generator` wrote.
+    """
+
+    def __init__(self, path: Path) -> None:
+        saved = torch.load(path, map_location="cpu", weights_only=True)
         self.values = saved["values"].numpy()
         self.precision = Precision(saved["precision"])
         self.generator = Generator(GeneratorSpec(**saved["spec"]))
         self.generator.load_state_dict(saved["weights"])
         self.generator.eval().to(chosen_device("auto"))
 
-    def predict(self, context: Any, model_input: Any, params: Any = None) -> np.ndarray:  # noqa: ARG002
+    def predict(self, model_input: Mapping[str, np.ndarray], params: Mapping[str, Any] | None = None) -> np.ndarray:
         """Render (n, H, W) uint8; the noise of frame i has the seed `params["seed"]` + i.
 
         Raises
@@ -71,6 +80,11 @@ class RegisteredGenerator(mlflow.pyfunc.PythonModel):
         maps = network_inputs({name: model_input[name] for name in conditions(self.generator.spec)}, self.values, mask)
         seeds = torch.arange(len(labels)) + int((params or {}).get("seed", 0))
         return generate(self.generator, maps, torch.from_numpy(mask)[:, None], seeds, self.precision)
+
+
+def _load_pyfunc(path: str) -> RegisteredGenerator:
+    """What MLflow calls: a saved model names this module as its loader, so that `ablate` installed is enough."""
+    return RegisteredGenerator(Path(path))
 
 
 def signature(spec: GeneratorSpec) -> ModelSignature:
@@ -136,8 +150,8 @@ def register_generator(
             versions = {k: v.partition("+")[0] for k, v in packages().items() if k != "python"}
             mlflow.pyfunc.save_model(
                 str(model),
-                python_model=str(Path(__file__).with_name("model_code.py")),
-                artifacts={"generator": str(weights)},
+                loader_module=__name__,
+                data_path=str(weights),
                 signature=signature(generator.spec),
                 input_example=({k: v for k, v in example.items() if k in conditions(generator.spec)}, {"seed": 0}),
                 pip_requirements=[f"{k}=={v}" for k, v in versions.items()],

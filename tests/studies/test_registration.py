@@ -1,0 +1,100 @@
+"""A registered generator renders what the study's own renderer does, bit for bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mlflow
+import numpy as np
+import pytest
+from mlflow.exceptions import MlflowException
+
+from ablate.dataset import Part, label_values
+from ablate.studies.compare import compare_study
+from ablate.studies.results import data_of, finished_runs
+from ablate.studies.run import renderer, run_job
+from ablate.studies.sweep import ConfigurationError, Job, jobs_of
+from ablate.studies.tracked import register_reference
+from ablate.tracking import default_uri
+from ablate.training import LAST, Precision, load_generator
+
+TINY = [
+    "scene.triangles=6000",
+    "simulator.scanlines=24",
+    "simulator.axial_samples=128",
+    "simulator.rays=2",
+    "simulator.layers=1",
+    "simulator.image_shape=[96,134]",
+    "dataset.frames=10",
+    "dataset.grid=[3,4,1,1]",
+    "dataset.validation=0.2",
+    "dataset.test=0.3",
+    "dataset.workers=1",
+    "model.width=0.05",
+    "model.noise_start=0.3",
+    "reference=sa2h.noise_start-0.3",
+    "training.steps=1",
+    "training.crop=64",
+    "evaluation.timed_frames=1",
+    "tracking.register=renderer of a fetus",
+]
+
+
+@pytest.fixture(scope="module")
+def registered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Job]:
+    runs = tmp_path_factory.mktemp("runs")
+    (job,) = jobs_of(["variant=sa2h", f"runs_dir={runs}", *TINY])
+    run_job(job)
+    assert "models:/renderer of a fetus/1 " in compare_study(job.settings)
+    return runs, job
+
+
+@pytest.fixture
+def loaded(registered: tuple[Path, Job]) -> Any:
+    mlflow.set_tracking_uri(default_uri(registered[0]))
+    return mlflow.pyfunc.load_model("models:/renderer of a fetus/1")
+
+
+def test_it_renders_what_the_study_renders(registered: tuple[Path, Job], loaded: Any) -> None:
+    job = registered[1]
+    finished = finished_runs(job.settings.study_dir)
+    data = data_of(finished)
+    values = label_values(data.tissues, job.settings.encoding)
+    render = renderer(load_generator(finished[0].folder / LAST), data, values, Precision.auto)
+    frame = data.pairs.frames(Part.test)[:1]
+    maps = {name: data.pairs.read(name, frame) for name in ("segmentation", "attenuation")}
+    image = loaded.predict(maps, params={"seed": int(frame[0]) * 1_000_003})
+    assert image.dtype == np.uint8
+    np.testing.assert_array_equal(image, render(frame, 0))
+    assert (image != loaded.predict(maps, params={"seed": 5})).any()  # other noise, another image
+    assert not image[maps["segmentation"] == 0].any()
+
+
+def test_its_signature_says_what_it_takes_and_refuses_the_rest(loaded: Any) -> None:
+    inputs = {i.name: i.type for i in loaded.metadata.signature.inputs}
+    assert inputs == {"segmentation": np.dtype("uint8"), "attenuation": np.dtype("float32")}
+    assert loaded.metadata.signature.outputs.inputs[0].type == np.dtype("uint8")
+    assert [p.name for p in loaded.metadata.signature.params] == ["seed"]
+    example = loaded.input_example
+    assert loaded.predict(example).shape == example["segmentation"].shape == (1, 64, 64)
+    with pytest.raises(MlflowException, match="attenuation"):
+        loaded.predict({"segmentation": example["segmentation"]})
+    with pytest.raises(ValueError, match="segmentation: label 200, allowed are 0 to "):
+        loaded.predict({**example, "segmentation": np.full_like(example["segmentation"], 200)})
+
+
+def test_it_is_registered_once_and_not_without_the_reference(registered: tuple[Path, Job]) -> None:
+    runs, job = registered
+    finished = finished_runs(job.settings.study_dir)
+    assert register_reference(job.settings, finished).startswith("models:/renderer of a fetus/1 ")
+    (version,) = mlflow.MlflowClient(default_uri(runs)).search_model_versions("name = 'renderer of a fetus'")
+    assert version.run_id == finished[0].result["mlflow_run_id"]
+    other = replace(job.settings, reference="nsa2h")
+    assert register_reference(other, finished) == "not registered: nsa2h has no finished run"
+
+
+def test_a_name_that_mlflow_would_refuse_is_refused_before_anything_starts() -> None:
+    with pytest.raises(ConfigurationError, match=r"tracking.register=a/b: allowed are"):
+        jobs_of(["tracking.register=a/b"])
