@@ -1,16 +1,12 @@
-"""The texture descriptor sorts textures as an eye does; Inception's wrapper cuts and checks as it says."""
-
-import hashlib
+"""The texture descriptor sorts textures as an eye does."""
 
 import numpy as np
 import pytest
-import torch
 from scipy.ndimage import gaussian_filter
 from skimage.feature import local_binary_pattern
 
-from ablate.metrics import FEATURE_NAMES, frechet_distance, inception_features, speckle_features
+from ablate.metrics import FEATURE_NAMES, frechet_distance, speckle_features
 from ablate.metrics.features import _local_binary_patterns
-from ablate.metrics.inception import four_crops
 
 
 @pytest.fixture(scope="module")
@@ -89,41 +85,3 @@ def test_distance_orders_textures(make_frame, frames):
 def test_what_has_no_texture_is_refused(images, mask, message):
     with pytest.raises(ValueError, match=message):
         speckle_features(images, mask)
-
-
-class CornerNet(torch.nn.Module):
-    """Stands for Inception: returns the corners' grey levels, so that the cropping is visible."""
-
-    def forward(self, x: torch.Tensor, return_features: bool = False) -> torch.Tensor:
-        assert return_features
-        return torch.stack([x[:, 0, 0, 0], x[:, 1, -1, -1], x[:, 2, 0, -1]], dim=1)
-
-
-@pytest.fixture
-def corner_net(tmp_path):
-    path = tmp_path / "net.pt"
-    torch.jit.save(torch.jit.script(CornerNet()), str(path))
-    return path, hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_inception_protocol(corner_net):
-    path, digest = corner_net
-    images = np.random.default_rng(0).integers(0, 256, (3, 600, 700)).astype(np.uint8)
-    features = inception_features(images, path, batch=5, sha256=digest)
-    assert features.shape == (12, 3)
-    top, left = 44, 94
-    assert features[4, 0] == images[1, top, left]
-    assert features[7, 1] == images[1, top + 511, left + 511]
-    assert features[5, 2] == images[1, top, left + 511]
-
-
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_other_weights_may_not_be_called_inception(corner_net, tmp_path):
-    images = np.zeros((1, 512, 512), np.uint8)
-    with pytest.raises(ValueError, match="SHA-256"):
-        inception_features(images, corner_net[0])
-    with pytest.raises(FileNotFoundError, match="no Inception weights"):
-        inception_features(images, tmp_path / "absent.pt")
-    with pytest.raises(ValueError, match="too small"):
-        four_crops(np.zeros((1, 250, 346), np.uint8))

@@ -1,9 +1,8 @@
-"""All metrics of one predicted image, from one table: a new metric is a function and a line here."""
+"""All metrics of one predicted image, from one table: a new metric of the package is a function and a line here."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -76,7 +75,12 @@ def _shadow_contrast(pair: Pair) -> float | None:
     return shadow_contrast(pair.prediction, pair.target, pair.attenuation, pair.mask, pair.tissue_mask, pair.depth_mm)
 
 
-IMAGE_METRICS: dict[str, Callable[[Pair], float | None]] = {
+ImageMetric = Callable[[Pair], float | None]
+
+#: Raise it when a metric gives another value for the same images: kept scores of re-simulation are then made anew.
+METRICS_VERSION = 1
+
+IMAGE_METRICS: dict[str, ImageMetric] = {
     "psnr": lambda pair: psnr(pair.prediction, pair.target),
     "psnr_fan": _inside_fan(psnr),
     "mae": lambda pair: mae(pair.prediction, pair.target),
@@ -90,27 +94,28 @@ IMAGE_METRICS: dict[str, Callable[[Pair], float | None]] = {
 }
 
 
-def evaluate_image(pair: Pair) -> dict[str, float]:
-    """Every metric of `IMAGE_METRICS` that this pair allows.
+def evaluate_image(pair: Pair, metrics: Mapping[str, ImageMetric] = IMAGE_METRICS) -> dict[str, float]:
+    """Every metric that this pair allows.
 
     Parameters
     ----------
     pair : Pair
+    metrics : mapping of str to callable
+        By name.
 
     Returns
     -------
     dict of str to float
-        Metrics that the frame offers nothing for (no shadow in it, no tissue mask) are left out; `psnr` may
-        be inf, nothing is NaN.
-
-    Raises
-    ------
-    ArithmeticError
-        When a metric gives NaN, naming it: a NaN is a mistake, never a result.
+        Metrics that the frame offers nothing for (no shadow in it, no tissue mask) are left out; `psnr` may be inf.
+        No metric of the package is NaN; one of the user's may be.
     """
-    values = {name: metric(pair) for name, metric in IMAGE_METRICS.items()}
-    found = {name: float(value) for name, value in values.items() if value is not None}
-    for name, value in found.items():
-        if math.isnan(value):
-            raise ArithmeticError(f"metric {name} is NaN")
+    found = {}
+    for name, metric in metrics.items():
+        try:
+            value = metric(pair)
+            if value is not None:
+                found[name] = float(value)
+        except Exception as error:
+            error.add_note(f"by the metric {name}")
+            raise
     return found

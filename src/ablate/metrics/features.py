@@ -37,7 +37,10 @@ def _moments(patches: np.ndarray) -> np.ndarray:
     counts, levels, pixels = value_counts(patches, 256), np.arange(256.0), patches.shape[1]
     mean = counts @ levels / pixels
     centred = levels - mean[:, None]
-    second, third, fourth = (np.sum(counts * centred**k, axis=1) / pixels for k in (2, 3, 4))
+    squared = centred * centred
+    second = np.einsum("ij,ij->i", counts, squared) / pixels
+    third = np.einsum("ij,ij,ij->i", counts, squared, centred) / pixels
+    fourth = np.einsum("ij,ij,ij->i", counts, squared, squared) / pixels
     variance = second + QUANTISATION_VARIANCE
     # A single bright pixel in a black patch has a kurtosis of thousands: both are taken as logarithms.
     cubed = third / variance**1.5
@@ -49,7 +52,7 @@ def _moments(patches: np.ndarray) -> np.ndarray:
 
 def _quantiles(counts: np.ndarray, pixels: int) -> np.ndarray:
     """(n, len(QUANTILES)): quantiles of grey levels from their counts, interpolated linearly as by NumPy."""
-    up_to = np.cumsum(counts, axis=1)
+    up_to = np.cumsum(counts, axis=1, dtype=np.int32)
     columns = []
     for q in QUANTILES:
         rank = q * (pixels - 1)
@@ -61,9 +64,9 @@ def _quantiles(counts: np.ndarray, pixels: int) -> np.ndarray:
 def _spatial(x: np.ndarray) -> np.ndarray:
     """(n, 8): autocorrelation and mean absolute gradient, laterally and axially, of (n, PATCH, PATCH)."""
     centred = x - x.mean(axis=(1, 2), keepdims=True)
-    variance = np.mean(centred**2, axis=(1, 2)) + QUANTISATION_VARIANCE
+    variance = np.einsum("nij,nij->n", centred, centred) / PATCH**2 + QUANTISATION_VARIANCE
     correlations = [
-        np.mean(c[..., lag:] * c[..., :-lag], axis=(1, 2)) / variance / CORRELATION_UNIT
+        np.einsum("nij,nij->n", c[..., lag:], c[..., :-lag]) / (PATCH * (PATCH - lag)) / variance / CORRELATION_UNIT
         for c in (centred, centred.swapaxes(1, 2))
         for lag in LAGS_PX
     ]

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import shutil
+import urllib.request
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
+from filelock import FileLock
+from tqdm import tqdm
 
 CENTRE, CROP = 512, 299
+DOWNLOAD = "download"
 
-# inception-2015-12-05.pt, the TorchScript translation of TensorFlow's network published with StyleGAN2-ADA at
-# https://nvlabs-fi-cdn.nvidia.com/stylegan2-ada-pytorch/pretrained/metrics/
+# TorchScript translation of TensorFlow's network of 2015-12-05, published with StyleGAN2-ADA; it takes grey levels of
+# 0 to 255 and scales them itself. The digest is the one k-diffusion and others pin.
+INCEPTION_URL = "https://nvlabs-fi-cdn.nvidia.com/stylegan2-ada-pytorch/pretrained/metrics/inception-2015-12-05.pt"
 INCEPTION_SHA256 = "f58cb9b6ec323ed63459aa4fb441fe750cfe39fafad6da5cb504a16f19e958f4"
+
+# (n, H, W) uint8 -> (4 n, d) float64, image by image
+InceptionFeatures = Callable[[np.ndarray], np.ndarray]
 
 
 def four_crops(images: np.ndarray) -> np.ndarray:
@@ -44,51 +56,90 @@ def four_crops(images: np.ndarray) -> np.ndarray:
     return np.stack(crops, axis=1).reshape(4 * count, CROP, CROP)
 
 
-def inception_features(
-    images: np.ndarray,
-    path: str | Path,
-    batch: int = 16,
-    device: str = "cpu",
-    sha256: str = INCEPTION_SHA256,
-) -> np.ndarray:
-    """Pool features of Inception on four crops an image; the grey channel is repeated three times.
+def inception_file(where: str) -> Path:
+    """The network's file, downloaded if need be, and known to be the one.
 
     Parameters
     ----------
-    images : (n, H, W) uint8
-        Grey levels, at least 512 px each way.
-    path : str or Path
-        TorchScript file; called as `module(x, return_features=True)` with x (b, 3, 299, 299) uint8.
-    batch : int
-        Crops at a time.
-    device : str
-        Where the network runs.
-    sha256 : str
-        Digest that the file must have.
+    where : str
+        Path of the file, or `download`: `inception-2015-12-05.pt` in `$XDG_CACHE_HOME/ablate` (`~/.cache/ablate`),
+        fetched once (91 MiB). Several processes may ask at the same time.
 
     Returns
     -------
-    (4 n, d) float64
-        d = 2048 for the published file.
+    Path
 
     Raises
     ------
     FileNotFoundError
         When there is no such file.
+    ConnectionError
+        When it cannot be downloaded; the message says from where.
     ValueError
-        When its digest is another, or the images do not fit.
+        When its SHA-256 is another than `INCEPTION_SHA256`.
     """
-    path = Path(path)
+    if where == DOWNLOAD:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ablate"
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / INCEPTION_URL.rpartition("/")[2]
+        with FileLock(path.with_suffix(".lock")):
+            if not path.exists():
+                _download(path)
+    else:
+        path = Path(where).expanduser()
     if not path.is_file():
         raise FileNotFoundError(f"no Inception weights at {path}")
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    if digest != sha256:
-        raise ValueError(f"{path} has SHA-256 {digest[:12]}…, expected {sha256[:12]}…: not the network of FID")
-    crops = torch.from_numpy(four_crops(images))[:, None]
-    module = torch.jit.load(str(path), map_location=device).eval()
-    with torch.inference_mode():
-        features = [
-            module(part.to(device).expand(-1, 3, -1, -1), return_features=True).double().cpu()
-            for part in crops.split(batch)
-        ]
-    return torch.cat(features).numpy() if features else np.zeros((0, 0))
+    _check_digest(path)
+    return path
+
+
+def _download(path: Path) -> None:
+    partial = path.with_suffix(".partial")
+    try:
+        with urllib.request.urlopen(INCEPTION_URL, timeout=60) as response, partial.open("wb") as file:
+            size = int(response.headers.get("Content-Length") or 0) or None
+            with tqdm.wrapattr(response, "read", total=size, desc=path.name, unit_scale=True, disable=None) as stream:
+                shutil.copyfileobj(stream, file)
+    except OSError as error:
+        raise ConnectionError(f"{INCEPTION_URL} cannot be downloaded: {error}; give the path of the file") from error
+    _check_digest(partial)
+    partial.replace(path)
+
+
+def _check_digest(path: Path) -> None:
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if digest != INCEPTION_SHA256:
+        raise ValueError(
+            f"{path} has SHA-256 {digest[:12]}..., expected {INCEPTION_SHA256[:12]}...: not the network of FID"
+        )
+
+
+def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> InceptionFeatures:
+    """The network as a function of images: pool features of four crops each, the grey channel repeated three times.
+
+    Parameters
+    ----------
+    path : Path
+        From `inception_file`. TorchScript, called as `module(x, return_features=True)` with x (b, 3, 299, 299) uint8.
+    device : str
+        Where the network runs.
+    batch : int
+        Crops at a time.
+
+    Returns
+    -------
+    callable (n, H, W) uint8 -> (4 n, d) float64
+        d = 2048; H and W at least 512, or it raises ValueError.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*torch.jit.load.*", category=DeprecationWarning)
+        module = torch.jit.load(str(path), map_location=device).eval()
+
+    def features(images: np.ndarray) -> np.ndarray:
+        crops = torch.from_numpy(four_crops(images))[:, None]
+        with torch.inference_mode():
+            found = [module(c.to(device).expand(-1, 3, -1, -1), return_features=True) for c in crops.split(batch)]
+        return torch.cat(found).double().cpu().numpy()
+
+    return features

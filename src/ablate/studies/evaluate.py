@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import torch
 from tqdm import tqdm
 
 from ablate.anatomy import Tissue
 from ablate.config import EvaluationSettings
 from ablate.dataset import Pairs, Part, equally_spaced
-from ablate.metrics import Pair, evaluate_image, frechet_distance, kernel_distance, noise_sd, speckle_features
+from ablate.metrics import (
+    FID_METRICS,
+    SPECKLE_METRICS,
+    ImageMetric,
+    InceptionFeatures,
+    Metrics,
+    Pair,
+    choose_metrics,
+    evaluate_image,
+    noise_sd,
+    speckle_features,
+)
+from ablate.studies.set_scores import distances, not_computed
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.ultrasound.probe import pixel_polar
 
 # (frames of the data set, number of the noise draw) -> (k, H, W) uint8
 Render = Callable[[np.ndarray, int], np.ndarray]
 _BATCH = 8
-_GAS_MRAYL, _FLUID_MRAYL, _FLUID_SCATTER = 0.5, 2.0, 0.01  # blood scatters 0.006, thalamus, the darkest tissue, 0.017
 _SAME_FAN = 0.98  # of the pixels of two fans together lie in both
+_GAS_MRAYL, _FLUID_MRAYL, _FLUID_SCATTER = 0.5, 2.0, 0.01  # blood scatters 0.006, thalamus, the darkest tissue, 0.017
+_NAMED = 5  # frames of a note
 
 
 @dataclass(frozen=True)
@@ -30,17 +47,38 @@ class Evaluation:
     Attributes
     ----------
     per_image : DataFrame
-        Columns frame, site, metric, value.
+        Columns frame, site, metric, value. Infinite where a prediction equals its target; no NaN.
     scalars : dict
-        Mean of each per-image metric, and what only a set of images has (`fd_speckle`, `noise_sd`, ...).
+        Mean of each per-image metric over its finite values, and what only a set of images has (`fd_speckle`,
+        `noise_sd`, ...); `_low` and `_high` are the ends of a 95 % interval.
+    notes : tuple of str
+        What was left out, and why: a metric, or its value of some frames.
     """
 
     per_image: pd.DataFrame
     scalars: dict[str, float]
+    notes: tuple[str, ...] = ()
+
+
+class _Scored(NamedTuple):
+    values: dict[str, float]
+    textures: tuple[np.ndarray, np.ndarray]  # features of image and target
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What is known of every frame, and wanted of it."""
+
+    pairs: Pairs
+    mask: np.ndarray
+    depth_mm: np.ndarray | None
+    solid: np.ndarray
+    metrics: Mapping[str, ImageMetric]
+    textures: bool
 
 
 def tissue_labels(tissues: tuple[Tissue, ...]) -> np.ndarray:
-    """Labels of tissue: neither gas nor fluid, which is as hard as water and scatters next to nothing; bone is tissue."""
+    """Labels of tissue: all but gas and fluid, which is as hard as water and scatters next to nothing."""
     found = [
         i + 1
         for i, t in enumerate(tissues)
@@ -63,8 +101,12 @@ def evaluate(
     render: Render,
     settings: EvaluationSettings,
     draws_noise: bool,
+    metrics: Metrics | None = None,
+    inception: InceptionFeatures | None = None,
 ) -> Evaluation:
     """Score `render` against the frames of one part; what the data set does not hold leaves out its metrics.
+
+    Frames are read and scored side by side, by as many threads as torch is set to use.
 
     Parameters
     ----------
@@ -76,51 +118,95 @@ def evaluate(
     settings : EvaluationSettings
     draws_noise : bool
         Whether a second draw can differ; `noise_sd` is 0 where it cannot.
+    metrics : Metrics, optional
+        All when left out.
+    inception : callable, optional
+        From `load_inception`; without it there is no FID and no KID.
 
     Returns
     -------
     Evaluation
     """
+    metrics = choose_metrics() if metrics is None else metrics
     mask, solid = pairs.mask(), tissue_labels(tissues)
     depth = pixel_polar(probe, pairs.shape)[0] if describes_fan(probe, mask) else None
-    has_attenuation = "attenuation" in pairs.maps
+    missing = not_computed(metrics, mask, inception)
+    computed = metrics.of_set - missing.keys()
+    speckle, fid = computed.intersection(SPECKLE_METRICS), computed.intersection(FID_METRICS)
+    score = partial(_score, _Known(pairs, mask, depth, solid, metrics.of_image, textures=bool(speckle)))
     frames = pairs.frames(part)
-    rows: list[dict[str, object]] = []
-    target_features, features = [], []
-    for start in tqdm(
-        range(0, len(frames), _BATCH), desc=f"evaluate {part.name}", leave=False, mininterval=1.0, disable=None
+    scored: list[_Scored] = []
+    seen: list[tuple[np.ndarray, np.ndarray]] = []
+    with (
+        ThreadPoolExecutor(torch.get_num_threads()) as pool,
+        tqdm(total=len(frames), desc=f"evaluate {part.name}", leave=False, mininterval=1.0, disable=None) as bar,
     ):
-        batch = frames[start : start + _BATCH]
-        images, targets = render(batch, 0), pairs.read("high", batch)
-        labels = pairs.read("segmentation", batch)
-        attenuation = pairs.read("attenuation", batch) if has_attenuation else [None] * len(batch)
-        for k, frame in enumerate(batch):
-            pair = Pair(
-                prediction=images[k],
-                target=targets[k],
-                mask=mask,
-                tissue_mask=np.isin(labels[k], solid),
-                attenuation=attenuation[k],
-                depth_mm=depth,
-                segmentation=labels[k],
-            )
-            site = int(pairs.sites[frame])
-            rows += [
-                {"frame": int(frame), "site": site, "metric": name, "value": value}
-                for name, value in evaluate_image(pair).items()
-            ]
-        features.append(speckle_features(images, mask))
-        target_features.append(speckle_features(targets, mask))
-    per_image = pd.DataFrame(rows)
+        for start in range(0, len(frames), _BATCH):
+            batch = frames[start : start + _BATCH]
+            images = render(batch, 0)
+            scored += pool.map(score, batch, images)
+            if fid and inception is not None:
+                seen.append((inception(images), inception(pairs.read("high", batch))))
+            bar.update(len(batch))
+    per_image, notes = _table(frames, pairs.sites[frames], [s.values for s in scored])
     finite = per_image[np.isfinite(per_image["value"])]
     scalars = {str(name): float(value) for name, value in finite.groupby("metric")["value"].mean().items()}
-    found, wanted = np.concatenate(features), np.concatenate(target_features)
-    scalars["fd_speckle"] = frechet_distance(found, wanted)
-    scalars["kd_speckle"] = kernel_distance(found, wanted)
-    spread = _spread(pairs, frames, solid, render, settings) if draws_noise else 0.0
-    if spread is not None:
-        scalars["noise_sd"] = spread
-    return Evaluation(per_image, scalars)
+    for names, features in ((speckle, [s.textures for s in scored]), (fid, seen)):
+        if names:
+            found, wanted = (np.concatenate(side) for side in zip(*features, strict=True))
+            scalars |= distances(sorted(names), found, wanted, pairs.sites[frames])
+    if "noise_sd" in computed:
+        spread = _spread(pairs, frames, solid, render, settings) if draws_noise else 0.0
+        if spread is not None:
+            scalars["noise_sd"] = spread
+    return Evaluation(per_image, scalars, (*(f"{m}: not computed, {why}" for m, why in missing.items()), *notes))
+
+
+def _score(known: _Known, frame: int, image: np.ndarray) -> _Scored:
+    """Everything of one frame: read, measured, and the texture of both pictures described."""
+    target, labels = known.pairs.stored("high", frame), known.pairs.stored("segmentation", frame)
+    has_attenuation = "attenuation" in known.pairs.maps
+    pair = Pair(
+        prediction=image,
+        target=target,
+        mask=known.mask,
+        tissue_mask=np.isin(labels, known.solid),
+        attenuation=known.pairs.read("attenuation", [frame])[0] if has_attenuation else None,
+        depth_mm=known.depth_mm,
+        segmentation=labels,
+    )
+    try:
+        values = evaluate_image(pair, known.metrics)
+    except Exception as error:
+        error.add_note(f"of frame {frame}")
+        raise
+    if not known.textures:
+        return _Scored(values, (np.empty(0), np.empty(0)))
+    described, wanted = (speckle_features(picture[None], known.mask) for picture in (image, target))
+    return _Scored(values, (described, wanted))
+
+
+def _table(
+    frames: np.ndarray, sites: np.ndarray, values: list[dict[str, float]]
+) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """One row a frame and metric, without NaN, and in words what is not in a mean."""
+    rows = [
+        (int(frame), int(site), name, value)
+        for frame, site, of_frame in zip(frames, sites, values, strict=True)
+        for name, value in of_frame.items()
+    ]
+    table = pd.DataFrame(rows, columns=["frame", "site", "metric", "value"]).astype({"value": "float64"})
+    notes = []
+    for name, of_metric in table.groupby("metric", sort=False):
+        for what, found in (("NaN", of_metric["value"].isna()), ("infinite", np.isinf(of_metric["value"]))):
+            if found.any():
+                named = ", ".join(str(k) for k in of_metric["frame"][found].head(_NAMED))
+                named += ", ..." if found.sum() > _NAMED else ""
+                equal = " (equal to their target)" if name in ("psnr", "psnr_fan") else ""
+                notes.append(
+                    f"{name}: {what} on {found.sum()} of {len(of_metric)} frames{equal}, not in its mean: frame {named}"
+                )
+    return table.dropna(subset="value"), tuple(notes)
 
 
 def _spread(
