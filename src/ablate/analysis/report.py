@@ -186,12 +186,13 @@ def write_report(
     """
     warnings = "".join(f'<p class="warning">{escape(text)}</p>' for text in cautions(per_image, reference))
     main, rest = table["metric"].isin(MAIN), ~table["metric"].isin(MAIN)
+    metrics = list(dict.fromkeys(table[main]["metric"]))
     parts = [
         f"<h1>{escape(title)}</h1><p>{_compared(per_image)}</p>{warnings}",
         f"<h2>Comparison</h2>{to_html(table[main])}",
         _folded("All other metrics", to_html(table[rest]) if rest.any() else ""),
         "<p><small>Mean ± standard deviation over frames (over seeds for figures that a run has one of). "
-        f"Bold is the best network. {escape(resimulation_note(list(dict.fromkeys(table[main]['metric']))))}</small></p>",
+        f"Bold is the best network. {escape(resimulation_note(metrics))}</small></p>",
     ]
     if len(paired):
         parts.append(
