@@ -165,6 +165,14 @@ def test_instance_norm_is_torchs(shape: tuple[int, ...]) -> None:
     torch.testing.assert_close(instance_norm(features), F.instance_norm(features), rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize(("size", "error"), [(256, 2e-4), (512, 5e-6)])
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
+def test_sums_over_large_maps_are_not_rounded_off(size: int, error: float, layout: torch.memory_format) -> None:
+    features = torch.rand(1, 16, size, size, generator=torch.Generator().manual_seed(0)).to(memory_format=layout)
+    exact = F.instance_norm(features.double())
+    assert (instance_norm(features) - exact).abs().max() < error
+
+
 def test_instance_norm_of_one_pixel_is_the_identity_and_of_a_constant_zero() -> None:
     pixel = torch.randn(2, 3, 1, 1)
     assert torch.equal(instance_norm(pixel), pixel)
