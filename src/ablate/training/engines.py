@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -19,6 +21,11 @@ from ablate.training.settings import Precision
 
 # Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
 Render = Callable[[Mapping[str, Tensor], Tensor], Tensor]
+# On a CPU torch 2.13 tiles loops over fewer channels than a vector holds wrongly, and the image is another.
+_COMPILER: dict[str, dict[str, Any]] = {
+    "cpu": {"options": {"cpp.enable_tiling_heuristics": False}},
+    "cuda": {"mode": "reduce-overhead"},
+}
 
 
 class Engine(StrEnum):
@@ -80,16 +87,16 @@ def renderer(
             path = Path(folder) / "model.onnx"
             export_onnx(generator, path, height, width)
             return open_exported(generator, path, precision)
-    call: Callable[..., Tensor] = generator
     if engine is Engine.compiled:
+        generator = deepcopy(generator)
         torch.compiler.reset()  # else the eighth network of a process is not compiled any more, without a word
-        call = torch.compile(generator, dynamic=False, mode="reduce-overhead" if device.type == "cuda" else "default")
+        generator.network.compile(dynamic=False, **_COMPILER[device.type])
     names = conditions(generator.spec)
 
     @torch.inference_mode()
     def render(maps: Mapping[str, Tensor], seed: Tensor) -> Tensor:
         with autocast(precision, device):
-            return call(**{name: maps[name] for name in names}, noise_seed=seed)
+            return generator(**{name: maps[name] for name in names}, noise_seed=seed)
 
     return render
 
