@@ -36,13 +36,13 @@ class JointConvolution(nn.Conv2d):
     """Convolution of features and maps together: of their concatenation, which is never made.
 
     The convolution of the features is added to that of the maps. A copy is saved, and channel counts stay multiples
-    of the processor's vectors, which two or three channels more would not be.
+    of the processor's vectors, which two or three channels more would not be. An exported network holds the plain one.
     """
 
     def forward(self, features: Tensor, maps: Tensor | None = None) -> Tensor:
         """Convolve (N, C, H, W) and, if not None, (N, K, H, W)."""
-        if maps is None:
-            return super().forward(features)
+        if maps is None or torch.compiler.is_exporting():
+            return super().forward(joined(features, maps))
         own = features.shape[1]
         result = F.conv2d(features, self.weight[:, :own], None, self.stride, self.padding)
         return result + F.conv2d(maps, self.weight[:, own:], self.bias, self.stride, self.padding)
@@ -57,6 +57,8 @@ class JointTransposedConvolution(nn.ConvTranspose2d):
 
     def forward(self, features: Tensor, maps: Tensor | None = None) -> Tensor:  # type: ignore[override]
         """Convolve (N, C, H, W) and, if not None, (N, K, H, W)."""
+        if torch.compiler.is_exporting():
+            return super().forward(joined(features, maps))
         own = features.shape[1]
         result = self._transposed(features, self.weight[:own])
         if maps is not None:
@@ -79,6 +81,8 @@ class OneChannelConvolution(nn.Conv2d):
 
     def forward(self, features: Tensor, maps: Tensor | None = None) -> Tensor:
         """Convolve (N, C, H, W) and, if not None, (N, K, H, W) to (N, 1, H, W)."""
+        if torch.compiler.is_exporting():
+            return super().forward(joined(features, maps))
         (kernel, _), size, own = self.kernel_size, features.shape[-2:], features.shape[1]
         taps_weight = self.weight[0].flip(1, 2).flatten(1).t()[:, :, None, None]
         taps = F.conv2d(features, taps_weight[:, :own])
@@ -87,6 +91,11 @@ class OneChannelConvolution(nn.Conv2d):
         taps = taps.float() if taps.dtype is torch.bfloat16 else taps
         result = F.fold(taps.flatten(2), size, kernel, padding=kernel // 2)
         return result if self.bias is None else result + self.bias[:, None, None]
+
+
+def joined(features: Tensor, maps: Tensor | None) -> Tensor:
+    """Append `maps` (N, K, H, W) to the channels of `features` (N, C, H, W), or nothing if None."""
+    return features if maps is None else torch.cat((features, maps), dim=1)
 
 
 def instance_norm(features: Tensor) -> Tensor:
@@ -104,7 +113,7 @@ def instance_norm(features: Tensor) -> Tensor:
     """
     if features.shape[-1] * features.shape[-2] == 1:
         return features
-    if features.device.type != "cpu":
+    if features.device.type != "cpu" or torch.compiler.is_exporting():
         return F.instance_norm(features)
     if torch.is_grad_enabled() and features.requires_grad and not torch.compiler.is_compiling():
         return cast(Tensor, _InstanceNorm.apply(features))
