@@ -53,7 +53,7 @@ def test_a_full_size_frame_takes_well_under_a_second(make_frame):
     evaluate_image(pair_of(frame, other.image))
     times = []
     for _ in range(5):
-        start = time.perf_counter()
+        start = time.process_time()
         evaluate_image(pair_of(frame, other.image))
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     assert min(times) < 0.2

@@ -114,10 +114,11 @@ def _condensed(X: np.ndarray, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _mean_and_root(rows: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and a root of the covariance of condensed rows, each taken some times."""
     taken = np.sqrt(times[times > 0])[:, None] * rows[times > 0]
-    ones, values = taken[:, :1], taken[:, 1:]
+    ones, features = taken[:, :1], taken[:, 1:]
     count = float(np.square(ones).sum())
-    mean = (ones.T @ values)[0] / count
-    centred = values - ones * mean
-    if len(centred) > centred.shape[1]:
-        centred = np.asarray(np.linalg.qr(centred, mode="r"))
+    mean = (ones.T @ features)[0] / count
+    centred = features - ones * mean
+    if len(centred) > 4 * centred.shape[1]:  # one small product: several threads in a QR of this size only wait
+        values, vectors = np.linalg.eigh(centred.T @ centred)
+        centred = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     return mean, centred / np.sqrt(max(count - 1.0, 1.0))
