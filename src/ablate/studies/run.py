@@ -28,7 +28,7 @@ from ablate.studies.data import Data, dataset_folder, maps_needed, prepare_data
 from ablate.studies.evaluate import Evaluation, Render, evaluate, resimulated
 from ablate.studies.identity import claim_place, config_hash, finished, write_json
 from ablate.studies.sweep import Job
-from ablate.studies.tracked import log_samples, open_child, open_tracking
+from ablate.studies.tracked import log_samples, logged, open_child, open_tracking
 from ablate.tracking import RunLog, Status
 from ablate.training import Precision, Validation, generate, median_ms_per_frame, train
 
@@ -167,6 +167,6 @@ def _write(
     np.savez_compressed(job.folder / "pictures.npz", frames=shown, images=render(shown, 0))
     scalars["parameters_generator"] = float(count_generator(s.model))
     scalars["parameters_discriminator"] = float(count_discriminator(s.model))
-    run.metrics({k: v for k, v in scalars.items() if not k.startswith("val/floor_")})  # no curves: bars, at step 0
+    run.metrics(logged(scalars))  # at step 0: MLflow draws bars, not curves
     run.artifact(job.folder / "per_image.parquet")
     return scalars

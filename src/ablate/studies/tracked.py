@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -40,23 +40,33 @@ _SAMPLE_PX = 512  # larger frames are shown smaller: a run keeps a few dozen of 
 
 def open_tracking(settings: StudySettings) -> tuple[Store, str]:
     """The store and the id of the study's parent run, both made when missing."""
-    tracking = settings.tracking
-    store = open_store(settings.runs, tracking.uri, tracking.experiment)
+    store = _store(settings)
     parent = parent_run(store, settings.study)
     RunLog(store, parent).parameters(_shared(settings))
     return store, parent
+
+
+def _store(settings: StudySettings) -> Store:
+    return open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
 
 
 def _shared(s: StudySettings) -> dict[str, object]:
     """Parameters that all runs of a study have in common."""
     made = {} if s.scene.kind is SceneKind.pairs else _DATA
     data = {f"{group}.{k}": v for group, keys in made.items() for k, v in _of(getattr(s, group), keys).items()}
-    about = {"scene": s.scene_name, "preset": s.preset, "reference": s.reference, "model.width": s.model.width}
-    return {**about, **data, **_training(s)}
+    about = {"scene": s.scene_name, "preset": s.preset, "model.width": s.model.width}
+    return {**about, **data, **{f"training.{k}": v for k, v in _of(s.training, _TRAINING).items()}}
 
 
-def _training(s: StudySettings) -> dict[str, object]:
-    return {f"training.{k}": v for k, v in _of(s.training, _TRAINING).items()}
+def _own(job: Job) -> dict[str, object]:
+    """Parameters that can differ between the runs of a study.
+
+    The label is called `model`, so that it comes before its components: of the parameters that differ, MLflow's
+    comparison draws the first three by name.
+    """
+    s = job.settings
+    components = {f"model.{k}": v for k, v in plain(s.model).items() if k != "width" and (k != "noise_start" or v)}
+    return {"model": job.label, **components, "encoding": s.encoding.name, "seed": s.seed}
 
 
 def _of(values: object, keys: tuple[str, ...]) -> dict[str, object]:
@@ -81,9 +91,7 @@ def open_child(job: Job, store: Store, parent: str, frames: int) -> RunLog:
     run = RunLog(store, child_run(store, parent, job.name, config_hash(s), tags))
     run.tags(made_with)
     run.describe(_about(job))
-    # `model` sorts first: MLflow's comparison draws the first parameters that differ.
-    model = {f"model.{k}": v for k, v in plain(s.model).items() if k != "noise_start" or s.model.noise == "inject"}
-    run.parameters({"model": job.label, "seed": s.seed, "encoding": s.encoding.name, **model, **_training(s)})
+    run.parameters(_own(job))
     run.dataset(dataset_folder(s).name, dataset_hash(s), dataset_folder(s), frames)
     provenance = job.folder / "provenance"
     provenance.mkdir(exist_ok=True)
@@ -97,16 +105,18 @@ def open_child(job: Job, store: Store, parent: str, frames: int) -> RunLog:
 
 
 def _about(job: Job) -> str:
-    return f"""\
-`{job.label}`, seed {job.settings.seed}, of the study `{job.settings.study}`. **Model metrics**: `train/` and `val/` are
-curves, their step is the number of images seen; `test/` was measured once, on frames of unseen probe sites, and
-`test/floor_` is what the same frames simulated with other scatterers score. At the end of that page are validation
-frames as training went on, rendered at the left and their target at the right. **Artifacts**: every metric of every
-frame in `per_image.parquet`, and `provenance`: configuration, code, environment."""
+    study = job.settings.study
+    return (
+        f"`{job.label}`, seed {job.settings.seed}, of the study `{study}`. **Model metrics**: `frames/` are validation "
+        "frames as training went on, rendered at the left, their target at the right; `train/` and `val/` are curves; "
+        "the step of all these is the number of images seen. `test/` was measured once, on frames of unseen probe "
+        "sites; `test/floor_` is what the same frames simulated with other scatterers score. **Artifacts**: every "
+        "metric of every frame in `per_image.parquet`; configuration, code and environment in `provenance`."
+    )
 
 
 def log_samples(run: RunLog, frames: np.ndarray, images: np.ndarray, targets: np.ndarray, images_seen: int) -> None:
-    """Some validation frames as they are rendered now, each beside its target.
+    """Some validation frames as they are rendered now, each with its target at the right.
 
     Parameters
     ----------
@@ -123,7 +133,7 @@ def log_samples(run: RunLog, frames: np.ndarray, images: np.ndarray, targets: np
             i[:height, :width].reshape(height // step, step, width // step, step) for i in (images[k], targets[k])
         ]
         smaller = [b.mean((1, 3)).round().astype(np.uint8) for b in blocks]
-        run.image(f"frame {frames[k]} - rendered left - target right", np.hstack(smaller), images_seen)
+        run.image(f"frames/{frames[k]}", np.hstack(smaller), images_seen)
 
 
 def describe_study(run: RunLog, runs: Sequence[Finished], comparison: str, cautions: Sequence[str]) -> None:
@@ -144,7 +154,12 @@ def describe_study(run: RunLog, runs: Sequence[Finished], comparison: str, cauti
     compared = comparison_page(run.store, list(first.values()))
     links = f"[The report]({report}) · [the variants side by side]({compared})"
     run.describe("\n\n".join([links, comparison, *cautions]))
-    run.metrics({k: v for k, v in runs[0].result["scalars"].items() if k.startswith("test/floor_")})
+    run.metrics({k: v for k, v in logged(runs[0].result["scalars"]).items() if k.startswith("test/floor_")})
+
+
+def logged(scalars: Mapping[str, float]) -> dict[str, float]:
+    """Those of a run's scalars that its page shows; bounds of intervals and what validates only are in the tables."""
+    return {k: v for k, v in scalars.items() if not k.startswith("val/floor_") and not k.endswith(("_low", "_high"))}
 
 
 def register_reference(settings: StudySettings, runs: Sequence[Finished]) -> str:
@@ -160,7 +175,7 @@ def register_reference(settings: StudySettings, runs: Sequence[Finished]) -> str
     middle = [slice(size // 2 - _EXAMPLE_PX // 2, size // 2 + _EXAMPLE_PX // 2) for size in data.pairs.shape]
     frame = data.pairs.frames(Part.test)[:1]
     version = register_generator(
-        open_tracking(settings)[0],
+        _store(settings),
         str(name),
         chosen.result["mlflow_run_id"],
         load_generator(chosen.folder / LAST),

@@ -20,9 +20,10 @@ from mlflow import MlflowClient
 from mlflow.entities import Dataset, DatasetInput, Metric, Param, RunTag, ViewType
 
 _PARENT_TAG = "mlflow.parentRunId"
-_ABOUT = """\
-Studies of ultrasound-rendering GANs. A run of the first level is a study: its description has the comparison, its
-artifacts the report. Below it (unfold with +) is a run for each variant and seed."""
+_ABOUT = (
+    "A run of the first level is a study: its description has the comparison and links to the report and to its "
+    "variants side by side. Below it (unfold with +) is a run for each variant and seed."
+)
 _EXPERIMENT_TAGS = {
     "mlflow.experimentKind": "custom_model_development",  # the pages then show runs and models, not prompts and traces
     "mlflow.note.content": _ABOUT,

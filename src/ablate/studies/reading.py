@@ -1,0 +1,82 @@
+"""A finished study for those who look at it from outside: the notebooks."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import pandas as pd
+
+from ablate.analysis import FramePictures, comparison_table
+from ablate.config import StudySettings, build
+from ablate.studies.data import Data
+from ablate.studies.results import Finished, data_of, finished_runs, pictures, scored_frames
+
+DEFAULT_STUDY = "runs/quick-fetal"  # where `make sweep` leaves its study
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A study on disk with at least one finished run.
+
+    Attributes
+    ----------
+    folder : Path
+    runs : tuple of Finished
+    reference : str
+        What it was last compared with.
+    per_image, scalars : DataFrame
+        As `comparison_table` takes them.
+    """
+
+    folder: Path
+    runs: tuple[Finished, ...]
+    reference: str
+    per_image: pd.DataFrame
+    scalars: pd.DataFrame
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        return comparison_table(self.per_image, self.scalars, self.reference)
+
+    @cached_property
+    def pictures(self) -> list[FramePictures]:
+        return pictures(self.runs, self.reference)
+
+    @property
+    def data(self) -> Data:
+        return data_of(self.runs)
+
+    @property
+    def settings(self) -> StudySettings:
+        """Those of one of its runs: scene, probe and simulator are the same for all."""
+        return build(StudySettings, self.runs[0].spec["settings"])
+
+
+def open_study() -> Study:
+    """The study that the environment variable ABLATE_STUDY names, else that of `make sweep`, here or one folder up.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    SystemExit
+        When there is none, with the command that makes one: a notebook then stops without a traceback.
+    """
+    named = os.environ.get("ABLATE_STUDY")
+    places = [Path(named)] if named else [Path(DEFAULT_STUDY), Path("..") / DEFAULT_STUDY]
+    for folder in places:
+        runs = finished_runs(folder.resolve())
+        if runs:
+            marker = folder / "comparison" / "made_from.json"
+            reference = json.loads(marker.read_text())["reference"] if marker.exists() else StudySettings.reference
+            return Study(folder.resolve(), tuple(runs), reference, *scored_frames(runs))
+    raise SystemExit(
+        f"There is no finished study at {places[0]}. Run `make sweep` first, or name another by the environment "
+        "variable ABLATE_STUDY."
+    )
