@@ -6,15 +6,28 @@ import pytest
 from matplotlib.image import imread
 
 from ablate.analysis import (
+    RESIMULATION,
+    Design,
     FramePictures,
+    boxplot_caption,
+    boxplot_panels,
+    chi2_caption,
     chi2_maps_figure,
+    effects_caption,
+    effects_plot,
     error_vs_runtime,
+    frames_a_page,
     paired_boxplots,
     paired_table,
     pareto_front,
+    qualitative_caption,
     qualitative_figure,
+    runtime_caption,
+    seed_plot,
+    seeds_caption,
 )
 from ablate.analysis.figure_style import COLOURS
+from ablate.metrics import patch_chi2
 
 
 def assert_written(paths):
@@ -24,6 +37,24 @@ def assert_written(paths):
     assert picture[..., :3].std() > 0.01, "a blank page"
     assert paths[1].read_bytes().startswith(b"%PDF")
     return picture
+
+
+@pytest.fixture
+def figures(monkeypatch):
+    """Figures by the name of their file, as they are handed over to be saved."""
+    drawn = {}
+
+    def keep(figure, stem):
+        drawn[stem.name] = figure
+        return [stem]
+
+    for module in ("boxplots", "seeds_figure", "effects_figure", "image_figures"):
+        monkeypatch.setattr(f"ablate.analysis.{module}.save_figure", keep)
+    return drawn
+
+
+def legend_of(figure):
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
 def test_boxplots_one_a_metric(study, tmp_path):
@@ -37,6 +68,61 @@ def test_boxplots_one_a_metric(study, tmp_path):
 def test_boxplots_without_pairs_draw_nothing(study_of, tmp_path):
     assert paired_boxplots(study_of(variants=("sa2h",)), tmp_path) == {}
     assert paired_boxplots(study_of(variants=("nsa2h", "sa2h-att")), tmp_path) == {}
+    assert boxplot_panels(study_of(variants=("sa2h",)), ["psnr"], tmp_path / "boxplots") == []
+
+
+def test_boxes_are_quartiles_of_the_paired_differences_and_resimulation_is_a_band(study, figures, tmp_path):
+    boxplot_panels(study, ["psnr", "pchi2"], tmp_path / "boxplots", paired=paired_table(study, resamples=50))
+    left, right = figures["boxplots"].axes
+    assert [text.get_text() for text in left.get_yticklabels()] == ["nsa2h", "sa2h-att"]
+    means = study[study["metric"] == "psnr"].groupby(["variant", "frame"])["value"].mean()
+    delta = means["nsa2h"] - means["sa2h"]
+    box = max(left.patches, key=lambda patch: patch.get_path().get_extents().y1 if patch.get_zorder() > 0 else -1)
+    extent = box.get_path().get_extents()
+    assert (extent.x0, extent.x1) == pytest.approx(tuple(np.quantile(delta, [0.25, 0.75])))
+    assert legend_of(figures["boxplots"]) == [
+        "re-simulation, quartiles",
+        "re-simulation, median (level)",
+        "re-simulation, median (floor)",
+    ]
+    assert "better →" in left.get_xlabel()
+    assert "← better" in right.get_xlabel()
+
+
+def test_every_training_is_a_ring(study, figures, tmp_path):
+    scalars = pd.DataFrame(
+        [("sa2h", 0, "fd_speckle", 3.0), ("nsa2h", 0, "fd_speckle", 1.0)],
+        columns=["variant", "seed", "metric", "value"],
+    )
+    assert seed_plot(study, scalars, ["psnr", "pchi2", "fd_speckle", "absent"], tmp_path / "seeds")
+    panels = figures["seeds"].axes
+    assert len(panels) == 3
+    rings = [line for line in panels[0].lines if line.get_marker() == "o"]
+    means = study[study["metric"] == "psnr"].groupby(["variant", "seed"])["value"].mean()
+    np.testing.assert_allclose(np.sort(rings[0].get_xdata()), np.sort(means["sa2h"]))
+    assert {"re-simulation (level)", "re-simulation (floor)", "range of sa2h"} <= set(legend_of(figures["seeds"]))
+    assert seed_plot(study[study["variant"] == RESIMULATION], None, ["psnr"], tmp_path / "none") == []
+
+
+def test_effects_are_filled_where_their_interval_excludes_nought(figures, tmp_path):
+    rows = [("a", 1.0, 0.5, 1.5), ("b", 0.1, -0.2, 0.4), ("a:b", 0.3, None, None)]
+    effects = pd.DataFrame(rows, columns=["effect", "estimate", "low", "high"]).assign(metric="psnr")
+    effects_plot(effects, ["psnr", "mae"], tmp_path / "effects", {"psnr": 1.2})
+    (axes,) = figures["effects"].axes
+    dots = {line.get_label(): line for line in axes.lines}
+    assert dots["interval excludes 0"].get_markerfacecolor() == "black"
+    assert dots["interval excludes 0"].get_xdata() == [1.0]
+    assert dots["interval holds 0"].get_xdata() == [0.1]
+    assert dots["no interval"].get_marker() == "D"
+    assert dots["re-simulation (level)"].get_xdata()[0] == 1.2
+    assert "re-simulation +1.20 (level)" in axes.get_xlabel()
+    assert effects_plot(effects, ["mae"], tmp_path / "none") == []
+
+
+def test_written_seed_and_effects_figures(study, tmp_path):
+    assert_written(seed_plot(study, None, ["psnr", "pchi2"], tmp_path / "seeds"))
+    effects = pd.DataFrame({"effect": ["a"], "estimate": [1.0], "low": [0.5], "high": [2.0], "metric": ["psnr"]})
+    assert_written(effects_plot(effects, ["psnr"], tmp_path / "effects"))
 
 
 def test_qualitative_grid_with_and_without_everything(pictures, tmp_path):
@@ -47,10 +133,57 @@ def test_qualitative_grid_with_and_without_everything(pictures, tmp_path):
         qualitative_figure([], tmp_path / "none")
 
 
+@pytest.mark.parametrize(("predictions", "frames"), [(1, 4), (6, 4), (7, 2), (13, 2), (14, 1)])
+def test_a_page_holds_fewer_frames_of_more_variants(predictions, frames, pictures, figures, tmp_path):
+    assert frames_a_page(predictions) == frames
+    names = [f"v{k}" for k in range(predictions)]
+    frame = FramePictures("frame", pictures.target, dict.fromkeys(names, pictures.target), pictures.mask)
+    qualitative_figure([frame] * frames, tmp_path / "grid")
+    shown = [axes for axes in figures["grid"].axes if axes.images]
+    assert len(shown) == frames * (predictions + 1), "every variant of every frame"
+    figures["grid"].draw_without_rendering()
+    width, height = figures["grid"].get_size_inches()
+    if predictions <= 13:
+        assert width <= 7.17
+        assert height <= 9.6
+        assert min(axes.get_position().width * width for axes in shown) > 1.5, "inches: narrower, speckle is lost"
+
+
 def test_chi2_maps(pictures, tmp_path):
     assert_written(chi2_maps_figure(pictures, tmp_path / "pchi2_maps_0"))
     with pytest.raises(ValueError, match="no prediction"):
         chi2_maps_figure(FramePictures("empty", pictures.target), tmp_path / "none")
+
+
+def test_chi2_maps_of_eleven_networks_fit_a_page(pictures, figures, tmp_path):
+    names = [RESIMULATION, "sa2h", "sa2h.encoding-arbitrary", *(f"v{k}" for k in range(9))]
+    many = FramePictures("frame", pictures.target, dict.fromkeys(names, pictures.predictions["sa2h"]), pictures.mask)
+    chi2_maps_figure(many, tmp_path / "maps")
+    figure = figures["maps"]
+    assert tuple(figure.get_size_inches() <= (7.17, 9.6)) == (True, True)
+    maps = [image for axes in figure.axes for image in axes.images if image.get_cmap().name == "inferno"]
+    assert len(maps) == len(names)
+    assert {image.get_clim() for image in maps} == {(0, 1)}
+    expected = patch_chi2(pictures.predictions["sa2h"], pictures.target)
+    np.testing.assert_array_equal(maps[0].get_array().data, expected)
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert titles[-2].startswith("sa2h + arbitrary"), "what was changed beside a variant comes last"
+    assert titles[-1] == "target"
+
+
+def test_captions_tell_a_floor_from_a_level():
+    effects = pd.DataFrame({"metric": ["psnr", "pchi2"], "p": [0.1, None]})
+    cells = pd.DataFrame({"attenuation": pd.Categorical(["integral", "none"])}, index=["sa2h", "sa2h-att"])
+    design = Design(cells, "one change", "Read it so.", ())
+    both = ["psnr", "pchi2"]
+    texts = [boxplot_caption(both), seeds_caption(both), runtime_caption(both), effects_caption(design, effects)]
+    for text in texts:
+        assert "floor for pχ²" in text
+        assert "level of a perfect stochastic renderer for PSNR" in text
+    assert "attenuation integral → none" in texts[-1]
+    assert "fewer than 3 trainings" in texts[-1]
+    assert "floor" in chi2_caption("frame 7")
+    assert "other scatterers" in qualitative_caption()
 
 
 def test_pareto_front_against_brute_force():

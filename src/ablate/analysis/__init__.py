@@ -1,10 +1,19 @@
 """Paired statistics, effects, tables, figures and the report; from data frames to files."""
 
-from ablate.analysis.boxplots import paired_boxplots
+from ablate.analysis.boxplots import boxplot_panels, paired_boxplots
+from ablate.analysis.captions import (
+    boxplot_caption,
+    chi2_caption,
+    effects_caption,
+    qualitative_caption,
+    runtime_caption,
+    seeds_caption,
+)
 from ablate.analysis.component_claims import ComponentClaim, Verdict, component_claim, seed_claims
 from ablate.analysis.designs import Design, effects_table, find_design
 from ablate.analysis.effects import factorial_effects
-from ablate.analysis.image_figures import FramePictures, chi2_maps_figure, qualitative_figure
+from ablate.analysis.effects_figure import effects_plot
+from ablate.analysis.image_figures import FramePictures, chi2_maps_figure, frames_a_page, qualitative_figure
 from ablate.analysis.latex_table import to_latex
 from ablate.analysis.metric_facts import METRICS, REFERENCE, RESIMULATION, facts_of
 from ablate.analysis.order import ordered_metrics, ordered_variants
@@ -13,6 +22,7 @@ from ablate.analysis.precision_figures import order_figure, stages_figure, work_
 from ablate.analysis.preview_figure import Preview, preview_figure
 from ablate.analysis.report import cautions, write_report
 from ablate.analysis.runtime_figure import error_vs_runtime, pareto_front
+from ablate.analysis.seeds_figure import seed_plot
 from ablate.analysis.statistics import PairedDifference, holm, paired_difference
 from ablate.analysis.table_formats import Spread, resimulation_note, to_html, to_markdown, to_text, wide_table
 from ablate.analysis.tables import comparison_table
@@ -29,16 +39,22 @@ __all__ = [
     "Preview",
     "Spread",
     "Verdict",
+    "boxplot_caption",
+    "boxplot_panels",
     "budget_table",
     "cautions",
+    "chi2_caption",
     "chi2_maps_figure",
     "comparison_table",
     "component_claim",
+    "effects_caption",
+    "effects_plot",
     "effects_table",
     "error_vs_runtime",
     "factorial_effects",
     "facts_of",
     "find_design",
+    "frames_a_page",
     "holm",
     "observed_order",
     "order_figure",
@@ -49,9 +65,13 @@ __all__ = [
     "paired_table",
     "pareto_front",
     "preview_figure",
+    "qualitative_caption",
     "qualitative_figure",
     "resimulation_note",
+    "runtime_caption",
     "seed_claims",
+    "seed_plot",
+    "seeds_caption",
     "stages_figure",
     "to_html",
     "to_latex",

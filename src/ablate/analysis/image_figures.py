@@ -8,12 +8,17 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
 
 from ablate.analysis.figure_style import PAGE_IN, house_style, new_figure, save_figure
+from ablate.analysis.metric_panels import shown_name
+from ablate.analysis.order import CHANGED, variant_group
 from ablate.metrics import patch_chi2, patches_inside, rms
 
-COLUMN_PICTURE_IN = 1.8  # narrower, and speckle is lost in print
-INSET = 0.30  # of the picture's width and height: what fits beside a 70 degree fan
+ACROSS = 4  # pictures side by side on a page; with more of them, speckle is lost in print
+MOST_DOWN = 7  # rows of pictures that a page holds
+NAME_IN, HEAD_IN = 0.2, 0.25  # beside and above the pictures, for their names
+INSET = 0.27  # of the picture's width and height: what fits beside a 70 degree fan
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,19 +77,49 @@ def _insets(axes: Axes, frame: FramePictures) -> None:
         corner.set_facecolor("none")
 
 
+def _map(axes: Axes, chi2: np.ndarray, inside: np.ndarray | None, patch: int, shape: tuple[int, int]) -> AxesImage:
+    axes.set_axis_on()
+    _bare(axes)
+    axes.set_facecolor("#EEEEEE")
+    extent = (0, chi2.shape[1] * patch, chi2.shape[0] * patch, 0)
+    shown = chi2 if inside is None else np.ma.masked_array(chi2, ~inside)
+    drawn = axes.imshow(shown, cmap="inferno", vmin=0, vmax=1, extent=extent)
+    axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0), aspect="equal")
+    return drawn
+
+
 def _columns(frames: Sequence[FramePictures]) -> list[str]:
+    """Names of all predictions as they come, what was changed beside a variant last."""
     if not frames:
         raise ValueError("no frame to draw")
-    return list(dict.fromkeys(name for frame in frames for name in frame.predictions))
+    names = dict.fromkeys(name for frame in frames for name in frame.predictions)
+    return sorted(names, key=lambda name: variant_group(name) == CHANGED)
+
+
+def frames_a_page(predictions: int) -> int:
+    """How many frames `qualitative_figure` can show on one page, each with its target and so many predictions.
+
+    Parameters
+    ----------
+    predictions : int
+
+    Returns
+    -------
+    int
+        1 to 4: as many columns of pictures as are left when a frame's pictures take one or more.
+    """
+    return max(1, ACROSS // -(-(predictions + 1) // MOST_DOWN))
 
 
 def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path]:
-    """Target, re-simulation and every variant side by side, a row a frame, S and A in the target's corners.
+    """Target, re-simulation and every variant below each other, a column a frame, S and A in the target's corners.
+
+    Where there are more variants than fit a page, they go on in further columns beside.
 
     Parameters
     ----------
     frames : sequence of FramePictures
-        Rows.
+        `frames_a_page` says how many fit.
     stem : Path
         Path without suffix, for instance `qualitative_0`.
 
@@ -98,29 +133,37 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path
     ValueError
         When there is no frame.
     """
-    columns = _columns(frames)
+    names = ["target", *_columns(frames)]
+    blocks = -(-len(names) // MOST_DOWN)
+    down, across = -(-len(names) // blocks), blocks * len(frames)
     height, width = frames[0].target.shape
-    across = len(columns) + 1
-    page = max(PAGE_IN, COLUMN_PICTURE_IN * across)
+    page = PAGE_IN * max(across / ACROSS, 1.0) if across > 1 else PAGE_IN / 2
+    picture = (page - NAME_IN * blocks) / max(across, 2)
     with house_style(page):
-        figure = new_figure(page, 0.04 * page + len(frames) * page / across * height / width, pad_in=0.01)
-        grid = figure.subplots(len(frames), across, squeeze=False)
-        for row, frame in zip(grid, frames, strict=True):
-            _picture(row[0], frame.target)
-            _insets(row[0], frame)
-            row[0].set_ylabel(frame.name)
-            for axes, name in zip(row[1:], columns, strict=True):
-                if name in frame.predictions:
-                    _picture(axes, frame.predictions[name])
-                else:
-                    axes.set_axis_off()
-        for axes, title in zip(grid[0], ["target", *columns], strict=True):
-            axes.set_title(title)
+        figure = new_figure(page, HEAD_IN + down * picture * height / width, pad_in=0.01)
+        grid = figure.subplots(down, across, squeeze=False)
+        for axes in grid.ravel():
+            axes.set_axis_off()
+        for k, name in enumerate(names):
+            block, row = divmod(k, down)
+            for j, frame in enumerate(frames):
+                axes = grid[row, block * len(frames) + j]
+                image = frame.target if name == "target" else frame.predictions.get(name)
+                if image is None:
+                    continue
+                axes.set_axis_on()
+                _picture(axes, image)
+                if name == "target":
+                    _insets(axes, frame)
+                if j == 0:
+                    axes.set_ylabel(shown_name(name).replace(" + ", "\n+ "))
+                if row == 0:
+                    axes.set_title(frame.name)
         return save_figure(figure, stem)
 
 
 def chi2_maps_figure(frame: FramePictures, stem: Path, patch: int = 20) -> list[Path]:
-    """Patch chi-square maps on [0, 1] above their images; the target at the right, as in the paper.
+    """Patch chi-square maps on [0, 1] above their images; the target comes last, as in the paper.
 
     Parameters
     ----------
@@ -140,30 +183,31 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, patch: int = 20) -> list[
     ValueError
         When there is no prediction.
     """
-    columns = _columns([frame])
-    if not columns:
+    names = _columns([frame])
+    if not names:
         raise ValueError(f"frame {frame.name} has no prediction to map")
     height, width = frame.target.shape
     inside = None if frame.mask is None else patches_inside(frame.mask, patch)
-    across = len(columns) + 1
-    page = max(PAGE_IN, COLUMN_PICTURE_IN * across)
-    with house_style(page):
-        figure = new_figure(page, 0.06 * page + 2 * page / across * height / width, pad_in=0.01)
-        grid = figure.subplots(2, across, squeeze=False)
-        for (upper, lower), name in zip(grid.T, columns, strict=False):
+    across = min(ACROSS if len(names) < 2 * ACROSS else ACROSS + 1, len(names) + 1)
+    lines = -(-(len(names) + 1) // across)
+    with house_style():
+        figure = new_figure(PAGE_IN, lines * (0.45 + 2 * PAGE_IN / max(across, 3) * height / width), pad_in=0.015)
+        grid = figure.subplots(2 * lines, across, squeeze=False)
+        for axes in grid.ravel():
+            axes.set_axis_off()
+        for k, name in enumerate(names):
+            line, column = divmod(k, across)
+            upper, lower = grid[2 * line, column], grid[2 * line + 1, column]
             chi2 = patch_chi2(frame.predictions[name], frame.target, patch)
-            shown = chi2 if inside is None else np.ma.masked_array(chi2, ~inside)
-            extent = (0, chi2.shape[1] * patch, chi2.shape[0] * patch, 0)
-            drawn = upper.imshow(shown, cmap="inferno", vmin=0, vmax=1, extent=extent)
-            upper.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
-            _bare(upper)
-            upper.set_facecolor("#EEEEEE")
-            upper.set_title(f"{name}\nRMS {rms(chi2, inside) or 0.0:.3f}")
+            drawn = _map(upper, chi2, inside, patch, (height, width))
+            upper.set_title(f"{shown_name(name)}\n{rms(chi2, inside) or 0.0:.3f}")
+            lower.set_axis_on()
             _picture(lower, frame.predictions[name])
-        grid[0, -1].set_axis_off()
-        bar = figure.colorbar(drawn, cax=grid[0, -1].inset_axes((0.15, 0.1, 0.09, 0.85)))
+        upper, lower = grid[-2, -1], grid[-1, -1]
+        bar = figure.colorbar(drawn, cax=upper.inset_axes((0.1, 0.5, 0.8, 0.1)), orientation="horizontal")
         bar.set_label("pχ²")
         bar.set_ticks([0, 0.5, 1])
-        _picture(grid[1, -1], frame.target)
-        grid[1, -1].set_title("target")
+        lower.set_axis_on()
+        _picture(lower, frame.target)
+        lower.set_title("target")
         return save_figure(figure, stem)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 from ablate.analysis.metric_facts import METRICS, REFERENCE, RESIMULATION
 
+CHANGED = 3
+
 
 def ordered_variants(variants: Sequence[str], reference: str = REFERENCE) -> list[str]:
     """Re-simulation, reference, the other variants by name, then what was changed beside a variant (`sa2h.depth-8`).
@@ -20,11 +22,12 @@ def ordered_variants(variants: Sequence[str], reference: str = REFERENCE) -> lis
     list of str
         Without repetitions.
     """
-    return sorted(set(variants), key=lambda name: (variant_group(name, reference), name))
+    return sorted(set(variants), key=lambda name: (variant_group(name, reference), name.replace(".", " ")))
 
 
 def variant_group(name: str, reference: str = REFERENCE) -> int:
-    """Which block of rows a variant belongs to: 0 re-simulation, 1 reference, 2 variants, 3 changed ones.
+    """Which block of rows a variant belongs to: 0 re-simulation, 1 reference, 2 variants, `CHANGED` what was changed
+    beside one.
 
     Parameters
     ----------
@@ -34,7 +37,7 @@ def variant_group(name: str, reference: str = REFERENCE) -> int:
     -------
     int
     """
-    return {RESIMULATION: 0, reference: 1}.get(name, 3 if "." in name else 2)
+    return {RESIMULATION: 0, reference: 1}.get(name, CHANGED if "." in name else 2)
 
 
 def ordered_metrics(metrics: Sequence[str]) -> list[str]:

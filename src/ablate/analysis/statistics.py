@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-LATTICE = 2048  # levels that a bootstrap's differences are rounded to, over their range
+LATTICE = 512  # levels that a bootstrap's differences are rounded to, over their range
 LARGEST = 1e100  # of what is compared: sums and squares of such values stay finite
 
 

@@ -1,0 +1,71 @@
+"""Factorial effects with their intervals, a panel a metric."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from ablate.analysis.figure_style import house_style, save_figure
+from ablate.analysis.metric_facts import facts_of
+from ablate.analysis.metric_panels import (
+    axis_title,
+    draw_resimulation,
+    metric_panels,
+    one_legend,
+    place_of,
+    resimulation_word,
+)
+
+
+def effects_plot(
+    effects: pd.DataFrame, metrics: Sequence[str], stem: Path, gaps: Mapping[str, float] | None = None
+) -> list[Path]:
+    """Draw every effect as a dot with its interval; filled where the interval excludes 0, a ring where it does not.
+
+    Parameters
+    ----------
+    effects : DataFrame
+        What `effects_table` gives.
+    metrics : sequence of str
+        Panels; those without effects are left out.
+    stem : Path
+        Path without suffix, for instance `effects`.
+    gaps : mapping of str to float, optional
+        By metric, the re-simulation minus the reference: what there is to gain where it is a floor. It is written under
+        the panel, and drawn where it lies within.
+
+    Returns
+    -------
+    list of Path
+        PNG and PDF; empty without effects.
+    """
+    shown = [metric for metric in metrics if metric in set(effects["metric"])]
+    if not shown:
+        return []
+    names = list(dict.fromkeys(effects["effect"]))
+    with house_style():
+        figure, panels = metric_panels(shown, names, 4, head_in=0.7)
+        for axes, metric in zip(panels, shown, strict=True):
+            axes.axvline(0, color="black", lw=0.8, zorder=1)
+            for row in effects[effects["metric"] == metric].to_dict("records"):
+                place = place_of(names.index(row["effect"]), len(names))
+                known = not pd.isna(row["low"])
+                if known:
+                    axes.plot([row["low"], row["high"]], [place] * 2, color="black", lw=1.0, solid_capstyle="butt")
+                excludes = known and (row["low"] > 0 or row["high"] < 0)
+                label = "interval excludes 0" if excludes else "interval holds 0" if known else "no interval"
+                fill = "black" if excludes else "white"
+                marker = "o" if known else "D"
+                axes.plot([row["estimate"]], [place], marker, ms=4, mfc=fill, mec="black", mew=0.8, label=label)
+            title, gap = axis_title(metric, "effect on {}"), (gaps or {}).get(metric, np.nan)
+            low, high = axes.get_xlim()
+            if low < gap < high:
+                draw_resimulation(axes, metric, gap)
+            if np.isfinite(gap):
+                title += f"\nre-simulation {gap:+.{facts_of(metric).decimals}f} ({resimulation_word(metric)})"
+            axes.set_xlabel(title)
+        one_legend(figure, panels)
+        return save_figure(figure, stem)
