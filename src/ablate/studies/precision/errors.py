@@ -89,8 +89,8 @@ def _mean(values: list[float]) -> float:
 
 def moved(metric: str, error: float, other: float) -> float:
     """By which share an error changes when it is taken to another reference; of PSNR, the RMS error it stands for."""
-    if metric == "psnr":
-        return abs(10 ** ((error - other) / 20) - 1)
     if error == other:
         return 0.0
+    if metric == "psnr":
+        return abs(10 ** ((error - other) / 20) - 1)
     return abs(other / error - 1) if error else float("inf")

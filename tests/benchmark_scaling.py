@@ -1,0 +1,267 @@
+"""Memory and time of a simulated frame, a generated frame and a training step as each size doubles.
+
+make bench-scaling                     # Markdown; half an hour on two cores
+make bench-scaling ARGS="--sizes 3 --no-check"
+
+Every row is measured in a process of its own, so that the peak of its memory is its own. Exponents are fitted on
+logarithms to the three largest sizes, of memory to what lies above the process before it started its work; what
+fits in 4 and in 24 GiB is extrapolated with them from the largest row, and the first is then run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import torch
+import trimesh
+from torch import Tensor
+
+from ablate.anatomy import Scene, Structure, load_tissues
+from ablate.networks import Generator, GeneratorSpec, conditions
+from ablate.tracking import hardware
+from ablate.training import Engine, Precision, TrainingSettings, chosen_device, median_ms, renderer, train
+from ablate.ultrasound import Simulator, SimulatorSettings
+
+REPEATS = 3
+BUDGETS_GIB = (4.0, 24.0)
+_ORGANS = ("liver", "kidney", "bone", "blood", "muscle", "fat")
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one process measured; `start_gib` before its work."""
+
+    start_gib: float
+    peak_gib: float
+    ms: float
+
+    @property
+    def own_gib(self) -> float:
+        return max(self.peak_gib - self.start_gib, 1e-3)
+
+
+def ball(centre_mm: tuple[float, float, float], radius_mm: float, triangles: int) -> trimesh.Trimesh:
+    """A closed sphere of rings and segments, of nearly so many triangles."""
+    rings = max(3, round(math.sqrt(triangles / 4)))
+    segments = 2 * rings
+    polar, turn = np.linspace(0, np.pi, rings + 1)[1:-1], np.linspace(0, 2 * np.pi, segments, endpoint=False)
+    belt = np.stack(
+        [np.outer(np.sin(polar), f(turn)) for f in (np.cos, np.sin)] + [np.outer(np.cos(polar), np.ones(segments))], -1
+    )
+    points = np.concatenate([belt.reshape(-1, 3), [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]])
+    here = np.arange((rings - 2) * segments).reshape(rings - 2, segments)
+    right = np.roll(here, -1, axis=1)
+    below, below_right = here + segments, right + segments
+    first, last = np.arange(segments), np.arange(segments) + (rings - 2) * segments
+    top, bottom = len(points) - 2, len(points) - 1
+    faces = [
+        np.stack([here, below, below_right], -1).reshape(-1, 3),
+        np.stack([here, below_right, right], -1).reshape(-1, 3),
+        np.stack([np.full(segments, top), first, np.roll(first, -1)], -1),
+        np.stack([np.full(segments, bottom), np.roll(last, -1), last], -1),
+    ]
+    return trimesh.Trimesh(points * radius_mm + centre_mm, np.concatenate(faces), process=False)
+
+
+def balls(triangles: int) -> Scene:
+    """Organs of several tissues side by side in soft tissue."""
+    tissues = load_tissues()
+    places = [(x, 0.0, z) for z in (45.0, 100.0) for x in (-32.0, 0.0, 32.0)]
+    structures = tuple(
+        Structure(ball(where, 14.0, triangles // len(_ORGANS)), tissues[name])
+        for where, name in zip(places, _ORGANS, strict=True)
+    )
+    return Scene(structures, tissues["soft_tissue"], "balls")
+
+
+def simulated_frame(pixels: float, rays: float, triangles: float) -> Callable[[], float]:
+    """H, S and A of a scene, from nothing but its meshes."""
+    rows = round(math.sqrt(pixels / 1.386))
+    scene = balls(round(triangles))
+    settings = SimulatorSettings(rays=round(rays), image_shape=(rows, round(1.386 * rows)))
+    poses = [np.eye(4) for _ in range(REPEATS + 1)]
+    for k, pose in enumerate(poses):
+        pose[1, 3] = k
+
+    def work() -> float:
+        simulator = Simulator(scene, settings=settings)
+        return median(_timed(simulator.render, pose) for pose in poses[1:]) if simulator.render(poses[0]) else 0.0
+
+    return work
+
+
+def generated_frame(pixels: float, width: float) -> Callable[[], float]:
+    """One frame of SA2H with drawn weights, eager, fp32."""
+    rows = round(math.sqrt(pixels / 1.386))
+    shape, device = (rows, round(1.386 * rows)), chosen_device("auto")
+    generator = Generator(GeneratorSpec(width=width)).eval().requires_grad_(False).to(device)
+    maps = {name: torch.zeros(1, 1, *shape, device=device) for name in conditions(generator.spec)}
+    return lambda: median_ms(renderer(generator, *shape, Precision.fp32, Engine.eager), maps, REPEATS, 1)
+
+
+def training_step(crop: float, batch: float, width: float) -> Callable[[], float]:
+    """Both networks of SA2H, fp32."""
+    side, count, times = round(crop), round(batch), list[float]()
+    settings = TrainingSettings(
+        steps=REPEATS + 2, batch_size=count, crop=side, precision=Precision.fp32, checkpoint_every=0, log_every=10**6
+    )
+
+    def batches(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        for step in range(start, stop):
+            times.append(time.perf_counter())
+            drawn = {name: torch.rand(count, 1, side, side) for name in ("segmentation", "attenuation", "image")}
+            yield {**drawn, "mask": torch.ones(count, 1, side, side), "noise_seed": torch.arange(count) + step}
+
+    def work() -> float:
+        with tempfile.TemporaryDirectory() as folder:
+            train(GeneratorSpec(width=width), settings, batches, Path(folder))
+        return median((1e3 * np.diff(times))[1:].tolist())
+
+    return work
+
+
+#: What is measured, its sizes where another is grown, and the values of each that is grown.
+FRAME, GENERATED, STEP = "simulated frame", "generated frame", "training step"
+MAKERS: dict[str, Callable[..., Callable[[], float]]] = {
+    FRAME: simulated_frame,
+    GENERATED: generated_frame,
+    STEP: training_step,
+}
+PAPER_PIXELS = 1000 * 1386
+USUAL: dict[str, dict[str, float]] = {
+    FRAME: {"pixels": PAPER_PIXELS, "rays": 32, "triangles": 200_000},
+    GENERATED: {"pixels": PAPER_PIXELS, "width": 0.25},
+    STEP: {"crop": 256, "batch": 2, "width": 0.25},
+}
+FIRST: dict[str, dict[str, float]] = {
+    FRAME: {"pixels": PAPER_PIXELS / 2, "rays": 16, "triangles": 100_000},
+    GENERATED: {"pixels": PAPER_PIXELS / 8, "width": 0.125},
+    STEP: {"crop": 128, "batch": 1, "width": 0.125},
+}
+PAPER: dict[str, dict[str, float]] = {
+    FRAME: {"triangles": 675_000},
+    GENERATED: {"width": 1.0},
+    STEP: {"crop": 512, "batch": 4, "width": 1.0},
+}
+
+
+def _timed(call: Callable[[np.ndarray], object], pose: np.ndarray) -> float:
+    start = time.perf_counter()
+    call(pose)
+    return 1e3 * (time.perf_counter() - start)
+
+
+def resident_gib(field: str) -> float:
+    """Resident memory of this process, now (`VmRSS`) or at most (`VmHWM`); getrusage would count its parent's."""
+    with Path("/proc/self/status").open() as file:
+        return next(int(row.split()[1]) for row in file if row.startswith(field)) / 2**20
+
+
+def measure(what: str, sizes: dict[str, float]) -> None:
+    """Do the work in this process and print its cost as JSON."""
+    start = resident_gib("VmRSS")
+    work = MAKERS[what](**sizes)
+    Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew: making meshes is not the simulator's
+    ms = work()
+    peak = resident_gib("VmHWM")
+    if torch.cuda.is_available() and what != FRAME:
+        start, peak = 0.0, torch.cuda.max_memory_allocated() / 2**30
+    print(json.dumps({"start_gib": start, "peak_gib": peak, "ms": ms}))
+
+
+def cost(what: str, **sizes: float) -> Cost | None:
+    """The cost of one piece of work in a process of its own; None where it was killed for its memory."""
+    order = json.dumps({"what": what, "sizes": USUAL[what] | sizes})
+    done = subprocess.run([sys.executable, __file__, "--measure", order], capture_output=True, text=True)
+    if done.returncode == -9:
+        return None
+    if done.returncode:
+        raise SystemExit(f"{order}\n{done.stderr}")
+    return Cost(**json.loads(done.stdout.splitlines()[-1]))
+
+
+def exponent(sizes: list[float], values: list[float]) -> float:
+    """Slope of the logarithms over the three largest sizes."""
+    return float(np.polyfit(np.log(sizes[-3:]), np.log(values[-3:]), 1)[0])
+
+
+def largest(budget_gib: float, size: float, last: Cost, power: float) -> float:
+    """Size that takes so much memory, from the largest one measured and the exponent of its memory."""
+    if power < 0.05:
+        return math.inf
+    return size * ((budget_gib - last.start_gib) / last.own_gib) ** (1 / power)
+
+
+def row(*cells: str) -> None:
+    """Print a row of a Markdown table."""
+    print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def shown(value: float) -> str:
+    """Three digits, thousands apart."""
+    if not math.isfinite(value):
+        return "any"
+    return f"{float(f'{value:.3g}'):,.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def growth(what: str, name: str, count: int, check: bool) -> tuple[str, ...]:
+    """Measure doubled sizes, print them, and return the row of what they tell."""
+    sizes = [FIRST[what][name] * 2**k for k in range(count)]
+    costs = [c for size in sizes if (c := cost(what, **{name: size})) is not None]
+    for size, each in zip(sizes, costs, strict=False):
+        row(what, name, shown(size), f"{each.peak_gib:.2f}", f"{each.own_gib:.3f}", f"{each.ms:.0f}")
+    done, last = sizes[: len(costs)], costs[-1]
+    memory, duration = (exponent(done, [getattr(c, v) for c in costs]) for v in ("own_gib", "ms"))
+    fit = [largest(budget, done[-1], last, memory) for budget in BUDGETS_GIB]
+    tried = "not run"
+    if check and math.isfinite(fit[0]):
+        found = cost(what, **{name: fit[0]})
+        tried = f"{found.peak_gib:.2f} GiB, {found.ms:.0f} ms" if found else "out of this machine's memory"
+    return what, name, f"{memory:.2f}", f"{duration:.2f}", *(shown(f) for f in fit), tried
+
+
+def main() -> None:
+    """Print the tables, or measure one row."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", type=int, default=5, help="how many sizes, each twice the one before; at least 3")
+    parser.add_argument("--no-check", dest="check", action="store_false", help="do not run what should fit in 4 GiB")
+    parser.add_argument("--measure", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.measure:
+        measure(**json.loads(args.measure))
+        return
+    if args.sizes < 3:
+        parser.error("--sizes: at least 3, an exponent is fitted to three")
+    usual = "; ".join(f"{w}: {', '.join(f'{k} {shown(v)}' for k, v in s.items())}" for w, s in USUAL.items())
+    print(f"{hardware()}, torch {torch.__version__}. Where another size grows: {usual}.\n")
+    row("work", "size", "value", "peak, GiB", "of them its own", "ms")
+    row(*["---"] * 6)
+    facts = [growth(what, name, args.sizes, args.check) for what, sizes in FIRST.items() for name in sizes]
+    print()
+    head = ("work", "as it grows", "memory ~ n^", "time ~ n^", "fits in 4 GiB", "fits in 24 GiB", "that for 4 GiB, run")
+    row(*head)
+    row(*["---"] * len(head))
+    for fact in facts:
+        row(*fact)
+    print("\nAt the paper's sizes:\n")
+    row("work", "sizes", "peak, GiB", "ms")
+    row(*["---"] * 4)
+    for what, sizes in PAPER.items():
+        found = cost(what, **sizes)
+        named = ", ".join(f"{k} {shown(v)}" for k, v in (USUAL[what] | sizes).items())
+        row(what, named, *((f"{found.peak_gib:.2f}", f"{found.ms:.0f}") if found else ("more than there is", "")))
+
+
+if __name__ == "__main__":
+    main()
