@@ -168,3 +168,40 @@ def test_a_broken_checkpoint_is_named(
     torch.save({"weights": torch.zeros(1)}, tmp_path / LAST)
     with pytest.raises(ValueError, match="not a checkpoint of this project"):
         train(spec, settings, loader, tmp_path)
+
+
+class _Hostile:
+    """Unpickling it would create a file."""
+
+    def __init__(self, trace: Path) -> None:
+        self.trace = trace
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Path.touch, (self.trace,)
+
+
+def test_a_hostile_checkpoint_is_refused_and_runs_nothing(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+) -> None:
+    trace = tmp_path / "ran"
+    torch.save({"steps_done": 1, "state_dict": _Hostile(trace)}, tmp_path / LAST)
+    for attempt in (lambda: train(spec, settings, loader, tmp_path), lambda: load_generator(tmp_path / LAST)):
+        with pytest.raises(ValueError, match=r"last\.ckpt: not a readable checkpoint"):
+            attempt()
+    assert not trace.exists()
+
+
+def test_weights_of_another_variant_are_refused(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+) -> None:
+    train(spec, settings, loader, tmp_path)
+    checkpoint = read_checkpoint(tmp_path / LAST)
+    checkpoint["hyper_parameters"]["spec"]["upsampling"] = "transposed"
+    torch.save(checkpoint, tmp_path / "other.ckpt")
+    with pytest.raises(ValueError, match=r"other\.ckpt: its weights are not of the network that it names") as caught:
+        load_generator(tmp_path / "other.ckpt")
+    assert "\n" not in str(caught.value)
+    checkpoint["hyper_parameters"]["spec"]["upsampling"] = "bicubic"
+    torch.save(checkpoint, tmp_path / "other.ckpt")
+    with pytest.raises(ValueError, match="allowed are texture, transposed"):
+        load_generator(tmp_path / "other.ckpt")

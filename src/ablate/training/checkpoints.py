@@ -82,8 +82,18 @@ def resume(module: PairGAN, path: Path) -> None:
 
 
 def load_generator(path: Path) -> Generator:
-    """Load the generator to evaluate (the running average, where one was kept) from a checkpoint, on the CPU."""
+    """Load the generator to evaluate (the running average, where one was kept) from a checkpoint, on the CPU.
+
+    Raises
+    ------
+    ValueError
+        Where the file is not a checkpoint of this project, or its weights are not those of the network it names.
+    """
     checkpoint = read_checkpoint(path)
-    module = PairGAN(**checkpoint["hyper_parameters"])
-    module.load_state_dict(checkpoint["state_dict"])
+    try:
+        module = PairGAN(**checkpoint["hyper_parameters"])
+        module.load_state_dict(checkpoint["state_dict"])
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{path}: its weights are not of the network that it names ({reason:.200})") from error
     return module.evaluated.eval()
