@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep test test-all check lint ui bench-simulator bench-dataset
+.PHONY: help sweep test test-all check lint ui precision bench-simulator bench-dataset bench-scaling
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -44,3 +44,9 @@ bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size
 
 bench-dataset: $(STAMP) ## what the paper's data set costs: to simulate, to store, to read crops from
 	$(BIN)/python tests/benchmark_dataset.py
+
+bench-scaling: $(STAMP) ## memory and time as sizes double, and what fits in 4 and 24 GiB
+	$(BIN)/python tests/benchmark_scaling.py $(ARGS)
+
+precision: $(STAMP) ## measure docs/numerics.md again; RUNS=folder of trained runs, PRESET=theirs, PATIENT=scene folder
+	$(BIN)/python docs/numerics.py $(if $(RUNS),--runs $(RUNS)) $(if $(PRESET),--preset $(PRESET)) $(if $(PATIENT),--patient $(PATIENT))
