@@ -9,6 +9,7 @@ from ablate.analysis.captions import (
     runtime_caption,
     seeds_caption,
 )
+from ablate.analysis.cautions import cautions, listed
 from ablate.analysis.component_claims import ComponentClaim, Verdict, component_claim, seed_claims
 from ablate.analysis.designs import Design, effects_table, find_design
 from ablate.analysis.effects import factorial_effects
@@ -20,7 +21,7 @@ from ablate.analysis.order import ordered_metrics, ordered_variants
 from ablate.analysis.paired_differences import paired_table
 from ablate.analysis.precision_figures import order_figure, stages_figure, work_precision_figure
 from ablate.analysis.preview_figure import Preview, preview_figure
-from ablate.analysis.report import cautions, write_report
+from ablate.analysis.report import write_report
 from ablate.analysis.runtime_figure import error_vs_runtime, pareto_front
 from ablate.analysis.seeds_figure import seed_plot
 from ablate.analysis.statistics import PairedDifference, holm, paired_difference
@@ -56,6 +57,7 @@ __all__ = [
     "find_design",
     "frames_a_page",
     "holm",
+    "listed",
     "observed_order",
     "order_figure",
     "ordered_metrics",

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from ablate.analysis.cautions import cautions
 from ablate.analysis.component_claims import FEWEST_SEEDS, Verdict
 from ablate.analysis.metric_facts import REFERENCE, RESIMULATION, facts_of
 from ablate.analysis.table_formats import resimulation_note, to_html
@@ -31,47 +32,6 @@ pre{background:#f4f4f4;padding:.5rem;overflow:auto;max-height:40rem;font-size:12
 """
 
 
-def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
-    """What a reader must not conclude from this study, in words.
-
-    Parameters
-    ----------
-    per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value.
-    reference : str
-
-    Returns
-    -------
-    list of str
-        One sentence each; empty when nothing is amiss.
-    """
-    networks = per_image[per_image["variant"] != RESIMULATION]
-    variants = sorted(set(networks["variant"]))
-    found = []
-    if not variants:
-        found.append("There is no network in this study.")
-    elif reference not in variants:
-        found.append(f"The reference {reference} is missing, so there are no paired differences.")
-    elif len(variants) == 1:
-        found.append(f"There is one variant, {variants[0]}: nothing is compared.")
-    few = [f"{v} ({k})" for v, k in networks.groupby("variant")["seed"].nunique().items() if k < FEWEST_SEEDS]
-    if few:
-        found.append(
-            f"Fewer than {FEWEST_SEEDS} seeds for {', '.join(few)}: that a component matters is not claimable; "
-            "the paired differences are between these trained networks on these frames only."
-        )
-    if RESIMULATION not in set(per_image["variant"]):
-        found.append("The re-simulation is missing, so floors and levels are unknown.")
-    sites = per_image["site"].nunique()
-    if 0 < sites < 10:
-        found.append(f"Only {sites} probe site(s): intervals over sites are rough.")
-    infinite = per_image[np.isinf(per_image["value"])]
-    if len(infinite):
-        names = ", ".join(sorted(set(infinite["metric"])))
-        found.append(f"{len(infinite)} infinite value(s) of {names} (identical frames) are left out.")
-    return found
-
-
 def _rounded(value: object, decimals: int) -> str:
     if isinstance(value, float):
         return "–" if np.isnan(value) else f"{value:.{decimals}f}"
@@ -88,14 +48,16 @@ def _paired_html(paired: pd.DataFrame) -> str:
             escape(facts_of(row["metric"]).title),
             f"{row['shift']:+.{decimals}f}",
             f"<b>{interval}</b>" if excludes else interval,
+            f"{row['p_sites_holm']:.2g}",
             f"{row['p_holm']:.2g}",
             f"{row['effect']:+.2f}",
-            str(row["n"]),
+            f"{row['sites']} / {row['n']}",
         )
         style = ' class="resimulation"' if row["variant"] == RESIMULATION else ""
         tail = "".join(f"<td>{c}</td>" for c in cells)
         rows.append(f"<tr{style}><th>{escape(row['variant'])}</th>{tail}</tr>")
-    head = "".join(f"<th>{c}</th>" for c in ("metric", "shift", "95 % interval", "p (Holm)", "effect", "n"))
+    heads = ("metric", "shift", "95 % interval", "p, sites", "p, frames", "effect", "sites / frames")
+    head = "".join(f"<th>{c}</th>" for c in heads)
     return f"<table><thead><tr><th>variant</th>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
 
 
@@ -156,6 +118,7 @@ def write_report(
     provenance: Mapping[str, object] | None = None,
     reference: str = REFERENCE,
     appendix: Mapping[str, str] | None = None,
+    notes: Sequence[str] = (),
 ) -> Path:
     """Write the report; it needs no other file and no network.
 
@@ -178,13 +141,15 @@ def write_report(
     reference : str
     appendix : mapping of str to str, optional
         Longer texts by title, folded at the end: packages, uncommitted changes.
+    notes : sequence of str
+        What else a reader must know before the numbers: runs left aside, pictures that are missing.
 
     Returns
     -------
     Path
         The file written.
     """
-    warnings = "".join(f'<p class="warning">{escape(text)}</p>' for text in cautions(per_image, reference))
+    warnings = "".join(f'<p class="warning">{escape(text)}</p>' for text in (*notes, *cautions(per_image, reference)))
     main, rest = table["metric"].isin(MAIN), ~table["metric"].isin(MAIN)
     metrics = list(dict.fromkeys(table[main]["metric"]))
     parts = [
@@ -197,9 +162,9 @@ def write_report(
     if len(paired):
         parts.append(
             f"<h2>Paired differences to {escape(reference)}</h2>"
-            "<p>Do these trained networks differ on these frames? Median shift (Hodges-Lehmann), interval from "
-            "resampled probe sites (bold where it excludes 0), Wilcoxon with Holm's correction, rank-biserial "
-            f"effect. Where p is small and the interval holds 0, trust the interval.</p>"
+            "<p>Do these trained networks differ? Median shift (Hodges-Lehmann), interval from resampled probe sites "
+            "(bold where it excludes 0), Wilcoxon over the sites' means (of probe sites like these) and over frames "
+            "(of these frames only), both with Holm's correction, rank-biserial effect over frames.</p>"
             f"{_paired_html(paired[paired['metric'].isin(MAIN)])}"
         )
         rest = ~paired["metric"].isin(MAIN)

@@ -1,0 +1,69 @@
+"""What is amiss with a study is said in words, with the names of what it concerns."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ablate.analysis import RESIMULATION, cautions, listed
+
+
+def only(texts, part):
+    found = [text for text in texts if part in text]
+    assert len(found) == 1, texts
+    return found[0]
+
+
+def test_a_whole_study_is_only_warned_of_its_few_sites(study):
+    assert len(cautions(study)) == 1
+    assert only(cautions(study), "8 probe sites").endswith("are rough.")
+
+
+@pytest.mark.parametrize(
+    ("variants", "said"),
+    [
+        (("sa2h",), "one variant, sa2h: nothing is compared"),
+        (("nsa2h", "sa2h-att"), "reference sa2h is missing"),
+        ((RESIMULATION,), "no network"),
+        (("sa2h", "nsa2h"), "re-simulation is missing"),
+    ],
+)
+def test_what_is_missing_is_said(variants, said, study_of):
+    assert only(cautions(study_of(variants=variants)), said)
+
+
+def test_few_seeds_are_named_with_their_number(study_of):
+    both = study_of()
+    one = both[(both["variant"] != "nsa2h") | (both["seed"] == 0)]
+    assert "nsa2h (1):" in only(cautions(one), "not claimable")
+
+
+def test_a_handful_of_sites_can_show_nothing(study_of):
+    assert "can show nothing" in only(cautions(study_of(sites=5)), "5 probe sites")
+    assert only(cautions(study_of(sites=1)), "1 probe site:")
+
+
+def test_half_scored_runs_are_named(study):
+    part = study[~((study["variant"] == "nsa2h") & (study["seed"] == 2) & (study["frame"] > 9))]
+    assert "nsa2h/seed2 (10)" in only(cautions(part), "all 24 test frames")
+
+
+def test_infinite_and_nan_values_are_named_with_their_frames(study):
+    broken = study.copy()
+    at = (broken["variant"] == "sa2h-att") & (broken["seed"] == 1) & (broken["metric"] == "psnr")
+    broken.loc[at & (broken["frame"] == 7), "value"] = np.inf
+    broken.loc[at & (broken["frame"] == 9), "value"] = np.nan
+    said = cautions(broken)
+    assert "1 infinite value left out (identical images: sa2h-att/seed1 frame 7)" in only(said, "infinite")
+    assert "PSNR: 1 NaN left out (sa2h-att/seed1 frame 9)" in only(said, "NaN")
+    broken.loc[at, "value"] = np.nan
+    assert "24 NaNs" in only(cautions(broken), "NaN")
+
+
+def test_an_empty_study_is_said_to_be_empty():
+    empty = pd.DataFrame(columns=["variant", "seed", "frame", "site", "metric", "value"])
+    assert only(cautions(empty), "no network")
+
+
+def test_long_lists_are_cut_and_counted():
+    assert listed(["a", "b"]) == "a, b"
+    assert listed([str(k) for k in range(9)]) == "0, 1, 2, 3, 4, 5 and 3 more"
