@@ -1,0 +1,128 @@
+"""The exported file against the network itself, computed by the standard's reference and by a runtime."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from ablate.networks import Generator, GeneratorSpec, conditions, export_onnx
+
+onnx = pytest.importorskip("onnx")
+openvino = pytest.importorskip("openvino")
+
+UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none"}
+VARIANTS = {
+    "sa2h": {"noise_start": 0.5},
+    "sa2h-att": {"attenuation": "none"},
+    "sa2h-concat": {"concat": "input"},
+    "sa2h-conv": {"upsampling": "transposed"},
+    "sa2h-noise": {"noise": "input"},
+    "sa2h-depth": {"depth": 3, "noise_start": 0.5},
+    "lsa2h": {**UNET, "extra_input": "low"},
+    "nsa2h": {**UNET, "extra_input": "noise"},
+}
+SIZE = (13, 30)
+
+
+def drawn(name: str) -> Generator:
+    torch.manual_seed(0)
+    return Generator(GeneratorSpec(**{"depth": 2, "width": 0.1, **VARIANTS[name]}))
+
+
+def inputs_of(generator: Generator) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    random = torch.Generator().manual_seed(1)
+    maps = {name: torch.rand(1, 1, *SIZE, generator=random) for name in conditions(generator.spec)}
+    return maps, generator.draw_noise(torch.tensor([5]), *SIZE)
+
+
+def rounding(generator: Generator) -> float:
+    """What two orders of summation may differ by, in standard deviations of the features.
+
+    A float32 sum of K terms is off by about sqrt(K) 2^-24 of its size, which instance norm makes 1, and L layers
+    by sqrt(L) times as much; five standard deviations of that.
+    """
+    layers = [
+        module for module in generator.modules() if isinstance(module, torch.nn.Conv2d | torch.nn.ConvTranspose2d)
+    ]
+    terms = max(layer.in_channels * layer.kernel_size[0] ** 2 for layer in layers)
+    return 5 * (len(layers) * terms) ** 0.5 * 2.0**-24
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_the_file_computes_what_the_network_computes(name: str, tmp_path: Path) -> None:
+    from onnx.reference import ReferenceEvaluator
+
+    generator, path = drawn(name), tmp_path / "model.onnx"
+    export_onnx(generator, path, *SIZE)
+    assert list(tmp_path.iterdir()) == [path]
+    maps, fields = inputs_of(generator)
+    given = {name: value.numpy() for name, value in {**maps, **fields}.items()}
+    with torch.no_grad():
+        expected = generator.render(maps, fields).numpy()
+        seeded = generator(**maps, noise_seed=torch.tensor([5])).numpy()
+    np.testing.assert_array_equal(expected, seeded)
+    tolerance = rounding(generator)
+    assert tolerance < 3e-5
+    reference = ReferenceEvaluator(str(path)).run(None, given)[0]
+    runtime = openvino.Core().compile_model(path, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})(given)[0]
+    np.testing.assert_allclose(reference, expected, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(runtime, expected, rtol=0, atol=tolerance)
+    assert expected.std() > 100 * tolerance
+
+    model = onnx.load(path)
+    assert [node.name for node in model.graph.input] == [*conditions(generator.spec), *generator.noise_sizes(*SIZE)]
+    assert [node.name for node in model.graph.output] == ["image"]
+    assert [(o.domain, o.version) for o in model.opset_import] == [("", 18)]
+    assert json.loads(model.metadata_props[0].value) == asdict(generator.spec)
+    # Nothing that a runtime may lack, TensorRT among them; and what each variant does without.
+    operations = {node.op_type for node in model.graph.node}
+    standard = {"Add", "Concat", "Conv", "ConvTranspose", "InstanceNormalization", "LeakyRelu", "Mul", "Pad", "Relu"}
+    assert operations <= standard | {"Resize", "Slice", "Tanh"}
+    resizes = generator.spec.concat == "every_level" and generator.spec.attenuation == "integral"
+    assert ("Resize" in operations) is resizes
+    assert ("Mul" in operations) is (generator.spec.noise == "inject")
+
+
+def test_noise_that_is_zero_is_noise_switched_off(tmp_path: Path) -> None:
+    generator, path = drawn("sa2h"), tmp_path / "model.onnx"
+    mode = generator.training
+    export_onnx(generator, path, *SIZE)
+    assert generator.training is mode
+    maps, fields = inputs_of(generator)
+    silent = {name: torch.zeros_like(field) for name, field in fields.items()}
+    image = openvino.Core().compile_model(path, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})(
+        {name: value.numpy() for name, value in {**maps, **silent}.items()}
+    )[0]
+    with torch.no_grad():
+        np.testing.assert_allclose(image, generator(**maps).numpy(), rtol=0, atol=rounding(generator))
+        assert not torch.allclose(generator(**maps), generator.render(maps, fields), atol=1e-2)
+
+
+@pytest.mark.parametrize("package", ["onnx", "onnxscript"])
+def test_a_missing_package_is_named_with_what_installs_it(
+    package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=rf"export needs the package {package}: pip install 'ablate\[export\]'"):
+        export_onnx(drawn("sa2h"), tmp_path / "model.onnx", *SIZE)
+
+
+def test_an_export_that_fails_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "model.onnx"
+    path.write_text("old")
+
+    def full(_model: object, unfinished: Path) -> None:
+        unfinished.write_text("half")
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(onnx, "save", full)
+    with pytest.raises(OSError, match="no space left"):
+        export_onnx(drawn("sa2h-att"), path, *SIZE)
+    assert [file.read_text() for file in tmp_path.iterdir()] == ["old"]
