@@ -1,0 +1,90 @@
+"""A generator does no work that its variant does not use: counted among torch's operations as they run."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from ablate.networks import Generator, GeneratorSpec
+
+DEPTH = 3
+UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none"}
+SIZE = (16, 24)
+
+# Operations by what they are for: resized attenuation maps, noise fields drawn (one cosine each), noise injected.
+OPERATIONS = {"resized": "upsample_bilinear2d", "drawn": "cos", "injected": "addcmul", "padded": "constant_pad_nd"}
+#: Variant, and how often each of these runs.
+VARIANTS: dict[str, tuple[dict[str, Any], dict[str, int]]] = {
+    "sa2h": ({}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
+    "sa2h-att": ({"attenuation": "none"}, {"drawn": DEPTH, "injected": DEPTH}),
+    "sa2h-concat": ({"concat": "input"}, {"drawn": DEPTH, "injected": DEPTH}),
+    "sa2h-conv": ({"upsampling": "transposed"}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
+    "sa2h-noise": ({"noise": "input"}, {"resized": DEPTH, "drawn": 1}),
+    "no noise": ({"noise": "none"}, {"resized": DEPTH}),
+    "nothing": ({"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "none"}, {}),
+    "lsa2h": ({**UNET, "extra_input": "low"}, {}),
+    "nsa2h": ({**UNET, "extra_input": "noise"}, {"drawn": 1}),
+}
+
+
+class Operations(TorchDispatchMode):
+    """Counts every operation that torch runs within it, and the channels of every input of a convolution."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.counts: Counter[str] = Counter()
+        self.channels = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name = func.overloadpacket.__name__
+        self.counts[name] += 1
+        if name == "convolution":
+            self.channels += args[0].shape[1]
+        return func(*args, **(kwargs or {}))
+
+
+def traced(changes: dict[str, Any], size: tuple[int, int] = SIZE, seed: int | None = 1) -> tuple[Generator, Operations]:
+    generator = Generator(GeneratorSpec(**{"depth": DEPTH, "width": 0.1, **changes}))
+    maps = {name: torch.rand(1, 1, *size) for name in ("segmentation", "attenuation", "low")}
+    with torch.no_grad(), Operations() as operations:
+        generator(**maps, noise_seed=None if seed is None else torch.tensor([seed]))
+    return generator, operations
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_each_operation_runs_as_often_as_its_component_needs(name: str) -> None:
+    changes, expected = VARIANTS[name]
+    _, operations = traced(changes)
+    found = {what: operations.counts[operation] for what, operation in OPERATIONS.items()}
+    assert found == {what: expected.get(what, 0) for what in OPERATIONS}
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_convolutions_read_the_channels_that_they_have_weights_for_and_no_others(name: str) -> None:
+    generator, operations = traced(VARIANTS[name][0])
+    weights = [layer for layer in generator.modules() if isinstance(layer, torch.nn.Conv2d | torch.nn.ConvTranspose2d)]
+    assert operations.channels == sum(layer.in_channels for layer in weights)
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_no_field_is_drawn_without_a_seed_and_nothing_padded_that_fits(name: str) -> None:
+    _, operations = traced(VARIANTS[name][0], seed=None)
+    assert not operations.counts["cos"] + operations.counts["addcmul"] + operations.counts["constant_pad_nd"]
+    _, odd = traced(VARIANTS[name][0], size=(15, 23), seed=None)
+    read = 1 + (VARIANTS[name][0].get("attenuation") != "none") + (VARIANTS[name][0].get("extra_input") == "low")
+    assert odd.counts["constant_pad_nd"] == read
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_parameters_are_convolutions_and_the_weights_of_injected_noise(name: str) -> None:
+    changes, expected = VARIANTS[name]
+    generator = Generator(GeneratorSpec(**{"depth": DEPTH, "width": 0.1, **changes}))
+    kinds = Counter(parameter.rpartition(".")[2] for parameter, _ in generator.named_parameters())
+    blocks = {"local": 1 + 2 * DEPTH + 1 + DEPTH * (1 if "upsampling" in changes else 2) + 1, "unet": 2 * DEPTH}
+    layers = blocks[generator.spec.family]
+    assert kinds == Counter({"weight": layers, "bias": layers, "noise_weight": expected.get("injected", 0)})
+    assert not list(generator.buffers())
