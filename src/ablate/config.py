@@ -116,12 +116,16 @@ class CropChoice:
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """What is computed on the test frames: `noise_draws` for `noise_sd`, `pictures` frames shown in figures."""
+    """What is computed on the test frames: `noise_draws` for `noise_sd`, `pictures` frames shown in figures.
+
+    `inception` is the path of the network of FID, or `download`; without it there is no FID.
+    """
 
     noise_draws: int = 8
     noise_frames: int = 10
     pictures: int = 4
     timed_frames: int = 20
+    inception: str | None = None
 
     def __post_init__(self) -> None:
         _at_least("evaluation", self, noise_draws=2, noise_frames=1, pictures=1, timed_frames=1)
@@ -147,7 +151,7 @@ class TrackingSettings:
 class StudySettings:
     """A whole job, as the rooms take it. `model` is the composed generator; see conf/ for every value.
 
-    `frame` is the one that `task=preview` shows.
+    `metrics` is a name or a list of names, see `metrics.choose_metrics`; `frame` is the one that `task=preview` shows.
     """
 
     task: Task = Task.study
@@ -164,6 +168,7 @@ class StudySettings:
     model: GeneratorSpec = GeneratorSpec()
     crops: CropChoice = CropChoice()
     training: TrainingSettings = TrainingSettings()
+    metrics: Any = "all"
     evaluation: EvaluationSettings = EvaluationSettings()
     tracking: TrackingSettings = TrackingSettings()
     study_name: str | None = None

@@ -29,6 +29,8 @@ def job(runs: Path, *arguments: str) -> Job:
         "tracking.experiment=other",
         "study_name=other",
         "evaluation.pictures=9",
+        "evaluation.inception=some/file",
+        "metrics=paper",
     ],
 )
 def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, incidental: str) -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ablate.config import StudySettings, plain
+from ablate.metrics import FID_METRICS, choose_metrics
 from ablate.studies.data import about_data
 from ablate.studies.sweep import ConfigurationError, Job
 
@@ -22,7 +24,7 @@ def semantic(settings: StudySettings) -> dict[str, Any]:
     encoding: dict[str, Any] = {"order": settings.encoding.name}
     if settings.encoding.name == "arbitrary":
         encoding["seed"] = settings.encoding_seed
-    scored = {k: v for k, v in plain(settings.evaluation).items() if k != "pictures"}
+    scored = {k: v for k, v in plain(settings.evaluation).items() if k not in ("pictures", "inception")}
     return {
         "data": about_data(settings),
         "encoding": encoding,
@@ -88,8 +90,24 @@ def claim_place(job: Job) -> None:
 
 
 def finished(job: Job) -> dict[str, Any] | None:
-    """The result of this very configuration, when there is one."""
-    return read_result(job.folder, config_hash(job.settings))
+    """The result of this very configuration, when there is one and it has the metrics that are asked for."""
+    result = read_result(job.folder, config_hash(job.settings))
+    if result is None or "metrics" not in result:
+        return result
+    names = choose_metrics(job.settings.metrics).names
+    with_network = job.settings.evaluation.inception is not None and not names.isdisjoint(FID_METRICS)
+    if names - choose_metrics(result["metrics"]).names or (with_network and result["inception"] is None):
+        return None
+    return result
+
+
+def with_earlier_metrics(job: Job) -> StudySettings:
+    """The settings, asking for what an earlier call of the same job computed too."""
+    s = job.settings
+    before = read_result(job.folder, config_hash(s)) or {}
+    metrics = sorted({*before.get("metrics", ()), *([s.metrics] if isinstance(s.metrics, str) else s.metrics)})
+    inception = s.evaluation.inception or before.get("inception")
+    return replace(s, metrics=metrics, evaluation=replace(s.evaluation, inception=inception))
 
 
 def read_result(folder: Path, expected_hash: str) -> dict[str, Any] | None:

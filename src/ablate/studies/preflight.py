@@ -13,6 +13,7 @@ import torch
 from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
 from ablate.config import SceneKind, StudySettings, Task
 from ablate.dataset import Part, resample_grid
+from ablate.metrics import FID_METRICS, choose_metrics, inception_file
 from ablate.networks import conditions
 from ablate.studies.identity import check_place
 from ablate.studies.imported import checked_folder
@@ -33,6 +34,7 @@ def check(jobs: Sequence[Job]) -> None:
     for job in jobs:
         seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
         _check_training(job, seen, {other.label for other in jobs})
+        _check_metrics(job.settings)
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
     if starts or jobs[0].settings.task in _NEED_SCENE:
         _check_writable(jobs[0].settings.runs)
@@ -110,6 +112,23 @@ def _check_training(job: Job, seen: int, labels: set[str]) -> None:
         raise ConfigurationError(f"reference={s.reference}: allowed are {', '.join(sorted(known))}")
     if not re.fullmatch(r"[\w.+ -]+", s.study):
         raise ConfigurationError(f"study_name={s.study}: letters, digits, '.', '_', '+', '-' and spaces only")
+
+
+def _check_metrics(s: StudySettings) -> None:
+    """Names that exist, and for FID its network, which is fetched here if need be."""
+    try:
+        chosen = choose_metrics(s.metrics)
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+    where = s.evaluation.inception
+    named = [name for name in FID_METRICS if name in ([s.metrics] if isinstance(s.metrics, str) else s.metrics)]
+    if named and where is None:
+        raise ConfigurationError(f"metrics={named[0]}: needs evaluation.inception=path/to/file or =download")
+    if where is not None and s.task is Task.study and not chosen.of_set.isdisjoint(FID_METRICS):
+        try:
+            inception_file(where)
+        except (ValueError, OSError) as error:
+            raise ConfigurationError(f"evaluation.inception={where}: {error}") from error
 
 
 def _check_writable(runs: Path) -> None:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import torch
 from filelock import FileLock
 from torch import Tensor
@@ -23,10 +21,11 @@ from ablate.dataset import (
     network_inputs,
 )
 from ablate.metrics import psnr
-from ablate.networks import Generator, conditions, count_discriminator, count_generator, draws_noise
+from ablate.networks import Generator, conditions, count_discriminator, count_generator
 from ablate.studies.data import Data, dataset_folder, maps_needed, prepare_data
-from ablate.studies.evaluate import Evaluation, Render, evaluate, resimulated
-from ablate.studies.identity import claim_place, config_hash, finished, write_json
+from ablate.studies.evaluate import Render
+from ablate.studies.identity import claim_place, config_hash, finished, read_result, with_earlier_metrics, write_json
+from ablate.studies.scores import Scores, score
 from ablate.studies.sweep import Job
 from ablate.studies.tracked import log_samples, logged, open_child, open_tracking
 from ablate.tracking import RunLog, Status
@@ -61,21 +60,27 @@ def _run(job: Job) -> None:
     run = open_child(job, store, parent, len(data.pairs))
     started = time.perf_counter()
     try:
-        scalars = _train_and_score(job, data, run)
+        scalars, notes = _train_and_score(job, data, run)
     except BaseException as error:
         stopped = isinstance(error, KeyboardInterrupt | InterruptedError | SystemExit)
         run.end(Status.killed if stopped else Status.failed)
         raise
     run.end(Status.finished)
-    if scalars["train/resumed_at"] == 0:
+    before = read_result(job.folder, config_hash(job.settings))
+    if before is not None:  # trained by an earlier call; now scored by more metrics
+        scalars = before["scalars"] | {k: v for k, v in scalars.items() if k.startswith(("val/", "test/"))}
+    elif scalars["train/resumed_at"] == 0:
         scalars["seconds"] = time.perf_counter() - started  # from which task=plan tells how long another will take
     result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed}
     where = {"data": dataset_folder(job.settings).name, "mlflow_run_id": run.run_id}
-    write_json(job.folder / "result.json", {**result, **where, "scalars": scalars})  # the last word: all is done
+    asked = with_earlier_metrics(job)
+    scored = {"metrics": asked.metrics, "inception": asked.evaluation.inception}
+    # The last word: all is done.
+    write_json(job.folder / "result.json", {**result, **where, **scored, "notes": notes, "scalars": scalars})
 
 
-def _train_and_score(job: Job, data: Data, run: RunLog) -> dict[str, float]:
-    """Everything a job is for; returns the scalars of its result."""
+def _train_and_score(job: Job, data: Data, run: RunLog) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Everything a job is for; returns the scalars of its result, and what was left out of it."""
     s = job.settings
     started = time.perf_counter()
     values = label_values(data.tissues, s.encoding, s.encoding_seed)
@@ -93,11 +98,10 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> dict[str, float]:
     if trained.resumed_at == 0:
         costs["train/seconds"] = time.perf_counter() - started
     render = renderer(trained.generator, data, values, s.training.precision)
-    scores = {part: _score(job, data, part, render) for part in (Part.validation, Part.test)}
-    floors = {part: floor(data, job, part) for part in scores if "high_again" in data.pairs.maps}
+    scores = score(with_earlier_metrics(job), data, render)
     maps = _inputs(trained.generator, data, data.pairs.frames(Part.test)[:1], values)
     milliseconds = median_ms_per_frame(trained.generator, maps, s.training.precision, s.evaluation.timed_frames)
-    return _write(job, data, scores, floors, render, {**costs, "ms_per_frame": milliseconds}, run)
+    return _write(job, data, scores, render, {**costs, "ms_per_frame": milliseconds}, run), scores.notes
 
 
 def _validation(job: Job, data: Data, values: np.ndarray, run: RunLog) -> Validation:
@@ -132,36 +136,18 @@ def renderer(generator: Generator, data: Data, values: np.ndarray, precision: Pr
     return render
 
 
-def floor(data: Data, job: Job, part: Part) -> Evaluation:
-    """Scores of the frames simulated again with other scatterers."""
-    settings = replace(job.settings.evaluation, noise_draws=2)
-    return evaluate(data.pairs, part, data.tissues, job.settings.probe, resimulated(data.pairs), settings, True)
-
-
-def _score(job: Job, data: Data, part: Part, render: Render) -> Evaluation:
-    s = job.settings
-    return evaluate(data.pairs, part, data.tissues, s.probe, render, s.evaluation, draws_noise(s.model))
-
-
 def _write(
     job: Job,
     data: Data,
-    scores: dict[Part, Evaluation],
-    floors: dict[Part, Evaluation],
+    scores: Scores,
     render: Render,
     costs: dict[str, float],
     run: RunLog,
 ) -> dict[str, float]:
     """Per-image values and pictures on disk, scalars in the run."""
     s = job.settings
-    tables = []
-    scalars = dict(costs)
-    for part, prefix in ((Part.validation, "val"), (Part.test, "test")):
-        for source, mark, scored in (("model", "", scores), ("floor", "floor_", floors)):
-            if part in scored:
-                tables.append(scored[part].per_image.assign(source=source, split=part.name))
-                scalars |= {f"{prefix}/{mark}{k}": v for k, v in scored[part].scalars.items()}
-    per_image = pd.concat(tables, ignore_index=True).assign(variant=job.label, seed=s.seed)
+    scalars = {**costs, **scores.scalars}
+    per_image = scores.per_image.assign(variant=job.label, seed=s.seed)
     per_image.to_parquet(job.folder / "per_image.parquet")
     shown = equally_spaced(data.pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant
     np.savez_compressed(job.folder / "pictures.npz", frames=shown, images=render(shown, 0))
