@@ -14,7 +14,7 @@ ARROWS = {Better.larger: "↑", Better.smaller: "↓", Better.nearest_zero: "→
 
 
 def wide_table(table: pd.DataFrame) -> pd.DataFrame:
-    """One row a variant; columns seeds, `<metric>_mean`, `<metric>_sd`, `<metric>_seed_sd`: for `table.csv`.
+    """One row a variant; columns seeds, `<metric>_mean`, `_sd`, `_seed_sd`, `_low`, `_high`: for `table.csv`.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def wide_table(table: pd.DataFrame) -> pd.DataFrame:
     for cell in table.to_dict("records"):
         variant, metric = cell["variant"], cell["metric"]
         row = rows.setdefault(variant, {"variant": variant, "seeds": int(seeds[variant])})
-        row |= {f"{metric}_{part}": cell[part] for part in ("mean", "sd", "seed_sd")}
+        row |= {f"{metric}_{part}": cell[part] for part in ("mean", "sd", "seed_sd", "low", "high")}
     return pd.DataFrame(list(rows.values())).dropna(axis="columns", how="all")
 
 

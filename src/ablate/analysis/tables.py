@@ -13,6 +13,8 @@ from ablate.analysis.order import ordered_metrics, ordered_variants
 PER_IMAGE_COLUMNS = ("variant", "seed", "frame", "site", "metric", "value")
 SCALAR_COLUMNS = ("variant", "seed", "metric", "value")
 
+BOUNDS = ("low", "high")
+
 
 def require_columns(frame: pd.DataFrame, columns: Sequence[str], name: str) -> None:
     """Refuse a table that lacks columns.
@@ -43,7 +45,8 @@ def comparison_table(
     per_image : DataFrame
         Columns variant, seed, frame, site, metric, value: one row a metric of a frame of a run.
     scalars : DataFrame, optional
-        Columns variant, seed, metric, value: one row a metric of a run (fd_speckle, parameters, ms_per_frame).
+        Columns variant, seed, metric, value and perhaps low, high: one row a metric of a run (fd_speckle, parameters,
+        ms_per_frame).
     reference : str
         Variant shown first after the re-simulation.
 
@@ -52,8 +55,8 @@ def comparison_table(
     DataFrame
         One row a variant and metric: columns variant, metric, mean (NaN without one finite value), sd (over frames, as
         the paper has it; over seeds for scalars), seed_sd (of the seeds' means; None with one seed), seeds, n, dropped
-        (values left out: infinite ones, of identical images, and NaN), best (of the networks; the re-simulation does
-        not compete).
+        (values left out: infinite ones, of identical images, and NaN), low, high (where runs carry an interval of
+        their own: the mean of its bounds), best (of the networks; the re-simulation does not compete).
 
     Raises
     ------
@@ -64,7 +67,7 @@ def comparison_table(
     parts = [per_image[[*SCALAR_COLUMNS]]]
     if scalars is not None and len(scalars):
         require_columns(scalars, SCALAR_COLUMNS, "scalars")
-        parts.append(scalars[[*SCALAR_COLUMNS]])
+        parts.append(scalars[[c for c in (*SCALAR_COLUMNS, *BOUNDS) if c in scalars]])
     values = pd.concat(parts, ignore_index=True)
     rows = []
     for (variant, metric), cell in values.groupby(["variant", "metric"], sort=False):
@@ -80,9 +83,10 @@ def comparison_table(
                 "seeds": int(cell["seed"].nunique()),
                 "n": len(finite),
                 "dropped": len(cell) - len(finite),
+                **{side: _mean_bound(cell, side) for side in BOUNDS},
             }
         )
-    columns = ["variant", "metric", "mean", "sd", "seed_sd", "seeds", "n", "dropped"]
+    columns = ["variant", "metric", "mean", "sd", "seed_sd", "seeds", "n", "dropped", *BOUNDS]
     table = pd.DataFrame(rows, columns=columns)
     table["best"] = False
     for metric, group in table[table["variant"] != RESIMULATION].groupby("metric"):
@@ -93,3 +97,9 @@ def comparison_table(
     metrics = {name: k for k, name in enumerate(ordered_metrics(list(table["metric"])))}
     keys = table["variant"].map(variants) * (len(metrics) + 1) + table["metric"].map(metrics)
     return table.iloc[np.argsort(keys.to_numpy(), kind="stable")].reset_index(drop=True)
+
+
+def _mean_bound(cell: pd.DataFrame, side: str) -> float | None:
+    """Mean over runs of a bound of their intervals."""
+    known = side in cell and cell[side].notna().any()
+    return float(cell[side].mean()) if known else None

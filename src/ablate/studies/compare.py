@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
 
 from ablate.analysis import (
+    REFERENCE,
+    Spread,
     cautions,
-    chi2_maps_figure,
     comparison_table,
-    error_vs_runtime,
-    paired_boxplots,
+    effects_table,
+    find_design,
     paired_table,
-    qualitative_figure,
+    resimulation_note,
     seed_claims,
     to_latex,
     to_markdown,
@@ -24,25 +26,18 @@ from ablate.analysis import (
     write_report,
 )
 from ablate.config import StudySettings
+from ablate.studies.compare_figures import Numbers, draw_figures, stored_pictures
 from ablate.studies.identity import write_json
-from ablate.studies.results import (
-    Finished,
-    appendix,
-    data_of,
-    finished_runs,
-    pictures,
-    provenance,
-    runtime_points,
-    scored_frames,
-)
+from ablate.studies.results import Finished, appendix, data_of, provenance, scored_frames
 from ablate.studies.sweep import ConfigurationError
 from ablate.studies.tracked import describe_study, open_tracking, register_reference
-from ablate.tracking import RunLog, Status, default_uri, hardware
+from ablate.studies.usable_runs import UsableRuns, usable_runs
+from ablate.tracking import RunLog, Status, default_uri
 
 _SCREEN = ("psnr", "mae", "pchi2", "fd_speckle", "shadow_contrast", "mae_smooth", "noise_sd", "ms_per_frame")
 _GLANCE = ("psnr", "mae", "pchi2", "fd_speckle")  # on the parent run's first page
-_BOXPLOTS = ("psnr", "mae", "pchi2")  # Fig. 4 of the paper; every metric has its own picture
 _TABLE_II = ("psnr", "mae", "pchi2", "fd_speckle", "fid", "parameters")
+_COMPONENTS = ("attenuation", "concat", "upsampling", "noise", "depth", "encoding")
 
 
 def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
@@ -63,21 +58,22 @@ def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
     Raises
     ------
     ConfigurationError
-        When the study has no finished run.
+        When the study has no finished run that can be used.
     """
-    folder = settings.study_dir / "comparison"
-    runs = finished_runs(settings.study_dir)
-    if not runs:
-        raise ConfigurationError(f"{settings.study_dir} holds no finished run to compare")
-    per_image, scalars = scored_frames(runs)
-    made_from = {"runs": [run.result["hash"] for run in runs], "reference": settings.reference}
+    folder, reference = settings.study_dir / "comparison", settings.reference
+    usable = usable_runs(settings.study_dir, reference)
+    if not usable.runs:
+        raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))
+    hashes = [run.result["hash"] for run in usable.runs]
+    made_from = {"runs": hashes, "reference": reference, "notes": list(usable.notes)}
     marker = folder / "made_from.json"
     if rebuild or not marker.exists() or json.loads(marker.read_text()) != made_from:
-        shutil.rmtree(folder, ignore_errors=True)
-        _write(settings, runs, per_image, scalars, folder)
+        files, notes = write_comparison(usable, folder, settings.study, reference)
+        _track(settings, usable.runs, files, notes)
         write_json(marker, made_from)
-    table = comparison_table(per_image, scalars, settings.reference)
-    warnings = "\n".join(f"Note: {c}" for c in cautions(per_image, settings.reference))
+    per_image, scalars = scored_frames(usable.runs)
+    table = comparison_table(per_image, scalars, reference)
+    warnings = "\n".join(f"Note: {c}" for c in (*usable.notes, *cautions(per_image, reference)))
     uri = settings.tracking.uri or default_uri(settings.runs)
     pages = uri if uri.startswith("http") else f"make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
     where = (
@@ -87,76 +83,112 @@ def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
         f"MLflow         {pages}"
     )
     if settings.tracking.register:
-        where += f"\nregistered     {register_reference(settings, runs)}"
+        where += f"\nregistered     {register_reference(settings, list(usable.runs))}"
     return f"{to_text(table[table['metric'].isin(_SCREEN)])}\n{warnings}\n\n{where}"
 
 
-def _write(
-    settings: StudySettings, runs: list[Finished], per_image: pd.DataFrame, scalars: pd.DataFrame, folder: Path
-) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    reference = settings.reference
-    table, paired = comparison_table(per_image, scalars, reference), paired_table(per_image, reference)
-    wide_table(table).to_csv(folder / "table.csv", index=False)
-    paired.to_csv(folder / "paired.csv", index=False)
-    (folder / "table.tex").write_text(to_latex(table[table["metric"].isin(_TABLE_II)]))
-    figures = _figures(settings, runs, per_image, table, paired, folder)
+def write_comparison(
+    usable: UsableRuns, folder: Path, title: str, reference: str = REFERENCE
+) -> tuple[list[Path], list[str]]:
+    """Write tables, figures and the report of a study; what was there before is replaced when all is written.
+
+    Parameters
+    ----------
+    usable : UsableRuns
+        With at least one run.
+    folder : Path
+        Usually `comparison` in the study's folder.
+    title : str
+        Of the report.
+    reference : str
+
+    Returns
+    -------
+    files : list of Path
+        The report first.
+    notes : list of str
+        What a reader must know, a sentence each.
+    """
+    partial = folder.with_name(f"{folder.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    runs = usable.runs
+    per_image, scalars = scored_frames(runs)
+    table = comparison_table(per_image, scalars, reference)
+    design = find_design({run.label: _components(run) for run in runs}, _COMPONENTS, reference)
+    paired = paired_table(per_image, reference)
+    effects = pd.DataFrame() if design is None else effects_table(per_image, design, scalars)
+    claims = seed_claims(per_image, scalars, reference)
+    frames, missing = stored_pictures(runs, reference)
+    figures = draw_figures(Numbers(reference, per_image, scalars, table, paired, effects, design), frames, partial)
+    notes = [*usable.notes, *([missing] if missing else [])]
     report = write_report(
-        folder / "report.html",
-        settings.study,
+        partial / "report.html",
+        title,
         per_image,
         table,
         paired,
-        claims=seed_claims(per_image, scalars, reference),
+        claims=claims,
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
-        left_out=[*data_of(runs).left_out, *_left_out(runs)],
+        left_out=_left_out(runs),
         provenance=provenance(runs),
         reference=reference,
         appendix=appendix(runs),
+        notes=notes,
     )
+    wide_table(table).to_csv(partial / "table.csv", index=False)
+    (partial / "table.tex").write_text(to_latex(table[table["metric"].isin(_TABLE_II)], reference))
+    (partial / "table.md").write_text(_markdown(table))
+    for name, content in (("paired", paired), ("claims", claims), ("effects", effects)):
+        if len(content) or name != "effects":
+            content.to_csv(partial / f"{name}.csv", index=False)
+    shutil.rmtree(folder, ignore_errors=True)
+    partial.rename(folder)
+    names = dict.fromkeys([report.name, *(p.name for p, _ in figures), *sorted(p.name for p in folder.iterdir())])
+    return [folder / name for name in names], [*notes, *cautions(per_image, reference)]
+
+
+def _track(settings: StudySettings, runs: Sequence[Finished], files: Sequence[Path], notes: Sequence[str]) -> None:
+    """Put a comparison onto the parent run."""
     store, parent = open_tracking(settings)
     run = RunLog(store, parent)
-    for path in (report, folder / "table.csv", folder / "table.tex", folder / "paired.csv", *(f for f, _ in figures)):
+    for path in files:
         run.artifact(path, "vector" if path.suffix == ".pdf" else None)
     run.tags(provenance(runs))
-    describe_study(run, runs, to_markdown(table[table["metric"].isin(_GLANCE)]), cautions(per_image, reference))
+    per_image, scalars = scored_frames(runs)
+    table = comparison_table(per_image, scalars, settings.reference)
+    describe_study(run, runs, to_markdown(table[table["metric"].isin(_GLANCE)]), notes)
     run.end(Status.finished)
 
 
-def _figures(
-    settings: StudySettings,
-    runs: list[Finished],
-    per_image: pd.DataFrame,
-    table: pd.DataFrame,
-    paired: pd.DataFrame,
-    folder: Path,
-) -> list[tuple[Path, str]]:
-    """Every figure with its caption, in the order of the report."""
-    frames = pictures(runs, settings.reference)
-    made = [
-        (p, "Target, re-simulation and every variant.") for p in qualitative_figure(frames, folder / "qualitative_0")
+def _components(run: Finished) -> dict[str, object]:
+    """Everything that a run's network was made from."""
+    content = run.spec["semantic"]
+    return {**content["model"], "encoding": content["encoding"]["order"]}
+
+
+def _markdown(table: pd.DataFrame) -> str:
+    """The table of the paper, then every metric with the spread over seeds."""
+    metrics = list(dict.fromkeys(table["metric"]))
+    parts = [
+        "Mean ± standard deviation over test frames (over seeds for figures that a run has one of); the best network "
+        f"in bold.\n\n{to_markdown(table[table['metric'].isin(_TABLE_II)])}",
+        f"{resimulation_note(metrics)}\n",
     ]
-    boxes = paired_boxplots(per_image, folder, settings.reference, paired)
-    for metric in sorted(boxes, key=lambda m: (m not in _BOXPLOTS, m)):
-        made += [
-            (p, f"Paired differences to {settings.reference} on the same frames: {metric}.") for p in boxes[metric]
-        ]
-    for k, frame in enumerate(frames):
-        caption = f"Patch chi-square maps on [0, 1] above their images, {frame.name}."
-        made += [(p, caption) for p in chi2_maps_figure(frame, folder / f"pchi2_maps_{k}")]
-    points, floors = runtime_points(table)
-    if len(points):
-        stem = folder / "error_vs_runtime"
-        made += [(p, "Error against run time.") for p in error_vs_runtime(points, stem, floors, hardware())]
-    return made
+    if table["seed_sd"].notna().any():
+        parts.append(f"Mean ± standard deviation of the seeds' means.\n\n{to_markdown(table, Spread.seeds)}")
+    else:
+        parts.append(f"All metrics.\n\n{to_markdown(table)}")
+    return "\n".join(parts)
 
 
-def _left_out(runs: list[Finished]) -> list[str]:
+def _left_out(runs: Sequence[Finished]) -> list[str]:
     """What this study did without, and why."""
-    said = [
-        "FID and KID: no Inception weights were given; fd_speckle and kd_speckle are the same distances on a "
-        "texture descriptor without weights, and do not compare with published FID values."
-    ]
+    try:
+        said = list(data_of(runs).left_out)
+    except (OSError, ValueError, KeyError):
+        said = []  # the pairs are gone, and with them what their simulation left out
+    said += dict.fromkeys(str(note) for run in runs for note in run.result.get("notes", ()))
     if not any(run.spec["settings"]["model"]["extra_input"] == "low" for run in runs):
         said.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
     return said

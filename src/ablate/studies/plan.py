@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from ablate.studies.compare import finished_runs
 from ablate.studies.data import dataset_folder
 from ablate.studies.identity import finished
 from ablate.studies.preflight import check
+from ablate.studies.results import finished_runs
 from ablate.studies.sweep import ConfigurationError, Job
 from ablate.training import LAST, read_checkpoint
 

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ablate.analysis import REFERENCE, RESIMULATION, FramePictures
+from ablate.analysis import REFERENCE, RESIMULATION, FramePictures, ordered_variants
 from ablate.studies.data import Data, open_data
 from ablate.studies.identity import read_result
 
 _ABOUT_CODE = ("git_commit", "git_dirty", "hardware")
+_PICTURES = "pictures.npz"
 _TIMED = ("psnr", "mae", "pchi2", "fd_speckle")
 
 
@@ -59,7 +60,8 @@ def scored_frames(runs: Sequence[Finished]) -> tuple[pd.DataFrame, pd.DataFrame]
     per_image : DataFrame
         Columns variant, seed, frame, site, metric, value: one row a metric of a frame of a run.
     scalars : DataFrame
-        Columns variant, seed, metric, value: one row a metric that only a run has.
+        Columns variant, seed, metric, value, low, high: one row a metric that only a run has, with the interval of a
+        distance.
     """
     frames, scalars = [], []
     for i, run in enumerate(runs):
@@ -75,11 +77,12 @@ def scored_frames(runs: Sequence[Finished]) -> tuple[pd.DataFrame, pd.DataFrame]
             part, _, metric = name.rpartition("/")
             is_floor = metric.startswith("floor_")
             metric = metric.removeprefix("floor_")
-            if metric in per_image_metrics:
+            if metric in per_image_metrics or metric.endswith(("_low", "_high")):
                 continue
             if part == "test" and (i == 0 or not is_floor):
                 variant = RESIMULATION if is_floor else run.label
-                scalars.append({"variant": variant, "seed": run.seed, "metric": metric, "value": value})
+                bounds = {side: values.get(f"{name}_{side}") for side in ("low", "high")}
+                scalars.append({"variant": variant, "seed": run.seed, "metric": metric, "value": value, **bounds})
             elif name == "ms_per_frame":
                 scalars.append({"variant": run.label, "seed": run.seed, "metric": name, "value": value})
         parameters = values["parameters_generator"] + values["parameters_discriminator"]
@@ -114,14 +117,18 @@ def data_of(runs: Sequence[Finished]) -> Data:
 
 
 def pictures(runs: Sequence[Finished], reference: str = REFERENCE) -> list[FramePictures]:
-    """The frames every variant shows, with target, maps and, where it is, the re-simulation; the lowest seed speaks
-    for a variant.
+    """The frames every variant shows, with target, maps and, where it is, the re-simulation; the lowest seed that
+    kept pictures speaks for a variant.
     """
     chosen: dict[str, Finished] = {}
-    for run in sorted(runs, key=lambda r: (r.label != reference, r.label, r.seed)):
-        chosen.setdefault(run.label, run)
+    order = ordered_variants([run.label for run in runs], reference)
+    for run in sorted(runs, key=lambda r: (order.index(r.label), r.seed)):
+        if (run.folder / _PICTURES).exists():
+            chosen.setdefault(run.label, run)
     stored = {label: _stored_pictures(run) for label, run in chosen.items()}
-    numbers = sorted(set.intersection(*(set(images) for images in stored.values())))
+    numbers = sorted(set.intersection(*(set(images) for images in stored.values()))) if stored else []
+    if not numbers:
+        return []
     pairs = data_of(runs).pairs
     maps = {name: pairs.read(name, numbers) for name in pairs.maps - {"low"}}
     return [
@@ -142,7 +149,7 @@ def pictures(runs: Sequence[Finished], reference: str = REFERENCE) -> list[Frame
 
 def _stored_pictures(run: Finished) -> dict[int, np.ndarray]:
     """The frames that a run kept, by their number in the data set."""
-    with np.load(run.folder / "pictures.npz") as kept:
+    with np.load(run.folder / _PICTURES) as kept:
         return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
 
 

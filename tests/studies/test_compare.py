@@ -1,0 +1,244 @@
+"""What a comparison makes of a study that is whole, and of one that is not: words, never a traceback."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from ablate.analysis import RESIMULATION
+from ablate.config import StudySettings
+from ablate.studies.compare import compare_study, write_comparison
+from ablate.studies.sweep import ConfigurationError
+from ablate.studies.usable_runs import usable_runs
+
+COMPONENTS = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
+COMPONENTS |= {"noise": "inject", "depth": 4, "extra_input": "none", "width": 0.25}
+VARIANTS = {
+    "sa2h": {},
+    "sa2h-att": {"attenuation": "none"},
+    "sa2h-conv": {"upsampling": "transposed"},
+    "nsa2h": {"family": "unet", "extra_input": "noise"},
+}
+FRAMES, SITES = 24, 8
+METRICS = ("psnr", "mae", "pchi2")
+
+
+def write_run(study: Path, label: str, seed: int, data: str = "fetal-0", frames: int = FRAMES) -> Path:
+    """A finished run without its training."""
+    rng = np.random.default_rng([seed, *label.encode()])
+    folder = study / label / f"seed{seed}"
+    folder.mkdir(parents=True)
+    rows = [
+        {"frame": f, "site": f % SITES, "metric": m, "source": source, "split": split, "value": 20 + k + rng.normal()}
+        for k, m in enumerate(METRICS)
+        for source in ("model", "floor")
+        for split in ("test", "validation")
+        for f in range(frames)
+    ]
+    pd.DataFrame(rows).assign(variant=label, seed=seed).to_parquet(folder / "per_image.parquet")
+    model = COMPONENTS | VARIANTS.get(label.partition(".")[0], {})
+    encoding = {"order": "arbitrary" if ".encoding" in label else "echogenicity"}
+    spec = {"label": label, "hash": f"{label}{seed}", "semantic": {"model": model, "encoding": encoding}}
+    (folder / "spec.json").write_text(json.dumps({**spec, "settings": {"model": model}}))
+    scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_low": 2.0, "test/fd_speckle_high": 5.0 + seed}
+    scalars |= {"test/floor_fd_speckle": 0.1, "ms_per_frame": 30.0, "test/psnr": 20.0, "test/floor_psnr": 22.0}
+    scalars |= {"parameters_generator": 1e6, "parameters_discriminator": 2e6}
+    result = {"hash": spec["hash"], "label": label, "seed": seed, "data": data, "mlflow_run_id": "none"}
+    notes = ["FID: no Inception weights were given."]
+    (folder / "result.json").write_text(json.dumps({**result, "scalars": scalars, "notes": notes}))
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made, but not rendered: how they look is tested in tests/analysis."""
+
+    def save(_: Figure, stem: Path) -> list[Path]:
+        paths = [stem.with_suffix(".png"), stem.with_suffix(".pdf")]
+        for path in paths:
+            path.write_bytes(b"")
+        return paths
+
+    for module in ("boxplots", "seeds_figure", "effects_figure", "image_figures", "runtime_figure"):
+        monkeypatch.setattr(f"ablate.analysis.{module}.save_figure", save)
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    folder = tmp_path / "quick-fetal"
+    for label in VARIANTS:
+        for seed in (0, 1, 2):
+            write_run(folder, label, seed)
+    return folder
+
+
+def compared(study: Path, reference: str = "sa2h") -> tuple[Path, str, str]:
+    """Folder of the comparison, its report, and its notes as one text."""
+    files, notes = write_comparison(usable_runs(study, reference), study / "comparison", "a study", reference)
+    assert all(path.exists() for path in files)
+    return study / "comparison", (study / "comparison" / "report.html").read_text(), "\n".join(notes)
+
+
+def change(folder: Path, **values: object) -> None:
+    """Other values in a result.json."""
+    path = folder / "result.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | values))
+
+
+def set_values(folder: Path, metric: str, where: Callable[[pd.DataFrame], pd.Series], value: float) -> None:
+    """Other values in a per_image.parquet."""
+    table = pd.read_parquet(folder / "per_image.parquet")
+    table.loc[(table["metric"] == metric) & (table["source"] == "model") & where(table), "value"] = value
+    table.to_parquet(folder / "per_image.parquet")
+
+
+def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
+    folder, report, notes = compared(study)
+    names = {path.name for path in folder.iterdir()}
+    assert names >= {"report.html", "table.csv", "table.tex", "table.md", "paired.csv", "claims.csv", "effects.csv"}
+    figures = {"boxplots", "seeds", "effects", "error_vs_runtime", *(f"boxplot_{m}" for m in METRICS)}
+    assert names >= {f"{name}.{kind}" for name in figures for kind in ("png", "pdf")}
+    assert not (study / "comparison.partial").exists()
+    table = pd.read_csv(folder / "table.csv").set_index("variant")
+    assert list(table.index) == [RESIMULATION, "sa2h", "nsa2h", "sa2h-att", "sa2h-conv"]
+    assert table.loc["sa2h", "fd_speckle_mean"] == 4.0
+    assert (table.loc["sa2h", "fd_speckle_low"], table.loc["sa2h", "fd_speckle_high"]) == (2.0, 6.0)
+    assert "fd_speckle_low_mean" not in table, "a bound is no metric"
+    assert set(pd.read_csv(folder / "effects.csv")["effect"]) == {"attenuation", "upsampling"}
+    claims = pd.read_csv(folder / "claims.csv")
+    assert set(claims["metric"]) == {*METRICS, "fd_speckle"}
+    assert set(claims["seeds"]) == {3}
+    assert "one change at a time around sa2h" in report
+    assert "FID: no Inception weights were given." in report
+    assert report.count("FID: no Inception weights") == 1
+    assert "There are no pictures: the runs kept no frame in common." in notes
+
+
+def test_pictures_without_their_pairs_are_said_to_be_missing(study: Path) -> None:
+    for folder in study.glob("*/seed0"):
+        np.savez(folder / "pictures.npz", frames=[3], images=np.zeros((1, 40, 60), np.uint8))
+    _, report, notes = compared(study)
+    assert "There are no pictures: no data set at" in notes
+    assert "no data set at" in report
+    (study / "sa2h" / "seed0" / "pictures.npz").write_bytes(b"not a zip")
+    assert "There are no pictures" in compared(study)[2]
+
+
+def test_one_variant(tmp_path: Path) -> None:
+    alone = tmp_path / "alone"
+    write_run(alone, "sa2h", 0)
+    folder, report, notes = compared(alone)
+    assert "There is one variant, sa2h: nothing is compared." in notes
+    assert "nothing is compared" in report
+    assert "not claimable" in report
+    assert pd.read_csv(folder / "table.csv").shape[0] == 2, "what there is, is shown"
+    assert (folder / "seeds.png").exists()
+    assert not (folder / "boxplots.png").exists()
+
+
+def test_a_missing_reference(study: Path) -> None:
+    folder, report, notes = compared(study, reference="lsa2h")
+    assert "The reference lsa2h is missing" in notes
+    assert "The reference lsa2h is missing" in report
+    assert (folder / "table.tex").exists()
+    assert (folder / "seeds.png").exists()
+    assert pd.read_csv(folder / "paired.csv").empty
+
+
+def test_runs_of_different_data_sets(study: Path) -> None:
+    change(study / "nsa2h" / "seed1", data="fetal-1")
+    write_run(study, "sa2h-att.encoding-arbitrary", 0, data="fetal-2")
+    folder, report, notes = compared(study)
+    said = "2 runs left aside, made from other pairs than fetal-0: nsa2h/seed1, sa2h-att.encoding-arbitrary/seed0."
+    assert said in notes
+    assert said in report
+    table = pd.read_csv(folder / "table.csv").set_index("variant")
+    assert table.loc["nsa2h", "seeds"] == 2
+    assert "sa2h-att.encoding-arbitrary" not in table.index
+    assert "nsa2h (2)" in notes, "which leaves it too few seeds"
+
+
+def test_half_finished_runs(study: Path) -> None:
+    (study / "nsa2h" / "seed2" / "result.json").unlink()
+    (study / "sa2h-conv" / "seed0" / "result.json").unlink()
+    _, report, notes = compared(study)
+    assert "2 runs not finished: nsa2h/seed2, sa2h-conv/seed0." in notes
+    assert "2 runs not finished" in report
+
+
+def test_runs_that_cannot_be_read(study: Path) -> None:
+    (study / "nsa2h" / "seed0" / "per_image.parquet").write_bytes(b"not parquet")
+    (study / "nsa2h" / "seed1" / "per_image.parquet").unlink()
+    (study / "nsa2h" / "seed2" / "result.json").write_text("{")
+    change(study / "sa2h-conv" / "seed0", hash="another")
+    (study / "sa2h-conv" / "seed1" / "spec.json").write_text("[]")
+    folder, _, notes = compared(study)
+    assert "1 run left aside, unreadable (ArrowInvalid): nsa2h/seed0." in notes
+    assert "1 run left aside, unreadable (FileNotFoundError): nsa2h/seed1." in notes
+    assert "with a result of another configuration: sa2h-conv/seed0." in notes
+    assert "sa2h-conv/seed1" in notes
+    assert "nsa2h" not in set(pd.read_csv(folder / "table.csv")["variant"])
+
+
+def test_identical_images(study: Path) -> None:
+    set_values(study / "nsa2h" / "seed0", "psnr", lambda t: t["frame"] == 3, np.inf)
+    folder, report, notes = compared(study)
+    assert "PSNR: 1 infinite value left out (identical images: nsa2h/seed0 frame 3)." in notes
+    assert "inf" not in (folder / "table.md").read_text()
+    paired = pd.read_csv(folder / "paired.csv").set_index(["variant", "metric"])
+    assert paired.loc[("nsa2h", "psnr"), "n"] == FRAMES - 1
+    assert "1 infinite value left out" in report
+
+
+def test_a_metric_that_is_nan_for_one_frame_or_for_all(study: Path) -> None:
+    set_values(study / "nsa2h" / "seed0", "mae", lambda t: (t["frame"] == 5) & (t["split"] == "test"), np.nan)
+    for seed in (0, 1, 2):
+        set_values(study / "sa2h-att" / f"seed{seed}", "pchi2", lambda t: t["frame"] >= 0, np.nan)
+    folder, report, notes = compared(study)
+    assert "MAE: 1 NaN left out (nsa2h/seed0 frame 5)." in notes
+    assert "72 NaNs left out" in notes
+    paired = pd.read_csv(folder / "paired.csv").set_index(["variant", "metric"])
+    assert paired.loc[("nsa2h", "mae"), "n"] == FRAMES - 1
+    assert ("sa2h-att", "pchi2") not in paired.index
+    markdown = (folder / "table.md").read_text()
+    assert "nan" not in markdown.lower()
+    assert "–" in markdown
+    assert (folder / "boxplot_pchi2.png").exists()
+    assert "72 NaNs left out" in report
+
+
+def test_a_run_scored_on_fewer_frames(tmp_path: Path) -> None:
+    part = tmp_path / "part"
+    write_run(part, "sa2h", 0)
+    write_run(part, "nsa2h", 0, frames=10)
+    folder, _, notes = compared(part)
+    assert "nsa2h/seed0 (10)" in notes
+    assert set(pd.read_csv(folder / "paired.csv").query("variant == 'nsa2h'")["n"]) == {10}
+
+
+def test_no_run_at_all_is_one_line_that_says_why(tmp_path: Path) -> None:
+    settings = StudySettings(runs_dir=str(tmp_path), study_name="quick-fetal")
+    with pytest.raises(ConfigurationError, match=r"quick-fetal holds no finished run to compare\.$"):
+        compare_study(settings)
+    folder = write_run(tmp_path / "quick-fetal", "sa2h", 0)
+    (folder / "result.json").unlink()
+    with pytest.raises(ConfigurationError, match=r"1 run not finished: sa2h/seed0\.$"):
+        compare_study(settings)
+
+
+def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, before, _ = compared(study)
+
+    def broken(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("ablate.studies.compare.write_report", broken)
+    with pytest.raises(MemoryError):
+        compared(study)
+    assert (folder / "report.html").read_text() == before
