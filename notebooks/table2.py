@@ -11,39 +11,43 @@
 # %% [markdown]
 # # Table II: the models compared
 #
-# Reads a finished study under `runs/`; trains nothing. Make one with `make sweep`, or name another by the
-# environment variable `ABLATE_STUDY`. Open as a notebook with `pip install -e '.[notebook]'` and jupytext.
+# Reads the study that `make sweep` left in `runs/`, or the one that the environment variable `ABLATE_STUDY` names;
+# trains nothing.
 
 # %%
-import os
-from pathlib import Path
+from IPython.display import Markdown
 
-import pandas as pd
+from ablate.analysis import paired_table, resimulation_note, to_latex, to_markdown
+from ablate.studies.reading import open_study
 
-root = Path(__file__).resolve().parents[1] if "__file__" in globals() else Path.cwd().parent
-comparison = Path(os.environ.get("ABLATE_STUDY", root / "runs" / "quick-fetal")) / "comparison"
-if not (comparison / "table.csv").exists():
-    raise SystemExit(f"no finished study at {comparison.parent}: run `make sweep` first")
+study = open_study()
+columns = ["psnr", "mae", "pchi2", "fd_speckle", "fid", "parameters"]
+table = study.table[study.table["metric"].isin(columns)]
+frames, sites = study.per_image["frame"].nunique(), study.per_image["site"].nunique()
+print(f"{study.folder.name}: {len(study.runs)} runs, {frames} test frames of {sites} probe sites")
 
 # %% [markdown]
-# Mean and standard deviation over the test frames. The re-simulation row is the target simulated again with other
-# scatterers: a floor for patch chi-square and the Frechet distance, a level for PSNR and MAE.
+# ## The table
+#
+# Mean and standard deviation over the test frames; the best network of a column is bold.
 
 # %%
-table = pd.read_csv(comparison / "table.csv").set_index("variant")
-columns = ["psnr", "mae", "pchi2", "fd_speckle", "parameters"]
-shown = table[[f"{c}_{part}" for c in columns for part in ("mean", "sd") if f"{c}_{part}" in table]]
-print(shown.round(3).to_string())
+Markdown(f"{to_markdown(table)}\n\n{resimulation_note(list(dict.fromkeys(table['metric'])))}")
 
 # %% [markdown]
-# Paired differences to the reference on the same frames (the paper's Fig. 4 in numbers).
+# ## Paired differences
+#
+# Every variant against the reference on the same frames: the median shift (Hodges-Lehmann), its 95 % interval over
+# probe sites, and the p value after Holm's correction. They say that these trained networks differ on these frames.
+# That a component matters takes three seeds or more; `report.html` in the study's `comparison` folder judges that.
 
 # %%
-paired = pd.read_csv(comparison / "paired.csv")
-print(paired[paired["metric"].isin(columns)].round(4).to_string(index=False))
+paired = paired_table(study.per_image, study.reference)
+shown = paired[paired["metric"].isin(columns)].drop(columns="reference")
+shown.set_index(["variant", "metric"]).round(4)
 
 # %% [markdown]
-# The same table for LaTeX (booktabs).
+# ## The same table for LaTeX
 
 # %%
-print((comparison / "table.tex").read_text())
+print(to_latex(table))

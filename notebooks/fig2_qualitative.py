@@ -1,0 +1,54 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       format_name: percent
+#   kernelspec:
+#     name: python3
+#     display_name: Python 3
+# ---
+
+# %% [markdown]
+# # Fig. 2: what the variants render
+#
+# Reads the study that `make sweep` left in `runs/`, or the one that the environment variable `ABLATE_STUDY` names;
+# trains nothing.
+
+# %%
+from pathlib import Path
+from tempfile import mkdtemp
+
+import matplotlib.pyplot as plt
+from IPython.display import Image
+
+from ablate.analysis import qualitative_figure
+from ablate.studies.reading import open_study
+
+study = open_study()
+folder = Path(mkdtemp())
+print("test frames shown:", ", ".join(picture.name for picture in study.pictures))
+
+# %% [markdown]
+# Test frames of unseen probe sites. The target carries its segmentation S in the left corner and its attenuation map
+# A in the right one. The re-simulation is the same frame with other scatterers: where it differs from the target no
+# network can know better. Of a variant with several seeds the lowest is shown.
+
+# %%
+png, pdf = qualitative_figure(study.pictures, folder / "fig2")
+Image(png, width=1000)
+
+# %% [markdown]
+# One frame, larger: the target, then what to compare it with.
+
+# %%
+picture = study.pictures[0]
+images = {"target": picture.target, **picture.predictions}
+columns = 3
+rows = -(-len(images) // columns)
+figure, axes = plt.subplots(rows, columns, figsize=(12, 3 * rows), squeeze=False, layout="constrained")
+for each in axes.flat:
+    each.set_axis_off()
+for each, (name, image) in zip(axes.flat, images.items(), strict=False):
+    each.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
+    each.set_title(name)
+plt.show()
