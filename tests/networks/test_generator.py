@@ -50,6 +50,32 @@ def test_any_size_comes_back_in_range(variant: str, size: tuple[int, int]) -> No
     assert image.abs().max() <= 1
 
 
+@pytest.mark.parametrize(
+    ("size", "changes"),
+    [((2048, 2047), {}), ((1, 2048), {"depth": 8}), ((1999, 3), {"depth": 8}), ((2047, 65), VARIANTS["concat"])],
+)
+def test_large_and_odd_sizes_come_back(size: tuple[int, int], changes: dict) -> None:
+    given = maps(*size, batch=1)
+    with torch.inference_mode():
+        image = make(**{"width": 0.02, **changes})(**given)
+    assert image.shape == (1, 1, *size)
+    assert image.isfinite().all()
+
+
+def test_at_depth_8_a_crop_of_256_ends_in_one_pixel_that_is_not_normalised() -> None:
+    generator, given = make(depth=8), maps(256, 256, batch=1)
+    seen: list[tuple[Tensor, Tensor]] = []
+    generator.network.bottleneck.register_forward_hook(lambda _, args, output: seen.append((args[0], output)))
+    grown: list[Tensor] = []
+    generator.network.up[0].register_forward_pre_hook(lambda _, args: grown.append(args[0]))
+    generator(**given)
+    (features, raw), (joined,) = seen[0], grown
+    assert raw.shape[-2:] == (1, 1)
+    # Normalising one pixel would leave zero: the activation is passed on as it is.
+    torch.testing.assert_close(joined, torch.cat((F.leaky_relu(raw, 0.2), features), 1), rtol=0, atol=0)
+    assert joined.abs().min() > 0
+
+
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_parameter_is_used(variant: str) -> None:
     generator = make(**VARIANTS[variant])
@@ -125,6 +151,23 @@ def test_injected_noise_is_the_weight_times_one_field_a_level() -> None:
     difference = seen[0] - seen[1]
     expected = block.noise_weight * gaussian_field(given["noise_seed"], 0, 24, 32)
     torch.testing.assert_close(difference, expected, rtol=0, atol=1e-5)
+
+
+def test_what_noise_adds_has_the_weights_standard_deviation() -> None:
+    generator = make(depth=2)
+    block = generator.network.up[1]
+    channels = block.noise_weight.numel()
+    weights = torch.linspace(-1, 1, channels)
+    with torch.no_grad():
+        block.noise_weight.copy_(weights[:, None, None])
+    field = generator.draw_noise(torch.tensor([4]), 512, 512)["noise_0"]
+    with torch.no_grad():
+        coarse = torch.zeros(1, block.grow.in_channels - 2, 256, 256)
+        pyramid = [torch.zeros(1, 2, size, size) for size in (256, 512)]
+        skip = torch.zeros(1, channels // 2, 512, 512)
+        added = block(coarse, skip, *pyramid, field) - block(coarse, skip, *pyramid, None)
+    torch.testing.assert_close(added.std((0, 2, 3)), weights.abs(), rtol=4 / (2 * 512**2) ** 0.5, atol=1e-6)
+    torch.testing.assert_close(added.mean((0, 2, 3)), torch.zeros(channels), rtol=0, atol=4 / 512)
 
 
 def test_maps_are_fed_to_each_level_as_torch_resizes_them() -> None:

@@ -33,11 +33,16 @@ def make_linear(network: nn.Module, monkeypatch: pytest.MonkeyPatch) -> None:
     "changes",
     [
         {"depth": 2},
+        {"depth": 2, "attenuation": "none"},
+        {"depth": 2, "noise": "input"},
+        {"depth": 2, "extra_input": "low"},
         {"depth": 3},
         {"depth": 3, "concat": "input"},
         {"depth": 3, "upsampling": "transposed"},
         {"depth": 4},
         {**UNET, "depth": 2},
+        {**UNET, "depth": 3, "extra_input": "low"},
+        {**UNET, "depth": 3, "extra_input": "noise"},
         {**UNET, "depth": 4},
     ],
 )
@@ -50,11 +55,11 @@ def test_generator(changes: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     size = (expected // period + 3) * period
     extents = []
     for phase in range(period):
-        maps = torch.full((2, 1, 1, size, size), 1e-3, dtype=torch.float64, requires_grad=True)
+        maps = torch.full((3, 1, 1, size, size), 1e-3, dtype=torch.float64, requires_grad=True)
         pixel = size // 2 // period * period + phase
-        generator(maps[0], maps[1])[0, 0, pixel, pixel].backward()
+        generator(*maps)[0, 0, pixel, pixel].backward()
         assert maps.grad is not None
-        extents.append(max(measured_extent(maps.grad[:1, 0]), measured_extent(maps.grad[1:, 0])))
+        extents.append(max(measured_extent(gradient) for gradient in maps.grad if gradient.any()))
     assert max(extents) == expected
 
 

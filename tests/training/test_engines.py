@@ -1,0 +1,75 @@
+"""Every engine renders what the network renders, and says what it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+
+import pytest
+import torch
+from torch import Tensor
+
+from ablate.networks import Generator, GeneratorSpec
+from ablate.training import Engine, Precision, median_ms_per_frame, missing_for, renderer
+
+CPU = torch.device("cpu")
+SEED = torch.tensor([3])
+
+
+def drawn(spec: GeneratorSpec) -> Generator:
+    torch.manual_seed(0)
+    return Generator(spec).eval()
+
+
+def cropped(batch: Callable[..., dict[str, Tensor]], height: int, width: int, size: int) -> dict[str, Tensor]:
+    return {name: value[:1, :, :height, :width] for name, value in batch(0, size).items() if value.ndim == 4}
+
+
+@pytest.mark.parametrize("precision", [Precision.fp32, Precision.bf16])
+@pytest.mark.parametrize("engine", [Engine.eager, Engine.exported])
+def test_a_frame_by_engine_and_precision(
+    spec: GeneratorSpec, batch: Callable[..., dict[str, Tensor]], engine: Engine, precision: Precision
+) -> None:
+    if missing_for(engine, CPU):
+        pytest.skip(f"needs {missing_for(engine, CPU)}")
+    generator, maps = drawn(spec), cropped(batch, 30, 27, 32)
+    render = renderer(generator, 30, 27, precision, engine)
+    with torch.inference_mode():
+        expected = generator(maps["segmentation"], maps["attenuation"], noise_seed=SEED)
+        other = generator(maps["segmentation"], maps["attenuation"], noise_seed=SEED + 1)
+    image = render(maps, SEED).float()
+    # bf16 rounds to 8 bits: 2^-9 of a feature's size, ten layers of them.
+    tolerance = {Precision.fp32: 1e-5, Precision.bf16: 10 * 2.0**-9}[precision]
+    assert image.shape == (1, 1, 30, 27)
+    torch.testing.assert_close(image, expected, rtol=0, atol=tolerance)
+    torch.testing.assert_close(render(maps, SEED + 1).float(), other, rtol=0, atol=tolerance)
+    assert (expected - other).abs().max() > 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(missing_for(Engine.compiled, CPU) is not None, reason="needs a C++ compiler")
+@pytest.mark.filterwarnings("ignore:.*script_method.*:DeprecationWarning")
+def test_a_compiled_network_with_fewer_channels_than_a_vector_holds(batch: Callable[..., dict[str, Tensor]]) -> None:
+    """Torch 2.13 with its own choice of tiles renders another image here, 0.46 of 2 apart."""
+    generator, maps = drawn(GeneratorSpec(depth=2, width=0.1)), cropped(batch, 112, 144, 144)
+    image = renderer(generator, 112, 144, Precision.fp32, Engine.compiled)(maps, SEED)
+    with torch.inference_mode():
+        expected = generator(maps["segmentation"], maps["attenuation"], noise_seed=SEED)
+    torch.testing.assert_close(image, expected, rtol=0, atol=1e-4)
+
+
+def test_what_an_engine_lacks_is_said_before_it_is_used(
+    spec: GeneratorSpec, batch: Callable[..., dict[str, Tensor]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert missing_for(Engine.eager, CPU) is None
+    assert missing_for(Engine.exported, torch.device("cuda")) == (
+        "a CPU: on a GPU, take the exported file to TensorRT or ONNX Runtime"
+    )
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    with pytest.raises(RuntimeError, match="engine=compiled: needs a C\\+\\+ compiler \\(no-such-compiler\\)"):
+        median_ms_per_frame(drawn(spec), batch(0), engine=Engine.compiled)
+    monkeypatch.setattr(
+        "ablate.training.engines.find_spec", lambda name: None if name == "openvino" else find_spec(name)
+    )
+    with pytest.raises(RuntimeError, match=r"engine=exported: needs the package openvino: pip install 'ablate\[exp"):
+        renderer(drawn(spec), 8, 8, engine=Engine.exported)
