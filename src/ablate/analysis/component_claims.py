@@ -72,8 +72,9 @@ def component_claim(
     if seeds < FEWEST_SEEDS or (np.ptp(a) == 0 and np.ptp(b) == 0):
         return ComponentClaim(Verdict.not_claimable, seeds)
     shift = float(a.mean() - b.mean())
-    terms = np.array([a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)])
-    error = float(np.sqrt(terms.sum()))
+    unit = max(np.ptp(a), np.ptp(b))  # squares of smaller numbers may vanish
+    terms = np.array([np.var((side - side.mean()) / unit, ddof=1) / len(side) for side in (a, b)])
+    error = float(unit * np.sqrt(terms.sum()))
     dof = float(terms.sum() ** 2 / np.sum(terms**2 / (np.array([len(a), len(b)]) - 1)))
     p = float(2 * stats.t.sf(abs(shift) / error, dof))
     reach = float(stats.t.ppf((1 + level) / 2, dof)) * error

@@ -1,0 +1,161 @@
+"""Steps of training that are all adversarial or all L1, with saturated logits, and with nothing to learn from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.optim import Adam
+
+from ablate.networks import GeneratorSpec
+from ablate.studies.stability.checks import BFLOAT16, FLOAT32, Case, Check, finite, labelled, refused
+from ablate.studies.stability.networks import maps_of
+from ablate.training import AdversarialLoss, DivergenceError, PairGAN, TrainingSettings
+from ablate.training.divergence import DivergenceGuard
+
+SPEC = GeneratorSpec(depth=2, width=0.1, noise_start=0.1)
+STEPS = 8
+SIDE = 64
+
+
+class _Stepped(PairGAN):
+    """The module's own step, taken by hand: a trainer knows no float64."""
+
+    def __init__(self, settings: TrainingSettings, device: str, dtype: str) -> None:
+        super().__init__(SPEC, settings)
+        self.to(device, torch.float64 if dtype == "float64" else torch.float32)
+        self._bf16 = dtype == "bfloat16"
+        self._pair = self.configure_optimizers()
+
+    def optimizers(self, use_pl_optimizer: bool = True) -> list[Adam]:  # type: ignore[override]  # noqa: ARG002
+        return list(self._pair)
+
+    def manual_backward(self, loss: Tensor, *_: object, **__: object) -> None:
+        loss.backward()
+
+    def step(self, maps: dict[str, Tensor], seed: int) -> dict[str, float]:
+        """One batch; the losses."""
+        kind = next(self.parameters()).dtype
+        batch = {name: value.to(kind) for name, value in maps.items()}
+        batch["noise_seed"] = torch.tensor([seed, seed + 1], device=maps["mask"].device)
+        context = torch.autocast(batch["mask"].device.type, torch.bfloat16) if self._bf16 else nullcontext()
+        with context:
+            self.training_step(batch, 0)
+        return self.drain()
+
+    def gradients(self) -> list[np.ndarray]:
+        return [p.grad.double().cpu().numpy() for p in self.parameters() if p.grad is not None]
+
+    def weights(self) -> np.ndarray:
+        return np.concatenate([p.detach().double().cpu().numpy().ravel() for p in self.parameters()])
+
+
+def _settings(**changes: object) -> TrainingSettings:
+    return replace(TrainingSettings(crop=SIDE, batch_size=2, steps=STEPS, device="cpu"), **changes)  # type: ignore[arg-type]
+
+
+def _steps(settings: TrainingSettings, device: str, maps: dict[str, Tensor] | None = None) -> Iterator[Check]:
+    """Some steps of Adam: losses, gradients and weights, and how far weights have gone."""
+    travelled = {}
+    # Kingma and Ba 2015, section 2.1: a step is at most lr (1 - b1) / sqrt(1 - b2) when that is over lr.
+    farthest = settings.learning_rate * max(1.0, (1 - settings.beta1) / np.sqrt(1 - settings.beta2)) * STEPS
+    for dtype in ("float32", "float64", "bfloat16"):
+        module = _Stepped(settings, device, dtype)
+        before = module.weights()
+        losses = [module.step(maps or maps_of(device, k, SIDE), k) for k in range(STEPS)]
+        yield finite(dtype, np.array([list(row.values()) for row in losses]), what="losses")
+        yield finite(dtype, *module.gradients(), module.weights(), what="gradients and weights")
+        travelled[dtype] = module.weights() - before
+        yield Check(
+            dtype, "farthest that a weight went", float(np.abs(travelled[dtype]).max()), farthest,
+            "Adam's steps do not grow with the gradient: at most lr (1 - b1) / sqrt(1 - b2) each (Kingma and Ba 2015).",
+        )  # fmt: skip
+    for dtype in ("float32", "bfloat16"):
+        apart = float(np.abs(travelled[dtype] - travelled["float64"]).max())
+        yield Check(
+            dtype, "farthest that a weight is from float64's", apart, 2 * farthest,
+            "The sign of a gradient near 0 may differ, and with it the whole step: twice the farthest that one goes.",
+        )  # fmt: skip
+
+
+def _lambda(weight: float, device: str) -> Iterator[Check]:
+    """L1 alone in effect, or the adversarial loss alone, in both of its forms."""
+    for loss in AdversarialLoss:
+        yield from labelled(loss.value, _steps(_settings(l1_weight=weight, loss=loss), device))
+
+
+def _outside(device: str) -> Iterator[Check]:
+    """A crop without a pixel of the fan: images are black, and the generator learns nothing."""
+    maps = maps_of(device, side=SIDE)
+    for name, value in (("mask", 0.0), ("image", -1.0), ("segmentation", -1.0), ("attenuation", 0.0)):
+        maps[name].fill_(value)
+    yield from _steps(_settings(), device, maps)
+    for dtype in ("float32", "float64", "bfloat16"):
+        module = _Stepped(_settings(), device, dtype)
+        before = [p.detach().clone() for p in module.generator.parameters()]
+        losses = module.step(maps, 0)
+        yield Check(dtype, "L1", losses["train/l1"], 0, "Outside the fan both images are black.")
+        moved = max(float((p - q).abs().max()) for p, q in zip(module.generator.parameters(), before, strict=True))
+        yield Check(dtype, "farthest that a weight of the generator went", moved, 0, "What is masked has no gradient.")
+
+
+def _extreme_targets(device: str) -> Iterator[Check]:
+    """Targets all black and all white within the fan."""
+    for label, value in (("black", -1.0), ("white", 1.0)):
+        maps = maps_of(device, side=SIDE)
+        maps["image"] = maps["mask"] * (value + 1) - 1
+        yield from labelled(label, _steps(_settings(), device, maps))
+
+
+def _saturated(device: str) -> Iterator[Check]:
+    """Logits of +-10^4 and +-10^30 everywhere, by the bias of the discriminator's last layer."""
+    for logit in (1e4, -1e4, 1e30, -1e30):
+        for loss in AdversarialLoss:
+            for dtype, unit in (("float32", FLOAT32), ("float64", FLOAT32), ("bfloat16", BFLOAT16)):
+                module = _Stepped(_settings(loss=loss, l1_weight=0.0), device, dtype)
+                with torch.no_grad():
+                    assert module.discriminator.last.bias is not None
+                    module.discriminator.last.bias.fill_(logit)
+                losses = module.step(maps_of(device, side=SIDE), 0)
+                right_g = max(-logit, 0.0) if loss is AdversarialLoss.nonsaturating else -max(logit, 0.0)
+                label = f"{loss.value}, logits {logit:g}"
+                yield finite(dtype, *module.gradients(), module.weights(), what=f"{label}: gradients and weights")
+                error = max(abs(losses["train/loss_d"] - abs(logit)), abs(losses["train/loss_g"] - right_g)) / abs(logit)
+                yield Check(
+                    dtype, f"{label}: losses against max(0, x), relative", error, 4 * unit + 10 / abs(logit),
+                    "Far from 0 softplus is the larger of 0 and x; what features add to the bias is under 10.",
+                )  # fmt: skip
+
+
+def _divergence(device: str) -> Iterator[Check]:  # noqa: ARG001
+    """Losses that are not finite, and a discriminator that has won or only guesses, stop the training."""
+
+    def reported(metrics: dict[str, float], times: int) -> object:
+        guard = DivergenceGuard()
+        try:
+            for step in range(times):
+                guard.check(metrics, step)
+        except DivergenceError as error:
+            raise ValueError(str(error)) from error
+        return None
+
+    yield refused(
+        "float64",
+        *(partial(reported, {"train/loss_g": value}, 1) for value in (np.nan, np.inf, -np.inf)),
+        *(partial(reported, {"train/loss_d": value}, 20) for value in (0.0, 2 * np.log(2))),
+    )
+
+
+CASES = (
+    Case("lambda 0", partial(_lambda, 0.0)),
+    Case("lambda 1e6", partial(_lambda, 1e6)),
+    Case("a crop entirely outside the fan", _outside),
+    Case("targets all black and all white", _extreme_targets),
+    Case("losses of saturated logits", _saturated),
+    Case("a training that has diverged", _divergence),
+)

@@ -1,0 +1,206 @@
+"""Generators and discriminator: bf16 and float32 against float64, and maps without any contrast."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import nullcontext
+from copy import deepcopy
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from ablate.networks import (
+    Generator,
+    GeneratorSpec,
+    Noise,
+    PatchDiscriminator,
+    conditions,
+    discriminator_channels,
+    gaussian_field,
+)
+from ablate.networks.layers import convolutions, instance_norm
+from ablate.studies.stability.checks import BFLOAT16, FLOAT32, Case, Check, finite, labelled
+from ablate.studies.variants import variant_model, variant_names
+
+WIDTH = 0.125  # of the paper's channels: what rounds depends on depth more than on width
+SIDE = 256  # the least that eight levels of stride two leave a pixel of
+
+
+def maps_of(device: str, seed: int = 0, side: int = SIDE) -> dict[str, Tensor]:
+    """Maps of random blocks in a fan that fills half the crop, float32, and a seed of noise."""
+    random = torch.Generator().manual_seed(seed)
+    blocks = torch.randint(0, 7, (2, 1, 8, 8), generator=random).float() / 3 - 1
+    segmentation = blocks.repeat_interleave(side // 8, 2).repeat_interleave(side // 8, 3)
+    mask = torch.zeros(2, 1, side, side)
+    mask[..., side // 4 : 3 * side // 4] = 1
+    speckle = torch.rand(mask.shape, generator=random)
+    maps = {
+        "segmentation": segmentation * mask + mask - 1,
+        "attenuation": torch.linspace(1, 0, side)[:, None] * mask,
+        "low": (speckle - 1) * mask + mask - 1,
+        "image": speckle * mask - 1,
+        "mask": mask,
+    }
+    return {name: value.to(device) for name, value in maps.items()}
+
+
+class _Chain(nn.Module):
+    """Generator, fan, discriminator and both losses: everything that a step of training differentiates."""
+
+    def __init__(self, spec: GeneratorSpec, device: str) -> None:
+        super().__init__()
+        with torch.random.fork_rng():
+            torch.manual_seed(0)
+            self.generator = Generator(spec).to(device)
+            self.discriminator = PatchDiscriminator(discriminator_channels(spec), spec.width).to(device)
+
+    def forward(self, maps: dict[str, Tensor], noise_seed: Tensor) -> tuple[Tensor, Tensor]:
+        """Image and loss."""
+        given = {name: maps[name] for name in conditions(self.generator.spec)}
+        image = self.generator(**given, noise_seed=noise_seed)
+        fake = maps["mask"] * (image + 1) - 1
+        logits = self.discriminator(torch.cat(list(given.values()), dim=1).to(image.dtype), fake)
+        return image, F.softplus(-logits.float()).mean() + 100 * F.l1_loss(fake.float(), maps["image"].float())
+
+
+def _run(chain: _Chain, maps: dict[str, Tensor], bf16: bool = False) -> tuple[np.ndarray, float, list[np.ndarray]]:
+    """Image, loss and the gradients of all weights."""
+    device = maps["mask"].device
+    seed = torch.tensor([3, 2**62], device=device)
+    context = torch.autocast(device.type, torch.bfloat16) if bf16 else nullcontext()
+    with context:
+        image, loss = chain(maps, seed)
+    loss.backward()
+    gradients = [p.grad for p in chain.parameters() if p.grad is not None]
+    return image.detach().double().cpu().numpy(), float(loss), [g.double().cpu().numpy() for g in gradients]
+
+
+def _variant(name: str, device: str) -> Iterator[Check]:
+    """Image, loss and gradients of a step, at an eighth of the paper's width."""
+    spec = replace(variant_model(name), width=WIDTH)
+    spec = replace(spec, noise_start=0.1 if spec.noise is Noise.inject else 0.0)
+    yield from _precisions(spec, maps_of(device), device)
+
+
+def _precisions(spec: GeneratorSpec, maps: dict[str, Tensor], device: str) -> Iterator[Check]:
+    chain = _Chain(spec, device)
+    exact = deepcopy(chain).double()
+    layers = convolutions(chain.generator)
+    terms = max(layer.weight[0].numel() for layer in layers)
+    right, _, _ = _run(exact, {name: value.double() for name, value in maps.items()})
+    size = float(np.sqrt((right**2).mean())) or 1.0
+    of_layers = "layers at 3 roundings each (input, weight, result), should all errors add up"
+    for dtype, bf16, unit, why in (
+        ("float32", False, terms * FLOAT32, f"{len(layers)} layers, sums of up to {terms} products, should all errors add up."),
+        ("bfloat16", True, 3 * BFLOAT16, f"{len(layers)} {of_layers}."),
+    ):
+        chain.zero_grad(set_to_none=True)
+        image, loss, gradients = _run(chain, maps, bf16)
+        yield finite(dtype, image, np.array(loss), what="pixels and loss")
+        yield finite(dtype, *gradients, what="gradients")
+        error = float(np.sqrt(((image - right) ** 2).mean())) / size
+        yield Check(dtype, "image against float64, of its root mean square", error, len(layers) * unit, why)
+
+
+def _constant_norm(device: str) -> Iterator[Check]:
+    """Instance norm of maps without variance: their deviation is 0, and so is what comes out."""
+    for dtype, kind in (("float32", torch.float32), ("bfloat16", torch.bfloat16), ("float64", torch.float64)):
+        for value in (0.0, 1.0, -1e4, 1e30):
+            features = torch.full((1, 4, 64, 64), value, dtype=kind, device=device, requires_grad=True)
+            out = instance_norm(features)
+            out.sum().backward()
+            assert features.grad is not None
+            yield finite(dtype, *(t.detach().double().cpu().numpy() for t in (out, features.grad)), what=f"{value:g}: values")
+            largest = float(out.detach().double().abs().max())
+            yield Check(dtype, f"{value:g}: largest value", largest, 1, "A normalised channel deviates by 1.")
+
+
+def _one_pixel(device: str) -> Iterator[Check]:
+    """Instance norm of one pixel is that pixel, not zero."""
+    for dtype, kind in (("float32", torch.float32), ("bfloat16", torch.bfloat16)):
+        features = torch.randn(2, 8, 1, 1, device=device).to(kind)
+        changed = float((instance_norm(features) - features).abs().max())
+        yield Check(dtype, "change of a map of 1 x 1", changed, 0, "Its deviation is 0; normalising would erase it.")
+
+
+def _constant_maps(device: str) -> Iterator[Check]:
+    """Every map at one value throughout: all fan, all outside, all shadow."""
+    for label, segmentation, attenuation in (("all one tissue", 1.0, 1.0), ("all outside", -1.0, 0.0), ("all shadow", 0.0, 0.0)):
+        maps = maps_of(device)
+        maps["segmentation"].fill_(segmentation)
+        maps["attenuation"].fill_(attenuation)
+        for name in ("sa2h", "lsa2h"):
+            yield from labelled(f"{label}, {name}", _precisions(replace(variant_model(name), width=WIDTH), maps, device))
+
+
+def _discriminator(device: str) -> Iterator[Check]:
+    """Weights a thousand times too large: logits of 10^9 and more."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        network = PatchDiscriminator(3, WIDTH).to(device)
+    with torch.no_grad():
+        for layer in convolutions(network):
+            layer.weight.mul_(1e3)
+    maps = maps_of(device)
+    stacked = torch.cat((maps["segmentation"], maps["attenuation"]), dim=1)
+    exact = deepcopy(network).double()
+    right = exact(stacked.double(), maps["image"].double()).detach()
+    layers, terms = convolutions(network), max(layer.weight[0].numel() for layer in convolutions(network))
+    for dtype, bf16, unit in (("float32", False, terms * FLOAT32), ("bfloat16", True, 3 * BFLOAT16)):
+        network.zero_grad(set_to_none=True)
+        with torch.autocast(torch.device(device).type, torch.bfloat16) if bf16 else nullcontext():
+            logits = network(stacked, maps["image"])
+        F.softplus(-logits.float()).mean().backward()
+        gradients = [p.grad.double().cpu().numpy() for p in network.parameters() if p.grad is not None]
+        yield finite(dtype, logits.detach().double().cpu().numpy(), what="logits")
+        yield finite(dtype, *gradients, what="gradients")
+        error = float((logits.detach().double() - right).square().mean().sqrt() / right.square().mean().sqrt())
+        yield Check(
+            dtype, "logits against float64, of their root mean square", error, len(layers) * unit,
+            "Five layers, should all errors of their roundings add up.",
+        )  # fmt: skip
+
+
+def _fields(device: str) -> Iterator[Check]:
+    """Noise of seeds at both ends of int64: finite, of mean 0 and deviation 1, and unlike each other."""
+    seeds = torch.tensor([-(2**63), -1, 0, 1, 2**63 - 1], device=device)
+    field = gaussian_field(seeds, 0, 256, 256).double().flatten(1).cpu().numpy()
+    n = field.shape[1]
+    yield finite("float32", field)
+    yield Check("float32", "mean", float(np.abs(field.mean(axis=1)).max()), 5 / np.sqrt(n), "Five standard errors.")
+    yield Check(
+        "float32", "deviation against 1", float(np.abs(field.std(axis=1) - 1).max()), 5 / np.sqrt(2 * n), "Five standard errors."
+    )
+    alike = float(np.abs(np.corrcoef(field) - np.eye(len(seeds))).max())
+    yield Check("float32", "correlation of two seeds", alike, 5 / np.sqrt(n), "Five standard errors.")
+
+
+def _odd_sizes(device: str) -> Iterator[Check]:
+    """Images of one pixel, of one row, and of a size that no power of two divides."""
+    spec = GeneratorSpec(width=WIDTH, noise_start=0.1)
+    generator = Generator(spec).to(device)
+    for height, width in ((1, 1), (1, 17), (33, 47)):
+        segmentation = torch.zeros(1, 1, height, width, device=device)
+        image = generator(segmentation, segmentation, noise_seed=torch.tensor([1], device=device)).detach()
+        yield finite("float32", image.cpu().numpy(), what=f"{height} x {width}: pixels")
+        wrong = int(image.shape[-2:] != (height, width))
+        yield Check("float32", f"{height} x {width}: size that is wrong", wrong, 0, "Padding is cropped again.")
+
+
+def cases() -> tuple[Case, ...]:
+    """One case a file of conf/variant, and those of the networks' parts."""
+    return (
+        *(Case(f"{name} in bf16, float32 and float64", partial(_variant, name)) for name in variant_names()),
+        Case("a constant image through instance norm", _constant_norm),
+        Case("a map of one pixel through instance norm", _one_pixel),
+        Case("constant maps through the generators", _constant_maps),
+        Case("saturated discriminator logits", _discriminator),
+        Case("noise of seeds at the ends of int64", _fields),
+        Case("images of one pixel, one row and odd sizes", _odd_sizes),
+    )
+
+
