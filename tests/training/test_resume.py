@@ -69,6 +69,23 @@ def test_after_a_crash_at_any_step(
     assert_same_state(tmp_path / "whole", tmp_path / "crashed")
 
 
+def test_moments_laid_out_otherwise_in_memory_are_the_same_moments(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+) -> None:
+    """Fused Adam reads weights and moments by their place in memory."""
+    train(spec, settings, loader, tmp_path / "whole")
+    train(spec, replace(settings, steps=5), loader, tmp_path / "resumed")
+    checkpoint = read_checkpoint(tmp_path / "resumed" / LAST)
+    for optimizer in checkpoint["optimizer_states"]:
+        for state in optimizer["state"].values():
+            for name in ("exp_avg", "exp_avg_sq"):
+                if state[name].ndim == 4:
+                    state[name] = state[name].contiguous(memory_format=torch.channels_last)
+    torch.save(checkpoint, tmp_path / "resumed" / LAST)
+    train(spec, settings, loader, tmp_path / "resumed")
+    assert_same_state(tmp_path / "whole", tmp_path / "resumed")
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR2])
 def test_a_signal_saves_the_step_and_is_handed_on(
     spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, number: int

@@ -41,7 +41,6 @@ class PatchDiscriminator(nn.Module):
         )
         self.last = nn.Conv2d(widths[3], 1, 4, stride=1, padding=1)
         draw_initial_weights(self)
-        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, maps: Tensor, image: Tensor) -> Tensor:
         """Judge patches.
@@ -68,7 +67,8 @@ class PatchDiscriminator(nn.Module):
                 f"image: {image.shape[-2]} x {image.shape[-1]} pixels, "
                 f"allowed are {SMALLEST_IMAGE} x {SMALLEST_IMAGE} and more"
             )
-        features = F.leaky_relu(self.first(torch.cat((maps, image.to(maps.dtype)), dim=1)), LEAK)
+        stacked = torch.cat((maps, image.to(maps.dtype)), dim=1).contiguous(memory_format=torch.channels_last)
+        features = F.leaky_relu(self.first(stacked), LEAK)
         for layer in self.inner:
             features = F.leaky_relu(instance_norm(layer(features)), LEAK)
         logits: Tensor = self.last(features)

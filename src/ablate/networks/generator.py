@@ -43,7 +43,6 @@ class Generator(nn.Module):
         self.network: LocalNetwork | UNetwork
         self.network = LocalNetwork(spec) if spec.family is Family.local else UNetwork(spec)
         draw_initial_weights(self)
-        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(
         self,

@@ -12,8 +12,8 @@ from torch.nn import functional as F
 
 INITIAL_SD = 0.02
 EPSILON = 1e-5
-# Pixels under which torch normalises channels-last maps one value at a time, and over which it sums them too coarsely.
-SMALL_MAP, LARGE_MAP = 1024, 256 * 256
+# Pixels under which torch normalises channels-last maps one value at a time.
+SMALL_MAP = 1024
 Convolution = nn.Conv2d | nn.ConvTranspose2d
 
 
@@ -43,9 +43,9 @@ class JointConvolution(nn.Conv2d):
         """Convolve (N, C, H, W) and, if not None, (N, K, H, W)."""
         if maps is None or torch.compiler.is_exporting():
             return super().forward(joined(features, maps))
-        own = features.shape[1]
-        result = F.conv2d(features, self.weight[:, :own], None, self.stride, self.padding)
-        return result + F.conv2d(maps, self.weight[:, own:], self.bias, self.stride, self.padding)
+        of_features, of_maps = self.weight.split((features.shape[1], maps.shape[1]), dim=1)
+        result = F.conv2d(features, of_features, None, self.stride, self.padding)
+        return result + F.conv2d(maps, of_maps, self.bias, self.stride, self.padding)
 
 
 class JointTransposedConvolution(nn.ConvTranspose2d):
@@ -59,10 +59,11 @@ class JointTransposedConvolution(nn.ConvTranspose2d):
         """Convolve (N, C, H, W) and, if not None, (N, K, H, W)."""
         if torch.compiler.is_exporting():
             return super().forward(joined(features, maps))
-        own = features.shape[1]
-        result = self._transposed(features, self.weight[:own])
-        if maps is not None:
-            result = result + self._transposed(maps, self.weight[own:])
+        if maps is None:
+            result = self._transposed(features, self.weight)
+        else:
+            of_features, of_maps = self.weight.split((features.shape[1], maps.shape[1]))
+            result = self._transposed(features, of_features) + self._transposed(maps, of_maps)
         return result if self.bias is None else result + self.bias.to(result.dtype)[:, None, None]
 
     def _transposed(self, features: Tensor, weight: Tensor) -> Tensor:
@@ -140,20 +141,12 @@ class _InstanceNorm(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(context: Any, gradient: Tensor) -> Tensor:
         result, inverse_sd = context.saved_tensors
-        batch, channels, height, width = result.shape
-
-        def mean(rows: Tensor) -> Tensor:  # over columns first: torch sums bf16 slowly in any other precision
-            return rows.sum(1).view(batch, width, channels).mean(1, dtype=torch.float32) / height
-
-        def spread(value: Tensor) -> Tensor:  # over a whole row: torch multiplies long rows best
-            return value.to(gradient.dtype).repeat(1, width)[:, None]
-
-        rows = gradient.contiguous(memory_format=torch.channels_last).permute(0, 2, 3, 1).flatten(2)
-        normal = result.permute(0, 2, 3, 1).flatten(2)
-        slope = spread(mean(rows * normal))
+        rows, normal = _rows(gradient), _rows(result)
+        channels = result.shape[1]
+        slope = _along(_mean(rows * normal, channels), rows)
         change = torch.addcmul(rows, normal, slope, value=-1)
-        change.sub_(spread(mean(rows))).mul_(spread(inverse_sd.view(batch, channels)))
-        return change.view(batch, height, width, channels).permute(0, 3, 1, 2)
+        change.sub_(_along(_mean(rows, channels), rows)).mul_(_along(inverse_sd, rows))
+        return _maps(change, channels)
 
 
 def _normalised(features: Tensor) -> tuple[Tensor, Tensor]:
@@ -165,16 +158,35 @@ def _normalised(features: Tensor) -> tuple[Tensor, Tensor]:
     torch sums in a cascade and is 20 times as fast.
     """
     batch, channels, height, width = features.shape
-    sizes = None, None, batch, channels, height * width, channels, EPSILON
     if height * width < SMALL_MAP:
-        result, _, inverse_sd = torch.native_group_norm(features.contiguous(), *sizes)
+        sizes = batch, channels, height * width, channels
+        result, _, inverse_sd = torch.native_group_norm(features.contiguous(), None, None, *sizes, EPSILON)
         return result, inverse_sd
-    centred = features - features.mean((2, 3), keepdim=True)
-    if features.dtype is torch.bfloat16:  # its mean is rounded: what is left of it is small
-        result, _, inverse_sd = torch.native_group_norm(centred, *sizes)
-        return result, inverse_sd
-    inverse_sd = (centred.square().mean((2, 3), keepdim=True) + EPSILON).rsqrt()
-    return centred.mul_(inverse_sd), inverse_sd
+    rows = _rows(features)
+    centred = rows - _along(_mean(rows, channels), rows)
+    inverse_sd = (_mean(centred.square(), channels) + EPSILON).rsqrt()
+    return _maps(centred.mul_(_along(inverse_sd, rows)), channels), inverse_sd
+
+
+def _rows(maps: Tensor) -> Tensor:
+    """Lay (N, C, H, W) out as (N, H, W C): torch is at its best with long rows."""
+    return maps.contiguous(memory_format=torch.channels_last).permute(0, 2, 3, 1).flatten(2)
+
+
+def _maps(rows: Tensor, channels: int) -> Tensor:
+    """Undo `_rows`; the maps are channels-last."""
+    return rows.unflatten(2, (-1, channels)).permute(0, 3, 1, 2)
+
+
+def _mean(rows: Tensor, channels: int) -> Tensor:
+    """Average (N, H, W C) over the pixels, (N, C): over columns first, and then in float32 at least."""
+    sums = rows.sum(1).unflatten(1, (-1, channels))
+    return sums.mean(1, dtype=torch.promote_types(rows.dtype, torch.float32)) / rows.shape[1]
+
+
+def _along(values: Tensor, rows: Tensor) -> Tensor:
+    """Repeat (N, C) along a row, (N, 1, W C)."""
+    return values.reshape(len(rows), -1).to(rows.dtype).repeat(1, rows.shape[2] // values.shape[1])[:, None]
 
 
 def draw_initial_weights(network: nn.Module) -> None:

@@ -75,6 +75,7 @@ class PairGAN(LightningModule):
         )
         for optimizer, state in zip(optimizers, self._optimizer_states or (), strict=False):
             optimizer.load_state_dict(state)
+            _lay_out_like_weights(optimizer)
         self._optimizer_states = None
         return optimizers[0], optimizers[1]
 
@@ -151,3 +152,11 @@ class PairGAN(LightningModule):
     def _sum_up(self, values: Tensor) -> None:
         self._sums = values if self._sums is None else self._sums + values
         self._steps_summed += 1
+
+
+def _lay_out_like_weights(optimizer: Adam) -> None:
+    """Give moments the memory format of their weights: fused Adam pairs them by place in memory, without a check."""
+    for parameter, state in optimizer.state.items():
+        for name, value in state.items():
+            if value.shape == parameter.shape and value.stride() != parameter.stride():
+                state[name] = torch.empty_like(parameter).copy_(value)

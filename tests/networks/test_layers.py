@@ -1,0 +1,60 @@
+"""The layers written for speed against torch's own, in value and gradient."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from ablate.networks.layers import JointConvolution, JointTransposedConvolution, instance_norm
+
+
+def gradients(result: Tensor, wanted: list[Tensor]) -> tuple[Tensor, ...]:
+    weights = torch.linspace(-1, 2, result.numel(), dtype=result.dtype).view_as(result)
+    return torch.autograd.grad((result * weights).sum(), wanted)
+
+
+@pytest.mark.parametrize("shape", [(2, 3, 40, 30), (2, 5, 31, 31), (1, 1, 1, 2), (2, 2, 64, 1), (1, 16, 64, 48)])
+@pytest.mark.parametrize("memory_format", [torch.channels_last, torch.contiguous_format])
+def test_instance_norm_has_torchs_gradient(shape: tuple[int, ...], memory_format: torch.memory_format) -> None:
+    random = torch.Generator().manual_seed(0)
+    features = torch.randn(shape, generator=random, dtype=torch.float64) * 3 + 5
+    features = features.to(memory_format=memory_format).requires_grad_()
+    ours, torchs = (gradients(norm(features), [features])[0] for norm in (instance_norm, F.instance_norm))
+    torch.testing.assert_close(ours, torchs, rtol=1e-9, atol=1e-9)
+    single = features.detach().float().requires_grad_()
+    torch.testing.assert_close(gradients(instance_norm(single), [single])[0].double(), torchs, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("bias", [True, False])
+@pytest.mark.parametrize("maps", [0, 2])
+@pytest.mark.parametrize(
+    ("joint", "plain", "options"),
+    [
+        (JointConvolution, nn.Conv2d, {"kernel_size": 3, "padding": 1}),
+        (JointConvolution, nn.Conv2d, {"kernel_size": 3, "padding": 1, "stride": 2}),
+        (JointTransposedConvolution, nn.ConvTranspose2d, {"kernel_size": 4, "padding": 1, "stride": 2}),
+        (
+            JointTransposedConvolution,
+            nn.ConvTranspose2d,
+            {"kernel_size": 3, "padding": 1, "stride": 2, "output_padding": 1},
+        ),
+    ],
+)
+def test_joint_convolutions_are_those_of_the_concatenation(
+    joint: type, plain: type, options: dict, maps: int, bias: bool
+) -> None:
+    torch.manual_seed(0)
+    layer = joint(4 + maps, 6, bias=bias, **options).double()
+    reference = plain(4 + maps, 6, bias=bias, **options).double()
+    reference.load_state_dict(layer.state_dict())
+    features = torch.randn(2, 4, 9, 7, dtype=torch.float64, requires_grad=True)
+    beside = torch.randn(2, maps, 9, 7, dtype=torch.float64) if maps else None
+    expected = reference(features if beside is None else torch.cat((features, beside), 1))
+    result = layer(features, beside)
+    torch.testing.assert_close(result, expected, rtol=1e-12, atol=1e-12)
+    ours = gradients(result, [features, *layer.parameters()])
+    torchs = gradients(expected, [features, *reference.parameters()])
+    for one, other in zip(ours, torchs, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10)
