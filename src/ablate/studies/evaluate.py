@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -37,7 +38,6 @@ Render = Callable[[np.ndarray, int], np.ndarray]
 _BATCH = 8
 _SAME_FAN = 0.98  # of the pixels of two fans together lie in both
 _GAS_MRAYL, _FLUID_MRAYL, _FLUID_SCATTER = 0.5, 2.0, 0.01  # blood scatters 0.006, thalamus, the darkest tissue, 0.017
-_NAMED = 5  # frames of a note
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,13 @@ class Evaluation:
     Attributes
     ----------
     per_image : DataFrame
-        Columns frame, site, metric, value. Infinite where a prediction equals its target; no NaN.
+        Columns frame, site, metric, value: infinite PSNR where a prediction equals its target, NaN where a metric of
+        the user's own failed.
     scalars : dict
         Mean of each per-image metric over its finite values, and what only a set of images has (`fd_speckle`,
         `noise_sd`, ...); `_low` and `_high` are the ends of a 95 % interval.
     notes : tuple of str
-        What was left out, and why: a metric, or its value of some frames.
+        Metrics that were asked for and not computed, and why.
     """
 
     per_image: pd.DataFrame
@@ -130,8 +131,8 @@ def evaluate(
     metrics = choose_metrics() if metrics is None else metrics
     mask, solid = pairs.mask(), tissue_labels(tissues)
     depth = pixel_polar(probe, pairs.shape)[0] if describes_fan(probe, mask) else None
-    missing = not_computed(metrics, mask, inception)
-    computed = metrics.of_set - missing.keys()
+    missing, notes = not_computed(metrics, mask, inception)
+    computed = metrics.of_set - missing
     speckle, fid = computed.intersection(SPECKLE_METRICS), computed.intersection(FID_METRICS)
     score = partial(_score, _Known(pairs, mask, depth, solid, metrics.of_image, textures=bool(speckle)))
     frames = pairs.frames(part)
@@ -148,7 +149,7 @@ def evaluate(
             if fid and inception is not None:
                 seen.append((inception(images), inception(pairs.read("high", batch))))
             bar.update(len(batch))
-    per_image, notes = _table(frames, pairs.sites[frames], [s.values for s in scored])
+    per_image = _table(frames, pairs.sites[frames], [s.values for s in scored])
     finite = per_image[np.isfinite(per_image["value"])]
     scalars = {str(name): float(value) for name, value in finite.groupby("metric")["value"].mean().items()}
     for names, features in ((speckle, [s.textures for s in scored]), (fid, seen)):
@@ -159,7 +160,7 @@ def evaluate(
         spread = _spread(pairs, frames, solid, render, settings) if draws_noise else 0.0
         if spread is not None:
             scalars["noise_sd"] = spread
-    return Evaluation(per_image, scalars, (*(f"{m}: not computed, {why}" for m, why in missing.items()), *notes))
+    return Evaluation(per_image, scalars, notes)
 
 
 def _score(known: _Known, frame: int, image: np.ndarray) -> _Scored:
@@ -186,27 +187,18 @@ def _score(known: _Known, frame: int, image: np.ndarray) -> _Scored:
     return _Scored(values, (described, wanted))
 
 
-def _table(
-    frames: np.ndarray, sites: np.ndarray, values: list[dict[str, float]]
-) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """One row a frame and metric, without NaN, and in words what is not in a mean."""
+def _table(frames: np.ndarray, sites: np.ndarray, values: list[dict[str, float]]) -> pd.DataFrame:
+    """One row a frame and metric."""
     rows = [
         (int(frame), int(site), name, value)
         for frame, site, of_frame in zip(frames, sites, values, strict=True)
         for name, value in of_frame.items()
     ]
     table = pd.DataFrame(rows, columns=["frame", "site", "metric", "value"]).astype({"value": "float64"})
-    notes = []
-    for name, of_metric in table.groupby("metric", sort=False):
-        for what, found in (("NaN", of_metric["value"].isna()), ("infinite", np.isinf(of_metric["value"]))):
-            if found.any():
-                named = ", ".join(str(k) for k in of_metric["frame"][found].head(_NAMED))
-                named += ", ..." if found.sum() > _NAMED else ""
-                equal = " (equal to their target)" if name in ("psnr", "psnr_fan") else ""
-                notes.append(
-                    f"{name}: {what} on {found.sum()} of {len(of_metric)} frames{equal}, not in its mean: frame {named}"
-                )
-    return table.dropna(subset="value"), tuple(notes)
+    for name, of_metric in table[table["value"].isna()].groupby("metric"):
+        named = ", ".join(of_metric["frame"].astype(str))
+        logging.getLogger(__name__).warning("%s is NaN on frame %s: not in its mean", name, named)
+    return table
 
 
 def _spread(

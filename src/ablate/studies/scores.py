@@ -39,7 +39,7 @@ class Scores:
     scalars : dict
         By name: `test/psnr`, `test/floor_psnr`, `val/psnr`, ...
     notes : tuple of str
-        What was left out of the test scores, and why.
+        Metrics that were asked for and not computed, and why.
     """
 
     per_image: pd.DataFrame
@@ -65,7 +65,7 @@ def score(settings: StudySettings, data: Data, render: Render) -> Scores:
     inception = _inception(settings, data, metrics)
     tables: list[pd.DataFrame] = []
     scalars: dict[str, float] = {}
-    notes: dict[str, None] = {}
+    notes: tuple[str, ...] = ()
     for part, prefix in ((Part.validation, "val"), (Part.test, "test")):
         noisy = draws_noise(settings.model)
         scored = {"model": _evaluate(settings, data, part, render, noisy, metrics, inception)}
@@ -75,11 +75,8 @@ def score(settings: StudySettings, data: Data, render: Render) -> Scores:
             tables.append(found.per_image.assign(source=source, split=part.name))
             mark = "floor_" if source == "floor" else ""
             scalars |= {f"{prefix}/{mark}{name}": value for name, value in found.scalars.items()}
-        if part is Part.test:
-            notes = dict.fromkeys(scored["model"].notes)
-            again = scored["floor"].notes if "floor" in scored else ()
-            notes |= dict.fromkeys(f"re-simulation: {note}" for note in again if note not in notes)
-    return Scores(pd.concat(tables, ignore_index=True), scalars, tuple(notes))
+        notes = scored["model"].notes
+    return Scores(pd.concat(tables, ignore_index=True), scalars, notes)
 
 
 def _evaluate(
@@ -125,6 +122,6 @@ def _floor(
         if not kept.exists():
             found = _evaluate(s, data, part, again, True, metrics, inception)
             values = {column: found.per_image[column].tolist() for column in found.per_image}
-            write_json(kept, {"per_image": values, "scalars": found.scalars, "notes": found.notes})
+            write_json(kept, {"per_image": values, "scalars": found.scalars})
     read = json.loads(kept.read_text())
-    return Evaluation(pd.DataFrame(read["per_image"]), read["scalars"], tuple(read["notes"]))
+    return Evaluation(pd.DataFrame(read["per_image"]), read["scalars"])

@@ -27,8 +27,10 @@ _DISTANCES = {  # and how often they are resampled; of 2048 features each takes 
 }
 
 
-def not_computed(metrics: Metrics, mask: np.ndarray, inception: InceptionFeatures | None) -> dict[str, str]:
-    """Distances that were asked for and that these frames or files do not allow, each with the reason.
+def not_computed(
+    metrics: Metrics, mask: np.ndarray, inception: InceptionFeatures | None
+) -> tuple[frozenset[str], tuple[str, ...]]:
+    """Distances that were asked for and that these frames or files do not allow.
 
     Parameters
     ----------
@@ -39,21 +41,28 @@ def not_computed(metrics: Metrics, mask: np.ndarray, inception: InceptionFeature
 
     Returns
     -------
-    dict of str to str
+    names : frozenset of str
+    notes : tuple of str
+        The reasons, a sentence each.
     """
+    size = f"{mask.shape[0]} x {mask.shape[1]} px"
     reasons = {}
     if min(mask.shape) < CENTRE:
-        size = f"{mask.shape[0]} x {mask.shape[1]} px"
-        reasons |= dict.fromkeys(FID_METRICS, f"frames of {size} are smaller than the {CENTRE} px centre it is made of")
+        reasons[FID_METRICS] = f"frames of {size} are smaller than the {CENTRE} px centre that they are made of"
     elif inception is None:
-        reasons |= dict.fromkeys(
-            FID_METRICS,
-            "no Inception weights were given (evaluation.inception=path/to/file or =download); fd_speckle and "
-            "kd_speckle are the same distances on a texture descriptor, and do not compare with published values",
-        )
+        reasons[FID_METRICS] = "no Inception weights were given (evaluation.inception=path/to/file or =download)"
     if not patches_inside(mask, PATCH).any():
-        reasons |= dict.fromkeys(SPECKLE_METRICS, f"no patch of {PATCH} x {PATCH} px lies inside the fan")
-    return {name: why for name, why in reasons.items() if name in metrics.of_set}
+        reasons[SPECKLE_METRICS] = f"no patch of {PATCH} x {PATCH} px lies inside the fan"
+    missing = {name: why for names, why in reasons.items() for name in names if name in metrics.of_set}
+    notes = [
+        f"{' and '.join(name for name in missing if missing[name] == why)}: not computed, {why}"
+        for why in dict.fromkeys(missing.values())
+    ]
+    if not metrics.of_set.isdisjoint(SPECKLE_METRICS) and any(name in missing for name in FID_METRICS):
+        notes[0] += (
+            "; fd_speckle and kd_speckle are these distances of a texture descriptor, not of Inception's features"
+        )
+    return frozenset(missing), tuple(f"{note}." for note in notes)
 
 
 def distances(names: Iterable[str], found: np.ndarray, wanted: np.ndarray, sites: np.ndarray) -> dict[str, float]:
