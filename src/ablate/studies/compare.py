@@ -65,7 +65,8 @@ def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
     if not usable.runs:
         raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))
     hashes = [run.result["hash"] for run in usable.runs]
-    made_from = {"runs": hashes, "reference": reference, "notes": list(usable.notes)}
+    scored = [[run.result.get("metrics"), run.result.get("inception")] for run in usable.runs]
+    made_from = {"runs": hashes, "scored": scored, "reference": reference, "notes": list(usable.notes)}
     marker = folder / "made_from.json"
     if rebuild or not marker.exists() or json.loads(marker.read_text()) != made_from:
         files, notes = write_comparison(usable, folder, settings.study, reference)
