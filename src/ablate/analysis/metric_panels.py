@@ -15,6 +15,7 @@ from ablate.analysis.figure_style import COLUMN_IN, FLOOR_COLOUR, PAGE_IN, new_f
 from ablate.analysis.metric_facts import RESIMULATION, Better, Resimulation, facts_of
 
 ROW_IN, HEAD_IN, LEGEND_IN = 0.19, 0.55, 0.25
+LEAST_IN = 0.5  # height of a panel with a single row
 HINTS = {Better.larger: "better →", Better.smaller: "← better", Better.nearest_zero: "0 is right", Better.unjudged: ""}
 
 
@@ -44,7 +45,8 @@ def metric_panels(
     across = min(across, len(metrics))
     down = -(-len(metrics) // across)
     width = PAGE_IN if across > 1 else COLUMN_IN
-    figure = new_figure(width, LEGEND_IN + down * (head_in + row_in * len(rows)))
+    legend_in = LEGEND_IN * (1 if across > 1 else 2)  # its entries stand below each other in a narrow figure
+    figure = new_figure(width, legend_in + down * (head_in + row_in * max(len(rows), 2)))
     grid = figure.subplots(down, across, squeeze=False, sharey=True).ravel()
     for axes in grid[len(metrics) :]:
         axes.set_axis_off()
