@@ -71,6 +71,15 @@ def test_boxplots_without_pairs_draw_nothing(study_of, tmp_path):
     assert boxplot_panels(study_of(variants=("sa2h",)), ["psnr"], tmp_path / "boxplots") == []
 
 
+@pytest.mark.parametrize("metrics", [["psnr"], ["psnr", "pchi2"]])
+def test_a_single_network_leaves_room_to_draw(metrics, study_of, figures, tmp_path):
+    boxplot_panels(study_of(variants=(RESIMULATION, "sa2h", "nsa2h")), metrics, tmp_path / "boxplots")
+    seed_plot(study_of(variants=(RESIMULATION, "sa2h")), None, metrics, tmp_path / "seeds")
+    for figure in figures.values():
+        figure.draw_without_rendering()
+        assert min(axes.get_position().height * figure.get_size_inches()[1] for axes in figure.axes) > 0.3, "inches"
+
+
 def test_boxes_are_quartiles_of_the_paired_differences_and_resimulation_is_a_band(study, figures, tmp_path):
     boxplot_panels(study, ["psnr", "pchi2"], tmp_path / "boxplots", paired=paired_table(study, resamples=50))
     left, right = figures["boxplots"].axes

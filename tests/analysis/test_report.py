@@ -79,7 +79,7 @@ def test_report_folds_what_is_secondary(study, tmp_path):
     shown = re.sub(r"<details>.*?</details>", "", page, flags=re.S)
     for text in ("PSNR (dB)", "Box plot of psnr", "3 variants, 3 trained of each, 24 test frames of 8 probe sites."):
         assert text in shown
-    for text in ("pχ², fan", "Box plot of pchi2_fan", "-a &lt;b&gt;\n+c"):
+    for text in ("pχ² in fan", "Box plot of pchi2_fan", "-a &lt;b&gt;\n+c"):
         assert text not in shown
         assert any(text in content for _, content in folded)
 

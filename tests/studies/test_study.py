@@ -87,6 +87,8 @@ def test_the_parent_run_carries_the_comparison(finished: Path) -> None:
     assert artifacts >= {
         "table.csv",
         "table.tex",
+        "table.md",
+        "claims.csv",
         "paired.csv",
         "report.html",
         "boxplot_psnr.png",
@@ -122,7 +124,8 @@ def test_simulate_makes_again_what_is_damaged_and_only_that(finished: Path, caps
 def test_paired_differences_are_those_of_the_per_image_values(finished: Path) -> None:
     folder = next(finished.glob("quick-fetal"))
     paired = pd.read_csv(folder / "comparison" / "paired.csv")
-    assert list(paired.columns) == ["variant", "reference", "metric", "shift", "low", "high", "p_holm", "effect", "n"]
+    named = ["variant", "reference", "metric", "shift", "low", "high", "p_holm", "effect", "n"]
+    assert list(paired.columns) == [*named, "p_sites_holm", "sites", "dropped"]
     row = paired[(paired["variant"] == "sa2h-att") & (paired["metric"] == "mae")].iloc[0]
     values = {}
     for variant in ("sa2h", "sa2h-att"):

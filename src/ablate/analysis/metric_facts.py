@@ -44,12 +44,12 @@ class MetricFacts:
 
 METRICS: dict[str, MetricFacts] = {
     "psnr": MetricFacts("PSNR", "dB", Better.larger, Resimulation.level),
-    "psnr_fan": MetricFacts("PSNR, fan", "dB", Better.larger, Resimulation.level),
+    "psnr_fan": MetricFacts("PSNR in fan", "dB", Better.larger, Resimulation.level),
     "mae": MetricFacts("MAE", "grey levels", Better.smaller, Resimulation.level),
-    "mae_fan": MetricFacts("MAE, fan", "grey levels", Better.smaller, Resimulation.level),
+    "mae_fan": MetricFacts("MAE in fan", "grey levels", Better.smaller, Resimulation.level),
     "pchi2": MetricFacts("pχ²", "", Better.smaller, Resimulation.floor, 3),
-    "pchi2_fan": MetricFacts("pχ², fan", "", Better.smaller, Resimulation.floor, 3),
-    "pchi2_tissue": MetricFacts("pχ², tissue", "", Better.smaller, Resimulation.floor, 3),
+    "pchi2_fan": MetricFacts("pχ² in fan", "", Better.smaller, Resimulation.floor, 3),
+    "pchi2_tissue": MetricFacts("pχ² in tissue", "", Better.smaller, Resimulation.floor, 3),
     "fd_speckle": MetricFacts("FD speckle", "", Better.smaller, Resimulation.floor),
     "kd_speckle": MetricFacts("KD speckle", "", Better.smaller, Resimulation.floor, 3),
     "fid": MetricFacts("FID", "", Better.smaller, Resimulation.floor),

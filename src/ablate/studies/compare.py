@@ -37,7 +37,7 @@ from ablate.tracking import RunLog, Status, default_uri
 _SCREEN = ("psnr", "mae", "pchi2", "fd_speckle", "shadow_contrast", "mae_smooth", "noise_sd", "ms_per_frame")
 _GLANCE = ("psnr", "mae", "pchi2", "fd_speckle")  # on the parent run's first page
 _TABLE_II = ("psnr", "mae", "pchi2", "fd_speckle", "fid", "parameters")
-_COMPONENTS = ("attenuation", "concat", "upsampling", "noise", "depth", "encoding")
+COMPONENTS = ("attenuation", "concat", "upsampling", "noise", "depth", "encoding")
 
 
 def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
@@ -116,7 +116,7 @@ def write_comparison(
     runs = usable.runs
     per_image, scalars = scored_frames(runs)
     table = comparison_table(per_image, scalars, reference)
-    design = find_design({run.label: _components(run) for run in runs}, _COMPONENTS, reference)
+    design = find_design({run.label: components_of(run) for run in runs}, COMPONENTS, reference)
     paired = paired_table(per_image, reference)
     effects = pd.DataFrame() if design is None else effects_table(per_image, design, scalars)
     claims = seed_claims(per_image, scalars, reference)
@@ -162,7 +162,7 @@ def _track(settings: StudySettings, runs: Sequence[Finished], files: Sequence[Pa
     run.end(Status.finished)
 
 
-def _components(run: Finished) -> dict[str, object]:
+def components_of(run: Finished) -> dict[str, object]:
     """Everything that a run's network was made from."""
     content = run.spec["semantic"]
     return {**content["model"], "encoding": content["encoding"]["order"]}
