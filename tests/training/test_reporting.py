@@ -86,12 +86,48 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(
     assert all(value.isfinite().all() for value in checkpoint["state_dict"].values())
 
 
-@pytest.mark.parametrize(("loss", "message"), [(0.0, "has won"), (2 * math.log(2), "is guessing")])
-def test_a_dead_discriminator_is_noticed_once_it_stays_dead(loss: float, message: str) -> None:
-    guard = DivergenceGuard(patience=3)
-    guard.check({"train/loss_d": loss}, 1)
-    guard.check({"train/loss_d": 0.7}, 2)
-    guard.check({"train/loss_d": loss}, 3)
-    guard.check({"train/loss_d": loss}, 4)
-    with pytest.raises(DivergenceError, match=f"step 5: the discriminator {message}"):
-        guard.check({"train/loss_d": loss}, 5)
+def losses(loss: float, logit: float) -> dict[str, float]:
+    return {"train/loss_d": loss, "train/logit_real": logit, "train/logit_fake": -logit}
+
+
+WON, GUESSING, WELL = losses(0.0, 30.0), losses(2 * math.log(2), 0.0), losses(0.7, 1.0)
+
+
+@pytest.mark.parametrize(("dead", "message"), [(WON, "has won"), (GUESSING, "is guessing")])
+def test_a_dead_discriminator_is_noticed_once_it_stays_dead(dead: dict[str, float], message: str) -> None:
+    guard = DivergenceGuard(log_every=50, epoch=240)
+    for step, metrics in enumerate((dead, WELL, dead, dead), start=1):
+        guard.check(metrics, 50 * step)
+    with pytest.raises(DivergenceError, match=f"at step 250: the discriminator {message}.* for 150 steps"):
+        guard.check(dead, 250)
+
+
+def test_a_loss_that_passes_that_of_guessing_is_no_death() -> None:
+    guard = DivergenceGuard(log_every=50, epoch=100)
+    for step in range(50, 1000, 50):
+        guard.check(losses(2 * math.log(2), 0.5), step)
+
+
+@pytest.mark.parametrize("log_every", [1, 7, 50, 1000])
+@pytest.mark.parametrize("epoch", [2, 3, 20, 101, 1500, 10**6])
+def test_a_death_is_noticed_within_an_epoch(log_every: int, epoch: int) -> None:
+    guard = DivergenceGuard(log_every, epoch)
+    for death in range(3 * guard.interval):
+        first_bad = death // guard.interval + 2 if death % guard.interval else death // guard.interval + 1
+        assert (first_bad + guard.patience - 1) * guard.interval - death <= epoch
+
+
+@pytest.mark.parametrize(("start", "warnings"), [(0.0, 1), (0.1, 0)])
+def test_a_dying_noise_path_is_said_at_the_end(
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    loader: Loader,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    start: float,
+    warnings: int,
+) -> None:
+    train(replace(spec, noise_start=start), settings, loader, tmp_path)
+    said = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+    assert len(said) == warnings
+    assert all("noise is 0.00" in line and "model.noise_start" in line for line in said)

@@ -93,6 +93,7 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> tuple[dict[str, float
         job.folder,
         sink=run.metrics,
         validation=_validation(job, data, values, run),
+        epoch=len(data.pairs.frames(Part.train)) // s.training.batch_size,
     )
     costs = {"train/resumed_at": float(trained.resumed_at)}
     if trained.resumed_at == 0:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-# A discriminator that tells nothing has the loss of guessing, 2 ln 2; one that knows everything has none,
-# and in minimax form teaches nothing either.
+# A discriminator that tells nothing has logits of 0 and the loss of guessing, 2 ln 2; one that knows everything has
+# none, and in minimax form teaches nothing either.
 _GUESSING = 2 * math.log(2)
-_TOLERANCE = 1e-6
+_LOSS_TOLERANCE, _LOGIT_TOLERANCE = 1e-6, 1e-2
+_PATIENCE = 1000
 
 
 class DivergenceError(RuntimeError):
@@ -16,33 +17,61 @@ class DivergenceError(RuntimeError):
 
 
 class DivergenceGuard:
-    """Look at the mean losses of each logging interval.
+    """Look at the mean losses of intervals short enough to notice within an epoch that training has failed.
 
     Parameters
     ----------
+    log_every : int
+        Steps between two reports.
+    epoch : int, optional
+        Steps of a pass over the training data.
+
+    Attributes
+    ----------
+    interval : int
+        Steps between two checks: `log_every`, but two to an epoch at least.
     patience : int
-        Consecutive intervals of a dead discriminator before it is called dead.
+        Checks in a row that find the discriminator dead before training is given up: about 1000 steps, but within
+        an epoch from the step at which it died.
     """
 
-    def __init__(self, patience: int = 20) -> None:
-        self.patience = patience
+    def __init__(self, log_every: int, epoch: int | None = None) -> None:
+        self.interval = log_every if epoch is None else max(1, min(log_every, epoch // 2))
+        within = _PATIENCE if epoch is None else min(_PATIENCE, epoch - self.interval)
+        self.patience = max(1, within // self.interval)
         self._dead = 0
 
     def check(self, metrics: Mapping[str, float], step: int) -> None:
         """Raise if training has failed.
 
+        Parameters
+        ----------
+        metrics : mapping
+            Means over the interval, by the names of `PairGAN.drain`.
+        step : int
+
         Raises
         ------
         DivergenceError
-            Where a loss is not finite, or where the discriminator's has stayed at that of guessing, or at
-            zero, to within 1e-6 for `patience` intervals.
+            Where a loss is not finite, or where the discriminator has guessed or known everything, to within 1e-6 of
+            its loss, for `patience` intervals.
         """
         for name, value in metrics.items():
             if not math.isfinite(value):
-                raise DivergenceError(f"step {step}: {name} is {value}, the last checkpoint is from before")
-        loss = metrics.get("train/loss_d", 1.0)
-        is_dead = loss < _TOLERANCE or abs(loss - _GUESSING) < _TOLERANCE
-        self._dead = self._dead + 1 if is_dead else 0
+                raise DivergenceError(_explained(step, f"{name} is {value}"))
+        loss = metrics["train/loss_d"]
+        has_won = loss < _LOSS_TOLERANCE
+        logits = max(abs(metrics["train/logit_real"]), abs(metrics["train/logit_fake"]))
+        is_guessing = abs(loss - _GUESSING) < _LOSS_TOLERANCE and logits < _LOGIT_TOLERANCE
+        self._dead = self._dead + 1 if has_won or is_guessing else 0
         if self._dead >= self.patience:
-            what = "has won, its loss is 0" if loss < _TOLERANCE else "is guessing, its loss is 2 ln 2"
-            raise DivergenceError(f"step {step}: the discriminator {what} for {self._dead} intervals of logging")
+            what = "has won, its loss is 0" if has_won else "is guessing, its loss is 2 ln 2"
+            steps = self._dead * self.interval
+            raise DivergenceError(_explained(step, f"the discriminator {what} for {steps} steps"))
+
+
+def _explained(step: int, what: str) -> str:
+    return (
+        f"training has failed at step {step}: {what}; the last good checkpoint is kept; "
+        "a lower training.learning_rate or another seed may help"
+    )

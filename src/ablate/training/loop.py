@@ -19,6 +19,7 @@ from torch import Tensor
 from ablate.networks import Generator, GeneratorSpec
 from ablate.training.allocator import keep_freed_memory
 from ablate.training.checkpoints import LAST, LastCheckpoint, resume
+from ablate.training.divergence import DivergenceGuard
 from ablate.training.interruption import Interruption
 from ablate.training.module import PairGAN
 from ablate.training.precision import chosen_device, chosen_precision
@@ -55,6 +56,7 @@ def train(
     run_dir: Path,
     sink: MetricSink | None = None,
     validation: Validation | None = None,
+    epoch: int | None = None,
 ) -> TrainedGenerator:
     """Train a generator, or finish its training.
 
@@ -107,7 +109,7 @@ def train(
     if start < settings.steps:
         interruption = Interruption()
         # The order counts: numbers are checked before weights are written, and a stop is written before it is obeyed.
-        callbacks: list[Callback] = [Report(sink)]
+        callbacks: list[Callback] = [Report(sink, DivergenceGuard(settings.log_every, epoch))]
         if validation is not None and settings.validate_every:
             callbacks.append(Validate(validation, settings.validate_every, sink))
         callbacks += [LastCheckpoint(run_dir, settings.checkpoint_every, interruption), interruption]

@@ -23,17 +23,19 @@ Validation = Callable[[Generator, int], Mapping[str, float]]
 
 _LOG = logging.getLogger(__name__)
 _LINES = 10
+# Mean weight under which injected noise no longer shows in an image.
+DYING_NOISE = 0.02
 
 
 class Report(Callback):
-    """Send metrics every `log_every` steps, check them, and show progress.
+    """Send metrics every `guard.interval` steps, check them, and show progress.
 
     The x axis is images seen, so that runs of different batch sizes compare. On a terminal there is a bar;
     elsewhere a line about every tenth of the run.
     """
 
-    def __init__(self, sink: MetricSink | None) -> None:
-        self.sink, self.guard = sink, DivergenceGuard()
+    def __init__(self, sink: MetricSink | None, guard: DivergenceGuard) -> None:
+        self.sink, self.guard = sink, guard
         self._bar: tqdm[Any] | None = None
         self._since, self._steps_timed = 0.0, 0
 
@@ -51,7 +53,7 @@ class Report(Callback):
         self._steps_timed += 1
         if self._bar is not None:
             self._bar.update()
-        if step % settings.log_every != 0 and step != settings.steps:
+        if step % self.guard.interval != 0 and step != settings.steps:
             return
         metrics = module.drain()
         self.guard.check(metrics, step)
@@ -60,10 +62,16 @@ class Report(Callback):
         self._since, self._steps_timed = now, 0
         magnitude = module.generator.noise_magnitude()
         if magnitude is not None:
-            metrics["train/noise_weight"] = float(magnitude)
+            metrics["train/noise_weight"] = weight = float(magnitude)
+            if step == settings.steps and weight < DYING_NOISE:
+                _LOG.warning(
+                    "the mean weight of injected noise is %.3f after %d steps, under %s: the network hardly uses it; "
+                    "model.noise_start sets where it begins",
+                    *(weight, step, DYING_NOISE),
+                )
         if self.sink is not None:
             self.sink(metrics, step * settings.batch_size)
-        self._show(metrics, step, settings.steps, settings.log_every)
+        self._show(metrics, step, settings.steps, self.guard.interval)
 
     def teardown(self, *_: Any, **__: Any) -> None:
         """Close the bar."""
