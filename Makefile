@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep test test-all check lint ui precision bench-simulator bench-dataset bench-scaling
+.PHONY: help sweep test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -50,3 +50,9 @@ bench-scaling: $(STAMP) ## memory and time as sizes double, and what fits in 4 a
 
 precision: $(STAMP) ## measure docs/numerics.md again; RUNS=folder of trained runs, PRESET=theirs, PATIENT=scene folder
 	$(BIN)/python docs/numerics.py $(if $(RUNS),--runs $(RUNS)) $(if $(PRESET),--preset $(PRESET)) $(if $(PATIENT),--patient $(PATIENT))
+
+bench-inference: $(STAMP) ## ms and memory of a generated frame by engine, precision and width; ARGS="--variant lsa2h --size 250 346"
+	$(BIN)/python tests/benchmark_inference.py $(ARGS)
+
+bench-metrics: $(STAMP) ## what scoring costs: each metric, and an evaluation of the paper's 669 test frames
+	$(BIN)/python tests/benchmark_metrics.py $(FRAMES)

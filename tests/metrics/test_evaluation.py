@@ -27,6 +27,26 @@ def test_names_are_those_that_runs_log(make_frame):
     assert values["pchi2"] < values["pchi2_fan"], "patches outside the fan are right for nothing"
 
 
+def test_patches_of_the_frame_the_fan_and_tissue(make_frame):
+    """Each figure from the patches' own histograms, patch by patch."""
+    frame, other = make_frame(0), make_frame(1)
+    edges = np.linspace(0, 255, 51)
+    squares = {"pchi2": [], "pchi2_fan": [], "pchi2_tissue": []}
+    for i in range(0, frame.image.shape[0] - 19, 20):
+        for j in range(0, frame.image.shape[1] - 19, 20):
+            window = (slice(i, i + 20), slice(j, j + 20))
+            h, k = (np.histogram(x[window], edges)[0] / 400 for x in (frame.image, other.image))
+            chi2 = 0.5 * np.sum((h - k)[h + k > 0] ** 2 / (h + k)[h + k > 0])
+            squares["pchi2"].append(chi2**2)
+            if frame.mask[window].all():
+                squares["pchi2_fan"].append(chi2**2)
+            if frame.mask[window].all() and frame.tissue[window].all():
+                squares["pchi2_tissue"].append(chi2**2)
+    values = evaluate_image(pair_of(frame, other.image))
+    for name, found in squares.items():
+        assert values[name] == pytest.approx(np.sqrt(np.mean(found)), rel=1e-12)
+
+
 def test_metrics_without_their_input_are_left_out(make_frame):
     frame = make_frame(0)
     bare = evaluate_image(Pair(frame.image, frame.image, frame.mask))

@@ -45,6 +45,14 @@ def test_zeros_outside_the_fan_raise_psnr_by_its_share():
     assert psnr(a, b, ~mask) == math.inf
 
 
+def test_in_the_fan_both_are_those_of_its_pixels_alone(make_frame):
+    a, b = make_frame(0), make_frame(1)
+    found = psnr(a.image, b.image, a.mask)
+    assert found == pytest.approx(peak_signal_noise_ratio(a.image[a.mask], b.image[a.mask], data_range=255), abs=1e-9)
+    difference = a.image[a.mask].astype(float) - b.image[a.mask]
+    assert mae(a.image, b.image, a.mask) == pytest.approx(np.abs(difference).mean(), rel=1e-12)
+
+
 @pytest.mark.parametrize("metric", [psnr, mae])
 @pytest.mark.parametrize(
     ("a", "b", "mask", "message"),

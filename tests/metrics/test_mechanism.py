@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from ablate.metrics import mae_smooth, noise_sd, nyquist_excess, shadow_contrast
-from ablate.metrics.mechanism import relative_attenuation
+from ablate.metrics.mechanism import line_excess_db, relative_attenuation
 
 
 def contrast(prediction, frame):
@@ -25,6 +25,22 @@ def test_relative_attenuation_is_over_the_median_of_each_depth(make_frame):
         expected = frame.attenuation[here] / np.median(frame.attenuation[here])
         np.testing.assert_allclose(relative[here], expected, rtol=1e-6)
     assert np.isnan(relative[~frame.mask]).all()
+
+
+def test_shadow_contrast_is_the_difference_of_two_means(make_frame):
+    """Pixel by pixel, depth by depth, in plain loops."""
+    target, other = make_frame(0, shape=(90, 120)), make_frame(1, shape=(90, 120), shadow_grey=-20.0)
+    millimetre = target.depth_mm.astype(int)
+    errors = {"shadow": [], "enhanced": []}
+    for k in np.unique(millimetre[target.mask]):
+        here = target.mask & (millimetre == k)
+        median = np.median(target.attenuation[here])
+        for i, j in zip(*np.nonzero(here & target.tissue), strict=True):
+            kind = "shadow" if target.attenuation[i, j] < 0.6 * median else "enhanced"
+            if kind == "shadow" or target.attenuation[i, j] > 1.4 * median:
+                errors[kind].append(int(other.image[i, j]) - int(target.image[i, j]))
+    expected = np.mean(errors["shadow"]) - np.mean(errors["enhanced"])
+    assert contrast(other.image, target) == pytest.approx(expected, abs=1e-9)
 
 
 def test_missing_shadows_are_measured_in_grey_levels(make_frame):
@@ -85,6 +101,28 @@ def test_a_checkerboard_is_seen_at_its_period(make_frame, period):
     clean = nyquist_excess(again.image, target.image, target.mask, period)
     assert abs(clean) < 1.0
     assert nyquist_excess(checkered, target.image, target.mask, period) > clean + 3
+
+
+def test_excess_is_that_of_whole_spectra_block_by_block():
+    """Against numpy's full transform of each block, and a loop over the lines and their neighbours."""
+    rng = np.random.default_rng(2)
+    image = np.clip(rng.normal(120, 20, (64, 96)) + 8 * (-1) ** np.indices((64, 96)).sum(0), 0, 255).astype(np.uint8)
+    window = np.outer(np.hanning(32), np.hanning(32))
+    blocks = [image[i : i + 32, j : j + 32].astype(float) for i in (0, 32) for j in (0, 32, 64)]
+    power = np.mean([np.abs(np.fft.fft2((b - b.mean()) * window)) ** 2 for b in blocks], axis=0)
+    power = power / np.square(window).sum() + 1 / 12
+    for period in (2, 4):
+        ratios = []
+        lines = range(0, 32, 32 // period)
+        for row, column in ((r, c) for r in lines for c in lines if r or c):
+            on, around = [], []
+            for i in range(-3, 4):
+                for j in range(-3, 4):
+                    near = max(abs(i), abs(j)) <= 1
+                    (on if near else around).append(power[(row + i) % 32, (column + j) % 32])
+            ratios.append(np.mean(on) / np.median(around))
+        expected = 10 * np.log10(np.mean(ratios))
+        assert line_excess_db(image, np.ones((2, 3), bool), period) == pytest.approx(expected, abs=1e-4)
 
 
 def test_blur_contrast_and_level_are_no_checkerboard(make_frame):

@@ -1,0 +1,55 @@
+"""Metrics by name, by the name of a set, by a path; the page on metrics says what is there, and its example works."""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ablate.metrics import IMAGE_METRICS, METRIC_SETS, SET_METRICS, Pair, choose_metrics, evaluate_image
+
+PAGE = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
+
+
+def test_names_sets_and_lists():
+    assert choose_metrics().names == {*IMAGE_METRICS, *SET_METRICS} == set(METRIC_SETS["all"])
+    paper = choose_metrics("paper")
+    assert paper.of_image.keys() == {"psnr", "mae", "pchi2"}
+    assert paper.of_set == {"fid", "fd_speckle"}
+    assert choose_metrics(["mae", "paper", "mae"]).names == paper.names
+    assert choose_metrics(["noise_sd"]).of_image == {}
+
+
+def test_two_of_one_name_are_refused(monkeypatch, tmp_path):
+    for module in ("first_of_two", "second_of_two"):
+        (tmp_path / f"{module}.py").write_text("def sharpness(pair):\n    return 0.0\n\n\nmae = sharpness\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert choose_metrics(["first_of_two.sharpness"] * 2).names == {"sharpness"}
+    with pytest.raises(ValueError, match="two of them are called sharpness"):
+        choose_metrics(["first_of_two.sharpness", "second_of_two.sharpness"])
+    with pytest.raises(ValueError, match="mae is the name of another metric"):
+        choose_metrics(["first_of_two.mae"])
+
+
+def test_the_page_names_every_metric_and_no_other():
+    described = set(re.findall(r"`(\w+)`", PAGE))
+    assert set(METRIC_SETS["all"]) <= described
+    rows = re.findall(r"^\| `(\w+)` \|", PAGE, re.M)
+    fans = {"psnr_fan", "mae_fan", "pchi2_fan", "pchi2_tissue"}
+    assert set(rows) | fans == set(METRIC_SETS["all"])
+
+
+def test_the_example_of_the_page_works(monkeypatch, tmp_path, make_frame):
+    (example,) = re.findall(r"```python\n# (\w+)\.py\n(.*?)```", PAGE, re.S)
+    (asked,) = re.findall(r"'metrics=\[([\w.,]+)\]'\n\nIt is imported", PAGE)
+    (tmp_path / f"{example[0]}.py").write_text(example[1])
+    monkeypatch.syspath_prepend(tmp_path)
+    chosen = choose_metrics(asked.split(","))
+    assert chosen.of_image.keys() == {*IMAGE_METRICS, "bias"}
+    frame = make_frame(0)
+    brighter = np.where(frame.mask, np.minimum(frame.image, 200) + 7, 0).astype(np.uint8)
+    values = evaluate_image(Pair(brighter, frame.image, frame.mask), chosen.of_image)
+    expected = np.mean(brighter[frame.mask].astype(float) - frame.image[frame.mask])
+    assert values["bias"] == pytest.approx(expected)
+    sys.modules.pop(example[0])
