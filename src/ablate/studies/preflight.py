@@ -120,6 +120,9 @@ def _check_metrics(s: StudySettings) -> None:
         chosen = choose_metrics(s.metrics)
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
+    if not chosen.of_image:
+        names = ", ".join(sorted(chosen.names))
+        raise ConfigurationError(f"metrics={names}: name one that every image has too, such as psnr")
     where = s.evaluation.inception
     named = [name for name in FID_METRICS if name in ([s.metrics] if isinstance(s.metrics, str) else s.metrics)]
     if named and where is None:
