@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -180,15 +181,34 @@ def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, monk
     assert len(calls) == 10, "other metrics, other scores"
 
 
+def test_jobs_side_by_side_wait_for_the_one_that_scores_resimulation(
+    runs: Path, data: Data, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def counted(*arguments: object, **more: object) -> Evaluation:
+        calls.append(arguments)
+        return evaluate(*arguments, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(scores, "evaluate", counted)
+    settings, again = job(runs, "metrics=[mae_smooth]").settings, resimulated(data.pairs)
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(lambda _: scores.score(settings, data, again).scalars, range(3)))
+    assert found[0] == found[1] == found[2]
+    assert len(calls) == 3 * 2 + 2, "two parts of each job, and of re-simulation once"
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ("metrics=psnrr", r"metrics=psnrr: allowed are all, paper, psnr, .*noise_sd"),
-        ("metrics=[psnr,no_such_module.metric]", r"no_such_module.metric: No module named"),
-        ("metrics=[math.no_such]", r"math.no_such: module 'math' has no attribute"),
+        ("metrics=[psnr,no_such_module.metric]", r"no_such_module.metric: ModuleNotFoundError: No module"),
+        ("metrics=[math.no_such]", r"math.no_such: AttributeError: module 'math' has no"),
         ("metrics=[math.pi]", r"math.pi: is no function"),
         ("metrics=[]", "none is named"),
-        ("metrics=[fid]", r"metrics=fid: needs evaluation.inception"),
+        ("metrics=null", "metrics=None: allowed are all, paper, psnr"),
+        ("metrics=[fd_speckle,noise_sd]", "name one that every image has too, such as psnr"),
+        ("metrics=[fid,mae]", r"metrics=fid: needs evaluation.inception"),
         ("evaluation.inception=/no/such/file", r"evaluation.inception=/no/such/file: no Inception weights"),
     ],
 )

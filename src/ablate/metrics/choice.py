@@ -55,6 +55,8 @@ def choose_metrics(asked: str | Iterable[str] = "all") -> Metrics:
     ValueError
         When a name is unknown, a path leads to no function, or its last part is the name of another metric.
     """
+    if not isinstance(asked, Iterable):
+        raise ValueError(f"metrics={asked}: {_allowed()}")
     of_image: dict[str, ImageMetric] = {}
     of_set: set[str] = set()
     for entry in (asked,) if isinstance(asked, str) else asked:
@@ -78,8 +80,8 @@ def _imported(path: object) -> tuple[str, ImageMetric]:
         raise ValueError(f"metrics={path}: {_allowed()}")
     try:
         metric = getattr(import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        raise ValueError(f"metrics={path}: {error}; {_allowed()}") from error
+    except Exception as error:  # whatever the user's module does
+        raise ValueError(f"metrics={path}: {type(error).__name__}: {error}; {_allowed()}") from error
     if not callable(metric):
         raise ValueError(f"metrics={path}: is no function; {_allowed()}")
     if name in METRIC_SETS["all"]:
