@@ -1,4 +1,4 @@
-"""A training that diverges within a sweep: stopped, said, marked failed, its last good checkpoint kept; the rest runs."""
+"""A training that diverges within a sweep: stopped, said, marked failed, its last good checkpoint kept."""
 
 from __future__ import annotations
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +70,55 @@ def test_after_a_crash_at_any_step(
     resumed = train(spec, settings, loader, tmp_path / "crashed")
     assert resumed.resumed_at == (fatal_step - 1) // 3 * 3
     assert_same_state(tmp_path / "whole", tmp_path / "crashed")
+
+
+# Trains in a process that kills itself at a step, or, without one, while the second checkpoint takes its place.
+_KILLED = """
+import json, os, signal, sys
+from pathlib import Path
+import torch
+from ablate.networks import GeneratorSpec
+from ablate.training import TrainingSettings, train
+
+folder, spec, settings, fatal_step = Path(sys.argv[1]), *map(json.loads, sys.argv[2:])
+batches, replace = torch.load(folder / "batches.pt"), Path.replace
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+def loader(start, stop):
+    for step in range(start, stop):
+        yield die() if step == fatal_step else batches[step]
+
+def replace_or_die(path, target):
+    return die() if target.exists() else replace(path, target)
+
+if fatal_step is None:
+    Path.replace = replace_or_die
+train(GeneratorSpec(**spec), TrainingSettings(**settings), loader, folder / "killed")
+"""
+
+
+@pytest.mark.parametrize(("precision", "fatal_step", "resumed_at"), [("fp32", None, 3), ("bf16", 7, 6)])
+def test_after_a_process_was_killed(
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    loader: Loader,
+    tmp_path: Path,
+    precision: str,
+    fatal_step: int | None,
+    resumed_at: int,
+) -> None:
+    settings = replace(settings, precision=precision)
+    torch.save(list(loader(0, settings.steps)), tmp_path / "batches.pt")
+    told = [json.dumps(value) for value in (asdict(spec), asdict(settings), fatal_step)]
+    killed = subprocess.run([sys.executable, "-c", _KILLED, tmp_path, *told], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    resumed = train(spec, settings, loader, tmp_path / "killed")
+    assert resumed.resumed_at == resumed_at
+    train(spec, settings, loader, tmp_path / "whole")
+    assert_same_state(tmp_path / "whole", tmp_path / "killed")
+    assert sorted(path.name for path in (tmp_path / "killed").iterdir()) == [LAST]
 
 
 def test_moments_laid_out_otherwise_in_memory_are_the_same_moments(

@@ -1,0 +1,125 @@
+"""What a step costs: one fake for both networks, one fused update a network, no wait for the device."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.optim import Adam
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from ablate.networks import GeneratorSpec
+from ablate.training import PairGAN, Precision, TrainingSettings
+from ablate.training.precision import autocast
+
+Batch = Callable[[int], dict[str, Tensor]]
+
+
+class Calls(TorchDispatchMode):
+    """Counts the operations that reach a device, and keeps the precision that losses are computed in."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.counts: Counter[str] = Counter()
+        self.dtypes: dict[str, set[torch.dtype]] = {}
+
+    def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name = function.overloadpacket.__name__
+        self.counts[name] += 1
+        if args and isinstance(args[0], Tensor):
+            self.dtypes.setdefault(name, set()).add(args[0].dtype)
+        return function(*args, **(kwargs or {}))
+
+
+def module(spec: GeneratorSpec, settings: TrainingSettings, monkeypatch: pytest.MonkeyPatch) -> PairGAN:
+    """A module with its optimisers, as it is within a Trainer."""
+    made = PairGAN(spec, settings).to(settings.device)
+    optimizers = made.configure_optimizers()
+    monkeypatch.setattr(made, "optimizers", lambda: optimizers)
+    monkeypatch.setattr(made, "manual_backward", lambda loss: loss.backward())
+    return made
+
+
+# Reading a number, branching on one and indexing by a condition wait for the device.
+WAITS = {"_local_scalar_dense", "is_nonzero", "nonzero", "masked_select", "equal", "allclose"}
+
+
+@pytest.mark.parametrize("precision", [Precision.fp32, Precision.bf16])
+def test_nothing_waits_for_the_device_and_losses_are_float32(
+    spec: GeneratorSpec, settings: TrainingSettings, batch: Batch, monkeypatch: pytest.MonkeyPatch, precision: Precision
+) -> None:
+    made = module(spec, settings, monkeypatch)
+    with autocast(precision, torch.device("cpu")):
+        made.training_step(batch(0), 0)
+        with Calls() as calls:
+            made.training_step(batch(1), 1)
+    assert not WAITS & calls.counts.keys()
+    assert calls.counts["_fused_adam_"] == 2
+    assert calls.counts["softplus"] == 3
+    assert calls.dtypes["softplus"] == {torch.float32}
+    assert calls.dtypes["abs"] == {torch.float32}
+    with Calls() as calls:
+        metrics = made.drain()
+    assert calls.counts["_local_scalar_dense"] <= len(metrics)
+    assert made.drain() == {}
+
+
+def test_a_waiting_step_would_be_noticed() -> None:
+    with Calls() as calls:
+        torch.ones(2).sum().item()
+    assert WAITS & calls.counts.keys() == {"_local_scalar_dense"}
+
+
+def test_one_fake_serves_both_networks(
+    spec: GeneratorSpec, settings: TrainingSettings, batch: Batch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = module(spec, settings, monkeypatch)
+    fakes: list[Tensor] = []
+    seen: list[Tensor] = []
+    made.generator.register_forward_hook(lambda _, __, result: fakes.append(result.detach()))
+    made.discriminator.register_forward_pre_hook(lambda _, args: seen.append(args[1]))
+    given = batch(0)
+    made.training_step(given, 0)
+    (fake,) = fakes
+    masked = given["mask"] * (fake + 1) - 1
+    real, first, second = seen
+    assert torch.equal(real, given["image"])
+    assert torch.equal(first, masked)
+    assert torch.equal(second, masked)
+    assert not first.requires_grad
+    assert second.requires_grad
+
+
+def test_both_optimisers_are_fused(spec: GeneratorSpec, settings: TrainingSettings) -> None:
+    for optimizer in PairGAN(spec, settings).configure_optimizers():
+        assert isinstance(optimizer, Adam)
+        assert optimizer.defaults["fused"]
+
+
+@contextmanager
+def forbidden_to_wait() -> Iterator[None]:
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        yield
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.parametrize("precision", [Precision.fp32, Precision.bf16])
+def test_nothing_waits_for_a_gpu(
+    spec: GeneratorSpec, settings: TrainingSettings, batch: Batch, monkeypatch: pytest.MonkeyPatch, precision: Precision
+) -> None:
+    made = module(spec, replace(settings, device="cuda"), monkeypatch)
+    batches = [{name: value.cuda() for name, value in batch(step).items()} for step in range(3)]
+    with autocast(precision, torch.device("cuda")):
+        made.training_step(batches[0], 0)
+        with forbidden_to_wait():
+            for step in (1, 2):
+                made.training_step(batches[step], step)
