@@ -36,6 +36,7 @@ class Task(StrEnum):
     compare = "compare"
     preview = "preview"
     precision = "precision"
+    stability = "stability"
 
 
 class SceneKind(StrEnum):

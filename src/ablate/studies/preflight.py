@@ -36,7 +36,7 @@ def check(jobs: Sequence[Job]) -> None:
         _check_training(job, seen, {other.label for other in jobs})
         _check_metrics(job.settings)
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
-    if starts or jobs[0].settings.task in _NEED_SCENE:
+    if starts or jobs[0].settings.task in (*_NEED_SCENE, Task.stability):
         _check_writable(jobs[0].settings.runs)
     if starts or jobs[0].settings.task is Task.plan:
         for job in jobs:

@@ -15,6 +15,7 @@ from ablate.studies.plan import plan
 from ablate.studies.precision import precision
 from ablate.studies.preflight import check
 from ablate.studies.preview import preview
+from ablate.studies.stability import stability
 from ablate.studies.sweep import ConfigurationError, Job
 from ablate.studies.tracked import open_tracking
 from ablate.studies.variants import describe as describe_variants
@@ -131,4 +132,5 @@ TASKS: dict[Task, Callable[[Sequence[Job]], int]] = {
     Task.compare: compare,
     Task.preview: preview,
     Task.precision: precision,
+    Task.stability: stability,
 }

@@ -37,12 +37,12 @@ def integral_attenuation(labels: np.ndarray, losses_db_mm: np.ndarray, spacing_m
     """
     nepers = (losses_db_mm * spacing_mm / DB_PER_NEPER).astype(np.float32)
     stiff = nepers.max() * labels.shape[1] > _STIFF_NEPERS
-    total = np.cumsum(nepers[labels], axis=1, dtype=np.float64 if stiff else np.float32)
+    total: np.ndarray = np.cumsum(nepers[labels], axis=1, dtype=np.float64 if stiff else np.float32)
     scale = _percentile_of_decay(total, 98.0)
     return np.exp(np.minimum(scale - total, 0)).astype(np.float32, copy=False)
 
 
-def _percentile_of_decay(total: np.ndarray, percent: float) -> np.floating:
+def _percentile_of_decay(total: np.ndarray, percent: float) -> float:
     """-log of the percentile of exp(-total), interpolated as `numpy.percentile` does."""
     position = (1 - percent / 100) * (total.size - 1)
     low = int(position)
@@ -50,4 +50,4 @@ def _percentile_of_decay(total: np.ndarray, percent: float) -> np.floating:
     ordered = np.partition(total, (low, high), axis=None)
     a, b = float(ordered[low]), float(ordered[high])  # a <= b: the larger and the smaller amplitude
     between = position - low
-    return total.dtype.type(a - math.log1p(between * math.expm1(a - b)))
+    return a - math.log1p(between * math.expm1(a - b))

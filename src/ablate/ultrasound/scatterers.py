@@ -8,7 +8,7 @@ cells: with one each, three layers of some ten cells would not be fully develope
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import torch
@@ -73,7 +73,7 @@ def lattice_anchor(points_mm: np.ndarray, pitch_mm: float) -> np.ndarray:
 
 
 def cell_hash(
-    points_mm: Sequence[torch.Tensor], pitch_mm: float, seed: int, anchor: Sequence[float] = (0, 0, 0)
+    points_mm: Sequence[torch.Tensor], pitch_mm: float, seed: int, anchor: Iterable[float] = (0, 0, 0)
 ) -> torch.Tensor:
     """A number in [0, TABLE_SIZE) for the lattice cell that each point lies in.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 #: Unit roundoff: the largest relative error of one rounding.
-FLOAT32, BFLOAT16 = 2.0**-24, 2.0**-8
+FLOAT32, FLOAT64, TF32, BFLOAT16 = 2.0**-24, 2.0**-53, 2.0**-11, 2.0**-8
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,11 @@ class Case:
 
     name: str
     checks: Callable[[str], Iterable[Check]]
+
+    @property
+    def about(self) -> str:
+        """What is tried, from the docstring."""
+        return getattr(self.checks, "func", self.checks).__doc__ or ""
 
 
 def finite(dtype: str, *arrays: np.ndarray, what: str = "values") -> Check:

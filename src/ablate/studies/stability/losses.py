@@ -17,6 +17,7 @@ from ablate.studies.stability.checks import BFLOAT16, FLOAT32, Case, Check, fini
 from ablate.studies.stability.networks import maps_of
 from ablate.training import AdversarialLoss, DivergenceError, PairGAN, TrainingSettings
 from ablate.training.divergence import DivergenceGuard
+from ablate.training.module import METRICS
 
 SPEC = GeneratorSpec(depth=2, width=0.1, noise_start=0.1)
 STEPS = 8
@@ -125,7 +126,9 @@ def _saturated(device: str) -> Iterator[Check]:
                 right_g = max(-logit, 0.0) if loss is AdversarialLoss.nonsaturating else -max(logit, 0.0)
                 label = f"{loss.value}, logits {logit:g}"
                 yield finite(dtype, *module.gradients(), module.weights(), what=f"{label}: gradients and weights")
-                error = max(abs(losses["train/loss_d"] - abs(logit)), abs(losses["train/loss_g"] - right_g)) / abs(logit)
+                error = max(abs(losses["train/loss_d"] - abs(logit)), abs(losses["train/loss_g"] - right_g)) / abs(
+                    logit
+                )
                 yield Check(
                     dtype, f"{label}: losses against max(0, x), relative", error, 4 * unit + 10 / abs(logit),
                     "Far from 0 softplus is the larger of 0 and x; what features add to the bias is under 10.",
@@ -135,19 +138,19 @@ def _saturated(device: str) -> Iterator[Check]:
 def _divergence(device: str) -> Iterator[Check]:  # noqa: ARG001
     """Losses that are not finite, and a discriminator that has won or only guesses, stop the training."""
 
-    def reported(metrics: dict[str, float], times: int) -> object:
-        guard = DivergenceGuard()
+    def reported(changed: dict[str, float], times: int) -> None:
+        guard = DivergenceGuard(50)
+        metrics = {**dict.fromkeys(METRICS, 0.0), "train/loss_d": 1.0, **changed}
         try:
             for step in range(times):
                 guard.check(metrics, step)
         except DivergenceError as error:
             raise ValueError(str(error)) from error
-        return None
 
     yield refused(
         "float64",
         *(partial(reported, {"train/loss_g": value}, 1) for value in (np.nan, np.inf, -np.inf)),
-        *(partial(reported, {"train/loss_d": value}, 20) for value in (0.0, 2 * np.log(2))),
+        *(partial(reported, {"train/loss_d": value}, 50) for value in (0.0, 2 * np.log(2))),
     )
 
 

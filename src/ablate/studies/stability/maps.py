@@ -39,7 +39,7 @@ def _against_double(label: str, labels: np.ndarray, losses_db_mm: np.ndarray) ->
     else:
         bound = 2 * labels.shape[1] * FLOAT32 * max(scale, 1.0)
         why = (
-            "A sum of n rounded terms is off by n 2^-24 of itself, x nepers, and x e^(s - x) is at most the larger of 1 "
+            "A sum of n rounded terms is off by n 2^-24 of itself, x nepers; x e^(s - x) is at most the larger of 1 "
             "and s, the nepers of the percentile."
         )
     yield Check("float32", f"{label}A against float64", off(found, right), bound, why)
@@ -70,7 +70,9 @@ def _lossless(device: str) -> Iterator[Check]:  # noqa: ARG001
     """No loss at all, and one of 10^-12 dB/mm."""
     for loss in (0.0, 1e-12):
         found = integral_attenuation(np.zeros((LINES, SAMPLES), np.uint8), np.array([loss]), SPACING_MM)
-        yield Check("float32", f"{loss:g} dB/mm: 1 - A", float(1 - found.min()), FLOAT32, "Less than float32 tells from 1.")
+        yield Check(
+            "float32", f"{loss:g} dB/mm: 1 - A", float(1 - found.min()), FLOAT32, "Less than float32 tells from 1."
+        )
 
 
 def _few(device: str) -> Iterator[Check]:  # noqa: ARG001
@@ -105,7 +107,9 @@ def _conversion(device: str) -> Iterator[Check]:
     largest[::2] = float(np.finfo(np.float32).max) / 4
     found = pixels(single, largest, torch.float32)
     yield finite("float32", found, what="pixels between 0 and 8e37")
-    yield Check("float32", "overshoot, relative", float(found.max() / largest.max() - 1), 4 * FLOAT32, "A mean is no more.")
+    yield Check(
+        "float32", "overshoot, relative", float(found.max() / largest.max() - 1), 4 * FLOAT32, "A mean is no more."
+    )
 
 
 def _one_row(device: str) -> Iterator[Check]:
@@ -122,8 +126,16 @@ def _one_row(device: str) -> Iterator[Check]:
         labels, attenuation = simulator.maps(AHEAD)
         label = f"{shape[0]} x {shape[1]}, {probe.depth_mm:g} mm deep"
         yield finite("float32", attenuation, what=f"{label}: pixels of A")
-        wrong = int(np.count_nonzero((labels > 0) != simulator.mask)) + int(np.count_nonzero(attenuation[~simulator.mask]))
-        yield Check("float32", f"{label}: pixels of the fan that are wrong", wrong, 0, "S and A are 0 outside it, and only there.")
+        wrong = int(np.count_nonzero((labels > 0) != simulator.mask)) + int(
+            np.count_nonzero(attenuation[~simulator.mask])
+        )
+        yield Check(
+            "float32",
+            f"{label}: pixels of the fan that are wrong",
+            wrong,
+            0,
+            "S and A are 0 outside it, and only there.",
+        )
 
 
 CASES = (

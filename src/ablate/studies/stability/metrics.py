@@ -26,11 +26,10 @@ from ablate.metrics import (
     speckle_features,
 )
 from ablate.metrics.features import GRADIENT_UNIT
-from ablate.studies.stability.checks import FLOAT32, Case, Check, finite, off, refused
+from ablate.studies.stability.checks import FLOAT32, FLOAT64, Case, Check, finite, off, refused
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.ultrasound.probe import pixel_polar
 
-FLOAT64 = 2.0**-53
 SHAPE = (200, 277)
 FAN = fan_mask(ConvexProbe(), SHAPE)
 DEPTH_MM = pixel_polar(ConvexProbe(), SHAPE)[0]
@@ -58,7 +57,7 @@ def _against(label: str, found: dict[str, float], right: dict[str, float]) -> It
         wrong = 0.0 if found[name] == right[name] else abs(found[name] - right[name])
         yield Check(
             "float32" if smooth else "uint8", f"{label}: {name} against {right[name]:g}", wrong,
-            255 * 64 * FLOAT32 if smooth else 16 * FLOAT64 * max(1.0, abs(right[name])) if right[name] < math.inf else 0,
+            255 * 64 * FLOAT32 if smooth else 16 * FLOAT64 * 255,
             "Sums in float32 by an FFT of a few ten factors." if smooth else "Sums of whole numbers, and one division.",
         )  # fmt: skip
 
@@ -89,7 +88,9 @@ def _in_double(device: str) -> Iterator[Check]:  # noqa: ARG001
     right = float(np.sqrt(images[:, FAN].astype(np.longdouble).var(axis=0, ddof=1).mean()))
     found = noise_sd(images, FAN)
     assert found is not None
-    yield Check("float64", "noise_sd against long doubles, relative", abs(found / right - 1), 64 * FLOAT64, "Few roundings.")
+    yield Check(
+        "float64", "noise_sd against long doubles, relative", abs(found / right - 1), 64 * FLOAT64, "Few roundings."
+    )
 
 
 def _shadows(device: str) -> Iterator[Check]:  # noqa: ARG001
@@ -98,7 +99,9 @@ def _shadows(device: str) -> Iterator[Check]:  # noqa: ARG001
     for label, value in (("0", 0.0), ("the smallest float32", tiny), ("-0", -0.0)):
         attenuation = np.full(SHAPE, value, np.float32)
         found = shadow_contrast(_noise(1), _noise(2), attenuation, FAN, FAN, np.maximum(DEPTH_MM, 0))
-        yield Check("float32", f"A is {label}: shadows found", int(found is not None), 0, "Nothing differs from its depth.")
+        yield Check(
+            "float32", f"A is {label}: shadows found", int(found is not None), 0, "Nothing differs from its depth."
+        )
 
 
 def _empty(device: str) -> Iterator[Check]:  # noqa: ARG001
@@ -115,10 +118,14 @@ def _empty(device: str) -> Iterator[Check]:  # noqa: ARG001
         lambda: speckle_features(black[None], none),
     )
     few = _scores(black, white, none)
-    yield Check("uint8", "no fan: scores besides those of the whole image", len(few.keys() - {"psnr", "mae", "pchi2"}), 0, "")
+    yield Check(
+        "uint8", "no fan: scores besides those of the whole image", len(few.keys() - {"psnr", "mae", "pchi2"}), 0, ""
+    )
     for bins in (1, 50, 256):  # of one grey all but one are empty: 0 / 0
         chi2 = patch_chi2(black, white, bins=bins)
-        yield Check("uint8", f"{bins} bins: chi-square against its value", off(chi2, float(bins > 1)), 0, "0 / 0 counts 0.")
+        yield Check(
+            "uint8", f"{bins} bins: chi-square against its value", off(chi2, float(bins > 1)), 0, "0 / 0 counts 0."
+        )
     small = rms(patch_chi2(black[:19, :19], white[:19, :19]))
     yield Check("uint8", "smaller than a patch: scores", int(small is not None), 0, "There is no patch to judge.")
     outside = rms(patch_chi2(black, white), patches_inside(none))
@@ -142,7 +149,7 @@ def _frechet(device: str) -> Iterator[Check]:  # noqa: ARG001
     """Fewer samples than features, two samples, one, and none that differs."""
     random = np.random.default_rng(0)
     one = random.normal(size=(1, 8))
-    yield refused("float64", *(lambda d=d: d(one, one) for d in (frechet_distance, kernel_distance)))  # type: ignore[misc]
+    yield refused("float64", *(lambda d=d: d(one, one) for d in (frechet_distance, kernel_distance)))
     for n, d in ((5, 20), (2, 20), (40, 4)):
         x, y = random.normal(size=(n, d)), 1.5 * random.normal(size=(n + 1, d)) + 0.2
         a, b = (np.atleast_2d(np.cov(v.T)) for v in (x, y))
@@ -166,7 +173,9 @@ def _frechet(device: str) -> Iterator[Check]:  # noqa: ARG001
     low, high = bootstrap_interval(frechet_distance, alike, alike, resamples=20)
     distances = (frechet_distance(alike, alike), kernel_distance(alike, alike), low, high)
     yield finite("float64", np.array(distances), what="without variance: distances")
-    yield Check("float64", "without variance: largest distance", max(map(abs, distances)), 64 * FLOAT64 * 8, "All are alike.")
+    yield Check(
+        "float64", "without variance: largest distance", max(map(abs, distances)), 64 * FLOAT64 * 8, "All are alike."
+    )
 
 
 def _scales(device: str) -> Iterator[Check]:  # noqa: ARG001
@@ -176,10 +185,13 @@ def _scales(device: str) -> Iterator[Check]:  # noqa: ARG001
     right = frechet_distance(x, y)
     for scale in (2.0**-100, 2.0**100):
         found = frechet_distance(x * scale, y * scale) / scale**2
-        yield Check("float64", f"scale {scale:.1e}: relative", abs(found / right - 1), 64 * FLOAT64, "It is of second degree.")
+        yield Check(
+            "float64", f"scale {scale:.1e}: relative", abs(found / right - 1), 64 * FLOAT64, "It is of second degree."
+        )
     offset = 1e8
     yield Check(
-        "float64", "offset 1e8: relative", abs(frechet_distance(x + offset, y + offset) / right - 1), 64 * offset * FLOAT64,
+        "float64", "offset 1e8: relative", abs(frechet_distance(x + offset, y + offset) / right - 1),
+        64 * offset * FLOAT64,
         "The offset leaves features right to 10^8 2^-53.",
     )  # fmt: skip
     deviations = np.logspace(-5, 5, 6)
@@ -190,7 +202,11 @@ def _scales(device: str) -> Iterator[Check]:  # noqa: ARG001
     )  # fmt: skip
     yield refused(
         "float64",
-        *(lambda d=d, v=v: d(x * v, y) for d in (frechet_distance, kernel_distance) for v in (1e60, 1e200, np.nan, np.inf)),  # type: ignore[misc]
+        *(
+            lambda d=d, v=v: d(x * v, y)
+            for d in (frechet_distance, kernel_distance)
+            for v in (1e60, 1e200, np.nan, np.inf)
+        ),
     )
 
 

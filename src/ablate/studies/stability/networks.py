@@ -23,7 +23,7 @@ from ablate.networks import (
     gaussian_field,
 )
 from ablate.networks.layers import convolutions, instance_norm
-from ablate.studies.stability.checks import BFLOAT16, FLOAT32, Case, Check, finite, labelled
+from ablate.studies.stability.checks import BFLOAT16, FLOAT32, TF32, Case, Check, finite, labelled
 from ablate.studies.variants import variant_model, variant_names
 
 WIDTH = 0.125  # of the paper's channels: what rounds depends on depth more than on width
@@ -79,6 +79,13 @@ def _run(chain: _Chain, maps: dict[str, Tensor], bf16: bool = False) -> tuple[np
     return image.detach().double().cpu().numpy(), float(loss), [g.double().cpu().numpy() for g in gradients]
 
 
+def _single(device: str, terms: int) -> tuple[str, bool, float]:
+    """What float32 is called, that it is not bf16, and the error of a layer; a GPU may round factors to TF32."""
+    if device.startswith("cuda") and torch.backends.cudnn.allow_tf32:
+        return "tf32", False, 3 * TF32
+    return "float32", False, terms * FLOAT32
+
+
 def _variant(name: str, device: str) -> Iterator[Check]:
     """Image, loss and gradients of a step, at an eighth of the paper's width."""
     spec = replace(variant_model(name), width=WIDTH)
@@ -93,10 +100,17 @@ def _precisions(spec: GeneratorSpec, maps: dict[str, Tensor], device: str) -> It
     terms = max(layer.weight[0].numel() for layer in layers)
     right, _, _ = _run(exact, {name: value.double() for name, value in maps.items()})
     size = float(np.sqrt((right**2).mean())) or 1.0
-    of_layers = "layers at 3 roundings each (input, weight, result), should all errors add up"
     for dtype, bf16, unit, why in (
-        ("float32", False, terms * FLOAT32, f"{len(layers)} layers, sums of up to {terms} products, should all errors add up."),
-        ("bfloat16", True, 3 * BFLOAT16, f"{len(layers)} {of_layers}."),
+        (
+            *_single(device, terms),
+            f"{len(layers)} layers, each a sum of up to {terms} products, should all errors add up.",
+        ),
+        (
+            "bfloat16",
+            True,
+            3 * BFLOAT16,
+            f"{len(layers)} layers that round input, weight and result, should all errors add up.",
+        ),
     ):
         chain.zero_grad(set_to_none=True)
         image, loss, gradients = _run(chain, maps, bf16)
@@ -114,7 +128,9 @@ def _constant_norm(device: str) -> Iterator[Check]:
             out = instance_norm(features)
             out.sum().backward()
             assert features.grad is not None
-            yield finite(dtype, *(t.detach().double().cpu().numpy() for t in (out, features.grad)), what=f"{value:g}: values")
+            yield finite(
+                dtype, *(t.detach().double().cpu().numpy() for t in (out, features.grad)), what=f"{value:g}: values"
+            )
             largest = float(out.detach().double().abs().max())
             yield Check(dtype, f"{value:g}: largest value", largest, 1, "A normalised channel deviates by 1.")
 
@@ -129,12 +145,18 @@ def _one_pixel(device: str) -> Iterator[Check]:
 
 def _constant_maps(device: str) -> Iterator[Check]:
     """Every map at one value throughout: all fan, all outside, all shadow."""
-    for label, segmentation, attenuation in (("all one tissue", 1.0, 1.0), ("all outside", -1.0, 0.0), ("all shadow", 0.0, 0.0)):
+    for label, segmentation, attenuation in (
+        ("all one tissue", 1.0, 1.0),
+        ("all outside", -1.0, 0.0),
+        ("all shadow", 0.0, 0.0),
+    ):
         maps = maps_of(device)
         maps["segmentation"].fill_(segmentation)
         maps["attenuation"].fill_(attenuation)
         for name in ("sa2h", "lsa2h"):
-            yield from labelled(f"{label}, {name}", _precisions(replace(variant_model(name), width=WIDTH), maps, device))
+            yield from labelled(
+                f"{label}, {name}", _precisions(replace(variant_model(name), width=WIDTH), maps, device)
+            )
 
 
 def _discriminator(device: str) -> Iterator[Check]:
@@ -150,7 +172,7 @@ def _discriminator(device: str) -> Iterator[Check]:
     exact = deepcopy(network).double()
     right = exact(stacked.double(), maps["image"].double()).detach()
     layers, terms = convolutions(network), max(layer.weight[0].numel() for layer in convolutions(network))
-    for dtype, bf16, unit in (("float32", False, terms * FLOAT32), ("bfloat16", True, 3 * BFLOAT16)):
+    for dtype, bf16, unit in (_single(device, terms), ("bfloat16", True, 3 * BFLOAT16)):
         network.zero_grad(set_to_none=True)
         with torch.autocast(torch.device(device).type, torch.bfloat16) if bf16 else nullcontext():
             logits = network(stacked, maps["image"])
@@ -173,7 +195,11 @@ def _fields(device: str) -> Iterator[Check]:
     yield finite("float32", field)
     yield Check("float32", "mean", float(np.abs(field.mean(axis=1)).max()), 5 / np.sqrt(n), "Five standard errors.")
     yield Check(
-        "float32", "deviation against 1", float(np.abs(field.std(axis=1) - 1).max()), 5 / np.sqrt(2 * n), "Five standard errors."
+        "float32",
+        "deviation against 1",
+        float(np.abs(field.std(axis=1) - 1).max()),
+        5 / np.sqrt(2 * n),
+        "Five standard errors.",
     )
     alike = float(np.abs(np.corrcoef(field) - np.eye(len(seeds))).max())
     yield Check("float32", "correlation of two seeds", alike, 5 / np.sqrt(n), "Five standard errors.")
@@ -202,5 +228,3 @@ def cases() -> tuple[Case, ...]:
         Case("noise of seeds at the ends of int64", _fields),
         Case("images of one pixel, one row and odd sizes", _odd_sizes),
     )
-
-

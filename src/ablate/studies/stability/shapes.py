@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise, product
@@ -98,9 +98,9 @@ def _gridded_box(cuts: Sequence[np.ndarray]) -> trimesh.Trimesh:
     return trimesh.Trimesh(np.concatenate(triangles), np.arange(3 * len(triangles)).reshape(-1, 3), process=False)
 
 
-def _awkward(structure: Structure, device: str) -> Iterator[Check]:
+def _awkward(make: Callable[[], Structure], device: str) -> Iterator[Check]:
     """A layer 10 mm thick in triangles of an awkward shape, against the same in twelve."""
-    awkward, plain = (both(Scene((s,), SOFT, "shape"), SMALL, device) for s in (structure, slab(HARD, 65.0, 75.0)))
+    awkward, plain = (both(Scene((s,), SOFT, "shape"), SMALL, device) for s in (make(), slab(HARD, 65.0, 75.0)))
     yield from usual(awkward, SMALL)
     moved_by = 8 * FLOAT32 * 400 / (150 / SMALL.axial_samples)
     for dtype, frame in awkward.items():
@@ -225,8 +225,8 @@ CASES = (
     Case("a layer of 0.1 mm", partial(_film, 0.1)),
     Case("a film of 1 um", partial(_film, 1e-3)),
     Case("coincident surfaces", _coincident),
-    Case("needle triangles", lambda device: _awkward(needles(), device)),
-    Case("slivers", lambda device: _awkward(slivers(), device)),
+    Case("needle triangles", partial(_awkward, needles)),
+    Case("slivers", partial(_awkward, slivers)),
     Case("a scene of metres", partial(_another_unit, 64.0)),
     Case("a scene of micrometres", partial(_another_unit, 1 / 1024)),
     Case("a scene 1000 km from the origin", partial(_far, 1e9, 1.0)),

@@ -9,9 +9,7 @@ import numpy as np
 import pandas as pd
 
 from ablate.analysis import PairedDifference, Verdict, component_claim, factorial_effects, holm, paired_difference
-from ablate.studies.stability.checks import FLOAT32, Case, Check, finite, refused
-
-FLOAT64 = 2.0**-53
+from ablate.studies.stability.checks import FLOAT32, FLOAT64, Case, Check, finite, refused
 
 
 def _compared(differences: np.ndarray, clusters: np.ndarray | None = None) -> PairedDifference:
@@ -39,7 +37,9 @@ def _ties(device: str) -> Iterator[Check]:  # noqa: ARG001
         found = _compared(differences)
         yield from _holds_together(label, found, differences.min(), differences.max())
     found = _compared(np.array([0.0] * 60 + [-1.0, 1.0]))
-    yield Check("float64", "60 zeros: width of the interval", found.high - found.low, 0, "No resample's median is another.")
+    yield Check(
+        "float64", "60 zeros: width of the interval", found.high - found.low, 0, "No resample's median is another."
+    )
 
 
 def _constant(device: str) -> Iterator[Check]:  # noqa: ARG001
@@ -48,8 +48,12 @@ def _constant(device: str) -> Iterator[Check]:  # noqa: ARG001
         found = _compared(np.full(12, value))
         yield from _holds_together(f"{value:g} throughout", found, value, value)
         spread = max(abs(found.low - value), abs(found.high - value), abs(found.shift - value))
-        yield Check("float64", f"{value:g} throughout: interval and estimate off it", spread, 0, "Every resample is the same.")
-        yield Check("float64", f"{value:g} throughout: effect", abs(found.effect - np.sign(value)), 0, "All of one sign.")
+        yield Check(
+            "float64", f"{value:g} throughout: interval and estimate off it", spread, 0, "Every resample is the same."
+        )
+        yield Check(
+            "float64", f"{value:g} throughout: effect", abs(found.effect - np.sign(value)), 0, "All of one sign."
+        )
 
 
 def _few(device: str) -> Iterator[Check]:  # noqa: ARG001
@@ -57,10 +61,12 @@ def _few(device: str) -> Iterator[Check]:  # noqa: ARG001
     for n in (1, 2, 3):
         found = _compared(np.arange(1.0, n + 1))
         yield from _holds_together(f"n = {n}", found, 1, n)
-        yield Check("float64", f"n = {n}: p against 2^(1 - n)", abs(found.p - 2.0 ** (1 - n)), 4 * FLOAT64, "All signs alike.")
+        yield Check(
+            "float64", f"n = {n}: p against 2^(1 - n)", abs(found.p - 2.0 ** (1 - n)), 4 * FLOAT64, "All signs alike."
+        )
     one_site = _compared(np.arange(20.0), np.zeros(20))
-    yield Check("float64", "one site: finite ends of the interval", int(np.isfinite([one_site.low, one_site.high]).sum()), 0,
-                "One site tells nothing of others.")  # fmt: skip
+    ends = int(np.isfinite([one_site.low, one_site.high]).sum())
+    yield Check("float64", "one site: finite ends of the interval", ends, 0, "One site tells nothing of others.")
     two = _compared(np.arange(20.0), np.repeat([0, 1], 10))
     yield from _holds_together("two sites", two, 0, 19)
     yield refused("float64", partial(_compared, np.array([])), partial(_compared, np.array([np.inf])))
@@ -76,14 +82,25 @@ def _sizes(device: str) -> Iterator[Check]:  # noqa: ARG001
     for scale in (2.0**-997, 2.0**-100, 2.0**300):
         found = _compared(plain * scale)
         yield from _holds_together(f"times {scale:.1e}", found, plain.min() * scale, plain.max() * scale)
-        apart = max(abs(a / scale - b) for a, b in ((found.shift, right.shift), (found.low, right.low), (found.high, right.high)))
-        yield Check("float64", f"times {scale:.1e}: figures over the scale", apart, 64 * FLOAT64, "Powers of two do not round.")
+        apart = max(
+            abs(a / scale - b)
+            for a, b in ((found.shift, right.shift), (found.low, right.low), (found.high, right.high))
+        )
+        yield Check(
+            "float64", f"times {scale:.1e}: figures over the scale", apart, 64 * FLOAT64, "Powers of two do not round."
+        )
     offset = 1e12
     found = paired_difference(plain + offset, np.full(40, offset))
-    yield Check("float64", "offset 1e12: shift", abs(found.shift - right.shift), 2 * offset * FLOAT64, "Values are rounded.")
+    yield Check(
+        "float64", "offset 1e12: shift", abs(found.shift - right.shift), 2 * offset * FLOAT64, "Values are rounded."
+    )
     single = paired_difference(plain.astype(np.float32), np.zeros(40, np.float32))
     yield Check(
-        "float32", "shift against float64", abs(single.shift - right.shift), 4 * FLOAT32, "Values are rounded; medians are not."
+        "float32",
+        "shift against float64",
+        abs(single.shift - right.shift),
+        4 * FLOAT32,
+        "Values are rounded; medians are not.",
     )
     yield refused(
         "float64",
@@ -105,10 +122,16 @@ def _claims(device: str) -> Iterator[Check]:  # noqa: ARG001
         claim = component_claim(a, b)
         values = np.array([claim.shift, claim.low, claim.high, claim.p], float)
         yield finite("float64", values, what=f"{label}: figures")
-        yield Check("float64", f"{label}: differences claimed", int(claim.verdict is Verdict.differs), 0, "They overlap.")
+        yield Check(
+            "float64", f"{label}: differences claimed", int(claim.verdict is Verdict.differs), 0, "They overlap."
+        )
     same = component_claim([1.0] * 3, [2.0] * 3)
     yield Check(
-        "float64", "no seed changes anything: claims", int(same.verdict is not Verdict.not_claimable), 0, "Nothing to judge by."
+        "float64",
+        "no seed changes anything: claims",
+        int(same.verdict is not Verdict.not_claimable),
+        0,
+        "Nothing to judge by.",
     )
 
 
@@ -117,9 +140,17 @@ def _families(device: str) -> Iterator[Check]:  # noqa: ARG001
     p = np.array([0.0, 1.0, 5e-324, 0.02, 0.02, 0.5])
     adjusted = holm(p)
     yield finite("float64", adjusted, what="p-values")
-    yield Check("float64", "p-values that fell or exceed 1", int(((adjusted < p) | (adjusted > 1)).sum()), 0, "It corrects upwards.")
+    yield Check(
+        "float64",
+        "p-values that fell or exceed 1",
+        int(((adjusted < p) | (adjusted > 1)).sum()),
+        0,
+        "It corrects upwards.",
+    )
     order = np.argsort(p, kind="stable")
-    yield Check("float64", "order that changed", float(max(-np.diff(adjusted[order]).min(), 0)), 0, "It is a running maximum.")
+    yield Check(
+        "float64", "order that changed", float(max(-np.diff(adjusted[order]).min(), 0)), 0, "It is a running maximum."
+    )
     yield Check("float64", "values of an empty family", holm([]).size, 0, "There is none.")
     yield refused("float64", partial(holm, [1.0 + 1e-12]), partial(holm, [np.nan]), partial(holm, [-1e-300]))
 
