@@ -14,51 +14,21 @@ import argparse
 import json
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
+from results_page import FRAME, PICTURES, write_page
 
-from ablate.analysis import (
-    REFERENCE,
-    RESIMULATION,
-    Design,
-    FramePictures,
-    Spread,
-    boxplot_caption,
-    boxplot_panels,
-    cautions,
-    comparison_table,
-    effects_caption,
-    effects_plot,
-    effects_table,
-    facts_of,
-    find_design,
-    paired_table,
-    qualitative_caption,
-    qualitative_figure,
-    resimulation_note,
-    seed_claims,
-    seed_plot,
-    seeds_caption,
-    to_markdown,
-)
-from ablate.studies.compare import COMPONENTS, components_of
+from ablate.analysis import RESIMULATION
 from ablate.studies.identity import write_json
-from ablate.studies.results import Finished, pictures, scored_frames
+from ablate.studies.results import Finished, pictures
 from ablate.studies.usable_runs import usable_runs
 
 DOCS = Path(__file__).resolve().parent
 KEPT, PAGE = DOCS / "results", DOCS / "results.md"
-BEGIN, END = "<!-- written by docs/results.py: begin -->", "<!-- written by docs/results.py: end -->"
-TABLE_II = ("psnr", "mae", "pchi2", "fd_speckle", "fid", "ms_per_frame", "parameters")
-MECHANISM = ("shadow_contrast", "mae_smooth", "nyquist_excess", "noise_sd", "pchi2_tissue")
-FIGURE_4 = ("psnr", "mae", "pchi2")
-PANELS = ("psnr", "mae", "pchi2", "fd_speckle", *MECHANISM[:4])
-TESTED = ("psnr", "mae", "pchi2", *MECHANISM)
-FRAME, VALUES, PICTURES = "frame.npz", "per_image.parquet", "pictures.npz"
+VALUES = "per_image.parquet"
 
 
 def keep(study: Path, kept: Path = KEPT) -> list[str]:
@@ -177,162 +147,6 @@ def restore(kept: Path = KEPT, runs_dir: Path = Path("runs")) -> list[str]:
     return said
 
 
-def kept_frame(study: Path, runs: Sequence[Finished]) -> list[FramePictures]:
-    """The kept frame with what every variant made of it; empty when it was not kept.
-
-    Parameters
-    ----------
-    study : Path
-        Folder of a kept study.
-    runs : sequence of Finished
-
-    Returns
-    -------
-    list of FramePictures
-        One or none.
-    """
-    if not (study / FRAME).exists():
-        return []
-    with np.load(study / FRAME) as file:
-        maps = dict(file)
-    number = int(maps["number"])
-    predictions = {RESIMULATION: maps["again"]} if "again" in maps else {}
-    for run in sorted(runs, key=lambda run: (run.label != REFERENCE, run.label)):
-        if (run.folder / PICTURES).exists():
-            with np.load(run.folder / PICTURES) as file:
-                if number in file["frames"]:
-                    predictions[run.label] = file["images"][file["frames"].tolist().index(number)]
-    return [
-        FramePictures(
-            f"frame {number}", maps["target"], predictions, maps["mask"], maps["segmentation"], maps.get("attenuation")
-        )
-    ]
-
-
-def study_lines(study: Path) -> Iterator[str]:
-    """Tables and figures of a kept study, paragraph by paragraph; figures are written into its folder."""
-    usable = usable_runs(study)
-    per_image, scalars = scored_frames(usable.runs)
-    table, paired = comparison_table(per_image, scalars), paired_table(per_image)
-    networks = per_image[per_image["variant"] != RESIMULATION]
-    yield f"## {study.name}"
-    yield (
-        f"{len(usable.runs)} runs, {networks['frame'].nunique()} test frames of {networks['site'].nunique()} unseen "
-        f"probe sites, data set `{usable.runs[0].result['data']}`."
-    )
-    yield "\n".join(f"- {note}" for note in (*usable.notes, *cautions(per_image)))
-    shown = table[table["metric"].isin(TABLE_II)]
-    yield f"Mean ± standard deviation over test frames; the best network in bold.\n\n{to_markdown(shown)}"
-    spread = table[table["metric"].isin((*TABLE_II[:4], *MECHANISM))]
-    yield (
-        "Mean ± standard deviation of the seeds' means, with the metrics that ask whether a component does what it is "
-        f"for.\n\n{to_markdown(spread, Spread.seeds)}"
-    )
-    yield resimulation_note(list(dict.fromkeys([*shown["metric"], *spread["metric"]])))
-    yield f"### Do the components matter?\n\n{claims_text(seed_claims(per_image, scalars))}"
-    yield f"### Do the trained networks differ?\n\n{paired_text(paired)}"
-    design = find_design({run.label: components_of(run) for run in usable.runs}, COMPONENTS)
-    yield from (f"![{alt}]({path.relative_to(DOCS)})\n\n*{alt}*" for path, alt in figures(study, usable.runs, design))
-
-
-def claims_text(claims: pd.DataFrame) -> str:
-    """Verdicts in Markdown: a row a variant, a column a metric."""
-    if claims.empty or claims["p"].isna().all():
-        return "Not claimable: it takes the reference and three seeds a network."
-    claims = claims[claims["metric"].isin((*TABLE_II, *MECHANISM))]
-    metrics = list(dict.fromkeys(claims["metric"]))
-    lines = [["variant", *(facts_of(m).title for m in metrics)], ["---", *["---:"] * len(metrics)]]
-    for variant, of in claims.groupby("variant", sort=False):
-        cells = of.set_index("metric").to_dict("index")
-        lines.append([str(variant), *(claim_cell(m, cells[m]) if m in cells else "–" for m in metrics)])
-    head = (
-        "Difference of the seeds' means to sa2h (Welch), **bold** where it differs after Holm's correction over all "
-        "rows, *italic* where it is suggested (differs when its row is taken alone)."
-    )
-    return f"{head}\n\n" + "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def claim_cell(metric: str, claim: dict[str, object]) -> str:
-    """One cell of `claims_text`."""
-    if claim["shift"] is None or pd.isna(claim["shift"]):
-        return str(claim["verdict"])
-    text = f"{claim['shift']:+.{facts_of(metric).decimals}f}"
-    return {"differs": f"**{text}**", "suggested": f"*{text}*"}.get(str(claim["verdict"]), text)
-
-
-def paired_text(paired: pd.DataFrame) -> str:
-    """Median shifts with their intervals in Markdown: a row a variant, a column a metric."""
-    paired = paired[paired["metric"].isin(TESTED)]
-    if paired.empty:
-        return "There is no pair of networks to compare."
-    metrics = list(dict.fromkeys(paired["metric"]))
-    lines = [["variant", *(facts_of(m).title for m in metrics)], ["---", *["---:"] * len(metrics)]]
-    for variant, of in paired.groupby("variant", sort=False):
-        cells = of.set_index("metric").to_dict("index")
-        lines.append([str(variant), *(shift_cell(m, cells[m]) if m in cells else "–" for m in metrics)])
-    head = (
-        "Median shift to sa2h over the same frames with its 95 % interval over probe sites, **bold** where Wilcoxon's "
-        "test over the sites' means stays below 5 % after Holm's correction over all rows and metrics."
-    )
-    return f"{head}\n\n" + "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def shift_cell(metric: str, row: dict[str, float]) -> str:
-    """One cell of `paired_text`."""
-    decimals = facts_of(metric).decimals
-    shift = f"{row['shift']:+.{decimals}f}"
-    shift = f"**{shift}**" if row["p_sites_holm"] < 0.05 else shift
-    return f"{shift} [{row['low']:.{decimals}f}, {row['high']:.{decimals}f}]"
-
-
-def figures(study: Path, runs: Sequence[Finished], effects_of: Design | None) -> list[tuple[Path, str]]:
-    """The figures of a kept study as PNG, each with its caption; PDF is for `task=compare`."""
-    per_image, scalars = scored_frames(runs)
-    made: list[tuple[list[Path], str]] = []
-    with TemporaryDirectory() as folder:
-        drawn = Path(folder)
-        if frames := kept_frame(study, runs):
-            made.append((qualitative_figure(frames, drawn / "qualitative"), qualitative_caption()))
-        boxes = boxplot_panels(per_image, FIGURE_4, drawn / "boxplots", paired=paired_table(per_image))
-        made.append((boxes, boxplot_caption(FIGURE_4)))
-        made.append((seed_plot(per_image, scalars, PANELS, drawn / "seeds"), seeds_caption(PANELS)))
-        if effects_of is not None and len(effects := effects_table(per_image, effects_of, scalars)):
-            made.append((effects_plot(effects, PANELS, drawn / "effects"), effects_caption(effects_of, effects)))
-        kept = []
-        for paths, caption in made:
-            for path in paths:
-                if path.suffix == ".png":
-                    kept.append((study / path.name, caption))
-                    shutil.copyfile(path, kept[-1][0])
-    return kept
-
-
-def write_page(kept: Path = KEPT, page: Path = PAGE) -> None:
-    """Write what stands between the markers of the page; a page without them is begun.
-
-    Parameters
-    ----------
-    kept : Path
-        Folder of kept studies.
-    page : Path
-
-    Raises
-    ------
-    ValueError
-        When nothing is kept.
-    """
-    studies = sorted({path.parents[2] for path in kept.glob("*/*/seed*/result.json")})
-    if not studies:
-        raise ValueError(f"{kept} holds no study; `python docs/results.py keep runs/laptop-fetal` copies one")
-    text = page.read_text() if page.exists() else f"# Results\n\n{BEGIN}\n{END}\n"
-    before, _, rest = text.partition(BEGIN)
-    _, found, after = rest.partition(END)
-    if not found:
-        raise ValueError(f"{page} lacks the markers {BEGIN} and {END}")
-    paragraphs = [line for study in studies for line in study_lines(study) if line]
-    page.write_text(before + BEGIN + "\n\n" + "\n\n".join(paragraphs) + "\n\n" + END + after)
-
-
 def main() -> int:
     """Keep, restore or write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -343,7 +157,7 @@ def main() -> int:
     args = parser.parse_args()
     try:
         if args.command == "table":
-            write_page()
+            write_page(KEPT, PAGE)
         else:
             print("\n".join(keep(args.study) if args.command == "keep" else restore(runs_dir=args.runs)))
     except ValueError as error:

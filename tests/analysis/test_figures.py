@@ -181,7 +181,7 @@ def test_chi2_maps_of_eleven_networks_fit_a_page(pictures, figures, tmp_path):
 
 
 def test_captions_tell_a_floor_from_a_level():
-    effects = pd.DataFrame({"metric": ["psnr", "pchi2"], "p": [0.1, None]})
+    effects = pd.DataFrame({"metric": ["psnr", "pchi2"], "p": [0.1, None], "effect": "attenuation"})
     cells = pd.DataFrame({"attenuation": pd.Categorical(["integral", "none"])}, index=["sa2h", "sa2h-att"])
     design = Design(cells, "one change", "Read it so.", ())
     both = ["psnr", "pchi2"]

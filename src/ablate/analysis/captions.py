@@ -10,6 +10,8 @@ from ablate.analysis.designs import Design, interval_note
 from ablate.analysis.metric_facts import REFERENCE, facts_of
 from ablate.analysis.table_formats import resimulation_note
 
+INTERACTION = "An interaction a:b is half the difference that b makes to the effect of a."
+
 
 def boxplot_caption(metrics: Sequence[str], reference: str = REFERENCE) -> str:
     """Caption of `paired_boxplots` and `boxplot_panels`.
@@ -102,7 +104,7 @@ def effects_caption(design: Design, effects: pd.DataFrame) -> str:
     said = [
         f"Effects of changing a component ({changes}), from one mean a training, with 95 % intervals of one effect "
         f"alone: {design.name}. {design.reading}",
-        "An interaction a:b is half the difference that b makes to the effect of a.",
+        INTERACTION if effects["effect"].str.contains(":").any() else "",
         interval_note(effects),
         resimulation_note(list(dict.fromkeys(effects["metric"]))),
     ]

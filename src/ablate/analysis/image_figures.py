@@ -134,7 +134,7 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path
         When there is no frame.
     """
     names = ["target", *_columns(frames)]
-    blocks = -(-len(names) // MOST_DOWN)
+    blocks = min(max(-(-len(names) // MOST_DOWN), ACROSS // len(frames)), len(names))
     down, across = -(-len(names) // blocks), blocks * len(frames)
     height, width = frames[0].target.shape
     page = PAGE_IN * max(across / ACROSS, 1.0) if across > 1 else PAGE_IN / 2
