@@ -22,7 +22,7 @@ from ablate.studies.precision.summary import tables, verdict
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "numerics.md"
-FIGURES = ("precision", "precision_order", "precision_stages")
+FIGURES = ("precision", "precision_order")
 PARTS = ("fetal", "paper", "patient", "scaling")
 # Name on the page: the heading's first words in the summary.
 TABLES = {

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.image import imread
 
-from ablate.analysis import budget_table, observed_order, order_figure, stages_figure, work_precision_figure
+from ablate.analysis import budget_table, observed_order, order_figure, work_precision_figure
 
 N = np.array([1, 2, 4, 8, 16, 32, 64, 128])
 
@@ -99,11 +99,14 @@ def assert_drawn(paths: list[Path]) -> None:
 def test_figures_are_drawn(tmp_path: Path) -> None:
     table = points()
     floors = {"mae": 0.3, "psnr": 20.0}
-    assert_drawn(work_precision_figure(table, tmp_path / "precision", floors, "a test"))
+    times = [("simulator, rays", "1", "scatterers", 5.0), ("simulator, rays", "1", "segmentation", 0.01)]
+    times += [("sa2h", f"fp32, {engine}, seed 0", "network", ms) for engine, ms in (("eager", 9.0), ("compiled", 4.0))]
+    stages = pd.DataFrame(times, columns=["series", "setting", "quantity", "value"])
+    assert_drawn(work_precision_figure(table, stages, tmp_path / "precision", floors, "a test"))
     alone = table[table["series"] == "simulator, rays"].assign(error=lambda t: t["error"].where(t["ms"] > 70, np.inf))
-    assert_drawn(work_precision_figure(alone, tmp_path / "alone", {}, "a test"))
+    assert_drawn(work_precision_figure(alone, stages[:2], tmp_path / "alone", {}, "a test"))
     with pytest.raises(ValueError, match="no finite point"):
-        work_precision_figure(table.assign(ms=0.0), tmp_path / "none", {}, "")
+        work_precision_figure(table.assign(ms=0.0), stages, tmp_path / "none", {}, "")
     grids = [
         ("simulator, layers", setting, metric, value)
         for metric in ("mae_smooth", "pchi2")
@@ -112,12 +115,3 @@ def test_figures_are_drawn(tmp_path: Path) -> None:
     convergence = pd.DataFrame(grids, columns=["series", "setting", "quantity", "value"])
     of_rays = table[table["series"] == "simulator, rays"]
     assert_drawn(order_figure(of_rays, convergence, {"simulator, layers": 3}, tmp_path / "order"))
-    stages = pd.DataFrame(
-        [
-            ("simulator, rays", "1", "scatterers", 5.0),
-            ("simulator, rays", "1", "rays", 0.01),
-            ("sa2h", "x", "network", 9),
-        ],
-        columns=["series", "setting", "quantity", "value"],
-    )
-    assert_drawn(stages_figure(stages, tmp_path / "stages", "a test"))

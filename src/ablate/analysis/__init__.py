@@ -19,7 +19,7 @@ from ablate.analysis.latex_table import to_latex
 from ablate.analysis.metric_facts import METRICS, REFERENCE, RESIMULATION, facts_of
 from ablate.analysis.order import ordered_metrics, ordered_variants
 from ablate.analysis.paired_differences import paired_table
-from ablate.analysis.precision_figures import order_figure, stages_figure, work_precision_figure
+from ablate.analysis.precision_figures import order_figure, work_precision_figure
 from ablate.analysis.preview_figure import Preview, preview_figure
 from ablate.analysis.report import write_report
 from ablate.analysis.runtime_figure import error_vs_runtime, pareto_front
@@ -74,7 +74,6 @@ __all__ = [
     "seed_claims",
     "seed_plot",
     "seeds_caption",
-    "stages_figure",
     "to_html",
     "to_latex",
     "to_markdown",

@@ -45,8 +45,8 @@ def series_name(name: str) -> str:
 
 def work(base: SimulatorSettings, frames: int) -> int:
     """How many times `measure_simulator` advances."""
-    settings = sum(len(ladder) for ladder in ladders(base).values())
-    return frames * (2 + settings + len(RAYS) + len(_GRIDS) + 1 + len(_staged(base)))
+    settings = {setting for ladder in ladders(base).values() for setting in ladder.values()} | {base}
+    return frames * (2 + len(settings) + len(RAYS) + len(_GRIDS) + 1 + len(_staged(base)))
 
 
 def _staged(base: SimulatorSettings) -> tuple[int, ...]:
@@ -65,12 +65,13 @@ def measure_simulator(bench: Bench, points: Ledger, details: Ledger, advance: Ca
         The reference: `REFERENCE_RAYS` rays, all else as the data set.
     """
     base, seeds = bench.simulator, (bench.seed, bench.seed + 1)
+    usual = shoot(bench, base, seeds, advance)  # one setting, one time, in every series
     (reference,), _ = shoot(bench, replace(base, rays=REFERENCE_RAYS), seeds[:1], advance)
     (half,), _ = shoot(bench, replace(base, rays=REFERENCE_RAYS // 2), seeds[:1], advance)
     for name, ladder in ladders(base).items():
         fine = _finer(bench, name, details, advance) if name in _GRIDS else None
         for value, settings in ladder.items():
-            (shots, other), ms = shoot(bench, settings, seeds, advance)
+            (shots, other), ms = usual if settings == base else shoot(bench, settings, seeds, advance)
             errors = mean_errors(shots, reference, bench.mask)
             as_others = mean_errors(other, reference, bench.mask)
             _add(points, series_name(name), value, ms, errors)
@@ -83,7 +84,7 @@ def measure_simulator(bench: Bench, points: Ledger, details: Ledger, advance: Ca
             if fine is not None:
                 for metric, error in mean_errors(shots, fine, bench.mask).items():
                     details.add("convergence", series_name(name), value, metric, error)
-    _float64(bench, details, advance)
+    _float64(bench, usual[0][0], details, advance)
     for rays in _staged(base):
         for stage, ms in time_stages(bench, replace(base, rays=rays), advance).items():
             details.add("stage", RAYS_SERIES, rays, stage, ms)
@@ -122,9 +123,8 @@ def _finer(bench: Bench, name: str, details: Ledger, advance: Callable[[], objec
     return fine
 
 
-def _float64(bench: Bench, details: Ledger, advance: Callable[[], object]) -> None:
+def _float64(bench: Bench, single: Shots, details: Ledger, advance: Callable[[], object]) -> None:
     """What single precision of the signal chain costs, on the same paths."""
-    (single,), _ = shoot(bench, bench.simulator, (bench.seed,), lambda: None)
     (double,), _ = shoot(bench, replace(bench.simulator, precision=Precision.float64), (bench.seed,), advance)
     for metric, error in mean_errors(single, double, bench.mask).items():
         details.add("limit", "simulator, float32 against float64", bench.simulator.rays, metric, error)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from ablate.analysis import RESIMULATION, order_figure, stages_figure, work_precision_figure
+from ablate.analysis import RESIMULATION, order_figure, work_precision_figure
 from ablate.config import StudySettings
 from ablate.studies.precision.bench import Bench, bench_of
 from ablate.studies.precision.generated import comparable_runs, measure_generators, plan_of, ways
@@ -85,12 +85,11 @@ def _report(bench: Bench, about: list[str], points: Ledger, details: Ledger, run
     """Print the tables, draw the figures, put both on the run; returns what lies where, but for the PDFs."""
     folder, errors, more = points.path.parent, points.table(), details.table()
     level = floors(errors, bench.simulator.rays)
-    stem, device = folder / "precision", hardware()
-    figures = work_precision_figure(errors, stem, level, device)
+    stem = folder / "precision"
+    figures = work_precision_figure(errors, more[more["table"] == "stage"], stem, level, hardware())
     base = {series_name(name): getattr(bench.simulator, name) for name in ladders(bench.simulator)}
     of_rays, grids = errors[errors["series"] == RAYS_SERIES], more[more["table"] == "convergence"]
     figures += order_figure(of_rays, grids, base, stem.with_name("precision_order"))
-    figures += stages_figure(more[more["table"] == "stage"], stem.with_name("precision_stages"), device)
     shown = tables(errors, more)
     head = [verdict(more), f"{RESIMULATION}: " + ", ".join(f"{name} {value:.3g}" for name, value in level.items())]
     print("\n".join([*head, "", as_text(shown), ""]))
