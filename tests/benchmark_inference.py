@@ -35,7 +35,7 @@ from ablate.training import (
     renderer,
 )
 
-HEAD = ("width", "parameters", "engine", "precision", "ms per frame", "ready, s", "peak, GiB", "grey levels apart")
+HEAD = ("width", "parameters", "  engine", "precision", "ms per frame", "ready, s", "peak, GiB", "grey levels apart")
 
 
 def line(cells: tuple[str, ...]) -> None:
@@ -76,6 +76,7 @@ def drawn_generator(variant: str, width: float) -> Generator:
 def measure(arguments: argparse.Namespace) -> None:
     """Measure one row; prints JSON."""
     (height, width), device = arguments.size, chosen_device(arguments.device)
+    before = peak_gib(device)
     generator = drawn_generator(arguments.variant, arguments.widths[0]).to(device)
     if arguments.engine is None:
         export_onnx(generator, arguments.file, height, width)
@@ -92,12 +93,12 @@ def measure(arguments: argparse.Namespace) -> None:
     ready = time.perf_counter() - started
     np.save(arguments.image, image.numpy())
     milliseconds = median_ms(render, maps, arguments.repeats, warmup=1)
-    print(json.dumps({"ms": milliseconds, "ready": ready, "peak": peak_gib(device)}))
+    print(json.dumps({"ms": milliseconds, "ready": ready, "peak": peak_gib(device), "before": before}))
 
 
 def table(arguments: argparse.Namespace, folder: Path) -> None:
     """Print a row for each width, engine and precision."""
-    device = chosen_device(arguments.device)
+    device, before = chosen_device(arguments.device), 0.0
     for width in arguments.widths:
         parameters = f"{count_generator(replace(variant_model(arguments.variant), width=width)):,}"
         exported, reference = folder / "model.onnx", None
@@ -112,6 +113,7 @@ def table(arguments: argparse.Namespace, folder: Path) -> None:
                 out = folder / "image.npy"
                 row = ("--widths", str(width), "--engine", engine, "--precision", precision, "--image", str(out))
                 found = child(arguments, *row, "--file", str(exported))
+                before = max(before, found["before"])
                 image = np.load(out)
                 reference = image if reference is None else reference
                 apart = 127.5 * np.abs(image - reference)
@@ -127,6 +129,12 @@ def table(arguments: argparse.Namespace, folder: Path) -> None:
                         f"{apart.max():.2g} at most, {apart.mean():.2g} in the mean",
                     )
                 )
+    where = (
+        "GPU memory of the arrays"
+        if device.type == "cuda"
+        else f"{before:.2f} GiB of it Python, torch and this project"
+    )
+    print(f"\nPeak: {where}. Ready: until the first frame, compiling included, exporting not.")
 
 
 def main() -> None:
