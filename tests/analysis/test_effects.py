@@ -49,6 +49,23 @@ def test_one_factor_is_the_two_sample_t_test():
     assert row["p"] == pytest.approx(stats.ttest_ind(values[:3], values[3:]).pvalue)
 
 
+def test_standard_errors_are_those_of_ordinary_least_squares():
+    """Against the textbook's formula on dummy variables: effects are sums of their coefficients."""
+    runs = factorial(3, lambda i, j, k: i - j * k, noise=0.7)
+    row = factorial_effects(runs, ["att", "conv", "noise"]).set_index("effect").loc["att"]
+    i, j, k = (
+        (runs[name] == level).to_numpy(float) for name, level in (("att", "off"), ("conv", "off"), ("noise", "none"))
+    )
+    design = np.column_stack([np.ones(len(runs)), i, j, k, i * j, i * k, j * k])
+    beta, rss, _, _ = np.linalg.lstsq(design, runs["value"].to_numpy(), rcond=None)
+    weights = np.array([0, 1, 0, 0, 0.5, 0.5, 0])  # the effect of att, averaged over the levels of the others
+    error = np.sqrt(rss[0] / (24 - 7) * weights @ np.linalg.inv(design.T @ design) @ weights)
+    reach = stats.t.ppf(0.975, 17) * error
+    assert row["estimate"] == pytest.approx(weights @ beta)
+    assert (row["low"], row["high"]) == pytest.approx((weights @ beta - reach, weights @ beta + reach))
+    assert row["p"] == pytest.approx(2 * stats.t.sf(abs(weights @ beta) / error, 17))
+
+
 def test_saturated_designs_have_no_interval_and_bad_ones_are_refused():
     runs = pd.DataFrame({"a": [0, 0, 1, 1], "b": [0, 1, 0, 1], "value": [1.0, 2.0, 3.0, 5.0]})
     table = factorial_effects(runs, ["a", "b"])

@@ -1,5 +1,6 @@
 """Paired statistics against scipy, brute force, and their own promises under simulation."""
 
+import itertools
 import math
 
 import numpy as np
@@ -109,6 +110,13 @@ def test_holm_by_hand_and_by_scipys_definition():
     assert (np.diff(adjusted[np.argsort(p)]) >= 0).all()
     with pytest.raises(ValueError, match=r"\[0, 1\]"):
         holm([1.2])
+
+
+def test_holm_is_closed_testing_with_bonferroni():
+    p = np.random.default_rng(1).random(6) ** 2
+    subsets = [list(s) for size in range(1, 7) for s in itertools.combinations(range(6), size)]
+    closed = [max(min(1.0, len(s) * p[s].min()) for s in subsets if i in s) for i in range(6)]
+    np.testing.assert_allclose(holm(p), closed)
 
 
 def test_component_claims_need_three_seeds():
