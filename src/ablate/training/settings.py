@@ -77,7 +77,7 @@ class TrainingSettings:
     threads: int = 0
     seed: int = 0
     checkpoint_every: int = 1000
-    validate_every: int = 0
+    validate_every: int = 5000
     log_every: int = 50
 
     def __post_init__(self) -> None:
