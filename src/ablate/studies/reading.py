@@ -13,14 +13,15 @@ import pandas as pd
 from ablate.analysis import FramePictures, comparison_table
 from ablate.config import StudySettings, build
 from ablate.studies.data import Data
-from ablate.studies.results import Finished, data_of, finished_runs, pictures, scored_frames
+from ablate.studies.results import Finished, data_of, pictures, scored_frames
+from ablate.studies.usable_runs import usable_runs
 
 DEFAULT_STUDY = "runs/quick-fetal"  # where `make sweep` leaves its study
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A study on disk with at least one finished run.
+    """A study on disk with at least one run that can be used.
 
     Attributes
     ----------
@@ -71,11 +72,11 @@ def open_study() -> Study:
     named = os.environ.get("ABLATE_STUDY")
     places = [Path(named)] if named else [Path(DEFAULT_STUDY), Path("..") / DEFAULT_STUDY]
     for folder in places:
-        runs = finished_runs(folder.resolve())
+        marker = folder / "comparison" / "made_from.json"
+        reference = json.loads(marker.read_text())["reference"] if marker.exists() else StudySettings.reference
+        runs = usable_runs(folder.resolve(), reference).runs
         if runs:
-            marker = folder / "comparison" / "made_from.json"
-            reference = json.loads(marker.read_text())["reference"] if marker.exists() else StudySettings.reference
-            return Study(folder.resolve(), tuple(runs), reference, *scored_frames(runs))
+            return Study(folder.resolve(), runs, reference, *scored_frames(runs))
     raise SystemExit(
         f"There is no finished study at {places[0]}. Run `make sweep` first, or name another by the environment "
         "variable ABLATE_STUDY."
