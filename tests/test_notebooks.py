@@ -1,0 +1,89 @@
+"""Every notebook runs from top to bottom on a study on disk, and says what to run where there is none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jupytext
+import nbclient
+import pytest
+from nbclient.exceptions import CellExecutionError
+from nbformat import NotebookNode
+
+from ablate.studies import tasks
+from ablate.studies.run import run_job
+from ablate.studies.sweep import jobs_of
+
+FOLDER = Path(__file__).parents[1] / "notebooks"
+# Pictures that each shows; those of Fig. 3 are one a frame.
+PICTURES = {
+    "table2": 0,
+    "fig2_qualitative": 2,
+    "fig3_error_maps": 2,
+    "fig4_boxplots": 2,
+    "error_vs_runtime": 1,
+    "simulator_tour": 10,
+}
+TINY = [
+    "scene.triangles=6000",
+    "simulator.scanlines=24",
+    "simulator.axial_samples=128",
+    "simulator.rays=2",
+    "simulator.layers=1",
+    "simulator.image_shape=[128,178]",
+    "dataset.frames=12",
+    "dataset.grid=[3,4,1,1]",
+    "dataset.validation=0.2",
+    "dataset.test=0.3",
+    "dataset.workers=1",
+    "model.width=0.05",
+    "training.steps=2",
+    "training.crop=64",
+    "evaluation.timed_frames=2",
+    "evaluation.pictures=2",
+]
+
+pytestmark = [
+    pytest.mark.slow,
+    # Of jupyter_client and what it builds on, in this process.
+    pytest.mark.filterwarnings("ignore::DeprecationWarning:jupyter_client.*", "ignore::DeprecationWarning:zmq.*"),
+]
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    runs = tmp_path_factory.mktemp("runs")
+    jobs = jobs_of(["-m", "variant=sa2h,sa2h-att", f"runs_dir={runs}", *TINY])
+    assert tasks.study(jobs, lambda: [run_job(job) for job in jobs] and None) == 0
+    return jobs[0].settings.study_dir
+
+
+def execute(name: str) -> NotebookNode:
+    notebook = jupytext.read(FOLDER / f"{name}.py")
+    nbclient.NotebookClient(
+        notebook, timeout=120, kernel_name="python3", resources={"metadata": {"path": str(FOLDER)}}
+    ).execute()
+    return notebook
+
+
+def test_the_list_of_notebooks_is_the_folder() -> None:
+    assert sorted(PICTURES) == sorted(path.stem for path in FOLDER.glob("*.py"))
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_it_runs_on_a_study(name: str, study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ABLATE_STUDY", str(study))
+    before = {path for path in study.parent.rglob("*") if path.is_file()}
+    outputs = [output for cell in execute(name).cells for output in cell.get("outputs", [])]
+    assert sum("image/png" in output.get("data", {}) for output in outputs) == PICTURES[name]
+    assert {path for path in study.parent.rglob("*") if path.is_file()} == before  # it reads, and writes nothing
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_without_a_study_it_says_what_to_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ABLATE_STUDY", str(tmp_path / "nothing"))
+    with pytest.raises(CellExecutionError) as stopped:
+        execute(name)
+    said = str(stopped.value)
+    assert f"There is no finished study at {tmp_path / 'nothing'}. Run `make sweep` first" in said
+    assert "Traceback" not in said
