@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
 from ablate.networks import Generator, GeneratorSpec
-from ablate.training import Engine, Precision, median_ms_per_frame, missing_for, renderer
+from ablate.training import (
+    Engine,
+    Loader,
+    Precision,
+    TrainingSettings,
+    load_generator,
+    median_ms_per_frame,
+    missing_for,
+    open_exported,
+    renderer,
+    train,
+)
 
 CPU = torch.device("cpu")
 SEED = torch.tensor([3])
@@ -44,6 +58,26 @@ def test_a_frame_by_engine_and_precision(
     torch.testing.assert_close(image, expected, rtol=0, atol=tolerance)
     torch.testing.assert_close(render(maps, SEED + 1).float(), other, rtol=0, atol=tolerance)
     assert (expected - other).abs().max() > 1e-3
+
+
+@pytest.mark.skipif(missing_for(Engine.exported, CPU) is not None, reason="needs the extra export")
+def test_the_documented_export_of_a_run(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "networks.md").read_text()
+    example = re.search("```python\n(.*?)```", page, re.DOTALL)
+    folder = re.search(r'Path\("(runs/.*?)"\)', page)
+    assert example is not None
+    assert folder is not None
+    run = tmp_path / folder[1]
+    train(spec, replace(settings, steps=1), loader, run)
+    monkeypatch.chdir(tmp_path)
+    exec(example[1], {})
+    generator = load_generator(run / "last.ckpt")
+    maps = {name: torch.rand(1, 1, 250, 346) for name in ("segmentation", "attenuation")}
+    image = open_exported(generator, run / "model.onnx", Precision.fp32)(maps, SEED)
+    with torch.inference_mode():
+        torch.testing.assert_close(image, generator(**maps, noise_seed=SEED), rtol=0, atol=1e-3)
 
 
 @pytest.mark.slow

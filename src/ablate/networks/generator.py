@@ -167,7 +167,7 @@ class Generator(nn.Module):
             # Nearest: the pixel at each cell's corner, which is where a stride-2 convolution is centred.
             resized = [maps[:, :1, ::step, ::step]]
             if fed == 2:
-                # Bilinear: halfway between the four pixels around each cell's centre.
+                # Bilinear: the mean of the four pixels around each cell's centre, (step - 1) / 2 px beside that corner.
                 size = resized[0].shape[-2:]
                 resized.append(F.interpolate(maps[:, 1:2], size, mode="bilinear", align_corners=False))
             pyramid.append(torch.cat(resized, dim=1).contiguous(memory_format=torch.channels_last))
