@@ -1,0 +1,102 @@
+"""What a study leaves in MLflow: one run a job however often it is stopped, what it shows, and the study's own page."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mlflow import MlflowClient
+from mlflow.entities import Run
+
+from ablate.studies import run as run_module
+from ablate.studies.compare import compare_study
+from ablate.studies.run import run_job
+from ablate.studies.sweep import Job, jobs_of
+from ablate.studies.tracked import log_samples
+from ablate.tracking import default_uri
+
+TINY = [
+    "scene.triangles=6000",
+    "simulator.scanlines=24",
+    "simulator.axial_samples=128",
+    "simulator.rays=2",
+    "simulator.layers=1",
+    "simulator.image_shape=[96,134]",
+    "dataset.frames=10",
+    "dataset.grid=[3,4,1,1]",
+    "dataset.validation=0.2",
+    "dataset.test=0.3",
+    "dataset.workers=1",
+    "model.width=0.05",
+    "training.steps=4",
+    "training.crop=64",
+    "training.checkpoint_every=2",
+    "training.validate_every=1",
+    "evaluation.timed_frames=1",
+]
+
+
+@pytest.fixture(scope="module")
+def stopped_once(tmp_path_factory: pytest.TempPathFactory) -> Job:
+    """A job that was stopped at step 3 of 4, one after its checkpoint, and then finished; and its comparison."""
+    (job,) = jobs_of(["variant=sa2h", f"runs_dir={tmp_path_factory.mktemp('runs')}", *TINY])
+
+    def power_cut(*arguments: Any) -> None:
+        log_samples(*arguments)
+        if arguments[-1] == 6:
+            raise RuntimeError("power cut")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_module, "log_samples", power_cut)
+        with pytest.raises(RuntimeError, match="power cut"):
+            run_job(job)
+    run_job(job)
+    compare_study(job.settings)
+    return job
+
+
+def runs_of(job: Job) -> tuple[MlflowClient, Run, Run]:
+    """The client, the study's run and its only child."""
+    client = MlflowClient(default_uri(job.settings.runs))
+    found = {run.data.tags["kind"]: run for run in client.search_runs(["1"])}
+    assert sorted(found) == ["job", "study"]
+    return client, found["study"], found["job"]
+
+
+def test_frames_and_curves_go_on_where_a_job_was_stopped(stopped_once: Job) -> None:
+    client, _, child = runs_of(stopped_once)
+    names = [Path(a.path).name for a in client.list_artifacts(child.info.run_id, "images")]
+    steps = Counter(re.match(r"frames~\d+\+step\+(\d+)\+.*\.png", name)[1] for name in names if name.endswith("png"))
+    assert steps == dict.fromkeys(("0", "2", "4", "6", "8"), 2)  # two frames, each step once
+    curve = client.get_metric_history(child.info.run_id, "val/psnr_fan_curve")
+    assert sorted({point.step for point in curve}) == [0, 2, 4, 6, 8]
+    assert {point.step for point in client.get_metric_history(child.info.run_id, "test/psnr")} == {0}
+    assert next(iter(child.data.metrics)) == "val/psnr_fan_curve"  # the one that a comparison draws
+
+
+def test_a_run_has_the_parameters_that_may_differ_and_the_study_those_that_are_shared(stopped_once: Job) -> None:
+    _, study, child = runs_of(stopped_once)
+    components = {"family", "attenuation", "concat", "upsampling", "noise", "depth", "extra_input"}
+    assert child.data.params.keys() == {"model", "seed", "encoding", *(f"model.{c}" for c in components)}
+    assert study.data.params["training.steps"] == "4"
+    assert study.data.params["dataset.frames"] == "10"
+    assert not study.data.params.keys() & child.data.params.keys()
+    assert {study.info.status, child.info.status} == {"FINISHED"}
+
+
+def test_the_studys_page_links_to_report_and_comparison(stopped_once: Job) -> None:
+    _, study, child = runs_of(stopped_once)
+    note = study.data.tags["mlflow.note.content"]
+    assert f"(#/experiments/1/runs/{study.info.run_id}/artifacts/report.html)" in note
+    assert f"(#/compare-runs?runs=%5B%22{child.info.run_id}%22%5D&experiments=%5B%221%22%5D)" in note
+    assert "| sa2h | 1 |" in note.replace("\N{NO-BREAK SPACE}", " ")
+    assert "nothing is compared" in note
+    assert study.data.metrics.keys() >= {"test/floor_psnr", "test/floor_pchi2"}
+    report = (stopped_once.settings.study_dir / "comparison" / "report.html").read_text("utf-8")
+    assert study.data.tags.get("git_commit", "") in report  # there is none outside a checkout
+    assert study.data.tags["hardware"] in report
+    assert f"numpy {np.__version__}" in report
