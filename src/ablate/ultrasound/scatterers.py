@@ -50,7 +50,9 @@ def scatterer_tables(tissues: Sequence[Tissue]) -> np.ndarray:
         strength += (here - tissue.scatterer_density) * tissue.scatterer_mean  # a large mean cancels before it is added
         phase = generator.random(shape, np.float32) * np.float32(2 * math.pi)
         total = (strength * np.exp(1j * phase)).sum(axis=0)
-        table[:] = total * math.sqrt(tissue.scatter_power / np.mean(np.abs(total) ** 2))
+        power = np.mean(np.abs(total) ** 2)
+        if power > 0:  # a tissue so sparse or faint that the table holds none of it is silent
+            table[:] = total * math.sqrt(tissue.scatter_power / power)
     return tables
 
 

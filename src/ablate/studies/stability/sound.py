@@ -209,10 +209,12 @@ def _no_loss(device: str) -> Iterator[Check]:
 
 
 def _silence(device: str) -> Iterator[Check]:
-    """Tissue without scatterers, of density 0 and of density 1 without variance: only the display's noise is left."""
+    """Tissue without scatterers, or with next to none: only the display's noise is left."""
     for label, tissue in (
         ("density 0", replace(SOFT, scatterer_density=0.0)),
         ("variance 0", replace(SOFT, scatterer_density=1.0, scatterer_mean=1.0, scatterer_sd=0.0)),
+        ("density 1e-9", replace(SOFT, scatterer_density=1e-9)),
+        ("deviation 1e-112", replace(SOFT, scatterer_sd=1e-112)),
     ):
         frames = both(Scene((slab(tissue, 10.0, 100.0),), tissue, "silent"), SMALL, device)
         for check in usual(frames, SMALL):

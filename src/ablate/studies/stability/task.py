@@ -9,6 +9,7 @@ from inspect import cleandoc
 from pathlib import Path
 
 import pandas as pd
+import torch
 from tqdm import tqdm
 
 from ablate.studies.preflight import check
@@ -34,6 +35,8 @@ def stability(jobs: Sequence[Job]) -> int:
     check(jobs)
     settings = jobs[0].settings
     folder = settings.runs / "stability"
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # on arrays so small they would wait for each other
     store = open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
     run = RunLog(store, task_run(store, "stability", settings.study))
     status = Status.failed
@@ -58,6 +61,7 @@ def stability(jobs: Sequence[Job]) -> int:
         code = {k: v for k, v in git_state(Path(__file__).parent).items() if k != "git_diff"}
         run.tags({"hardware": hardware(), **code})
         run.end(status)
+        torch.set_num_threads(threads)
     return int(bool(fallen))
 
 
@@ -110,5 +114,7 @@ def _shown(table: pd.DataFrame) -> str:
     """Of each case and type the figure that uses most of its bound, and all that fall."""
     used = table["measured"].abs() / table["bound"].where(table["bound"] > 0, float("inf"))
     nearest = used.groupby([table["case"], table["dtype"]], sort=False).idxmax()
-    rows = table.loc[sorted({*nearest, *table.index[~table["holds"]]}), COLUMNS]
-    return rows.to_string(index=False, formatters=dict.fromkeys(("measured", "bound"), "{:.3g}".format))
+    rows = table.loc[sorted({*nearest, *table.index[~table["holds"]]}), COLUMNS].copy()
+    for name in ("case", "dtype", "quantity"):
+        rows[name] = rows[name].str.ljust(rows[name].str.len().max())
+    return rows.to_string(index=False, justify="left", formatters=dict.fromkeys(("measured", "bound"), "{:.3g}".format))

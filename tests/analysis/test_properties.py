@@ -1,0 +1,122 @@
+"""What must hold of the statistics on any differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ablate.analysis import PairedDifference, component_claim, holm, paired_difference
+from ablate.analysis.statistics import LATTICE
+
+PROPERTY = settings(max_examples=25, deadline=None, derandomize=True, database=None)
+#: Whole numbers are often tied or zero; their sums and halves are exact.
+WHOLE = st.integers(-50, 50).map(float)
+ROUGH = st.floats(-1e3, 1e3, width=32).map(float)
+
+
+@st.composite
+def compared(draw: st.DrawFn, numbers: st.SearchStrategy[float] = WHOLE) -> tuple[np.ndarray, np.ndarray]:
+    """Differences, and the site of each."""
+    n = draw(st.integers(1, 40))
+    values = draw(st.lists(numbers, min_size=n, max_size=n))
+    sites = draw(st.lists(st.integers(0, 7), min_size=n, max_size=n))
+    return np.array(values), np.array(sites)
+
+
+def difference(values: np.ndarray, sites: np.ndarray) -> PairedDifference:
+    return paired_difference(values, np.zeros(len(values)), sites, resamples=50)
+
+
+@PROPERTY
+@given(st.one_of(compared(), compared(ROUGH)))
+def test_figures_are_in_range_and_the_interval_holds_the_estimate(data: tuple[np.ndarray, np.ndarray]) -> None:
+    values, sites = data
+    found = difference(values, sites)
+    assert found.low <= found.shift <= found.high
+    assert values.min() <= found.shift <= values.max()
+    assert 0 <= found.p <= 1
+    assert -1 <= found.effect <= 1
+    assert found.clusters == len(set(sites.tolist()))
+
+
+@PROPERTY
+@given(compared(), st.integers(-1000, 1000))
+def test_a_shift_of_all_frames_shifts_the_figures(data: tuple[np.ndarray, np.ndarray], by: int) -> None:
+    values, sites = data
+    here, there = difference(values, sites), difference(values + by, sites)
+    assert there.shift == here.shift + by
+    np.testing.assert_allclose([there.low, there.high], [here.low + by, here.high + by], rtol=0, atol=1e-9)
+
+
+@PROPERTY
+@given(st.one_of(compared(), compared(ROUGH)), st.sampled_from([2.0**-30, 0.5, 4.0, 2.0**40]), st.sampled_from([1, -1]))
+def test_another_unit_scales_the_figures(data: tuple[np.ndarray, np.ndarray], unit: float, sign: int) -> None:
+    """Up to a point of the bootstrap's lattice where the sign turns: it rounds halves to even."""
+    values, sites = data
+    here, there = difference(values, sites), difference(sign * unit * values, sites)
+    assert there.shift == sign * unit * here.shift
+    assert there.p == pytest.approx(here.p, abs=1e-12)
+    assert there.effect == pytest.approx(sign * here.effect, abs=1e-12)
+    ends = sorted((sign * unit * here.low, sign * unit * here.high))
+    apart = 0 if sign == 1 else 2 * unit * np.ptp(values) / (LATTICE - 2)
+    np.testing.assert_allclose([there.low, there.high], ends, rtol=1e-12, atol=apart)
+
+
+@PROPERTY
+@given(compared(), st.randoms(use_true_random=False))
+def test_frames_have_no_order(data: tuple[np.ndarray, np.ndarray], random: np.random.Generator) -> None:
+    values, sites = data
+    order = list(range(len(values)))
+    random.shuffle(order)
+    here, there = difference(values, sites), difference(values[order], sites[order])
+    for name in ("shift", "low", "high", "p", "effect", "n", "clusters"):
+        assert getattr(there, name) == pytest.approx(getattr(here, name), abs=1e-12)
+
+
+@PROPERTY
+@given(compared())
+def test_the_other_way_round_is_the_opposite(data: tuple[np.ndarray, np.ndarray]) -> None:
+    values, sites = data
+    other = np.arange(len(values)) % 5.0
+    there, back = (paired_difference(a, b, sites, resamples=2) for a, b in ((values, other), (other, values)))
+    assert there.shift == -back.shift
+    assert there.effect == -back.effect
+    assert there.p == back.p
+
+
+@PROPERTY
+@given(st.lists(st.floats(0, 1), max_size=30), st.randoms(use_true_random=False))
+def test_holm_is_monotone_and_no_less(p: list[float], random: np.random.Generator) -> None:
+    adjusted = holm(p)
+    assert ((adjusted >= p) & (adjusted <= 1)).all()
+    assert (np.diff(adjusted[np.argsort(p, kind="stable")]) >= 0).all()
+    order = list(range(len(p)))
+    random.shuffle(order)
+    np.testing.assert_array_equal(holm(np.array(p)[order]), adjusted[order])
+    for fewer in range(len(p)):
+        kept = [k for k in range(len(p)) if k != fewer]
+        assert (holm(np.array(p)[kept]) <= adjusted[kept]).all(), "a smaller family is corrected less"
+
+
+@PROPERTY
+@given(
+    st.lists(ROUGH, min_size=3, max_size=6),
+    st.lists(ROUGH, min_size=3, max_size=6),
+    st.sampled_from([2.0**-60, 2.0**60]),
+)
+def test_claims_scale_and_turn_round(a: list[float], b: list[float], unit: float) -> None:
+    here, there, back = (
+        component_claim(a, b),
+        component_claim(unit * np.array(a), unit * np.array(b)),
+        component_claim(b, a),
+    )
+    assert here.verdict == there.verdict == back.verdict
+    if here.p is not None:
+        assert there.p == pytest.approx(here.p, rel=1e-9, abs=1e-300)
+        assert back.p == pytest.approx(here.p, rel=1e-9, abs=1e-300)
+        figures = [here.low, here.shift, here.high]
+        assert figures == sorted(figures)
+        np.testing.assert_allclose([there.low, there.shift, there.high], [unit * v for v in figures], rtol=1e-9)
+        np.testing.assert_allclose([back.high, back.shift, back.low], [-v for v in figures], rtol=1e-9, atol=1e-9)
