@@ -99,7 +99,7 @@ def median_ms_per_frame(
 
 
 def median_ms(render: Render, frame: Mapping[str, Tensor], repeats: int, warmup: int) -> float:
-    """Time what renders `frame`, its maps (1, 1, H, W) on their device, with another noise each time, in milliseconds."""
+    """Time what renders `frame`, maps of (1, 1, H, W) on their device, other noise each time, in milliseconds."""
     device = next(iter(frame.values())).device
     times = []
     for index in range(warmup + repeats):
