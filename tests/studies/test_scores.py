@@ -15,13 +15,24 @@ import pytest
 import torch
 
 from ablate.dataset import Part
-from ablate.metrics import METRIC_SETS, Pair, choose_metrics, frechet_distance, inception, mae, speckle_features
+from ablate.metrics import (
+    FID_METRICS,
+    METRIC_SETS,
+    SPECKLE_METRICS,
+    Pair,
+    choose_metrics,
+    frechet_distance,
+    inception,
+    mae,
+    speckle_features,
+)
 from ablate.studies import scores
 from ablate.studies.data import Data, maps_needed, prepare_data
 from ablate.studies.evaluate import Evaluation, evaluate, resimulated
 from ablate.studies.identity import finished
 from ablate.studies.preflight import check
 from ablate.studies.run import run_job
+from ablate.studies.set_scores import not_computed
 from ablate.studies.sweep import ConfigurationError, Job, jobs_of
 
 TINY = [
@@ -159,6 +170,26 @@ def test_fid_is_computed_with_a_file_and_kept_with_its_interval(runs: Path, data
             np.concatenate([np.stack([c[:, i, j].mean((1, 2)) for i in HALVES for j in HALVES], 1) for c in crops])
         )
     assert found.scalars["test/fid"] == pytest.approx(frechet_distance(*seen), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("shape", "fan", "frames", "with_network", "missing", "said"),
+    [
+        ((512, 600), slice(0, 200), 4, True, set(), ""),
+        ((512, 600), slice(0, 200), 4, False, {"fid", "kid"}, "no Inception weights were given"),
+        ((511, 600), slice(0, 200), 4, True, {"fid", "kid"}, "frames of 511 x 600 px are smaller than the 512 px"),
+        ((512, 600), slice(0, 47), 4, True, {"fd_speckle", "kd_speckle"}, "fewer than two patches of 48 x 48 px"),
+        ((512, 60), slice(0, 48), 1, True, {*FID_METRICS, *SPECKLE_METRICS}, "frames of 512 x 60 px"),
+    ],
+)
+def test_distances_that_frames_do_not_allow_are_left_out_in_words(
+    shape: tuple[int, int], fan: slice, frames: int, with_network: bool, missing: set[str], said: str
+) -> None:
+    mask = np.zeros(shape, bool)
+    mask[fan] = True
+    names, notes = not_computed(choose_metrics(), mask, frames, (lambda images: images) if with_network else None)
+    assert names == missing
+    assert said in " ".join(notes)
 
 
 def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -131,11 +131,11 @@ def evaluate(
     metrics = choose_metrics() if metrics is None else metrics
     mask, solid = pairs.mask(), tissue_labels(tissues)
     depth = pixel_polar(probe, pairs.shape)[0] if describes_fan(probe, mask) else None
-    missing, notes = not_computed(metrics, mask, inception)
+    frames = pairs.frames(part)
+    missing, notes = not_computed(metrics, mask, len(frames), inception)
     computed = metrics.of_set - missing
     speckle, fid = computed.intersection(SPECKLE_METRICS), computed.intersection(FID_METRICS)
     score = partial(_score, _Known(pairs, mask, depth, solid, metrics.of_image, textures=bool(speckle)))
-    frames = pairs.frames(part)
     scored: list[_Scored] = []
     seen: list[tuple[np.ndarray, np.ndarray]] = []
     with (

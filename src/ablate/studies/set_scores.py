@@ -28,7 +28,7 @@ _DISTANCES = {  # and how often they are resampled; of 2048 features each takes 
 
 
 def not_computed(
-    metrics: Metrics, mask: np.ndarray, inception: InceptionFeatures | None
+    metrics: Metrics, mask: np.ndarray, frames: int, inception: InceptionFeatures | None
 ) -> tuple[frozenset[str], tuple[str, ...]]:
     """Distances that were asked for and that these frames or files do not allow.
 
@@ -37,6 +37,8 @@ def not_computed(
     metrics : Metrics
     mask : (H, W) bool
         The fan.
+    frames : int
+        How many there are.
     inception : callable, optional
 
     Returns
@@ -51,8 +53,8 @@ def not_computed(
         reasons[FID_METRICS] = f"frames of {size} are smaller than the {CENTRE} px centre that they are made of"
     elif inception is None:
         reasons[FID_METRICS] = "no Inception weights were given (evaluation.inception=path/to/file or =download)"
-    if not patches_inside(mask, PATCH).any():
-        reasons[SPECKLE_METRICS] = f"no patch of {PATCH} x {PATCH} px lies inside the fan"
+    if patches_inside(mask, PATCH).sum() * frames < 2:
+        reasons[SPECKLE_METRICS] = f"fewer than two patches of {PATCH} x {PATCH} px lie inside the fan"
     missing = {name: why for names, why in reasons.items() for name in names if name in metrics.of_set}
     notes = [
         f"{' and '.join(name for name in missing if missing[name] == why)}: not computed, {why}"
