@@ -137,7 +137,7 @@ def test_a_metric_of_ones_own_may_be_nan_and_the_frame_is_named(
     monkeypatch.setitem(sys.modules, "of_mine", sys.modules[__name__])
     found = scored(data, job(runs), dark, "of_mine.brightest")
     assert found.per_image.loc[found.per_image["value"].isna(), "frame"].tolist() == [last]
-    assert caplog.messages == [f"brightest is NaN on frame {last}: not in its mean"]
+    assert caplog.messages == [f"brightest is NaN on test frame {last}: not in its mean"]
     assert found.scalars["brightest"] > 0
     with pytest.raises(ZeroDivisionError) as raised:
         scored(data, job(runs), dark, "of_mine.failing")

@@ -149,7 +149,7 @@ def evaluate(
             if fid and inception is not None:
                 seen.append((inception(images), inception(pairs.read("high", batch))))
             bar.update(len(batch))
-    per_image = _table(frames, pairs.sites[frames], [s.values for s in scored])
+    per_image = _table(part, frames, pairs.sites[frames], [s.values for s in scored])
     finite = per_image[np.isfinite(per_image["value"])]
     scalars = {str(name): float(value) for name, value in finite.groupby("metric")["value"].mean().items()}
     for names, features in ((speckle, [s.textures for s in scored]), (fid, seen)):
@@ -187,7 +187,7 @@ def _score(known: _Known, frame: int, image: np.ndarray) -> _Scored:
     return _Scored(values, (described, wanted))
 
 
-def _table(frames: np.ndarray, sites: np.ndarray, values: list[dict[str, float]]) -> pd.DataFrame:
+def _table(part: Part, frames: np.ndarray, sites: np.ndarray, values: list[dict[str, float]]) -> pd.DataFrame:
     """One row a frame and metric."""
     rows = [
         (int(frame), int(site), name, value)
@@ -197,7 +197,7 @@ def _table(frames: np.ndarray, sites: np.ndarray, values: list[dict[str, float]]
     table = pd.DataFrame(rows, columns=["frame", "site", "metric", "value"]).astype({"value": "float64"})
     for name, of_metric in table[table["value"].isna()].groupby("metric"):
         named = ", ".join(of_metric["frame"].astype(str))
-        logging.getLogger(__name__).warning("%s is NaN on frame %s: not in its mean", name, named)
+        logging.getLogger(__name__).warning("%s is NaN on %s frame %s: not in its mean", name, part.name, named)
     return table
 
 
