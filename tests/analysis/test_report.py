@@ -7,6 +7,7 @@ import pandas as pd
 
 from ablate.analysis import (
     RESIMULATION,
+    boxplot_panels,
     cautions,
     comparison_table,
     paired_boxplots,
@@ -62,6 +63,7 @@ def test_report_folds_what_is_secondary(study, tmp_path):
     lesser = study.assign(metric=study["metric"].replace("psnr", "pchi2_fan"))
     both = pd.concat([study, lesser[lesser["metric"] == "pchi2_fan"]])
     paired = paired_table(both, resamples=50)
+    panels = boxplot_panels(both, ["psnr", "pchi2"], tmp_path / "boxplots", paired=paired)
     boxes = paired_boxplots(both, tmp_path, paired=paired)
     path = write_report(
         tmp_path / "report.html",
@@ -69,7 +71,7 @@ def test_report_folds_what_is_secondary(study, tmp_path):
         both,
         comparison_table(both),
         paired,
-        figures=[(boxes[m][0], f"Box plot of {m}") for m in ("psnr", "pchi2_fan")],
+        figures=[(panels[0], "Box plots"), (boxes["psnr"][0], "One box plot")],
         appendix={"Uncommitted changes: sa2h/seed0": "-a <b>\n+c"},
     )
     page = re.sub(r"base64,[^\"]*", "", path.read_text("utf-8"))
@@ -77,9 +79,9 @@ def test_report_folds_what_is_secondary(study, tmp_path):
     titles = [title for title, _ in folded]
     assert titles == ["All other metrics", "All other metrics", "More figures", "Uncommitted changes: sa2h/seed0"]
     shown = re.sub(r"<details>.*?</details>", "", page, flags=re.S)
-    for text in ("PSNR (dB)", "Box plot of psnr", "3 variants, 3 trained of each, 24 test frames of 8 probe sites."):
+    for text in ("PSNR (dB)", "Box plots", "3 variants, 3 trained of each, 24 test frames of 8 probe sites."):
         assert text in shown
-    for text in ("pχ² in fan", "Box plot of pchi2_fan", "-a &lt;b&gt;\n+c"):
+    for text in ("pχ² in fan", "One box plot", "-a &lt;b&gt;\n+c"):
         assert text not in shown
         assert any(text in content for _, content in folded)
 

@@ -79,10 +79,8 @@ def _folded(title: str, content: str) -> str:
 
 
 def _is_lesser(stem: str) -> bool:
-    """Whether a figure is folded: box plots of lesser metrics, chi-square maps of all frames but the first."""
-    if stem.startswith("boxplot_"):
-        return stem.removeprefix("boxplot_") not in MAIN
-    return stem.startswith("pchi2_maps_") and stem != "pchi2_maps_0"
+    """Whether a figure is folded: box plots of one metric, chi-square maps of all frames but the first."""
+    return stem.startswith("boxplot_") or (stem.startswith("pchi2_maps_") and stem != "pchi2_maps_0")
 
 
 def _figure_html(path: Path, caption: str) -> str:
