@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference
+.PHONY: help sweep test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -56,3 +56,6 @@ bench-inference: $(STAMP) ## ms and memory of a generated frame by engine, preci
 
 bench-metrics: $(STAMP) ## what scoring costs: each metric, and an evaluation of the paper's 669 test frames
 	$(BIN)/python tests/benchmark_metrics.py $(FRAMES)
+
+bench-training: $(STAMP) ## images a second of a training against a plain loop; ARGS="--variants sa2h --threads 1 --rounds 10"
+	$(BIN)/python tests/benchmark_training.py $(ARGS)

@@ -63,7 +63,8 @@ class Report(Callback):
         magnitude = module.generator.noise_magnitude()
         if magnitude is not None:
             metrics["train/noise_weight"] = weight = float(magnitude)
-            if step == settings.steps and weight < DYING_NOISE:
+            could_have_grown = step * settings.learning_rate >= DYING_NOISE  # Adam's steps are no longer than its rate
+            if step == settings.steps and could_have_grown and weight < DYING_NOISE:
                 _LOG.warning(
                     "the mean weight of injected noise is %.3f after %d steps, under %s: the network hardly uses it; "
                     "model.noise_start sets where it begins",
