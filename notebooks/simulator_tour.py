@@ -18,6 +18,7 @@
 # %%
 from contextlib import ExitStack
 from types import SimpleNamespace
+from unittest.mock import patch
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -72,11 +73,9 @@ def watching(name, stage):
     return watched
 
 
-with ExitStack() as afterwards:
+with ExitStack() as watched_stages:
     for name, owner, attribute in STAGES:
-        stage = getattr(owner, attribute)
-        afterwards.callback(setattr, owner, attribute, stage)
-        setattr(owner, attribute, watching(name, stage))
+        watched_stages.enter_context(patch.object(owner, attribute, watching(name, getattr(owner, attribute))))
     rendered = Simulator(scene, probe, settings).render(pose, seed=study.settings.dataset.seed)
 print("\n".join(noted))
 
@@ -206,8 +205,6 @@ plt.show()
 
 # %%
 few = SimulatorSettings(scanlines=40, rays=6, layers=1, image_shape=(250, 347), path_seed=3)
-simulator = Simulator(scene, probe, few)
-simulator.maps(pose)
 segments = []
 trace, closest = stages_of_a_frame.trace, Geometry.closest
 
@@ -219,28 +216,21 @@ def noting_hits(geometry, origins, directions, reach_mm):
     return hits
 
 
-def tracing(*arguments):
-    Geometry.closest = noting_hits
-    try:
+def noting_trace(*arguments):  # labels follow straight lines through the same geometry: only paths are wanted
+    with patch.object(Geometry, "closest", noting_hits):
         return trace(*arguments)
-    finally:
-        Geometry.closest = closest
 
 
-stages_of_a_frame.trace = tracing
-try:
-    simulator.render(pose)
-finally:
-    stages_of_a_frame.trace = trace
+with patch.object(stages_of_a_frame, "trace", noting_trace):
+    Simulator(scene, probe, few).render(pose)
 begins, ends, hit = (np.concatenate(part) for part in zip(*segments, strict=True))
 begins, ends = ((points - pose[:3, 3]) @ pose[:3, :3] for points in (begins, ends))  # to the probe's axes
 back = ends[:, 2] < begins[:, 2]
 figure, axes = plt.subplots(figsize=(9, 5.6))
-total = settings.scanlines * settings.rays * settings.layers
+drawn, all_rays = few.scanlines * few.rays, settings.scanlines * settings.rays * settings.layers
 faint = 0.65 + 0.35 * np.array(colours)
-show(
-    axes, np.where(fan_mask(probe, labels.shape)[..., None], faint[labels], 1.0), f"{len(begins):,} pieces of 240 rays"
-)
+inside_fan = fan_mask(probe, labels.shape)
+show(axes, np.where(inside_fan[..., None], faint[labels], 1.0), f"{drawn} rays of {all_rays:,}, and where they hit")
 for turned, colour in ((False, "#0072b2"), (True, "#d55e00")):
     pieces = np.stack([begins, ends], axis=1)[back == turned][:, :, [0, 2]]
     axes.add_collection(LineCollection(pieces, colors=colour, lw=0.5, alpha=0.6))
