@@ -3,10 +3,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+LAPTOP := variant=sa2h,sa2h-att,sa2h-concat,sa2h-conv,sa2h-noise,sa2h-depth,lsa2h,nsa2h
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training
+.PHONY: help sweep laptop test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -20,6 +21,13 @@ $(STAMP): pyproject.toml constraints.txt
 
 sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; some 8 minutes on two cores
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h hydra/launcher=joblib
+
+laptop: $(STAMP) ## the study of docs/results.md, from where it stands: all variants, three seeds, two encodings; two hours
+	$(BIN)/python docs/results.py restore
+	$(BIN)/python -m ablate -m preset=laptop seed=0,1,2 $(LAPTOP) hydra/launcher=joblib
+	$(BIN)/python -m ablate +study=encoding preset=laptop seed=0,1,2 hydra/launcher=joblib
+	$(BIN)/python docs/results.py keep runs/laptop-fetal
+	$(BIN)/python docs/results.py table
 
 test: $(STAMP) check ## style, types and tests
 	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow"
