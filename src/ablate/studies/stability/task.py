@@ -112,7 +112,7 @@ def _markdown(rows: pd.DataFrame) -> list[str]:
 
 def _shown(table: pd.DataFrame) -> str:
     """Of each case and type the figure that uses most of its bound, and all that fall."""
-    used = table["measured"].abs() / table["bound"].where(table["bound"] > 0, float("inf"))
+    used = (table["measured"] / table["bound"].where(table["bound"] > 0, float("inf"))).fillna(float("inf"))
     nearest = used.groupby([table["case"], table["dtype"]], sort=False).idxmax()
     rows = table.loc[sorted({*nearest, *table.index[~table["holds"]]}), COLUMNS].copy()
     for name in ("case", "dtype", "quantity"):
