@@ -1,11 +1,11 @@
 """Memory and time of a simulated frame, a generated frame and a training step as each size doubles.
 
-make bench-scaling                     # Markdown; half an hour on two cores
-make bench-scaling ARGS="--sizes 3 --no-check"
+make bench-scaling                     # Markdown; some half an hour on two cores
+make bench-scaling ARGS="--doublings 2 --no-check"
 
-Every row is measured in a process of its own, so that the peak of its memory is its own. Exponents are fitted on
-logarithms to the three largest sizes, of memory to what lies above the process before it started its work; what
-fits in 4 and in 24 GiB is extrapolated with them from the largest row, and the first is then run.
+Every row is measured in a process of its own, so that the peak of its memory is its own. Exponents are those of the
+three largest sizes: of time the slope of the logarithms, of memory m = a + b n^p through the three points, where a is
+what every process takes. What fits in 4 and in 24 GiB is extrapolated so, and the first is then run.
 """
 
 from __future__ import annotations
@@ -35,20 +35,29 @@ from ablate.ultrasound import Simulator, SimulatorSettings
 
 REPEATS = 3
 BUDGETS_GIB = (4.0, 24.0)
+NOISE_GIB = 0.005  # less than this a doubling is no growth
 _ORGANS = ("liver", "kidney", "bone", "blood", "muscle", "fat")
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What one process measured; `start_gib` before its work."""
+    """What one process measured."""
 
-    start_gib: float
     peak_gib: float
     ms: float
 
-    @property
-    def own_gib(self) -> float:
-        return max(self.peak_gib - self.start_gib, 1e-3)
+
+@dataclass(frozen=True)
+class Growth:
+    """Memory a + b n^power, GiB."""
+
+    constant: float
+    factor: float
+    power: float
+
+    def largest(self, budget_gib: float) -> float:
+        """The n that takes so much."""
+        return ((budget_gib - self.constant) / self.factor) ** (1 / self.power)
 
 
 def ball(centre_mm: tuple[float, float, float], radius_mm: float, triangles: int) -> trimesh.Trimesh:
@@ -144,10 +153,11 @@ USUAL: dict[str, dict[str, float]] = {
     GENERATED: {"pixels": PAPER_PIXELS, "width": 0.25},
     STEP: {"crop": 256, "batch": 2, "width": 0.25},
 }
-FIRST: dict[str, dict[str, float]] = {
-    FRAME: {"pixels": PAPER_PIXELS / 2, "rays": 16, "triangles": 100_000},
-    GENERATED: {"pixels": PAPER_PIXELS / 8, "width": 0.125},
-    STEP: {"crop": 128, "batch": 1, "width": 0.125},
+#: The smallest of each, and how often it is doubled.
+FIRST: dict[str, dict[str, tuple[float, int]]] = {
+    FRAME: {"pixels": (PAPER_PIXELS / 2, 5), "rays": (16, 5), "triangles": (100_000, 5)},
+    GENERATED: {"pixels": (PAPER_PIXELS / 8, 5), "width": (0.125, 3)},
+    STEP: {"crop": (128, 3), "batch": (1, 4), "width": (0.125, 3)},
 }
 PAPER: dict[str, dict[str, float]] = {
     FRAME: {"triangles": 675_000},
@@ -162,22 +172,20 @@ def _timed(call: Callable[[np.ndarray], object], pose: np.ndarray) -> float:
     return 1e3 * (time.perf_counter() - start)
 
 
-def resident_gib(field: str) -> float:
-    """Resident memory of this process, now (`VmRSS`) or at most (`VmHWM`); getrusage would count its parent's."""
+def peak_resident_gib() -> float:
+    """Largest resident memory of this process; getrusage would count its parent's."""
     with Path("/proc/self/status").open() as file:
-        return next(int(row.split()[1]) for row in file if row.startswith(field)) / 2**20
+        return next(int(row.split()[1]) for row in file if row.startswith("VmHWM")) / 2**20
 
 
 def measure(what: str, sizes: dict[str, float]) -> None:
     """Do the work in this process and print its cost as JSON."""
-    start = resident_gib("VmRSS")
     work = MAKERS[what](**sizes)
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew: making meshes is not the simulator's
     ms = work()
-    peak = resident_gib("VmHWM")
-    if torch.cuda.is_available() and what != FRAME:
-        start, peak = 0.0, torch.cuda.max_memory_allocated() / 2**30
-    print(json.dumps({"start_gib": start, "peak_gib": peak, "ms": ms}))
+    on_gpu = torch.cuda.is_available() and what != FRAME
+    peak = torch.cuda.max_memory_allocated() / 2**30 if on_gpu else peak_resident_gib()
+    print(json.dumps({"peak_gib": peak, "ms": ms}))
 
 
 def cost(what: str, **sizes: float) -> Cost | None:
@@ -191,16 +199,21 @@ def cost(what: str, **sizes: float) -> Cost | None:
     return Cost(**json.loads(done.stdout.splitlines()[-1]))
 
 
-def exponent(sizes: list[float], values: list[float]) -> float:
+def exponent(sizes: list[float], times: list[float]) -> float:
     """Slope of the logarithms over the three largest sizes."""
-    return float(np.polyfit(np.log(sizes[-3:]), np.log(values[-3:]), 1)[0])
+    return float(np.polyfit(np.log(sizes[-3:]), np.log(times[-3:]), 1)[0])
 
 
-def largest(budget_gib: float, size: float, last: Cost, power: float) -> float:
-    """Size that takes so much memory, from the largest one measured and the exponent of its memory."""
-    if power < 0.05:
-        return math.inf
-    return size * ((budget_gib - last.start_gib) / last.own_gib) ** (1 / power)
+def growth(sizes: list[float], memory: list[float]) -> Growth | None:
+    """Through the three largest sizes, each twice the one before; None where memory hardly grows."""
+    first, second = np.diff(memory[-3:])
+    if min(first, second) < NOISE_GIB:
+        return None
+    power = math.log2(second / first)
+    if power < 0.1:
+        return None
+    factor = second / (sizes[-1] ** power - sizes[-2] ** power)
+    return Growth(memory[-1] - factor * sizes[-1] ** power, factor, power)
 
 
 def row(*cells: str) -> None:
@@ -210,46 +223,51 @@ def row(*cells: str) -> None:
 
 def shown(value: float) -> str:
     """Three digits, thousands apart."""
-    if not math.isfinite(value):
-        return "any"
     return f"{float(f'{value:.3g}'):,.0f}" if value >= 100 else f"{value:.3g}"
 
 
-def growth(what: str, name: str, count: int, check: bool) -> tuple[str, ...]:
+def grow(what: str, name: str, doublings: int, check: bool) -> tuple[str, ...]:
     """Measure doubled sizes, print them, and return the row of what they tell."""
-    sizes = [FIRST[what][name] * 2**k for k in range(count)]
-    costs = [c for size in sizes if (c := cost(what, **{name: size})) is not None]
-    for size, each in zip(sizes, costs, strict=False):
-        row(what, name, shown(size), f"{each.peak_gib:.2f}", f"{each.own_gib:.3f}", f"{each.ms:.0f}")
-    done, last = sizes[: len(costs)], costs[-1]
-    memory, duration = (exponent(done, [getattr(c, v) for c in costs]) for v in ("own_gib", "ms"))
-    fit = [largest(budget, done[-1], last, memory) for budget in BUDGETS_GIB]
+    first, most = FIRST[what][name]
+    sizes, costs = [], []
+    for k in range(min(doublings, most) + 1):
+        found = cost(what, **{name: first * 2**k})
+        if found is None:
+            break
+        sizes.append(first * 2**k)
+        costs.append(found)
+        row(what, name, shown(sizes[-1]), f"{found.peak_gib:.2f}", f"{found.ms:.0f}")
+    time = f"{exponent(sizes, [c.ms for c in costs]):.2f}" if len(sizes) > 2 else "not known"
+    memory = growth(sizes, [c.peak_gib for c in costs]) if len(sizes) > 2 else None
+    if memory is None:
+        return what, name, "hardly grows", time, *["far more than was run"] * len(BUDGETS_GIB), ""
+    fit = [memory.largest(budget) for budget in BUDGETS_GIB]
     tried = "not run"
-    if check and math.isfinite(fit[0]):
+    if check:
         found = cost(what, **{name: fit[0]})
-        tried = f"{found.peak_gib:.2f} GiB, {found.ms:.0f} ms" if found else "out of this machine's memory"
-    return what, name, f"{memory:.2f}", f"{duration:.2f}", *(shown(f) for f in fit), tried
+        tried = f"{found.peak_gib:.2f} GiB, {found.ms:.0f} ms" if found else "more than this machine has"
+    return what, name, f"{memory.constant:.2f} GiB + n^{memory.power:.2f}", time, *(shown(f) for f in fit), tried
 
 
 def main() -> None:
     """Print the tables, or measure one row."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sizes", type=int, default=5, help="how many sizes, each twice the one before; at least 3")
+    parser.add_argument("--doublings", type=int, default=5, help="of each size at most; at least 2")
     parser.add_argument("--no-check", dest="check", action="store_false", help="do not run what should fit in 4 GiB")
     parser.add_argument("--measure", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.measure:
         measure(**json.loads(args.measure))
         return
-    if args.sizes < 3:
-        parser.error("--sizes: at least 3, an exponent is fitted to three")
+    if args.doublings < 2:
+        parser.error("--doublings: at least 2, exponents are of three sizes")
     usual = "; ".join(f"{w}: {', '.join(f'{k} {shown(v)}' for k, v in s.items())}" for w, s in USUAL.items())
     print(f"{hardware()}, torch {torch.__version__}. Where another size grows: {usual}.\n")
-    row("work", "size", "value", "peak, GiB", "of them its own", "ms")
-    row(*["---"] * 6)
-    facts = [growth(what, name, args.sizes, args.check) for what, sizes in FIRST.items() for name in sizes]
+    row("work", "size", "value", "peak, GiB", "ms")
+    row(*["---"] * 5)
+    facts = [grow(what, name, args.doublings, args.check) for what, sizes in FIRST.items() for name in sizes]
     print()
-    head = ("work", "as it grows", "memory ~ n^", "time ~ n^", "fits in 4 GiB", "fits in 24 GiB", "that for 4 GiB, run")
+    head = ("work", "as it grows", "memory", "time ~ n^", "fits in 4 GiB", "fits in 24 GiB", "that for 4 GiB, run")
     row(*head)
     row(*["---"] * len(head))
     for fact in facts:
