@@ -65,8 +65,8 @@ def effects_plot(
             if low < gap < high:
                 draw_resimulation(axes, metric, gap)
             if np.isfinite(gap):
-                shown = f"{gap:+.{facts_of(metric).decimals}f}".replace("-", "−")
-                title += f"\nre-simulation {shown} ({resimulation_word(metric)})"
+                distance = f"{gap:+.{facts_of(metric).decimals}f}".replace("-", "−")
+                title += f"\nre-simulation {distance} ({resimulation_word(metric)})"
             axes.set_xlabel(title)
         one_legend(figure, panels)
         return save_figure(figure, stem)
