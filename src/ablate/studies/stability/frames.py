@@ -66,7 +66,7 @@ def usual(frames: dict[str, Frame], settings: SimulatorSettings, probe: ConvexPr
     single, double = frames["float32"], frames["float64"]
     for dtype, frame in frames.items():
         yield finite(dtype, frame.envelope, frame.attenuation, what="samples and pixels")
-        outside = max(-frame.attenuation.min(), frame.attenuation.max() - 1)
+        outside = max(-frame.attenuation.min(), frame.attenuation.max() - 1, 0.0)
         yield Check(dtype, "A outside [0, 1]", float(outside), 0, "It is an amplitude over a larger one.")
     terms = products(settings, probe or ConvexProbe())
     largest = float(double.envelope.max())
