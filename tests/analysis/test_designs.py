@@ -78,6 +78,14 @@ def test_every_design_is_named_and_gives_the_effects_it_can(subsets, name, effec
         assert found["attenuation:depth"] == pytest.approx(-0.5)
 
 
+def test_without_the_reference_the_cell_in_the_middle_stands_in_for_it():
+    bare = study_of(ADD_ONE_IN[1:])
+    design = find_design(bare, FACTORS)
+    assert design.name == f"one change at a time around {label_of(FACTORS)} (6 cells)"
+    found = effects_table(runs_of(bare, respond), design).set_index("effect")["estimate"]
+    assert found["concat"] == pytest.approx(1), "the change is now to put it back"
+
+
 def test_the_half_fraction_says_what_it_cannot_tell_apart():
     components = study_of(HALF)
     design = find_design(components, FACTORS)
@@ -132,7 +140,7 @@ def test_what_differs_otherwise_is_left_out():
     components["sa2h-again"] = {**components["sa2h"], "noise": "input"}
     design = find_design(components, FACTORS)
     assert set(design.left_out) == {"nsa2h", "sa2h.noise-none"}
-    assert find_design(components, FACTORS, reference="elsewhere") is None
+    assert find_design({}, FACTORS) is None
     assert find_design({k: components[k] for k in ("sa2h", "nsa2h")}, FACTORS) is None
 
 

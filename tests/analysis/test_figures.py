@@ -27,6 +27,7 @@ from ablate.analysis import (
     seeds_caption,
 )
 from ablate.analysis.figure_style import COLOURS
+from ablate.analysis.metric_panels import shown_name
 from ablate.metrics import patch_chi2
 
 
@@ -77,7 +78,7 @@ def test_a_single_network_leaves_room_to_draw(metrics, study_of, figures, tmp_pa
     seed_plot(study_of(variants=(RESIMULATION, "sa2h")), None, metrics, tmp_path / "seeds")
     for figure in figures.values():
         figure.draw_without_rendering()
-        assert min(axes.get_position().height * figure.get_size_inches()[1] for axes in figure.axes) > 0.3, "inches"
+        assert min(axes.get_position().height * figure.get_size_inches()[1] for axes in figure.axes) > 0.25, "inches"
 
 
 def test_boxes_are_quartiles_of_the_paired_differences_and_resimulation_is_a_band(study, figures, tmp_path):
@@ -178,6 +179,19 @@ def test_chi2_maps_of_eleven_networks_fit_a_page(pictures, figures, tmp_path):
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert titles[-2].startswith("sa2h + arbitrary"), "what was changed beside a variant comes last"
     assert titles[-1] == "target"
+
+
+@pytest.mark.parametrize(
+    ("label", "shown"),
+    [
+        ("sa2h", "sa2h"),
+        ("sa2h-att.encoding-arbitrary", "sa2h-att + arbitrary"),
+        ("sa2h.attenuation-none.concat-input.depth-8.noise-input", "sa2h −att −concat −depth −noise"),
+        ("sa2h.noise-inject.noise_start-0.3", "sa2h + noise-inject + noise_start-0.3"),
+    ],
+)
+def test_labels_are_short_on_figures(label, shown):
+    assert shown_name(label) == shown
 
 
 def test_captions_tell_a_floor_from_a_level():

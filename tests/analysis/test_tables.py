@@ -90,7 +90,7 @@ def test_variants_are_ordered_with_what_was_changed_beside_them_last():
     names = ["sa2h.depth-8", "sa2h-conv", "lsa2h", "sa2h", "sa2h-att.encoding-arbitrary", RESIMULATION]
     assert ordered_variants(names) == [
         *(RESIMULATION, "sa2h", "lsa2h", "sa2h-conv"),
-        *("sa2h-att.encoding-arbitrary", "sa2h.depth-8"),
+        *("sa2h.depth-8", "sa2h-att.encoding-arbitrary"),
     ]
 
 

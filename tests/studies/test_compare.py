@@ -11,10 +11,11 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from ablate.analysis import RESIMULATION
-from ablate.config import StudySettings
+from ablate.analysis import RESIMULATION, find_design
+from ablate.config import StudySettings, plain
+from ablate.studies.compare import COMPONENTS as FACTORS
 from ablate.studies.compare import compare_study, write_comparison
-from ablate.studies.sweep import ConfigurationError
+from ablate.studies.sweep import ConfigurationError, jobs_of
 from ablate.studies.usable_runs import usable_runs
 
 COMPONENTS = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
@@ -242,3 +243,21 @@ def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: 
     with pytest.raises(MemoryError):
         compared(study)
     assert (folder / "report.html").read_text() == before
+
+
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [
+        ("factorial_half", "half of the factorial of 5 components (16 of 32 cells)"),
+        ("leave_one_out", "one change at a time around sa2h (6 cells)"),
+        ("add_one_in", "one change at a time around"),
+        ("table2", "one change at a time around sa2h (6 cells)"),
+        ("encoding", "6 of the 8 cells of 3 components"),
+    ],
+)
+def test_study_groups_are_recognised_as_the_designs_they_are(group: str, name: str) -> None:
+    jobs = jobs_of([f"+study={group}"])
+    components = {job.label: {**plain(job.settings.model), "encoding": job.settings.encoding.name} for job in jobs}
+    design = find_design(components, FACTORS)
+    assert design is not None
+    assert design.name.startswith(name)

@@ -55,14 +55,21 @@ def find_design(
     factors : tuple of str
         Keys of it that count as components; a label that differs from the reference in another key is left out.
     reference : str
+        Where it is missing, the label that most others are one change away from stands in for it.
 
     Returns
     -------
     Design, optional
-        None when the reference is missing or fewer than two components vary.
+        None when fewer than two components vary.
     """
-    if reference not in components:
+    if not components:
         return None
+    if reference not in components:
+        near = {
+            label: sum(_changes(made, other) == 1 for other in components.values())
+            for label, made in components.items()
+        }
+        reference = max(near, key=lambda label: near[label])
     base = components[reference]
     alike = [
         label
@@ -83,6 +90,10 @@ def find_design(
     )
     cells, name, reading = _read(cells)
     return Design(cells, name, reading, tuple(label for label in components if label not in cells.index))
+
+
+def _changes(a: Mapping[str, object], b: Mapping[str, object]) -> int:
+    return sum(a.get(key) != b.get(key) for key in {*a, *b})
 
 
 def _read(cells: pd.DataFrame) -> tuple[pd.DataFrame, str, str]:

@@ -156,7 +156,7 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path
                 if name == "target":
                     _insets(axes, frame)
                 if j == 0:
-                    axes.set_ylabel(shown_name(name).replace(" + ", "\n+ "))
+                    axes.set_ylabel(shown_name(name).replace(" ", "\n", 1))
                 if row == 0:
                     axes.set_title(frame.name)
         return save_figure(figure, stem)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,7 +16,14 @@ from ablate.analysis.figure_style import COLUMN_IN, FLOOR_COLOUR, PAGE_IN, new_f
 from ablate.analysis.metric_facts import RESIMULATION, Better, Resimulation, facts_of
 
 ROW_IN, HEAD_IN, LEGEND_IN = 0.19, 0.55, 0.25
-LEAST_IN = 0.5  # height of a panel with a single row
+SHORT = {
+    "attenuation-none": "−att",
+    "concat-input": "−concat",
+    "upsampling-transposed": "−conv",
+    "noise-input": "−noise",
+    "depth-8": "−depth",
+    "encoding-arbitrary": "+ arbitrary",
+}
 HINTS = {Better.larger: "better →", Better.smaller: "← better", Better.nearest_zero: "0 is right", Better.unjudged: ""}
 
 
@@ -76,17 +84,20 @@ def place_of(row: int, rows: int) -> int:
 
 
 def shown_name(label: str) -> str:
-    """A label as it is written on a figure: what was changed beside a variant comes after a plus.
+    """A label as it is written on a figure, with what was changed beside the variant in few letters.
 
     Parameters
     ----------
     label : str
+        As `sa2h.concat-input.depth-8`.
 
     Returns
     -------
     str
+        As `sa2h −concat −depth`.
     """
-    return label.replace(".encoding-", " + ").replace(".", " + ")
+    variant, *changes = re.split(r"\.(?=[a-z])", label)
+    return " ".join([variant, *(SHORT.get(change, f"+ {change}") for change in changes)])
 
 
 def axis_title(metric: str, shown: str = "{}") -> str:
