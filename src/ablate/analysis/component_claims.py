@@ -87,9 +87,8 @@ def seed_claims(
 ) -> pd.DataFrame:
     """Which components may be said to matter: `component_claim` on the seeds' means, and Holm's correction.
 
-    With 7 variants and 14 metrics, four studies in five hold a false claim when each row is judged alone
-    (docs/statistics.md); so `differs` is said only after Holm's correction over all rows, and `suggested` of a row that
-    differs when taken alone.
+    Where each row is judged alone, most studies of eight variants hold a false claim (docs/statistics.md); so `differs`
+    is said only after Holm's correction over all rows, and `suggested` of a row that differs when taken alone.
 
     Parameters
     ----------
