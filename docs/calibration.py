@@ -99,10 +99,13 @@ def draw_runs(sizes: Sizes, runs: int, rng: np.random.Generator) -> np.ndarray:
     )
 
 
-def study_claims(sizes: Sizes, seeds: int, effect: float, rng: np.random.Generator) -> pd.DataFrame:
+def study_claims(
+    sizes: Sizes, seeds: int, effect: float, rng: np.random.Generator, spread: float = 1.0
+) -> pd.DataFrame:
     """`seed_claims` of one simulated study; the first variant differs from the reference by `effect` in every metric.
 
-    Frames add their own difficulty, which is the same for all trainings; metrics are independent.
+    Its trainings spread `spread` times as far as those of the others. Frames add their own difficulty, the same for all
+    trainings; metrics are independent.
     """
     frames = sizes.sites * sizes.frames
     index = pd.MultiIndex.from_product(
@@ -115,13 +118,14 @@ def study_claims(sizes: Sizes, seeds: int, effect: float, rng: np.random.Generat
         names=["metric", "variant", "seed", "frame"],
     )
     values = np.stack([draw_runs(sizes, VARIANTS * seeds, rng) for _ in range(METRICS)])
-    values = values.reshape(METRICS, VARIANTS, seeds, frames) + rng.normal(size=(METRICS, 1, 1, frames))
-    values[:, 1] += effect
+    values = values.reshape(METRICS, VARIANTS, seeds, frames)
+    values[:, 1] = effect + spread * values[:, 1]
+    values += rng.normal(size=(METRICS, 1, 1, frames))
     table = pd.DataFrame({"value": values.ravel()}, index=index).reset_index()
     return seed_claims(table.assign(site=table["frame"] // sizes.frames))
 
 
-def seed_level(sizes: Sizes, seeds: int, effect: float, repetitions: int) -> dict[str, float]:
+def seed_level(sizes: Sizes, seeds: int, effect: float, repetitions: int, spread: float = 1.0) -> dict[str, float]:
     """How often a claim is made at the seed level.
 
     Returns
@@ -132,7 +136,7 @@ def seed_level(sizes: Sizes, seeds: int, effect: float, repetitions: int) -> dic
     """
     counts = dict.fromkeys(("alone", "differs", "any_alone", "any_differs"), 0)
     for k in trange(repetitions, desc=f"{seeds} seeds, effect {effect:g}", leave=False, mininterval=1.0, disable=None):
-        claims = study_claims(sizes, seeds, effect, np.random.default_rng(k))
+        claims = study_claims(sizes, seeds, effect, np.random.default_rng(k), spread)
         alone, differs = claims["p"].astype(float) < LEVEL, claims["verdict"] == Verdict.differs
         first = (claims["variant"] == "v1") & (claims["metric"] == "m0")
         counts["alone"] += int(alone[first].any())
@@ -220,10 +224,11 @@ def report(sizes: Sizes, repetitions: int) -> Iterator[str]:
     rows = (VARIANTS - 1) * METRICS
     yield f"\n| no component matters, {rows} rows | p < 0.05 in a row | in any row | `differs` in a row | in any row |"
     yield "| --- | --- | --- | --- | --- |"
-    for seeds in (3, 5):
-        rate = seed_level(sizes, seeds, 0.0, repetitions)
+    for seeds, spread in ((3, 1.0), (5, 1.0), (3, 3.0), (5, 3.0)):
+        rate = seed_level(sizes, seeds, 0.0, repetitions, spread)
         cells = (f"{rate[name]:.3f}" for name in ("alone", "any_alone", "differs", "any_differs"))
-        yield f"| {seeds} seeds | {' | '.join(cells)} |"
+        more = "" if spread == 1 else f", that of the row spread {spread:g} times as far"
+        yield f"| {seeds} seeds{more} | {' | '.join(cells)} |"
     effects = (0.0, 1.0, 2.0, 3.0, 5.0, 8.0)
     yield f"\n| power, effect in sd of a run's mean | {' | '.join(f'{e:g}' for e in effects[1:])} |"
     yield f"| --- |{' --- |' * len(effects[1:])}"
