@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ablate.networks.layers import draw_initial_weights, instance_norm
+from ablate.networks.layers import draw_initial_weights, instance_norm, laid_out
 from ablate.networks.spec import GeneratorSpec, conditions, scaled
 
 LEAK = 0.2
@@ -67,7 +67,7 @@ class PatchDiscriminator(nn.Module):
                 f"image: {image.shape[-2]} x {image.shape[-1]} pixels, "
                 f"allowed are {SMALLEST_IMAGE} x {SMALLEST_IMAGE} and more"
             )
-        stacked = torch.cat((maps, image.to(maps.dtype)), dim=1).contiguous(memory_format=torch.channels_last)
+        stacked = laid_out(torch.cat((maps, image.to(maps.dtype)), dim=1))
         features = F.leaky_relu(self.first(stacked), LEAK)
         for layer in self.inner:
             features = F.leaky_relu(instance_norm(layer(features)), LEAK)

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ablate.networks.gaussian_fields import gaussian_field
-from ablate.networks.layers import draw_initial_weights
+from ablate.networks.layers import draw_initial_weights, laid_out
 from ablate.networks.local import LocalNetwork
 from ablate.networks.spec import Concat, Family, GeneratorSpec, Noise, conditions, inputs
 from ablate.networks.unet import UNetwork
@@ -144,7 +144,7 @@ class Generator(nn.Module):
         padding = (0, -width % unit, 0, -height % unit)
         if any(padding):
             stack = [F.pad(x, padding, value=OUTSIDE[name]) for x, name in zip(stack, names, strict=True)]
-        stacked = torch.cat(stack, dim=1).contiguous(memory_format=torch.channels_last)
+        stacked = laid_out(torch.cat(stack, dim=1))
         kind = stacked.device.type
         return stacked.to(torch.get_autocast_dtype(kind)) if torch.is_autocast_enabled(kind) else stacked
 
@@ -170,7 +170,7 @@ class Generator(nn.Module):
                 # Bilinear: the mean of the four pixels around each cell's centre, (step - 1) / 2 px beside that corner.
                 size = resized[0].shape[-2:]
                 resized.append(F.interpolate(maps[:, 1:2], size, mode="bilinear", align_corners=False))
-            pyramid.append(torch.cat(resized, dim=1).contiguous(memory_format=torch.channels_last))
+            pyramid.append(laid_out(torch.cat(resized, dim=1)))
         return pyramid
 
 

@@ -82,7 +82,7 @@ class OneChannelConvolution(nn.Conv2d):
 
     def forward(self, features: Tensor, maps: Tensor | None = None) -> Tensor:
         """Convolve (N, C, H, W) and, if not None, (N, K, H, W) to (N, 1, H, W)."""
-        if torch.compiler.is_exporting():
+        if features.device.type != "cpu" or torch.compiler.is_exporting():
             return super().forward(joined(features, maps))
         (kernel, _), size, own = self.kernel_size, features.shape[-2:], features.shape[1]
         taps_weight = self.weight[0].flip(1, 2).flatten(1).t()[:, :, None, None]
@@ -92,6 +92,15 @@ class OneChannelConvolution(nn.Conv2d):
         taps = taps.float() if taps.dtype is torch.bfloat16 else taps
         result = F.fold(taps.flatten(2), size, kernel, padding=kernel // 2)
         return result if self.bias is None else result + self.bias[:, None, None]
+
+
+def laid_out(maps: Tensor) -> Tensor:
+    """Lay (N, C, H, W) out in memory as the convolutions of its device want it; what follows keeps it.
+
+    On a CPU channels-last: oneDNN's convolutions take it as it is. On a GPU as torch does: its instance norm
+    returns maps channel by channel, so that another layout would be undone after every convolution.
+    """
+    return maps.contiguous(memory_format=torch.channels_last) if maps.device.type == "cpu" else maps
 
 
 def joined(features: Tensor, maps: Tensor | None) -> Tensor:
