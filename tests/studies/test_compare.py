@@ -249,9 +249,7 @@ def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: 
     ("group", "name"),
     [
         ("factorial_half", "half of the factorial of 5 components (16 of 32 cells)"),
-        ("leave_one_out", "one change at a time around sa2h (6 cells)"),
         ("add_one_in", "one change at a time around"),
-        ("table2", "one change at a time around sa2h (6 cells)"),
         ("encoding", "6 of the 8 cells of 3 components"),
     ],
 )
