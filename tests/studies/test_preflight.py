@@ -1,0 +1,25 @@
+"""What cannot be trained is refused before anything is simulated."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from ablate.studies.preflight import check
+from ablate.studies.sweep import ConfigurationError, jobs_of
+
+
+def test_a_batch_has_at_most_as_many_crops_as_there_are_training_frames(tmp_path: Path) -> None:
+    def check_batch(size: int) -> None:
+        check(jobs_of([f"runs_dir={tmp_path}", "dataset.frames=200", f"training.batch_size={size}"]))
+
+    with pytest.raises(ConfigurationError, match=r"^training\.batch_size=200: more than the \d+ training") as refused:
+        check_batch(200)
+    (frames,) = (int(number) for number in re.findall(r"the (\d+) training", str(refused.value)))
+    assert 100 < frames < 200
+    check_batch(frames)
+    with pytest.raises(ConfigurationError, match=f"batch_size={frames + 1}: more than the {frames} training frames"):
+        check_batch(frames + 1)
+    assert not any(tmp_path.iterdir())
