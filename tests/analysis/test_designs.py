@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ablate.analysis import effects_table, find_design
+from ablate.analysis import effects_table, factorial_effects, find_design
 from ablate.analysis.effects import defining_relation
 
 FACTORS = ("attenuation", "concat", "upsampling", "noise", "depth")
@@ -164,15 +164,15 @@ def test_missing_cells_are_said_and_do_not_stop():
 
 
 def test_intervals_cover_the_truth():
-    """95 % intervals of 400 half fractions with one seed more than the saturated design."""
+    """95 % intervals of 200 half fractions with three seeds a cell."""
     components = study_of(HALF)
     design = find_design(components, FACTORS)
     rng = np.random.default_rng(0)
-    labels = [label for label in components for _ in range(3)]
+    runs = design.cells.loc[[label for label in components for _ in range(3)]]
+    truth = np.array([respond({f: components[x][f] == OFF[f] for f in FACTORS}) for x in runs.index])
     covered = []
-    for _ in range(400):
-        values = [respond({f: components[x][f] == OFF[f] for f in FACTORS}) + rng.normal() for x in labels]
-        runs = pd.DataFrame({"variant": labels, "value": values, "seed": [0, 1, 2] * 16, "metric": "psnr"})
-        table = effects_table(runs.assign(frame=0, site=0), design).set_index("effect")
-        covered.append(table.loc["concat", "low"] <= -1 <= table.loc["concat", "high"])
-    assert np.mean(covered) == pytest.approx(0.95, abs=3.5 * np.sqrt(0.95 * 0.05 / 400))
+    for _ in range(200):
+        table = factorial_effects(runs.assign(value=truth + rng.normal(size=len(runs))), list(FACTORS))
+        row = table.set_index("effect").loc["concat"]
+        covered.append(row["low"] <= -1 <= row["high"])
+    assert np.mean(covered) == pytest.approx(0.95, abs=3.5 * np.sqrt(0.95 * 0.05 / 200))

@@ -88,7 +88,7 @@ def to_latex(table: pd.DataFrame, reference: str = REFERENCE, label: str = "tab:
         r"\begin{table*}",
         rf"\caption{{{latex_text(_caption(table, per_frame, metrics))}}}",
         rf"\label{{{label}}}",
-        r"\centering",
+        r"\centering\footnotesize",
         rf"\begin{{tabular}}{{l{'r' * (len(metrics) + len(double))}}}",
         r"\toprule",
         " & ".join(heads) + r" \\",
