@@ -29,14 +29,14 @@ def _holds_together(label: str, found: PairedDifference, least: float, most: flo
 def _ties(device: str) -> Iterator[Check]:  # noqa: ARG001
     """Most frames without a difference, most with the same one, and nothing but ties of two values."""
     for label, differences in (
-        ("60 zeros, -1 and 1", np.array([0.0] * 60 + [-1.0, 1.0])),
-        ("1000 of 0.1, 0 and 1", np.array([0.1] * 1000 + [0.0, 1.0])),
+        ("60 zeros, -1 and pi", np.array([0.0] * 60 + [-1.0, np.pi])),
+        ("1000 of 1, 0 and pi", np.array([1.0] * 1000 + [0.0, np.pi])),
         ("zeros and ones", np.repeat([0.0, 1.0], 15)),
         ("one in a hundred", np.array([0.0] * 99 + [1.0])),
     ):
         found = _compared(differences)
         yield from _holds_together(label, found, differences.min(), differences.max())
-    found = _compared(np.array([0.0] * 60 + [-1.0, 1.0]))
+    found = _compared(np.array([0.0] * 60 + [-1.0, np.pi]))
     yield Check(
         "float64", "60 zeros: width of the interval", found.high - found.low, 0, "No resample's median is another."
     )
