@@ -1,7 +1,7 @@
 """Memory and time of a simulated frame, a generated frame and a training step as each size doubles.
 
 make bench-scaling                     # Markdown; some half an hour on two cores
-make bench-scaling ARGS="--doublings 2 --no-check"
+make bench-scaling ARGS="--doublings 2 --no-check --work 'training step'"
 
 Every row is measured in a process of its own, so that the peak of its memory is its own. Exponents are those of the
 three largest sizes: of time the slope of the logarithms, of memory m = a + b n^p through the three points, where a is
@@ -253,6 +253,7 @@ def main() -> None:
     """Print the tables, or measure one row."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--doublings", type=int, default=5, help="of each size at most; at least 2")
+    parser.add_argument("--work", nargs="+", choices=tuple(FIRST), default=tuple(FIRST))
     parser.add_argument("--no-check", dest="check", action="store_false", help="do not run what should fit in 4 GiB")
     parser.add_argument("--measure", help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -265,7 +266,7 @@ def main() -> None:
     print(f"{hardware()}, torch {torch.__version__}. Where another size grows: {usual}.\n")
     row("work", "size", "value", "peak, GiB", "ms")
     row(*["---"] * 5)
-    facts = [grow(what, name, args.doublings, args.check) for what, sizes in FIRST.items() for name in sizes]
+    facts = [grow(what, name, args.doublings, args.check) for what in args.work for name in FIRST[what]]
     print()
     head = ("work", "as it grows", "memory", "time ~ n^", "fits in 4 GiB", "fits in 24 GiB", "that for 4 GiB, run")
     row(*head)
@@ -275,7 +276,8 @@ def main() -> None:
     print("\nAt the paper's sizes:\n")
     row("work", "sizes", "peak, GiB", "ms")
     row(*["---"] * 4)
-    for what, sizes in PAPER.items():
+    for what in args.work:
+        sizes = PAPER[what]
         found = cost(what, **sizes)
         named = ", ".join(f"{k} {shown(v)}" for k, v in (USUAL[what] | sizes).items())
         row(what, named, *((f"{found.peak_gib:.2f}", f"{found.ms:.0f}") if found else ("more than there is", "")))

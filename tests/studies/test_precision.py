@@ -7,6 +7,7 @@ import math
 import shutil
 from collections.abc import Iterator
 from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from ablate.studies.run import run_job
 from ablate.studies.sweep import ConfigurationError, jobs_of
 from ablate.tracking import default_uri
 from ablate.training import Engine, Precision, generate, load_generator
-from ablate.ultrasound import Simulator
+from ablate.ultrasound import Simulator, SimulatorSettings
 
 TINY = [
     "scene.triangles=6000",
@@ -214,6 +215,20 @@ def test_mean_errors_of_identical_and_of_incomparable_frames() -> None:
     assert one["mae"] == pytest.approx(1 / 3)
     assert one["psnr"] == pytest.approx(20 * math.log10(255)), "identical frames are left out of its mean"
     assert "envelope_rms" not in mean_errors(Shots(images, envelopes[:, :10]), Shots(images, envelopes), mask)
+
+
+def test_every_ladder_holds_the_data_sets_own_setting() -> None:
+    base = SimulatorSettings(rays=3, layers=2, scanlines=6, axial_samples=1)
+    found = simulated.ladders(base)
+    assert {name: tuple(ladder) for name, ladder in found.items()} == {
+        "rays": (1, 2, 3, 4),
+        "layers": (1, 2, 3, 5),
+        "scanlines": (2, 3, 6, 12),
+        "axial_samples": (1, 2),
+    }
+    for name, ladder in found.items():
+        assert ladder[getattr(base, name)] == base
+        assert all(replace(s, **{name: getattr(base, name)}) == base for s in ladder.values())
 
 
 def test_how_far_a_reference_moves_an_error() -> None:

@@ -26,11 +26,11 @@ OTHER_SERIES = "simulator, other scatterers"
 
 
 def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
-    """Settings by the name of what is changed and its value; all else is as in `base`."""
-    values: dict[str, tuple[int, ...]] = {"rays": RAYS, "layers": LAYERS}
+    """Settings by the name of what is changed and its value; all else is as in `base`, which is in each of them."""
+    values: dict[str, set[int]] = {"rays": {*RAYS, base.rays}, "layers": {*LAYERS, base.layers}}
     for name in ("scanlines", "axial_samples"):
-        values[name] = tuple(sorted({max(1, round(part * getattr(base, name))) for part in _PARTS}))
-    return {name: {v: _changed(base, name, v) for v in chosen} for name, chosen in values.items()}
+        values[name] = {max(1, round(part * getattr(base, name))) for part in _PARTS}
+    return {name: {v: _changed(base, name, v) for v in sorted(chosen)} for name, chosen in values.items()}
 
 
 def _changed(base: SimulatorSettings, name: str, value: int) -> SimulatorSettings:
@@ -45,8 +45,9 @@ def series_name(name: str) -> str:
 
 def work(base: SimulatorSettings, frames: int) -> int:
     """How many times `measure_simulator` advances."""
-    settings = {setting for ladder in ladders(base).values() for setting in ladder.values()} | {base}
-    return frames * (2 + len(settings) + len(RAYS) + len(_GRIDS) + 1 + len(_staged(base)))
+    all_ladders = ladders(base)
+    settings = {setting for ladder in all_ladders.values() for setting in ladder.values()}
+    return frames * (2 + len(settings) + len(all_ladders["rays"]) + len(_GRIDS) + 1 + len(_staged(base)))
 
 
 def _staged(base: SimulatorSettings) -> tuple[int, ...]:
