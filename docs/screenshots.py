@@ -24,7 +24,7 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 
 WIDTH, HEIGHT = 1500, 1000
-TALL = 2000  # of pages that are longer than a screen
+TALL = 1400  # of pages that are longer than a screen
 RENDER_S = 12  # MLflow's pages fetch and draw for about as long, and tell nobody when they are done
 # What a user has after choosing "Model training" at the top left and closing the assistant.
 PREFERENCES = {"mlflow.workflowType_v1": '"machine_learning"', "mlflow.assistant.panelOpen_v1": "false"}
@@ -121,12 +121,13 @@ def main() -> None:
     chosen.out.mkdir(parents=True, exist_ok=True)
     with served(chosen.runs) as address, browser() as driver:
         driver.get(address)
+        time.sleep(RENDER_S)  # the first visit sets these itself
         for key, value in PREFERENCES.items():
             driver.execute_script("localStorage.setItem(arguments[0], arguments[1])", key, value)
         for name, page in pages(address, chosen.study).items():
             if chosen.only and name not in chosen.only:
                 continue
-            driver.set_window_size(WIDTH, TALL if name in ("compare", "study", "run_metrics") else HEIGHT)
+            driver.set_window_size(WIDTH, HEIGHT if name in ("experiment", "run") else TALL)
             photograph(driver, page, name in ("experiment", "charts"), chosen.out / f"{name}.png")
             print(chosen.out / f"{name}.png", flush=True)
 

@@ -108,7 +108,7 @@ def _about(job: Job) -> str:
     study = job.settings.study
     return (
         f"`{job.label}`, seed {job.settings.seed}, of the study `{study}`. **Model metrics**: `frames/` are validation "
-        "frames as training went on, rendered at the left, their target at the right; `train/` and `val/` are curves; "
+        "frames as training went on, rendered above, their target below; `train/` and `val/` are curves; "
         "the step of all these is the number of images seen. `test/` was measured once, on frames of unseen probe "
         "sites; `test/floor_` is what the same frames simulated with other scatterers score. **Artifacts**: every "
         "metric of every frame in `per_image.parquet`; configuration, code and environment in `provenance`."
@@ -116,7 +116,7 @@ def _about(job: Job) -> str:
 
 
 def log_samples(run: RunLog, frames: np.ndarray, images: np.ndarray, targets: np.ndarray, images_seen: int) -> None:
-    """Some validation frames as they are rendered now, each with its target at the right.
+    """Some validation frames as they are rendered now, each above its target: MLflow shows images in squares.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def log_samples(run: RunLog, frames: np.ndarray, images: np.ndarray, targets: np
             i[:height, :width].reshape(height // step, step, width // step, step) for i in (images[k], targets[k])
         ]
         smaller = [b.mean((1, 3)).round().astype(np.uint8) for b in blocks]
-        run.image(f"frames/{frames[k]}", np.hstack(smaller), images_seen)
+        run.image(f"frames/{frames[k]}", np.vstack(smaller), images_seen)
 
 
 def describe_study(run: RunLog, runs: Sequence[Finished], comparison: str, cautions: Sequence[str]) -> None:
@@ -153,8 +153,14 @@ def describe_study(run: RunLog, runs: Sequence[Finished], comparison: str, cauti
     report = artifact_page(run.store, run.run_id, "report.html")
     compared = comparison_page(run.store, list(first.values()))
     links = f"[The report]({report}) · [the variants side by side]({compared})"
-    run.describe("\n\n".join([links, comparison, *cautions]))
+    run.describe("\n\n".join([links, _spaced(comparison), *cautions]))
     run.metrics({k: v for k, v in logged(runs[0].result["scalars"]).items() if k.startswith("test/floor_")})
+
+
+def _spaced(table: str) -> str:
+    """A Markdown table with room between its columns, which MLflow's pages leave none."""
+    lines = [line if set(line) <= set("|-: ") else line.replace(" |", "\u00a0\u00a0|") for line in table.splitlines()]
+    return "\n".join(lines)
 
 
 def logged(scalars: Mapping[str, float]) -> dict[str, float]:
