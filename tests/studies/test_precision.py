@@ -68,7 +68,7 @@ def _small() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory, _small: None) -> Path:
-    """A finished run, one that learned from other pairs, and the task's outcome beside them."""
+    """A finished run, one of other pairs, one without its weights, and the outcome of the task beside them."""
     runs = tmp_path_factory.mktemp("runs")
     (job,) = jobs_of([f"runs_dir={runs}", *TINY])
     run_job(job)
@@ -77,6 +77,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory, _small: None) -> Path:
     spec = json.loads((elsewhere / "spec.json").read_text())
     spec["semantic"]["data"]["dataset"]["seed"] = 1
     (elsewhere / "spec.json").write_text(json.dumps(spec))
+    shutil.copytree(job.folder, runs / "bare" / job.label / "seed0", ignore=shutil.ignore_patterns("*.ckpt"))
     with (runs / "said.txt").open("w") as file, redirect_stdout(file):
         assert run(f"runs_dir={runs}") == 0
     return runs
@@ -84,7 +85,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory, _small: None) -> Path:
 
 def test_simulator_and_runs_are_measured(trained: Path) -> None:
     said = (trained / "said.txt").read_text()
-    assert "1 trained runs; 1 left out, they learned from other data" in said
+    assert "1 trained runs; 1 left out, they learned from other data; 1 left out, without a checkpoint" in said
     assert "left out, engine compiled: needs what a test has not." in said
     assert "Halving the reference's" in said
     points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})

@@ -47,17 +47,21 @@ def comparable_runs(settings: StudySettings) -> tuple[list[Finished], str]:
     """Finished runs of all studies in `runs_dir` that learned from this very data set, and a word on the others.
 
     Others were trained on another scene, another grid or other poses: their test frames are none of theirs, or not
-    unseen.
+    unseen. Of others only the results are here, without a checkpoint: they cannot be run.
     """
     about = about_data(settings)
     studies = sorted({path.parents[2] for path in settings.runs.glob("*/*/seed*/result.json")})
     runs = [run for study in studies for run in finished_runs(study)]
-    fit = [run for run in runs if run.spec["semantic"]["data"] == about]
     if not runs:
         return [], f"no trained run in {settings.runs}: the simulator alone"
-    if len(fit) == len(runs):
-        return fit, f"{len(fit)} trained runs"
-    return fit, f"{len(fit)} trained runs; {len(runs) - len(fit)} left out, they learned from other data"
+    same = [run for run in runs if run.spec["semantic"]["data"] == about]
+    fit = [run for run in same if (run.folder / LAST).exists()]
+    said = f"{len(fit)} trained runs"
+    if others := len(runs) - len(same):
+        said += f"; {others} left out, they learned from other data"
+    if bare := len(same) - len(fit):
+        said += f"; {bare} left out, without a checkpoint"
+    return fit, said
 
 
 def ways(settings: StudySettings) -> tuple[list[Way], tuple[str, ...]]:
