@@ -63,6 +63,23 @@ def test_generator(changes: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     assert max(extents) == expected
 
 
+def test_generator_of_eight_levels_on_a_strip(monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = GeneratorSpec(depth=8, width=0.01)
+    generator = Generator(spec).double()
+    make_linear(generator, monkeypatch)
+    expected, period = receptive_field(spec), 2**spec.depth
+    assert expected == 2813
+    width = (expected // period + 3) * period
+    extents = []
+    for phase in (0, period // 2):
+        maps = torch.full((2, 1, 1, period, width), 1e-3, dtype=torch.float64, requires_grad=True)
+        generator(*maps)[0, 0, period // 2, width // 2 // period * period + phase].backward()
+        assert maps.grad is not None
+        columns = maps.grad.abs().sum((0, 1, 2, 3)).nonzero()
+        extents.append(int(columns.max() - columns.min()) + 1)
+    assert max(extents) == expected
+
+
 def test_a_level_more_doubles_what_is_seen() -> None:
     fields = [receptive_field(GeneratorSpec(depth=depth)) for depth in range(2, 9)]
     ratios = [deep / shallow for shallow, deep in pairwise(fields)]

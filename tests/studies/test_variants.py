@@ -51,3 +51,5 @@ def test_describe_prints_the_papers_parameter_counts() -> None:
     for variant, total in TOTALS.items():
         assert table.loc[variant, "total"] == total
     assert (table["generator"] + table["discriminator"] == table["total"]).all()
+    # Measured by gradients in tests/networks/test_receptive_field.py.
+    assert (table.loc[["sa2h", "sa2h-depth"], "receptive_field_px"] == [173, 2813]).all()

@@ -83,6 +83,8 @@ class Report(Callback):
     def _show(self, metrics: Mapping[str, float], step: int, steps: int, interval: int) -> None:
         numbers = (metrics[f"train/{name}"] for name in ("images_per_second", "l1", "loss_g", "loss_d"))
         text = "{:.1f} images/s, L1 {:.3f}, G {:.2f}, D {:.2f}".format(*numbers)
+        if (weight := metrics.get("train/noise_weight")) is not None:
+            text += f", noise weight {weight:.3f}"
         if self._bar is not None:
             self._bar.set_postfix_str(text)
         elif step == steps or step * _LINES // steps > (step - interval) * _LINES // steps:
