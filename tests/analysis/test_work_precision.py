@@ -81,7 +81,8 @@ def test_the_best_within_a_budget_against_brute_force(seed: int) -> None:
             if fit:
                 best[group] = min(fit)[0]
         rivals = {g: e for g, e in best.items() if g != "same"}
-        assert row["better"] == (min(rivals, key=lambda g: rivals[g]) if rivals else "")
+        compared = row["metric"] != "envelope_rms"  # a trained run has no envelope
+        assert row["better"] == (min(rivals, key=lambda g: rivals[g]) if rivals and compared else "")
 
 
 def test_the_fastest_of_equal_points_is_taken() -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,7 +28,7 @@ from ablate.studies.precision.ledger import Ledger
 from ablate.studies.run import run_job
 from ablate.studies.sweep import ConfigurationError, jobs_of
 from ablate.tracking import default_uri
-from ablate.training import Engine, Precision, generate, load_generator
+from ablate.training import Engine, Precision, generate, load_generator, renderer
 from ablate.ultrasound import Simulator, SimulatorSettings
 
 TINY = [
@@ -150,6 +151,22 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
     made = generate(generator, inputs, torch.from_numpy(exact.mask), torch.from_numpy(frames), Precision.fp32)
     label = "sa2h", "width 0.05, fp32, eager, seed 0"
     assert found[*label, "psnr"] == pytest.approx(np.mean([*map(psnr, made, targets)]))
+
+
+def test_an_engine_that_fails_costs_its_points_alone(
+    trained: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fails(*arguments: Any) -> Any:
+        if arguments[-2] is not Precision.fp32:
+            raise RuntimeError("no such kernel")
+        return renderer(*arguments)
+
+    monkeypatch.setattr(generated, "renderer", fails)
+    monkeypatch.setattr(generated, "chosen_precision", lambda *_: Precision.bf16)
+    assert run(f"runs_dir={trained}") == 0
+    assert "left out, sa2h, width 0.05, bf16, eager, seed 0: no such kernel" in caplog.text
+    points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})
+    assert set(points.loc[points["series"] == "sa2h", "setting"]) == {"width 0.05, fp32, eager, seed 0"}
 
 
 def test_without_runs_the_simulator_is_drawn_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

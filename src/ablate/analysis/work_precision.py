@@ -95,10 +95,12 @@ def budget_table(points: pd.DataFrame, groups: dict[str, list[str]], rivals: tup
     -------
     DataFrame
         Columns metric, budget_ms; then for each group its best point as text, `<group>_error` and `<group>_ms`; and
-        better: one of the rivals, or empty where neither is fast enough.
+        better: one of the rivals; empty where neither is fast enough, or where one has no such error at any time.
     """
     rows = []
     for metric in dict.fromkeys(points["metric"]):
+        measured = set(points.loc[points["metric"] == metric, "series"])
+        comparable = all(measured.intersection(groups[rival]) for rival in rivals)
         for budget in BUDGETS_MS:
             row: dict[str, object] = {"metric": metric, "budget_ms": budget}
             scores: dict[str, float] = {}
@@ -109,6 +111,6 @@ def budget_table(points: pd.DataFrame, groups: dict[str, list[str]], rivals: tup
                 row[f"{group}_ms"] = float("nan") if best is None else float(best["ms"])
                 if best is not None and group in rivals:
                     scores[group] = badness(metric, float(best["error"]))
-            row["better"] = min(scores, key=lambda g: scores[g]) if scores else ""
+            row["better"] = min(scores, key=lambda g: scores[g]) if scores and comparable else ""
             rows.append(row)
     return pd.DataFrame(rows)

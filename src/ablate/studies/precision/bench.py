@@ -86,16 +86,21 @@ def shoot(
     -------
     list of Shots, one a seed
     float
-        Median milliseconds of a frame with its maps, each pose seen for the first time, after one that does not count.
+        Median milliseconds of an image, each pose seen for the first time, after one that does not count; without
+        segmentation and attenuation, which an image does not need, and with the receiver's noise at hand, as it is
+        in a series of frames.
     """
     simulator = Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
     simulator.render(_nudged(bench.poses[0]), seeds[0])
     rows, times = [], []
     for pose in bench.poses:
+        simulator.maps(pose)
         start = time.perf_counter()
         first = simulator.render(pose, seeds[0])
         times.append(1e3 * (time.perf_counter() - start))
         rows.append([first, *(simulator.render(pose, seed) for seed in seeds[1:])])
+        if len(seeds) > 1:
+            simulator.render(pose, seeds[0])  # a simulator remembers the noise of its last seed
         advance()
     columns = zip(*rows, strict=True)
     shots = [Shots(np.stack([f.image for f in c]), np.stack([f.envelope for f in c])) for c in columns]
@@ -103,18 +108,20 @@ def shoot(
 
 
 def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[], object]) -> dict[str, float]:
-    """Median milliseconds of every stage of a frame, in the order they run, what is left as `everything else`."""
+    """Median milliseconds of every stage of an image, in the order they run, what is left as `everything else`."""
     simulator = Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
     simulator.render(_nudged(bench.poses[0]), bench.seed)
     whole, each = [], []
     for pose in bench.poses:
+        simulator.maps(pose)
         with stage_times() as taken:
             start = time.perf_counter()
             simulator.render(pose, bench.seed)
             whole.append(1e3 * (time.perf_counter() - start))
         each.append([sum(taken[name]) for name, *_ in STAGES])
         advance()
-    stages = {name: median(column) for (name, *_), column in zip(STAGES, zip(*each, strict=True), strict=True)}
+    columns = zip(STAGES, zip(*each, strict=True), strict=True)
+    stages = {name: median(column) for (name, *_), column in columns if any(column)}
     return stages | {"everything else": median(np.subtract(whole, np.sum(each, axis=1)).tolist())}
 
 

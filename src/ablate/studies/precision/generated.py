@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import logging
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
+from statistics import median
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from ablate.config import StudySettings, build
 from ablate.dataset import label_values, network_inputs
@@ -26,13 +27,13 @@ from ablate.training import (
     chosen_device,
     chosen_precision,
     load_generator,
-    median_ms,
     missing_for,
     renderer,
 )
 from ablate.training.inference import to_grey_levels
 
 _WARMUP = 2
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -87,14 +88,14 @@ def plan_of(runs: list[Finished], settings: StudySettings) -> list[tuple[Finishe
     """Which run is run in which ways.
 
     Eager in every precision, each of them; compiled and exported, which takes up to a minute each, only the first run
-    of each network of a study, because the time of a network is no matter of its weights.
+    of each network, because the time of a network is no matter of its weights.
     """
     every, _ = ways(settings)
     eager = [way for way in every if way.engine is Engine.eager]
-    seen: set[tuple[Path, str]] = set()
+    seen: set[str] = set()
     planned = []
     for run in sorted(runs, key=lambda r: (str(r.folder.parents[1]), r.label, r.seed)):
-        network = run.folder.parents[1], digest(run.spec["semantic"]["model"])
+        network = digest(run.spec["semantic"]["model"])
         planned.append((run, eager if network in seen else every))
         seen.add(network)
     return planned
@@ -111,6 +112,8 @@ def measure_generators(
 ) -> None:
     """Fill the tables with every run; the time of a frame is that of its inputs and of the network.
 
+    A way that fails (compilers and runtimes can) is left out with a warning.
+
     Parameters
     ----------
     bench : Bench
@@ -126,14 +129,18 @@ def measure_generators(
     maps, inputs = make_inputs(bench, advance)
     device = chosen_device(settings.training.device)
     for run, its_ways in planned:
-        generator = load_generator(run.folder / LAST).to(device)
-        frames = _frames(run, generator, maps, bench, device)
-        needed = {name: inputs[name] for name in conditions(generator.spec)}
         exact: Shots | None = None
         for way in its_ways:
-            shots, network_ms = _render(generator, frames, bench, way, settings.evaluation.timed_frames)
-            ms = sum(needed.values()) + network_ms
             setting = _setting(run, way, settings)
+            advance()
+            try:
+                generator = load_generator(run.folder / LAST).to(device)
+                shots, network_ms = _render(run, generator, maps, bench, way)
+            except Exception as failure:
+                _LOG.warning("left out, %s, %s: %s", run.label, setting, " ".join(str(failure).split())[:300])
+                continue
+            needed = {name: inputs[name] for name in conditions(generator.spec)}
+            ms = sum(needed.values()) + network_ms
             for metric, error in mean_errors(shots, reference, bench.mask).items():
                 points.add(run.label, setting, ms, metric, error)
             for stage, taken in {**needed, "network": network_ms}.items():
@@ -143,7 +150,6 @@ def measure_generators(
             else:
                 for metric, error in mean_errors(shots, exact, bench.mask).items():
                     details.add("limit", f"{run.label}, against fp32 eager", setting, metric, error)
-            advance()
 
 
 def _setting(run: Finished, way: Way, settings: StudySettings) -> str:
@@ -154,28 +160,23 @@ def _setting(run: Finished, way: Way, settings: StudySettings) -> str:
     return f"width {width:g}, {way.precision}, {way.engine}, seed {run.seed}{elsewhere}"
 
 
-def _frames(
-    run: Finished, generator: Generator, maps: dict[str, np.ndarray], bench: Bench, device: torch.device
-) -> list[Mapping[str, Tensor]]:
-    """The maps of each frame as the run reads them, (1, 1, H, W) each."""
-    trained = build(StudySettings, run.spec["settings"])
-    values = label_values(bench.scene.tissues, trained.encoding, trained.encoding_seed)
-    read = network_inputs({name: maps[name] for name in conditions(generator.spec)}, values, bench.mask)
-    return [{name: m[k : k + 1].to(device) for name, m in read.items()} for k in range(len(bench.frames))]
-
-
 @torch.inference_mode()
 def _render(
-    generator: Generator, frames: list[Mapping[str, Tensor]], bench: Bench, way: Way, repeats: int
+    run: Finished, generator: Generator, maps: dict[str, np.ndarray], bench: Bench, way: Way
 ) -> tuple[Shots, float]:
-    """Every frame, and the median milliseconds of the first one."""
-    device = frames[0]["segmentation"].device
-    height, width = bench.simulator.image_shape
-    render = renderer(generator, height, width, way.precision, way.engine)
-    ms = median_ms(render, frames[0], repeats, _WARMUP)
+    """Every frame, and the median milliseconds from maps as they are stored to grey levels, after a warm-up."""
+    trained = build(StudySettings, run.spec["settings"])
+    values = label_values(bench.scene.tissues, trained.encoding, trained.encoding_seed)
+    stored = {name: maps[name] for name in conditions(generator.spec)}
+    device = next(generator.parameters()).device
+    render = renderer(generator, *bench.simulator.image_shape, way.precision, way.engine)
     mask = torch.from_numpy(bench.mask).to(device)
-    images = [
-        to_grey_levels(render(maps, torch.tensor([number], device=device))[0, 0], mask).cpu()
-        for maps, number in zip(frames, bench.frames.tolist(), strict=True)
-    ]
-    return Shots(torch.stack(images).numpy()), ms
+    images, times = [], []
+    for k in [0] * _WARMUP + list(range(len(bench.frames))):
+        start = time.perf_counter()
+        read = network_inputs({name: m[k : k + 1] for name, m in stored.items()}, values, bench.mask)
+        seed = torch.tensor([int(bench.frames[k])], device=device)
+        image = render({name: m.to(device) for name, m in read.items()}, seed)
+        images.append(to_grey_levels(image[0, 0], mask).cpu().numpy())  # waits for the device
+        times.append(1e3 * (time.perf_counter() - start))
+    return Shots(np.stack(images[_WARMUP:])), median(times[_WARMUP:])

@@ -17,7 +17,7 @@ RAYS = (1, 2, 4, 8, 16, 32, 64, 128)
 LAYERS = (1, 3, 5)
 _PARTS = (0.25, 0.5, 1, 2)  # of the data set's scanlines and axial samples
 REFERENCE_RAYS = 4096
-_FINEST_LAYERS = 9
+_FINEST_LAYERS = 8  # even: but for the outermost two, none of its planes is one of the ladder's
 _FINER = 4  # times as many scanlines or axial samples; and rays, so that their noise does not count
 _GRIDS = ("layers", "scanlines", "axial_samples")
 RAYS_SERIES = "simulator, rays"
@@ -47,7 +47,8 @@ def work(base: SimulatorSettings, frames: int) -> int:
     """How many times `measure_simulator` advances."""
     all_ladders = ladders(base)
     settings = {setting for ladder in all_ladders.values() for setting in ladder.values()}
-    return frames * (2 + len(settings) + len(all_ladders["rays"]) + len(_GRIDS) + 1 + len(_staged(base)))
+    on_grids = sum(1 + len(all_ladders[name]) for name in _GRIDS)
+    return frames * (2 + len(settings) + len(all_ladders["rays"]) + on_grids + 1 + len(_staged(base)))
 
 
 def _staged(base: SimulatorSettings) -> tuple[int, ...]:
@@ -70,7 +71,6 @@ def measure_simulator(bench: Bench, points: Ledger, details: Ledger, advance: Ca
     (reference,), _ = shoot(bench, replace(base, rays=REFERENCE_RAYS), seeds[:1], advance)
     (half,), _ = shoot(bench, replace(base, rays=REFERENCE_RAYS // 2), seeds[:1], advance)
     for name, ladder in ladders(base).items():
-        fine = _finer(bench, name, details, advance) if name in _GRIDS else None
         for value, settings in ladder.items():
             (shots, other), ms = usual if settings == base else shoot(bench, settings, seeds, advance)
             errors = mean_errors(shots, reference, bench.mask)
@@ -82,9 +82,8 @@ def measure_simulator(bench: Bench, points: Ledger, details: Ledger, advance: Ca
                 for metric, error in errors.items():
                     details.add("reference", RAYS_SERIES, value, metric, moved(metric, error, to_half[metric]))
                 _full(bench, settings, shots, reference, points, details, advance)
-            if fine is not None:
-                for metric, error in mean_errors(shots, fine, bench.mask).items():
-                    details.add("convergence", series_name(name), value, metric, error)
+    for name in _GRIDS:
+        _converging(bench, name, details, advance)
     _float64(bench, usual[0][0], details, advance)
     for rays in _staged(base):
         for stage, ms in time_stages(bench, replace(base, rays=rays), advance).items():
@@ -113,15 +112,17 @@ def _full(
     details.add("plan", FULL_SERIES, settings.rays, "largest grey difference to planned", int(apart))
 
 
-def _finer(bench: Bench, name: str, details: Ledger, advance: Callable[[], object]) -> Shots:
-    """The limit of one dimension, as far as it can be told: against another draw of its own speckle."""
-    base = bench.simulator
-    value = _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name)
-    settings = replace(_changed(base, name, value), rays=_FINER * base.rays)
-    (fine, other), _ = shoot(bench, settings, (bench.seed, bench.seed + 1), advance)
-    for metric, error in mean_errors(other, fine, bench.mask).items():
-        details.add("convergence", series_name(name), "other scatterers", metric, error)
-    return fine
+def _converging(bench: Bench, name: str, details: Ledger, advance: Callable[[], object]) -> None:
+    """Errors of one grid to a finer one, all with more rays; the yardstick is another draw of the speckle there."""
+    base = replace(bench.simulator, rays=_FINER * bench.simulator.rays)
+    finest = _changed(base, name, _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name))
+    (fine, other), _ = shoot(bench, finest, (bench.seed, bench.seed + 1), advance)
+    found: dict[object, Shots] = {"other scatterers": other}
+    for value, settings in ladders(base)[name].items():
+        (found[value],), _ = shoot(bench, settings, (bench.seed,), advance)
+    for setting, shots in found.items():
+        for metric, error in mean_errors(shots, fine, bench.mask).items():
+            details.add("convergence", series_name(name), setting, metric, error)
 
 
 def _float64(bench: Bench, single: Shots, details: Ledger, advance: Callable[[], object]) -> None:

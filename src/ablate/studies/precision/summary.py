@@ -141,7 +141,8 @@ def _budgets(points: pd.DataFrame) -> pd.DataFrame:
         for group in (_SAME, _OTHER, _RUN):
             name = row[group].replace("simulator, ", "").replace("other scatterers: ", "")
             cells[group] = f"{_cell(row['metric'], row[f'{group}_error'])} ({name})" if name else ""
-        better = {_OTHER: "simulator", _RUN: _RUN}.get(row["better"], "none is that fast")
+        unknown = "not compared" if any(cells.values()) else "none is that fast"
+        better = {_OTHER: "simulator", _RUN: _RUN}.get(row["better"], unknown)
         rows.append({"metric": facts_of(row["metric"]).title, "ms": f"{row['budget_ms']:g}", **cells, "better": better})
     return _indexed(rows, ["metric", "ms"])
 

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import torch
 from tqdm import tqdm
 
 from ablate.analysis import RESIMULATION, order_figure, work_precision_figure
@@ -62,7 +63,7 @@ def _about(settings: StudySettings, bench: Bench, found: str, lacking: Sequence[
     triangles = sum(len(structure.mesh.faces) for structure in bench.scene.structures)
     left_out = compile_scene(bench.scene, bench.probe, s, bench.poses).left_out
     return [
-        f"{hardware()}.",
+        f"{hardware()}, {torch.get_num_threads()} threads.",
         f"{settings.scene_name}, {triangles:,} triangles; {len(bench.frames)} test frames of "
         f"{s.image_shape[0]} x {s.image_shape[1]} pixels; {s.rays} rays, {s.layers} layers, {s.scanlines} scanlines, "
         f"{s.axial_samples} axial samples unless a series says otherwise.",
