@@ -1,6 +1,6 @@
 """Measure again what docs/numerics.md shows: its figures, its CSV files and its tables. Give it the machine alone.
 
-make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene     # an hour and a half on two cores
+make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene     # TIME on two cores
 python docs/numerics.py --parts fetal                            # only the built-in anatomy with the trained runs
 
 Tables stand between `<!-- table: name -->` and `<!-- end -->`; all other text is left as it is. Of a patient, figures
@@ -32,6 +32,7 @@ TABLES = {
     "limits": "Single precision",
     "plan": "What the plan saves",
     "budgets": "The best within",
+    "stages": "Stages of a simulated",
 }
 
 
@@ -49,8 +50,8 @@ def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
         name: markdown(next((t for h, t in shown.items() if h.startswith(start)), pd.DataFrame()))
         for name, start in TABLES.items()
     }
-    head, _, _ = (made / "summary.txt").read_text().partition("\n\n")
-    return texts | {"about": head.replace("\n", "\n\n"), "verdict": verdict(details)}
+    head, _, _ = (made / "summary.txt").read_text().partition(f"\n{verdict(details)}")
+    return texts | {"about": " ".join(head.split("\n")), "verdict": verdict(details)}
 
 
 def markdown(table: pd.DataFrame) -> str:
@@ -93,8 +94,15 @@ def main() -> None:
             PAGE.write_text(fill(PAGE.read_text(), found))
         if part == "scaling":
             script = DOCS.parent / "tests" / "benchmark_scaling.py"
-            done = subprocess.run([sys.executable, script], check=True, stdout=subprocess.PIPE, text=True)
-            PAGE.write_text(fill(PAGE.read_text(), {"scaling": done.stdout.strip()}))
+            done = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True)
+            assert done.stdout is not None
+            shown = []
+            for line in done.stdout:
+                print(line, end="", flush=True)
+                shown.append(line)
+            PAGE.write_text(fill(PAGE.read_text(), {"scaling": "".join(shown).strip()}))
+            if done.wait():
+                raise SystemExit("the scaling benchmark ended early")
 
 
 if __name__ == "__main__":
