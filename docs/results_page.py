@@ -85,7 +85,7 @@ def study_lines(study: Path) -> Iterator[str]:
     """Tables and figures of a kept study, paragraph by paragraph; figures are written into its folder."""
     usable = usable_runs(study)
     per_image, scalars = scored_frames(usable.runs)
-    table, paired = comparison_table(per_image, scalars), paired_table(per_image)
+    table = comparison_table(per_image, scalars)
     networks = per_image[per_image["variant"] != RESIMULATION]
     yield f"## {study.name}"
     yield (
@@ -101,11 +101,26 @@ def study_lines(study: Path) -> Iterator[str]:
         f"for.\n\n{to_markdown(spread, Spread.seeds)}"
     )
     yield resimulation_note(list(dict.fromkeys([*shown["metric"], *spread["metric"]])))
-    yield f"### Do the components matter?\n\n{claims_text(seed_claims(per_image, scalars))}"
-    yield f"### Do the trained networks differ?\n\n{paired_text(paired)}"
+    for reference, labels in families(list(dict.fromkeys(per_image["variant"]))).items():
+        where = "" if reference == REFERENCE else f", compared with {reference}"
+        of, sets = (rows[rows["variant"].isin(labels)] for rows in (per_image, scalars))
+        claims, paired = seed_claims(of, sets, reference), paired_table(of, reference)
+        yield f"### Do the components matter{where}?\n\n{claims_text(claims, reference)}"
+        yield f"### Do the trained networks differ{where}?\n\n{paired_text(paired, reference)}"
     design = find_design({run.label: components_of(run) for run in usable.runs}, COMPONENTS)
     for path, caption in figures(study, usable.runs, design):
         yield f"![{path.stem}]({study.parent.name}/{study.name}/{path.name})\n\n*{caption}*"
+
+
+def families(labels: Sequence[str]) -> dict[str, list[str]]:
+    """What is compared with what: all with sa2h, and what shares a change with it, as sa2h.encoding-arbitrary."""
+    found = {REFERENCE: list(labels)}
+    for label in labels:
+        name, dot, change = label.partition(".")
+        alike = [other for other in labels if other.endswith(dot + change)]
+        if name == REFERENCE and dot and len(alike) > 1:
+            found[label] = alike
+    return found
 
 
 def grid_text(rows: pd.DataFrame, cell: Callable[[str, dict[str, Any]], str]) -> str:
@@ -118,7 +133,7 @@ def grid_text(rows: pd.DataFrame, cell: Callable[[str, dict[str, Any]], str]) ->
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def claims_text(claims: pd.DataFrame) -> str:
+def claims_text(claims: pd.DataFrame, reference: str = REFERENCE) -> str:
     """Whether components matter, judged on trainings."""
     claims = claims[claims["metric"].isin((*TABLE_II, *MECHANISM))]
     if claims["p"].isna().all():
@@ -131,13 +146,13 @@ def claims_text(claims: pd.DataFrame) -> str:
         return {"differs": f"**{text}**", "suggested": f"*{text}*"}.get(str(claim["verdict"]), text)
 
     return (
-        f"Difference of the seeds' means to {REFERENCE} (Welch), **bold** where it differs after Holm's correction "
+        f"Difference of the seeds' means to {reference} (Welch), **bold** where it differs after Holm's correction "
         "over all rows and metrics, *italic* where it is suggested (it differs when taken alone).\n\n"
         f"{grid_text(claims, cell)}"
     )
 
 
-def paired_text(paired: pd.DataFrame) -> str:
+def paired_text(paired: pd.DataFrame, reference: str = REFERENCE) -> str:
     """How the trained networks differ on the same frames."""
     paired = paired[paired["metric"].isin((*FIGURE_4, *MECHANISM))]
     if paired.empty:
@@ -148,7 +163,7 @@ def paired_text(paired: pd.DataFrame) -> str:
         return f"{f'**{shift}**' if row['p_sites_holm'] < 0.05 else shift} [{low}, {high}]"
 
     return (
-        f"Median shift to {REFERENCE} over the same frames with its 95 % interval over probe sites, **bold** where "
+        f"Median shift to {reference} over the same frames with its 95 % interval over probe sites, **bold** where "
         "Wilcoxon's test over the sites' means stays below 5 % after Holm's correction over all rows and metrics.\n\n"
         f"{grid_text(paired, cell)}"
     )
