@@ -109,6 +109,13 @@ def test_the_page_is_written_between_its_markers(study: Path, script: ModuleType
         script.write_page(kept, page)
 
 
+@pytest.mark.usefixtures("script")
+def test_networks_with_the_same_change_are_also_compared_with_each_other() -> None:
+    families = importlib.import_module("results_page").families
+    labels = ["re-simulation", "sa2h", "nsa2h", "sa2h.encoding-arbitrary", "nsa2h.encoding-arbitrary", "sa2h.depth-2"]
+    assert families(labels) == {"sa2h": labels, "sa2h.encoding-arbitrary": labels[3:5]}
+
+
 def test_what_cannot_be_kept_or_shown_is_refused(study: Path, script: ModuleType, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="holds no finished run"):
         script.keep(tmp_path / "nowhere", tmp_path / "kept")
