@@ -21,7 +21,7 @@ from ablate.dataset import Part, label_values, network_inputs
 from ablate.metrics import mae, psnr
 from ablate.studies import tasks
 from ablate.studies.data import build_scene, dataset_folder, open_data
-from ablate.studies.precision import generated, simulated
+from ablate.studies.precision import generated, simulated, summary
 from ablate.studies.precision import task as module
 from ablate.studies.precision.errors import Shots, envelope_rms, mean_errors, moved
 from ablate.studies.precision.ledger import Ledger
@@ -247,6 +247,26 @@ def test_every_ladder_holds_the_data_sets_own_setting() -> None:
     for name, ladder in found.items():
         assert ladder[getattr(base, name)] == base
         assert all(replace(s, **{name: getattr(base, name)}) == base for s in ladder.values())
+
+
+def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
+    kept = ("limit", "simulator, float32 against float64", "16", "psnr", 90.0)
+    rows = [
+        ("limit", f"{label}, against fp32 eager", f"width 0.25, {way}, seed 2", metric, value)
+        for label, scale in (("sa2h", 1.0), ("nsa2h", 2.0))
+        for way, error in (("bf16, eager", 0.3), ("fp32, compiled", 0.1))
+        for metric, value in (("mae", scale * error), ("psnr", 60 / scale))
+    ]
+    found = summary._worst(pd.DataFrame([kept, *rows], columns=["table", "series", "setting", "quantity", "value"]))
+    assert tuple(found.iloc[0]) == kept
+    worst = {(row["setting"], row["quantity"]): row["value"] for row in found[1:].to_dict("records")}
+    assert worst == {
+        ("bf16, eager", "mae"): 0.6,
+        ("bf16, eager", "psnr"): 30.0,
+        ("fp32, compiled", "mae"): 0.2,
+        ("fp32, compiled", "psnr"): 30.0,
+    }
+    assert set(found[1:]["series"]) == {"trained runs against fp32 eager, worst of 2"}
 
 
 def test_how_far_a_reference_moves_an_error() -> None:

@@ -16,7 +16,7 @@ from ablate.analysis.effects import factorial_effects
 from ablate.analysis.effects_figure import effects_plot
 from ablate.analysis.image_figures import FramePictures, chi2_maps_figure, frames_a_page, qualitative_figure
 from ablate.analysis.latex_table import to_latex
-from ablate.analysis.metric_facts import METRICS, REFERENCE, RESIMULATION, facts_of
+from ablate.analysis.metric_facts import METRICS, REFERENCE, RESIMULATION, badness, facts_of
 from ablate.analysis.order import ordered_metrics, ordered_variants
 from ablate.analysis.paired_differences import paired_table
 from ablate.analysis.precision_figures import order_figure, work_precision_figure
@@ -40,6 +40,7 @@ __all__ = [
     "Preview",
     "Spread",
     "Verdict",
+    "badness",
     "boxplot_caption",
     "boxplot_panels",
     "budget_table",

@@ -13,6 +13,7 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter, Nul
 
 from ablate.analysis.figure_style import COLOURS, FLOOR_COLOUR, PAGE_IN, house_style, new_figure, save_figure
 from ablate.analysis.metric_facts import RESIMULATION, Better, facts_of
+from ablate.analysis.metric_panels import shown_name
 from ablate.analysis.runtime_figure import draw_background
 from ablate.analysis.work_precision import observed_order
 
@@ -94,24 +95,27 @@ def work_precision_figure(
     if not metrics:
         raise ValueError("no finite point with a positive time to draw")
     runs = [name for name in dict.fromkeys(points["series"]) if name not in _SIMULATOR]
-    down = len(metrics) // 2 + 1
+    cells = [*metrics, "names"] if len(metrics) % 2 else [*metrics, "names", "names"]
+    rows = [*zip(cells[::2], cells[1::2], strict=True), ("stages", "stages")]
+    bars = len(_bars(stages))
+    heights = [2.3] * (len(rows) - 1) + [0.8 + 0.14 * bars]
     with house_style():
-        figure = new_figure(PAGE_IN, 2.4 * down + 1.2)
-        grid = figure.subplots(down, 2, squeeze=False).ravel()
+        figure = new_figure(PAGE_IN, sum(heights))
+        grid = figure.subplot_mosaic([list(row) for row in rows], height_ratios=heights)
         handles: dict[str, Any] = {}
-        for axes, metric in zip(grid, metrics, strict=False):
+        for metric in metrics:
+            axes = grid[metric]
             _diagram(axes, points[points["metric"] == metric], metric, floors.get(metric), runs)
             found, names = axes.get_legend_handles_labels()
             names = [n.partition(" (")[0] if n.startswith(RESIMULATION) else n for n in names]
             handles |= {n: h for n, h in zip(names, found, strict=True) if n not in handles}
-        for axes in grid[len(metrics) + 1 :]:
-            axes.set_axis_off()
-        _paid_for(grid[len(metrics)], stages)
+        _paid_for(grid["stages"], stages)
         engines = [e for e in _ENGINE_FILL if runs and points["setting"].str.contains(e).any()]
         handles |= {f"run, {e}": Line2D([], [], ls="none", **_marker("#555555", "D", e)) for e in engines}
-        figure.legend(
-            list(handles.values()), list(handles), loc="outside upper center", ncols=4, frameon=False, fontsize=7
-        )
+        grid["names"].set_axis_off()
+        named = [name if name in _SIMULATOR else shown_name(name) for name in handles]
+        style: dict[str, Any] = {"ncols": 2, "frameon": False, "fontsize": 6, "columnspacing": 1.0, "handlelength": 1.5}
+        grid["names"].legend(list(handles.values()), named, loc="center", **style)
         figure.supxlabel(f"times measured on {hardware}", fontsize=7, color="#555555")
         return save_figure(figure, stem)
 
@@ -161,32 +165,38 @@ def _plain(axes: Axes, subs: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
 
 def _paid_for(axes: Axes, stages: pd.DataFrame) -> None:
     """A bar a renderer, a section for each thing that takes time."""
-    wide = stages.pivot_table(index=["series", "setting"], columns="quantity", values="value", sort=False).fillna(0.0)
-    fastest = wide.sum(axis=1).sort_values(kind="stable").reset_index()
-    fastest = fastest[~fastest["series"].isin(_SIMULATOR)].drop_duplicates("series")
-    kept = [place for place in wide.index if place[0] in _SIMULATOR or place in _places(fastest)]
-    names = [_bar_name(*place) for place in kept]
-    left = np.zeros(len(kept))
+    wide = _bars(stages)
+    names = [_bar_name(*place) for place in wide.index]
+    left = np.zeros(len(wide))
     for name, colour, hatch, belonging in _PAID_FOR:
-        width = wide.loc[kept].reindex(columns=list(belonging), fill_value=0.0).sum(axis=1).to_numpy(float)
+        width = wide.reindex(columns=list(belonging), fill_value=0.0).sum(axis=1).to_numpy(float)
         if width.any():
             style: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": "black", "lw": 0.4, "height": 0.7}
             axes.barh(names, width, left=left, label=name, **style)
         left += width
+    for name, end in zip(names, left, strict=True):
+        axes.annotate(name, (end, name), xytext=(4, 0), textcoords="offset points", fontsize=6.5, va="center")
     axes.invert_yaxis()
-    axes.tick_params(axis="y", labelsize=6.5)
+    axes.set_yticks([])
+    axes.set_xlim(0, 1.15 * left.max())
     axes.set_xlabel("median time, ms/frame")
-    axes.legend(frameon=False, fontsize=6.5, loc="best")
+    axes.legend(frameon=False, fontsize=6.5, loc="lower right")
 
 
-def _places(table: pd.DataFrame) -> set[tuple[str, str]]:
-    return set(zip(table["series"], table["setting"], strict=True))
+def _bars(stages: pd.DataFrame) -> pd.DataFrame:
+    """A row a bar, a column a stage: the simulator's settings, and of each label the fastest way."""
+    wide = stages.pivot_table(index=["series", "setting"], columns="quantity", values="value", sort=False).fillna(0.0)
+    fastest = wide.sum(axis=1).sort_values(kind="stable").reset_index()
+    fastest = fastest[~fastest["series"].isin(_SIMULATOR)].drop_duplicates("series")
+    places = set(zip(fastest["series"], fastest["setting"], strict=True))
+    return wide.loc[[place for place in wide.index if place[0] in _SIMULATOR or place in places]]
 
 
 def _bar_name(series: str, setting: str) -> str:
     if series in _SIMULATOR:
         return f"{series.removeprefix('simulator, ')} {setting}"
-    return f"{series}, {', '.join(part for part in setting.split(', ') if part in ('fp32', 'bf16', *_ENGINE_FILL))}"
+    way = [p for p in setting.split(", ") if p.startswith("width") or p in ("fp32", "bf16", *_ENGINE_FILL)]
+    return ", ".join([shown_name(series), *way])
 
 
 def order_figure(points: pd.DataFrame, grids: pd.DataFrame, base: dict[str, int], stem: Path) -> list[Path]:
