@@ -1,6 +1,6 @@
 """Measure again what docs/numerics.md shows: its figures, its CSV files and its tables. Give it the machine alone.
 
-make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene     # TIME on two cores
+make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene  # forty minutes on two cores
 python docs/numerics.py --parts fetal                            # only the built-in anatomy with the trained runs
 
 Tables stand between `<!-- table: name -->` and `<!-- end -->`; all other text is left as it is. Of a patient, figures
@@ -51,7 +51,8 @@ def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
         for name, start in TABLES.items()
     }
     head, _, _ = (made / "summary.txt").read_text().partition(f"\n{verdict(details)}")
-    return texts | {"about": " ".join(head.split("\n")), "verdict": verdict(details)}
+    about = " ".join(head.replace(f" in {runs.resolve()}", "").split("\n"))
+    return texts | {"about": about, "verdict": verdict(details)}
 
 
 def markdown(table: pd.DataFrame) -> str:

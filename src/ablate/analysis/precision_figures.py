@@ -180,7 +180,8 @@ def _paid_for(axes: Axes, stages: pd.DataFrame) -> None:
     axes.set_yticks([])
     axes.set_xlim(0, 1.15 * left.max())
     axes.set_xlabel("median time, ms/frame")
-    axes.legend(frameon=False, fontsize=6.5, loc="lower right")
+    above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0, 1), "ncols": 6}
+    axes.legend(frameon=False, fontsize=6.5, **above)
 
 
 def _bars(stages: pd.DataFrame) -> pd.DataFrame:
