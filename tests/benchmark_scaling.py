@@ -38,6 +38,7 @@ REPEATS = 3
 BUDGETS_GIB = (4.0, 24.0)
 NOISE_GIB = 0.02  # less than this a doubling is no growth
 STEEP = 0.5  # a power below this is a bend in the measurement, not a law
+UNTOLD = {"hardly grows": "far more than was run", "grows ever less": "not known"}
 FAR = 100  # times the largest size that was run: no further is extrapolated
 _ORGANS = ("liver", "kidney", "bone", "blood", "muscle", "fat")
 
@@ -212,14 +213,14 @@ def exponent(sizes: list[float], times: list[float]) -> float:
     return float(np.polyfit(np.log(sizes[-3:]), np.log(times[-3:]), 1)[0])
 
 
-def growth(sizes: list[float], memory: list[float]) -> Growth | None:
-    """Through the three largest sizes, each twice the one before; None where memory hardly grows."""
+def growth(sizes: list[float], memory: list[float]) -> Growth | str:
+    """Through the three largest sizes, each twice the one before; in words where no power of them describes it."""
     first, second = np.diff(memory[-3:])
     if min(first, second) < NOISE_GIB:
-        return None
+        return "hardly grows"
     power = math.log2(second / first)
     if power < STEEP:
-        return None
+        return "grows ever less"
     factor = second / (sizes[-1] ** power - sizes[-2] ** power)
     return Growth(memory[-1] - factor * sizes[-1] ** power, factor, power)
 
@@ -246,11 +247,11 @@ def grow(what: str, name: str, doublings: int, check: bool) -> tuple[str, ...]:
         costs.append(found)
         row(what, name, shown(sizes[-1]), f"{found.peak_gib:.2f}", f"{found.ms:.0f}")
     time = f"{exponent(sizes, [c.ms for c in costs]):.2f}" if len(sizes) > 2 else "not known"
-    memory = growth(sizes, [c.peak_gib for c in costs]) if len(sizes) > 2 else None
     if len(sizes) < 3:
         return what, name, "not known", time, *["not known: too few sizes could be run"] * len(BUDGETS_GIB), ""
-    if memory is None:
-        return what, name, "hardly grows", time, *["far more than was run"] * len(BUDGETS_GIB), ""
+    memory = growth(sizes, [c.peak_gib for c in costs])
+    if isinstance(memory, str):
+        return what, name, memory, time, *[UNTOLD[memory]] * len(BUDGETS_GIB), ""
     fit = [min(memory.largest(budget), FAR * sizes[-1]) for budget in BUDGETS_GIB]
     tried = "not run"
     if check and fit[0] < FAR * sizes[-1]:
