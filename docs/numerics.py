@@ -1,6 +1,6 @@
 """Measure again what docs/numerics.md shows: its figures, its CSV files and its tables. Give it the machine alone.
 
-make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene  # forty minutes on two cores
+make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene  # an hour on two cores
 python docs/numerics.py --parts fetal                            # only the built-in anatomy with the trained runs
 
 Tables stand between `<!-- table: name -->` and `<!-- end -->`; all other text is left as it is. Of a patient, figures
