@@ -95,14 +95,14 @@ def main() -> None:
             PAGE.write_text(fill(PAGE.read_text(), found))
         if part == "scaling":
             script = DOCS.parent / "tests" / "benchmark_scaling.py"
-            done = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True)
-            assert done.stdout is not None
             shown = []
-            for line in done.stdout:
-                print(line, end="", flush=True)
-                shown.append(line)
+            with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as done:
+                assert done.stdout is not None
+                for line in done.stdout:
+                    print(line, end="", flush=True)
+                    shown.append(line)
             PAGE.write_text(fill(PAGE.read_text(), {"scaling": "".join(shown).strip()}))
-            if done.wait():
+            if done.returncode:
                 raise SystemExit("the scaling benchmark ended early")
 
 

@@ -97,8 +97,8 @@ def work_precision_figure(
     runs = [name for name in dict.fromkeys(points["series"]) if name not in _SIMULATOR]
     cells = [*metrics, "names"] if len(metrics) % 2 else [*metrics, "names", "names"]
     rows = [*zip(cells[::2], cells[1::2], strict=True), ("stages", "stages")]
-    bars = len(_bars(stages))
-    heights = [2.3] * (len(rows) - 1) + [0.8 + 0.14 * bars]
+    bars = _bars(stages)
+    heights = [2.3] * (len(rows) - 1) + [0.8 + 0.14 * len(bars)]
     with house_style():
         figure = new_figure(PAGE_IN, sum(heights))
         grid = figure.subplot_mosaic([list(row) for row in rows], height_ratios=heights)
@@ -109,7 +109,7 @@ def work_precision_figure(
             found, names = axes.get_legend_handles_labels()
             names = [n.partition(" (")[0] if n.startswith(RESIMULATION) else n for n in names]
             handles |= {n: h for n, h in zip(names, found, strict=True) if n not in handles}
-        _paid_for(grid["stages"], stages)
+        _paid_for(grid["stages"], bars)
         engines = [e for e in _ENGINE_FILL if runs and points["setting"].str.contains(e).any()]
         handles |= {f"run, {e}": Line2D([], [], ls="none", **_marker("#555555", "D", e)) for e in engines}
         grid["names"].set_axis_off()
@@ -163,9 +163,8 @@ def _plain(axes: Axes, subs: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _paid_for(axes: Axes, stages: pd.DataFrame) -> None:
+def _paid_for(axes: Axes, wide: pd.DataFrame) -> None:
     """A bar a renderer, a section for each thing that takes time."""
-    wide = _bars(stages)
     names = [_bar_name(*place) for place in wide.index]
     left = np.zeros(len(wide))
     for name, colour, hatch, belonging in _PAID_FOR:
