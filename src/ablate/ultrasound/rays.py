@@ -127,3 +127,9 @@ def start_rays(bundle: Bundle, chosen: slice, view: View) -> Rays:
         step_mm=np.zeros(n, np.float32),
         reach_mm=np.float32(view.depth_mm) / view.media.stretch[medium],
     )
+
+
+def with_room(rays: Rays, rows: int) -> Rays:
+    """The same rays with at least so many rows; those added hold nothing yet."""
+    more = rows - len(rays.number)
+    return rays if more <= 0 else Rays(*(np.concatenate([c, np.empty((more, *c.shape[1:]), c.dtype)]) for c in rays))

@@ -10,7 +10,7 @@ from numbers import Integral, Real
 import numpy as np
 
 #: Part of every data set's identity: raise it when the same settings give another image.
-SIMULATOR_VERSION = 2
+SIMULATOR_VERSION = 3
 
 
 class Plan(StrEnum):

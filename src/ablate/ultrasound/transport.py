@@ -1,9 +1,14 @@
-"""Monte-Carlo transport: rays that meet surfaces, echo there, and are reflected or transmitted.
+"""Monte-Carlo transport: rays that meet surfaces, echo there, and go on, turn back, or both.
 
-The weight of a ray is a two-way amplitude. It is reflected with probability R = R_p^2, else transmitted, and then its
-weight stays: the expectation through an interface is 1 - R = t12 t21, exactly what a pulse keeps on its way there and
-back. A ray that was reflected is heard along the straight way back, where that surface does not turn it again: its
-weight is divided by |R_p|, so that the expectation is R_p, once. Where R_p is faint, no ray is turned.
+The weight of a ray is a two-way amplitude. Through an interface its expectation is 1 - R = t12 t21 with R = R_p^2,
+exactly what a pulse keeps on its way there and back. A ray that was reflected is heard along the straight way back,
+where that surface does not turn it again: off the interface the expectation is |R_p|, once.
+
+How it branches is chosen for small errors, with these expectations. A ray on its way there carries the image: it always
+goes on, with 1 - R of its weight, and by chance sends another one back. A ray that was turned does either. The chance q
+of a turn is more than its physical share R (importance sampling), and the weight of the turned ray is multiplied by
+|R_p| / q: with q = R, a turn at a faint surface would be rare and weigh 1 / |R_p|, one after another the product of
+that, and be seen as isolated dots in dark fluid. Where R_p is fainter still, no ray is turned.
 """
 
 from __future__ import annotations
@@ -30,14 +35,19 @@ from ablate.ultrasound.interfaces import (
 )
 from ablate.ultrasound.media import Media
 from ablate.ultrasound.ownership import next_step, owner, toggle
-from ablate.ultrasound.rays import Echoes, Rays, View, start_rays
+from ablate.ultrasound.rays import Echoes, Rays, View, start_rays, with_room
 from ablate.ultrasound.threads import in_parts
 
-#: From this many reflections on, half of the rays end at each further one and the others count twice.
-PATIENT_REFLECTIONS = 3
+#: From this many reflections on, half of the rays end at each further one and the others count twice, so that none that
+#: is caught between two walls is followed for ever. All others end by how faint they are.
+PATIENT_REFLECTIONS = 8
 
-#: Surfaces of a smaller R_p turn no ray back, they only take 1 - R of its weight: one ray in some thousand, standing
-#: for all others, would be an isolated dot. Reverberation 26 dB down before its second surface is left out.
+#: The chance of a turn over |R_p| (never under R): of rays on their way there, and of those turned before, whose weight
+#: then stays. More of the former would cost more time than they take off the error.
+TURNED_FIRST, TURNED_AGAIN = 0.5, 1.0
+
+#: Surfaces of a smaller R_p turn no ray back, they only take 1 - R of its weight: reverberation 26 dB down before its
+#: second surface is left out.
 FAINT_REFLECTION = 0.05
 
 #: A scanline listens along its axis: echoes of reflected rays fall off with the distance from it as a Gaussian of
@@ -68,12 +78,16 @@ def trace(geometry: Geometry, view: View, draws: Draws, bundle: Bundle, nodes: N
     def part(begin: int, end: int) -> list[np.ndarray]:
         rays = start_rays(bundle, slice(begin, end), view)
         n, bounces = end - begin, 0
-        room = np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, bool)
-        kept = [[column[:0] for column in room]]
+        kept = []
         while n:
+            rays = with_room(rays, 2 * n)
             hits = geometry.closest(rays.origin[:n], rays.direction[:n], rays.reach_mm[:n])
             bounces += 1
-            n, heard = _bounce(rays, hits, view, draws.table(bounces), nodes, room)
+            room = np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, bool)
+            left, spare, heard = _bounce(rays, hits, view, draws.table(bounces), nodes, room)
+            for column in rays:
+                column[left : left + spare - n] = column[n:spare]
+            n = left + spare - n
             kept.append([column[:heard].copy() for column in room])
         return [np.concatenate(column) for column in zip(*kept, strict=True)]
 
@@ -89,13 +103,14 @@ def _bounce(
     draws: np.ndarray,
     nodes: Nodes,
     echoes: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-) -> tuple[int, int]:
-    """Take rays to the surfaces that they hit: echo there, go on or turn back.
+) -> tuple[int, int, int]:
+    """Take rays to the surfaces that they hit: echo there, go on, turn back, or both.
 
-    Those that go on are moved up; returns how many they are, and how many echoes were written.
+    Those that go on are moved up, to rows from 0; those turned back are put behind all rays. Returns the row after the
+    last of each, and how many echoes were written.
     """
     media = view.media
-    left = heard = 0
+    left, spare, heard = 0, len(hits.structure), 0
     for i in range(len(hits.structure)):
         number, medium, direct = rays.number[i], rays.medium[i], rays.reflections[i] == 0
         group = number // view.rays
@@ -114,11 +129,12 @@ def _bounce(
         direction = _vector(rays.direction, i)
         point = along(_vector(rays.origin, i), direction, float(hits.distance_mm[i]))
         fresh = structure != rays.structure[i] or triangle != rays.triangle[i]  # a plane is met only once
+        away = fresh and hits.distance_mm[i] > rays.step_mm[i]
+        step_mm = next_step(rays.step_mm[i], away, view.step_mm)
         beyond = medium
         if fresh:
             toggle(rays.inside[i], structure)
             beyond = np.int32(view.tissue_of_owner[owner(rays.inside[i])])
-        alive = True
         if media.differs[medium, beyond]:
             drawn = draws[interfaces % MAX_ROWS, number]
             surface = view.tissue_of_owner[structure + 1]
@@ -144,46 +160,66 @@ def _bounce(
                     echoes[0][heard], echoes[1][heard], echoes[2][heard] = group, depth_mm, amplitude
                     echoes[3][heard] = not direct
                     heard += 1
+            if middle_mm >= view.depth_mm:
+                continue
 
             interfaces += 1
-            gambles = abs(pressure) >= FAINT_REFLECTION
-            turned = gambles and drawn[CHOICE] < pressure * pressure
-            if not gambles:
-                weight *= 1 - pressure * pressure
-            if turned and direct:  # the level is interpolated between nodes: keep it up to the surface
-                shine(nodes, group, shown_mm, shown_mm + nodes.spacing_mm, weight, loss_db, slope, silent)
+            energy, turn = pressure * pressure, _turn(abs(pressure), direct)
+            turned = drawn[CHOICE] < turn
+            if direct and turn > 0:  # the level is interpolated between nodes: keep it up to the surface
+                shine(nodes, group, shown_mm, shown_mm + nodes.spacing_mm, weight * energy, loss_db, slope, silent)
             if turned:  # back, through the surface's thickness twice
-                toggle(rays.inside[i], structure)
-                beyond, direction = medium, back
-                reflections += 1
-                weight /= abs(pressure)
-                path_mm += 2 * thickness_mm
-                shown_mm += 2 * thickness_mm * stretch
-                loss_db += 2 * thickness_mm * loss_db_mm
+                bright = weight * abs(pressure) / turn
+                chance = _chance(bright, two_way_db, view.faintest_db, reflections >= PATIENT_REFLECTIONS)
+                if drawn[SURVIVAL] < chance:
+                    rays.inside[spare] = rays.inside[i]
+                    toggle(rays.inside[spare], structure)
+                    rays.weight[spare], rays.reflections[spare] = bright / chance, reflections + 1
+                    rays.path_mm[spare] = path_mm + 2 * thickness_mm
+                    rays.shown_mm[spare] = shown_mm + 2 * thickness_mm * stretch
+                    rays.loss_db[spare] = loss_db + 2 * thickness_mm * loss_db_mm
+                    _leave(rays, spare, number, medium, interfaces, structure, triangle, point, back, step_mm, view)
+                    spare += 1
+            direction = onward
+            if direct:
+                weight *= 1 - energy
+            elif turned:
+                weight = 0.0
             else:
-                direction = onward
-            if reflections > 0:
-                often = turned and reflections > PATIENT_REFLECTIONS
-                chance = _chance(weight, two_way_db, view.faintest_db, often)
-                weight /= max(chance, 1e-30)
-                alive = drawn[SURVIVAL] < chance
-            alive = alive and middle_mm < view.depth_mm
-        if not alive:
-            continue
+                weight *= (1 - energy) / (1 - turn)
+                chance = _chance(weight, two_way_db, view.faintest_db, False)
+                weight = weight / chance if drawn[SURVIVAL] < chance else 0.0
+        if weight > 0:
+            rays.inside[left] = rays.inside[i]
+            rays.weight[left], rays.reflections[left] = weight, reflections
+            rays.path_mm[left], rays.shown_mm[left], rays.loss_db[left] = path_mm, shown_mm, loss_db
+            _leave(rays, left, number, beyond, interfaces, structure, triangle, point, direction, step_mm, view)
+            left += 1
+    return left, spare, heard
 
-        away = fresh and hits.distance_mm[i] > rays.step_mm[i]
-        step_mm = next_step(rays.step_mm[i], away, view.step_mm)
-        rays.number[left], rays.medium[left], rays.inside[left] = number, beyond, rays.inside[i]
-        rays.path_mm[left], rays.shown_mm[left], rays.loss_db[left] = path_mm, shown_mm, loss_db
-        rays.weight[left], rays.interfaces[left], rays.reflections[left] = weight, interfaces, reflections
-        rays.structure[left], rays.triangle[left], rays.step_mm[left] = structure, triangle, step_mm
-        start = along(point, direction, step_mm)
-        for axis in range(3):
-            rays.origin[left, axis], rays.direction[left, axis] = start[axis], direction[axis]
-        ways = 1.0 if reflections == 0 else 2.0  # a turned ray goes down and up again
-        rays.reach_mm[left] = (ways * view.depth_mm - shown_mm) / media.stretch[beyond]
-        left += 1
-    return left, heard
+
+@compiled
+def _leave(
+    rays: Rays,
+    row: int,
+    number: int,
+    medium: int,
+    interfaces: int,
+    structure: int,
+    triangle: int,
+    point: Vector,
+    direction: Vector,
+    step_mm: float,
+    view: View,
+) -> None:
+    """Write a ray that leaves a surface; its lengths and its count of reflections are there already."""
+    rays.number[row], rays.medium[row], rays.interfaces[row] = number, medium, interfaces
+    rays.structure[row], rays.triangle[row], rays.step_mm[row] = structure, triangle, step_mm
+    start = along(point, direction, step_mm)
+    for axis in range(3):
+        rays.origin[row, axis], rays.direction[row, axis] = start[axis], direction[axis]
+    ways = 1.0 if rays.reflections[row] == 0 else 2.0  # a turned ray goes down and up again
+    rays.reach_mm[row] = (ways * view.depth_mm - rays.shown_mm[row]) / view.media.stretch[medium]
 
 
 @compiled
@@ -223,6 +259,14 @@ def _about(
     impedance_1, impedance_2 = float(media.impedance_mrayl[before]), float(media.impedance_mrayl[after])
     pressure = pressure_reflection(impedance_1, impedance_2, cos_i, cos_t)
     return mirrored(direction, normal, cos_i), onward, pressure, cos_i, cos_t == 0
+
+
+@compiled
+def _turn(pressure: float, direct: bool) -> float:
+    """Chance that a surface of so much |R_p| turns a ray, or sends one back where it is direct."""
+    if pressure < FAINT_REFLECTION:
+        return 0.0
+    return max(pressure * pressure, (TURNED_FIRST if direct else TURNED_AGAIN) * pressure)
 
 
 @compiled
