@@ -199,9 +199,9 @@ plt.show()
 # %% [markdown]
 # ## 5. Rays and hits
 #
-# Paths are drawn at random: at a surface a ray is turned back with the probability that theory gives for the energy
-# (Fresnel), otherwise it goes on, bent by the speeds of sound (Snell). Here are so few that they can be drawn; blue
-# goes away from the probe, red was turned back.
+# Paths are drawn at random: at a surface a ray goes on, bent by the speeds of sound (Snell), and may send another one
+# back, the more likely the more the surface reflects (Fresnel); one that was turned before does one or the other. Here
+# are so few that they can be drawn; blue goes away from the probe, red was turned back.
 
 # %%
 few = SimulatorSettings(scanlines=40, rays=6, layers=1, image_shape=(250, 347), path_seed=3)

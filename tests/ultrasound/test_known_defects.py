@@ -167,7 +167,7 @@ def test_5_refraction_follows_speeds_and_survives_total_reflection(gel, slab, pe
     np.testing.assert_allclose(amplitudes(oblique, pencil, apart, (45, 60), tilted(40.0)), expected, rtol=2e-3)
 
 
-def test_6_a_chosen_path_keeps_its_weight_and_starts_where_it_was_turned(gel, slab, pencil, apart, amplitudes) -> None:
+def test_6_a_chosen_path_is_weighed_once_and_starts_where_it_was_turned(gel, slab, pencil, apart, amplitudes) -> None:
     """Reflection chosen with probability R and then weighed with R again, and transmission likewise, so that energy
     is lost; a reflected ray that starts on the surface although its thickness moved the echo (MCRay-Tracing).
     """

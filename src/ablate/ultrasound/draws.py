@@ -1,8 +1,9 @@
 """Random numbers of the paths: a counter-based table, stratified over the rays of each scanline and layer.
 
 A draw depends on (path seed, how many interfaces the ray has met, ray) and on nothing else, so that what is left
-out of a scene does not shift the rest. Each number is stratified (Latin hypercube): of the n rays of one scanline
-and layer exactly one falls into each n-th of [0, 1), in an order that is permuted anew at each interface.
+out of a scene does not shift the rest. A ray and the one that it sent back share theirs, on different ways. Each number
+is stratified (Latin hypercube): of the n rays of one scanline and layer exactly one falls into each n-th of [0, 1), in
+an order that is permuted anew at each interface.
 """
 
 from __future__ import annotations

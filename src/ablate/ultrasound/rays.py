@@ -18,7 +18,7 @@ class Rays(NamedTuple):
     Attributes
     ----------
     number : (n,) int32
-        Among all rays of the frame.
+        Of the ray that left the probe, among all of the frame; one that was sent back has its sender's.
     origin, direction : (n, 3) float32
         From where the next surface is looked for: `step_mm` beyond the last one.
     inside : (n, words) uint32
@@ -130,6 +130,6 @@ def start_rays(bundle: Bundle, chosen: slice, view: View) -> Rays:
 
 
 def with_room(rays: Rays, rows: int) -> Rays:
-    """The same rays with at least so many rows; those added hold nothing yet."""
+    """The same rays with at least so many rows; those added are not initialised."""
     more = rows - len(rays.number)
     return rays if more <= 0 else Rays(*(np.concatenate([c, np.empty((more, *c.shape[1:]), c.dtype)]) for c in rays))

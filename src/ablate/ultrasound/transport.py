@@ -4,11 +4,11 @@ The weight of a ray is a two-way amplitude. Through an interface its expectation
 exactly what a pulse keeps on its way there and back. A ray that was reflected is heard along the straight way back,
 where that surface does not turn it again: off the interface the expectation is |R_p|, once.
 
-How it branches is chosen for small errors, with these expectations. A ray on its way there carries the image: it always
-goes on, with 1 - R of its weight, and by chance sends another one back. A ray that was turned does either. The chance q
-of a turn is more than its physical share R (importance sampling), and the weight of the turned ray is multiplied by
-|R_p| / q: with q = R, a turn at a faint surface would be rare and weigh 1 / |R_p|, one after another the product of
-that, and be seen as isolated dots in dark fluid. Where R_p is fainter still, no ray is turned.
+Where a ray goes is drawn so that errors are small, with these expectations. One on its way there carries the image:
+it always goes on, with 1 - R of its weight, and by chance sends another one back. One that was turned before does one
+or the other. The chance q of a turn is at least its physical share R, and more where R_p is small (importance
+sampling): the weight of the turned ray is multiplied by |R_p| / q, and with q = R that would be 1 / |R_p|. Such rays,
+rare and heavy, would be seen as isolated dots in dark fluid.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from ablate.ultrasound.ownership import next_step, owner, toggle
 from ablate.ultrasound.rays import Echoes, Rays, View, start_rays, with_room
 from ablate.ultrasound.threads import in_parts
 
-#: From this many reflections on, half of the rays end at each further one and the others count twice, so that none that
-#: is caught between two walls is followed for ever. All others end by how faint they are.
+#: From this many reflections on, half of the rays end at each further one and the others count twice, so that a thin
+#: gap does not keep them to and fro until they are as deep as the image.
 PATIENT_REFLECTIONS = 8
 
-#: The chance of a turn over |R_p| (never under R): of rays on their way there, and of those turned before, whose weight
-#: then stays. More of the former would cost more time than they take off the error.
+#: Chance of a turn over |R_p|, never under R: of a ray on its way there, and of one turned before. More of the former
+#: costs more time than it takes off the error. At 1 a turn leaves the weight, and a passage multiplies it by 1 + |R_p|.
 TURNED_FIRST, TURNED_AGAIN = 0.5, 1.0
 
-#: Surfaces of a smaller R_p turn no ray back, they only take 1 - R of its weight: reverberation 26 dB down before its
-#: second surface is left out.
+#: Surfaces of a smaller R_p turn no ray back, they only take 1 - R of its weight. Left out, for speed: reverberation
+#: that is 26 dB down before its second surface.
 FAINT_REFLECTION = 0.05
 
 #: A scanline listens along its axis: echoes of reflected rays fall off with the distance from it as a Gaussian of
@@ -212,7 +212,7 @@ def _leave(
     step_mm: float,
     view: View,
 ) -> None:
-    """Write a ray that leaves a surface; its lengths and its count of reflections are there already."""
+    """Write a ray that leaves a surface; its set, weight, lengths and reflections must be in the row before."""
     rays.number[row], rays.medium[row], rays.interfaces[row] = number, medium, interfaces
     rays.structure[row], rays.triangle[row], rays.step_mm[row] = structure, triangle, step_mm
     start = along(point, direction, step_mm)
@@ -262,11 +262,11 @@ def _about(
 
 
 @compiled
-def _turn(pressure: float, direct: bool) -> float:
-    """Chance that a surface of so much |R_p| turns a ray, or sends one back where it is direct."""
-    if pressure < FAINT_REFLECTION:
+def _turn(reflection: float, direct: bool) -> float:
+    """Chance that a surface of so much |R_p| turns a ray, or makes it send one back where it is direct."""
+    if reflection < FAINT_REFLECTION:
         return 0.0
-    return max(pressure * pressure, (TURNED_FIRST if direct else TURNED_AGAIN) * pressure)
+    return max(reflection * reflection, (TURNED_FIRST if direct else TURNED_AGAIN) * reflection)
 
 
 @compiled
