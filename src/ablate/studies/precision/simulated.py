@@ -16,7 +16,7 @@ from ablate.ultrasound import Plan, Precision, SimulatorSettings
 RAYS = (1, 2, 4, 8, 16, 32, 64, 128)
 LAYERS = (1, 3, 5)
 _PARTS = (0.25, 0.5, 1, 2)  # of the data set's scanlines and axial samples
-REFERENCE_RAYS = 2048
+REFERENCE_RAYS = 4096
 _FINEST_LAYERS = 8  # even: but for the outermost two, none of its planes is one of the ladder's
 _FINER = 4  # times as many scanlines or axial samples; and rays, so that their noise does not count
 _GRIDS = ("layers", "scanlines", "axial_samples")
