@@ -81,7 +81,7 @@ def main() -> None:
     args = parser.parse_args()
     jobs = {
         "fetal": ([f"preset={args.preset}"], args.runs, ""),
-        "paper": (["preset=paper", "evaluation.timed_frames=10"], args.runs / "paper-size", "_paper"),
+        "paper": (["preset=paper", "evaluation.timed_frames=5"], args.runs / "paper-size", "_paper"),
         "patient": (["scene=folder", f"scene.folder={args.patient}"], args.runs / "patient", "_patient"),
     }
     for part in args.parts:
