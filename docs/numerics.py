@@ -82,7 +82,11 @@ def main() -> None:
     jobs = {
         "fetal": ([f"preset={args.preset}"], args.runs, ""),
         "paper": (["preset=paper", "evaluation.timed_frames=5"], args.runs / "paper-size", "_paper"),
-        "patient": (["scene=folder", f"scene.folder={args.patient}"], args.runs / "patient", "_patient"),
+        "patient": (
+            ["scene=folder", f"scene.folder={args.patient}", "evaluation.timed_frames=20"],
+            args.runs / "patient",
+            "_patient",
+        ),
     }
     for part in args.parts:
         if part in jobs and not (part == "patient" and args.patient is None):
