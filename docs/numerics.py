@@ -1,6 +1,6 @@
 """Measure again what docs/numerics.md shows: its figures, its CSV files and its tables. Give it the machine alone.
 
-make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene  # an hour on two cores
+make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene     # an hour at most on two cores
 python docs/numerics.py --parts fetal                            # only the built-in anatomy with the trained runs
 
 Tables stand between `<!-- table: name -->` and `<!-- end -->`; all other text is left as it is. Of a patient, figures
@@ -81,7 +81,7 @@ def main() -> None:
     args = parser.parse_args()
     jobs = {
         "fetal": ([f"preset={args.preset}"], args.runs, ""),
-        "paper": (["preset=paper", "evaluation.timed_frames=5"], args.runs / "paper-size", "_paper"),
+        "paper": (["preset=paper"], args.runs / "paper-size", "_paper"),
         "patient": (
             ["scene=folder", f"scene.folder={args.patient}", "evaluation.timed_frames=20"],
             args.runs / "patient",
