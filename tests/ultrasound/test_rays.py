@@ -6,17 +6,30 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from scipy.stats import kstest
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.bundle import leave_probe, probe_rays
-from ablate.ultrasound.draws import CHOICE, Draws, stratified
+from ablate.ultrasound.draws import (
+    CHOICE,
+    COLUMNS,
+    COS_AZIMUTH,
+    LOG_U,
+    MAX_ROWS,
+    SIN_AZIMUTH,
+    SURVIVAL,
+    THICKNESS,
+    Draws,
+    stratified,
+    unstratified,
+)
 from ablate.ultrasound.embree import Geometry
 from ablate.ultrasound.illumination import SILENCE_DB, Nodes, mean_level_db
 from ablate.ultrasound.plan import compile_scene
 from ablate.ultrasound.point_spread import Across
 from ablate.ultrasound.rays import Echoes, View
-from ablate.ultrasound.transport import trace
+from ablate.ultrasound.transport import LOUDEST, trace
 
 
 def follow(
@@ -27,7 +40,10 @@ def follow(
     draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
     bundle = leave_probe(geometry, probe_rays(probe, settings, draws), np.eye(4))
     nodes = Nodes(0.0, 1.0, np.ones((len(bundle.starts), 151), bool), np.zeros((len(bundle.starts), 151)))
-    lines, ways = (bundle.starts, bundle.directions), (settings.rays, probe.depth_mm, faintest_db, geometry.step_mm)
+    lines, ways = (
+        (bundle.starts, bundle.directions),
+        (settings.rays, draws.seed, probe.depth_mm, faintest_db, geometry.step_mm),
+    )
     view = View(compiled.media, compiled.tissue_of_owner, *lines, *ways)
     return trace(geometry, view, draws, bundle, nodes), nodes
 
@@ -168,6 +184,53 @@ def test_echoes_of_many_reflections_keep_their_mean(gel, slab, probe, one_line) 
     error = np.std(means, axis=0, ddof=1) / np.sqrt(10)
     assert (np.abs(np.mean(means, axis=0) - truth) < 4 * error).all()
     assert (error < 0.15 * truth).all()
+
+
+def test_turned_rays_share_what_they_meet(gel, slab, probe, one_line) -> None:
+    """In 200 faces of R_p = 0.1 the amplitudes of all paths would grow by 1 + |R_p| - R at each."""
+    pair = [Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 1.5 * 1.1 / 0.9), ("b", 1.5))]
+    scene = Scene(tuple(slab(pair[i % 2], 20.0 + 0.5 * i, 400.0) for i in range(200)), gel, "s")
+    settings = replace(one_line, rays=1000)
+    echoes, _ = follow(scene, probe, settings)
+    deep = echoes.reflected & (echoes.depth_mm > 110)
+    a_face = echoes.amplitude[deep].sum(dtype=float) / settings.rays / (2 * (probe.depth_mm - 110))
+    direct = 10.0  # 1 / |R_p|: what all of 1 - R, (1 - R)^2, ... send back together
+    assert 0 < a_face < 0.1 * LOUDEST * direct
+
+
+def test_draws_beyond_the_table_are_new_ones(gel, slab, probe, one_line) -> None:
+    """Off 52 mm, and off 20 mm on the 128th interface: were its draws those of the 64th, all that turned would turn."""
+    tissues = [Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 4.5), ("b", 4.51), ("c", 13.53))]
+    between = (slab(tissues[1 - i % 2], 20.5 + 0.5 * i, 400.0) for i in range(MAX_ROWS - 1))
+    scene = Scene((slab(tissues[0], 20.0, 400.0), *between, slab(tissues[2], 52.0, 400.0)), gel, "s")
+    means = []
+    for seed in range(10):
+        settings = replace(one_line, rays=2000, path_seed=seed)
+        echoes, _ = follow(scene, probe, settings)
+        again = echoes.reflected & (np.abs(echoes.depth_mm - 84.0) < 0.1)
+        means.append(echoes.amplitude[again].sum(dtype=float) / settings.rays)
+    assert abs(np.mean(means) - 0.75 * 0.5**3) < 4 * np.std(means, ddof=1) / np.sqrt(10)
+    assert np.std(means, ddof=1) < 0.1 * np.mean(means)
+
+
+def test_unstratified_draws_are_uniform_and_unrelated() -> None:
+    """Columns as in the table; neighbouring seeds, interfaces and rays have nothing in common."""
+    row = np.empty(COLUMNS, np.float32)
+    drawn = np.array([
+        [[unstratified(np.uint64(seed), k, ray, row).copy() for ray in range(500)] for k in range(64, 74)]
+        for seed in (0, 1, 2**64 - 1)
+    ])  # fmt: skip
+    flat = drawn.reshape(-1, COLUMNS)
+    n = len(flat)
+    for column in (flat[:, CHOICE], flat[:, SURVIVAL], np.exp(flat[:, LOG_U])):
+        assert kstest(column, "uniform").pvalue > 1e-3
+    assert kstest(flat[:, THICKNESS], "halfnorm").pvalue > 1e-3
+    azimuth = np.arctan2(flat[:, SIN_AZIMUTH], flat[:, COS_AZIMUTH])
+    assert kstest(azimuth, "uniform", (-np.pi, 2 * np.pi)).pvalue > 1e-3
+    assert (np.abs(np.corrcoef(flat[:, [CHOICE, THICKNESS, LOG_U, SURVIVAL]].T) - np.eye(4)) < 4 / np.sqrt(n)).all()
+    u = drawn[..., CHOICE]
+    for one, other in ((u[0], u[1]), (u[:, 0], u[:, 1]), (u[..., 1:], u[..., :-1])):
+        assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 4 / np.sqrt(one.size)
 
 
 def test_a_closed_cavity_ends(gel, slab, probe, one_line) -> None:

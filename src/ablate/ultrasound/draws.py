@@ -3,19 +3,26 @@
 A draw depends on (path seed, how many interfaces the ray has met, ray) and on nothing else, so that what is left
 out of a scene does not shift the rest. A ray and the one that it sent back share theirs, on different ways. Each number
 is stratified (Latin hypercube): of the n rays of one scanline and layer exactly one falls into each n-th of [0, 1), in
-an order that is permuted anew at each interface.
+an order that is permuted anew at each interface. Of the few rays that meet more interfaces than the table has rows,
+each number is a hash of the same three; strata are of no use where no two rays of a group meet the same surface.
 """
 
 from __future__ import annotations
 
+import math
 from threading import Lock
 
 import numpy as np
 
-#: Beyond this many interfaces a ray's draws repeat.
+from ablate.ultrasound.compiled import compiled
+
+#: Interfaces that the table serves.
 MAX_ROWS = 64
 #: Columns of a row of draws.
 CHOICE, THICKNESS, LOG_U, COS_AZIMUTH, SIN_AZIMUTH, SURVIVAL = range(6)
+COLUMNS = 6
+
+_GAMMA, _MIX_1, _MIX_2 = (np.uint64(x) for x in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
 
 
 def stratified(generator: np.random.Generator, groups: int, rays: int, dimensions: int) -> np.ndarray:
@@ -24,6 +31,41 @@ def stratified(generator: np.random.Generator, groups: int, rays: int, dimension
     order = np.argsort(generator.random(shape, np.float32), axis=-1).astype(np.float32)
     within = generator.random(shape, np.float32)
     return np.minimum((order + within) / np.float32(rays), np.float32(1 - 2**-24))
+
+
+@compiled
+def _mixed(key: np.uint64) -> np.uint64:
+    """One step of SplitMix64 (Steele, Lea and Flood 2014): neighbouring keys give unrelated numbers."""
+    key += _GAMMA
+    key = (key ^ (key >> np.uint64(30))) * _MIX_1
+    key = (key ^ (key >> np.uint64(27))) * _MIX_2
+    return key ^ (key >> np.uint64(31))
+
+
+@compiled
+def unstratified(path_seed: np.uint64, interfaces: int, number: int, row: np.ndarray) -> np.ndarray:
+    """Draws of one ray at an interface beyond the table's: columns as there.
+
+    Parameters
+    ----------
+    path_seed : uint64
+    interfaces : int
+        How many the ray has met.
+    number : int
+        Of the ray.
+    row : (COLUMNS,) float32
+        Is filled and returned.
+    """
+    key = _mixed(_mixed(path_seed) ^ (np.uint64(number) << np.uint64(32) | np.uint64(interfaces)))
+    for column in range(COLUMNS):
+        key = _mixed(key)
+        row[column] = np.float32(key >> np.uint64(40)) * np.float32(2.0**-24)
+    radius = math.sqrt(-2 * math.log(1 - row[THICKNESS]))
+    row[THICKNESS] = radius * abs(math.cos(2 * math.pi * row[SIN_AZIMUTH]))
+    azimuth = 2 * math.pi * row[COS_AZIMUTH]
+    row[COS_AZIMUTH], row[SIN_AZIMUTH] = math.cos(azimuth), math.sin(azimuth)
+    row[LOG_U] = math.log(max(row[LOG_U], 1e-30))
+    return row
 
 
 class Draws:
@@ -39,8 +81,8 @@ class Draws:
     """
 
     def __init__(self, path_seed: int, groups: int, rays: int) -> None:
-        self._seed, self._groups, self._rays = path_seed, groups, rays
-        self._table = np.empty((MAX_ROWS, groups * rays, 6), np.float32)
+        self.seed, self._groups, self._rays = np.uint64(path_seed % 2**64), groups, rays
+        self._table = np.empty((MAX_ROWS, groups * rays, COLUMNS), np.float32)
         self._made = 0
         self._making = Lock()
 
@@ -57,8 +99,8 @@ class Draws:
 
         Returns
         -------
-        (MAX_ROWS, groups * rays, 6) float32
-            By interface (modulo MAX_ROWS) and ray: uniform choice, |normal|, log of a uniform, cosine and sine of
+        (MAX_ROWS, groups * rays, COLUMNS) float32
+            By interface and ray: uniform choice, |normal|, log of a uniform, cosine and sine of
             a uniform angle, uniform.
         """
         with self._making:
@@ -70,7 +112,7 @@ class Draws:
     def _row(self, number: int) -> np.ndarray:
         generator = self._generator(number + 1)
         u = stratified(generator, self._groups, self._rays, 3).reshape(3, -1)
-        row = np.empty((u.shape[1], 6), np.float32)
+        row = np.empty((u.shape[1], COLUMNS), np.float32)
         angle = np.float32(2 * np.pi) * u[2]
         row[:, CHOICE] = u[0]
         row[:, THICKNESS] = np.abs(generator.standard_normal(u.shape[1], np.float32))
@@ -80,4 +122,4 @@ class Draws:
         return row
 
     def _generator(self, counter: int) -> np.random.Generator:
-        return np.random.Generator(np.random.Philox(key=np.array([self._seed % 2**64, counter], np.uint64)))
+        return np.random.Generator(np.random.Philox(key=np.array([self.seed, counter], np.uint64)))

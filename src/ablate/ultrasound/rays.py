@@ -65,6 +65,7 @@ class View(NamedTuple):
         Where each scanline begins, and where it looks.
     rays : int
         Of each group.
+    path_seed : uint64
     depth_mm : float
         Of the image; an echo that would be drawn deeper is not followed.
     faintest_db : float
@@ -78,6 +79,7 @@ class View(NamedTuple):
     elements: np.ndarray
     axes: np.ndarray
     rays: int
+    path_seed: np.uint64
     depth_mm: float
     faintest_db: float
     step_mm: float

@@ -187,6 +187,7 @@ class Simulator:
             bundle.starts,
             bundle.directions,
             settings.rays,
+            self._draws.seed,
             probe.depth_mm,
             faintest_db,
             self._geometry.step_mm,

@@ -19,7 +19,18 @@ import numpy as np
 
 from ablate.ultrasound.bundle import Bundle
 from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.draws import CHOICE, COS_AZIMUTH, LOG_U, MAX_ROWS, SIN_AZIMUTH, SURVIVAL, THICKNESS, Draws
+from ablate.ultrasound.draws import (
+    CHOICE,
+    COLUMNS,
+    COS_AZIMUTH,
+    LOG_U,
+    MAX_ROWS,
+    SIN_AZIMUTH,
+    SURVIVAL,
+    THICKNESS,
+    Draws,
+    unstratified,
+)
 from ablate.ultrasound.embree import Geometry, Hits
 from ablate.ultrasound.illumination import Nodes, shine
 from ablate.ultrasound.interfaces import (
@@ -50,6 +61,11 @@ TURNED_FIRST, TURNED_AGAIN = 0.5, 1.0
 #: that is 26 dB down before its second surface.
 FAINT_REFLECTION = 0.05
 
+#: From this weight on a surface shares a turned ray, |R_p| back and 1 - |R_p| on. Below, |R_p| + 1 - R is more than
+#: came: amplitudes of paths are summed whose phases nobody knows, and in a stack of strong surfaces that sum would grow
+#: by up to a quarter at each of them, without end.
+LOUDEST = 16.0
+
 #: A scanline listens along its axis: echoes of reflected rays fall off with the distance from it as a Gaussian of
 #: this standard deviation (assumed); reverberation between layers that face the probe is hardly touched.
 LISTENING_MM = 6.0
@@ -77,14 +93,14 @@ def trace(geometry: Geometry, view: View, draws: Draws, bundle: Bundle, nodes: N
 
     def part(begin: int, end: int) -> list[np.ndarray]:
         rays = start_rays(bundle, slice(begin, end), view)
-        n, bounces = end - begin, 0
+        n = end - begin
         kept = []
         while n:
             rays = with_room(rays, 2 * n)
             hits = geometry.closest(rays.origin[:n], rays.direction[:n], rays.reach_mm[:n])
-            bounces += 1
             room = np.empty(n, np.int32), np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, bool)
-            left, spare, heard = _bounce(rays, hits, view, draws.table(bounces), nodes, room)
+            table = draws.table(int(rays.interfaces[:n].max()) + 1)
+            left, spare, heard = _bounce(rays, hits, view, table, nodes, room)
             for column in rays:
                 column[left : left + spare - n] = column[n:spare]
             n = left + spare - n
@@ -110,6 +126,7 @@ def _bounce(
     last of each, and how many echoes were written.
     """
     media = view.media
+    late = np.empty(COLUMNS, np.float32)
     left, spare, heard = 0, len(hits.structure), 0
     for i in range(len(hits.structure)):
         number, medium, direct = rays.number[i], rays.medium[i], rays.reflections[i] == 0
@@ -136,7 +153,10 @@ def _bounce(
             toggle(rays.inside[i], structure)
             beyond = np.int32(view.tissue_of_owner[owner(rays.inside[i])])
         if media.differs[medium, beyond]:
-            drawn = draws[interfaces % MAX_ROWS, number]
+            if interfaces < MAX_ROWS:
+                drawn = draws[interfaces, number]
+            else:
+                drawn = unstratified(view.path_seed, interfaces, number, late)
             surface = view.tissue_of_owner[structure + 1]
             back, onward, pressure = _scatter(direction, _vector(hits.normal, i), medium, beyond, surface, drawn, media)
             thickness_mm = float(drawn[THICKNESS]) * media.thickness_mm[surface] if media.thick else 0.0
@@ -186,7 +206,8 @@ def _bounce(
             elif turned:
                 weight = 0.0
             else:
-                weight *= (1 - energy) / (1 - turn)
+                if turn == 0 or weight < LOUDEST:
+                    weight *= (1 - energy) / (1 - turn)
                 chance = _chance(weight, two_way_db, view.faintest_db, False)
                 weight = weight / chance if drawn[SURVIVAL] < chance else 0.0
         if weight > 0:
