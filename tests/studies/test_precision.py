@@ -181,11 +181,12 @@ def test_an_interruption_leaves_what_was_measured(tmp_path: Path, monkeypatch: p
     def stopped(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(simulated, "_full", stopped)
+    monkeypatch.setattr(simulated, "_converging", stopped)
     with pytest.raises(SystemExit, match="interrupted; what was measured is in"):
         run(f"runs_dir={tmp_path}")
     points = pd.read_csv(tmp_path / "precision" / "precision.csv")
-    assert set(points["series"]) == {"simulator, rays", "simulator, other scatterers"}
+    ladders = {f"simulator, {name}" for name in ("rays", "rays, plan=full", "layers", "scanlines", "axial samples")}
+    assert set(points["series"]) == {*ladders, "simulator, other scatterers"}
     client = MlflowClient(default_uri(tmp_path))
     (found,) = client.search_runs(["1"], "attributes.run_name = 'precision'")
     assert found.info.status == "KILLED"

@@ -167,6 +167,21 @@ def test_reverberation_between_two_plates(gel, slab, probe, one_line) -> None:
     assert mean == pytest.approx(gap + inside_first + off_40_and_20 + within, rel=0.1)
 
 
+@pytest.mark.parametrize("thickness_mm", [0.1, 1e-3])
+@pytest.mark.parametrize("pressure", [0.2, 0.5, 0.8])
+def test_reverberation_of_a_film(gel, slab, probe, one_line, pressure, thickness_mm) -> None:
+    """To and fro within it k times: (1 - R) R_p (R_p^2)^k, which sum to R_p^3."""
+    film = Tissue("film", 1540, 1.5 * (1 + pressure) / (1 - pressure), 0.0, roughness=0.0)
+    scene, totals = Scene((slab(film, 50.0, 50.0 + thickness_mm),), gel, "s"), []
+    for seed in range(10):
+        settings = replace(one_line, rays=10_000, path_seed=seed)
+        echoes, _ = follow(scene, probe, settings)
+        totals.append(echoes.amplitude[echoes.reflected].sum(dtype=float) / settings.rays)
+    error = np.std(totals, ddof=1) / np.sqrt(10)
+    assert abs(np.mean(totals) - pressure**3) < 4 * error
+    assert error < 0.05 * pressure**3
+
+
 def test_echoes_of_many_reflections_keep_their_mean(gel, slab, probe, one_line) -> None:
     """To and fro between faces of R_p = 0.8, 10 mm apart: k times and back, (1 - R) R_p (R_p^2)^k, at 20 + 10 k mm.
 

@@ -15,9 +15,10 @@ from ablate.dataset import Part, equally_spaced
 from ablate.studies.data import build_scene, dataset_folder, open_data
 from ablate.studies.layout import lay_out
 from ablate.studies.precision.errors import Shots
-from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, fan_mask
+from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.stage_times import STAGES, stage_times
 
+_TURN = 5  # poses in a row
 _NUDGE_MM = 1e-3  # a pose of its own: a simulator remembers the last one
 
 
@@ -69,42 +70,52 @@ def bench_of(settings: StudySettings) -> Bench:
 
 
 def shoot(
-    bench: Bench, settings: SimulatorSettings, seeds: Sequence[int], advance: Callable[[], object]
-) -> tuple[list[Shots], float]:
-    """Render all poses with each seed of the scatterers.
+    bench: Bench, several: Sequence[SimulatorSettings], seeds: Sequence[int], advance: Callable[[], object]
+) -> list[tuple[list[Shots], float]]:
+    """Render all poses with each setting and each seed of the scatterers.
+
+    A machine is now faster and now slower, for seconds: settings take turns, a few poses each, and every other time in
+    the reverse order.
 
     Parameters
     ----------
     bench : Bench
-    settings : SimulatorSettings
+    several : sequence of SimulatorSettings
     seeds : sequence of int
         The first is timed; the others reuse its rays.
     advance : callable
-        Called after each pose.
+        Called after each pose of each setting.
 
     Returns
     -------
-    list of Shots, one a seed
-    float
-        Median milliseconds of an image, each pose seen for the first time, after one that does not count; without
-        segmentation and attenuation, which an image does not need, and with the receiver's noise at hand, as it is
-        in a series of frames.
+    list of (list of Shots, float), one a setting
+        Shots, one a seed; median milliseconds of an image, each pose seen for the first time, after one that does not
+        count; without segmentation and attenuation, which an image does not need, and with the receiver's noise at
+        hand, as it is in a series of frames.
     """
-    simulator = Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
-    simulator.render(_nudged(bench.poses[0]), seeds[0])
-    rows, times = [], []
-    for pose in bench.poses:
-        simulator.maps(pose)
-        start = time.perf_counter()
-        first = simulator.render(pose, seeds[0])
-        times.append(1e3 * (time.perf_counter() - start))
-        rows.append([first, *(simulator.render(pose, seed) for seed in seeds[1:])])
-        if len(seeds) > 1:
-            simulator.render(pose, seeds[0])  # a simulator remembers the noise of its last seed
-        advance()
-    columns = zip(*rows, strict=True)
-    shots = [Shots(np.stack([f.image for f in c]), np.stack([f.envelope for f in c])) for c in columns]
-    return shots, median(times)
+    simulators = [Simulator(bench.scene, bench.probe, settings, poses=bench.poses) for settings in several]
+    rows: list[list[list[Frame]]] = [[] for _ in several]
+    times: list[list[float]] = [[] for _ in several]
+    turns = list(range(len(several)))
+    for begin in range(0, len(bench.poses), _TURN):
+        for k in turns:
+            simulator = simulators[k]
+            simulator.render(_nudged(bench.poses[begin]), seeds[0])
+            for pose in bench.poses[begin : begin + _TURN]:
+                simulator.maps(pose)
+                start = time.perf_counter()
+                first = simulator.render(pose, seeds[0])
+                times[k].append(1e3 * (time.perf_counter() - start))
+                rows[k].append([first, *(simulator.render(pose, seed) for seed in seeds[1:])])
+                if len(seeds) > 1:
+                    simulator.render(pose, seeds[0])  # a simulator remembers the noise of its last seed
+                advance()
+        turns.reverse()
+    return [([_shots(column) for column in zip(*r, strict=True)], median(t)) for r, t in zip(rows, times, strict=True)]
+
+
+def _shots(frames: Sequence[Frame]) -> Shots:
+    return Shots(np.stack([f.image for f in frames]), np.stack([f.envelope for f in frames]))
 
 
 def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[], object]) -> dict[str, float]:

@@ -46,9 +46,9 @@ def series_name(name: str) -> str:
 def work(base: SimulatorSettings, frames: int) -> int:
     """How many times `measure_simulator` advances."""
     all_ladders = ladders(base)
-    settings = {setting for ladder in all_ladders.values() for setting in ladder.values()}
+    settings = sum(map(len, all_ladders.values()))
     on_grids = sum(1 + len(all_ladders[name]) for name in _GRIDS)
-    return frames * (2 + len(settings) + len(all_ladders["rays"]) + on_grids + 1 + len(_staged(base)))
+    return frames * (2 + settings + len(all_ladders["rays"]) + on_grids + 1 + len(_staged(base)))
 
 
 def _staged(base: SimulatorSettings) -> tuple[int, ...]:
@@ -67,24 +67,34 @@ def measure_simulator(bench: Bench, points: Ledger, details: Ledger, advance: Ca
         The reference: `REFERENCE_RAYS` rays, all else as the data set.
     """
     base, seeds = bench.simulator, (bench.seed, bench.seed + 1)
-    usual = shoot(bench, base, seeds, advance)  # one setting, one time, in every series
-    (reference,), _ = shoot(bench, replace(base, rays=REFERENCE_RAYS), seeds[:1], advance)
-    (half,), _ = shoot(bench, replace(base, rays=REFERENCE_RAYS // 2), seeds[:1], advance)
+    ((reference,), _), ((half,), _) = (
+        shoot(bench, [replace(base, rays=rays)], seeds[:1], advance)[0]
+        for rays in (REFERENCE_RAYS, REFERENCE_RAYS // 2)
+    )
+    usual: Shots | None = None
     for name, ladder in ladders(base).items():
-        for value, settings in ladder.items():
-            (shots, other), ms = usual if settings == base else shoot(bench, settings, seeds, advance)
+        planned = list(ladder.values())
+        full = [replace(settings, plan=Plan.full) for settings in planned] if name == "rays" else []
+        found = shoot(bench, planned + full, seeds, advance)
+        for value, settings, ((shots, other), ms) in zip(ladder, planned, found, strict=False):
             errors = mean_errors(shots, reference, bench.mask)
-            as_others = mean_errors(other, reference, bench.mask)
             _add(points, series_name(name), value, ms, errors)
-            _add(points, OTHER_SERIES, f"{name.replace('_', ' ')} {value}", ms, as_others)
+            _add(
+                points, OTHER_SERIES, f"{name.replace('_', ' ')} {value}", ms, mean_errors(other, reference, bench.mask)
+            )
+            usual = shots if settings == base else usual
             if name == "rays":
                 to_half = mean_errors(shots, half, bench.mask)
                 for metric, error in errors.items():
                     details.add("reference", RAYS_SERIES, value, metric, moved(metric, error, to_half[metric]))
-                _full(bench, settings, shots, reference, points, details, advance)
+        for value, ((shots, _), ms), ((as_planned, _), _) in zip(ladder, found[len(planned) :], found, strict=False):
+            _add(points, FULL_SERIES, value, ms, mean_errors(shots, reference, bench.mask))
+            apart = np.abs(shots.images.astype(np.int16) - as_planned.images).max()
+            details.add("plan", FULL_SERIES, value, "largest grey difference to planned", int(apart))
     for name in _GRIDS:
         _converging(bench, name, details, advance)
-    _float64(bench, usual[0][0], details, advance)
+    assert usual is not None  # every ladder has the data set's settings
+    _float64(bench, usual, details, advance)
     for rays in _staged(base):
         for stage, ms in time_stages(bench, replace(base, rays=rays), advance).items():
             details.add("stage", RAYS_SERIES, rays, stage, ms)
@@ -96,30 +106,14 @@ def _add(points: Ledger, series: str, setting: object, ms: float, errors: dict[s
         points.add(series, setting, ms, metric, error)
 
 
-def _full(
-    bench: Bench,
-    settings: SimulatorSettings,
-    planned: Shots,
-    reference: Shots,
-    points: Ledger,
-    details: Ledger,
-    advance: Callable[[], object],
-) -> None:
-    """The same with nothing left out, at once after it, so that both meet the same machine."""
-    (shots,), ms = shoot(bench, replace(settings, plan=Plan.full), (bench.seed,), advance)
-    _add(points, FULL_SERIES, settings.rays, ms, mean_errors(shots, reference, bench.mask))
-    apart = np.abs(shots.images.astype(np.int16) - planned.images).max()
-    details.add("plan", FULL_SERIES, settings.rays, "largest grey difference to planned", int(apart))
-
-
 def _converging(bench: Bench, name: str, details: Ledger, advance: Callable[[], object]) -> None:
     """Errors of one grid to a finer one, all with more rays; the yardstick is another draw of the speckle there."""
     base = replace(bench.simulator, rays=_FINER * bench.simulator.rays)
     finest = _changed(base, name, _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name))
-    (fine, other), _ = shoot(bench, finest, (bench.seed, bench.seed + 1), advance)
+    (((fine, other), _),) = shoot(bench, [finest], (bench.seed, bench.seed + 1), advance)
     found: dict[object, Shots] = {"other scatterers": other}
     for value, settings in ladders(base)[name].items():
-        (found[value],), _ = shoot(bench, settings, (bench.seed,), advance)
+        (((found[value],), _),) = shoot(bench, [settings], (bench.seed,), advance)
     for setting, shots in found.items():
         for metric, error in mean_errors(shots, fine, bench.mask).items():
             details.add("convergence", series_name(name), setting, metric, error)
@@ -127,6 +121,6 @@ def _converging(bench: Bench, name: str, details: Ledger, advance: Callable[[], 
 
 def _float64(bench: Bench, single: Shots, details: Ledger, advance: Callable[[], object]) -> None:
     """What single precision of the signal chain costs, on the same paths."""
-    (double,), _ = shoot(bench, replace(bench.simulator, precision=Precision.float64), (bench.seed,), advance)
+    (((double,), _),) = shoot(bench, [replace(bench.simulator, precision=Precision.float64)], (bench.seed,), advance)
     for metric, error in mean_errors(single, double, bench.mask).items():
         details.add("limit", "simulator, float32 against float64", bench.simulator.rays, metric, error)

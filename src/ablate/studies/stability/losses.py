@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.optim import Adam
 
 from ablate.networks import GeneratorSpec
+from ablate.networks.layers import convolutions
 from ablate.studies.stability.checks import BFLOAT16, FLOAT32, Case, Check, finite, labelled, refused
 from ablate.studies.stability.networks import maps_of
 from ablate.training import AdversarialLoss, DivergenceError, PairGAN, TrainingSettings
@@ -60,27 +61,44 @@ def _settings(**changes: object) -> TrainingSettings:
     return replace(TrainingSettings(crop=SIDE, batch_size=2, steps=STEPS, device="cpu"), **changes)  # type: ignore[arg-type]
 
 
-def _steps(settings: TrainingSettings, device: str, maps: dict[str, Tensor] | None = None) -> Iterator[Check]:
-    """Some steps of Adam: losses, gradients and weights, and how far weights have gone."""
-    travelled = {}
+def _steps(
+    settings: TrainingSettings, device: str, maps: dict[str, Tensor] | None = None, alike: bool = False
+) -> Iterator[Check]:
+    """Some steps of Adam: losses and gradients of the first, and how far weights have gone after the last.
+
+    Where real and generated images are alike, the discriminator's gradients of the two cancel, and what is left of
+    them is not compared.
+    """
+    first, units = {}, {"float32": FLOAT32, "bfloat16": 3 * BFLOAT16}
     # Kingma and Ba 2015, section 2.1: a step is at most lr (1 - b1) / sqrt(1 - b2) when that is over lr.
     farthest = settings.learning_rate * max(1.0, (1 - settings.beta1) / np.sqrt(1 - settings.beta2)) * STEPS
     for dtype in ("float32", "float64", "bfloat16"):
         module = _Stepped(settings, device, dtype)
         before = module.weights()
-        losses = [module.step(maps or maps_of(device, k, SIDE), k) for k in range(STEPS)]
-        yield finite(dtype, np.array([list(row.values()) for row in losses]), what="losses")
+        losses = [list(module.step(maps or maps_of(device, 0, SIDE), 0).values())]
+        first[dtype] = np.array(losses[0]), np.concatenate([g.ravel() for g in module.gradients()])
+        losses += [list(module.step(maps or maps_of(device, k, SIDE), k).values()) for k in range(1, STEPS)]
+        yield finite(dtype, np.array(losses), what="losses")
         yield finite(dtype, *module.gradients(), module.weights(), what="gradients and weights")
-        travelled[dtype] = module.weights() - before
         yield Check(
-            dtype, "farthest that a weight went", float(np.abs(travelled[dtype]).max()), farthest,
+            dtype, "farthest that a weight went", float(np.abs(module.weights() - before).max()), farthest,
             "Adam's steps do not grow with the gradient: at most lr (1 - b1) / sqrt(1 - b2) each (Kingma and Ba 2015).",
         )  # fmt: skip
-    for dtype in ("float32", "bfloat16"):
-        apart = float(np.abs(travelled[dtype] - travelled["float64"]).max())
+    layers = convolutions(module)
+    units["float32"] *= max(layer.weight[0].numel() for layer in layers)
+    for dtype, unit in units.items():
+        (losses_here, gradient), (losses_right, right) = first[dtype], first["float64"]
+        apart = float((np.abs(losses_here - losses_right) / (np.abs(losses_right) + (losses_right == 0))).max())
         yield Check(
-            dtype, "farthest that a weight is from float64's", apart, 2 * farthest,
-            "The sign of a gradient near 0 may differ, and with it the whole step: twice the farthest that one goes.",
+            dtype, "losses of the first step against float64, relative", apart, len(layers) * unit,
+            f"{len(layers)} layers of both networks, should the errors of their roundings add up.",
+        )  # fmt: skip
+        if alike:
+            continue
+        apart = float(np.linalg.norm(gradient - right) / (np.linalg.norm(right) or 1.0))
+        yield Check(
+            dtype, "gradient of the first step against float64, of its norm", apart, 2 * len(layers) * unit,
+            "As many layers there as back.",
         )  # fmt: skip
 
 
@@ -95,7 +113,7 @@ def _outside(device: str) -> Iterator[Check]:
     maps = maps_of(device, side=SIDE)
     for name, value in (("mask", 0.0), ("image", -1.0), ("segmentation", -1.0), ("attenuation", 0.0)):
         maps[name].fill_(value)
-    yield from _steps(_settings(), device, maps)
+    yield from _steps(_settings(), device, maps, alike=True)
     for dtype in ("float32", "float64", "bfloat16"):
         module = _Stepped(_settings(), device, dtype)
         before = [p.detach().clone() for p in module.generator.parameters()]

@@ -17,6 +17,7 @@ from ablate.studies.stability.frames import AHEAD, GEL, SMALL, SOFT, both, moved
 from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings
 from ablate.ultrasound.point_spread import axial_kernel
 from ablate.ultrasound.probe import pixel_coordinates_mm
+from ablate.ultrasound.transport import LOUDEST
 
 HARD = Tissue("hard", 1540, 1.8, 0.5, 0.6, 0.0, 0.8, roughness=0.0)
 _LENGTHS = (
@@ -200,6 +201,24 @@ def _shells(device: str) -> Iterator[Check]:
         yield Check(dtype, "rows of S that are wrong", int(wrong.sum()), 0, "Each crossing changes one bit of a set.")
 
 
+def _stack(pressure: float, gap_mm: float, faces: int, device: str) -> Iterator[Check]:
+    """Surfaces of +-R_p behind one another, without loss: all that they send to and fro is heard, and ends."""
+    around = replace(SOFT, attenuation_db_cm_mhz=0.0, scatterer_density=0.0)
+    hard = replace(around, name="hard", impedance_mrayl=around.impedance_mrayl * (1 + pressure) / (1 - pressure))
+    slabs = tuple(slab((hard, around)[i % 2], 20.0 + gap_mm * i, 400.0 - gap_mm * i) for i in range(faces))
+    settings = replace(SMALL, tgc_db_cm_mhz=0.0)
+    frames = both(Scene(slabs, around, "stack"), settings, device)
+    yield from usual(frames, settings)
+    pulse, depth_mm = axial_kernel(ConvexProbe(), settings).sum(), ConvexProbe().depth_mm
+    for dtype, frame in frames.items():
+        heard = float(frame.envelope.sum(axis=0, dtype=float).mean() / pulse)
+        yield Check(
+            dtype, "all echoes of a line, in mirrors", heard, 1 / pressure + LOUDEST / 2 * (depth_mm - 20) / gap_mm,
+            "Direct: R_p (1 + (1 - R) + (1 - R)^2 ...) = 1 / R_p at most. Turned: what those 1 / R_p weigh, grown by "
+            "LOUDEST / 2 at most (a weight begins at 2), is heard with R_p once a gap.",
+        )  # fmt: skip
+
+
 def _labels(device: str) -> Iterator[Check]:
     """As many tissues as there are labels, and one more."""
     tissues = [replace(HARD, name=f"t{i}") for i in range(254)]
@@ -234,6 +253,9 @@ CASES = (
     Case("a scene of micrometres, a metre from the origin", partial(_far, 1e3, 1 / 1024)),
     Case("a probe 1000 km from its scene", _lost),
     Case("sixty-four shells", _shells),
+    Case("250 surfaces of R_p = 0.1, 0.5 mm apart", partial(_stack, 0.1, 0.5, 250)),
+    Case("64 surfaces of R_p = 0.5, 1 mm apart", partial(_stack, 0.5, 1.0, 64)),
+    Case("64 surfaces of R_p = 0.97, 1 mm apart", partial(_stack, 0.97, 1.0, 64)),
     Case("254 tissues, and one more", _labels),
     Case("a probe's face in a surface", _on_a_face),
 )
