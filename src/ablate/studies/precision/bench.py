@@ -18,7 +18,7 @@ from ablate.studies.precision.errors import Shots
 from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.stage_times import STAGES, stage_times
 
-_TURN = 5  # poses in a row
+_TURN = 2  # poses in a row
 _NUDGE_MM = 1e-3  # a pose of its own: a simulator remembers the last one
 
 
