@@ -126,3 +126,8 @@ def amplitudes() -> Amplitudes:
 def depths() -> Callable[[ConvexProbe, SimulatorSettings], np.ndarray]:
     """Depths of the axial samples, mm: the middles of equal parts of the imaging depth."""
     return lambda probe, settings: (np.arange(settings.axial_samples) + 0.5) * probe.depth_mm / settings.axial_samples
+
+
+@pytest.fixture
+def one_line() -> SimulatorSettings:
+    return SimulatorSettings(scanlines=1, layers=1, rays=64, aperture_mm=0.0, elevational_aperture_mm=0.0)
