@@ -9,7 +9,7 @@ import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
-from ablate.ultrasound.embree import Geometry
+from ablate.ultrasound.embree import Geometry, Hits
 from ablate.ultrasound.illumination import SILENCE_DB, mean_level_db
 from ablate.ultrasound.point_spread import Across
 from traced_rays import follow, lit
@@ -92,20 +92,25 @@ def test_a_flat_disc_of_needle_triangles_is_survived(gel, tissue, probe, one_lin
     assert lit(nodes, one_line)[0, 100] == pytest.approx(expected, rel=1e-4)
 
 
-def test_a_ray_along_a_surface_takes_few_steps(gel, tissue, probe, one_line, monkeypatch) -> None:
-    """It meets the same triangles again and again; steps of a fixed small length would take a million."""
+@pytest.mark.parametrize(("turned_rad", "tilted_rad"), [(0.3, 1e-6), (0.7, 1e-7)])
+def test_a_ray_along_a_surface_takes_few_steps(gel, tissue, probe, one_line, monkeypatch, turned_rad, tilted_rad):
+    """It meets the same triangles again, as they are rounded; steps of a fixed small length would take a million."""
     mesh = trimesh.creation.box((100.0, 100.0, 400.0))
     mesh.apply_translation((50.0, 0, 100.0))  # its side is the plane x = 0, which the line lies in
-    casts = []
+    for angle, axis in ((turned_rad, (0, 0, 1)), (tilted_rad, (0, 1, 0))):
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(angle, axis))
+    met = []
     closest = Geometry.closest
 
-    def counted(self: Geometry, *rays: np.ndarray) -> object:
-        casts.append(1)
-        return closest(self, *rays)
+    def counted(self: Geometry, *rays: np.ndarray) -> Hits:
+        hits = closest(self, *rays)
+        met.append(np.count_nonzero(hits.structure >= 0))
+        return hits
 
     monkeypatch.setattr(Geometry, "closest", counted)
     follow(Scene((Structure(mesh, replace(tissue, impedance_mrayl=3.0)),), gel, "s"), probe, one_line)
-    assert len(casts) < 500
+    assert sum(met) > 3 * one_line.rays
+    assert len(met) < 100
 
 
 def test_threads_change_nothing(gel, ball, probe) -> None:
