@@ -146,7 +146,6 @@ def test_what_is_not_a_number_does_not_hold() -> None:
     assert not refused("float32", lambda: None).holds
 
 
-@pytest.mark.slow
 def test_every_case_holds(tmp_path: Path) -> None:
     code, table = run(tmp_path)
     assert code == 0, table[~table["holds"]]
