@@ -1,6 +1,6 @@
 """Memory and time of a simulated frame, a generated frame and a training step as each size doubles.
 
-make bench-scaling                     # Markdown; some 20 minutes on two cores
+make bench-scaling                     # Markdown; half an hour on two cores
 make bench-scaling ARGS="--doublings 2 --no-check --work 'training step'"
 
 Every row is measured in a process of its own, so that the peak of its memory is its own. Exponents are those of the
