@@ -19,7 +19,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; some 8 minutes on two cores
+sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 5 to 9 minutes on two cores
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h hydra/launcher=joblib
 
 laptop: $(STAMP) ## the study of docs/results.md, from where it stands: all variants, three seeds, two encodings; two hours
