@@ -18,6 +18,8 @@ from ablate.studies.precision.errors import Shots
 from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.stage_times import STAGES, stage_times
 
+Shown = tuple[np.ndarray, np.ndarray]  # image and envelope
+
 _TURN = 2  # poses in a row
 _NUDGE_MM = 1e-3  # a pose of its own: a simulator remembers the last one
 
@@ -94,7 +96,7 @@ def shoot(
         hand, as it is in a series of frames.
     """
     simulators = [Simulator(bench.scene, bench.probe, settings, poses=bench.poses) for settings in several]
-    rows: list[list[list[Frame]]] = [[] for _ in several]
+    rows: list[list[list[Shown]]] = [[] for _ in several]
     times: list[list[float]] = [[] for _ in several]
     turns = list(range(len(several)))
     for begin in range(0, len(bench.poses), _TURN):
@@ -106,7 +108,7 @@ def shoot(
                 start = time.perf_counter()
                 first = simulator.render(pose, seeds[0])
                 times[k].append(1e3 * (time.perf_counter() - start))
-                rows[k].append([first, *(simulator.render(pose, seed) for seed in seeds[1:])])
+                rows[k].append([_shown(first), *(_shown(simulator.render(pose, seed)) for seed in seeds[1:])])
                 if len(seeds) > 1:
                     simulator.render(pose, seeds[0])  # a simulator remembers the noise of its last seed
                 advance()
@@ -114,8 +116,14 @@ def shoot(
     return [([_shots(column) for column in zip(*r, strict=True)], median(t)) for r, t in zip(rows, times, strict=True)]
 
 
-def _shots(frames: Sequence[Frame]) -> Shots:
-    return Shots(np.stack([f.image for f in frames]), np.stack([f.envelope for f in frames]))
+def _shown(frame: Frame) -> Shown:
+    """What errors need; the maps of all settings at once would be gigabytes."""
+    return frame.image, frame.envelope
+
+
+def _shots(shown: Sequence[Shown]) -> Shots:
+    images, envelopes = zip(*shown, strict=True)
+    return Shots(np.stack(images), np.stack(envelopes))
 
 
 def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[], object]) -> dict[str, float]:
