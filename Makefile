@@ -7,7 +7,7 @@ LAPTOP := variant=sa2h,sa2h-att,sa2h-concat,sa2h-conv,sa2h-noise,sa2h-depth,lsa2
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep laptop test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training
+.PHONY: help sweep laptop test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -23,11 +23,11 @@ sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 5 to 9 
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h hydra/launcher=joblib
 
 laptop: $(STAMP) ## the study of docs/results.md, from where it stands: all variants, three seeds, two encodings; two hours
-	$(BIN)/python docs/results.py restore
+	$(BIN)/python scripts/results.py restore
 	$(BIN)/python -m ablate -m preset=laptop seed=0,1,2 $(LAPTOP) hydra/launcher=joblib
 	$(BIN)/python -m ablate +study=encoding preset=laptop seed=0,1,2 hydra/launcher=joblib
-	$(BIN)/python docs/results.py keep runs/laptop-fetal
-	$(BIN)/python docs/results.py table
+	$(BIN)/python scripts/results.py keep runs/laptop-fetal
+	$(BIN)/python scripts/results.py table
 
 test: $(STAMP) check ## style, types and tests
 	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow"
@@ -39,6 +39,7 @@ check: $(STAMP)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 
 lint: $(STAMP) ## mend what the linter can mend
 	$(BIN)/ruff check --fix
@@ -48,22 +49,25 @@ ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
 	$(BIN)/mlflow ui --backend-store-uri sqlite:///runs/mlflow.db --host 127.0.0.1 --port 5000 --workers 1
 
 bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size; SCENE=folder adds one to the table of plans
-	$(BIN)/python tests/benchmark_simulator.py $(if $(SCENE),--scene $(SCENE))
+	$(BIN)/python benchmarks/simulator.py $(if $(SCENE),--scene $(SCENE))
 
 bench-dataset: $(STAMP) ## what the paper's data set costs: to simulate, to store, to read crops from
-	$(BIN)/python tests/benchmark_dataset.py
+	$(BIN)/python benchmarks/dataset.py
 
 bench-scaling: $(STAMP) ## memory and time as sizes double, and what fits in 4 and 24 GiB
-	$(BIN)/python tests/benchmark_scaling.py $(ARGS)
+	$(BIN)/python benchmarks/scaling.py $(ARGS)
 
 precision: $(STAMP) ## measure docs/numerics.md again; RUNS=folder of trained runs, PRESET=theirs, PATIENT=scene folder
-	$(BIN)/python docs/numerics.py $(if $(RUNS),--runs $(RUNS)) $(if $(PRESET),--preset $(PRESET)) $(if $(PATIENT),--patient $(PATIENT))
+	$(BIN)/python scripts/numerics.py $(if $(RUNS),--runs $(RUNS)) $(if $(PRESET),--preset $(PRESET)) $(if $(PATIENT),--patient $(PATIENT))
 
 bench-inference: $(STAMP) ## ms and memory of a generated frame by engine, precision and width; ARGS="--variant lsa2h --size 250 346"
-	$(BIN)/python tests/benchmark_inference.py $(ARGS)
+	$(BIN)/python benchmarks/inference.py $(ARGS)
 
 bench-metrics: $(STAMP) ## what scoring costs: each metric, and an evaluation of the paper's 669 test frames
-	$(BIN)/python tests/benchmark_metrics.py $(FRAMES)
+	$(BIN)/python benchmarks/metrics.py $(FRAMES)
 
 bench-training: $(STAMP) ## images a second of a training against a plain loop; ARGS="--variants sa2h --threads 1 --rounds 10"
-	$(BIN)/python tests/benchmark_training.py $(ARGS)
+	$(BIN)/python benchmarks/training.py $(ARGS)
+
+bench-start: $(STAMP) ## seconds until a mistyped key is answered, against the import of Hydra
+	$(BIN)/python benchmarks/start.py $(ARGS)

@@ -11,8 +11,8 @@
 # %% [markdown]
 # # Error against run time
 #
-# Reads the study that `make sweep` left in `runs/`, or the one that the environment variable `ABLATE_STUDY` names;
-# trains nothing.
+# This notebook reads the study that `make sweep` left in `runs/`. The environment variable `ABLATE_STUDY` can name
+# another study. Nothing is trained.
 
 # %%
 from pathlib import Path
@@ -22,8 +22,8 @@ import pandas as pd
 from IPython.display import Image, display
 
 from ablate.analysis import error_vs_runtime, pareto_front
-from ablate.studies.reading import open_study
-from ablate.studies.results import provenance, runtime_points
+from ablate.studies.comparison.reading import open_study
+from ablate.studies.comparison.results import provenance, runtime_points
 
 study = open_study()
 folder = Path(mkdtemp())
@@ -33,9 +33,9 @@ points, level = runtime_points(study.table)
 # %% [markdown]
 # ## The networks of the study
 #
-# Error on the test frames against the median time of a frame, network alone, on the machine that trained it. Nothing
-# below and left of a point on the grey line is both faster and better. The paper gives 75 ms for its simulator and 40
-# ms for its networks, on a GPU that it does not name.
+# The figure shows the error on the test frames against the median time per frame. It is the time of the network
+# alone, on the machine that trained it. No other network is both faster and better than a network on the grey line.
+# The paper reports 75 ms for its simulator and 40 ms for its networks, on a GPU that it does not name.
 
 # %%
 png, pdf = error_vs_runtime(points, folder / "error_vs_runtime", level, hardware)
@@ -48,11 +48,11 @@ print("on the front of time and patch chi-square:", ", ".join(wide["series"].ilo
 wide.round(3)
 
 # %% [markdown]
-# ## Beside the simulator
+# ## Comparison with the simulator
 #
-# `python -m ablate task=precision` measures the simulator with more and fewer rays, and every trained run in each
-# precision and engine, against a converged reference. If that was done, here is what it drew, and the fastest of each
-# series.
+# `python -m ablate task=precision` measures the simulator with different numbers of rays, and every trained run with
+# different number formats and engines. All errors are relative to a converged reference. If this task was run, its
+# figure and the fastest setting of each series are shown here.
 
 # %%
 measured = study.folder.parent / "precision"

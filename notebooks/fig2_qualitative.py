@@ -9,10 +9,10 @@
 # ---
 
 # %% [markdown]
-# # Fig. 2: what the variants render
+# # Fig. 2: images of the variants
 #
-# Reads the study that `make sweep` left in `runs/`, or the one that the environment variable `ABLATE_STUDY` names;
-# trains nothing.
+# This notebook reads the study that `make sweep` left in `runs/`. The environment variable `ABLATE_STUDY` can name
+# another study. Nothing is trained.
 
 # %%
 from pathlib import Path
@@ -22,23 +22,23 @@ import matplotlib.pyplot as plt
 from IPython.display import Image
 
 from ablate.analysis import qualitative_figure
-from ablate.studies.reading import open_study
+from ablate.studies.comparison.reading import open_study
 
 study = open_study()
 folder = Path(mkdtemp())
 print("test frames shown:", ", ".join(picture.name for picture in study.pictures))
 
 # %% [markdown]
-# Test frames of unseen probe sites. The target carries its segmentation S in the left corner and its attenuation map
-# A in the right one. The re-simulation is the same frame with other scatterers: where it differs from the target no
-# network can know better. Of a variant with several seeds the lowest is shown.
+# The figure shows test frames of unseen probe sites. The target has its segmentation S in the left corner and its
+# attenuation map A in the right corner. The re-simulation is the same frame with other scatterers. Where it differs
+# from the target, no network can know the target. If a variant has several seeds, the lowest seed is shown.
 
 # %%
 png, pdf = qualitative_figure(study.pictures, folder / "fig2")
 Image(png, width=1000)
 
 # %% [markdown]
-# One frame, larger: the target, then what to compare it with.
+# The next figure shows one frame in a larger size. The target comes first, and the other images follow.
 
 # %%
 picture = study.pictures[0]

@@ -11,8 +11,8 @@
 # %% [markdown]
 # # Fig. 3: where the variants are wrong
 #
-# Reads the study that `make sweep` left in `runs/`, or the one that the environment variable `ABLATE_STUDY` names;
-# trains nothing.
+# This notebook reads the study that `make sweep` left in `runs/`. The environment variable `ABLATE_STUDY` can name
+# another study. Nothing is trained.
 
 # %%
 from pathlib import Path
@@ -21,16 +21,16 @@ from tempfile import mkdtemp
 from IPython.display import Image, display
 
 from ablate.analysis import chi2_maps_figure
-from ablate.studies.reading import open_study
+from ablate.studies.comparison.reading import open_study
 
 study = open_study()
 folder = Path(mkdtemp())
 
 # %% [markdown]
-# The grey-level histograms of patches of 20 x 20 pixels are compared with those of the target: 0 (black) is the same
-# histogram, 1 (bright) nothing in common. Below each map is its image, at the right the target. The map of the
-# re-simulation is the floor: what other scatterers alone make of it. The number is the root mean square over patches
-# wholly inside the fan.
+# Each map compares the grey-level histograms of patches of 20 x 20 pixels with those of the target. 0 (black) means
+# equal histograms, and 1 (bright) means histograms without overlap. The image is below its map, and the target is at
+# the right. The map of the re-simulation is the floor, because it differs from the target by its scatterers alone.
+# The number is the root mean square over all patches that lie wholly in the fan.
 
 # %%
 for number, picture in enumerate(study.pictures):

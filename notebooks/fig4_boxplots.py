@@ -11,8 +11,8 @@
 # %% [markdown]
 # # Fig. 4: paired differences
 #
-# Reads the study that `make sweep` left in `runs/`, or the one that the environment variable `ABLATE_STUDY` names;
-# trains nothing.
+# This notebook reads the study that `make sweep` left in `runs/`. The environment variable `ABLATE_STUDY` can name
+# another study. Nothing is trained.
 
 # %%
 from pathlib import Path
@@ -21,33 +21,37 @@ from tempfile import mkdtemp
 from IPython.display import Image, display
 
 from ablate.analysis import boxplot_panels, cautions, paired_table
-from ablate.studies.reading import open_study
+from ablate.metrics import Group, Shown, metric_of, shown_in
+from ablate.studies.comparison.reading import open_study
 
 study = open_study()
 folder, paired = Path(mkdtemp()), paired_table(study.per_image, study.reference)
 print("\n".join(cautions(study.per_image, study.reference)))
 
 
-def boxes_of(*metrics: str) -> None:
+def boxes_of(metrics: list[str]) -> None:
     """Box plots side by side, or in words why there are none."""
     drawn = boxplot_panels(study.per_image, metrics, folder / metrics[0], study.reference, paired)
     display(Image(drawn[0], width=900)) if drawn else print(f"Nothing to compare with {study.reference}.")
 
 
 # %% [markdown]
-# Every test frame is rendered by every variant and scored; a box holds the differences to the reference on the same
-# frames. Boxes are quartiles, whiskers the 5th and 95th percentile, the bar below a box is the 95 % interval of the
-# median shift over probe sites. The grey band is the re-simulation, the same frame with other scatterers: for PSNR
-# and MAE the level of a perfect stochastic renderer, and a network beyond it has smoothed the speckle away; for patch
-# chi-square the floor.
+# Every variant renders every test frame. A box shows the differences between a variant and the reference on the same
+# frames. The box shows quartiles, and the whiskers show the 5th and the 95th percentile. The bar below a box is the
+# 95 % interval of the median shift over probe sites.
+#
+# The grey band is the re-simulation, which is the same frame with other scatterers. For patch chi-square it is the
+# floor. For PSNR and MAE it is the level of a perfect stochastic renderer. A network that is better than this level
+# has smoothed the speckle away.
 
 # %%
-boxes_of("psnr", "mae", "pchi2")
+boxes_of(shown_in(Shown.headline))
 
 # %% [markdown]
-# Does each component do what it is for? Shadow contrast is for the attenuation map, smooth MAE (structure without
-# speckle) for maps at every level, Nyquist excess (the spectrum at the up-sampling frequency) for texture layers. The
-# first and the last are best at 0.
+# The last figure shows whether each component does what it is for. Shadow contrast belongs to the attenuation map.
+# Smooth MAE (structure without speckle) belongs to the maps at every level. Nyquist excess (the spectrum at the
+# up-sampling frequency) belongs to the texture-friendly up-sampling. Shadow contrast and Nyquist excess are best at
+# 0.
 
 # %%
-boxes_of("shadow_contrast", "mae_smooth", "nyquist_excess")
+boxes_of([name for name in shown_in(Shown.panels) if metric_of(name).group is Group.mechanism])

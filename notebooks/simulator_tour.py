@@ -11,12 +11,11 @@
 # %% [markdown]
 # # From triangles to a B-mode image, in ten pictures
 #
-# The simulator takes a body made of triangle meshes and a probe pressed on it, and returns what a scanner would show.
-# This notebook takes the scene and a test frame of the study that `make sweep` left in `runs/`, renders that frame
-# once at the paper's size, and looks at everything on the way. Nothing is trained.
+# The simulator takes a body of triangle meshes and a probe that is pressed on it. It returns the image that a scanner
+# would show. This notebook takes the scene and one test frame of the study that `make sweep` left in `runs/`. It
+# renders this frame once at the paper's size and shows all steps. Nothing is trained.
 
 # %%
-from contextlib import ExitStack
 from types import SimpleNamespace
 from unittest.mock import patch
 
@@ -27,21 +26,20 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Patch
 from scipy.ndimage import maximum_filter1d
 
-from ablate.analysis.body_view import draw_body
-from ablate.analysis.tissue_colours import tissue_colours
+from ablate.analysis.figures.body_view import draw_body
+from ablate.analysis.figures.tissue_colours import tissue_colours
 from ablate.anatomy import bounds_mm
 from ablate.config import SceneKind
 from ablate.dataset import Part
-from ablate.studies.data import build_scene
-from ablate.studies.reading import open_study
+from ablate.studies.comparison.reading import open_study
+from ablate.studies.pairs.simulated import build_scene
 from ablate.ultrasound import Simulator, SimulatorSettings, fan_mask
-from ablate.ultrasound import simulator as stages_of_a_frame
-from ablate.ultrasound.embree import Geometry
-from ablate.ultrasound.point_spread import blur
+from ablate.ultrasound.imaging.point_spread import blur
+from ablate.ultrasound.maps.slices import sample_lines
 from ablate.ultrasound.probe import fan_size_mm, sample_depths_mm, scanline_angles, scanlines_in_plane, to_world
-from ablate.ultrasound.slices import sample_lines
-from ablate.ultrasound.stage_times import STAGES
-from ablate.ultrasound.walk import Samples
+from ablate.ultrasound.stages import Stage, observe_stages
+from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.surfaces.line_walk import Samples
 
 study = open_study()
 if study.settings.scene.kind is SceneKind.pairs:
@@ -57,25 +55,20 @@ print(f"{scene.name}: {len(scene.structures)} structures, {triangles:,} triangle
 print(f"frame {frame} of {study.folder.name}, at {probe.frequency_mhz:g} MHz")
 
 # %% [markdown]
-# `Simulator.render` is one call. To see inside it, we note what each of its stages takes and gives while it runs.
+# `Simulator.render` is one call. To show its steps, this notebook records the input and the output of each step.
 
 # %%
 noted: dict[str, SimpleNamespace] = {}
 
 
-def watching(name, stage):
-    def watched(*arguments, **named):
-        result = stage(*arguments, **named)
-        kept = result.clone() if isinstance(result, torch.Tensor) else result  # later stages work in place
-        noted[name] = SimpleNamespace(arguments=arguments, result=kept)
-        return result
-
-    return watched
+def note_stage(stage, function, arguments):
+    result = function(*arguments)
+    kept = result.clone() if isinstance(result, torch.Tensor) else result  # later stages work in place
+    noted[stage] = SimpleNamespace(arguments=arguments, result=kept)
+    return result
 
 
-with ExitStack() as watched_stages:
-    for name, owner, attribute in STAGES:
-        watched_stages.enter_context(patch.object(owner, attribute, watching(name, getattr(owner, attribute))))
+with observe_stages(note_stage):
     rendered = Simulator(scene, probe, settings).render(pose, seed=study.settings.dataset.seed)
 print("\n".join(noted))
 
@@ -86,7 +79,7 @@ names = [tissue.name.replace("_", " ") for tissue in scene.tissues]
 height, width = fan_size_mm(probe)
 top = probe.depth_mm - height
 extent = (-width / 2, width / 2, probe.depth_mm, top)
-to_fan = noted["scan conversion"].arguments[0]  # from (scanlines, samples) to the image of the fan
+to_fan = noted[Stage.scan_conversion].arguments[0]  # from (scanlines, samples) to the image of the fan
 angles, depths = scanline_angles(probe, settings.scanlines), sample_depths_mm(probe, settings.axial_samples)
 
 
@@ -118,8 +111,8 @@ plt.rcParams.update({"figure.dpi": 90, "figure.constrained_layout.use": True, "i
 # %% [markdown]
 # ## 1. The mesh
 #
-# Closed surfaces, one tissue each. Skin, fat and muscle are drawn almost clear, organs half clear, bone opaque. The
-# yellow fan is what the probe looks at.
+# Each structure is a closed surface with one tissue. Skin, fat and muscle are drawn nearly transparent, organs half
+# transparent, and bone opaque. The yellow fan is the image area of the probe.
 
 # %%
 figure = plt.figure(figsize=(7, 7), layout="none")
@@ -131,12 +124,12 @@ plt.show()
 # %% [markdown]
 # ## 2. The slice: segmentation S
 #
-# Which tissue owns the centre of each pixel. One ray runs down every pixel column through every surface it meets, so
-# the edges are exact to the pixel. S is the first of the two maps that the networks read.
+# S says which tissue owns the centre of each pixel. One ray per pixel column crosses every surface, so the edges are
+# exact to the pixel. S is the first of the two maps that the networks read.
 
 # %%
-line = int(np.argmax([len(np.unique(labels)) for labels in noted["attenuation, its labels"].result]))
-labels = noted["labels of the pixels"].result
+line = int(np.argmax([len(np.unique(labels)) for labels in noted[Stage.attenuation_labels].result]))
+labels = noted[Stage.pixel_labels].result
 figure, axes = plt.subplots(figsize=(9, 5))
 show(axes, np.where(fan_mask(probe, labels.shape)[..., None], np.array(colours)[labels], 1.0), "Segmentation S")
 radius = probe.radius_mm + np.array([0, probe.depth_mm])
@@ -145,11 +138,12 @@ tissues_of(axes, labels[fan_mask(probe, labels.shape)], loc="center left", bbox_
 plt.show()
 
 # %% [markdown]
-# ## 3. Who owns a point
+# ## 3. The owner of a point
 #
-# Along the dashed line: each bar is where the line is inside one structure. A ray keeps the set of structures it is
-# inside of; every surface it crosses puts one in or takes it out. Where several overlap, the one that comes last in
-# the scene (here: lowest) owns the point. Which way triangles face plays no part, so badly wound meshes do no harm.
+# The bars show where the dashed line is inside each structure. A ray keeps the set of structures that contain its
+# current point. Each surface that it crosses adds a structure to the set or removes it. If several structures contain
+# a point, the last one in the scene owns the point (here the lowest bar). The orientation of the triangles plays no
+# role, so meshes with wrong orientation do no harm.
 
 # %%
 starts, directions = (part[0] for part in scanlines_in_plane(probe, settings.scanlines, np.zeros(1)))
@@ -168,7 +162,7 @@ for row, (_, tissue, inside) in enumerate(bars):
     edges = np.flatnonzero(np.diff(inside, prepend=0, append=0)).reshape(-1, 2) * samples.spacing_mm
     pieces = [(begin, end - begin) for begin, end in edges]
     axes.broken_barh(pieces, (row - 0.4, 0.8), facecolors=colours[tissue], lw=0)
-owned = noted["attenuation, its labels"].result[line]
+owned = noted[Stage.attenuation_labels].result[line]
 strip = (0, probe.depth_mm, len(bars) + 1.2, len(bars) + 0.2)
 axes.imshow(np.array(colours)[owned][None], extent=strip, aspect="auto", interpolation="nearest")
 axes.set_yticks([*range(len(bars)), len(bars) + 0.7], [*(name for name, _, _ in bars), "owner"], fontsize=8)
@@ -178,12 +172,12 @@ plt.show()
 # %% [markdown]
 # ## 4. Integral attenuation A
 #
-# What is left of the pulse's amplitude on its way down each scanline: exp(-sum of the tissues' losses), scaled to [0,
-# 1]. Behind bone it drops, behind fluid it stays: A carries the shadows, and is the second map that the networks
-# read.
+# A says how much of the pulse's amplitude is left along each scanline. It is exp(-sum of the losses of the tissues),
+# scaled to [0, 1]. A is small behind bone and stays large behind fluid. It contains the shadows, and is the second
+# map that the networks read.
 
 # %%
-lost = noted["attenuation, its sum"].result
+lost = noted[Stage.attenuation_sum].result
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), width_ratios=(1.25, 1))
 shown = show(left, np.where(to_fan.mask, decibel(rendered.attenuation, -60), np.nan), "A, in dB", cmap="viridis")
 figure.colorbar(shown, ax=left, label="dB, one way")
@@ -199,14 +193,15 @@ plt.show()
 # %% [markdown]
 # ## 5. Rays and hits
 #
-# Paths are drawn at random: at a surface a ray goes on, bent by the speeds of sound (Snell), and may send another one
-# back, the more likely the more the surface reflects (Fresnel); one that was turned before does one or the other. Here
-# are so few that they can be drawn; blue goes away from the probe, red was turned back.
+# Paths are random. A surface refracts a ray (Snell's law) and may also emit a reflected ray. The stronger the
+# reflection (Fresnel's equation), the more likely is a reflected ray. A ray that was reflected before is either
+# transmitted or reflected. This picture uses few rays, so that they can be drawn. Blue rays go away from the probe,
+# and red rays come back.
 
 # %%
 few = SimulatorSettings(scanlines=40, rays=6, layers=1, image_shape=(250, 347), path_seed=3)
 segments = []
-trace, closest = stages_of_a_frame.trace, Geometry.closest
+closest = Geometry.closest
 
 
 def noting_hits(geometry, origins, directions, reach_mm):
@@ -216,12 +211,14 @@ def noting_hits(geometry, origins, directions, reach_mm):
     return hits
 
 
-def noting_trace(*arguments):  # labels follow straight lines through the same geometry: only paths are wanted
+def note_paths(stage, function, arguments):
+    if stage is not Stage.tracing:  # labels follow straight lines through the same geometry: only paths are wanted
+        return function(*arguments)
     with patch.object(Geometry, "closest", noting_hits):
-        return trace(*arguments)
+        return function(*arguments)
 
 
-with patch.object(stages_of_a_frame, "trace", noting_trace):
+with observe_stages(note_paths):
     Simulator(scene, probe, few).render(pose)
 begins, ends, hit = (np.concatenate(part) for part in zip(*segments, strict=True))
 begins, ends = ((points - pose[:3, 3]) @ pose[:3, :3] for points in (begins, ends))  # to the probe's axes
@@ -239,30 +236,31 @@ axes.set(xlim=extent[:2], ylim=(probe.depth_mm, top - 5))
 plt.show()
 
 # %% [markdown]
-# ## 6. Surface echoes
+# ## 6. Echoes of surfaces
 #
-# Every hit sends an echo back: strong where impedances differ much (bone, gas) and where the surface faces the probe.
-# Echoes of all rays are averaged on their scanline, at their depth. They are bright thin lines, and nothing between
-# them.
+# Every hit sends an echo to the probe. The echo is strong if the impedances differ much (bone, gas) and if the
+# surface faces the probe. The echoes of all rays of a scanline are averaged at their depth. The result is thin bright
+# lines with nothing between them.
 
 # %%
-surfaces = noted["echoes onto lines"].result
+surfaces = noted[Stage.surface_echoes].result
 figure, axes = plt.subplots(figsize=(8, 4.6))
 wider = maximum_filter1d(surfaces, 15, axis=1)  # or pixels would miss most of them
 reach = np.ceil(decibel(surfaces.max()) / 10) * 10
 shown = show(axes, in_fan(decibel(wider, -120)), "Echoes of surfaces", cmap="inferno", vmin=reach - 60, vmax=reach)
-figure.colorbar(shown, ax=axes, label="dB against a perfect mirror")
+figure.colorbar(shown, ax=axes, label="dB relative to a perfect mirror")
 plt.show()
 
 # %% [markdown]
 # ## 7. Scatterers
 #
-# Tissue is grainy. Each tiny cell of the world may hold a scatterer of random strength and phase; a tissue says how
-# many and how strong. Their grains are far finer than what a pulse can resolve. Fluid has none. Shadows already show,
-# because what no ray reaches is not lit. At the right a square of them.
+# Tissue is grainy. Each tiny cell of the world may contain a scatterer of random strength and phase. The tissue says
+# how many scatterers there are and how strong they are. Their grains are much finer than the pulse can resolve. Fluid
+# has no scatterers. Shadows are already visible, because rays do not insonify these places. The right picture shows a
+# small square of scatterers.
 
 # %%
-strength = np.hypot(*noted["scatterers"].result.numpy())
+strength = np.hypot(*noted[Stage.scatterers].result.numpy())
 middle, deep = settings.scanlines // 2, 0.45 * probe.depth_mm
 window = (slice(None), slice(int((deep - 6) / samples.spacing_mm), int((deep + 6) / samples.spacing_mm)))
 half_lines = max(2, round(6 / ((probe.radius_mm + deep) * (angles[1] - angles[0]))))
@@ -286,25 +284,25 @@ show(left, in_fan(decibel(strength)), "Strength of scatterers", vmin=reach[0], v
 where = (probe.radius_mm + deep) * np.sin(angles[busiest])
 below = (probe.radius_mm + deep) * np.cos(angles[busiest]) - probe.radius_mm
 left.plot(where + 6 * np.array([-1, 1, 1, -1, -1]), below + 6 * np.array([-1, -1, 1, 1, -1]), color="#d55e00", lw=1)
-show_square(right, decibel(strength), "12 mm of them")
+show_square(right, decibel(strength), "12 mm of scatterers")
 plt.show()
 
 # %% [markdown]
-# ## 8. The point spread
+# ## 8. The point spread function
 #
-# The pulse is short, the beam narrow at its focus and wider elsewhere: a point looks like the three spots at the
-# left. Smeared with it, neighbouring scatterers add or cancel, as their phases have it: that is speckle. The echoes
-# of surfaces are smeared alike, and added.
+# The pulse is short. The beam is narrow at its focus and wider elsewhere. The three spots at the left are the images
+# of single points. When scatterers are blurred in this way, neighbouring scatterers add up or cancel, depending on
+# their phases. The result is speckle. The echoes of surfaces are blurred in the same way and added.
 
 # %%
-spread = noted["point spread"].arguments[2]
+spread = noted[Stage.point_spread].arguments[2]
 points = torch.zeros(settings.scanlines, settings.axial_samples)
 at_mm = (20.0, settings.focus_mm, 130.0)
 for depth in at_mm:
     points[middle, int(depth / samples.spacing_mm)] = 1
 nothing = torch.zeros(2, *points.shape)
 spots = np.hypot(*blur(nothing, points, spread).numpy())
-signal = np.hypot(*noted["point spread"].result.numpy())
+signal = np.hypot(*noted[Stage.point_spread].result.numpy())
 figure, axes = plt.subplots(1, 4, figsize=(11, 3.6), width_ratios=(1, 1, 1, 1.7))
 for each, depth in zip(axes, at_mm, strict=False):
     reach_lines = max(2, round(4 / ((probe.radius_mm + depth) * (angles[1] - angles[0]))))
@@ -313,17 +311,17 @@ for each, depth in zip(axes, at_mm, strict=False):
     each.imshow(spot.T / spot.max(), extent=(-4, 4, 1.5, -1.5), cmap="magma", aspect="auto", interpolation="nearest")
     each.set(title=f"at {depth:g} mm" + ", the focus" * (depth == settings.focus_mm), xlabel="mm across")
 axes[0].set_ylabel("mm along")
-show_square(axes[3], decibel(signal), "The same 12 mm, smeared")
+show_square(axes[3], decibel(signal), "The same 12 mm, blurred")
 plt.show()
 
 # %% [markdown]
 # ## 9. Envelope, gain and logarithm
 #
-# The envelope of the signal spans far more than a screen can show, and falls with depth. Time-gain compensation lifts
-# what comes from deep, a faint noise is added, and the logarithm puts what is left on 256 grey levels.
+# The envelope of the signal has a larger range than a screen can show, and it falls with depth. Time-gain
+# compensation amplifies deep echoes. Weak noise is added. The logarithm maps the result to 256 grey levels.
 
 # %%
-grey = noted["grey levels"].result.numpy()
+grey = noted[Stage.grey_levels].result.numpy()
 figure, axes = plt.subplots(1, 3, figsize=(11, 4.2), width_ratios=(1, 1.3, 1))
 polar = {"aspect": "auto", "extent": (0, settings.scanlines, probe.depth_mm, 0), "cmap": "gray"}
 axes[0].imshow(rendered.envelope, vmax=np.percentile(rendered.envelope, 99.8), **polar)
@@ -343,16 +341,16 @@ plt.show()
 # %% [markdown]
 # ## 10. Scan conversion: the B-mode image
 #
-# Scanlines are put where they belong in the fan, interpolated between neighbours. At the right the same frame as it
-# lies in the data set: the study's preset has fewer pixels, scanlines and a longer pulse, so that a laptop can train
-# on it.
+# The scanlines are placed in the fan and interpolated between their neighbours. The right picture shows the same
+# frame in the data set of the study. The preset of the study has fewer pixels, fewer scanlines and a longer pulse, so
+# that a laptop can train on it.
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.7))
 show(left, rendered.image, "At the paper's size, {} x {}".format(*settings.image_shape), vmin=0, vmax=255)
-show(right, pairs.read("high", [frame])[0], "In the data set, {} x {}".format(*pairs.shape), vmin=0, vmax=255)
+show(right, pairs.read("target", [frame])[0], "In the data set, {} x {}".format(*pairs.shape), vmin=0, vmax=255)
 plt.show()
 
 # %% [markdown]
-# S, A and this image H are one pair of the data set: networks learn to get from S and A to H. `docs/simulator.md`
-# tells what is modelled, what is not, and how it was checked.
+# S, A and this image H are one pair of the data set. The networks learn to compute H from S and A.
+# `docs/simulator.md` describes the model, its limits and its tests.

@@ -11,17 +11,18 @@
 # %% [markdown]
 # # Table II: the models compared
 #
-# Reads the study that `make sweep` left in `runs/`, or the one that the environment variable `ABLATE_STUDY` names;
-# trains nothing.
+# This notebook reads the study that `make sweep` left in `runs/`. The environment variable `ABLATE_STUDY` can name
+# another study. Nothing is trained.
 
 # %%
 from IPython.display import Markdown
 
 from ablate.analysis import paired_table, resimulation_note, to_latex, to_markdown
-from ablate.studies.reading import open_study
+from ablate.metrics import Shown, shown_in
+from ablate.studies.comparison.reading import open_study
 
 study = open_study()
-columns = ["psnr", "mae", "pchi2", "fd_speckle", "fid", "parameters"]
+columns = shown_in(Shown.table)
 table = study.table[study.table["metric"].isin(columns)]
 frames, sites = study.per_image["frame"].nunique(), study.per_image["site"].nunique()
 print(f"{study.folder.name}: {len(study.runs)} runs, {frames} test frames of {sites} probe sites")
@@ -29,7 +30,7 @@ print(f"{study.folder.name}: {len(study.runs)} runs, {frames} test frames of {si
 # %% [markdown]
 # ## The table
 #
-# Mean and standard deviation over the test frames; the best network of a column is bold.
+# Mean and standard deviation are over the test frames. The best network of each column is bold.
 
 # %%
 Markdown(f"{to_markdown(table)}\n\n{resimulation_note(list(dict.fromkeys(table['metric'])))}")
@@ -37,9 +38,10 @@ Markdown(f"{to_markdown(table)}\n\n{resimulation_note(list(dict.fromkeys(table['
 # %% [markdown]
 # ## Paired differences
 #
-# Every variant against the reference on the same frames: the median shift (Hodges-Lehmann), its 95 % interval over
-# probe sites, and the p value after Holm's correction. They say that these trained networks differ on these frames.
-# That a component matters takes three seeds or more; `report.html` in the study's `comparison` folder judges that.
+# Every variant is compared with the reference on the same frames. The columns are the median shift (Hodges-Lehmann),
+# its 95 % interval over probe sites, and the p-value after Holm's correction. They say whether these trained networks
+# differ on these frames. The claim that a component matters needs three seeds or more. The file `report.html` in the
+# folder `comparison` of the study judges this claim.
 
 # %%
 paired = paired_table(study.per_image, study.reference)

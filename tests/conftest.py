@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 import torch
+
+if TYPE_CHECKING:
+    from support.studies import TinyStudy
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 torch.set_num_threads(1)
@@ -20,3 +25,30 @@ def cases() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no scene folders at {folder}; ABLATE_CASES names another place")
     return folder
+
+
+@pytest.fixture(scope="session")
+def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """MLflow's SQLite file without a run: copied to `mlflow.db`, it saves the seconds that its first use takes."""
+    from mlflow import MlflowClient
+
+    folder = tmp_path_factory.mktemp("database")
+    MlflowClient(f"sqlite:///{folder / 'mlflow.db'}").search_experiments()
+    return folder / "mlflow.db"
+
+
+@pytest.fixture
+def runs(empty_database: Path, tmp_path: Path) -> Path:
+    """A folder for runs with an empty database."""
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    shutil.copy(empty_database, folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def tiny_study(tmp_path_factory: pytest.TempPathFactory) -> TinyStudy:
+    """A finished study for tests that read one; what a test changes of it, it puts back."""
+    from support.studies import make_tiny_study  # imports every room
+
+    return make_tiny_study(tmp_path_factory.mktemp("tiny_study"))

@@ -1,7 +1,6 @@
 """The program as its users start it: bad input is one line, an exit code, and nothing written."""
 
-from __future__ import annotations
-
+import ast
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,7 +12,8 @@ import trimesh
 import yaml
 
 from ablate.__main__ import main
-from ablate.studies.sweep import Job
+from ablate.studies.jobs.job import Job
+from ablate.studies.jobs.launch import Launch
 
 SCENE = {
     "unit": "mm",
@@ -30,15 +30,50 @@ SCENE = {
 }
 
 
-def refused(tmp_path: Path, *arguments: str) -> str:
-    command = [sys.executable, "-m", "ablate", f"runs_dir={tmp_path / 'runs'}", *arguments]
+Refused = Callable[..., str]
+
+
+@pytest.fixture
+def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Refused:
+    """Calls the program with arguments that it refuses; gives the line that it prints."""
+
+    def call(*arguments: str) -> str:
+        monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path / 'runs'}", *arguments])
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert end.value.code == 2
+        printed = capsys.readouterr()
+        return only_line(printed.out, printed.err, tmp_path / "runs")
+
+    monkeypatch.chdir(tmp_path)
+    return call
+
+
+def only_line(out: str, error: str, runs: Path) -> str:
+    assert out == ""
+    lines = error.strip().splitlines()
+    assert len(lines) == 1, error
+    assert not list(runs.glob("*/*")), "something was started"
+    return lines[0]
+
+
+def test_a_process_ends_with_one_line_and_exit_code_2(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "ablate", f"runs_dir={tmp_path / 'runs'}", "trainin.steps=3"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, timeout=60)
     assert done.returncode == 2
-    assert done.stdout == ""
-    lines = done.stderr.strip().splitlines()
-    assert len(lines) == 1, done.stderr
-    assert not list((tmp_path / "runs").glob("*/*")), "something was started"
-    return lines[0]
+    assert "did you mean 'training'" in only_line(done.stdout, done.stderr, tmp_path / "runs")
+
+
+def test_a_command_line_is_checked_without_what_runs_it() -> None:
+    """Neither the settings nor the composition of a sweep load what a job needs."""
+    code = (
+        "import sys; import ablate.config; from ablate.studies.jobs.compose import read_command_line;"
+        "assert len(read_command_line(['-m', 'variant=sa2h,nsa2h', 'seed=0,1']).jobs) == 4;"
+        "print(sorted({name.partition('.')[0] for name in sys.modules}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    heavy = {"torch", "lightning", "numba", "embreex", "mlflow", "trimesh", "scipy", "skimage", "pandas", "matplotlib"}
+    assert not set(ast.literal_eval(done.stdout)) & heavy
 
 
 def scene_folder(tmp_path: Path, **changes: object) -> Path:
@@ -64,12 +99,15 @@ def scene_folder(tmp_path: Path, **changes: object) -> Path:
         (["trainin.steps=3"], "training"),
         (["training.steps=soon"], "Integer"),
         (["dataset.frames=0"], "dataset.frames=0"),
+        (["seed=-1"], "seed=-1: allowed are 0 and more"),
+        (["-m", "seed=0,-1"], "seed=-1: allowed are 0 and more"),
+        (["encoding_seed=-1"], "encoding_seed=-1: allowed are 0 and more"),
         (["scene=folder"], "scene.folder"),
         (["scene=folder", "scene.folder=nowhere"], "nowhere"),
     ],
 )
-def test_bad_values_are_refused_in_one_line(tmp_path: Path, arguments: list[str], named: str) -> None:
-    assert named in refused(tmp_path, *arguments)
+def test_bad_values_are_refused_in_one_line(refused: Refused, arguments: list[str], named: str) -> None:
+    assert named in refused(*arguments)
 
 
 @pytest.mark.parametrize(
@@ -83,9 +121,11 @@ def test_bad_values_are_refused_in_one_line(tmp_path: Path, arguments: list[str]
         ({"mesh": "nan.obj", "tissue": "liver"}, "nan.obj: has vertices that are not finite"),
     ],
 )
-def test_bad_scenes_are_refused_in_one_line(tmp_path: Path, structure: dict[str, str], named: str) -> None:
+def test_bad_scenes_are_refused_in_one_line(
+    refused: Refused, tmp_path: Path, structure: dict[str, str], named: str
+) -> None:
     folder = scene_folder(tmp_path, structures=[structure])
-    message = refused(tmp_path, "scene=folder", f"scene.folder={folder}", "dataset.frames=12")
+    message = refused("scene=folder", f"scene.folder={folder}", "dataset.frames=12")
     assert named in message
 
 
@@ -98,29 +138,30 @@ def test_bad_scenes_are_refused_in_one_line(tmp_path: Path, structure: dict[str,
         ({"sites": None}, "no `sites`"),
     ],
 )
-def test_bad_units_and_sites_are_refused_in_one_line(tmp_path: Path, changes: dict[str, object], named: str) -> None:
+def test_bad_units_and_sites_are_refused_in_one_line(
+    refused: Refused, tmp_path: Path, changes: dict[str, object], named: str
+) -> None:
     folder = scene_folder(tmp_path, **changes)
-    assert named in refused(tmp_path, "scene=folder", f"scene.folder={folder}", "dataset.frames=12")
+    assert named in refused("scene=folder", f"scene.folder={folder}", "dataset.frames=12")
 
 
-def test_a_runs_directory_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+def test_a_runs_directory_that_cannot_be_written_is_refused(refused: Refused, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    assert "file/runs" in refused(tmp_path, f"runs_dir={tmp_path / 'file' / 'runs'}")
+    assert "file/runs" in refused(f"runs_dir={tmp_path / 'file' / 'runs'}")
 
 
 def test_a_job_that_fails_is_shown_where_it_happened_and_the_next_one_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def study(_: object, launch: Callable[[], None], elsewhere: bool) -> int:
+    def study(jobs: list[Job], launch: Launch, elsewhere: bool) -> int:
         assert not elsewhere
-        launch()
+        launch(jobs, broken)
         return 0
 
     def broken(job: Job) -> None:
         raise FloatingPointError(f"{job.name}: the loss is not finite")
 
-    monkeypatch.setattr("ablate.studies.tasks.study", study)
-    monkeypatch.setattr("ablate.studies.run.run_job", broken)
+    monkeypatch.setattr("ablate.tasks.study", study)
     monkeypatch.setattr("sys.argv", ["ablate", "-m", "variant=sa2h,nsa2h", f"runs_dir={tmp_path}"])
     with pytest.raises(SystemExit) as end:
         main()

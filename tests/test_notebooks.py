@@ -1,7 +1,5 @@
 """Every notebook runs from top to bottom on a study on disk, and says what to run where there is none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import jupytext
@@ -10,9 +8,7 @@ import pytest
 from nbclient.exceptions import CellExecutionError
 from nbformat import NotebookNode
 
-from ablate.studies import tasks
-from ablate.studies.run import run_job
-from ablate.studies.sweep import jobs_of
+from support.studies import run
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 # Pictures that each shows; those of Fig. 3 are one a frame.
@@ -24,25 +20,6 @@ PICTURES = {
     "error_vs_runtime": 1,
     "simulator_tour": 10,
 }
-TINY = [
-    "scene.triangles=6000",
-    "simulator.scanlines=24",
-    "simulator.axial_samples=128",
-    "simulator.rays=2",
-    "simulator.layers=1",
-    "simulator.image_shape=[128,178]",
-    "dataset.frames=12",
-    "dataset.grid=[3,4,1,1]",
-    "dataset.validation=0.2",
-    "dataset.test=0.3",
-    "dataset.workers=1",
-    "model.width=0.05",
-    "training.steps=2",
-    "training.crop=64",
-    "evaluation.timed_frames=2",
-    "evaluation.pictures=2",
-]
-
 pytestmark = [
     pytest.mark.slow,
     # Of jupyter_client and what it builds on, in this process.
@@ -53,9 +30,8 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     runs = tmp_path_factory.mktemp("runs")
-    jobs = jobs_of(["-m", "variant=sa2h,sa2h-att", f"runs_dir={runs}", *TINY])
-    assert tasks.study(jobs, lambda: [run_job(job) for job in jobs] and None) == 0
-    return jobs[0].settings.study_dir
+    assert run("-m", "preset=tiny", "variant=sa2h,sa2h-att", "training.steps=2", f"runs_dir={runs}") == 0
+    return runs / "tiny-fetal"
 
 
 def execute(name: str) -> NotebookNode:

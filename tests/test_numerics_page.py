@@ -1,6 +1,4 @@
-"""docs/numerics.md takes what docs/numerics.py measures, and shows only what is there."""
-
-from __future__ import annotations
+"""docs/numerics.md takes what scripts/numerics.py measures, and shows only what is there."""
 
 import importlib.util
 import re
@@ -8,8 +6,8 @@ from pathlib import Path
 
 import pandas as pd
 
-DOCS = Path(__file__).parents[1] / "docs"
-spec = importlib.util.spec_from_file_location("numerics_page", DOCS / "numerics.py")
+ROOT = Path(__file__).parents[1]
+spec = importlib.util.spec_from_file_location("numerics_page", ROOT / "scripts" / "numerics.py")
 assert spec is not None
 assert spec.loader is not None
 page = importlib.util.module_from_spec(spec)
@@ -17,7 +15,7 @@ spec.loader.exec_module(page)
 
 
 def test_every_mark_of_the_page_is_filled() -> None:
-    text = (DOCS / "numerics.md").read_text()
+    text = (ROOT / "docs" / "numerics.md").read_text()
     marks = re.findall(r"<!-- table: (.+?) -->", text)
     assert len(marks) == text.count("<!-- end -->") == len(set(marks))
     known = {f"{part} {name}" for part in ("fetal", "paper", "patient") for name in (*page.TABLES, "about", "verdict")}

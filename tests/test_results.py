@@ -1,7 +1,5 @@
 """Kept results: small copies that bring a study back, and a page written from them."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import shutil
@@ -12,18 +10,22 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ablate.config import plain
+from ablate.analysis import RESIMULATION
+from ablate.config import StudySettings, build, json_ready
+from ablate.studies.comparison.results import scored_frames
+from ablate.studies.comparison.usable_runs import usable_runs
 from ablate.studies.identity import config_hash, finished, semantic
-from ablate.studies.sweep import jobs_of
+from ablate.studies.jobs.compose import jobs_of
 
 FRAMES, SITES = 24, 8
 SWEEP = ["-m", "variant=sa2h,sa2h-att", "seed=0,1,2"]
+KEPT = Path(__file__).parents[1] / "docs" / "results"
 IMAGE = np.full((40, 60), 90, np.uint8)
 
 
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "docs"))
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "scripts"))
     return importlib.import_module("results")
 
 
@@ -35,11 +37,11 @@ def study(tmp_path: Path) -> Path:
     for job in jobs:
         job.folder.mkdir(parents=True)
         spec = {"label": job.label, "hash": config_hash(job.settings), "semantic": semantic(job.settings)}
-        (job.folder / "spec.json").write_text(json.dumps({**spec, "settings": plain(job.settings)}))
+        (job.folder / "spec.json").write_text(json.dumps({**spec, "settings": json_ready(job.settings)}))
         rows = [
             {"frame": 300 + f, "site": f % SITES, "metric": m, "value": 20 + k + rng.normal(), "source": s, "split": p}
             for k, m in enumerate(("psnr", "mae", "pchi2"))
-            for s in ("model", "floor")
+            for s in ("model", "resimulation")
             for p in ("test", "validation")
             for f in range(FRAMES)
         ]
@@ -85,10 +87,25 @@ def test_a_restored_study_has_nothing_left_to_do(study: Path, script: ModuleType
     assert [job.name for job in jobs if finished(job) is None] == ["sa2h/seed2"]
 
 
+def test_the_kept_runs_are_configurations_of_today() -> None:
+    """Restored, a sweep would go on where it stopped: their hashes, data set and columns are those of this version."""
+    specs = [json.loads(path.read_text()) for path in sorted(KEPT.glob("*/*/seed*/spec.json"))]
+    assert specs
+    for spec in specs:
+        settings = build(StudySettings, spec["settings"])
+        assert (spec["hash"], spec["semantic"]) == (config_hash(settings), semantic(settings))
+    for study in sorted(KEPT.iterdir()):
+        usable = usable_runs(study)
+        assert (len(usable.runs), usable.notes) == (len(list(study.glob("*/seed*"))), ())
+        per_image, scalars = scored_frames(usable.runs)
+        assert RESIMULATION in set(per_image["variant"])
+        assert scalars.loc[scalars["metric"] == "fd_speckle", ["lower", "upper"]].notna().all(axis=None)
+
+
 def test_the_page_is_written_between_its_markers(study: Path, script: ModuleType, tmp_path: Path) -> None:
     kept, page = tmp_path / "results", tmp_path / "results.md"
     script.keep(study, kept)
-    maps = {"target": IMAGE, "again": IMAGE, "segmentation": IMAGE // 90, "mask": IMAGE > 0}
+    maps = {"target": IMAGE, "resimulation": IMAGE, "segmentation": IMAGE // 90, "mask": IMAGE > 0}
     np.savez(kept / study.name / "frame.npz", number=300, **maps)
     script.write_page(kept, page)
     page.write_text(f"Before.\n{page.read_text()}\nAfter.\n")

@@ -1,7 +1,6 @@
 """What a stranger installs: the wheel alone, in an environment of its own, used from another directory."""
 
-from __future__ import annotations
-
+import os
 import subprocess
 import sys
 import sysconfig
@@ -12,7 +11,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def run(*command: str | Path, cwd: Path) -> str:
-    done = subprocess.run([str(c) for c in command], cwd=cwd, capture_output=True, text=True, check=False)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    words = [str(word) for word in command]
+    done = subprocess.run(words, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

@@ -1,29 +1,41 @@
-"""Typed schema of conf/, and the way from a composed configuration to the values the rooms take.
+"""Every value of conf/ as frozen dataclasses, and the way from plain values to them and back.
 
-The schema is made from the rooms' own frozen dataclasses, so a key, its type and its default stand in one place.
+The rooms' own settings are fields of these, so a key, its type and its default stand in one place. This module knows
+nothing of Hydra; `studies.jobs.schema` makes Hydra's schema from it.
 """
-
-from __future__ import annotations
 
 import dataclasses
 import re
 import types
-from dataclasses import MISSING, dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import Enum, StrEnum
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from hydra.core.config_store import ConfigStore
-from omegaconf import DictConfig, OmegaConf
-
-from ablate.anatomy.fetal_abdomen import FEWEST_TRIANGLES
+from ablate.anatomy.fetal.resolution import FEWEST_TRIANGLES
 from ablate.dataset.encoding import Encoding
 from ablate.dataset.split import SplitBy
+from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
 from ablate.training.settings import TrainingSettings
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 
 T = TypeVar("T")
+
+
+class ConfigurationError(ValueError):
+    """What the user asked for cannot be run; the message is one line and says what is allowed."""
+
+
+@contextmanager
+def refusing(before: str = "") -> Iterator[None]:
+    """Turn what a check of values or files raises inside into a ConfigurationError, with some words before it."""
+    try:
+        yield
+    except (ValueError, OSError) as error:
+        raise ConfigurationError(f"{before}{error}") from error
 
 
 class Task(StrEnum):
@@ -47,18 +59,15 @@ class SceneKind(StrEnum):
     pairs = "pairs"
 
 
-def _at_least(group: str, values: object, **least: int) -> None:
-    for name, low in least.items():
-        if getattr(values, name) < low:
-            raise ValueError(f"{group}.{name}={getattr(values, name)}: allowed are {low} and more")
+def _at_least(prefix: str, values: object, **lowest: int) -> None:
+    for name, allowed in lowest.items():
+        if getattr(values, name) < allowed:
+            raise ValueError(f"{prefix}{name}={getattr(values, name)}: allowed are {allowed} and more")
 
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """Which anatomy.
-
-    `triangles` and `anatomy_seed` shape the built-in one, `folder` is the path of your own, or of your own pairs.
-    """
+    """Which anatomy; `triangles` and `anatomy_seed` shape the built-in one, `folder` holds your own, or your pairs."""
 
     kind: SceneKind = SceneKind.fetal
     folder: str | None = None
@@ -66,7 +75,7 @@ class SceneSettings:
     anatomy_seed: int = 0
 
     def __post_init__(self) -> None:
-        _at_least("scene", self, triangles=FEWEST_TRIANGLES, anatomy_seed=0)
+        _at_least("scene.", self, triangles=FEWEST_TRIANGLES, anatomy_seed=0)
 
 
 @dataclass(frozen=True)
@@ -89,15 +98,13 @@ class DatasetSettings:
     workers: int = 0
 
     def __post_init__(self) -> None:
-        _at_least("dataset", self, frames=1, seed=0, shard=1, workers=0)
+        _at_least("dataset.", self, frames=1, seed=0, shard=1, workers=0)
         if self.grid is not None and (len(self.grid) != 4 or min(self.grid) < 1):
-            raise ValueError(
-                f"dataset.grid={list(self.grid)}: four counts of at least 1 (heights, angles, tilts, rolls)"
-            )
+            given = f"dataset.grid={list(self.grid)}"
+            raise ValueError(f"{given}: four counts of at least 1 (heights, angles, tilts, rolls)")
         if not (self.validation > 0 and self.test > 0 and self.validation + self.test < 1):
-            raise ValueError(
-                f"dataset.validation={self.validation}, dataset.test={self.test}: each above 0, together below 1"
-            )
+            given = f"dataset.validation={self.validation}, dataset.test={self.test}"
+            raise ValueError(f"{given}: each above 0, together below 1")
 
 
 @dataclass(frozen=True)
@@ -112,24 +119,7 @@ class CropChoice:
     workers: int = 2
 
     def __post_init__(self) -> None:
-        _at_least("crops", self, workers=0)
-
-
-@dataclass(frozen=True)
-class EvaluationSettings:
-    """What is computed on the test frames: `noise_draws` for `noise_sd`, `pictures` frames shown in figures.
-
-    `inception` is the path of the network of FID, or `download`; without it there is no FID.
-    """
-
-    noise_draws: int = 8
-    noise_frames: int = 10
-    pictures: int = 4
-    timed_frames: int = 20
-    inception: str | None = None
-
-    def __post_init__(self) -> None:
-        _at_least("evaluation", self, noise_draws=2, noise_frames=1, pictures=1, timed_frames=1)
+        _at_least("crops.", self, workers=0)
 
 
 @dataclass(frozen=True)
@@ -176,11 +166,12 @@ class StudySettings:
     runs_dir: str = "runs"
     frame: int = 0
 
+    def __post_init__(self) -> None:
+        _at_least("", self, seed=0, encoding_seed=0)
+
     @property
     def scene_name(self) -> str:
-        if self.scene.kind is SceneKind.fetal:
-            return "fetal"
-        return Path(self.scene.folder or "").resolve().name
+        return "fetal" if self.scene.kind is SceneKind.fetal else Path(self.scene.folder or "").resolve().name
 
     @property
     def study(self) -> str:
@@ -193,44 +184,6 @@ class StudySettings:
     @property
     def study_dir(self) -> Path:
         return self.runs / self.study
-
-
-def schema(cls: type) -> type:
-    """A mutable dataclass with the fields of a frozen one, as OmegaConf needs it for typed configurations."""
-    hints = get_type_hints(cls)
-    fields: list[tuple[str, Any, Any]] = []
-    for f in dataclasses.fields(cls):
-        hint = hints[f.name]
-        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-            made = schema(hint)
-            fields.append((f.name, made, field(default_factory=made)))
-        elif f.default is not MISSING:
-            fields.append((f.name, hint, field(default_factory=_constant(f.default))))
-        else:
-            fields.append((f.name, hint, field(default="???")))
-    return dataclasses.make_dataclass(cls.__name__, fields)
-
-
-def _constant(value: Any) -> Any:
-    return lambda: list(value) if isinstance(value, tuple) else value
-
-
-def register() -> None:
-    """Make the schema known to Hydra as `schema`, the first entry of conf/config.yaml."""
-    ConfigStore.instance().store(name="schema", node=schema(StudySettings))
-
-
-def settings(config: DictConfig) -> StudySettings:
-    """The frozen values behind a composed configuration.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its allowed range; the message names it.
-    """
-    plain = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-    assert isinstance(plain, dict)
-    return build(StudySettings, {str(k): v for k, v in plain.items()})
 
 
 def build(cls: type[T], values: dict[str, Any]) -> T:
@@ -256,12 +209,12 @@ def _convert(hint: Any, value: Any) -> Any:
     return value
 
 
-def plain(value: Any) -> Any:
-    """The inverse of `build`, fit for JSON: dataclasses as dicts, tuples as lists, enums by name."""
+def json_ready(value: Any) -> Any:
+    """The inverse of `build`, as JSON can hold it: dataclasses as dicts, tuples as lists, enums by name."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {f.name: json_ready(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Enum):
         return value.name
     if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
+        return [json_ready(v) for v in value]
     return value

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "calibration.py"))
+SCRIPT = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "calibration.py"))
 REPETITIONS = 1000
 # As many false claims as 1,000 repetitions at 5 % exceed once in a thousand times.
 ALLOWED = stats.binom.ppf(0.999, REPETITIONS, 0.05) / REPETITIONS

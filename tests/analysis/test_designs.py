@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from ablate.analysis import effects_table, factorial_effects, find_design
-from ablate.analysis.effects import defining_relation
+from ablate.analysis.statistics.effects import defining_relation
 
 FACTORS = ("attenuation", "concat", "upsampling", "noise", "depth")
 ON = {"attenuation": "integral", "concat": "every_level", "upsampling": "texture", "noise": "inject", "depth": 4}
@@ -174,5 +174,5 @@ def test_intervals_cover_the_truth():
     for _ in range(200):
         table = factorial_effects(runs.assign(value=truth + rng.normal(size=len(runs))), list(FACTORS))
         row = table.set_index("effect").loc["concat"]
-        covered.append(row["low"] <= -1 <= row["high"])
+        covered.append(row["lower"] <= -1 <= row["upper"])
     assert np.mean(covered) == pytest.approx(0.95, abs=3.5 * np.sqrt(0.95 * 0.05 / 200))

@@ -37,7 +37,7 @@ def test_balanced_estimates_are_differences_of_means_and_intervals_hold_them():
     table = factorial_effects(runs, ["att", "conv", "noise"]).set_index("effect")
     by_level = runs.groupby("att")["value"].mean()
     assert table.loc["att", "estimate"] == pytest.approx(by_level["off"] - by_level["on"])
-    assert table.loc["att", "low"] < 1 < table.loc["att", "high"]
+    assert table.loc["att", "lower"] < 1 < table.loc["att", "upper"]
     assert table.loc["att", "p"] < 0.01
     assert (table["dof"] == 24 - 7).all()
 
@@ -62,14 +62,14 @@ def test_standard_errors_are_those_of_ordinary_least_squares():
     error = np.sqrt(rss[0] / (24 - 7) * weights @ np.linalg.inv(design.T @ design) @ weights)
     reach = stats.t.ppf(0.975, 17) * error
     assert row["estimate"] == pytest.approx(weights @ beta)
-    assert (row["low"], row["high"]) == pytest.approx((weights @ beta - reach, weights @ beta + reach))
+    assert (row["lower"], row["upper"]) == pytest.approx((weights @ beta - reach, weights @ beta + reach))
     assert row["p"] == pytest.approx(2 * stats.t.sf(abs(weights @ beta) / error, 17))
 
 
 def test_saturated_designs_have_no_interval_and_bad_ones_are_refused():
     runs = pd.DataFrame({"a": [0, 0, 1, 1], "b": [0, 1, 0, 1], "value": [1.0, 2.0, 3.0, 5.0]})
     table = factorial_effects(runs, ["a", "b"])
-    assert table["low"].isna().all()
+    assert table["lower"].isna().all()
     assert (table["dof"] == 0).all()
     with pytest.raises(ValueError, match="lack the columns"):
         factorial_effects(runs, ["a", "c"])

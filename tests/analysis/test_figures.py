@@ -26,8 +26,8 @@ from ablate.analysis import (
     seed_plot,
     seeds_caption,
 )
-from ablate.analysis.figure_style import COLOURS
-from ablate.analysis.metric_panels import shown_name
+from ablate.analysis.figures.metric_panels import shown_name
+from ablate.analysis.figures.style import COLOURS
 from ablate.metrics import patch_chi2
 
 
@@ -50,7 +50,7 @@ def figures(monkeypatch):
         return [stem]
 
     for module in ("boxplots", "seeds_figure", "effects_figure", "image_figures"):
-        monkeypatch.setattr(f"ablate.analysis.{module}.save_figure", keep)
+        monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", keep)
     return drawn
 
 
@@ -116,7 +116,7 @@ def test_every_training_is_a_ring(study, figures, tmp_path):
 
 def test_effects_are_filled_where_their_interval_excludes_nought(figures, tmp_path):
     rows = [("a", 1.0, 0.5, 1.5), ("b", 0.1, -0.2, 0.4), ("a:b", 0.3, None, None)]
-    effects = pd.DataFrame(rows, columns=["effect", "estimate", "low", "high"]).assign(metric="psnr")
+    effects = pd.DataFrame(rows, columns=["effect", "estimate", "lower", "upper"]).assign(metric="psnr")
     effects_plot(effects, ["psnr", "mae"], tmp_path / "effects", {"psnr": 1.2})
     (axes,) = figures["effects"].axes
     dots = {line.get_label(): line for line in axes.lines}
@@ -131,7 +131,7 @@ def test_effects_are_filled_where_their_interval_excludes_nought(figures, tmp_pa
 
 def test_written_seed_and_effects_figures(study, tmp_path):
     assert_written(seed_plot(study, None, ["psnr", "pchi2"], tmp_path / "seeds"))
-    effects = pd.DataFrame({"effect": ["a"], "estimate": [1.0], "low": [0.5], "high": [2.0], "metric": ["psnr"]})
+    effects = pd.DataFrame({"effect": ["a"], "estimate": [1.0], "lower": [0.5], "upper": [2.0], "metric": ["psnr"]})
     assert_written(effects_plot(effects, ["psnr"], tmp_path / "effects"))
 
 

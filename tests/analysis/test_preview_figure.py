@@ -1,7 +1,5 @@
 """What the picture of a frame shows lies where it is, in 3-D and on the fan."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +9,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from ablate.analysis import Preview, body_view, preview_figure
-from ablate.analysis.probe_model import fan_outline, probe_body, probe_face
-from ablate.analysis.tissue_colours import BACKGROUND, BLOOD, BONE, GAS, tissue_colours
-from ablate.analysis.translucent import Surface, look_through
+from ablate.analysis import Preview, preview_figure
+from ablate.analysis.figures import body_view
+from ablate.analysis.figures.probe_model import probe_body, probe_face
+from ablate.analysis.figures.tissue_colours import BACKGROUND, BLOOD, BONE, GAS, tissue_colours
+from ablate.analysis.figures.translucent import Surface, look_through
 from ablate.anatomy import Scene, Structure, Tissue, load_tissues
 from ablate.ultrasound import ConvexProbe, fan_mask
+from ablate.ultrasound.probe import fan_outline, to_world
 
 TISSUES = load_tissues()
 PROBE = ConvexProbe()
@@ -70,7 +70,7 @@ def test_the_probe_is_a_closed_prism_behind_its_face() -> None:
     assert housing.bounds[1, 1] == pytest.approx(-60, abs=1e-6)  # the middle of the face
     assert np.linalg.norm(face.vertices[:, :2] - (0, -100), axis=1) == pytest.approx(40.5, abs=0.1)
     assert housing.extents[0] == pytest.approx(2 * 40 * np.sin(np.deg2rad(35)), abs=1e-6)
-    radii = np.linalg.norm(fan_outline(PROBE, FRONT)[:, :2] - (0, -100), axis=1)
+    radii = np.linalg.norm(to_world(FRONT, fan_outline(PROBE))[:, :2] - (0, -100), axis=1)
     assert {round(float(r), 6) for r in radii} == {40.0, 190.0}
 
 

@@ -1,14 +1,12 @@
 """What must hold of the statistics on any differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ablate.analysis import PairedDifference, component_claim, holm, paired_difference
-from ablate.analysis.statistics import LATTICE
+from ablate.analysis.statistics.paired import LATTICE
 
 PROPERTY = settings(max_examples=25, deadline=None, derandomize=True, database=None)
 #: Whole numbers are often tied or zero; their sums and halves are exact.
@@ -34,7 +32,7 @@ def difference(values: np.ndarray, sites: np.ndarray) -> PairedDifference:
 def test_figures_are_in_range_and_the_interval_holds_the_estimate(data: tuple[np.ndarray, np.ndarray]) -> None:
     values, sites = data
     found = difference(values, sites)
-    assert found.low <= found.shift <= found.high
+    assert found.lower <= found.shift <= found.upper
     assert values.min() <= found.shift <= values.max()
     assert 0 <= found.p <= 1
     assert -1 <= found.effect <= 1
@@ -47,7 +45,7 @@ def test_a_shift_of_all_frames_shifts_the_figures(data: tuple[np.ndarray, np.nda
     values, sites = data
     here, there = difference(values, sites), difference(values + by, sites)
     assert there.shift == here.shift + by
-    np.testing.assert_allclose([there.low, there.high], [here.low + by, here.high + by], rtol=0, atol=1e-9)
+    np.testing.assert_allclose([there.lower, there.upper], [here.lower + by, here.upper + by], rtol=0, atol=1e-9)
 
 
 @PROPERTY
@@ -59,9 +57,9 @@ def test_another_unit_scales_the_figures(data: tuple[np.ndarray, np.ndarray], un
     assert there.shift == sign * unit * here.shift
     assert there.p == pytest.approx(here.p, abs=1e-12)
     assert there.effect == pytest.approx(sign * here.effect, abs=1e-12)
-    ends = sorted((sign * unit * here.low, sign * unit * here.high))
+    ends = sorted((sign * unit * here.lower, sign * unit * here.upper))
     apart = 0 if sign == 1 else 2 * unit * np.ptp(values) / (LATTICE - 2)
-    np.testing.assert_allclose([there.low, there.high], ends, rtol=1e-12, atol=apart)
+    np.testing.assert_allclose([there.lower, there.upper], ends, rtol=1e-12, atol=apart)
 
 
 @PROPERTY
@@ -71,7 +69,7 @@ def test_frames_have_no_order(data: tuple[np.ndarray, np.ndarray], random: np.ra
     order = list(range(len(values)))
     random.shuffle(order)
     here, there = difference(values, sites), difference(values[order], sites[order])
-    for name in ("shift", "low", "high", "p", "effect", "n", "clusters"):
+    for name in ("shift", "lower", "upper", "p", "effect", "n", "clusters"):
         assert getattr(there, name) == pytest.approx(getattr(here, name), abs=1e-12)
 
 
@@ -116,7 +114,7 @@ def test_claims_scale_and_turn_round(a: list[float], b: list[float], unit: float
     if here.p is not None:
         assert there.p == pytest.approx(here.p, rel=1e-9, abs=1e-300)
         assert back.p == pytest.approx(here.p, rel=1e-9, abs=1e-300)
-        figures = [here.low, here.shift, here.high]
+        figures = [here.lower, here.shift, here.upper]
         assert figures == sorted(figures)
-        np.testing.assert_allclose([there.low, there.shift, there.high], [unit * v for v in figures], rtol=1e-9)
-        np.testing.assert_allclose([back.high, back.shift, back.low], [-v for v in figures], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose([there.lower, there.shift, there.upper], [unit * v for v in figures], rtol=1e-9)
+        np.testing.assert_allclose([back.upper, back.shift, back.lower], [-v for v in figures], rtol=1e-9, atol=1e-9)

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from ablate.analysis import Verdict, component_claim, holm, paired_difference
-from ablate.analysis.statistics import LATTICE, _bootstrap_shifts, hodges_lehmann, rank_biserial
+from ablate.analysis.statistics.paired import LATTICE, _bootstrap_shifts, hodges_lehmann, rank_biserial
 
 
 def brute_hodges_lehmann(d):
@@ -49,7 +49,7 @@ def test_sites_are_judged_by_one_mean_each_and_by_expanded_percentiles():
     assert found.p == pytest.approx(stats.wilcoxon(d).pvalue)
     shifts = _bootstrap_shifts(d, sites, 2000, np.random.default_rng(0))
     tail = stats.norm.cdf(stats.t.ppf(0.025, 8) * np.sqrt(9 / 8))
-    assert (found.low, found.high) == pytest.approx(tuple(np.quantile(shifts, [tail, 1 - tail])))
+    assert (found.lower, found.upper) == pytest.approx(tuple(np.quantile(shifts, [tail, 1 - tail])))
     assert tail < 0.025
     alone = paired_difference(d, np.zeros(25))
     assert alone.p_sites == alone.p, "without sites every frame is its own"
@@ -57,13 +57,13 @@ def test_sites_are_judged_by_one_mean_each_and_by_expanded_percentiles():
 
 def test_equal_values_give_no_evidence():
     found = paired_difference(np.ones(5), np.ones(5))
-    assert (found.shift, found.low, found.high, found.p, found.p_sites, found.effect) == (0, 0, 0, 1, 1, 0)
+    assert (found.shift, found.lower, found.upper, found.p, found.p_sites, found.effect) == (0, 0, 0, 1, 1, 0)
     assert rank_biserial(np.zeros(3)) == 0
 
 
 def test_constant_difference():
     found = paired_difference(np.arange(6) + 2.0, np.arange(6))
-    assert (found.shift, found.low, found.high, found.effect) == (2, 2, 2, 1)
+    assert (found.shift, found.lower, found.upper, found.effect) == (2, 2, 2, 1)
 
 
 def test_infinite_pairs_are_counted_and_dropped():
@@ -74,7 +74,7 @@ def test_infinite_pairs_are_counted_and_dropped():
 
 def test_one_cluster_has_no_interval():
     found = paired_difference([1.0, 2.0, 2.5], [0.0, 0.0, 0.0], clusters=["a"] * 3)
-    assert (found.low, found.high, found.clusters) == (-math.inf, math.inf, 1)
+    assert (found.lower, found.upper, found.clusters) == (-math.inf, math.inf, 1)
 
 
 def test_clusters_widen_the_interval():
@@ -82,7 +82,7 @@ def test_clusters_widen_the_interval():
     sites = np.repeat(np.arange(10), 12)
     d = rng.normal(size=10)[sites] + 0.1 * rng.normal(size=120)
     frames, grouped = (paired_difference(d, np.zeros(120), clusters=c) for c in (None, sites))
-    assert grouped.high - grouped.low > 2 * (frames.high - frames.low)
+    assert grouped.upper - grouped.lower > 2 * (frames.upper - frames.lower)
 
 
 @pytest.mark.parametrize(
@@ -127,10 +127,10 @@ def test_component_claims_need_three_seeds():
     a, b = [1.0, 1.1, 1.2, 0.9], [2.0, 2.2, 2.1, 1.7]
     claim = component_claim(a, b)
     interval = stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
-    assert (claim.low, claim.high) == pytest.approx((interval.low, interval.high))
+    assert (claim.lower, claim.upper) == pytest.approx((interval.low, interval.high))
     assert claim.p == pytest.approx(stats.ttest_ind(a, b, equal_var=False).pvalue)
     assert claim.verdict is Verdict.differs
-    assert claim.low < claim.shift < claim.high < 0
+    assert claim.lower < claim.shift < claim.upper < 0
     constant = component_claim([0.0] * 3, [1.0, 1.1, 1.3])
     assert constant.p == pytest.approx(stats.ttest_1samp([1.0, 1.1, 1.3], 0.0).pvalue), "one side has no spread"
     assert component_claim([1.0, 2.0, 3.0], [1.1, 2.1, 2.9]).verdict is Verdict.no_difference_found

@@ -22,7 +22,7 @@ from ablate.analysis import (
     to_text,
     wide_table,
 )
-from ablate.analysis.paired_differences import PAIRED_COLUMNS
+from ablate.analysis.statistics.paired import PAIRED_COLUMNS
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_paired_table_is_the_paired_difference_with_holm_over_networks(study):
     for row in table.to_dict("records"):
         a, b = means[row["metric"], row["variant"]], means[row["metric"], "sa2h"]
         found = paired_difference(a, b, [f"site{k % 8}" for k in a.index], resamples=200)
-        assert (row["shift"], row["low"], row["high"]) == (found.shift, found.low, found.high)
+        assert (row["shift"], row["lower"], row["upper"]) == (found.shift, found.lower, found.upper)
         raw.append(found.p)
     networks = (table["variant"] != RESIMULATION).to_numpy()
     np.testing.assert_allclose(table["p_holm"][networks], holm(np.array(raw)[networks]))
@@ -159,7 +159,7 @@ def test_a_claim_that_does_not_survive_holm_is_a_suggestion():
     row = claims.query("variant == 'b0' and metric == 'm0'").iloc[0]
     assert row["p"] < 0.05 < row["p_holm"]
     assert row["verdict"] == "suggested"
-    assert row["low"] > 0
+    assert row["lower"] > 0
 
 
 def test_missing_columns_are_refused(study):

@@ -1,7 +1,5 @@
 """Orders, budgets and their figures, against what they were made from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.image import imread
 
-from ablate.analysis import budget_table, observed_order, order_figure, work_precision_figure
+from ablate.analysis import budget_table, error_vs_runtime, observed_order, order_figure
 
 N = np.array([1, 2, 4, 8, 16, 32, 64, 128])
 
@@ -100,14 +98,14 @@ def assert_drawn(paths: list[Path]) -> None:
 def test_figures_are_drawn(tmp_path: Path) -> None:
     table = points()
     floors = {"mae": 0.3, "psnr": 20.0}
-    times = [("simulator, rays", "1", "scatterers", 5.0), ("simulator, rays", "1", "segmentation", 0.01)]
+    times = [("simulator, rays", "1", "signal chain", 5.0), ("simulator, rays", "1", "S", 0.01)]
     times += [("sa2h", f"fp32, {engine}, seed 0", "network", ms) for engine, ms in (("eager", 9.0), ("compiled", 4.0))]
-    stages = pd.DataFrame(times, columns=["series", "setting", "quantity", "value"])
-    assert_drawn(work_precision_figure(table, stages, tmp_path / "precision", floors, "a test"))
+    parts = pd.DataFrame(times, columns=["series", "setting", "part", "ms"])
+    assert_drawn(error_vs_runtime(table, tmp_path / "precision", floors, "a test", parts))
     alone = table[table["series"] == "simulator, rays"].assign(error=lambda t: t["error"].where(t["ms"] > 70, np.inf))
-    assert_drawn(work_precision_figure(alone, stages[:2], tmp_path / "alone", {}, "a test"))
+    assert_drawn(error_vs_runtime(alone, tmp_path / "alone", {}, "a test", parts[:2]))
     with pytest.raises(ValueError, match="no finite point"):
-        work_precision_figure(table.assign(ms=0.0), stages, tmp_path / "none", {}, "")
+        error_vs_runtime(table.assign(ms=0.0), tmp_path / "none", {}, "", parts)
     grids = [
         ("simulator, layers", setting, metric, value)
         for metric in ("mae_smooth", "pchi2")

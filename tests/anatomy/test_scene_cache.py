@@ -1,7 +1,5 @@
 """Built scenes on disk: the same scene again, made anew when the file is not what was written."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

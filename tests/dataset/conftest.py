@@ -1,7 +1,5 @@
 """A scene that renders in milliseconds, and data sets to fill with it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

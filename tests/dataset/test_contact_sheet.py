@@ -1,7 +1,5 @@
 """Jobs that have filled a data set together each draw its picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,7 +17,7 @@ def filled(blank: Callable[..., Pairs], tmp_path: Path) -> Pairs:
     def grey(frames: np.ndarray, maps: frozenset[str]) -> dict[str, np.ndarray]:
         return {name: np.full((len(frames), *pairs.shape), 100) for name in maps}
 
-    list(fill_pairs(pairs, frozenset({"segmentation", "high"}), grey))
+    list(fill_pairs(pairs, frozenset({"segmentation", "target"}), grey))
     return pairs
 
 

@@ -1,7 +1,5 @@
 """Crops are windows of one frame that touch the fan, and depend on (seed, step, index) alone."""
 
-from __future__ import annotations
-
 import resource
 import sys
 import threading
@@ -17,7 +15,7 @@ from hypothesis import strategies as st
 from ablate.dataset import CropLoader, Crops, CropSettings, DamagedShardError, Pairs, create_pairs, fill_pairs
 
 H, W, FRAMES = 40, 60, 6
-MAPS = frozenset({"segmentation", "attenuation", "high"})
+MAPS = frozenset({"segmentation", "attenuation", "target"})
 VALUES = np.linspace(-1, 1, 256).astype(np.float32)
 
 
@@ -91,7 +89,7 @@ def test_any_crop_is_a_window_of_one_frame_that_touches_the_fan(
     padded[:height, :width] = Numbered(fan, 3).stored("attenuation", 0)
     inside[:height, :width] = fan
     for k in range(2):
-        crop = {name: batch[name][k, 0].numpy() for name in ("attenuation", "mask", "image", "segmentation")}
+        crop = {name: batch[name][k, 0].numpy() for name in ("attenuation", "mask", "target", "segmentation")}
         numbers = np.rint(crop["attenuation"] * np.float64(65535))
         row, column = np.argwhere(padded == numbers[numbers > 0].min())[0]
         assert row <= max(height - size, 0)  # the crop leaves the frame only where it is larger than the frame
@@ -103,9 +101,9 @@ def test_any_crop_is_a_window_of_one_frame_that_touches_the_fan(
         mask = inside[row : row + size, column : column + size] > 0
         assert mask.any()
         np.testing.assert_array_equal(crop["mask"], mask)
-        (grey,) = np.unique(np.rint((crop["image"][mask] + 1) * 127.5)).astype(int)
+        (grey,) = np.unique(np.rint((crop["target"][mask] + 1) * 127.5)).astype(int)
         assert grey in (1, 2, 3)
-        assert (crop["image"][~mask] == -1).all()
+        assert (crop["target"][~mask] == -1).all()
         np.testing.assert_array_equal(crop["segmentation"], np.where(mask, VALUES[grey], VALUES[0]))
 
 
@@ -118,7 +116,7 @@ def test_crops_are_cut_everywhere_and_from_every_frame() -> None:
         for k in range(3):
             first, last = batch["attenuation"][k, 0, 0, 0], batch["attenuation"][k, 0, 0, -1]
             corner = round(float(min(first, last)) * 65535) - 1
-            seen.add((divmod(corner, 23), bool(first > last), float(batch["image"][k].max())))
+            seen.add((divmod(corner, 23), bool(first > last), float(batch["target"][k].max())))
     assert len(seen) == 4 * 8 * 2 * 3  # rows x columns x mirrored x frames
 
 
@@ -132,7 +130,7 @@ def test_a_crop_depends_on_seed_step_and_index_and_on_nothing_else(pairs: Pairs)
     several = [crops(pairs, flip=True, batch_size=3, seed=seed)[step] for seed in range(3) for step in range(30)]
     noise = torch.cat([batch["noise_seed"] for batch in several])
     assert len(noise.unique()) == len(noise)
-    windows = torch.cat([batch["image"] for batch in several]).flatten(1)
+    windows = torch.cat([batch["target"] for batch in several]).flatten(1)
     assert len(windows.unique(dim=0)) > 0.9 * len(windows)
 
 
@@ -158,10 +156,10 @@ def test_maps_of_a_crop_belong_together(pairs: Pairs) -> None:
     for step in range(20):
         batch = crops(pairs, flip=True)[step]
         inside = batch["mask"] > 0
-        grey = (batch["image"] + 1) * 127.5
+        grey = (batch["target"] + 1) * 127.5
         torch.testing.assert_close(grey[inside] / 255, batch["attenuation"][inside], atol=1e-5, rtol=2**-9)
         torch.testing.assert_close(VALUES[grey[inside].round().int().numpy()], batch["segmentation"][inside].numpy())
-        assert (batch["image"][~inside] == -1).all()
+        assert (batch["target"][~inside] == -1).all()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.6])
@@ -176,9 +174,9 @@ def test_crops_hold_the_share_of_the_fan_that_is_asked_for(pairs: Pairs, share: 
 def test_a_damaged_shard_stops_the_loader_with_its_name(tmp_path: Path, pairs: Pairs) -> None:
     made = create_pairs(tmp_path, pairs.poses, pairs.sites, pairs.split, pairs.mask(), 3, ["a"], {})
     list(fill_pairs(made, MAPS, lambda frames, maps: {m: np.ones((len(frames), H, W)) for m in maps}))
-    file = made.shard_file("high", 1)
+    file = made.shard_file("target", 1)
     file.write_bytes(file.read_bytes()[:-1])
-    with pytest.raises(DamagedShardError, match=r"'high' of frames 3 to 5.*task=simulate"):
+    with pytest.raises(DamagedShardError, match=r"'target' of frames 3 to 5.*task=simulate"):
         list(CropLoader(crops(made, in_memory_bytes=0), 0, 50, 2))
 
 

@@ -1,7 +1,5 @@
 """Killed at any moment, out of disk: what is there is whole, and the same call finishes the rest."""
 
-from __future__ import annotations
-
 import multiprocessing
 import pickle
 import random
@@ -19,13 +17,13 @@ from ablate.dataset import Pairs, Recipe, remove_damaged, simulate_pairs
 
 Blank = Callable[..., Pairs]
 Contents = Callable[[Path], dict[str, bytes]]
-MAPS = frozenset({"segmentation", "attenuation", "high", "high_again"})
+MAPS = frozenset({"segmentation", "attenuation", "target", "resimulation"})
 KILLS = 10
 
 
-def shards(pairs: Pairs) -> dict[str, tuple[int, int]]:
+def shards(pairs: Pairs) -> dict[Path, tuple[int, int]]:
     """Inode and modification time of every shard."""
-    return {str(p): (p.stat().st_ino, p.stat().st_mtime_ns) for p in pairs.folder.glob("pairs.zarr/*/c/*/0/0")}
+    return {p: (p.stat().st_ino, p.stat().st_mtime_ns) for p in pairs.folder.glob("pairs.zarr/*/c/*/0/0")}
 
 
 def test_killed_ten_times_the_set_is_that_of_one_go(
@@ -35,7 +33,7 @@ def test_killed_ten_times_the_set_is_that_of_one_go(
     simulate_pairs(recipe, whole, MAPS, 1)
     pairs = blank(tmp_path / "killed", 300, 3)
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["ablate.dataset"])
+    context.set_forkserver_preload(["ablate.dataset.simulate"])
     rng = random.Random(0)
 
     def start() -> multiprocessing.process.BaseProcess:
@@ -44,9 +42,11 @@ def test_killed_ten_times_the_set_is_that_of_one_go(
         return process
 
     running = [start(), start()]
-    for _ in range(KILLS):
-        wanted = len(shards(pairs)) + rng.randrange(20)  # of the 300 and more that will be
+    compared: set[Path] = set()
+    for kill in range(KILLS):
+        wanted = 15 * kill + rng.randrange(20)  # of the 300 and more that will be
         while len(shards(pairs)) < wanted:
+            assert any(process.is_alive() for process in running)
             time.sleep(0.01)
         time.sleep(rng.uniform(0.0, 0.05))
         victim = rng.randrange(2)
@@ -54,12 +54,16 @@ def test_killed_ten_times_the_set_is_that_of_one_go(
         running[victim].kill()
         running[victim].join()
         assert running[victim].exitcode == -9, "the set was full before the last kill"
-        assert before.items() <= shards(pairs).items()  # nothing that was finished is lost or made again
-        assert remove_damaged(pairs, MAPS) == ()
+        after = shards(pairs)
+        assert before.items() <= after.items()  # nothing that was finished is lost or made again
+        for path in after.keys() - compared:  # those compared before have not changed since
+            pairs.check(path.parents[3].name, int(path.parents[1].name))
+        compared |= after.keys()
         running[victim] = start()
     for process in running:
         process.join()
         assert process.exitcode == 0
+    assert remove_damaged(pairs, MAPS) == ()
     assert contents(pairs.folder) == contents(whole.folder)
 
 
@@ -91,7 +95,7 @@ from pathlib import Path
 from ablate.dataset import open_pairs, remove_damaged, simulate_pairs
 
 if __name__ == "__main__":
-    folder, maps = Path(sys.argv[1]), frozenset({"segmentation", "attenuation", "high", "high_again"})
+    folder, maps = Path(sys.argv[1]), frozenset({"segmentation", "attenuation", "target", "resimulation"})
     recipe = pickle.loads(Path(sys.argv[2]).read_bytes())
     pairs = open_pairs(folder / "set")
     try:
@@ -102,7 +106,7 @@ if __name__ == "__main__":
     print("half-written:", [str(p) for p in folder.rglob("*.partial")])
     print("damaged:", remove_damaged(pairs, maps))
     (folder / "ballast").unlink()
-    simulate_pairs(recipe, pairs, maps, int(sys.argv[3]))
+    simulate_pairs(recipe, pairs, maps, 1)
     print("then missing:", len(pairs.missing(maps)))
 """
 

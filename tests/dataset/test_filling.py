@@ -1,7 +1,5 @@
 """Filling a data set: nothing is made twice, nothing half-made counts, and only what is damaged is made again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from ablate.dataset import DamagedShardError, Pairs, Part, create_pairs, fill_pa
 
 SHAPE = (24, 40)
 SPLIT = np.array([Part.train] * 11 + [Part.validation] * 3 + [Part.test] * 4, np.uint8)
-WANTED = frozenset({"segmentation", "attenuation", "high", "high_again"})
+WANTED = frozenset({"segmentation", "attenuation", "target", "resimulation"})
 
 
 @pytest.fixture
@@ -72,7 +70,7 @@ def test_a_new_map_is_added_without_touching_the_others(pairs: Pairs) -> None:
 def test_resimulation_is_for_unseen_frames_only(pairs: Pairs) -> None:
     recorder = Recorder()
     list(fill_pairs(pairs, WANTED, recorder))
-    again = {frame for frame, name in recorder.rendered if name == "high_again"}
+    again = {frame for frame, name in recorder.rendered if name == "resimulation"}
     assert again >= set(np.flatnonzero(SPLIT != Part.train))
     assert 0 not in again
 
@@ -91,7 +89,7 @@ def test_images_that_are_black_are_made_once(pairs: Pairs) -> None:
 
     list(fill_pairs(pairs, WANTED, black))
     assert not pairs.missing(WANTED)
-    assert (pairs.read("high", range(len(pairs))) == 0).all()
+    assert (pairs.read("target", range(len(pairs))) == 0).all()
 
 
 def test_a_renderer_that_dies_leaves_the_shards_before_it(pairs: Pairs) -> None:
@@ -129,7 +127,7 @@ def test_only_what_is_damaged_is_made_again(pairs: Pairs, damage: Callable[[Path
 
 def test_a_damaged_shard_that_another_process_has_mended_is_kept(pairs: Pairs, monkeypatch: pytest.MonkeyPatch) -> None:
     list(fill_pairs(pairs, WANTED, Recorder()))
-    file = pairs.shard_file("high", 0)
+    file = pairs.shard_file("target", 0)
     whole, check = file.read_bytes(), Pairs.check
     flip(file)
 

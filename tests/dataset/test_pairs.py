@@ -1,7 +1,6 @@
 """Pairs on disk: what is written is read back, here and by zarr, and what is not there or damaged is named."""
 
-from __future__ import annotations
-
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,11 +8,11 @@ import numpy as np
 import pytest
 import zarr
 
-from ablate.dataset import DamagedShardError, Pairs, Part, create_pairs, fill_pairs, open_pairs
+from ablate.dataset import PAIRS_VERSION, DamagedShardError, Pairs, Part, create_pairs, fill_pairs, open_pairs
 
 SHAPE = (24, 40)
 SPLIT = np.array([Part.train] * 11 + [Part.validation] * 3 + [Part.test] * 4, np.uint8)
-WANTED = frozenset({"segmentation", "attenuation", "high", "high_again"})
+WANTED = frozenset({"segmentation", "attenuation", "target", "resimulation"})
 
 
 def render(frames: np.ndarray, maps: frozenset[str]) -> Mapping[str, np.ndarray]:
@@ -39,9 +38,9 @@ def pairs(empty: Pairs) -> Pairs:
 
 def test_what_is_written_is_read_back(pairs: Pairs) -> None:
     frames = [0, 5, 17]
-    high = pairs.read("high", frames)
-    assert high.dtype == np.uint8
-    assert (high == np.array([4, 54, 174])[:, None, None]).all()
+    target = pairs.read("target", frames)
+    assert target.dtype == np.uint8
+    assert (target == np.array([6, 56, 176])[:, None, None]).all()
     np.testing.assert_allclose(pairs.read("attenuation", frames)[:, 0, 0], [0, 0.25, 0.85], rtol=2**-9)
 
 
@@ -65,20 +64,22 @@ def test_a_set_opened_again_is_the_same(pairs: Pairs) -> None:
 
 
 def test_a_damaged_shard_is_named_on_reading_with_what_mends_it(pairs: Pairs) -> None:
-    file = pairs.shard_file("high", 2)
+    file = pairs.shard_file("target", 2)
     content = bytearray(file.read_bytes())
     content[5] ^= 0x10
     file.write_bytes(content)
-    with pytest.raises(DamagedShardError, match=r"high/c/2/0/0, 'high' of frames 8 to 11.*checksum; .*task=simulate"):
-        pairs.read("high", [8])
-    pairs.read("high", [7, 12])
+    with pytest.raises(
+        DamagedShardError, match=r"target/c/2/0/0, 'target' of frames 8 to 11.*checksum; .*task=simulate"
+    ):
+        pairs.read("target", [8])
+    pairs.read("target", [7, 12])
 
 
 def test_a_frame_that_is_not_made_is_an_error_and_not_an_empty_image(empty: Pairs) -> None:
-    list(fill_pairs(empty, frozenset({"high"}), render))
-    empty.shard_file("high", 1).unlink()
-    with pytest.raises(FileNotFoundError, match=r"high/c/1/0/0: not made yet.*task=simulate"):
-        empty.read("high", [4])
+    list(fill_pairs(empty, frozenset({"target"}), render))
+    empty.shard_file("target", 1).unlink()
+    with pytest.raises(FileNotFoundError, match=r"target/c/1/0/0: not made yet.*task=simulate"):
+        empty.read("target", [4])
 
 
 @pytest.mark.parametrize("name", ["pose", "site", "split", "mask"])
@@ -99,3 +100,16 @@ def test_a_missing_set_says_how_to_make_it(tmp_path: Path) -> None:
 def test_unknown_maps_are_named(empty: Pairs) -> None:
     with pytest.raises(ValueError, match=r"doppler.*allowed: segmentation"):
         list(fill_pairs(empty, frozenset({"doppler"}), render))
+
+
+def test_pairs_of_another_version_are_refused_in_words(empty: Pairs, tmp_path: Path) -> None:
+    for version in (None, PAIRS_VERSION + 1):
+        older = tmp_path / str(version)
+        shutil.copytree(empty.folder, older)
+        group = zarr.open_group(older / "pairs.zarr", mode="a")
+        attributes = {k: v for k, v in group.attrs.items() if k != "version"}
+        group.attrs.put(attributes if version is None else {**attributes, "version": version})
+        stored = "2 or earlier" if version is None else str(version)
+        message = f"{older}: pairs stored in version {stored}, this program reads version 3; .*task=simulate"
+        with pytest.raises(ValueError, match=message):
+            open_pairs(older)

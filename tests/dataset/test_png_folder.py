@@ -1,7 +1,5 @@
 """A folder of PNGs is taken as it is, or refused with the name of what does not fit."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Callable
@@ -65,7 +63,7 @@ def test_sites_are_the_names_before_the_last_underscore(folder: Path) -> None:
     checked = validate_png_folder(folder)
     assert checked.names == NAMES
     assert checked.sites == ("a", "a", "b", "b", "c")
-    assert checked.maps == {"segmentation", "high"}
+    assert checked.maps == {"segmentation", "target"}
     assert (checked.shape, checked.parts, checked.tissues) == ((H, W), None, None)
 
 
@@ -75,7 +73,7 @@ def test_pixels_become_pairs_and_what_is_outside_the_fan_becomes_0(folder: Path,
     stored = imported(validate_png_folder(folder), tmp_path / "set")
     for k, name in enumerate(NAMES):
         np.testing.assert_array_equal(stored["segmentation"][k], imread(folder / "segmentation" / f"{name}.png"))
-        np.testing.assert_array_equal(stored["high"][k], imread(folder / "image" / f"{name}.png") * FAN)
+        np.testing.assert_array_equal(stored["target"][k], imread(folder / "image" / f"{name}.png") * FAN)
         share = imread(folder / "attenuation" / f"{name}.png") / np.iinfo(dtype).max * FAN
         np.testing.assert_allclose(stored["attenuation"][k], share, rtol=2.1e-3, atol=1 / 65535)
     np.testing.assert_array_equal(stored["attenuation"][:, ~FAN], 0)

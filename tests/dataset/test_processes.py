@@ -1,7 +1,5 @@
 """A worker ends when its parent is killed, and a main process watches nobody."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

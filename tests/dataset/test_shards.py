@@ -1,6 +1,4 @@
-"""Shards against zarr, which wrote the format down, and against every way of damaging them."""
-
-from __future__ import annotations
+"""Shards are read by zarr as they were written, and every way of damaging them is noticed."""
 
 import errno
 import os
@@ -12,8 +10,9 @@ import zarr
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ablate.dataset import DamagedShardError, Pairs, Part, create_pairs, fill_pairs, remove_damaged
 from ablate.dataset.pairs import FORMATS, decode_attenuation, encode_attenuation
-from ablate.dataset.shards import check_shard, create_array, read_frame, write_shard
+from ablate.dataset.shards import frame_array, write_shard
 
 SHAPE, SLOTS = (21, 13), 4
 
@@ -25,66 +24,71 @@ def frames(name: str, count: int) -> np.ndarray:
     return stack
 
 
-@pytest.mark.parametrize("name", ["segmentation", "attenuation", "high"])
+@pytest.mark.parametrize("name", ["segmentation", "attenuation", "target"])
 @pytest.mark.parametrize("count", [1, 3, 4])
 def test_zarr_reads_what_is_written(tmp_path: Path, name: str, count: int) -> None:
     stack = frames(name, count)
     group = zarr.open_group(tmp_path / "set.zarr", mode="w", zarr_format=3)
-    create_array(group, name, (count, *SHAPE), SLOTS, FORMATS[name])
-    file = tmp_path / "set.zarr" / name / "c" / "0" / "0" / "0"
-    write_shard(file, stack, SLOTS, FORMATS[name])
+    group.create_array(name, **frame_array(count, SHAPE, SLOTS, FORMATS[name]))
+    write_shard(tmp_path / "set.zarr" / name / "c" / "0" / "0" / "0", stack, SLOTS, FORMATS[name])
     np.testing.assert_array_equal(group[name][...], stack)
-    for k in range(count):
-        np.testing.assert_array_equal(read_frame(file, k, SLOTS, FORMATS[name], SHAPE), stack[k])
-
-
-@pytest.mark.parametrize("name", ["segmentation", "attenuation", "high"])
-def test_what_zarr_writes_is_read(tmp_path: Path, name: str) -> None:
-    stack = np.maximum(frames(name, 3), 1)
-    group = zarr.open_group(tmp_path / "set.zarr", mode="w", zarr_format=3)
-    create_array(group, name, (3, *SHAPE), SLOTS, FORMATS[name])
-    group[name][...] = stack
-    file = tmp_path / "set.zarr" / name / "c" / "0" / "0" / "0"
-    check_shard(file, 3, SLOTS)
-    for k in range(3):
-        np.testing.assert_array_equal(read_frame(file, k, SLOTS, FORMATS[name], SHAPE), stack[k])
 
 
 @pytest.fixture
-def shard(tmp_path: Path) -> Path:
-    write_shard(tmp_path / "0", frames("high", 3), SLOTS, FORMATS["high"])
-    return tmp_path / "0"
+def pairs(tmp_path: Path) -> Pairs:
+    """Three frames of the target in a shard that has room for four."""
+    stack, split = frames("target", 3), np.full(3, Part.train, np.uint8)
+    made = create_pairs(
+        tmp_path / "set", np.zeros((3, 4, 4)), np.arange(3), split, np.ones(SHAPE, bool), SLOTS, ["gel"], {}
+    )
+    list(fill_pairs(made, frozenset({"target"}), lambda chosen, _: {"target": stack[chosen]}))
+    return made
 
 
-def test_any_flipped_bit_is_noticed(shard: Path) -> None:
+@pytest.fixture
+def shard(pairs: Pairs) -> Path:
+    return pairs.shard_file("target", 0)
+
+
+def test_any_flipped_bit_is_noticed(pairs: Pairs, shard: Path) -> None:
     whole = shard.read_bytes()
-    check_shard(shard, 3, SLOTS)
+    pairs.check("target", 0)
     for at in range(len(whole)):
         shard.write_bytes(whole[:at] + bytes([whole[at] ^ 1 << at % 8]) + whole[at + 1 :])
-        with pytest.raises(ValueError, match="checksum"):
-            check_shard(shard, 3, SLOTS)
+        with pytest.raises(DamagedShardError, match="checksum"):
+            pairs.check("target", 0)
 
 
-def test_any_truncation_is_noticed(shard: Path) -> None:
+def test_any_truncation_is_noticed(pairs: Pairs, shard: Path) -> None:
     whole = shard.read_bytes()
     for length in range(len(whole)):
         shard.write_bytes(whole[:length])
-        with pytest.raises(ValueError, match=r"checksum|shorter"):
-            check_shard(shard, 3, SLOTS)
+        with pytest.raises(DamagedShardError):
+            pairs.check("target", 0)
 
 
-def test_a_damaged_frame_costs_only_itself(shard: Path) -> None:
+def test_a_damaged_frame_costs_only_itself(pairs: Pairs, shard: Path) -> None:
     content = bytearray(shard.read_bytes())
     content[7] ^= 4
     shard.write_bytes(content)
-    with pytest.raises(ValueError, match="frame 0 of the shard"):
-        read_frame(shard, 0, SLOTS, FORMATS["high"], SHAPE)
-    np.testing.assert_array_equal(read_frame(shard, 1, SLOTS, FORMATS["high"], SHAPE), frames("high", 3)[1])
+    damaged = []
+    for k, frame in enumerate(frames("target", 3)):
+        try:
+            np.testing.assert_array_equal(pairs.stored("target", k), frame)
+        except DamagedShardError:
+            damaged.append(k)
+    assert len(damaged) == 1
 
 
-def test_a_shard_with_fewer_frames_than_expected_is_noticed(shard: Path) -> None:
-    with pytest.raises(ValueError, match="frame 3 of the shard is absent"):
-        check_shard(shard, 4, SLOTS)
+def test_a_shard_with_fewer_frames_than_expected_is_noticed(pairs: Pairs, shard: Path) -> None:
+    """Zarr reads zeros in place of a frame that was never written."""
+    write_shard(shard, frames("target", 3)[:2], SLOTS, FORMATS["target"])
+    for attempt in (lambda: pairs.check("target", 0), lambda: pairs.stored("target", 2)):
+        with pytest.raises(DamagedShardError, match="frame 2 of the shard is absent"):
+            attempt()
+    np.testing.assert_array_equal(pairs.stored("target", 1), frames("target", 3)[1])
+    assert len(remove_damaged(pairs, frozenset({"target"}))) == 1
+    assert pairs.missing(frozenset({"target"})) == (0,)
 
 
 def test_a_full_disk_leaves_what_was_there(shard: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,14 +99,14 @@ def test_a_full_disk_leaves_what_was_there(shard: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="No space left"):
-        write_shard(shard, frames("high", 4), SLOTS, FORMATS["high"])
+        write_shard(shard, frames("target", 4), SLOTS, FORMATS["target"])
     assert [p.name for p in shard.parent.iterdir()] == ["0"]
     assert shard.read_bytes() == before
 
 
 def test_what_a_killed_process_left_is_removed(shard: Path) -> None:
     (shard.parent / "0.deadbeef.partial").write_bytes(b"half a shard")
-    write_shard(shard, frames("high", 3), SLOTS, FORMATS["high"])
+    write_shard(shard, frames("target", 3), SLOTS, FORMATS["target"])
     assert [p.name for p in shard.parent.iterdir()] == ["0"]
 
 

@@ -1,7 +1,5 @@
 """Pairs by the real path: what the simulator renders, in one process or several, and no more of it than is missing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +12,7 @@ from ablate.ultrasound import Simulator
 
 Blank = Callable[..., Pairs]
 Contents = Callable[[Path], dict[str, bytes]]
-MAPS = frozenset({"segmentation", "attenuation", "high", "high_again"})
+MAPS = frozenset({"segmentation", "attenuation", "target", "resimulation"})
 
 
 @pytest.fixture
@@ -26,17 +24,17 @@ def test_the_maps_are_those_of_the_simulator(pairs: Pairs, recipe: Recipe) -> No
     counted: list[int] = []
     assert simulate_pairs(recipe, pairs, MAPS | {"low"}, 1, counted.append) == 7
     assert sum(counted) == 7
-    high = Simulator(recipe.scene, recipe.probe, recipe.settings)
+    simulator = Simulator(recipe.scene, recipe.probe, recipe.settings)
     low = Simulator(recipe.scene, recipe.probe, replace(recipe.settings, rays=1, layers=1))
     for i, pose in enumerate(pairs.poses):
-        frame = high.render(pose, seed=recipe.seed)
-        np.testing.assert_array_equal(pairs.stored("high", i), frame.image)
+        frame = simulator.render(pose, seed=recipe.seed)
+        np.testing.assert_array_equal(pairs.stored("target", i), frame.image)
         np.testing.assert_array_equal(pairs.stored("segmentation", i), frame.segmentation)
         np.testing.assert_allclose(pairs.read("attenuation", [i])[0], frame.attenuation, rtol=2**-9, atol=1e-5)
         np.testing.assert_array_equal(pairs.stored("low", i), low.render(pose, seed=recipe.seed).image)
     for i in np.flatnonzero(pairs.split != Part.train):
-        again = pairs.stored("high_again", i)
-        assert (again != pairs.stored("high", i)).mean() > 0.3
+        again = pairs.stored("resimulation", i)
+        assert (again != pairs.stored("target", i)).mean() > 0.3
 
 
 def test_two_processes_make_the_same_set_as_one(

@@ -1,7 +1,5 @@
 """Poses on the skin of shapes whose surface is known, and on both kinds of scene."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from ablate.anatomy import Scene, SiteGrid, Structure, Tissue, fetal_abdomen, fetal_sites, load_scene, load_sites
 from ablate.dataset import Dropped, place_probe, probe_poses, resample_grid
-from ablate.dataset.contact import face_points
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
+from ablate.ultrasound.probe import face_points
 
 SKIN, BONE = Tissue("skin"), Tissue("bone", impedance_mrayl=6.0)
 GRID = SiteGrid((0, 0, 1), (0, -1, 0), (-20.0, 0.0, 20.0), (-40.0, 0.0, 40.0), (-15.0, 0.0, 15.0), (0.0, 90.0))
@@ -26,8 +24,8 @@ def scene(*structures: tuple[trimesh.Trimesh, Tissue], names: tuple[str, ...] = 
     return Scene(tuple(Structure(mesh, tissue) for mesh, tissue in structures), Tissue("gel"), "shapes")
 
 
-def box(low: tuple[float, ...], high: tuple[float, ...]) -> trimesh.Trimesh:
-    return trimesh.creation.box(bounds=(low, high))
+def box(lower: tuple[float, ...], upper: tuple[float, ...]) -> trimesh.Trimesh:
+    return trimesh.creation.box(bounds=(lower, upper))
 
 
 def cylinder(radius: float) -> Scene:

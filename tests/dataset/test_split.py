@@ -1,7 +1,5 @@
 """Frames are spread over sites, and no site is on two sides."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -7,25 +7,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ablate.metrics import IMAGE_METRICS, METRIC_SETS, SET_METRICS, Pair, choose_metrics, evaluate_image
+from ablate.metrics import METRIC_SETS, METRICS, Pair, choose_metrics, evaluate_image
 
 PAGE = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
 
 
 def test_names_sets_and_lists():
-    assert choose_metrics().names == {*IMAGE_METRICS, *SET_METRICS} == set(METRIC_SETS["all"])
+    assert choose_metrics().keys() == METRICS.keys() - {"envelope_rms", "ms_per_frame", "parameters"}
     paper = choose_metrics("paper")
-    assert paper.of_image.keys() == {"psnr", "mae", "pchi2"}
-    assert paper.of_set == {"fid", "fd_speckle"}
-    assert choose_metrics(["mae", "paper", "mae"]).names == paper.names
-    assert choose_metrics(["noise_sd"]).of_image == {}
+    assert {name for name, metric in paper.items() if metric.of_image} == {"psnr", "mae", "pchi2"}
+    assert {name for name, metric in paper.items() if metric.of_set} == {"fid", "fd_speckle"}
+    assert choose_metrics(["mae", "paper", "mae"]).keys() == paper.keys()
+    assert choose_metrics(["noise_sd"])["noise_sd"].of_image is None
 
 
 def test_two_of_one_name_are_refused(monkeypatch, tmp_path):
     for module in ("first_of_two", "second_of_two"):
         (tmp_path / f"{module}.py").write_text("def sharpness(pair):\n    return 0.0\n\n\nmae = sharpness\n")
     monkeypatch.syspath_prepend(tmp_path)
-    assert choose_metrics(["first_of_two.sharpness"] * 2).names == {"sharpness"}
+    assert choose_metrics(["first_of_two.sharpness"] * 2).keys() == {"sharpness"}
     with pytest.raises(ValueError, match="two of them are called sharpness"):
         choose_metrics(["first_of_two.sharpness", "second_of_two.sharpness"])
     with pytest.raises(ValueError, match="mae is the name of another metric"):
@@ -46,10 +46,10 @@ def test_the_example_of_the_page_works(monkeypatch, tmp_path, make_frame):
     (tmp_path / f"{example[0]}.py").write_text(example[1])
     monkeypatch.syspath_prepend(tmp_path)
     chosen = choose_metrics(asked.split(","))
-    assert chosen.of_image.keys() == {*IMAGE_METRICS, "bias"}
+    assert chosen.keys() == {*METRIC_SETS["all"], "bias"}
     frame = make_frame(0)
     brighter = np.where(frame.mask, np.minimum(frame.image, 200) + 7, 0).astype(np.uint8)
-    values = evaluate_image(Pair(brighter, frame.image, frame.mask), chosen.of_image)
+    values = evaluate_image(Pair(brighter, frame.image, frame.mask), chosen.values())
     expected = np.mean(brighter[frame.mask].astype(float) - frame.image[frame.mask])
     assert values["bias"] == pytest.approx(expected)
     sys.modules.pop(example[0])

@@ -2,6 +2,8 @@
 
 import hashlib
 import http.server
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -133,3 +135,8 @@ def test_fid_and_kid_are_those_of_torchmetrics_with_the_same_network(pinned):
             metric.update(torch.stack(corners, 1).flatten(0, 1)[:, None].repeat(1, 3, 1, 1), real=real)
     assert frechet_distance(found, wanted) == pytest.approx(float(fid.compute()), rel=1e-4)
     assert kernel_distance(found, wanted) == pytest.approx(float(kid.compute()[0]), rel=1e-6)
+
+
+def test_only_the_network_itself_needs_torch():
+    code = "import sys; sys.modules['torch'] = None; from ablate.metrics import *"
+    subprocess.run([sys.executable, "-c", code], check=True)

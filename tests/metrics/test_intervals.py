@@ -5,7 +5,7 @@ import pytest
 
 from ablate.metrics import bootstrap_interval, frechet_distance, kernel_distance
 from ablate.metrics.intervals import _frechet_of_draw
-from ablate.metrics.kernel_sums import kernel_sums
+from ablate.metrics.kernel_sums import kernel_of_draw
 
 
 @pytest.mark.parametrize(("d", "rows"), [(3, 300), (6, 20), (30, 10)])
@@ -18,7 +18,7 @@ def test_a_resample_by_group_is_the_distance_of_the_rows_drawn(d, rows):
     drawn = np.concatenate([np.flatnonzero(owner == k) for k in range(5) for _ in range(times[k])])
     found = _frechet_of_draw(x, y, owner, owner)(times, times)
     assert found == pytest.approx(frechet_distance(x[drawn], y[drawn]), rel=1e-6)
-    found = kernel_sums(x, y, owner, owner).distance(times, times)
+    found = kernel_of_draw(x, y, owner, owner)(times, times)
     assert found == pytest.approx(kernel_distance(x[drawn], y[drawn]), rel=1e-9)
 
 
@@ -29,9 +29,9 @@ def test_interval_covers_the_value_expected_at_this_size():
     expected = np.mean([frechet_distance(x, y) for x, y in draws])
     hits = 0
     for x, y in draws[:runs]:
-        low, high = bootstrap_interval(frechet_distance, x, y, level=0.9, resamples=100)
-        assert low < high
-        hits += low <= expected <= high
+        lower, upper = bootstrap_interval(frechet_distance, x, y, level=0.9, resamples=100)
+        assert lower < upper
+        hits += lower <= expected <= upper
     assert hits / runs > 0.78
 
 

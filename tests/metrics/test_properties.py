@@ -1,7 +1,5 @@
 """What must hold of the metrics on any images and features."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

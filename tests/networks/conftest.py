@@ -1,7 +1,5 @@
 """One thread: several test processes may share a machine."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

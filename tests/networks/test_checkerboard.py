@@ -6,8 +6,6 @@ So the first weights of the texture-friendly block leave the stronger pattern, a
 remove it: white weights pass every frequency alike. What training makes of it is measured (`nyquist_excess`).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The exported file against the network itself, computed by the standard's reference and by a runtime."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import asdict

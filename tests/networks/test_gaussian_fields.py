@@ -1,7 +1,5 @@
 """The noise is normal, independent, and a function of (seed, level, pixel)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

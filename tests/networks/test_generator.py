@@ -1,7 +1,5 @@
 """Any size in, the same size out; noise from seeds; nothing read that a variant does not use."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """A generator does no work that its variant does not use: counted among torch's operations as they run."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Instance norm against its definition in double precision, of channels that hardly vary and of whole frames."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """The layers written for speed against torch's own, in value and gradient."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor, nn

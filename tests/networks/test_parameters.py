@@ -1,7 +1,5 @@
 """The parameter counts of the paper's Table II, to the parameter."""
 
-from __future__ import annotations
-
 import pytest
 
 from ablate.networks import Generator, GeneratorSpec, count_discriminator, count_generator, count_parameters

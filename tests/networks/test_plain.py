@@ -1,12 +1,10 @@
 """Every variant against the same network written plainly, in value and gradient, in double precision."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 
 from ablate.networks import Family, Generator, GeneratorSpec, PatchDiscriminator, conditions, discriminator_channels
-from plain_gan import PlainDiscriminator, PlainLocal, PlainUNet
+from support.plain_gan import PlainDiscriminator, PlainLocal, PlainUNet
 
 UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none"}
 VARIANTS = {

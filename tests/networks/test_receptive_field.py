@@ -1,7 +1,5 @@
 """The receptive field of the layer list against the support of the gradient."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

@@ -1,7 +1,5 @@
 """The values behind a variant: what is accepted, and what is refused by name."""
 
-from __future__ import annotations
-
 import pytest
 
 from ablate.networks import GeneratorSpec, Noise, conditions, draws_noise, inputs

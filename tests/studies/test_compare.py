@@ -1,10 +1,10 @@
 """What a comparison makes of a study that is whole, and of one that is not: words, never a traceback."""
 
-from __future__ import annotations
-
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pandas as pd
@@ -12,11 +12,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from ablate.analysis import RESIMULATION, find_design
-from ablate.config import StudySettings, plain
-from ablate.studies.compare import COMPONENTS as FACTORS
-from ablate.studies.compare import compare_study, write_comparison
-from ablate.studies.sweep import ConfigurationError, jobs_of
-from ablate.studies.usable_runs import usable_runs
+from ablate.config import ConfigurationError, StudySettings, json_ready
+from ablate.metrics import Metric, metric_of, registry
+from ablate.studies.comparison.compare import FACTORS, compare_study, write_comparison
+from ablate.studies.comparison.usable_runs import usable_runs
+from support.studies import study_group
 
 COMPONENTS = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
 COMPONENTS |= {"noise": "inject", "depth": 4, "extra_input": "none", "width": 0.25}
@@ -38,7 +38,7 @@ def write_run(study: Path, label: str, seed: int, data: str = "fetal-0", frames:
     rows = [
         {"frame": f, "site": f % SITES, "metric": m, "source": source, "split": split, "value": 20 + k + rng.normal()}
         for k, m in enumerate(METRICS)
-        for source in ("model", "floor")
+        for source in ("model", "resimulation")
         for split in ("test", "validation")
         for f in range(frames)
     ]
@@ -47,7 +47,7 @@ def write_run(study: Path, label: str, seed: int, data: str = "fetal-0", frames:
     encoding = {"order": "arbitrary" if ".encoding" in label else "echogenicity"}
     spec = {"label": label, "hash": f"{label}{seed}", "semantic": {"model": model, "encoding": encoding}}
     (folder / "spec.json").write_text(json.dumps({**spec, "settings": {"model": model}}))
-    scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_low": 2.0, "test/fd_speckle_high": 5.0 + seed}
+    scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_lower": 2.0, "test/fd_speckle_upper": 5.0 + seed}
     scalars |= {"test/floor_fd_speckle": 0.1, "ms_per_frame": 30.0, "test/psnr": 20.0, "test/floor_psnr": 22.0}
     scalars |= {"parameters_generator": 1e6, "parameters_discriminator": 2e6}
     result = {"hash": spec["hash"], "label": label, "seed": seed, "data": data, "mlflow_run_id": "none"}
@@ -67,7 +67,7 @@ def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
         return paths
 
     for module in ("boxplots", "seeds_figure", "effects_figure", "image_figures", "runtime_figure"):
-        monkeypatch.setattr(f"ablate.analysis.{module}.save_figure", save)
+        monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", save)
 
 
 @pytest.fixture
@@ -109,8 +109,8 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     table = pd.read_csv(folder / "table.csv").set_index("variant")
     assert list(table.index) == [RESIMULATION, "sa2h", "nsa2h", "sa2h-att", "sa2h-conv"]
     assert table.loc["sa2h", "fd_speckle_mean"] == 4.0
-    assert (table.loc["sa2h", "fd_speckle_low"], table.loc["sa2h", "fd_speckle_high"]) == (2.0, 6.0)
-    assert "fd_speckle_low_mean" not in table, "a bound is no metric"
+    assert (table.loc["sa2h", "fd_speckle_lower"], table.loc["sa2h", "fd_speckle_upper"]) == (2.0, 6.0)
+    assert "fd_speckle_lower_mean" not in table, "a bound is no metric"
     assert set(pd.read_csv(folder / "effects.csv")["effect"]) == {"attenuation", "upsampling"}
     claims = pd.read_csv(folder / "claims.csv")
     assert set(claims["metric"]) == {*METRICS, "fd_speckle"}
@@ -187,6 +187,14 @@ def test_runs_that_cannot_be_read(study: Path) -> None:
     assert "nsa2h" not in set(pd.read_csv(folder / "table.csv")["variant"])
 
 
+def test_a_run_made_by_an_earlier_version_is_left_aside_in_words(study: Path) -> None:
+    path = write_run(study, "sa2h-att", 5) / "per_image.parquet"
+    table = pd.read_parquet(path)
+    table.replace({"source": {"resimulation": "floor"}}).to_parquet(path)
+    (note,) = usable_runs(study).notes
+    assert note.startswith("1 run left aside, made by an earlier version (source floor in per_image.parquet)")
+
+
 def test_identical_images(study: Path) -> None:
     set_values(study / "nsa2h" / "seed0", "psnr", lambda t: t["frame"] == 3, np.inf)
     folder, report, notes = compared(study)
@@ -239,7 +247,7 @@ def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: 
     def broken(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("ablate.studies.compare.write_report", broken)
+    monkeypatch.setattr("ablate.analysis.write_report", broken)
     with pytest.raises(MemoryError):
         compared(study)
     assert (folder / "report.html").read_text() == before
@@ -254,8 +262,25 @@ def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: 
     ],
 )
 def test_study_groups_are_recognised_as_the_designs_they_are(group: str, name: str) -> None:
-    jobs = jobs_of([f"+study={group}"])
-    components = {job.label: {**plain(job.settings.model), "encoding": job.settings.encoding.name} for job in jobs}
+    jobs = study_group(group)
+    components = {job.label: {**json_ready(job.settings.model), "encoding": job.settings.encoding.name} for job in jobs}
     design = find_design(components, FACTORS)
     assert design is not None
     assert design.name.startswith(name)
+
+
+def test_a_metric_of_a_users_own_brings_its_label_as_long_as_it_can_be_imported(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(registry, "_OWN", {})
+    for folder in study.glob("*/seed*"):
+        change(folder, metrics=["all", "of_a_user.own"])
+        table = pd.read_parquet(folder / "per_image.parquet")
+        table.assign(metric=table["metric"].replace("mae", "brightness")).to_parquet(folder / "per_image.parquet")
+    usable_runs(study)
+    assert metric_of("brightness").label == "brightness"
+    module = ModuleType("of_a_user")
+    module.own = Metric("brightness", "Brightness error", of_image=lambda _: 0.0)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "of_a_user", module)
+    usable_runs(study)
+    assert metric_of("brightness").label == "Brightness error"

@@ -1,7 +1,5 @@
 """A data set is known by what its frames are made from: no more, and no less."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -9,8 +7,8 @@ import trimesh
 import yaml
 
 from ablate.networks import GeneratorSpec
-from ablate.studies.data import dataset_hash, maps_needed
-from ablate.studies.sweep import jobs_of
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.pairs.data import dataset_hash, maps_needed
 
 
 @pytest.fixture

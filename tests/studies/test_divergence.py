@@ -1,8 +1,7 @@
 """A training that diverges within a sweep: stopped, said, marked failed, its last good checkpoint kept."""
 
-from __future__ import annotations
-
 import math
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,28 +14,15 @@ from ablate.__main__ import main
 from ablate.dataset import CropLoader
 from ablate.tracking import default_uri
 from ablate.training import LAST, load_generator, read_checkpoint
+from support.studies import TinyStudy
 
 SWEEP = [
     "-m",
     "seed=0,1",
-    "scene.triangles=6000",
-    "simulator.scanlines=24",
-    "simulator.axial_samples=128",
-    "simulator.rays=2",
-    "simulator.layers=1",
-    "simulator.image_shape=[128,178]",
-    "dataset.frames=12",
-    "dataset.grid=[3,4,1,1]",
-    "dataset.validation=0.2",
-    "dataset.test=0.3",
-    "dataset.workers=1",
-    "model.width=0.05",
-    "training.steps=20",
-    "training.crop=64",
+    "preset=tiny",
+    "training.steps=12",
     "training.checkpoint_every=4",
     "training.validate_every=0",
-    "evaluation.timed_frames=1",
-    "evaluation.pictures=1",
 ]
 BROKEN_STEP = 9
 
@@ -47,15 +33,16 @@ class BrokenLoader(CropLoader):
     def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
         for step, batch in zip(self.steps, super().__iter__(), strict=True):
             if self.crops.settings.seed == 1 and step == BROKEN_STEP:
-                batch["image"][0, 0, 0, 0] = math.nan
+                batch["target"][0, 0, 0, 0] = math.nan
             yield batch
 
 
 def test_one_job_diverges_and_the_other_finishes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tiny_study: TinyStudy, runs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    shutil.copytree(tiny_study.runs / "data", runs / "data")
     monkeypatch.setattr("ablate.studies.run.CropLoader", BrokenLoader)
-    monkeypatch.setattr(sys, "argv", ["ablate", *SWEEP, f"runs_dir={tmp_path}"])
+    monkeypatch.setattr(sys, "argv", ["ablate", *SWEEP, f"runs_dir={runs}"])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 1
@@ -65,14 +52,14 @@ def test_one_job_diverges_and_the_other_finishes(
     assert "the last good checkpoint is kept" in said
     assert "not finished: sa2h/seed1" in said
 
-    place = tmp_path / "quick-fetal" / "sa2h"
+    place = runs / "tiny-fetal" / "sa2h"
     assert (place / "seed0" / "result.json").exists()
     assert not (place / "seed1" / "result.json").exists()
     checkpoint = place / "seed1" / LAST
     assert read_checkpoint(checkpoint)["steps_done"] == 8
     assert all(weight.isfinite().all() for weight in load_generator(checkpoint).parameters())
 
-    client = MlflowClient(default_uri(tmp_path))
+    client = MlflowClient(default_uri(runs))
     (experiment,) = [e for e in client.search_experiments() if e.name == "ablate"]
     states = {r.info.run_name: r.info.status for r in client.search_runs([experiment.experiment_id])}
-    assert states == {"quick-fetal": "FAILED", "sa2h/seed0": "FINISHED", "sa2h/seed1": "FAILED"}
+    assert states == {"tiny-fetal": "FAILED", "sa2h/seed0": "FINISHED", "sa2h/seed1": "FAILED"}

@@ -1,18 +1,25 @@
 """A run is known by what decides its result, and two results never share a place."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import pytest
 
-from ablate.studies.identity import claim_place, config_hash, finished, write_json
-from ablate.studies.sweep import ConfigurationError, Job, jobs_of
+from ablate.config import ConfigurationError
+from ablate.storage import write_json
+from ablate.studies.identity import claim_place, config_hash, finished
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.job import Job
 
 
 def job(runs: Path, *arguments: str) -> Job:
     return jobs_of([f"runs_dir={runs}", *arguments])[0]
+
+
+@pytest.fixture(scope="module")
+def plain_hash(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The hash of the default job, in a folder of its own."""
+    return config_hash(job(tmp_path_factory.mktemp("plain")).settings)
 
 
 @pytest.mark.parametrize(
@@ -33,8 +40,8 @@ def job(runs: Path, *arguments: str) -> Job:
         "metrics=paper",
     ],
 )
-def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, incidental: str) -> None:
-    assert config_hash(job(tmp_path, incidental).settings) == config_hash(job(tmp_path / "b").settings)
+def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, plain_hash: str, incidental: str) -> None:
+    assert config_hash(job(tmp_path, incidental).settings) == plain_hash
 
 
 @pytest.mark.parametrize(
@@ -55,8 +62,8 @@ def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, incidental: str
         "evaluation.noise_draws=5",
     ],
 )
-def test_what_decides_the_result_counts(tmp_path: Path, semantic: str) -> None:
-    assert config_hash(job(tmp_path, semantic).settings) != config_hash(job(tmp_path).settings)
+def test_what_decides_the_result_counts(tmp_path: Path, plain_hash: str, semantic: str) -> None:
+    assert config_hash(job(tmp_path, semantic).settings) != plain_hash
 
 
 def test_another_configuration_in_the_same_place_is_refused_with_the_difference(tmp_path: Path) -> None:

@@ -1,11 +1,8 @@
 """Pairs made elsewhere serve a study as simulated ones do, as far as they go."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,43 +11,25 @@ import pandas as pd
 import pytest
 from skimage.io import imsave
 
-from ablate.config import Task
+from ablate import tasks
+from ablate.__main__ import main
+from ablate.config import ConfigurationError
 from ablate.dataset import Pairs, Part
-from ablate.studies import tasks
-from ablate.studies.data import open_data
-from ablate.studies.run import run_job
-from ablate.studies.sweep import ConfigurationError, jobs_of
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.pairs.data import open_data
+from support.studies import TINY, TinyStudy, run
 
-TINY = [
-    "scene.triangles=6000",
-    "simulator.scanlines=24",
-    "simulator.axial_samples=128",
-    "simulator.rays=2",
-    "simulator.layers=1",
-    "simulator.image_shape=[128,178]",
-    "dataset.frames=12",
-    "dataset.grid=[3,4,1,1]",
-    "dataset.validation=0.2",
-    "dataset.test=0.3",
-    "dataset.shard=3",
-    "dataset.workers=1",
-    "model.width=0.05",
-    "training.steps=3",
-    "training.crop=256",
-    "evaluation.timed_frames=2",
-    "evaluation.pictures=2",
-]
-FOLDERS = {"segmentation": "segmentation", "high": "image", "attenuation": "attenuation", "low": "low"}
+FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}
 
 
 def study(arguments: list[str]) -> None:
     """Make every map, then train the variant that `arguments` name."""
-    jobs = jobs_of(arguments)
-    assert tasks.study(jobs, lambda: [run_job(job) for job in jobs] and None) == 0
+    assert run(*arguments) == 0
 
 
 def make_all_maps(arguments: list[str]) -> None:
-    assert tasks.simulate(jobs_of(["-m", "variant=sa2h,lsa2h", *arguments])) == 0
+    lsa2h = ["study_name=maps", "variant=lsa2h", "training.crop=256"]  # the only one that reads `low`, in such crops
+    assert run("task=simulate", *arguments, *lsa2h) == 0
 
 
 def export(pairs: Pairs, folder: Path) -> None:
@@ -71,11 +50,11 @@ def export(pairs: Pairs, folder: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs of a study that reads every map, simulated."""
-    runs = tmp_path_factory.mktemp("simulated")
+def simulated(tiny_study: TinyStudy, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Runs of a study of simulated pairs, with every map."""
+    runs = tmp_path_factory.mktemp("simulated") / "runs"
+    shutil.copytree(tiny_study.runs, runs)
     make_all_maps([f"runs_dir={runs}", *TINY])
-    study([f"runs_dir={runs}", *TINY])
     return runs
 
 
@@ -96,32 +75,32 @@ def per_image(runs: Path, variant: str) -> pd.DataFrame:
 
 
 def test_exported_pairs_come_back_bit_for_bit_and_train_the_same_networks(
-    simulated: Path, folder: Path, tmp_path: Path
+    simulated: Path, folder: Path, runs: Path
 ) -> None:
-    arguments = [f"runs_dir={tmp_path}", *TINY, "scene=pairs", f"scene.folder={folder}"]
+    arguments = [f"runs_dir={runs}", *TINY, "scene=pairs", f"scene.folder={folder}"]
     make_all_maps(arguments)
     study(arguments)
-    there, here = data_of(simulated), data_of(tmp_path)
+    there, here = data_of(simulated), data_of(runs)
     for name in FOLDERS:
         np.testing.assert_array_equal(here.read(name, range(12)), there.read(name, range(12)))
     np.testing.assert_array_equal(here.mask(), there.mask())
     np.testing.assert_array_equal(here.split, there.split)
     assert len(set(zip(here.sites, there.sites, strict=True))) == len(set(there.sites))  # other numbers, same groups
     assert here.tissues == there.tissues
-    assert not (here.folder / "pairs.zarr" / "high_again").exists()
-    mine, theirs = per_image(tmp_path, "sa2h"), per_image(simulated, "sa2h")
+    assert not (here.folder / "pairs.zarr" / "resimulation").exists()
+    mine, theirs = per_image(runs, "sa2h"), per_image(simulated, "sa2h")
     assert set(mine["source"]) == {"model"}
     assert set(mine["metric"]) >= {"psnr", "pchi2", "mae_smooth", "shadow_contrast"}
     theirs = theirs[theirs["source"] == "model"].reset_index(drop=True)
     pd.testing.assert_frame_equal(mine.drop(columns="site"), theirs.drop(columns="site"))
-    result = json.loads(next(tmp_path.glob("*/sa2h/seed0/result.json")).read_text())
+    result = json.loads(next(runs.glob("*/sa2h/seed0/result.json")).read_text())
     assert not [name for name in result["scalars"] if "floor" in name]
-    report = next(tmp_path.glob("quick-pngs/comparison/report.html")).read_text()
+    report = next(runs.glob("tiny-pngs/comparison/report.html")).read_text()
     assert "The re-simulation is missing" in report
     assert "pairs made elsewhere cannot be simulated again" in report
-    assert "re-simulation" not in next(tmp_path.glob("*/comparison/table.csv")).read_text()
-    before = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*") if p.is_file()}
-    assert tasks.study(jobs_of(arguments), lambda: pytest.fail("all is finished")) == 0
+    assert "re-simulation" not in next(runs.glob("*/comparison/table.csv")).read_text()
+    before = {p: p.stat().st_mtime_ns for p in runs.rglob("*") if p.is_file()}
+    assert tasks.study(jobs_of(arguments), lambda *_: pytest.fail("all is finished")) == 0
     kept = [p for p in before if p.suffix in {".json", ".ckpt", ".parquet", ".csv", ".html"} or p.name == "0"]
     assert all(p.stat().st_mtime_ns == before[p] for p in kept)
 
@@ -138,15 +117,15 @@ def bare(folder: Path, tmp_path: Path) -> Path:
 
 
 def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenuation(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    where = [*TINY, "scene=pairs", f"scene.folder={bare(folder, tmp_path)}", f"runs_dir={tmp_path / 'runs'}"]
+    where = [*TINY, "scene=pairs", f"scene.folder={bare(folder, tmp_path)}", f"runs_dir={runs}"]
     with pytest.raises(
         ConfigurationError,
         match=r"^variant sa2h reads attenuation, but .*bare has no folder attenuation; .* without it: sa2h-att$",
     ):
         study(["-m", "variant=sa2h-att,sa2h", *where])
-    assert not (tmp_path / "runs" / "data").exists()
+    assert not (runs / "data").exists()
     study(["variant=sa2h-att", *where])
     told = capsys.readouterr()
     for line in (
@@ -156,11 +135,11 @@ def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenua
         "left out: tissues: without labels.csv the labels are ordered by number",
     ):
         assert line in told.out + told.err
-    table = per_image(tmp_path / "runs", "sa2h-att")
+    table = per_image(runs, "sa2h-att")
     assert "psnr" in set(table["metric"])
     assert "shadow_contrast" not in set(table["metric"])
-    pairs = data_of(tmp_path / "runs")
-    assert pairs.maps == {"segmentation", "high"}
+    pairs = data_of(runs)
+    assert pairs.maps == {"segmentation", "target"}
     assert pairs.tissues[:2] == ("label_1", "label_2")
     for site in np.unique(pairs.sites):
         assert len(set(pairs.split[pairs.sites == site])) == 1
@@ -168,25 +147,30 @@ def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenua
 
 def test_depths_are_known_only_where_the_fan_is_that_of_the_probe(folder: Path, tmp_path: Path) -> None:
     where = ["scene=pairs", f"scene.folder={folder}", f"runs_dir={tmp_path}", "probe.depth_mm=100"]
-    assert tasks.simulate(jobs_of([*TINY, *where])) == 0
+    assert run("task=simulate", *TINY, *where) == 0
     data = open_data(next(tmp_path.glob("data/*")))
     assert any("depth_mm=100, so depths are not known" in line for line in data.left_out)
 
 
-def test_what_cannot_be_is_refused_before_anything_is_started(folder: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_is_refused_before_anything_is_started(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     where = [f"runs_dir={tmp_path / 'runs'}", "scene=pairs"]
     with pytest.raises(ConfigurationError, match=r"scene=pairs needs scene\.folder=path/to/folder"):
         study(where)
     with pytest.raises(ConfigurationError, match="task=preview: pairs made elsewhere have no scene"):
-        tasks.TASKS[Task.preview](jobs_of([*where, f"scene.folder={folder}", "task=preview"]))
+        run("task=preview", *where, f"scene.folder={folder}")
     broken = tmp_path / "broken"
     shutil.copytree(folder, broken)
     (broken / "image" / "03.png").unlink()
-    command = [sys.executable, "-m", "ablate", *where, f"scene.folder={broken}"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-    assert done.returncode == 2
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-    assert f"{broken / 'image' / '03.png'}: missing, though its partner" in done.stderr
+    monkeypatch.setattr(sys, "argv", ["ablate", *where, f"scene.folder={broken}"])
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert len(error.strip().splitlines()) == 1, error
+    assert f"{broken / 'image' / '03.png'}: missing, though its partner" in error
     assert not list((tmp_path / "runs").glob("*/*")), "something was started"
 
 
@@ -201,8 +185,8 @@ def test_a_site_on_two_sides_is_refused_unless_frames_are_split(folder: Path, tm
     (moved / "frames.csv").write_text("\n".join([text[0], *(",".join(row) for row in rows)]))
     where = [*TINY, "scene=pairs", f"scene.folder={moved}", f"runs_dir={tmp_path / 'runs'}"]
     with pytest.raises(ConfigurationError, match=r"frames\.csv: site '\d+' is in two parts; .*dataset\.split=frame"):
-        tasks.simulate(jobs_of(where))
-    assert tasks.simulate(jobs_of([*where, "dataset.split=frame"])) == 0
+        run("task=simulate", *where)
+    assert run("task=simulate", *where, "dataset.split=frame") == 0
 
 
 def test_too_few_sites_and_too_small_a_fan_are_refused_before_anything_is_written(folder: Path, tmp_path: Path) -> None:
@@ -213,9 +197,9 @@ def test_too_few_sites_and_too_small_a_fan_are_refused_before_anything_is_writte
         path.rename(path.with_name("p_" + path.stem.rpartition("_")[2] + ".png"))
     where = [*TINY, f"runs_dir={tmp_path / 'runs'}", "scene=pairs", "variant=sa2h-att"]
     with pytest.raises(ConfigurationError, match=r"1 sites cannot be split into train, validation and test"):
-        tasks.simulate(jobs_of([*where, f"scene.folder={one_site}"]))
+        run("task=simulate", *where, f"scene.folder={one_site}")
     for path in made.glob("*/*.png"):
         imsave(path, np.ones((40, 40), np.uint8), check_contrast=False)
     with pytest.raises(ConfigurationError, match=r"no patch of 48 x 48 px lies wholly inside"):
-        tasks.simulate(jobs_of([*where, f"scene.folder={made}"]))
+        run("task=simulate", *where, f"scene.folder={made}")
     assert not (tmp_path / "runs" / "data").exists()

@@ -1,14 +1,13 @@
 """What cannot be trained is refused before anything is simulated."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
 import pytest
 
-from ablate.studies.preflight import check
-from ablate.studies.sweep import ConfigurationError, jobs_of
+from ablate.config import ConfigurationError
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.preflight import check
 
 
 def test_a_batch_has_at_most_as_many_crops_as_there_are_training_frames(tmp_path: Path) -> None:

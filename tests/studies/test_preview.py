@@ -1,7 +1,5 @@
 """A preview shows the frame that the data set holds or will hold, and leaves the data set alone."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -11,24 +9,14 @@ import trimesh
 import yaml
 from matplotlib.image import imread
 
-from ablate.analysis import Preview, body_view
+from ablate.analysis import Preview
+from ablate.analysis.figures import body_view
+from ablate.config import ConfigurationError
 from ablate.dataset import open_pairs
 from ablate.studies import preview as module
-from ablate.studies import tasks
-from ablate.studies.sweep import ConfigurationError, jobs_of
+from support.studies import run
 
-TINY = [
-    "simulator.scanlines=24",
-    "simulator.axial_samples=128",
-    "simulator.rays=2",
-    "simulator.layers=1",
-    "simulator.image_shape=[64,89]",
-    "dataset.frames=12",
-    "dataset.validation=0.2",
-    "dataset.test=0.3",
-    "dataset.shard=3",
-    "dataset.workers=1",
-]
+TINY = ["preset=tiny", "simulator.image_shape=[64,89]"]
 
 
 @pytest.fixture(params=["fetal", "folder"])
@@ -51,11 +39,6 @@ def few_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(body_view, "_COLUMNS_PX", 150)
 
 
-def run(arguments: list[str]) -> int:
-    jobs = jobs_of(arguments)
-    return tasks.TASKS[jobs[0].settings.task](jobs)
-
-
 def test_a_frame_is_shown_before_and_after_it_is_simulated(
     scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -66,19 +49,19 @@ def test_a_frame_is_shown_before_and_after_it_is_simulated(
         shown.append(preview)
         return path
 
-    assert run(["task=preview", *arguments]) == 0
+    assert run("task=preview", *arguments) == 0
     path = Path(capsys.readouterr().out.strip())
     assert imread(path)[..., :3].std() > 0.05
     assert [p.name for p in path.parent.iterdir()] == ["preview_7.png"], "nothing else is made"
     monkeypatch.setattr(module, "preview_figure", keep)
-    run(["task=preview", *arguments])
-    run(["task=simulate", *arguments])
+    run("task=preview", *arguments)
+    run("task=simulate", *arguments)
     pairs = open_pairs(path.parent)
     monkeypatch.setattr(module, "Simulator", lambda *_, **__: pytest.fail("the frame is on disk"))
-    run(["task=preview", *arguments])
+    run("task=preview", *arguments)
     before, after = shown
     for preview in shown:
-        np.testing.assert_array_equal(preview.image, pairs.read("high", [7])[0])
+        np.testing.assert_array_equal(preview.image, pairs.read("target", [7])[0])
         np.testing.assert_array_equal(preview.segmentation, pairs.read("segmentation", [7])[0])
         np.testing.assert_array_equal(preview.pose, pairs.poses[7])
     assert before.title == after.title
@@ -92,7 +75,7 @@ def test_a_frame_is_shown_before_and_after_it_is_simulated(
 def test_a_frame_that_is_not_there_is_refused(tmp_path: Path, frame: int) -> None:
     arguments = [f"runs_dir={tmp_path}", *TINY, "dataset.grid=[3,4,1,1]", "task=preview", f"frame={frame}"]
     with pytest.raises(ConfigurationError, match=rf"^frame={frame}: allowed are 0 to 11$"):
-        run(arguments)
+        run(*arguments)
 
 
 def test_dropped_poses_are_counted_told_and_kept_with_the_data(
@@ -109,7 +92,7 @@ def test_dropped_poses_are_counted_told_and_kept_with_the_data(
     structures = [{"mesh": "body.obj", "tissue": "fat"}, {"mesh": "organ.obj", "tissue": "liver"}]
     (folder / "scene.yaml").write_text(yaml.safe_dump({"structures": structures, "sites": sites}))
     where = ["scene=folder", f"scene.folder={folder}", "dataset.grid=null", "probe.depth_mm=120"]
-    run(["task=simulate", f"runs_dir={tmp_path / 'runs'}", *TINY, *where])
+    run("task=simulate", f"runs_dir={tmp_path / 'runs'}", *TINY, *where)
     about = json.loads(next(tmp_path.glob("runs/data/*/about.json")).read_text())
     assert about["poses"] == {
         "usable": 9,
@@ -125,4 +108,4 @@ def test_dropped_poses_are_counted_told_and_kept_with_the_data(
         told.out + told.err
     )
     with pytest.raises(ConfigurationError, match="frame=9: allowed are 0 to 8"):
-        run(["task=preview", "frame=9", f"runs_dir={tmp_path / 'runs'}", *TINY, *where])
+        run("task=preview", "frame=9", f"runs_dir={tmp_path / 'runs'}", *TINY, *where)

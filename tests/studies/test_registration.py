@@ -1,7 +1,6 @@
 """A registered generator renders what the study's own renderer does, bit for bit."""
 
-from __future__ import annotations
-
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,40 +10,33 @@ import numpy as np
 import pytest
 from mlflow.exceptions import MlflowException
 
-from ablate.dataset import Part, label_values
-from ablate.studies.compare import compare_study
-from ablate.studies.results import data_of, finished_runs
-from ablate.studies.run import renderer, run_job
-from ablate.studies.sweep import ConfigurationError, Job, jobs_of
+from ablate.config import ConfigurationError
+from ablate.dataset import Part, label_values, noise_seeds
+from ablate.studies.comparison.compare import compare_study
+from ablate.studies.comparison.results import data_of, finished_runs
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.job import Job
+from ablate.studies.run import generated_images, run_job
 from ablate.studies.tracked import register_reference
 from ablate.tracking import default_uri
-from ablate.training import LAST, Precision, load_generator
+from ablate.training import LAST, TrainingPrecision, load_generator
 
 TINY = [
-    "scene.triangles=6000",
-    "simulator.scanlines=24",
-    "simulator.axial_samples=128",
-    "simulator.rays=2",
-    "simulator.layers=1",
+    "preset=tiny",
     "simulator.image_shape=[96,134]",
     "dataset.frames=10",
-    "dataset.grid=[3,4,1,1]",
-    "dataset.validation=0.2",
-    "dataset.test=0.3",
-    "dataset.workers=1",
-    "model.width=0.05",
     "model.noise_start=0.3",
     "reference=sa2h.noise_start-0.3",
     "training.steps=1",
-    "training.crop=64",
-    "evaluation.timed_frames=1",
+    "evaluation.noise_frames=1",
     "tracking.register=renderer of a fetus",
 ]
 
 
 @pytest.fixture(scope="module")
-def registered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Job]:
+def registered(tmp_path_factory: pytest.TempPathFactory, empty_database: Path) -> tuple[Path, Job]:
     runs = tmp_path_factory.mktemp("runs")
+    shutil.copy(empty_database, runs)
     (job,) = jobs_of(["variant=sa2h", f"runs_dir={runs}", *TINY])
     run_job(job)
     assert "models:/renderer of a fetus/1 " in compare_study(job.settings)
@@ -62,10 +54,10 @@ def test_it_renders_what_the_study_renders(registered: tuple[Path, Job], loaded:
     finished = finished_runs(job.settings.study_dir)
     data = data_of(finished)
     values = label_values(data.tissues, job.settings.encoding)
-    render = renderer(load_generator(finished[0].folder / LAST), data, values, Precision.auto)
+    render = generated_images(load_generator(finished[0].folder / LAST), data, values, TrainingPrecision.auto)
     frame = data.pairs.frames(Part.test)[:1]
     maps = {name: data.pairs.read(name, frame) for name in ("segmentation", "attenuation")}
-    image = loaded.predict(maps, params={"seed": int(frame[0]) * 1_000_003})
+    image = loaded.predict(maps, params={"seed": int(noise_seeds(frame, 0)[0])})
     assert image.dtype == np.uint8
     np.testing.assert_array_equal(image, render(frame, 0))
     assert (image != loaded.predict(maps, params={"seed": 5})).any()  # other noise, another image

@@ -1,7 +1,5 @@
 """Jobs on SLURM, with stand-ins for its commands: what is asked for, what is waited for, who simulates."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -9,28 +7,23 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
-from submitit.slurm.slurm import SlurmJob
 
-from ablate.config import register
-from ablate.studies import tasks
-from ablate.studies.data import dataset_folder, maps_needed, prepare_data
-from ablate.studies.slurm import QueueWatcher, ended_jobs
-from ablate.studies.sweep import ConfigurationError, Job, cluster_folder, configuration_dir, jobs_of
+from ablate import tasks
+from ablate.config import ConfigurationError
+from ablate.studies.jobs.compose import jobs_of, read_command_line
+from ablate.studies.jobs.job import Job
+from ablate.studies.jobs.schema import configuration_dir, register
+from ablate.studies.jobs.slurm import QueueLauncher, queued, wait_for
+from ablate.studies.pairs.data import dataset_folder
+from support.studies import here
 
 TINY = [
-    "scene.triangles=6000",
-    "simulator.scanlines=24",
-    "simulator.axial_samples=128",
+    "preset=tiny",
     "simulator.rays=1",
-    "simulator.layers=1",
     "simulator.image_shape=[64,89]",
     "dataset.frames=6",
     "dataset.grid=[2,3,1,1]",
-    "dataset.validation=0.2",
-    "dataset.test=0.3",
     "dataset.shard=2",
-    "dataset.workers=1",
-    "training.crop=64",
 ]
 
 Command = Callable[[str, str], None]
@@ -50,23 +43,24 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
     return make
 
 
-def submission(tmp_path: Path, *overrides: str) -> list[str]:
-    """The lines of the script that `sbatch` is given for a job."""
+def launcher(tmp_path: Path, *overrides: str) -> QueueLauncher:
+    """What conf/ has of the launcher, ready to submit."""
     register()
     with initialize_config_dir(str(configuration_dir()), version_base="1.3"):
         choice = ["hydra/launcher=slurm", f"runs_dir={tmp_path / 'runs'}", "hydra.job.num=0", "hydra.job.id=0"]
         config = compose("config", [*choice, *overrides], return_hydra_config=True)
-    launcher = instantiate(config.hydra.launcher)
-    launcher.setup(hydra_context=None, task_function=None, config=config)
-    with pytest.raises(Exception, match="kept"):
-        launcher.launch([["seed=0"]], 0)
-    return (tmp_path / "script").read_text().splitlines()
+    made = instantiate(config.hydra.launcher)
+    assert isinstance(made, QueueLauncher)
+    made.setup(hydra_context=None, task_function=None, config=config)
+    return made
 
 
 def test_the_keys_of_the_launcher_reach_sbatch(tmp_path: Path, command: Command) -> None:
     command("srun", "exit 1")
     command("sbatch", f'cp "$1" {tmp_path / "script"}; echo kept >&2; exit 1')
-    lines = submission(tmp_path, "hydra.launcher.partition=gpu", "hydra.launcher.gres=gpu:a100:1")
+    with pytest.raises(Exception, match="kept"):
+        launcher(tmp_path, "hydra.launcher.partition=gpu", "hydra.launcher.gres=gpu:a100:1").launch([["seed=0"]], 0)
+    lines = (tmp_path / "script").read_text().splitlines()
     assert {
         "#SBATCH --partition=gpu",
         "#SBATCH --gres=gpu:a100:1",
@@ -79,43 +73,46 @@ def test_the_keys_of_the_launcher_reach_sbatch(tmp_path: Path, command: Command)
     assert f"#SBATCH --output={tmp_path}/runs/slurm/%j/%j_0_log.out" in lines
 
 
+def cluster(line: list[str]) -> Path | None:
+    """Where the jobs of a command line print that SLURM runs."""
+    command = read_command_line(line)
+    assert command is not None
+    return command.launch.cluster
+
+
 def test_a_launcher_without_a_sweep_or_a_cluster_is_refused(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigurationError, match=r"hydra/launcher=slurm.* add -m"):
         jobs_of(["hydra/launcher=slurm"])
     line = ["-m", "hydra/launcher=slurm", "variant=sa2h,nsa2h"]
     command("srun", "exit 1")
-    assert cluster_folder(line) == Path("runs/slurm")
-    assert cluster_folder(["-m", "variant=sa2h,nsa2h"]) is None
+    assert cluster(line) == Path("runs/slurm")
+    assert cluster(["-m", "variant=sa2h,nsa2h"]) is None
     monkeypatch.setenv("PATH", "/nowhere")
     with pytest.raises(ConfigurationError, match=r"hydra/launcher=slurm.*srun"):
-        cluster_folder(line)
+        cluster(line)
 
 
 def test_a_job_that_the_queue_does_not_list_has_ended(command: Command, tmp_path: Path) -> None:
-    watcher = QueueWatcher()
-    for job in ("7_0", "7_1", "8"):
-        watcher.register_job(job)
     command("squeue", r"printf '7_1\n8\n70_0\n'")
-    assert [watcher.is_done(job, mode="force") for job in ("7_0", "7_1", "8")] == [True, False, False]
+    assert queued(["7_0", "7_1", "8"]) == ["7_1", "8"]
     command("squeue", "exit 1")  # the controller does not answer
-    assert [watcher.is_done(job, mode="force") for job in ("7_0", "7_1", "8")] == [True, False, False]
+    assert queued(["7_1", "8"]) == ["7_1", "8"]
     asked = tmp_path / "asked"
     command("squeue", f"[ -e {asked} ] || echo 8; touch {asked}")
-    watcher.wait(every_s=0.01)
-    assert watcher.is_done("8", mode="cache")
+    wait_for(["7_1", "8"], every_s=0.01)
+    assert queued(["7_1", "8"]) == []
 
 
 def test_a_killed_job_is_waited_for_and_is_no_error(
     command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("watcher", "results"):
-        monkeypatch.setattr(SlurmJob, name, getattr(SlurmJob, name))  # put back at the end
+    monkeypatch.setattr("ablate.studies.jobs.slurm.time.sleep", lambda _: None)
     asked = tmp_path / "asked"
+    command("srun", "exit 1")
+    command("sbatch", "echo Submitted batch job 7")
     command("squeue", f"[ -e {asked} ] || echo 7_0; touch {asked}")
-    with ended_jobs():
-        job = SlurmJob(folder=tmp_path, job_id="7_0")
-        (returned,) = job.results()
-        assert asked.exists()
+    (returned,) = launcher(tmp_path).launch([["seed=0"]], 0)
+    assert asked.exists()
     assert returned.return_value is None
 
 
@@ -136,27 +133,17 @@ def test_pairs_made_elsewhere_are_reported_and_what_is_missing_is_said(
 ) -> None:
     jobs = filling("seed=0,1", f"runs_dir={tmp_path}")
 
-    def killed() -> None:
-        raise SystemExit(1)
-
-    assert tasks.simulate(jobs, killed) == 1
+    assert tasks.simulate(jobs, lambda *_: None) == 1  # all were killed
     assert "not finished" in capsys.readouterr().err
-
-    def launch() -> None:
-        for job in jobs:
-            prepare_data(job.settings, maps_needed([job.settings.model]))
-        raise SystemExit(1)  # as Hydra does when it gave up a job that SLURM then queued again
-
-    assert tasks.simulate(jobs, launch) == 0
+    assert tasks.simulate(jobs, here) == 0
     assert capsys.readouterr().out.count("6 frames in") == 1
 
 
 def test_a_study_elsewhere_leaves_the_simulating_to_its_jobs(tmp_path: Path) -> None:
-    jobs = jobs_of(["-m", "variant=sa2h,nsa2h", "training.crop=256", *TINY[:-1], f"runs_dir={tmp_path}"])
+    jobs = jobs_of(["-m", "variant=sa2h,nsa2h", *TINY, "training.crop=256", f"runs_dir={tmp_path}"])
 
-    def launch() -> None:
+    def launch(*_: object) -> None:
         assert (tmp_path / "mlflow.db").exists()
         assert not (tmp_path / "data").exists()
-        raise SystemExit(1)
 
     assert tasks.study(jobs, launch, elsewhere=True) == 1

@@ -1,8 +1,7 @@
 """What a study leaves in MLflow: one run a job however often it is stopped, what it shows, and the study's own page."""
 
-from __future__ import annotations
-
 import re
+import shutil
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -13,37 +12,29 @@ from mlflow import MlflowClient
 from mlflow.entities import Run
 
 from ablate.studies import run as run_module
-from ablate.studies.compare import compare_study
+from ablate.studies.comparison.compare import compare_study
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.job import Job
 from ablate.studies.run import run_job
-from ablate.studies.sweep import Job, jobs_of
 from ablate.studies.tracked import log_samples
 from ablate.tracking import default_uri
 
 TINY = [
-    "scene.triangles=6000",
-    "simulator.scanlines=24",
-    "simulator.axial_samples=128",
-    "simulator.rays=2",
-    "simulator.layers=1",
+    "preset=tiny",
     "simulator.image_shape=[96,134]",
     "dataset.frames=10",
-    "dataset.grid=[3,4,1,1]",
-    "dataset.validation=0.2",
-    "dataset.test=0.3",
-    "dataset.workers=1",
-    "model.width=0.05",
     "training.steps=4",
-    "training.crop=64",
-    "training.checkpoint_every=2",
     "training.validate_every=1",
-    "evaluation.timed_frames=1",
+    "evaluation.noise_frames=1",
 ]
 
 
 @pytest.fixture(scope="module")
-def stopped_once(tmp_path_factory: pytest.TempPathFactory) -> Job:
+def stopped_once(tmp_path_factory: pytest.TempPathFactory, empty_database: Path) -> Job:
     """A job that was stopped at step 3 of 4, one after its checkpoint, and then finished; and its comparison."""
-    (job,) = jobs_of(["variant=sa2h", f"runs_dir={tmp_path_factory.mktemp('runs')}", *TINY])
+    runs = tmp_path_factory.mktemp("runs")
+    shutil.copy(empty_database, runs)
+    (job,) = jobs_of(["variant=sa2h", f"runs_dir={runs}", *TINY])
 
     def power_cut(*arguments: Any) -> None:
         log_samples(*arguments)

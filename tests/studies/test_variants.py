@@ -1,15 +1,17 @@
 """The variants are the paper's: its ablations, its parameter counts, its sizes."""
 
-from __future__ import annotations
-
 import dataclasses
+from functools import cache
+from pathlib import Path
 
 import pytest
 
 from ablate.config import StudySettings
-from ablate.networks import GeneratorSpec
-from ablate.studies.sweep import jobs_of
-from ablate.studies.variants import describe, leave_one_out, variant_names
+from ablate.dataset import Encoding
+from ablate.metrics import METRICS
+from ablate.networks import COMPONENTS, GeneratorSpec
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.variants import describe, leave_one_out, variant_names
 
 TOTALS = {
     "lsa2h": 57_171_266,
@@ -22,8 +24,15 @@ TOTALS = {
 }
 
 
+@cache
+def composed() -> dict[str, GeneratorSpec]:
+    """The generator of every variant, composed at once."""
+    jobs = jobs_of(["-m", f"variant={','.join(variant_names())}", "preset=paper"])
+    return {job.settings.variant: job.settings.model for job in jobs}
+
+
 def spec(variant: str) -> GeneratorSpec:
-    return jobs_of([f"variant={variant}", "preset=paper"])[0].settings.model
+    return composed()[variant]
 
 
 def test_the_paper_preset_is_the_defaults_of_the_code() -> None:
@@ -36,6 +45,20 @@ def test_ablations_equal_the_generated_leave_one_out() -> None:
     assert {f"sa2h-{name}": made for name, made in generated.items()} == {
         f"sa2h-{n}": spec(f"sa2h-{n}") for n in generated
     }
+
+
+def test_components_name_levels_and_metrics_that_exist() -> None:
+    assert COMPONENTS[-1].levels == tuple(Encoding)
+    for component in COMPONENTS:
+        assert component.on in component.levels
+        assert component.off in component.levels
+        assert component.metric is None or component.metric in METRICS
+
+
+def test_the_page_of_the_networks_prints_the_table_of_components() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "networks.md").read_text()
+    for c in COMPONENTS:
+        assert f"| {c.name} | `{c.field}` | {c.on} | {c.off} | {f'`{c.metric}` |' if c.metric else '|'}\n" in page
 
 
 @pytest.mark.parametrize("variant", ["sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h-depth"])

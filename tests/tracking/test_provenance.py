@@ -1,7 +1,5 @@
 """Provenance tells commit and state of the checkout, the environment and the hardware."""
 
-from __future__ import annotations
-
 import subprocess
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Runs are found again rather than made twice, also by processes that start together."""
 
-from __future__ import annotations
-
 import json
 import math
 import multiprocessing
@@ -15,11 +13,11 @@ from PIL import Image
 from ablate.tracking import RunLog, Status, child_run, default_uri, open_store, parent_run
 
 
-def test_opening_twice_gives_the_same_runs(tmp_path: Path) -> None:
-    first = open_store(tmp_path, None, "ablate")
+def test_opening_twice_gives_the_same_runs(runs: Path) -> None:
+    first = open_store(runs, None, "ablate")
     parent = parent_run(first, "quick-fetal")
     child = child_run(first, parent, "sa2h/seed0", "abc", {"variant": "sa2h"})
-    second = open_store(tmp_path, None, "ablate")
+    second = open_store(runs, None, "ablate")
     assert second == first
     assert parent_run(second, "quick-fetal") == parent
     assert child_run(second, parent, "sa2h/seed0", "abc", {"variant": "sa2h"}) == child
@@ -27,28 +25,28 @@ def test_opening_twice_gives_the_same_runs(tmp_path: Path) -> None:
     assert parent_run(second, "other") != parent
 
 
-def test_a_run_carries_what_was_logged(tmp_path: Path) -> None:
-    store = open_store(tmp_path, None, "ablate")
+def test_a_run_carries_what_was_logged(runs: Path) -> None:
+    store = open_store(runs, None, "ablate")
     parent = parent_run(store, "study")
     run = RunLog(store, child_run(store, parent, "sa2h/seed0", "abc", {"variant": "sa2h"}))
     run.metrics({"test/psnr": 17.5, "identical": math.inf, "undefined": math.nan}, step=3)
     run.parameters({"model.width": 0.25})
     run.parameters({"model.width": 0.5, "seed": 0})  # a resumed run keeps what it has
-    (tmp_path / "a.txt").write_text("x")
-    run.artifact(tmp_path / "a.txt", "provenance")
+    (runs / "a.txt").write_text("x")
+    run.artifact(runs / "a.txt", "provenance")
     run.end(Status.finished)
-    client = MlflowClient(default_uri(tmp_path))
+    client = MlflowClient(default_uri(runs))
     found = client.get_run(run.run_id)
     assert found.data.metrics == {"test/psnr": 17.5}
     assert found.data.params == {"model.width": "0.25", "seed": "0"}
     assert found.data.tags["mlflow.parentRunId"] == parent
     assert found.info.status == "FINISHED"
-    assert found.info.artifact_uri.startswith((tmp_path / "artifacts").as_uri())
+    assert found.info.artifact_uri.startswith((runs / "artifacts").as_uri())
     assert [a.path for a in client.list_artifacts(run.run_id, "provenance")] == ["provenance/a.txt"]
 
 
-def test_a_resumed_run_has_each_image_of_a_series_once(tmp_path: Path) -> None:
-    store = open_store(tmp_path, None, "ablate")
+def test_a_resumed_run_has_each_image_of_a_series_once(runs: Path) -> None:
+    store = open_store(runs, None, "ablate")
     parent = parent_run(store, "study")
     frames = np.random.default_rng(0).integers(0, 256, (3, 20, 30), np.uint8)
 
@@ -76,11 +74,11 @@ def test_a_resumed_run_has_each_image_of_a_series_once(tmp_path: Path) -> None:
         assert path.with_name(f"{path.stem}+compressed.webp").exists()
 
 
-def test_a_run_has_its_data_set_once_and_the_experiment_is_one_of_models(tmp_path: Path) -> None:
-    store = open_store(tmp_path, None, "ablate")
+def test_a_run_has_its_data_set_once_and_the_experiment_is_one_of_models(runs: Path) -> None:
+    store = open_store(runs, None, "ablate")
     run = RunLog(store, parent_run(store, "study"))
     for _ in range(2):
-        run.dataset("fetal-abc", "abc", tmp_path / "data", 240)
+        run.dataset("fetal-abc", "abc", runs / "data", 240)
     (used,) = store.client.get_run(run.run_id).inputs.dataset_inputs
     assert (used.dataset.name, used.dataset.digest) == ("fetal-abc", "abc")
     assert json.loads(used.dataset.profile) == {"num_rows": 240}

@@ -1,7 +1,5 @@
 """Tiny pairs to train on: batches that depend on the step alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -17,7 +15,7 @@ def _one_thread() -> None:
     torch.set_num_threads(1)
 
 
-@pytest.fixture
+@pytest.fixture(scope="package")
 def batch() -> Callable[[int], dict[str, Tensor]]:
     """Blocks of labels whose grey level follows the label and the attenuation, in a fan of half the crop."""
 
@@ -34,7 +32,7 @@ def batch() -> Callable[[int], dict[str, Tensor]]:
             "segmentation": segmentation * mask + mask - 1,
             "attenuation": attenuation * mask,
             "low": image.roll(1, -1),
-            "image": image,
+            "target": image,
             "mask": mask,
             "noise_seed": torch.randint(0, 2**62, (2,), generator=random),
         }
@@ -42,7 +40,7 @@ def batch() -> Callable[[int], dict[str, Tensor]]:
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="package")
 def loader(batch: Callable[[int], dict[str, Tensor]]) -> Loader:
     """Batches of the steps `start` to `stop` - 1."""
 
@@ -52,13 +50,13 @@ def loader(batch: Callable[[int], dict[str, Tensor]]) -> Loader:
     return load
 
 
-@pytest.fixture
+@pytest.fixture(scope="package")
 def spec() -> GeneratorSpec:
     """A generator with every component, as small as it gets."""
     return GeneratorSpec(depth=2, width=0.05, noise_start=0.1)
 
 
-@pytest.fixture
+@pytest.fixture(scope="package")
 def settings() -> TrainingSettings:
     """Eight steps on a CPU, one thread, fp32."""
     return TrainingSettings(

@@ -1,7 +1,5 @@
 """Every engine renders what the network renders, and says what it lacks."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,13 +14,13 @@ from ablate.networks import Generator, GeneratorSpec
 from ablate.training import (
     Engine,
     Loader,
-    Precision,
+    TrainingPrecision,
     TrainingSettings,
     load_generator,
     median_ms_per_frame,
     missing_for,
+    open_engine,
     open_exported,
-    renderer,
     train,
 )
 
@@ -39,21 +37,21 @@ def cropped(batch: Callable[..., dict[str, Tensor]], height: int, width: int, si
     return {name: value[:1, :, :height, :width] for name, value in batch(0, size).items() if value.ndim == 4}
 
 
-@pytest.mark.parametrize("precision", [Precision.fp32, Precision.bf16])
+@pytest.mark.parametrize("precision", [TrainingPrecision.fp32, TrainingPrecision.bf16])
 @pytest.mark.parametrize("engine", [Engine.eager, Engine.exported])
 def test_a_frame_by_engine_and_precision(
-    spec: GeneratorSpec, batch: Callable[..., dict[str, Tensor]], engine: Engine, precision: Precision
+    spec: GeneratorSpec, batch: Callable[..., dict[str, Tensor]], engine: Engine, precision: TrainingPrecision
 ) -> None:
     if missing_for(engine, CPU):
         pytest.skip(f"needs {missing_for(engine, CPU)}")
     generator, maps = drawn(spec), cropped(batch, 30, 27, 32)
-    render = renderer(generator, 30, 27, precision, engine)
+    render = open_engine(generator, 30, 27, precision, engine)
     with torch.inference_mode():
         expected = generator(maps["segmentation"], maps["attenuation"], noise_seed=SEED)
         other = generator(maps["segmentation"], maps["attenuation"], noise_seed=SEED + 1)
     image = render(maps, SEED).float()
     # bf16 rounds to 8 bits: 2^-9 of a feature's size, ten layers of them.
-    tolerance = {Precision.fp32: 1e-5, Precision.bf16: 10 * 2.0**-9}[precision]
+    tolerance = {TrainingPrecision.fp32: 1e-5, TrainingPrecision.bf16: 10 * 2.0**-9}[precision]
     assert image.shape == (1, 1, 30, 27)
     torch.testing.assert_close(image, expected, rtol=0, atol=tolerance)
     torch.testing.assert_close(render(maps, SEED + 1).float(), other, rtol=0, atol=tolerance)
@@ -75,7 +73,7 @@ def test_the_documented_export_of_a_run(
     exec(example[1], {})
     generator = load_generator(run / "last.ckpt")
     maps = {name: torch.rand(1, 1, 250, 346) for name in ("segmentation", "attenuation")}
-    image = open_exported(generator, run / "model.onnx", Precision.fp32)(maps, SEED)
+    image = open_exported(generator, run / "model.onnx", TrainingPrecision.fp32)(maps, SEED)
     with torch.inference_mode():
         torch.testing.assert_close(image, generator(**maps, noise_seed=SEED), rtol=0, atol=1e-3)
 
@@ -86,7 +84,7 @@ def test_the_documented_export_of_a_run(
 def test_a_compiled_network_with_fewer_channels_than_a_vector_holds(batch: Callable[..., dict[str, Tensor]]) -> None:
     """Torch 2.13 with its own choice of tiles renders another image here, up to 0.85 apart."""
     generator, maps = drawn(GeneratorSpec(depth=2, width=0.1)), cropped(batch, 112, 144, 144)
-    image = renderer(generator, 112, 144, Precision.fp32, Engine.compiled)(maps, SEED)
+    image = open_engine(generator, 112, 144, TrainingPrecision.fp32, Engine.compiled)(maps, SEED)
     with torch.inference_mode():
         expected = generator(maps["segmentation"], maps["attenuation"], noise_seed=SEED)
     torch.testing.assert_close(image, expected, rtol=0, atol=1e-4)
@@ -106,4 +104,4 @@ def test_what_an_engine_lacks_is_said_before_it_is_used(
         "ablate.training.engines.find_spec", lambda name: None if name == "openvino" else find_spec(name)
     )
     with pytest.raises(RuntimeError, match=r"engine=exported: needs the package openvino: pip install 'ablate\[exp"):
-        renderer(drawn(spec), 8, 8, engine=Engine.exported)
+        open_engine(drawn(spec), 8, 8, engine=Engine.exported)

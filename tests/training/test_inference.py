@@ -1,7 +1,5 @@
 """Full frames: black outside the fan, the seed's noise, grey levels as the images have them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -9,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from ablate.dataset import decode_grey_levels
 from ablate.networks import Generator, GeneratorSpec
-from ablate.training import Precision, generate, median_ms_per_frame
-from ablate.training.inference import to_grey_levels
+from ablate.training import TrainingPrecision, generate, median_ms_per_frame
 
 
 @pytest.fixture
@@ -20,8 +18,8 @@ def generator(spec: GeneratorSpec) -> Generator:
     return Generator(spec).eval()
 
 
-@pytest.mark.parametrize("precision", [Precision.fp32, Precision.bf16])
-def test_frames(generator: Generator, batch: Callable[[int], dict[str, Tensor]], precision: Precision) -> None:
+@pytest.mark.parametrize("precision", [TrainingPrecision.fp32, TrainingPrecision.bf16])
+def test_frames(generator: Generator, batch: Callable[[int], dict[str, Tensor]], precision: TrainingPrecision) -> None:
     given = batch(0)
     maps = {name: value[..., :30, :27] for name, value in given.items() if name != "noise_seed"}
     frames = generate(generator, maps, maps["mask"], given["noise_seed"], precision)
@@ -38,8 +36,8 @@ def test_frames(generator: Generator, batch: Callable[[int], dict[str, Tensor]],
 def test_grey_levels_round_trip_and_end_at_0_and_255() -> None:
     levels = torch.arange(256, dtype=torch.uint8)[None]
     everywhere = torch.ones_like(levels)
-    assert torch.equal(to_grey_levels(levels.float() / 127.5 - 1, everywhere), levels)
-    assert not to_grey_levels(torch.ones(1, 4), torch.zeros(1, 4)).any()
+    assert torch.equal(decode_grey_levels(levels.float() / 127.5 - 1, everywhere), levels)
+    assert not decode_grey_levels(torch.ones(1, 4), torch.zeros(1, 4)).any()
 
 
 def test_a_missing_map_is_named(generator: Generator, batch: Callable[[int], dict[str, Tensor]]) -> None:

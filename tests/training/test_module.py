@@ -1,7 +1,5 @@
 """A step of the module against the same step written out in plain torch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -36,7 +34,7 @@ def test_training_is_that_of_the_paper(
         maps = torch.cat((given["segmentation"], given["attenuation"]), 1)
         rendered = generator(given["segmentation"], given["attenuation"], noise_seed=given["noise_seed"])
         fake = torch.where(given["mask"] > 0, rendered, -1.0)
-        real_logits, fake_logits = discriminator(maps, given["image"]), discriminator(maps, fake.detach())
+        real_logits, fake_logits = discriminator(maps, given["target"]), discriminator(maps, fake.detach())
         loss_d = bce(real_logits, torch.ones_like(real_logits)) + bce(fake_logits, torch.zeros_like(fake_logits))
         adam_d.zero_grad()
         loss_d.backward()
@@ -47,7 +45,7 @@ def test_training_is_that_of_the_paper(
         else:
             adversarial = -logits.sigmoid().log().mean()
         adam_g.zero_grad()
-        (adversarial + 100 * (fake - given["image"]).abs().mean()).backward()
+        (adversarial + 100 * (fake - given["target"]).abs().mean()).backward()
         adam_g.step()
         decay = min(0.9, (1 + step) / (10 + step))
         for kept, parameter in zip(average, generator.parameters(), strict=True):

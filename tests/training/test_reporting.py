@@ -1,7 +1,5 @@
 """Metrics against images seen, validation, and failures that are noticed."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable, Iterator
@@ -78,7 +76,7 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(
         for step in range(start, stop):
             made = batch(step)
             if step == bad_step:
-                made["image"][0, 0, 0, 0] = math.inf
+                made["target"][0, 0, 0, 0] = math.inf
             yield made
 
     with pytest.raises(DivergenceError, match="step 6: "):

@@ -1,14 +1,14 @@
 """A run stopped anywhere and continued equals the run that was not stopped, in every weight."""
 
-from __future__ import annotations
-
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -46,12 +46,28 @@ def assert_same_state(first: Path, second: Path) -> None:
         assert_same(one[key], other[key])
 
 
+@pytest.fixture(scope="module")
+def whole(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str], Path]:
+    """`whole(precision)`: folder of a run that was not stopped."""
+
+    @cache
+    def trained(precision: str) -> Path:
+        folder = tmp_path_factory.mktemp(precision)
+        train(spec, replace(settings, precision=precision), loader, folder)
+        return folder
+
+    return trained
+
+
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 @pytest.mark.parametrize("fatal_step", [1, 3, 5, 7])
 def test_after_a_crash_at_any_step(
     spec: GeneratorSpec,
     settings: TrainingSettings,
     loader: Loader,
+    whole: Callable[[str], Path],
     tmp_path: Path,
     fatal_step: int,
     precision: str,
@@ -64,15 +80,15 @@ def test_after_a_crash_at_any_step(
                 raise OSError("disk gone")
             yield batch
 
-    train(spec, settings, loader, tmp_path / "whole")
     with pytest.raises(OSError, match="disk gone"):
-        train(spec, settings, crashing, tmp_path / "crashed")
-    resumed = train(spec, settings, loader, tmp_path / "crashed")
+        train(spec, settings, crashing, tmp_path)
+    resumed = train(spec, settings, loader, tmp_path)
     assert resumed.resumed_at == (fatal_step - 1) // 3 * 3
-    assert_same_state(tmp_path / "whole", tmp_path / "crashed")
+    assert_same_state(whole(precision), tmp_path)
 
 
-# Trains in a process that kills itself at a step, or, without one, while the second checkpoint takes its place.
+# Trains in one process for each case, which kills itself at a step, or, without one, while the second checkpoint takes
+# its place. They are forked from a process that has imported torch and has not yet computed anything with it.
 _KILLED = """
 import json, os, signal, sys
 from pathlib import Path
@@ -80,52 +96,69 @@ import torch
 from ablate.networks import GeneratorSpec
 from ablate.training import TrainingSettings, train
 
-folder, spec, settings, fatal_step = Path(sys.argv[1]), *map(json.loads, sys.argv[2:])
-batches, replace = torch.load(folder / "batches.pt"), Path.replace
+folder, spec, cases = Path(sys.argv[1]), *map(json.loads, sys.argv[2:])
+replace = Path.replace
 
 def die():
     os.kill(os.getpid(), signal.SIGKILL)
 
-def loader(start, stop):
-    for step in range(start, stop):
-        yield die() if step == fatal_step else batches[step]
-
 def replace_or_die(path, target):
     return die() if target.exists() else replace(path, target)
 
-if fatal_step is None:
-    Path.replace = replace_or_die
-train(GeneratorSpec(**spec), TrainingSettings(**settings), loader, folder / "killed")
+def run(name, settings, fatal_step):
+    batches = torch.load(folder / "batches.pt")
+
+    def loader(start, stop):
+        for step in range(start, stop):
+            yield die() if step == fatal_step else batches[step]
+
+    if fatal_step is None:
+        Path.replace = replace_or_die
+    train(GeneratorSpec(**spec), TrainingSettings(**settings), loader, folder / name)
+
+for case in cases:
+    if not (child := os.fork()):
+        run(*case)
+        os._exit(0)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
+_CASES = [("fp32", None, 3), ("bf16", 7, 6)]
 
 
-@pytest.mark.parametrize(("precision", "fatal_step", "resumed_at"), [("fp32", None, 3), ("bf16", 7, 6)])
+@pytest.fixture(scope="module")
+def killed(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """Folders, named by the precision, of runs whose processes were killed."""
+    folder = tmp_path_factory.mktemp("killed")
+    torch.save(list(loader(0, settings.steps)), folder / "batches.pt")
+    cases = [(precision, asdict(replace(settings, precision=precision)), fatal) for precision, fatal, _ in _CASES]
+    told = [json.dumps(value) for value in (asdict(spec), cases)]
+    done = subprocess.run([sys.executable, "-c", _KILLED, folder, *told], stdout=subprocess.PIPE, text=True, check=True)
+    assert [int(code) for code in done.stdout.split()] == [-signal.SIGKILL] * len(_CASES)
+    return folder
+
+
+@pytest.mark.parametrize(("precision", "resumed_at"), [(precision, resumed) for precision, _, resumed in _CASES])
 def test_after_a_process_was_killed(
     spec: GeneratorSpec,
     settings: TrainingSettings,
     loader: Loader,
-    tmp_path: Path,
+    whole: Callable[[str], Path],
+    killed: Path,
     precision: str,
-    fatal_step: int | None,
     resumed_at: int,
 ) -> None:
-    settings = replace(settings, precision=precision)
-    torch.save(list(loader(0, settings.steps)), tmp_path / "batches.pt")
-    told = [json.dumps(value) for value in (asdict(spec), asdict(settings), fatal_step)]
-    killed = subprocess.run([sys.executable, "-c", _KILLED, tmp_path, *told], check=False)
-    assert killed.returncode == -signal.SIGKILL
-    resumed = train(spec, settings, loader, tmp_path / "killed")
+    resumed = train(spec, replace(settings, precision=precision), loader, killed / precision)
     assert resumed.resumed_at == resumed_at
-    train(spec, settings, loader, tmp_path / "whole")
-    assert_same_state(tmp_path / "whole", tmp_path / "killed")
-    assert sorted(path.name for path in (tmp_path / "killed").iterdir()) == [LAST]
+    assert_same_state(whole(precision), killed / precision)
+    assert sorted(path.name for path in (killed / precision).iterdir()) == [LAST]
 
 
 def test_moments_laid_out_otherwise_in_memory_are_the_same_moments(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
     """Fused Adam reads weights and moments by their place in memory."""
-    train(spec, settings, loader, tmp_path / "whole")
     train(spec, replace(settings, steps=5), loader, tmp_path / "resumed")
     checkpoint = read_checkpoint(tmp_path / "resumed" / LAST)
     for optimizer in checkpoint["optimizer_states"]:
@@ -135,12 +168,17 @@ def test_moments_laid_out_otherwise_in_memory_are_the_same_moments(
                     state[name] = state[name].contiguous(memory_format=torch.channels_last)
     torch.save(checkpoint, tmp_path / "resumed" / LAST)
     train(spec, settings, loader, tmp_path / "resumed")
-    assert_same_state(tmp_path / "whole", tmp_path / "resumed")
+    assert_same_state(whole("fp32"), tmp_path / "resumed")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR2])
 def test_a_signal_saves_the_step_and_is_handed_on(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, number: int
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    loader: Loader,
+    whole: Callable[[str], Path],
+    tmp_path: Path,
+    number: int,
 ) -> None:
     def signalled(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
         for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
@@ -160,8 +198,7 @@ def test_a_signal_saves_the_step_and_is_handed_on(
         signal.signal(number, previous)
     assert read_checkpoint(tmp_path / "signalled" / LAST)["steps_done"] in (4, 5)
     train(spec, settings, loader, tmp_path / "signalled")
-    train(spec, settings, loader, tmp_path / "whole")
-    assert_same_state(tmp_path / "whole", tmp_path / "signalled")
+    assert_same_state(whole("fp32"), tmp_path / "signalled")
 
 
 def test_a_signal_that_is_passed_over_stops_the_training_all_the_same(
@@ -185,17 +222,15 @@ def test_a_signal_that_is_passed_over_stops_the_training_all_the_same(
 
 
 def test_a_finished_run_is_not_trained_again_and_a_longer_one_goes_on(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
     def forbidden(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
         raise AssertionError((start, stop))
 
-    train(spec, replace(settings, steps=5), loader, tmp_path / "short")
-    train(spec, replace(settings, steps=5), forbidden, tmp_path / "short")
-    train(spec, settings, loader, tmp_path / "short")
-    train(spec, settings, loader, tmp_path / "whole")
-    states = [read_checkpoint(tmp_path / name / LAST)["state_dict"] for name in ("short", "whole")]
-    assert_same(*states)
+    train(spec, replace(settings, steps=5), loader, tmp_path)
+    train(spec, replace(settings, steps=5), forbidden, tmp_path)
+    train(spec, settings, loader, tmp_path)
+    assert_same(*(read_checkpoint(folder / LAST)["state_dict"] for folder in (tmp_path, whole("fp32"))))
 
 
 def test_the_folder_holds_the_checkpoint_and_nothing_else(
@@ -218,9 +253,9 @@ def test_the_generator_to_evaluate_is_the_average(
 
 
 def test_another_run_in_the_same_place_is_refused_with_the_difference(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    train(spec, settings, loader, tmp_path)
+    shutil.copy(whole("fp32") / LAST, tmp_path)
     with pytest.raises(ValueError, match=r"last.ckpt: of another run \(l1_weight=100.0 there, 10.0 asked for\)"):
         train(spec, replace(settings, l1_weight=10.0), loader, tmp_path)
     with pytest.raises(ValueError, match="depth=2 there, 3 asked for"):
@@ -260,11 +295,8 @@ def test_a_hostile_checkpoint_is_refused_and_runs_nothing(
     assert not trace.exists()
 
 
-def test_weights_of_another_variant_are_refused(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
-) -> None:
-    train(spec, settings, loader, tmp_path)
-    checkpoint = read_checkpoint(tmp_path / LAST)
+def test_weights_of_another_variant_are_refused(whole: Callable[[str], Path], tmp_path: Path) -> None:
+    checkpoint = read_checkpoint(whole("fp32") / LAST)
     checkpoint["hyper_parameters"]["spec"]["upsampling"] = "transposed"
     torch.save(checkpoint, tmp_path / "other.ckpt")
     with pytest.raises(ValueError, match=r"other\.ckpt: its weights are not of the network that it names") as caught:

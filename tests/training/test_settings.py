@@ -1,14 +1,12 @@
 """The paper's values, what is refused, and which arithmetic `auto` means."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 import torch
 
 from ablate.networks import GeneratorSpec
-from ablate.training import Loader, Precision, TrainingSettings, chosen_device, chosen_precision, train
+from ablate.training import Loader, TrainingPrecision, TrainingSettings, chosen_device, chosen_precision, train
 
 
 def test_the_defaults_are_the_papers() -> None:
@@ -41,14 +39,14 @@ def test_a_crop_smaller_than_the_network_is_refused(settings: TrainingSettings, 
         train(GeneratorSpec(depth=8), settings, loader, tmp_path)
 
 
-@pytest.mark.parametrize(("has_bf16", "expected"), [(True, Precision.bf16), (False, Precision.fp32)])
+@pytest.mark.parametrize(("has_bf16", "expected"), [(True, TrainingPrecision.bf16), (False, TrainingPrecision.fp32)])
 def test_auto_is_bf16_where_the_cpu_has_it(
-    has_bf16: bool, expected: Precision, monkeypatch: pytest.MonkeyPatch
+    has_bf16: bool, expected: TrainingPrecision, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for probe in ("_is_avx512_bf16_supported", "_is_amx_tile_supported"):
         monkeypatch.setattr(torch.cpu, probe, lambda: has_bf16)
-    assert chosen_precision(Precision.auto, torch.device("cpu")) is expected
-    assert chosen_precision(Precision.fp32, torch.device("cpu")) is Precision.fp32
+    assert chosen_precision(TrainingPrecision.auto, torch.device("cpu")) is expected
+    assert chosen_precision(TrainingPrecision.fp32, torch.device("cpu")) is TrainingPrecision.fp32
 
 
 def test_a_gpu_that_is_not_there_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """What a step costs: one fake for both networks, one fused update a network, no wait for the device."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,8 +13,8 @@ from torch.optim import Adam
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from ablate.networks import GeneratorSpec
-from ablate.training import PairGAN, Precision, TrainingSettings
-from ablate.training.precision import autocast
+from ablate.training import PairGAN, TrainingPrecision, TrainingSettings
+from ablate.training.hardware import autocast
 
 Batch = Callable[[int], dict[str, Tensor]]
 
@@ -50,9 +48,13 @@ def module(spec: GeneratorSpec, settings: TrainingSettings, monkeypatch: pytest.
 WAITS = {"_local_scalar_dense", "is_nonzero", "nonzero", "masked_select", "equal", "allclose"}
 
 
-@pytest.mark.parametrize("precision", [Precision.fp32, Precision.bf16])
+@pytest.mark.parametrize("precision", [TrainingPrecision.fp32, TrainingPrecision.bf16])
 def test_nothing_waits_for_the_device_and_losses_are_float32(
-    spec: GeneratorSpec, settings: TrainingSettings, batch: Batch, monkeypatch: pytest.MonkeyPatch, precision: Precision
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    batch: Batch,
+    monkeypatch: pytest.MonkeyPatch,
+    precision: TrainingPrecision,
 ) -> None:
     made = module(spec, settings, monkeypatch)
     with autocast(precision, torch.device("cpu")):
@@ -89,7 +91,7 @@ def test_one_fake_serves_both_networks(
     (fake,) = fakes
     masked = given["mask"] * (fake + 1) - 1
     real, first, second = seen
-    assert torch.equal(real, given["image"])
+    assert torch.equal(real, given["target"])
     assert torch.equal(first, masked)
     assert torch.equal(second, masked)
     assert not first.requires_grad
@@ -112,9 +114,13 @@ def forbidden_to_wait() -> Iterator[None]:
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-@pytest.mark.parametrize("precision", [Precision.fp32, Precision.bf16])
+@pytest.mark.parametrize("precision", [TrainingPrecision.fp32, TrainingPrecision.bf16])
 def test_nothing_waits_for_a_gpu(
-    spec: GeneratorSpec, settings: TrainingSettings, batch: Batch, monkeypatch: pytest.MonkeyPatch, precision: Precision
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    batch: Batch,
+    monkeypatch: pytest.MonkeyPatch,
+    precision: TrainingPrecision,
 ) -> None:
     made = module(spec, replace(settings, device="cuda"), monkeypatch)
     batches = [{name: value.cuda() for name, value in batch(step).items()} for step in range(3)]

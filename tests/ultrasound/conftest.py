@@ -1,7 +1,5 @@
 """Scenes of boxes and spheres, whose images have closed forms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 

@@ -5,7 +5,7 @@ import pytest
 
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
-from ablate.ultrasound.attenuation import integral_attenuation
+from ablate.ultrasound.maps.attenuation import integral_attenuation
 
 LAYERS = (  # near mm, far mm, alpha, b
     (10.0, 30.0, 1.2, 1.0),

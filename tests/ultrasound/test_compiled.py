@@ -6,37 +6,32 @@ import subprocess
 import sys
 from pathlib import Path
 
-import ablate
+from ablate.ultrasound import compiled
 
-SCRIPT = """
-import numpy as np, trimesh
-from ablate.anatomy import Structure, Tissue
-from ablate.ultrasound.embree import Geometry
-from ablate.ultrasound.slices import sample_lines
-from ablate.ultrasound.walk import Samples
-box = Structure(trimesh.creation.box((10, 10, 10)), Tissue("t"))
-geometry = Geometry([box], np.array([[-5.0] * 3, [5.0] * 3]), np.zeros(3), 50.0)
-samples = Samples(0.0, 1.0, 40, np.arange(2, dtype=np.uint8))
-print(sample_lines(geometry, np.array([[0.0, 0, -20]]), np.array([[0.0, 0, 1]]), samples)[0].sum())
-"""
+SOURCES = {
+    "__init__.py": "",
+    "inner.py": "from room.compiled import compiled\n\n@compiled\ndef one(x):\n    return x + 1\n",
+    "outer.py": "from room.compiled import compiled\nfrom room.inner import one\n\n"
+    "@compiled\ndef two(x):\n    return one(one(x))\n\nprint(two(0))\n",
+}
 
 
-def test_a_change_in_another_file_is_compiled_in(tmp_path) -> None:
-    """`walk` calls `ownership`: of a change there alone Numba itself would not know."""
-    copy = tmp_path / "ablate"
-    shutil.copytree(Path(ablate.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
+def test_a_change_in_another_file_is_compiled_in(tmp_path: Path) -> None:
+    """`outer` calls `inner`. Numba alone would not notice a change of `inner` only."""
+    room = tmp_path / "room"
+    room.mkdir()
+    shutil.copy(compiled.__file__, room)
+    for name, source in SOURCES.items():
+        (room / name).write_text(source)
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | {"PYTHONPATH": str(tmp_path)}
 
-    def samples_inside() -> int:
-        done = subprocess.run(
-            [sys.executable, "-c", SCRIPT], env=environment, cwd=tmp_path, check=True, capture_output=True, text=True
-        )
+    def result() -> int:
+        command = [sys.executable, "-m", "room.outer"]
+        done = subprocess.run(command, env=environment, cwd=tmp_path, check=True, capture_output=True, text=True)
         return int(done.stdout)
 
-    assert samples_inside() == 11
-    file = copy / "ultrasound" / "ownership.py"
-    before = file.read_text()
-    after = before.replace("return 32 * word +", "return 0 *")
-    assert after != before
-    file.write_text(after)
-    assert samples_inside() == 0
+    assert result() == 2
+    assert list(room.glob("__pycache__/compiled-*/**/*.nbi")), "compiled code is kept on disk"
+    inner = room / "inner.py"
+    inner.write_text(inner.read_text().replace("x + 1", "x + 10"))
+    assert result() == 20

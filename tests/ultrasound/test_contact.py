@@ -1,7 +1,5 @@
 """Whether the probe can see the scene at all, told from labels."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 
 from ablate.anatomy import Tissue, load_tissues
 from ablate.ultrasound import ConvexProbe
-from ablate.ultrasound.contact import contact_warning
+from ablate.ultrasound.maps.contact import contact_warning
 
 TABLE = load_tissues()
 GEL = TABLE["coupling_gel"]

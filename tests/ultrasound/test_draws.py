@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import kstest
 
-from ablate.ultrasound.draws import (
+from ablate.ultrasound.transport.draws import (
     CHOICE,
     COLUMNS,
     COS_AZIMUTH,

@@ -1,6 +1,6 @@
-"""Eight faults found in the source of published ultrasound simulators, each a test that would fail if ours had it.
+"""Eight defects found in the source of published ultrasound simulators; each test fails if this simulator has it.
 
-The simulators are open and were read for what they teach: i4h raysim (Isaac for Healthcare), MCRay-Tracing and
+The simulators are open source: i4h raysim (Isaac for Healthcare), MCRay-Tracing and
 burgercpp (after Mattausch and Goksel, and Burger et al.), and the renderer of LOTUS. Later versions may differ.
 """
 
@@ -15,8 +15,8 @@ from ablate.ultrasound import ConvexProbe, DepthMode, Simulator, SimulatorSettin
 AHEAD = np.eye(4)
 
 
-def quiet(name: str, impedance: float, speed: float = 1540, loss: float = 0.0, **more: float) -> Tissue:
-    """A tissue without scatterers, of mirror-like surface."""
+def anechoic(name: str, impedance: float, speed: float = 1540, loss: float = 0.0, **more: float) -> Tissue:
+    """A tissue without scatterers, with a mirror-like surface."""
     return Tissue(name, speed, impedance, loss, 0.0, 0.0, 0.0, **{"roughness": 0.0, **more})
 
 
@@ -28,7 +28,7 @@ def tilted(degrees: float) -> np.ndarray:
 
 
 def spikiness(density: float) -> float:
-    """How far <I^2> / <I>^2 exceeds the 2 of fully developed speckle, the pulse being hardly wider than a sample.
+    """<I^2> / <I>^2 less the 2 of fully developed speckle, for a pulse hardly wider than a sample.
 
     Over N scatterers of normal strength, of which a share p is there, it is (3 / p - 2) / N.
     """
@@ -48,11 +48,11 @@ def speckle_db(settings: SimulatorSettings, mean: float, sd: float) -> float:
 
 
 def test_1_echoes_carry_reflection_and_energy_and_add_up(gel, slab, pencil, apart, amplitudes) -> None:
-    """A specular echo that is not multiplied by R nor by the ray's energy, that replaces what its sample held, whose
-    lobe is taken about the ray instead of the direction to the transducer; reflected rays switched off (i4h raysim).
+    """The specular echo lacks R and the ray's energy, replaces the value of its sample instead of adding to it, and has
+    its lobe about the ray instead of the direction to the transducer; reflected rays are switched off (i4h raysim).
     """
-    hard, harder = quiet("hard", 4.5), quiet("harder", 13.5)
-    strong, weak = (Scene((slab(quiet("t", z), 50.0, 400.0),), gel, "s") for z in (4.5, 1.8))
+    hard, harder = anechoic("hard", 4.5), anechoic("harder", 13.5)
+    strong, weak = (Scene((slab(anechoic("t", z), 50.0, 400.0),), gel, "s") for z in (4.5, 1.8))
     np.testing.assert_allclose(amplitudes(strong, pencil, apart, (45, 55)), 0.5, rtol=1e-3)
     np.testing.assert_allclose(amplitudes(weak, pencil, apart, (45, 55)), 0.3 / 3.3, rtol=1e-3)
 
@@ -61,7 +61,9 @@ def test_1_echoes_carry_reflection_and_energy_and_add_up(gel, slab, pencil, apar
     assert amplitudes(two, pencil, apart, (80, 100)).mean() > 1e-3  # reflected at 60, 30 and 60 mm
     assert amplitudes(strong, pencil, apart, (60, 150)).max() == 0
 
-    close = Scene((slab(quiet("a", 1.8), 50.0, 400.0), slab(quiet("b", 2.2), 50.4, 400.0)), gel, "s")  # in one pulse
+    close = Scene(
+        (slab(anechoic("a", 1.8), 50.0, 400.0), slab(anechoic("b", 2.2), 50.4, 400.0)), gel, "s"
+    )  # in one pulse
     both = 0.3 / 3.3 + 0.4 / 4.0 * (1 - (0.3 / 3.3) ** 2)
     assert amplitudes(close, pencil, apart, (45, 55)).mean() == pytest.approx(both, rel=0.02)
     speckled = replace(gel, scatterer_density=0.6, scatterer_sd=1.0)
@@ -71,30 +73,32 @@ def test_1_echoes_carry_reflection_and_energy_and_add_up(gel, slab, pencil, apar
     at_face = [simulator.render(AHEAD, seed).envelope[341, 0] for seed in range(8)]
     assert np.std(at_face) > 1e-3
 
-    lobed = Scene((slab(quiet("t", 4.5, specularity=4.0), 50.0, 400.0),), gel, "s")
+    lobed = Scene((slab(anechoic("t", 4.5, specularity=4.0), 50.0, 400.0),), gel, "s")
     np.testing.assert_allclose(
         amplitudes(lobed, pencil, apart, (50, 65), tilted(30.0)), 0.5 * np.cos(np.radians(60)) ** 4, rtol=2e-3
     )
 
 
 def test_2_reflection_knows_both_angles_and_loss_both_ways(slab, pencil, apart, amplitudes) -> None:
-    """R from the angle of incidence alone, and attenuation on the way there only (i4h raysim).
+    """R depends on the angle of incidence only, and attenuation is applied one way only (i4h raysim).
 
     Where only the speeds differ, the short form of R is zero at every angle.
     """
     angle, sine = np.radians(30.0), 2000 / 1540 * np.sin(np.radians(30.0))
     cos_i, cos_t = np.cos(angle), np.sqrt(1 - sine**2)
-    scene = Scene((slab(quiet("fast", 1.5, 2000, specularity=0.0), 40.0, 400.0),), quiet("body", 1.5, loss=0.5), "s")
+    scene = Scene(
+        (slab(anechoic("fast", 1.5, 2000, specularity=0.0), 40.0, 400.0),), anechoic("body", 1.5, loss=0.5), "s"
+    )
     echo = (cos_i - cos_t) / (cos_i + cos_t) * 10 ** (-2 * 0.5 * 3.0 * (4 / cos_i) / 20)
     np.testing.assert_allclose(amplitudes(scene, pencil, apart, (40, 55), tilted(30.0)), echo, rtol=2e-3)
 
 
 @pytest.mark.parametrize(("depth_mm", "samples"), [(150.0, 3072), (150.0, 1100), (90.0, 1500), (200.0, 2000)])
 def test_3_pulse_and_gain_know_the_spacing_of_samples(gel, slab, apart, small, depth_mm, samples) -> None:
-    """Pulse and time gain made for one sampling rate, applied to samples at another spacing (i4h raysim)."""
+    """Pulse and time gain are made for one sampling rate and applied to samples at another spacing (i4h raysim)."""
     spacing = depth_mm / samples
     settings = replace(apart, axial_samples=samples)
-    face = Scene((slab(quiet("hard", 4.5), 60.0, 400.0),), gel, "s")
+    face = Scene((slab(anechoic("hard", 4.5), 60.0, 400.0),), gel, "s")
     line = Simulator(face, ConvexProbe(fov_deg=0.002, depth_mm=depth_mm), settings).render(AHEAD).envelope[:, 0]
     z = (np.arange(samples) + 0.5) * spacing
     sigma = np.sqrt((line * (z - 60) ** 2).sum() / line.sum())
@@ -110,9 +114,9 @@ def test_3_pulse_and_gain_know_the_spacing_of_samples(gel, slab, apart, small, d
 
 
 def test_4_density_grain_nesting_and_travel_time(gel, slab, small, pencil, apart, amplitudes) -> None:
-    """A uniform texture interpolated before it is compared with the density, which then is none; a texture coarser
-    than the pulse; one level of nesting remembered; the scatterers' mean unused; travel times that ignore the speed
-    of sound (i4h raysim).
+    """A uniform texture is interpolated before it is compared with the density, so the density is wrong; the texture is
+    coarser than the pulse; one level of nesting is remembered; the scatterers' mean is not used; travel times ignore
+    the speed of sound (i4h raysim).
     """
     assert spikiness(0.02) / spikiness(0.1) == pytest.approx((3 / 0.02 - 2) / (3 / 0.1 - 2), rel=0.15)
     assert speckle_db(small, 1.0, 0.0) - speckle_db(small, 0.0, 0.5) == pytest.approx(3.0, abs=0.4)
@@ -129,23 +133,26 @@ def test_4_density_grain_nesting_and_travel_time(gel, slab, small, pencil, apart
 
     z = (1.5, 1.6, 1.75, 1.9)
     slabs = ((20, 130, z[1]), (40, 105, z[2]), (60, 85, z[3]))
-    nested = Scene(tuple(slab(quiet(f"t{v}", v), near, far) for near, far, v in slabs), gel, "s")
+    nested = Scene(tuple(slab(anechoic(f"t{v}", v), near, far) for near, far, v in slabs), gel, "s")
     for face, a, b in zip((20, 40, 60, 85, 105, 130), z[:3] + z[:0:-1], z[1:] + z[2::-1], strict=True):
         echo = amplitudes(nested, pencil, apart, (face - 3, face + 3)).mean()
         assert echo == pytest.approx(abs(a - b) / (a + b), rel=0.04)
 
-    fast = Scene((slab(quiet("fast", 1.6, 2000), 30.0, 400.0), slab(quiet("end", 13.5), 70.0, 400.0)), gel, "s")
+    fast = Scene((slab(anechoic("fast", 1.6, 2000), 30.0, 400.0), slab(anechoic("end", 13.5), 70.0, 400.0)), gel, "s")
     settings = replace(apart, depth_mode=DepthMode.time_of_flight)
     line = Simulator(fast, pencil, settings).render(AHEAD).envelope[:, 0]
     assert (line.argmax() + 0.5) * 150 / 1024 == pytest.approx(30 + 40 * 1540 / 2000, abs=150 / 1024)
 
 
 def test_5_refraction_follows_speeds_and_survives_total_reflection(gel, slab, pencil, apart, amplitudes) -> None:
-    """Snell's law with impedances for speeds, the root of a negative number at total reflection, and R with the
-    cosines the wrong way round, (Z1 cos i - Z2 cos t) (MCRay-Tracing, burgercpp).
+    """Snell's law has impedances in place of speeds; total reflection takes the root of a negative number; R has its
+    cosines exchanged, (Z1 cos i - Z2 cos t) (MCRay-Tracing, burgercpp).
     """
     straight = Scene(
-        (slab(quiet("a", 4.5, specularity=0.0), 30.0, 400.0), slab(quiet("b", 1.5, specularity=0.0), 60.0, 400.0)),
+        (
+            slab(anechoic("a", 4.5, specularity=0.0), 30.0, 400.0),
+            slab(anechoic("b", 1.5, specularity=0.0), 60.0, 400.0),
+        ),
         gel,
         "s",
     )
@@ -162,21 +169,23 @@ def test_5_refraction_follows_speeds_and_survives_total_reflection(gel, slab, pe
 
     sine = 1900 / 1540 * np.sin(np.radians(40))
     cos_i, cos_t = np.cos(np.radians(40)), np.sqrt(1 - sine**2)
-    oblique = Scene((slab(quiet("t", 3.0, 1900, specularity=0.0), 40.0, 400.0),), gel, "s")
+    oblique = Scene((slab(anechoic("t", 3.0, 1900, specularity=0.0), 40.0, 400.0),), gel, "s")
     expected = (3.0 * cos_i - 1.5 * cos_t) / (3.0 * cos_i + 1.5 * cos_t)
     np.testing.assert_allclose(amplitudes(oblique, pencil, apart, (45, 60), tilted(40.0)), expected, rtol=2e-3)
 
 
-def test_6_a_chosen_path_is_weighed_once_and_starts_where_it_was_turned(gel, slab, pencil, apart, amplitudes) -> None:
-    """Reflection chosen with probability R and then weighed with R again, and transmission likewise, so that energy
-    is lost; a reflected ray that starts on the surface although its thickness moved the echo (MCRay-Tracing).
+def test_6_a_sampled_path_is_weighted_once_and_starts_where_it_was_reflected(
+    gel, slab, pencil, apart, amplitudes
+) -> None:
+    """Reflection is sampled with probability R and then weighted with R again, and transmission likewise, so energy is
+    lost; a reflected ray starts on the surface although the surface's thickness moved the echo (MCRay-Tracing).
     """
     many = replace(apart, rays=128)
-    gas = quiet("gas", 1e-4)
-    plates = Scene((slab(quiet("a", 4.5), 30.0, 400.0), slab(gas, 60.0, 400.0)), gel, "s")
+    gas = anechoic("gas", 1e-4)
+    plates = Scene((slab(anechoic("a", 4.5), 30.0, 400.0), slab(gas, 60.0, 400.0)), gel, "s")
     assert amplitudes(plates, pencil, many, (50, 70)).mean() == pytest.approx(1 - 0.5**2, rel=0.01)
     again = amplitudes(plates, pencil, many, (75, 105)).mean() / (np.sqrt(np.pi) / 2)
-    assert again > 0.8 * (1 - 0.5**2) * 0.5**2  # weighed twice, it would be 0.19 of that
+    assert again > 0.8 * (1 - 0.5**2) * 0.5**2  # weighted twice, it would be 0.19 of that
 
     thick = Scene((plates.structures[0], slab(replace(gas, thickness_mm=1.5), 60.0, 400.0)), gel, "s")
     z = (np.arange(1024) + 0.5) * 150 / 1024
@@ -192,14 +201,14 @@ def test_6_a_chosen_path_is_weighed_once_and_starts_where_it_was_turned(gel, sla
 
 
 def test_7_losses_are_in_db_per_cm_and_the_pulse_has_no_fringes(gel, slab, small, apart, amplitudes) -> None:
-    """Decibels taken for nepers and millimetres for centimetres; a pulse cos(2 pi f x) that lacks the speed of sound;
-    scatterers where a normal number exceeds the density, so that more is less (MCRay-Tracing, burgercpp).
+    """Decibels are taken for nepers and millimetres for centimetres; a pulse cos(2 pi f x) lacks the speed of sound;
+    scatterers are where a normal number exceeds the density, so more density gives fewer (MCRay-Tracing, burgercpp).
     """
     z = (np.arange(1024) + 0.5) * 150 / 1024
-    face = slab(quiet("hard", 4.5), 60.0, 400.0)
+    face = slab(anechoic("hard", 4.5), 60.0, 400.0)
     for frequency in (1.0, 8.0):
         probe = ConvexProbe(fov_deg=0.002, frequency_mhz=frequency)
-        lossy = Scene((slab(quiet("lossy", 1.5, loss=3.0), 20.0, 30.0), face), gel, "s")
+        lossy = Scene((slab(anechoic("lossy", 1.5, loss=3.0), 20.0, 30.0), face), gel, "s")
         taken_db = 3.0 * frequency * 1.0
         echo = amplitudes(lossy, probe, apart, (55, 65))
         np.testing.assert_allclose(echo, 0.5 * 10 ** (-2 * taken_db / 20), rtol=1e-3)
@@ -216,8 +225,8 @@ def test_7_losses_are_in_db_per_cm_and_the_pulse_has_no_fringes(gel, slab, small
 
 
 def test_8_no_step_no_echo_uniform_density_and_depth_in_millimetres(gel, slab, ball, small, apart) -> None:
-    """R passed through a sigmoid, which makes 0.5 of 0; density compared with a normal instead of a uniform number; a
-    depth axis without a unit (LOTUS).
+    """R goes through a sigmoid, which makes 0.5 of 0; the density is compared with a normal instead of a uniform one;
+    the depth axis has no unit (LOTUS).
     """
     same = Scene(
         (slab(replace(gel, name="other"), 30.0, 60.0), ball(replace(gel, name="third"), (0, 0, 90.0), 20.0)), gel, "s"
@@ -225,7 +234,7 @@ def test_8_no_step_no_echo_uniform_density_and_depth_in_millimetres(gel, slab, b
     assert Simulator(same, ConvexProbe(), small).render(AHEAD).envelope.max() == 0
     assert spikiness(0.05) / spikiness(0.1) == pytest.approx((3 / 0.05 - 2) / (3 / 0.1 - 2), rel=0.15)
 
-    face = Scene((slab(quiet("hard", 4.5), 50.0, 400.0),), gel, "s")
+    face = Scene((slab(anechoic("hard", 4.5), 50.0, 400.0),), gel, "s")
     for depth_mm in (60.0, 150.0, 300.0):
         line = Simulator(face, ConvexProbe(fov_deg=0.002, depth_mm=depth_mm), apart).render(AHEAD).envelope[:, 0]
         spacing = depth_mm / apart.axial_samples

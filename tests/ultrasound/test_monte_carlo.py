@@ -89,13 +89,13 @@ def test_mean_over_rough_normals(rough, pencil, apart, amplitudes, impedance, sp
         return fresnel(1.5, impedance, 1540, speed, angle)
 
     echo = over_normals(lambda t: abs(r(t)) * max(0.0, np.cos(2 * t)) ** 6, roughness, critical)
-    silent = Scene(with_face.structures, replace(behind, scatterer_density=0.0), "s")
-    assert within_three_standard_errors(amplitudes(silent, pencil, apart, (50, 70), path_seeds=SEEDS), echo)
+    anechoic = Scene(with_face.structures, replace(behind, scatterer_density=0.0), "s")
+    assert within_three_standard_errors(amplitudes(anechoic, pencil, apart, (50, 70), path_seeds=SEEDS), echo)
 
-    # Scatterers so strong that they drown all else: each line is as bright as what reaches it, to a hair.
-    loud = replace(apart, scatterer_level_db=60.0)
-    lit = amplitudes(with_face, pencil, loud, (80, 140), path_seeds=SEEDS)
-    through = lit / amplitudes(without, pencil, loud, (80, 140))
+    # Scatterers far stronger than the echo of the face: the speckle of each line follows what reaches it.
+    strong = replace(apart, scatterer_level_db=60.0)
+    behind_face = amplitudes(with_face, pencil, strong, (80, 140), path_seeds=SEEDS)
+    through = behind_face / amplitudes(without, pencil, strong, (80, 140))
     transmitted = over_normals(lambda t: 1 - r(t) ** 2, roughness, critical)
     assert within_three_standard_errors(through, transmitted)
 
@@ -112,20 +112,20 @@ def test_oblique_faces_follow_fresnel(gel, slab, pencil, apart, amplitudes, degr
     same = replace(front, speed_m_s=speed, impedance_mrayl=impedance)
     r = fresnel(1.5, impedance, 1540, speed, angle)
 
-    silent = Scene((slab(front, -400.0, 40.0),), replace(behind, scatterer_density=0.0), "s")
-    echo = amplitudes(silent, pencil, apart, (35, 65), pose)
+    anechoic = Scene((slab(front, -400.0, 40.0),), replace(behind, scatterer_density=0.0), "s")
+    echo = amplitudes(anechoic, pencil, apart, (35, 65), pose)
     np.testing.assert_allclose(echo, abs(r) * np.cos(2 * angle) ** 2, rtol=2e-3, atol=1e-6)
 
-    loud = replace(apart, scatterer_level_db=60.0)
+    strong = replace(apart, scatterer_level_db=60.0)
     scenes = (Scene((slab(tissue, -400.0, 40.0),), behind, "s") for tissue in (front, same))
-    lit, plain = (amplitudes(scene, pencil, loud, (80, 140), pose) for scene in scenes)
-    assert within_three_standard_errors(lit / plain, 1 - r**2)
+    with_face, without = (amplitudes(scene, pencil, strong, (80, 140), pose) for scene in scenes)
+    assert within_three_standard_errors(with_face / without, 1 - r**2)
 
 
 def test_error_falls_with_the_number_of_rays(rough, pencil, apart, amplitudes) -> None:
     counts, errors = (1, 4, 16, 64, 256), []
-    silent = Tissue("behind", 1200, 3.0, 0.0, 0.0, 0.0, 0.0)
-    scene = rough(silent, 0.2, 6.0)[0]
+    anechoic = Tissue("behind", 1200, 3.0, 0.0, 0.0, 0.0, 0.0)
+    scene = rough(anechoic, 0.2, 6.0)[0]
     truth = over_normals(lambda t: abs(fresnel(1.5, 3.0, 1540, 1200, t)) * max(0.0, np.cos(2 * t)) ** 6, 0.2, [])
     for rays in counts:
         echoes = amplitudes(scene, pencil, replace(apart, rays=rays), (50.0, 70.0), path_seeds=range(2))
@@ -155,14 +155,14 @@ def test_roulette_is_unbiased(plates, pencil, apart, amplitudes) -> None:
         replace(plates.background, attenuation_db_cm_mhz=1.4),
         "s",
     )
-    patient, hasty = (  # rays are followed to 20 dB under the display's noise
+    all_followed, most_ended = (  # rays are followed to 20 dB under the display's noise
         amplitudes(lossy, pencil, replace(apart, rays=256, noise_floor_db=floor), (75, 105), path_seeds=range(6))
         for floor in (-300.0, 0.0)
     )
-    difference = (hasty - patient).mean(axis=1)
+    difference = (most_ended - all_followed).mean(axis=1)
     assert abs(difference.mean()) <= 3 * difference.std(ddof=1) / np.sqrt(6)
-    assert abs(difference.mean()) < 0.1 * patient.mean()
-    assert (hasty / patient).std() > 0.01  # it did end rays
+    assert abs(difference.mean()) < 0.1 * all_followed.mean()
+    assert (most_ended / all_followed).std() > 0.01  # it did end rays
 
 
 def test_first_reverberation_between_two_plates(plates, pencil, apart, amplitudes) -> None:

@@ -1,7 +1,5 @@
 """Meshes that are not what a modeller would draw, but enclose the same: their image is the same."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

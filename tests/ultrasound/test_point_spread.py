@@ -10,7 +10,7 @@ from scipy.interpolate import InterpolatedUnivariateSpline
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import Simulator, SimulatorSettings
-from ablate.ultrasound.point_spread import Across, along_lines, blur, point_spread
+from ablate.ultrasound.imaging.point_spread import Across, along_lines, blur, point_spread
 
 DEPTHS_MM = [20.0, 70.0, 130.0]
 LINES = 257

@@ -1,7 +1,5 @@
 """What must hold of any scene of layers: impedances and losses over six decades, any pose."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ablate.anatomy import Scene, Structure, Tissue
-from ablate.ultrasound import ConvexProbe, Plan, Simulator, SimulatorSettings
+from ablate.ultrasound import ConvexProbe, PlanMode, Simulator, SimulatorSettings
 
 PROPERTY = settings(
     max_examples=25, deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
@@ -88,7 +86,7 @@ def test_frames_are_finite_and_maps_are_maps(scene: Scene, seed: int) -> None:
 @given(layered())
 def test_planned_equals_full(scene: Scene) -> None:
     auto, full = (
-        Simulator(scene, settings=replace(TINY, plan=plan), poses=[np.eye(4)]).render(np.eye(4)) for plan in Plan
+        Simulator(scene, settings=replace(TINY, plan=plan), poses=[np.eye(4)]).render(np.eye(4)) for plan in PlanMode
     )
     for name in ("segmentation", "attenuation", "image", "mask", "envelope"):
         np.testing.assert_array_equal(getattr(auto, name), getattr(full, name))
@@ -129,18 +127,18 @@ def test_attenuation_only_falls_along_a_line(scene: Scene) -> None:
 @PROPERTY
 @given(layered(), st.integers(0, 1000))
 def test_energy_never_grows(scene: Scene, path_seed: int) -> None:
-    """Light only falls with depth, and the squares of the echoes sum to no more than was sent.
+    """Illumination only falls with depth, and the squares of the echoes sum to no more than was sent.
 
     Of rays that meet R_1, R_2, ... the echo of the k-th is |R_k| times the product of 1 - R_j^2 before it, so the sum
-    of squares is at most 1. A background that scatters is lit like all else.
+    of squares is at most 1. A background that scatters is insonified like every tissue.
     """
     background = replace(scene.background, scatterer_density=0.5, scatterer_sd=1.0, texture_contrast_db=0.0)
     flat = tuple(
         replace(s, tissue=replace(s.tissue, thickness_mm=0.0, texture_contrast_db=0.0)) for s in scene.structures
     )
-    one = Simulator(Scene(flat, background, "lit"), PENCIL, replace(AXIAL, path_seed=path_seed))
+    one = Simulator(Scene(flat, background, "flat"), PENCIL, replace(AXIAL, path_seed=path_seed))
     traced = one._trace(np.eye(4))
     assert (traced.surfaces.square().sum(dim=1) <= 1 + 1e-5).all()
-    light = traced.lit.amplitude[0].double()
-    assert (light.diff(dim=1) <= 1e-6 * light[:, :1]).all()
-    assert light.max() <= 10 ** (TINY.scatterer_level_db / 20) * (1 + 1e-5)
+    illumination = traced.insonified.amplitude[0].double()
+    assert (illumination.diff(dim=1) <= 1e-6 * illumination[:, :1]).all()
+    assert illumination.max() <= 10 ** (TINY.scatterer_level_db / 20) * (1 + 1e-5)

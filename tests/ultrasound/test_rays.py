@@ -1,4 +1,4 @@
-"""Monte-Carlo transport on its way there: light behind surfaces, echoes off them, and where they are."""
+"""Monte-Carlo transport of direct rays: the illumination behind surfaces, their echoes, and where these are."""
 
 from dataclasses import replace
 
@@ -9,33 +9,33 @@ import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
-from ablate.ultrasound.embree import Geometry, Hits
-from ablate.ultrasound.illumination import SILENCE_DB, mean_level_db
-from ablate.ultrasound.point_spread import Across
-from traced_rays import follow, lit
+from ablate.ultrasound.imaging.point_spread import Across
+from ablate.ultrasound.surfaces.embree import Geometry, Hits
+from ablate.ultrasound.transport.illumination import NO_SOUND_DB, mean_level_db
+from support.traced_rays import follow, illumination
 
 
 def test_slab_transmission(gel, slab, probe, one_line) -> None:
     """Behind both faces of a slab each ray keeps (1 - R)^2: reflections inside do not count as direct.
 
-    The first node behind a face is as bright as what lies before it, to which it is interpolated.
+    The first node behind a face keeps the level before it, because levels are interpolated between nodes.
     """
     scene = Scene((slab(Tissue("hard", 1540, 4.5, 0.0, roughness=0.0), 40.5, 60.5),), gel, "s")
-    light = lit(follow(scene, probe, one_line)[1], one_line)[0]
+    level = illumination(follow(scene, probe, one_line)[1], one_line)[0]
     expected = [1, 1, 0.75, 0.75, 0.75, 0.75**2, 0.75**2]
-    assert light[[40, 41, 42, 60, 61, 62, 100]] == pytest.approx(expected, rel=1e-6)
+    assert level[[40, 41, 42, 60, 61, 62, 100]] == pytest.approx(expected, rel=1e-6)
 
 
-def test_direct_light_through_flat_faces_is_exact(gel, slab, probe, one_line) -> None:
-    """However few the rays: a ray goes on behind a surface whether or not it is also turned there."""
+def test_direct_illumination_behind_flat_faces_is_exact(gel, slab, probe, one_line) -> None:
+    """However few the rays are: a direct ray is always transmitted, whether or not it spawns a reflected one."""
     layers = tuple(
         slab(Tissue(f"t{i}", 1540, (2.5, 1.5)[i % 2], 0.0, roughness=0.0), 20.0 + 10 * i, 400.0) for i in range(6)
     )
     truth = (1 - (1 / 4) ** 2) ** np.arange(7)
     for rays in (1, 4, 64):
         settings = replace(one_line, rays=rays)
-        light = lit(follow(Scene(layers, gel, "s"), probe, settings)[1], settings)[0, 15:80:10]
-        np.testing.assert_allclose(light, truth, rtol=1e-6)
+        level = illumination(follow(Scene(layers, gel, "s"), probe, settings)[1], settings)[0, 15:80:10]
+        np.testing.assert_allclose(level, truth, rtol=1e-6)
 
 
 def test_refraction_bends_the_path(gel, slab) -> None:
@@ -59,7 +59,7 @@ def test_a_crossing_inside_a_structure_of_higher_priority_changes_nothing(gel, s
     cover = slab(soft, 10.0, 200.0)
     alone = follow(Scene((cover,), gel, "s"), probe, one_line)
     hidden = follow(Scene((slab(hard, 40.0, 60.0), cover), gel, "s"), probe, one_line)
-    np.testing.assert_allclose(lit(alone[1], one_line), lit(hidden[1], one_line), rtol=1e-5)
+    np.testing.assert_allclose(illumination(alone[1], one_line), illumination(hidden[1], one_line), rtol=1e-5)
     assert len(alone[0].depth_mm) == len(hidden[0].depth_mm)
 
 
@@ -75,26 +75,26 @@ def test_echo_amplitude_is_reflection_times_loss(gel, slab, probe, one_line) -> 
     np.testing.assert_allclose(echoes.amplitude[direct], 4.5 / 7.5 * 10 ** (-db / 20), rtol=1e-4)
 
 
-def test_illumination_of_thousands_of_decibels_is_silence(gel, slab, probe, one_line) -> None:
+def test_a_loss_of_thousands_of_decibels_leaves_no_sound(gel, slab, probe, one_line) -> None:
     stiff = Tissue("stiff", 1540, 1.5, 1e4, roughness=0.0)
     _, nodes = follow(Scene((slab(stiff, 50.0, 300.0),), gel, "s"), probe, one_line)
     level = mean_level_db(nodes, 64, Across(np.ones((1, 1, 1)), "cpu", torch.float64)).numpy()
     assert level[0, 49] == pytest.approx(0, abs=1e-4)
-    assert level[0, -1] == SILENCE_DB
+    assert level[0, -1] == NO_SOUND_DB
     assert np.isfinite(level).all()
 
 
-def test_a_flat_disc_of_needle_triangles_is_survived(gel, tissue, probe, one_line) -> None:
+def test_a_flat_disc_of_needle_triangles(gel, tissue, probe, one_line) -> None:
     mesh = trimesh.creation.cylinder(radius=200.0, height=10.0, sections=2000)
     mesh.apply_translation((0, 0, 70.0))
     _, nodes = follow(Scene((Structure(mesh, tissue),), gel, "s"), probe, one_line)
     expected = 10 ** (-2 * 0.5 * 3.0 * 1.0 / 20)
-    assert lit(nodes, one_line)[0, 100] == pytest.approx(expected, rel=1e-4)
+    assert illumination(nodes, one_line)[0, 100] == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize(("turned_rad", "tilted_rad"), [(0.3, 1e-6), (0.7, 1e-7)])
 def test_a_ray_along_a_surface_takes_few_steps(gel, tissue, probe, one_line, monkeypatch, turned_rad, tilted_rad):
-    """It meets the same triangles again, as they are rounded; steps of a fixed small length would take a million."""
+    """Rounding makes the ray meet the same triangles again; with a fixed small step it would need a million steps."""
     mesh = trimesh.creation.box((100.0, 100.0, 400.0))
     mesh.apply_translation((50.0, 0, 100.0))  # its side is the plane x = 0, which the line lies in
     for angle, axis in ((turned_rad, (0, 0, 1)), (tilted_rad, (0, 1, 0))):
@@ -122,7 +122,7 @@ def test_threads_change_nothing(gel, ball, probe) -> None:
         for threads in (1, 2, 3):
             torch.set_num_threads(threads)
             echoes, nodes = follow(scene, probe, settings)
-            found.append((*vars(echoes).values(), nodes.amplitude))
+            found.append((echoes, nodes.amplitude))
     finally:
         torch.set_num_threads(1)
     for other in found[1:]:

@@ -1,4 +1,4 @@
-"""Rays that were turned: how many, with what weight, how long, and that the sum of their echoes is right and ends."""
+"""Reflected rays: their number, weight and length; the sum of their echoes is right and finite."""
 
 from dataclasses import replace
 
@@ -6,31 +6,31 @@ import numpy as np
 import pytest
 
 from ablate.anatomy import Scene, Tissue
-from ablate.ultrasound.draws import (
+from ablate.ultrasound.transport.bounce import SHARED_FROM_WEIGHT
+from ablate.ultrasound.transport.draws import (
     MAX_ROWS,
 )
-from ablate.ultrasound.transport import LOUDEST
-from traced_rays import follow
+from support.traced_rays import follow
 
 
-@pytest.mark.parametrize(("pressure", "rays", "turned"), [(0.25, 64, 8), (0.5, 64, 16), (0.6, 100, 36)])
-def test_turns_are_stratified_and_weighed(gel, slab, probe, one_line, pressure, rays, turned) -> None:
-    """Exactly max(|R_p| / 2, R) of the rays are also turned, and each weighs |R_p| over that, whatever the seed.
+@pytest.mark.parametrize(("pressure", "rays", "reflected"), [(0.25, 64, 8), (0.5, 64, 16), (0.6, 100, 36)])
+def test_reflections_are_stratified_and_weighted(gel, slab, probe, one_line, pressure, rays, reflected) -> None:
+    """Exactly max(|R_p| / 2, R) of the rays spawn a reflected ray, whose weight is |R_p| over that share, for any seed.
 
-    A face too faint to turn rays, met from behind, lets each be heard once.
+    They meet a face from behind that is too weak to reflect them again, so each echoes once.
     """
     impedances = 1.6, 1.6 * (1 + pressure) / (1 - pressure)
-    faint, hard = (Tissue("t", 1540, z, 0.0, roughness=0.0, specularity=0.0) for z in impedances)
+    weak, hard = (Tissue("t", 1540, z, 0.0, roughness=0.0, specularity=0.0) for z in impedances)
     r = 0.1 / 3.1
-    expected = (1 - r**2) * r * pressure * rays / turned
+    expected = (1 - r**2) * r * pressure * rays / reflected
     for seed in range(5):
-        scene = Scene((slab(faint, 20.0, 400.0), slab(hard, 40.0, 400.0)), gel, "s")
+        scene = Scene((slab(weak, 20.0, 400.0), slab(hard, 40.0, 400.0)), gel, "s")
         echoes, _ = follow(scene, probe, replace(one_line, path_seed=seed, rays=rays))
-        np.testing.assert_allclose(echoes.amplitude[echoes.reflected], np.full(turned, expected), rtol=1e-5)
+        np.testing.assert_allclose(echoes.amplitude[echoes.reflected], np.full(reflected, expected), rtol=1e-5)
 
 
-def test_faint_reverberation_has_many_paths(gel, slab, probe, one_line) -> None:
-    """Off faces of R_p = 0.08: physics turns eight of 200,000 rays twice, and they would be the whole echo."""
+def test_weak_reverberation_has_many_paths(gel, slab, probe, one_line) -> None:
+    """Off faces of R_p = 0.08: at probability R, 8 of 200,000 rays would be reflected twice and make the echo."""
     tissues = (Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 1.5 * 1.08 / 0.92), ("b", 1.5)))
     scene = Scene(tuple(slab(t, near, 400.0) for t, near in zip(tissues, (30.0, 60.0), strict=True)), gel, "s")
     means, paths = [], 0
@@ -45,7 +45,7 @@ def test_faint_reverberation_has_many_paths(gel, slab, probe, one_line) -> None:
 
 
 def test_reverberation_between_two_plates(gel, slab, probe, one_line) -> None:
-    """Echoes of turned rays come at whole multiples of the gap, each with the amplitude its path has on average."""
+    """Echoes of reflected rays come at whole multiples of the gap, each with the amplitude its path has on average."""
     plate = Tissue("plate", 1540, 4.5, 0.0, roughness=0.0)
     settings = replace(one_line, rays=20_000)
     scene = Scene((slab(plate, 20.0, 30.0), slab(plate, 40.0, 400.0)), gel, "s")
@@ -53,11 +53,11 @@ def test_reverberation_between_two_plates(gel, slab, probe, one_line) -> None:
     at_50 = np.abs(echoes.depth_mm - 50.0) < 0.01  # 20 to 30, 40, back to 30, again to 40, or inside the plate
     mean = echoes.amplitude[at_50].sum() / settings.rays
     t, r = 0.75, 0.5  # two-way transmission; reflection of pressure
-    # Face 20, face 30, face 40: paths of 100 mm that end at a face, heard there with R_p.
-    gap = t * t * r * r * r  # off 40, off 30 from outside, heard at 40
-    inside_first = t * r * r * t * r  # off 30, off 20 from within, through 30, heard at 40
-    off_40_and_20 = t * t * r * t * r * r  # off 40, up through 30, off 20 from within, heard at 30
-    within = t * r * r * r * r * r  # twice to and fro inside the plate, heard at 30
+    # Face 20, face 30, face 40: paths of 100 mm that end with an echo of R_p at a face.
+    gap = t * t * r * r * r  # off 40, off 30 from outside, echo at 40
+    inside_first = t * r * r * t * r  # off 30, off 20 from within, through 30, echo at 40
+    off_40_and_20 = t * t * r * t * r * r  # off 40, up through 30, off 20 from within, echo at 30
+    within = t * r * r * r * r * r  # twice to and fro inside the plate, echo at 30
     assert echoes.reflected[at_50].all()
     assert mean == pytest.approx(gap + inside_first + off_40_and_20 + within, rel=0.1)
 
@@ -96,7 +96,7 @@ def test_echoes_of_many_reflections_keep_their_mean(gel, slab, probe, one_line) 
     assert (error < 0.15 * truth).all()
 
 
-def test_turned_rays_share_what_they_meet(gel, slab, probe, one_line) -> None:
+def test_surfaces_share_reflected_rays(gel, slab, probe, one_line) -> None:
     """In 200 faces of R_p = 0.1 the amplitudes of all paths would grow by 1 + |R_p| - R at each."""
     pair = [Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 1.5 * 1.1 / 0.9), ("b", 1.5))]
     scene = Scene(tuple(slab(pair[i % 2], 20.0 + 0.5 * i, 400.0) for i in range(200)), gel, "s")
@@ -105,11 +105,11 @@ def test_turned_rays_share_what_they_meet(gel, slab, probe, one_line) -> None:
     deep = echoes.reflected & (echoes.depth_mm > 110)
     a_face = echoes.amplitude[deep].sum(dtype=float) / settings.rays / (2 * (probe.depth_mm - 110))
     direct = 10.0  # 1 / |R_p|: what all of 1 - R, (1 - R)^2, ... send back together
-    assert 0 < a_face < 0.1 * LOUDEST * direct
+    assert 0 < a_face < 0.1 * SHARED_FROM_WEIGHT * direct
 
 
 def test_draws_beyond_the_table_are_new_ones(gel, slab, probe, one_line) -> None:
-    """Off 52 mm, and off 20 mm on the 128th interface: were its draws those of the 64th, all that turned would turn."""
+    """Off 52 mm, then off 20 mm at the 128th interface; the draws of the 64th would reflect the same rays again."""
     tissues = [Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 4.5), ("b", 4.51), ("c", 13.53))]
     between = (slab(tissues[1 - i % 2], 20.5 + 0.5 * i, 400.0) for i in range(MAX_ROWS - 1))
     scene = Scene((slab(tissues[0], 20.0, 400.0), *between, slab(tissues[2], 52.0, 400.0)), gel, "s")
@@ -137,9 +137,9 @@ def test_roulette_is_unbiased(gel, slab, probe, one_line) -> None:
     plate = Tissue("plate", 1540, 15.0, 0.0, roughness=0.0)
     scene = Scene((slab(lossy, -10.0, 400.0), slab(plate, 20.0, 22.0), slab(plate, 40.0, 400.0)), gel, "s")
     means = []
-    for faintest in (-300.0, 0.0):
+    for roulette_db in (-300.0, 0.0):
         settings = replace(one_line, rays=200_000)
-        echoes, _ = follow(scene, probe, settings, faintest)
+        echoes, _ = follow(scene, probe, settings, roulette_db)
         late = echoes.reflected & (echoes.depth_mm < 70)
         means.append((echoes.amplitude[late].sum() / settings.rays, late.sum()))
     assert means[1][1] < means[0][1]

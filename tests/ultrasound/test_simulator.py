@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from ablate.anatomy import Scene, Tissue
-from ablate.ultrasound import Plan, Precision, Simulator, SimulatorSettings
+from ablate.ultrasound import PlanMode, Simulator, SimulatorPrecision, SimulatorSettings
 
 BODY = Tissue("body", 1540, 1.6, 0.5, 0.6, 0.0, 0.8, texture_contrast_db=2.0)
 BONE = Tissue("bone", 2600, 4.2, 5.0, 0.6, 0.0, 0.2, roughness=0.05, thickness_mm=0.1)
@@ -61,7 +61,7 @@ def test_nothing_is_cast_where_nothing_comes_back(slab, gel, probe, small, ahead
     lossy = replace(gel, name="lossy", attenuation_db_cm_mhz=1.0)
     scene = Scene((slab(lossy, 40.0, 60.0),), gel, "s")
     settings = replace(small, noise_floor_db=-55.0)
-    auto, full = (Simulator(scene, probe, replace(settings, plan=plan)) for plan in Plan)
+    auto, full = (Simulator(scene, probe, replace(settings, plan=plan)) for plan in PlanMode)
     assert any(note.startswith("rays, scatterers") for note in auto.left_out)
     assert images_equal(auto.render(ahead), full.render(ahead))
     assert not any(note.startswith("rays") for note in Simulator(Scene((), BODY, "s"), probe, small).left_out)
@@ -102,7 +102,7 @@ def test_the_plan_changes_nothing(gel, slab, ball, probe, small, ahead) -> None:
     far = ball(Tissue("far"), (0.0, 0.0, 900.0), 50.0)
     scene = Scene((far, slab(body, 3.0, 200.0), ball(hard, (0.0, 0.0, 60.0), 10.0)), gel, "s")
     auto = Simulator(scene, probe, small, poses=[ahead])
-    full = Simulator(scene, probe, replace(small, plan=Plan.full), poses=[ahead])
+    full = Simulator(scene, probe, replace(small, plan=PlanMode.full), poses=[ahead])
     assert full.left_out == ()
     notes = " ".join(auto.left_out)
     assert all(word in notes for word in ("1 of 3 structures", "refraction", "rough", "thickness", "texture"))
@@ -114,7 +114,7 @@ def test_the_plan_changes_nothing_of_random_surfaces(slab, ball, probe, small, a
     gel = Tissue("gel", 1540, 1.5, 0.0, 0.0, 0.0, 0.0)
     far = ball(Tissue("far"), (0.0, 0.0, 900.0), 50.0)
     scene = Scene((far, slab(BODY, 3.0, 200.0), ball(BONE, (0.0, 0.0, 60.0), 10.0)), gel, "s")
-    auto, full = (Simulator(scene, probe, replace(small, plan=plan), poses=[ahead]) for plan in Plan)
+    auto, full = (Simulator(scene, probe, replace(small, plan=plan), poses=[ahead]) for plan in PlanMode)
     assert images_equal(auto.render(ahead), full.render(ahead))
 
 
@@ -138,8 +138,8 @@ def test_a_gpu_draws_the_same_image(scene, probe, small, ahead) -> None:
     assert (np.abs(here.image.astype(int) - there.image) <= 1).mean() > 0.999
 
 
-def test_tissue_is_lit_up_to_an_opaque_surface(slab, probe, small, ahead) -> None:
-    """A mirror of gas, heard by none of the lines that meet it obliquely, at any place between two nodes."""
+def test_tissue_is_insonified_up_to_an_opaque_surface(slab, probe, small, ahead) -> None:
+    """A mirror of gas at any place between two nodes; lines that meet it obliquely receive no echo of it."""
     body = Tissue("body", 1540, 1.6, 0.5, 0.6, 0.0, 0.8, roughness=0.0)
     gas = Tissue("gas", 330, 4e-4, 0.0, 0.0, 0.0, 0.0, roughness=0.0, specularity=1e6)
     settings = replace(small, axial_samples=3072, axial_fwhm_mm=0.2)
@@ -169,7 +169,7 @@ def test_a_probe_that_sees_nothing_is_told_once(gel, slab, ball, probe, small, a
 
 def test_double_precision_agrees(scene, probe, small, ahead) -> None:
     single = Simulator(scene, probe, small).render(ahead).envelope
-    double = Simulator(scene, probe, replace(small, precision=Precision.float64)).render(ahead).envelope
+    double = Simulator(scene, probe, replace(small, precision=SimulatorPrecision.float64)).render(ahead).envelope
     np.testing.assert_allclose(single, double, atol=1e-5 * double.max())
 
 
@@ -206,7 +206,7 @@ def test_poses_that_are_not_rigid(empty, probe, small, pose, message) -> None:
         ({"rays": 0}, "rays must be a whole number of at least 1"),
         ({"axial_fwhm_mm": float("nan")}, "axial_fwhm_mm must be between"),
         ({"image_shape": (10,)}, "image_shape"),
-        ({"plan": "some"}, "plan must be one of auto, full"),
+        ({"plan": "some"}, "plan=.some.: allowed are auto, full"),
     ],
 )
 def test_settings_that_cannot_be(small, change, message) -> None:

@@ -156,10 +156,10 @@ def test_seeds_choose_scatterers_and_paths_apart(gel, slab, ball, probe, small, 
     body = Tissue("body", 1540, 1.6, 0.5, 0.6, 0.0, 0.8)
     bone = Tissue("bone", 2600, 4.2, 5.0, 0.6, 0.0, 0.2)
     scene = Scene((slab(body, 3.0, 200.0), ball(bone, (0.0, 0.0, 60.0), 10.0)), gel, "s")
-    lit = (slice(50, 300), slice(20, 44))
+    window = (slice(50, 300), slice(20, 44))
     simulator = Simulator(scene, probe, small)
-    first, *others = (intensity(simulator.render(ahead, seed).envelope[lit]) for seed in (0, 1, 2**31, 2**40 + 1))
-    paths = intensity(Simulator(scene, probe, replace(small, path_seed=1)).render(ahead).envelope[lit])
+    first, *others = (intensity(simulator.render(ahead, seed).envelope[window]) for seed in (0, 1, 2**31, 2**40 + 1))
+    paths = intensity(Simulator(scene, probe, replace(small, path_seed=1)).render(ahead).envelope[window])
     assert correlation(first, paths) > 0.95
     assert (first != paths).mean() > 0.5
     assert max(abs(correlation(first, other)) for other in others) < 0.1

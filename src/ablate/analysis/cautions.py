@@ -1,13 +1,11 @@
 """What a reader must not conclude from a study, in words."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.component_claims import FEWEST_SEEDS
-from ablate.analysis.metric_facts import REFERENCE, RESIMULATION, facts_of
-from ablate.analysis.order import ordered_metrics, ordered_variants
+from ablate.analysis.order import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
+from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
+from ablate.metrics import metric_of
 
 FEW_SITES = 10  # below, intervals over sites are rough
 FEWEST_SITES = 6  # below, a signed-rank test over sites cannot reach 5 %
@@ -16,18 +14,12 @@ MOST_NAMED = 6  # of a list; the rest are counted
 
 
 def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
-    """What a reader must not conclude from this study, in words.
+    """Return what a reader must not conclude from this study, one sentence each; empty when nothing is amiss.
 
     Parameters
     ----------
     per_image : DataFrame
         Columns variant, seed, frame, site, metric, value.
-    reference : str
-
-    Returns
-    -------
-    list of str
-        One sentence each; empty when nothing is amiss.
     """
     networks = per_image[per_image["variant"] != RESIMULATION]
     return [
@@ -40,16 +32,7 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
 
 
 def listed(names: list[str]) -> str:
-    """Names in a sentence, the rest counted where there are many.
-
-    Parameters
-    ----------
-    names : list of str
-
-    Returns
-    -------
-    str
-    """
+    """Names in a sentence, the rest counted where there are many."""
     more = len(names) - MOST_NAMED
     return ", ".join(names) if more <= 0 else f"{', '.join(names[:MOST_NAMED])} and {more} more"
 
@@ -101,7 +84,7 @@ def _about_values(per_image: pd.DataFrame) -> list[str]:
     for metric in ordered_metrics(list(per_image["metric"])):
         of = per_image[per_image["metric"] == metric]
         missing, infinite = of[of["value"].isna()], of[np.isinf(of["value"])]
-        name = facts_of(metric).label
+        name = metric_of(metric).label
         if len(infinite):
             said.append(
                 f"{name}: {len(infinite)} infinite value{_s(infinite)} left out (identical images: {_where(infinite)})."

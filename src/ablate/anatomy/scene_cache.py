@@ -1,41 +1,27 @@
 """Built scenes kept on disk, one file each; a file that does not hold what was written is built again."""
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import zipfile
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 import trimesh
 
 from ablate.anatomy.scene import Scene, Structure, content_hash
-from ablate.anatomy.tissues import load_tissues
+from ablate.anatomy.tissue import load_tissues
+from ablate.storage import written_whole
 
 logger = logging.getLogger(__name__)
 
 
 def cached_scene(folder: Path, build: Callable[[], Scene], **parameters: object) -> Scene:
-    """The scene of these parameters, read where it was written before, built and written otherwise.
+    """The scene of these parameters: read from `folder` if it is there, else built and written.
 
-    Parameters
-    ----------
-    folder : Path
-        Made where it is missing. A file in it is named by a hash of the parameters, and appears at once and whole;
-        where it cannot be written, a warning is logged.
-    build : callable
-        Makes the scene; its tissues must be those of the built-in table.
-    **parameters
-        All that the scene follows from, a version of the code that builds it included.
-
-    Returns
-    -------
-    Scene
-        The same whether read or built: vertices bit for bit.
+    Both give the same scene, vertices bit for bit; its tissues must be those of the built-in table. The parameters are
+    everything that decides what the scene is, including a version of the code that builds it. A file that cannot be
+    read or written is logged as a warning.
     """
     key = hashlib.sha256(repr(sorted(parameters.items())).encode()).hexdigest()[:16]
     path = folder / f"scene-{key}.npz"
@@ -45,16 +31,12 @@ def cached_scene(folder: Path, build: Callable[[], Scene], **parameters: object)
         except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as error:
             logger.warning("%s: built again, because it cannot be read: %s", path, " ".join(str(error).split()))
     scene = build()
-    part = path.with_suffix(f".{uuid4().hex}.part")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _write(part, scene)
-        part.replace(path)
+        with written_whole(path) as partial:
+            _write(partial, scene)
     except OSError as error:
         logger.warning("%s: the built scene is not kept: %s", path, error)
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
     return scene
 
 

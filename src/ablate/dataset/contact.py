@@ -1,48 +1,31 @@
 """Where a probe touches a body, how far it can be pressed, and what lies before it."""
 
-from __future__ import annotations
-
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from ablate.anatomy import Scene, bounds_mm
+from ablate.anatomy import Scene, TissueKind, bounds_mm
 from ablate.ultrasound import ConvexProbe
-from ablate.ultrasound.embree import Geometry
-from ablate.ultrasound.ownership import owners
-from ablate.ultrasound.walk import inside_at
+from ablate.ultrasound.probe import face_arc, face_points
+from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.surfaces.line_walk import inside_at
+from ablate.ultrasound.surfaces.ownership import owners
 
 _PATCH_MM = 12.0  # half-width of the skin patch whose mean normal the probe follows
-_FACE_HALF_WIDTH_MM = 6.0  # of the probe's face, across the image plane (assumed)
-_FACE_POINTS = (29, 3)  # along the arc and across it
 _LINES = 32  # of a fan that is asked whether it meets something
 _LEAST_SHARE = 0.1  # of them, or the fan misses it
-_SOFT_MRAYL = (0.5, 3.0)  # impedance of what a face can be pressed into: neither gas nor bone
 
 
 class Skin:
-    """The outside of a body, to be met by rays.
-
-    Parameters
-    ----------
-    scene : Scene
-        With at least one structure.
-
-    Attributes
-    ----------
-    centre : (3,) float64
-        Of the scene's bounds, mm.
-    """
+    """The outside of a scene with at least one structure, to be met by rays; `centre` is that of its bounds, mm."""
 
     def __init__(self, scene: Scene) -> None:
         bounds = bounds_mm(s.mesh for s in scene.structures)
         self.centre = bounds.mean(axis=0)
         reach = float(np.linalg.norm(bounds[1] - bounds[0]))
         self._geometry = Geometry(scene.structures, bounds, self.centre, reach)
-        impedance = np.array([scene.background.impedance_mrayl, *(s.tissue.impedance_mrayl for s in scene.structures)])
-        self._hard = (impedance < _SOFT_MRAYL[0]) | (impedance > _SOFT_MRAYL[1])
-        self._hard[0] = False  # outside every structure is the couplant's business
+        hard = [s.tissue.kind in (TissueKind.bone, TissueKind.gas) for s in scene.structures]
+        self._hard = np.array([False, *hard])  # first the background, whatever its tissue
 
     def depth(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """How deep points lie under the first surface met on the way in, (n,) float64, mm.
@@ -70,12 +53,7 @@ class Skin:
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Skin point and inward normal, from nine parallel rays around a site; None where the middle one misses.
 
-        Parameters
-        ----------
-        middle : (3,) float, mm
-            On the body's axis.
-        outward, axis : (3,) float
-            Unit vectors: from there to the site, and along the body.
+        `middle` lies on the body's axis, mm; the unit vector `outward` points from there to the site, `axis` along it.
         """
         across = np.cross(outward, axis)
         offsets = [(u, v) for v in (-_PATCH_MM, 0.0, _PATCH_MM) for u in (-_PATCH_MM, 0.0, _PATCH_MM)]
@@ -104,20 +82,9 @@ class Pressed:
 
 
 def press(skin: Skin, probe: ConvexProbe, poses: np.ndarray, approaches: np.ndarray, press_mm: float) -> Pressed:
-    """Move probes along their approach until the deepest point of each face lies `press_mm` under the skin.
+    """Move probes, (n, 4, 4), mm, along their approach until the deepest point of each face is `press_mm` in the skin.
 
-    Parameters
-    ----------
-    skin : Skin
-    probe : ConvexProbe
-    poses : (n, 4, 4) float64, mm
-    approaches : (n, 3) float64
-        Unit vectors into the body; a probe's own z may be tilted against its approach.
-    press_mm : float
-
-    Returns
-    -------
-    Pressed
+    `approaches`, (n, 3), are unit vectors into the body; a probe's own z may be tilted against its approach.
     """
     face = face_points(probe)
     n, k = len(poses), len(face)
@@ -137,21 +104,6 @@ def meets(region: Skin, probe: ConvexProbe, poses: np.ndarray) -> np.ndarray:
     rays = np.einsum("nij,kj->nki", poses[:, :3, :3], directions).reshape(-1, 3)
     met = region.within(_in_world(poses, starts), rays, probe.depth_mm).reshape(len(poses), _LINES)
     return met.mean(axis=1) >= _LEAST_SHARE
-
-
-def face_arc(probe: ConvexProbe, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points of the face in the image plane, (count, 3) mm, and the directions they look in, (count, 3)."""
-    angle = np.linspace(-0.5, 0.5, count) * math.radians(probe.fov_deg)
-    directions = np.stack([np.sin(angle), np.zeros(count), np.cos(angle)], axis=-1)
-    return probe.radius_mm * directions - (0.0, 0.0, probe.radius_mm), directions
-
-
-def face_points(probe: ConvexProbe) -> np.ndarray:
-    """Points all over the face in probe coordinates, (k, 3) float64, mm."""
-    along, across = _FACE_POINTS
-    arc, _ = face_arc(probe, along)
-    offsets = np.linspace(-_FACE_HALF_WIDTH_MM, _FACE_HALF_WIDTH_MM, across)
-    return np.concatenate([arc + np.array([0.0, offset, 0.0]) for offset in offsets])
 
 
 def _in_world(poses: np.ndarray, points: np.ndarray) -> np.ndarray:

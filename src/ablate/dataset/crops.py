@@ -1,7 +1,5 @@
 """Batches for training: random crops that depend on nothing but (seed, step, index in the batch)."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -10,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ablate.dataset.encoding import encode_grey_levels
 from ablate.dataset.pairs import FORMATS, Pairs, decode_attenuation
+from ablate.dataset.seeds import crop_generator
 
 _TRIES = 50
 _AHEAD = 2  # batches a worker prepares before the first of them is taken
@@ -20,16 +20,9 @@ _AHEAD = 2  # batches a worker prepares before the first of them is taken
 class CropSettings:
     """How training batches are cut.
 
-    Attributes
-    ----------
-    size : int
-        Side of the square crop, px; the part of it beyond the frame is filled as outside the fan.
-    batch_size : int
-    fan_fraction : float
-        A crop is drawn again until at least this share of it lies in the fan; it always touches the fan.
-    flip : bool
-        Mirror half of the crops left to right, which the physics allows.
-    seed : int
+    A crop is a square of `size` px; the part of it beyond the frame is filled as outside the fan. It is drawn again
+    until at least the share `fan_fraction` of it lies in the fan, and it always touches the fan. `flip` mirrors half of
+    the crops left to right, which the physics allows.
     """
 
     size: int = 512
@@ -42,22 +35,12 @@ class CropSettings:
 class Crops:
     """Batch number `step` of an endless training run, as a dict of tensors.
 
-    Item `step` holds `segmentation`, `image` and, where the pairs are read with them, `attenuation` and `low`:
+    Item `step` holds `segmentation`, `target` and, where the pairs are read with them, `attenuation` and `low`:
     (N, 1, size, size) float32 in [-1, 1], outside the fan -1 (attenuation in [0, 1], outside 0); `mask`,
     (N, 1, size, size) float32; and `noise_seed`, (N,) int64.
 
-    Parameters
-    ----------
-    pairs : Pairs
-    frames : (k,) int
-        Frames to draw from.
-    maps : frozenset of str
-        Which of `attenuation` and `low` to include.
-    values : (labels,) float32
-        From `label_values`.
-    settings : CropSettings
-    in_memory_bytes : int
-        Frames that take no more than this are kept in memory, as they are stored.
+    Crops are drawn from `frames`, (k,) int. `maps` says which of `attenuation` and `low` are included, `values` come
+    from `label_values`. Frames that take at most `in_memory_bytes` are kept in memory, as they are stored.
 
     Raises
     ------
@@ -77,7 +60,7 @@ class Crops:
         if settings.batch_size > len(frames):
             raise ValueError(f"training.batch_size={settings.batch_size}: more than the {len(frames)} training frames")
         self.pairs, self.frames, self.values, self.settings = pairs, np.asarray(frames), values, settings
-        self.names = ("segmentation", "high", *sorted(maps & {"attenuation", "low"}))
+        self.names = ("segmentation", "target", *sorted(maps & {"attenuation", "low"}))
         self.mask = pairs.mask()
         if not self.mask.any():
             raise ValueError(f"{pairs.folder}: no pixel of the frames lies in the fan")
@@ -87,13 +70,13 @@ class Crops:
 
     def __getitem__(self, step: int) -> dict[str, torch.Tensor]:
         shape = self.settings.batch_size, 1, self.settings.size, self.settings.size
-        batch = {name: np.empty(shape, np.float32) for name in ("mask", "segmentation", "image", *self.names[2:])}
+        batch = {name: np.empty(shape, np.float32) for name in ("mask", *self.names)}
         seeds = [self._fill(batch, step, index) for index in range(self.settings.batch_size)]
         return {**{k: torch.from_numpy(v) for k, v in batch.items()}, "noise_seed": torch.tensor(seeds)}
 
     def _fill(self, batch: dict[str, np.ndarray], step: int, index: int) -> int:
         """Cut crop `index` of a batch into its place; returns its noise seed."""
-        rng = np.random.default_rng([self.settings.seed, step, index])
+        rng = crop_generator(self.settings.seed, step, index)
         item = int(rng.integers(len(self.frames)))
         corner = self._window(rng)
         mirror = self.settings.flip and bool(rng.integers(2))
@@ -101,14 +84,13 @@ class Crops:
         batch["mask"][index, 0] = mask
         for name in self.names:  # in place: temporary arrays of this size cost more than the arithmetic
             cut = self._cut(self._frame(name, item), corner, mirror)
-            place = batch["image" if name == "high" else name][index, 0]
+            place = batch[name][index, 0]
             if name == "segmentation":
                 np.take(self.values, cut, out=place)
             elif name == "attenuation":
                 decode_attenuation(cut, out=place)
             else:
-                np.divide(cut, np.float32(127.5), out=place)
-                place -= 1
+                encode_grey_levels(cut, out=place)
                 np.copyto(place, -1, where=~mask)
         return int(rng.integers(2**62))
 
@@ -145,13 +127,8 @@ class Crops:
 class CropLoader:
     """Batches of the steps `start` to `stop - 1`, one a step, in order; a resumed run sees what it would have seen.
 
-    Parameters
-    ----------
-    crops : Crops
-    start, stop : int
-    workers : int
-        Threads that prepare batches ahead; 0 prepares each when it is asked for. Decoding leaves other threads free
-        to run, and nothing has to be copied from one process to another.
+    `workers` threads prepare batches ahead; 0 prepares each when it is asked for. Decoding leaves other threads free to
+    run, and nothing has to be copied from one process to another.
     """
 
     def __init__(self, crops: Crops, start: int, stop: int, workers: int = 0) -> None:

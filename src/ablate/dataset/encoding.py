@@ -1,19 +1,25 @@
-"""How tissue labels become the one grey channel that the networks read.
+"""How the networks read labels and grey levels: as values in [-1, 1].
 
-The order is a hidden component of such a study: in trials it moved PSNR by 0.5 to 4 dB, more than any component
-under test. It is therefore chosen and recorded.
+The order of the labels is a hidden component of such a study: in trials it moved PSNR by 0.5 to 4 dB, more than any
+component under test. It is therefore chosen and recorded.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from ablate.anatomy import Tissue, echogenicity_order
+from ablate.dataset.seeds import Drawn, generator_for
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+#: Grey levels a unit: 0 to 255 are -1 to 1.
+HALF_RANGE = 127.5
 
 
 class Encoding(StrEnum):
@@ -24,47 +30,43 @@ class Encoding(StrEnum):
 
 
 def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -> np.ndarray:
-    """Value in [-1, 1] of every label.
+    """Value of every label, (len(tissues) + 1,) float32: -1 outside the fan (label 0), the others equally spaced to 1.
 
-    Parameters
-    ----------
-    tissues : sequence of Tissue
-        `Scene.tissues`, behind labels 1, 2, ...
-    encoding : Encoding
-    seed : int
-        Of the permutation, for `Encoding.arbitrary`.
-
-    Returns
-    -------
-    (len(tissues) + 1,) float32
-        Index 0, outside the fan, is -1; the others are equally spaced up to 1.
+    `tissues` are `Scene.tissues`, behind labels 1, 2, ...; `seed` is that of `Encoding.arbitrary`.
     """
     n = len(tissues)
     if encoding is Encoding.echogenicity:
         rank = np.asarray(echogenicity_order(tissues))
     else:
-        rank = np.random.default_rng([seed, 7]).permutation(n)
+        rank = generator_for(seed, Drawn.label_order).permutation(n)
     return np.concatenate([[-1.0], -1 + 2 * (rank + 1) / n]).astype(np.float32)
 
 
+def encode_grey_levels(levels: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    """Grey levels, uint8, as float32 in [-1, 1]."""
+    out = np.divide(levels, np.float32(HALF_RANGE), out=out)
+    out -= 1
+    return out
+
+
+def decode_grey_levels(image: Tensor, mask: Tensor) -> Tensor:
+    """Floats in [-1, 1] as uint8 grey levels, (H, W); 0 outside `mask`."""
+    import torch
+
+    grey = (image.float() + 1) * HALF_RANGE
+    return (grey * (mask > 0)).round().clamp(0, 255).to(torch.uint8)
+
+
 def network_inputs(maps: Mapping[str, np.ndarray], values: np.ndarray, mask: np.ndarray) -> dict[str, Tensor]:
-    """Maps as they are stored, as the networks read them.
+    """Convert maps, (k, H, W) each, to what the networks read, (k, 1, H, W) float32 each.
 
-    Parameters
-    ----------
-    maps : dict of (k, H, W)
-        `segmentation` uint8 and, where they are wanted, `attenuation` float32 in [0, 1] and `low` uint8.
-    values : (labels,) float32
-        From `label_values`.
-    mask : (H, W) or (k, H, W) bool
-        The fan; outside of it `low` is black.
-
-    Returns
-    -------
-    dict of (k, 1, H, W) float32
+    `maps` holds `segmentation` uint8 and, where they are wanted, `attenuation` float32 in [0, 1] and `low` uint8.
+    `values`, (labels,) float32, come from `label_values`. Outside of `mask`, (H, W) or (k, H, W) bool, `low` is black.
     """
+    import torch
+
     read = dict(maps)
     read["segmentation"] = values[maps["segmentation"]]
     if "low" in maps:
-        read["low"] = np.where(mask, maps["low"] / np.float32(127.5) - 1, np.float32(-1))
+        read["low"] = np.where(mask, encode_grey_levels(maps["low"]), np.float32(-1))
     return {name: torch.from_numpy(value)[:, None] for name, value in read.items()}

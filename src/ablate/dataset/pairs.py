@@ -1,10 +1,9 @@
 """Pairs on disk: one Zarr v3 group, what it holds, and how its frames are read."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,18 +11,19 @@ import zarr
 from filelock import FileLock
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from ablate.dataset.shards import FrameFormat, check_shard, read_frame
+from ablate.dataset.shards import FrameFormat, absent_frames, read_frame
 from ablate.dataset.split import Part
+from ablate.storage import written_whole
 
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
-PAIRS_VERSION = 2
+PAIRS_VERSION = 3
 # Labels repeat as whole bytes; grey levels and 16-bit values pack better with bits, or bytes, of like place together.
 FORMATS = {
     "segmentation": FrameFormat("uint8", "noshuffle"),
     "attenuation": FrameFormat("uint16", "shuffle"),
-    "high": FrameFormat("uint8", "bitshuffle"),
+    "target": FrameFormat("uint8", "bitshuffle"),
     "low": FrameFormat("uint8", "bitshuffle"),
-    "high_again": FrameFormat("uint8", "bitshuffle"),
+    "resimulation": FrameFormat("uint8", "bitshuffle"),
 }
 _ATTENUATION_SCALE = np.float32(65535)
 _ATTENUATION_BITS = 9
@@ -42,19 +42,15 @@ class DamagedShardError(ValueError):
 class Pairs:
     """A data set on disk.
 
+    `folder` holds `pairs.zarr`, `about.json` (what the set was made from), pictures and lock files. There are `shard`
+    frames in a shard; `shape` is (H, W); `tissues` are the names behind the values 1, 2, ... of `segmentation`.
+
     Attributes
     ----------
-    folder : Path
-        Holds `pairs.zarr`, `about.json` (what the set was made from), pictures and lock files.
     poses : (n, 4, 4) float64
         Probe to world, mm.
     sites : (n,) int32
     split : (n,) uint8 of `Part`
-    shape : (H, W)
-    shard : int
-        Frames a shard.
-    tissues : tuple of str
-        Names behind the values 1, 2, ... of `segmentation`.
     """
 
     folder: Path
@@ -87,7 +83,7 @@ class Pairs:
     def wanted_in_shard(self, shard: int, maps: frozenset[str]) -> frozenset[str]:
         """Which of `maps` this shard holds: re-simulation only where there are validation or test frames."""
         if (self.split[self.frames_of_shard(shard)] == Part.train).all():
-            return maps - {"high_again"}
+            return maps - {"resimulation"}
         return maps
 
     def missing_in_shard(self, shard: int, maps: frozenset[str]) -> frozenset[str]:
@@ -102,16 +98,9 @@ class Pairs:
         return self.folder / "pairs.zarr" / name / "c" / str(shard) / "0" / "0"
 
     def check(self, name: str, shard: int) -> None:
-        """Compare one shard of one map with its checksums.
-
-        Raises
-        ------
-        DamagedShardError, FileNotFoundError
-        """
-        try:
-            check_shard(self.shard_file(name, shard), len(self.frames_of_shard(shard)), self.shard)
-        except ValueError as error:
-            raise self._damaged(name, shard, error) from error
+        """Compare one shard of one map with its checksums; raises as `stored` does."""
+        frames = self.frames_of_shard(shard)
+        self._stored(name, frames[0], frames[-1] + 1)
 
     def stored(self, name: str, frame: int) -> np.ndarray:
         """One frame of one map as it is stored, (H, W) uint8 or, of attenuation, uint16.
@@ -119,7 +108,7 @@ class Pairs:
         Raises
         ------
         DamagedShardError
-            When it is not as it was written.
+            When it is not as it was written, or its shard was written without it.
         FileNotFoundError
             When it has not been made.
         """
@@ -127,25 +116,42 @@ class Pairs:
         file = self.shard_file(name, shard)
         try:
             return read_frame(file, slot, self.shard, FORMATS[name], self.shape)
-        except ValueError as error:
-            raise self._damaged(name, shard, error) from error
         except FileNotFoundError as error:
             raise FileNotFoundError(f"{file}: not made yet; {_MEND} makes it") from error
+        except ValueError as error:
+            frames = self.frames_of_shard(shard)
+            where = f"{file}, '{name}' of frames {frames[0]} to {frames[-1]}"
+            raise DamagedShardError(f"{where}, is damaged: {error}") from error
 
-    def _damaged(self, name: str, shard: int, why: ValueError) -> DamagedShardError:
+    def _stored(self, name: str, first: int, stop: int) -> np.ndarray:
+        """Frames `first` to `stop` - 1, all of one shard, (k, H, W)."""
+        shard = int(first) // self.shard
+        file = self.shard_file(name, shard)
+        if not file.exists():  # Zarr would read zeros
+            raise FileNotFoundError(f"{file}: not made yet; {_MEND} makes it")
+        if name not in self._arrays:
+            self._arrays[name] = zarr.open_array(self.folder / "pairs.zarr" / name, mode="r")
         frames = self.frames_of_shard(shard)
-        return DamagedShardError(
-            f"{self.shard_file(name, shard)}, '{name}' of frames {frames[0]} to {frames[-1]}, is damaged: {why}"
-        )
+        where = f"{file}, '{name}' of frames {frames[0]} to {frames[-1]}, is damaged"
+        try:
+            stack = np.asarray(self._arrays[name][int(first) : int(stop)])
+        except (ValueError, RuntimeError) as error:
+            raise DamagedShardError(f"{where}: it does not match its checksum") from error
+        absent = np.flatnonzero(absent_frames(file, self.shard)[first - frames[0] : stop - frames[0]])
+        if len(absent):  # Zarr has read zeros
+            raise DamagedShardError(f"{where}: frame {first - frames[0] + absent[0]} of the shard is absent")
+        return stack
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in vars(self).items() if name != "_arrays"}  # each process opens its own
+
+    @cached_property
+    def _arrays(self) -> dict[str, zarr.Array]:
+        """Arrays are opened when they are first read, which takes longer than reading a frame."""
+        return {}
 
     def read(self, name: str, frames: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Frames of one map, (k, H, W); `attenuation` as float32 in [0, 1], the others as stored.
-
-        Raises
-        ------
-        DamagedShardError, FileNotFoundError
-            As `stored`.
-        """
+        """Frames of one map, (k, H, W); `attenuation` is float32 in [0, 1], others as stored. Raises as `stored`."""
         stack = np.stack([self.stored(name, i) for i in frames])
         return decode_attenuation(stack) if name == "attenuation" else stack
 
@@ -198,18 +204,11 @@ def create_pairs(
     with FileLock(folder / ".create.lock"):
         if not (folder / "about.json").exists():
             group = zarr.open_group(folder / "pairs.zarr", mode="w", zarr_format=3)
-            for name, data in (
-                ("pose", poses),
-                ("site", sites.astype("int32")),
-                ("split", split),
-                ("mask", mask),
-            ):
-                checksummed = [ZstdCodec(), Crc32cCodec()]
-                group.create_array(name, data=np.ascontiguousarray(data), compressors=checksummed)
-            group.attrs.update({"shard": shard, "tissues": list(tissues)})
-            partial = folder / "about.json.partial"
-            partial.write_text(json.dumps(dict(about), indent=2, sort_keys=True, default=str))
-            partial.rename(folder / "about.json")
+            for name, data in {"pose": poses, "site": sites.astype("int32"), "split": split, "mask": mask}.items():
+                group.create_array(name, data=np.ascontiguousarray(data), compressors=[ZstdCodec(), Crc32cCodec()])
+            group.attrs.update({"version": PAIRS_VERSION, "shard": shard, "tissues": list(tissues)})
+            with written_whole(folder / "about.json") as partial:
+                partial.write_text(json.dumps(dict(about), indent=2, sort_keys=True, default=str))
     return open_pairs(folder)
 
 
@@ -221,12 +220,18 @@ def open_pairs(folder: Path) -> Pairs:
     FileNotFoundError
         When there is none.
     ValueError
-        When its poses, sites, split or mask are not as they were written.
+        When its poses, sites, split or mask are not as they were written, or it is stored in another version.
     """
     if not (folder / "about.json").exists():
         raise FileNotFoundError(f"no data set at {folder}; {_MEND} makes it")
-    pose, site, split, mask = (_read_whole(folder, name) for name in ("pose", "site", "split", "mask"))
     group = zarr.open_group(folder / "pairs.zarr", mode="r")
+    version = group.attrs.get("version", "2 or earlier")  # was not stored before version 3
+    if version != PAIRS_VERSION:
+        raise ValueError(
+            f"{folder}: pairs stored in version {version}, this program reads version {PAIRS_VERSION}; {_MEND} makes "
+            "them again in a folder of their own, after which this one can be removed"
+        )
+    pose, site, split, mask = (_read_whole(folder, name) for name in ("pose", "site", "split", "mask"))
     height, width = mask.shape
     return Pairs(
         folder=folder,

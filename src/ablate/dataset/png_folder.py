@@ -5,8 +5,6 @@ tissue) names what the labels stand for, `frames.csv` (name, site and, if wanted
 together and which part they are in.
 """
 
-from __future__ import annotations
-
 import csv
 import difflib
 import hashlib
@@ -22,8 +20,7 @@ from ablate.anatomy import Tissue, load_tissues
 from ablate.dataset.split import Part
 
 #: Folder of each map of a data set.
-FOLDERS = {"segmentation": "segmentation", "high": "image", "attenuation": "attenuation", "low": "low"}
-NEEDED = ("segmentation", "high")
+FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}
 MOST_LABELS = 254
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOURS = {0: "grey", 2: "RGB", 3: "with a palette", 4: "grey with alpha", 6: "RGBA"}
@@ -35,19 +32,15 @@ class PngFolder:
 
     Attributes
     ----------
-    folder : Path
     names : tuple of str
         Of the frames, sorted; file names without `.png`.
     files : dict of str to dict of str to Path
-        By the map's name in a data set (`segmentation`, `high`; `attenuation` and `low` where there are folders of
-        them) and by the frame's name.
+        By the map's name in a data set (of FOLDERS, those that are there) and by the frame's name.
     shape : (H, W)
     sites : tuple of str
         Of each frame: frames of one site see almost the same, and stay on one side of a split.
-    parts : (n,) uint8 of `Part`, or None
-        None where the split is to be drawn.
-    tissues : tuple of Tissue, or None
-        Behind labels 1, 2, ...; None where no file names them.
+    parts : (n,) uint8 of `Part`, or None where the split is to be drawn
+    tissues : tuple of Tissue behind labels 1, 2, ..., or None where no file names them
     """
 
     folder: Path
@@ -67,14 +60,6 @@ class PngFolder:
 def validate_png_folder(folder: str | Path) -> PngFolder:
     """Check a folder by the names and headers of its files.
 
-    Parameters
-    ----------
-    folder : str or Path
-
-    Returns
-    -------
-    PngFolder
-
     Raises
     ------
     FileNotFoundError
@@ -86,7 +71,7 @@ def validate_png_folder(folder: str | Path) -> PngFolder:
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(f"scene.folder: {folder} is not a folder")
-    for name in NEEDED:
+    for name in ("segmentation", "target"):
         if not (folder / FOLDERS[name]).is_dir():
             raise FileNotFoundError(
                 f"{folder}: no folder {FOLDERS[name]} in it; needed are segmentation and image, "
@@ -99,7 +84,11 @@ def validate_png_folder(folder: str | Path) -> PngFolder:
 @lru_cache(maxsize=8)
 def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
     """Looked at once a process for as long as no file comes or goes and no table changes."""
-    files = {name: _pngs(folder / place) for name, place in FOLDERS.items() if (folder / place).is_dir()}
+    files = {
+        name: {path.stem: path for path in sorted((folder / place).iterdir()) if path.suffix.lower() == ".png"}
+        for name, place in FOLDERS.items()
+        if (folder / place).is_dir()
+    }
     names = _common_names(folder, files)
     shape = _common_shape(files)
     sites, parts = _frames(folder / "frames.csv", names)
@@ -124,11 +113,6 @@ def _digest(folder: Path, stats: tuple[tuple[str, int, int], ...]) -> str:
     return digest.hexdigest()
 
 
-def _pngs(folder: Path) -> dict[str, Path]:
-    """The PNGs of a folder by name."""
-    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() == ".png"}
-
-
 def _common_names(folder: Path, files: Mapping[str, Mapping[str, Path]]) -> tuple[str, ...]:
     everything = set().union(*files.values())
     for name, found in files.items():
@@ -145,20 +129,18 @@ def _common_names(folder: Path, files: Mapping[str, Mapping[str, Path]]) -> tupl
 
 def _common_shape(files: Mapping[str, Mapping[str, Path]]) -> tuple[int, int]:
     """Height and width of all images, px."""
-    first: tuple[Path, tuple[int, int]] | None = None
+    first = next(iter(files["segmentation"].values()))
+    h0, w0 = _header(first)[0]
     for name, paths in files.items():
         allowed = (8, 16) if name == "attenuation" else (8,)
         for path in paths.values():
-            shape, bits, colour = _header(path)
+            (h, w), bits, colour = _header(path)
             if colour != 0 or bits not in allowed:
                 kind = f"{bits}-bit {_COLOURS.get(colour, 'of an unknown kind')}"
                 raise ValueError(f"{path}: is {kind}; allowed is {' or '.join(f'{b}-bit' for b in allowed)} grey")
-            first = first or (path, shape)
-            if shape != first[1]:
-                (h, w), (h0, w0) = shape, first[1]
-                raise ValueError(f"{path}: is {w} x {h} px, but {first[0]} is {w0} x {h0}; all must have one size")
-    assert first is not None
-    return first[1]
+            if (h, w) != (h0, w0):
+                raise ValueError(f"{path}: is {w} x {h} px, but {first} is {w0} x {h0}; all must have one size")
+    return h0, w0
 
 
 def _header(path: Path) -> tuple[tuple[int, int], int, int]:

@@ -1,7 +1,5 @@
 """From a checked folder of PNGs to the pairs of a data set."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,45 +15,32 @@ _WAIT_S = 1.0
 
 
 def read_fan(checked: PngFolder) -> tuple[np.ndarray, int]:
-    """Decode every segmentation and check that all have the same fan and no label too many.
-
-    Parameters
-    ----------
-    checked : PngFolder
-
-    Returns
-    -------
-    mask : (H, W) bool
-        The fan: where the segmentation is not 0.
-    labels : int
-        The highest label.
+    """Decode every segmentation; return the fan they share, (H, W) bool, where they are not 0, and the highest label.
 
     Raises
     ------
     ValueError
-        Naming the first file that does not fit, or cannot be decoded.
+        Naming the first file whose fan or labels do not fit, or which cannot be decoded.
     """
-    mask: np.ndarray | None = None
     highest = 0
     allowed = MOST_LABELS if checked.tissues is None else len(checked.tissues)
-    paths = checked.files["segmentation"]
-    for name in checked.names:
-        labels = _decoded(paths[name], checked.shape)
+    paths = [checked.files["segmentation"][name] for name in checked.names]
+    mask = _decoded(paths[0], checked.shape) > 0
+    for path in paths:
+        labels = _decoded(path, checked.shape)
         found = int(labels.max())
         if found > allowed:
             why = "" if checked.tissues is None else f", those that {checked.folder / 'labels.csv'} names"
-            raise ValueError(f"{paths[name]}: has label {found}; allowed are 0, outside the fan, to {allowed}{why}")
+            raise ValueError(f"{path}: has label {found}; allowed are 0, outside the fan, to {allowed}{why}")
         highest = max(highest, found)
-        mask = labels > 0 if mask is None else mask
         differs = int(np.count_nonzero((labels > 0) != mask))
         if differs:
             raise ValueError(
-                f"{paths[name]}: its fan, the pixels that are not 0, differs at {differs} of {labels.size} pixels from "
-                f"that of {paths[checked.names[0]]}; all frames must have one fan"
+                f"{path}: its fan, the pixels that are not 0, differs at {differs} of {labels.size} pixels from "
+                f"that of {paths[0]}; all frames must have one fan"
             )
-    assert mask is not None
     if highest == 0:
-        raise ValueError(f"{paths[checked.names[0]]}: all its pixels are 0, so there is no fan")
+        raise ValueError(f"{paths[0]}: all its pixels are 0, so there is no fan")
     return mask, highest
 
 
@@ -68,15 +53,7 @@ def import_pairs(
 ) -> None:
     """Fill what is missing of a data set from the PNGs; what lies outside the fan becomes 0.
 
-    Parameters
-    ----------
-    checked : PngFolder
-    names : sequence of str
-        Of the frames, in the order of the data set.
-    pairs : Pairs
-    maps : frozenset of str
-        Out of `checked.maps`.
-    progress : callable (frames made since the last call), optional
+    `names` are those of the frames, in the order of the data set; `maps` are some of `checked.maps`.
 
     Raises
     ------
@@ -87,8 +64,12 @@ def import_pairs(
     """
     mask = pairs.mask()
 
+    def image(name: str, frame: int) -> np.ndarray:
+        decoded = mask * _decoded(checked.files[name][names[frame]], checked.shape)
+        return decoded / np.iinfo(decoded.dtype).max if name == "attenuation" else decoded
+
     def read(frames: np.ndarray, wanted: frozenset[str]) -> Mapping[str, np.ndarray]:
-        return {m: np.stack([mask * _map(checked, m, names[f]) for f in frames]) for m in wanted}
+        return {name: np.stack([image(name, frame) for frame in frames]) for name in wanted}
 
     while pairs.missing(maps):
         made = 0
@@ -97,12 +78,6 @@ def import_pairs(
             progress(frames)
         if not made:
             time.sleep(_WAIT_S)  # another process makes the rest
-
-
-def _map(checked: PngFolder, name: str, frame: str) -> np.ndarray:
-    """One map of one frame as `fill_pairs` takes it: attenuation in [0, 1], the others as they are."""
-    image = _decoded(checked.files[name][frame], checked.shape)
-    return image / np.iinfo(image.dtype).max if name == "attenuation" else image
 
 
 def _decoded(path: Path, shape: tuple[int, int]) -> np.ndarray:

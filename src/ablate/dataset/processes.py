@@ -1,7 +1,5 @@
 """Worker processes: as many as there are cores for, and none that outlives whoever started it."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal
@@ -37,7 +35,7 @@ def end_with_parent() -> None:
 
 
 @contextmanager
-def deaf_to_interrupts() -> Iterator[None]:
+def interrupts_blocked() -> Iterator[None]:
     """Hold back SIGINT; processes that are started meanwhile never see it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

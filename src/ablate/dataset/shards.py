@@ -1,30 +1,19 @@
-"""Shard files: the frames of one map, each with a checksum, written whole and read one at a time.
+"""Arrays of frames in the sharding of Zarr version 3, with a checksum for each frame and for each shard's index."""
 
-The format is the sharding of Zarr version 3, and zarr opens the arrays: encoded frames one after the other, each
-followed by its CRC-32C, then an index with the offset and length of each, uint64, then a CRC-32C of the index.
-The files are read and written without zarr, because a frame is then ready in half the time (`make bench-dataset`),
-threads may read side by side, and what a kill or a full disk leaves behind is decided here.
-"""
-
-from __future__ import annotations
-
-import os
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
-from uuid import uuid4
 
 import google_crc32c
 import numpy as np
 import zarr
 from numcodecs import Blosc
 from zarr.codecs import BloscCodec, Crc32cCodec
+from zarr.core.buffer import Buffer
+from zarr.storage import MemoryStore
 
-_COMPRESSOR, _LEVEL = "zstd", 3
-_SHUFFLES = {"noshuffle": Blosc.NOSHUFFLE, "shuffle": Blosc.SHUFFLE, "bitshuffle": Blosc.BITSHUFFLE}
+from ablate.storage import remove_partial, written_whole
+
 _CHECKSUM_BYTES = 4
-_SLOT_BYTES = 16
 _ABSENT = 2**64 - 1
 
 
@@ -40,111 +29,66 @@ class FrameFormat:
         return np.dtype(self.dtype).itemsize
 
 
-def create_array(group: zarr.Group, name: str, shape: tuple[int, int, int], slots: int, how: FrameFormat) -> None:
-    """Lay out an array of frames (n, H, W), `slots` of them a shard; only its metadata is written."""
-    group.create_array(
-        name,
-        shape=shape,
-        dtype=how.dtype,
-        chunks=(1, *shape[1:]),
-        shards=(slots, *shape[1:]),
-        compressors=[
-            BloscCodec(cname=_COMPRESSOR, clevel=_LEVEL, shuffle=how.shuffle, typesize=how.itemsize),
+def frame_array(frames: int, shape: tuple[int, int], slots: int, how: FrameFormat) -> dict[str, object]:
+    """Arguments of `create_array` for an array of frames (n, H, W), `slots` of them a shard."""
+    return {
+        "shape": (frames, *shape),
+        "dtype": how.dtype,
+        "chunks": (1, *shape),
+        "shards": (slots, *shape),
+        "compressors": [
+            BloscCodec(cname="zstd", clevel=3, shuffle=how.shuffle, typesize=how.itemsize),
             Crc32cCodec(),
         ],
-    )
+        "config": {"write_empty_chunks": True},  # a black frame is stored, so that an absent one is an error
+    }
 
 
-def write_shard(path: Path, frames: Iterable[np.ndarray], slots: int, how: FrameFormat) -> None:
-    """Write the first frames of a shard that has room for `slots`: whole, or not at all.
+def write_shard(path: Path, stack: np.ndarray, slots: int, how: FrameFormat) -> None:
+    """Write the first frames, (n, H, W) of `how.dtype`, of a shard that has room for `slots`: whole, or not at all.
 
-    Of several processes, one at a time may write a shard; what others left half-written is removed.
-
-    Raises
-    ------
-    OSError
-        When the file cannot be written, as on a full disk; nothing of it is left.
+    Only one process at a time may write a shard; what others left half-written is removed. On a full disk OSError is
+    raised and nothing is left.
     """
-    codec = Blosc(cname=_COMPRESSOR, clevel=_LEVEL, shuffle=_SHUFFLES[how.shuffle])
-    parts = [_sealed(codec.encode(np.ascontiguousarray(frame, how.dtype))) for frame in frames]
-    index = np.full((slots, 2), _ABSENT, "<u8")
-    lengths = np.array([len(part) for part in parts])
-    index[: len(parts)] = np.stack([np.cumsum(lengths) - lengths, lengths], axis=1)
+    encoded: dict[str, Buffer] = {}
+    zarr.create_array(MemoryStore(encoded), **frame_array(len(stack), stack.shape[1:], slots, how))[...] = stack
     path.parent.mkdir(parents=True, exist_ok=True)
-    for left in path.parent.glob("*.partial"):
-        left.unlink(missing_ok=True)
-    partial = path.with_name(f"{path.name}.{uuid4().hex}.partial")
-    try:
-        with partial.open("xb") as file:
-            file.write(b"".join([*parts, _sealed(index.tobytes())]))
-            file.flush()
-            os.fsync(file.fileno())  # some file systems notice only here that the disk is full
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    remove_partial(path)
+    with written_whole(path) as partial:
+        partial.write_bytes(encoded["c/0/0/0"].to_bytes())
 
 
 def read_frame(path: Path, slot: int, slots: int, how: FrameFormat, shape: tuple[int, int]) -> np.ndarray:
-    """Frame number `slot` of a shard that has room for `slots`.
+    """Return one frame of a shard, (H, W) of `how.dtype`, without the cost of opening it through Zarr.
 
-    Returns
-    -------
-    (H, W) array of `how.dtype`
-
-    Raises
-    ------
-    FileNotFoundError
-        When the shard has not been written.
-    ValueError
-        When the file is not as it was written.
+    A ValueError says what is wrong with the file.
     """
     with path.open("rb") as file:
-        encoded = _encoded(file, _index(file, slots), slot)
+        size = 16 * slots + _CHECKSUM_BYTES  # of the index: offset and length of each frame, uint64
+        file.seek(max(path.stat().st_size - size, 0))
+        offset, length = np.frombuffer(_verified(file.read(size)), "<u8").reshape(-1, 2)[slot]
+        if _ABSENT in (offset, length):
+            raise ValueError(f"frame {slot} of the shard is absent")
+        file.seek(int(offset))
+        encoded = _verified(file.read(int(length)))
     frame = np.empty(shape, how.dtype)
     try:
         Blosc().decode(encoded, frame)
     except RuntimeError as error:
-        raise ValueError(f"frame {slot} of the shard cannot be decoded") from error
+        raise ValueError("it cannot be decoded") from error
     return frame
 
 
-def check_shard(path: Path, used: int, slots: int) -> None:
-    """Compare the first `used` frames of a shard and its index with their checksums; nothing is decoded.
-
-    Raises
-    ------
-    FileNotFoundError, ValueError
-        As `read_frame`.
-    """
-    with path.open("rb") as file:
-        index = _index(file, slots)
-        for slot in range(used):
-            _encoded(file, index, slot)
-
-
-def _index(file: BinaryIO, slots: int) -> np.ndarray:
-    """Offset and length of every frame, (slots, 2) uint64."""
-    size = slots * _SLOT_BYTES + _CHECKSUM_BYTES
-    if os.fstat(file.fileno()).st_size < size:
-        raise ValueError("the file is shorter than its index")
-    file.seek(-size, os.SEEK_END)
-    return np.frombuffer(_opened(file.read(size), "index"), "<u8").reshape(slots, 2)
-
-
-def _encoded(file: BinaryIO, index: np.ndarray, slot: int) -> bytes:
-    offset, length = (int(v) for v in index[slot])
-    if _ABSENT in (offset, length):
-        raise ValueError(f"frame {slot} of the shard is absent")
-    file.seek(offset)
-    return _opened(file.read(length), f"frame {slot} of the shard")
-
-
-def _sealed(content: bytes) -> bytes:
-    return content + google_crc32c.value(content).to_bytes(_CHECKSUM_BYTES, "little")
-
-
-def _opened(data: bytes, what: str) -> bytes:
-    content = data[:-_CHECKSUM_BYTES]
-    if len(data) < _CHECKSUM_BYTES or _sealed(content) != data:
-        raise ValueError(f"{what} does not match its checksum")
+def _verified(data: bytes) -> bytes:
+    """Return what stands before the CRC-32C of 4 bytes at the end of `data`."""
+    content, checksum = data[:-_CHECKSUM_BYTES], data[-_CHECKSUM_BYTES:]
+    if google_crc32c.value(content).to_bytes(_CHECKSUM_BYTES, "little") != checksum:
+        raise ValueError("it does not match its checksum")
     return content
+
+
+def absent_frames(path: Path, slots: int) -> np.ndarray:
+    """Return which of a shard's slots hold no frame, (slots,) bool; Zarr reads zeros there."""
+    # A shard ends with the offset and length of each frame, 2^64 - 1 where there is none, and a checksum of 4 bytes.
+    index = np.fromfile(path, "<u8", 2 * slots, offset=path.stat().st_size - 16 * slots - 4)
+    return np.asarray(index[::2] == _ABSENT)

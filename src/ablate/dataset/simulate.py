@@ -15,14 +15,14 @@ from multiprocessing.synchronize import Event
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.dataset.filling import fill_pairs, unclaimed
+from ablate.dataset.filling import MakeFrames, fill_pairs, unclaimed
 from ablate.dataset.pairs import Pairs
-from ablate.dataset.processes import allotted_cores, deaf_to_interrupts, end_with_parent
+from ablate.dataset.processes import allotted_cores, end_with_parent, interrupts_blocked
+from ablate.dataset.seeds import resimulation_seed
 from ablate.dataset.split import Part
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 
 Progress = Callable[[int], object]
-_RESIMULATION = 1_000_003  # added to the scatterer seed
 _WAIT_S = 1.0
 
 
@@ -30,14 +30,8 @@ _WAIT_S = 1.0
 class Recipe:
     """What every frame of a data set is made with.
 
-    Attributes
-    ----------
-    scene : Scene
-    probe : ConvexProbe
-    settings : SimulatorSettings
-        Of the high-quality image; the low-quality one differs in rays and layers alone.
-    seed : int
-        Of the scatterers: one an anatomy, because speckle belongs to the world.
+    `settings` are those of the target; the low-quality image L differs in rays and layers alone. `seed` is that of the
+    scatterers, one for an anatomy, because speckle belongs to the world.
     """
 
     scene: Scene
@@ -46,10 +40,10 @@ class Recipe:
     seed: int = 0
 
 
-def renderer(recipe: Recipe, pairs: Pairs) -> Callable[[np.ndarray, frozenset[str]], Mapping[str, np.ndarray]]:
+def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
     """A function that renders the wanted maps of some frames of a data set, for `fill_pairs`."""
 
-    high, low = recipe.settings, replace(recipe.settings, rays=1, layers=1)
+    of_target, of_low = recipe.settings, replace(recipe.settings, rays=1, layers=1)
 
     @cache
     def simulator(settings: SimulatorSettings) -> Simulator:
@@ -60,15 +54,15 @@ def renderer(recipe: Recipe, pairs: Pairs) -> Callable[[np.ndarray, frozenset[st
         for k, frame in enumerate(frames):
             pose = pairs.poses[frame]
             made: dict[str, np.ndarray] = {}
-            if "high" in maps:
-                shown = simulator(high).render(pose, seed=recipe.seed)
-                made |= {"high": shown.image, "segmentation": shown.segmentation, "attenuation": shown.attenuation}
+            if "target" in maps:
+                shown = simulator(of_target).render(pose, seed=recipe.seed)
+                made |= {"target": shown.image, "segmentation": shown.segmentation, "attenuation": shown.attenuation}
             elif maps & {"segmentation", "attenuation"}:
-                made["segmentation"], made["attenuation"] = simulator(high).maps(pose)
-            if "high_again" in maps and pairs.split[frame] != Part.train:
-                made["high_again"] = simulator(high).render(pose, seed=recipe.seed + _RESIMULATION).image
+                made["segmentation"], made["attenuation"] = simulator(of_target).maps(pose)
+            if "resimulation" in maps and pairs.split[frame] != Part.train:
+                made["resimulation"] = simulator(of_target).render(pose, seed=resimulation_seed(recipe.seed)).image
             if "low" in maps:
-                made["low"] = simulator(low).render(pose, seed=recipe.seed).image
+                made["low"] = simulator(of_low).render(pose, seed=recipe.seed).image
             for name in made.keys() & maps:
                 out[name][k] = made[name]
         return out
@@ -77,23 +71,11 @@ def renderer(recipe: Recipe, pairs: Pairs) -> Callable[[np.ndarray, frozenset[st
 
 
 def simulate_pairs(
-    recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int = 0, progress: Progress | None = None
+    recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int = 0, progress: Progress = lambda _: None
 ) -> int:
-    """Fill what is missing of a data set and return when nothing is.
+    """Fill what is missing of a data set and return the number of frames that this call made.
 
-    Parameters
-    ----------
-    recipe : Recipe
-    pairs : Pairs
-    maps : frozenset of str
-    workers : int
-        Processes; 0 is one a core.
-    progress : callable (frames made since the last call), optional
-
-    Returns
-    -------
-    int
-        Frames made by this call; shards that another process makes meanwhile are waited for.
+    Shards that another process makes meanwhile are waited for. There are `workers` processes, one a core if it is 0.
 
     Raises
     ------
@@ -107,18 +89,17 @@ def simulate_pairs(
     def count(frames: int) -> None:
         nonlocal made
         made += frames
-        if progress is not None:
-            progress(frames)
+        progress(frames)
 
     while pairs.missing(maps):
         wanted = min(workers or allotted_cores(), len(unclaimed(pairs, maps)))
         if wanted > 1:
             _fill_in_processes(recipe, pairs, maps, wanted, count)
         elif wanted == 1:
-            for frames in fill_pairs(pairs, maps, renderer(recipe, pairs)):
+            for frames in fill_pairs(pairs, maps, frame_simulator(recipe, pairs)):
                 count(frames)
         else:
-            time.sleep(_WAIT_S)  # all that is missing is in other hands
+            time.sleep(_WAIT_S)  # other processes make all that is missing
     return made
 
 
@@ -129,7 +110,7 @@ def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], worke
     arguments = recipe, pairs, maps, done, stop
     processes = [context.Process(target=_work, args=arguments, daemon=True) for _ in range(workers)]
     try:
-        with deaf_to_interrupts():  # Ctrl-C reaches every process of a terminal; the parent ends its workers
+        with interrupts_blocked():  # Ctrl-C reaches every process of a terminal; the parent ends its workers
             for process in processes:
                 process.start()
         while any(p.is_alive() for p in processes) or not done.empty():
@@ -171,7 +152,7 @@ def _work(
     end_with_parent()
     torch.set_num_threads(1)
     try:
-        for frames in fill_pairs(pairs, maps, renderer(recipe, pairs)):
+        for frames in fill_pairs(pairs, maps, frame_simulator(recipe, pairs)):
             done.put(frames)
             if stop.is_set():
                 return

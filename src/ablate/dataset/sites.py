@@ -1,8 +1,5 @@
 """Probe sites: a regular grid of poses on the outer surface of a scene, and why some of them are left out."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -15,14 +12,9 @@ from ablate.ultrasound import ConvexProbe
 
 @dataclass(frozen=True)
 class Pose:
-    """One probe pose.
+    """One probe pose: a rigid transform, (4, 4) float64, mm, and the index of its (height, angle) pair.
 
-    Attributes
-    ----------
-    probe_to_world : (4, 4) float64
-        Rigid transform, mm.
-    site : int
-        Index of the (height, angle) pair it belongs to; frames of one site see almost the same anatomy.
+    Frames of one site see almost the same anatomy.
     """
 
     probe_to_world: np.ndarray
@@ -40,14 +32,9 @@ class Dropped(StrEnum):
 
 @dataclass(frozen=True)
 class Placement:
-    """The poses of a grid that can be used, and how many cannot.
+    """The poses of a grid that can be used, in the order heights, angles, tilts, rolls, and how many cannot by reason.
 
-    Attributes
-    ----------
-    poses : tuple of Pose
-        In the order heights, angles, tilts, rolls.
-    dropped : dict of Dropped to int
-        Poses left out by reason, every reason present; a pose counts once, under the first that holds.
+    Every reason is a key of `dropped`; a pose counts once, under the first reason that holds.
     """
 
     poses: tuple[Pose, ...]
@@ -61,65 +48,12 @@ class Placement:
         return f"{len(self.poses)} probe poses at {sites} sites{said}"
 
 
-def resample_grid(grid: SiteGrid, counts: Sequence[int] | None) -> SiteGrid:
-    """The same ranges with other counts.
-
-    Parameters
-    ----------
-    grid : SiteGrid
-    counts : sequence of 4 int, or None
-        Number of heights, angles, tilts and rolls; None keeps the grid.
-
-    Returns
-    -------
-    SiteGrid
-        A count of one keeps the middle of its range; equal spacing otherwise.
-
-    Raises
-    ------
-    ValueError
-        When a count is below one.
-    """
-    if counts is None:
-        return grid
-    if len(counts) != 4 or min(counts) < 1:
-        raise ValueError(f"dataset.grid={list(counts)}: four counts of at least 1 (heights, angles, tilts, rolls)")
-
-    def spread(values: Sequence[float], count: int) -> tuple[float, ...]:
-        low, high = min(values), max(values)
-        if count == 1:
-            return ((low + high) / 2,)
-        return tuple(float(v) for v in np.linspace(low, high, count))
-
-    heights, angles, tilts, rolls = counts
-    return replace(
-        grid,
-        heights_mm=spread(grid.heights_mm, heights),
-        angles_deg=spread(grid.angles_deg, angles),
-        tilts_deg=spread(grid.tilts_deg, tilts),
-        rolls_deg=spread(grid.rolls_deg, rolls),
-    )
-
-
 def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: ConvexProbe | None = None) -> Placement:
     """Press the probe on the skin at every pose of a grid.
 
     The probe comes from outside along the mean inward normal of the skin around the point where a ray towards the
     body's axis first meets it, rolled and tilted, until the deepest part of its face lies `press_mm` under the
     undeformed skin. The skin is the first surface met, of whichever structure.
-
-    Parameters
-    ----------
-    scene : Scene
-        With at least one structure.
-    grid : SiteGrid
-    press_mm : float
-        At least 0.
-    probe : ConvexProbe, optional
-
-    Returns
-    -------
-    Placement
 
     Raises
     ------

@@ -1,11 +1,11 @@
 """Which frames train, validate and test."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import IntEnum, StrEnum
 
 import numpy as np
+
+from ablate.dataset.seeds import Drawn, generator_for
 
 
 class Part(IntEnum):
@@ -29,18 +29,9 @@ def equally_spaced(frames: np.ndarray, count: int) -> np.ndarray:
 
 
 def choose_frames(sites: Sequence[int] | np.ndarray, frames: int, seed: int) -> np.ndarray:
-    """Indices of `frames` poses, as equally spread over the sites as the number allows.
+    """Increasing indices, (frames,) int64, of poses as equally spread over the sites as the number allows.
 
-    Parameters
-    ----------
-    sites : (n,) int
-        Site of every candidate pose.
-    frames : int
-    seed : int
-
-    Returns
-    -------
-    (frames,) int64, increasing
+    `sites`, (n,) int, is the site of every candidate pose.
 
     Raises
     ------
@@ -53,7 +44,7 @@ def choose_frames(sites: Sequence[int] | np.ndarray, frames: int, seed: int) -> 
             f"dataset.frames={frames}: allowed are 1 to {len(site)}, the poses that the probe sites offer; "
             "more sites or orientations: dataset.grid=[heights,angles,tilts,rolls]"
         )
-    rng = np.random.default_rng([seed, 1])
+    rng = generator_for(seed, Drawn.frames)
     order = rng.permutation(len(site))
     rank = np.empty(len(site), np.int64)  # how many poses of the same site come before, in that order
     for s in np.unique(site):
@@ -66,19 +57,9 @@ def choose_frames(sites: Sequence[int] | np.ndarray, frames: int, seed: int) -> 
 def split_frames(
     sites: Sequence[int] | np.ndarray, by: SplitBy, validation: float, test: float, seed: int
 ) -> np.ndarray:
-    """Part of every frame.
+    """`Part` of every frame, (n,) uint8, from its site, (n,) int.
 
-    Parameters
-    ----------
-    sites : (n,) int
-    by : SplitBy
-    validation, test : float
-        Fractions of the sites (or frames); at least one each where there are three or more.
-    seed : int
-
-    Returns
-    -------
-    (n,) uint8 of `Part`
+    `validation` and `test` are fractions of the sites (or frames), of which each gets at least one.
 
     Raises
     ------
@@ -96,7 +77,7 @@ def split_frames(
             f"dataset.split={by}: {len(units)} {by}s cannot be split into train, validation and test; "
             "ask for more frames or sites"
         )
-    order = np.random.default_rng([seed, 2]).permutation(units)
+    order = generator_for(seed, Drawn.split).permutation(units)
     part = np.full(len(site), Part.train, np.uint8)
     part[np.isin(member, order[:n_test])] = Part.test
     part[np.isin(member, order[n_test : n_test + n_validation])] = Part.validation

@@ -1,92 +1,64 @@
-"""Which metrics are computed: named, named together, or a function of the user's own."""
-
-from __future__ import annotations
+"""Find the metrics that a user asks for, by name, by the name of a set, or by the path of a metric of their own."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from importlib import import_module
 
-from ablate.metrics.evaluation import IMAGE_METRICS, ImageMetric
+from ablate.metrics.metric import FeatureKind, Metric, Shown
+from ablate.metrics.registry import METRICS, register
 
-FID_METRICS = ("fid", "kid")  # on Inception's features
-SPECKLE_METRICS = ("fd_speckle", "kd_speckle")
-SET_METRICS = (*FID_METRICS, *SPECKLE_METRICS, "noise_sd")
 METRIC_SETS = {
-    "all": (*IMAGE_METRICS, *SET_METRICS),
-    "paper": ("psnr", "mae", "pchi2", "fid", "fd_speckle"),  # its Table II, and what stands in for FID without weights
+    "all": tuple(name for name, metric in METRICS.items() if metric.computed),
+    "paper": tuple(name for name, metric in METRICS.items() if metric.computed and metric.shown & Shown.table),
 }
 
 
-@dataclass(frozen=True)
-class Metrics:
-    """The metrics of an evaluation.
-
-    Attributes
-    ----------
-    of_image : mapping of str to callable
-        Those that every image has.
-    of_set : frozenset of str
-        Those of `SET_METRICS`, that only a set of images has.
-    """
-
-    of_image: Mapping[str, ImageMetric]
-    of_set: frozenset[str]
-
-    @property
-    def names(self) -> frozenset[str]:
-        return self.of_set.union(self.of_image)
-
-
-def choose_metrics(asked: str | Iterable[str] = "all") -> Metrics:
-    """The metrics behind their names.
+def choose_metrics(asked: str | Iterable[str] = "all") -> dict[str, Metric]:
+    """Return metrics by name; `metric_of` knows those of the user from now on.
 
     Parameters
     ----------
     asked : str or iterable of str
-        Names of metrics, `all`, `paper`, and dotted paths of functions of a `Pair` that return a float, or None where
-        an image offers nothing to measure: `my_package.my_metric` is then the metric `my_metric`.
-
-    Returns
-    -------
-    Metrics
+        Names of metrics, `all`, `paper`, and dotted paths such as `my_package.my_metric` of a user's function of a
+        `Pair`, which returns a float or None where an image has nothing to measure, or of a user's `Metric`.
 
     Raises
     ------
     ValueError
-        When a name is unknown, a path leads to no function, or its last part is the name of another metric.
+        When a name is unknown, a path leads to no function or metric, or its name is that of another metric.
     """
     if not isinstance(asked, Iterable):
         raise ValueError(f"metrics={asked}: {_allowed()}")
-    of_image: dict[str, ImageMetric] = {}
-    of_set: set[str] = set()
+    chosen: dict[str, Metric] = {}
     for entry in (asked,) if isinstance(asked, str) else asked:
         for name in METRIC_SETS.get(entry, (entry,)):
-            if name in IMAGE_METRICS:
-                of_image[name] = IMAGE_METRICS[name]
-            elif name in SET_METRICS:
-                of_set.add(name)
-            else:
-                own, metric = _imported(name)
-                if of_image.setdefault(own, metric) is not metric:
-                    raise ValueError(f"metrics: two of them are called {own}")
-    if not (of_image or of_set):
+            metric = METRICS[name] if name in METRIC_SETS["all"] else _imported(name)
+            if chosen.setdefault(metric.name, metric) != metric:
+                raise ValueError(f"metrics: two of them are called {metric.name}")
+    if not chosen:
         raise ValueError(f"metrics: none is named; {_allowed()}")
-    return Metrics(of_image, frozenset(of_set))
+    return chosen
 
 
-def _imported(path: object) -> tuple[str, ImageMetric]:
+def needs_inception(metrics: Mapping[str, Metric]) -> bool:
+    """Whether one of them is a distance of Inception's features."""
+    return any(metric.uses(FeatureKind.inception) for metric in metrics.values())
+
+
+def _imported(path: object) -> Metric:
     module, _, name = str(path).rpartition(".")
     if not module:
         raise ValueError(f"metrics={path}: {_allowed()}")
     try:
-        metric = getattr(import_module(module), name)
+        found = getattr(import_module(module), name)
     except Exception as error:  # whatever the user's module does
         raise ValueError(f"metrics={path}: {type(error).__name__}: {error}; {_allowed()}") from error
-    if not callable(metric):
+    metric = found if isinstance(found, Metric) else Metric(name, of_image=found)
+    if not callable(metric.of_image):
         raise ValueError(f"metrics={path}: is no function; {_allowed()}")
-    if name in METRIC_SETS["all"]:
-        raise ValueError(f"metrics={path}: {name} is the name of another metric")
-    return name, metric
+    try:
+        return register(metric)
+    except ValueError as error:
+        raise ValueError(f"metrics={path}: {error}") from error
 
 
 def _allowed() -> str:

@@ -1,31 +1,14 @@
-"""Distances between two sets of features: Frechet and kernel. How sure either is stands in `intervals`."""
-
-from __future__ import annotations
+"""Frechet and kernel distances between two sets of features; `intervals` computes their confidence intervals."""
 
 import numpy as np
 
-from ablate.metrics.kernel_sums import kernel_sums
+from ablate.metrics.kernel_sums import kernel_of_draw
 
 LARGEST = 1e50  # of a feature: the kernel's cube of a square stays finite
 
 
 def check_features(X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two sets of features as float64, or a refusal.
-
-    Parameters
-    ----------
-    X, Y : (n, d) and (m, d) float
-        Features, one sample a row.
-
-    Returns
-    -------
-    X, Y : (n, d) and (m, d) float64
-
-    Raises
-    ------
-    ValueError
-        When a set has fewer than two samples, is not finite or beyond 1e50, or the dimensions differ.
-    """
+    """Return features (n, d) and (m, d) as float64; raise ValueError as `frechet_distance` says."""
     X, Y = np.asarray(X, dtype=np.float64), np.asarray(Y, dtype=np.float64)
     for name, features in (("X", X), ("Y", Y)):
         if features.ndim != 2 or features.shape[1] == 0:
@@ -56,10 +39,8 @@ def frechet_distance(X: np.ndarray, Y: np.ndarray) -> float:
 
     Parameters
     ----------
-    X : (n, d) float
-        Features of the first set, one sample a row.
-    Y : (m, d) float
-        Features of the second set.
+    X, Y : (n, d) and (m, d) float
+        Features of the two sets, one sample a row.
 
     Returns
     -------
@@ -82,26 +63,9 @@ def frechet_distance(X: np.ndarray, Y: np.ndarray) -> float:
 def kernel_distance(X: np.ndarray, Y: np.ndarray) -> float:
     """Kernel distance (KID): unbiased squared MMD with the kernel (x.y / d + 1)^3.
 
-    Binkowski et al. 2018. On all samples at once, so there are no random subsets.
-
-    Parameters
-    ----------
-    X : (n, d) float
-        Features of the first set.
-    Y : (m, d) float
-        Features of the second set.
-
-    Returns
-    -------
-    float
-        0 in expectation for independent samples of one distribution; slightly negative by chance, or when
-        rows of X and Y show the same frames.
-
-    Raises
-    ------
-    ValueError
-        When a set has fewer than two samples, is not finite or beyond 1e50, or the dimensions differ.
+    Binkowski et al. 2018, on all samples at once instead of random subsets. Arguments and errors are those of
+    `frechet_distance`. The value is 0 in expectation for independent samples of one distribution. It can be slightly
+    negative, by chance or when rows of X and Y show the same frames.
     """
     X, Y = check_features(X, Y)
-    all_x, all_y = np.zeros(len(X), np.intp), np.zeros(len(Y), np.intp)
-    return kernel_sums(X, Y, all_x, all_y).distance(np.ones(1), np.ones(1))
+    return kernel_of_draw(X, Y, np.zeros(len(X), np.intp), np.zeros(len(Y), np.intp))(np.ones(1), np.ones(1))

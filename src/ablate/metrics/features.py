@@ -1,7 +1,5 @@
 """A weight-free description of speckle texture, for Frechet and kernel distances that need no network."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.fft import rfft2
 
@@ -56,8 +54,8 @@ def _quantiles(counts: np.ndarray, pixels: int) -> np.ndarray:
     columns = []
     for q in QUANTILES:
         rank = q * (pixels - 1)
-        low, high = ((up_to <= k).sum(axis=1) for k in (int(rank), min(int(rank) + 1, pixels - 1)))
-        columns.append(low + (high - low) * (rank - int(rank)))
+        lower, upper = ((up_to <= k).sum(axis=1) for k in (int(rank), min(int(rank) + 1, pixels - 1)))
+        columns.append(lower + (upper - lower) * (rank - int(rank)))
     return np.column_stack(columns)
 
 
@@ -90,7 +88,10 @@ def _band_powers(x: np.ndarray) -> np.ndarray:
 
 
 def _pattern_of_code() -> np.ndarray:
-    """(256,) uint8: for each choice of brighter neighbours, a bit each, its rotation-invariant uniform pattern."""
+    """(256,) uint8: pattern of each code, whose 8 bits tell which neighbours are at least as bright.
+
+    The pattern is the number of these bits where they change at most twice around the circle, and 9 elsewhere.
+    """
     bits = np.arange(256)[:, None] >> np.arange(8) & 1
     changes = np.count_nonzero(bits != np.roll(bits, 1, axis=1), axis=1)
     return np.where(changes <= 2, bits.sum(axis=1), 9).astype(np.uint8)
@@ -100,11 +101,7 @@ _PATTERN_OF_CODE = _pattern_of_code()
 
 
 def _local_binary_patterns(image: np.ndarray) -> np.ndarray:
-    """(H, W) uint8: rotation-invariant uniform pattern of the 8 neighbours (Ojala et al. 2002).
-
-    0 to 8 is the number of neighbours at least as bright for patterns with at most two changes around the
-    circle; 9 is all other patterns.
-    """
+    """(H, W) uint8: rotation-invariant uniform pattern of the 8 neighbours (Ojala et al. 2002)."""
     padded = np.pad(image, 1, mode="edge")
     height, width = image.shape
     codes = np.zeros(image.shape, np.uint8)
@@ -114,10 +111,7 @@ def _local_binary_patterns(image: np.ndarray) -> np.ndarray:
 
 
 def speckle_features(images: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
-    """Describe the texture of every 48 x 48 patch that lies wholly inside the fan.
-
-    Moments and quantiles of the grey levels, autocorrelation and gradient along both axes, spectral power in
-    four octaves a direction and local binary patterns; see `FEATURE_NAMES`. Deterministic, no weights.
+    """Describe the texture of every 48 x 48 px patch that lies wholly inside the fan by the 35 `FEATURE_NAMES`.
 
     Parameters
     ----------
@@ -143,13 +137,10 @@ def speckle_features(images: np.ndarray, mask: np.ndarray | None = None) -> np.n
     inside = patches_inside(np.ones(images.shape[1:], bool) if mask is None else mask, PATCH)
     if not inside.any():
         raise ValueError(f"no patch of {PATCH} x {PATCH} px lies wholly inside the mask")
-    rows = [_features_of_one(image, inside) for image in images]
-    return np.concatenate(rows) if rows else np.zeros((0, len(FEATURE_NAMES)))
-
-
-def _features_of_one(image: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    flat = as_patches(image, PATCH)[inside]
-    square = flat.reshape(-1, PATCH, PATCH).astype(np.float64)
-    patterns = as_patches(_local_binary_patterns(image), PATCH)[inside]
-    histogram = value_counts(patterns, 10) / patterns.shape[1] / FRACTION_UNIT
-    return np.hstack((_moments(flat), _spatial(square), _band_powers(square), histogram))
+    rows = [np.zeros((0, len(FEATURE_NAMES)))]
+    for image in images:
+        flat, patterns = (as_patches(x, PATCH)[inside] for x in (image, _local_binary_patterns(image)))
+        square = flat.reshape(-1, PATCH, PATCH).astype(np.float64)
+        histogram = value_counts(patterns, 10) / PATCH**2 / FRACTION_UNIT
+        rows.append(np.hstack((_moments(flat), _spatial(square), _band_powers(square), histogram)))
+    return np.concatenate(rows)

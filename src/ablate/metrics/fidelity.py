@@ -1,7 +1,5 @@
 """How far two images are from each other, pixel by pixel: PSNR and mean absolute error."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -10,20 +8,7 @@ PEAK = 255.0
 
 
 def check_pair(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> None:
-    """Refuse two images that cannot be compared.
-
-    Parameters
-    ----------
-    a, b : (H, W) uint8
-        Grey levels.
-    mask : (H, W) bool, optional
-        Pixels that count.
-
-    Raises
-    ------
-    ValueError
-        When dtype, number of dimensions or shape do not fit, or there is no pixel to compare.
-    """
+    """Raise ValueError unless `a` and `b` are (H, W) uint8 and `mask`, (H, W) bool, leaves a pixel to compare."""
     for name, image in (("a", a), ("b", b)):
         if image.dtype != np.uint8 or image.ndim != 2:
             raise ValueError(f"image {name} must be (H, W) uint8, got {image.shape} {image.dtype}")
@@ -42,10 +27,7 @@ def _difference(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None) -> np.nda
 
 
 def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Peak signal-to-noise ratio, 10 log10(255^2 / MSE).
-
-    The paper prints 255 / MSE; at its MAE of 6.37 grey levels that form cannot exceed 7.98 dB, so its
-    28.19 dB are the usual definition, which is used here.
+    """Peak signal-to-noise ratio, 10 log10(255^2 / MSE); docs/metrics.md says why the paper's 255 / MSE is a misprint.
 
     Parameters
     ----------
@@ -70,24 +52,6 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
 
 
 def mae(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Mean absolute error in grey levels.
-
-    Parameters
-    ----------
-    a, b : (H, W) uint8
-        Grey levels.
-    mask : (H, W) bool, optional
-        Pixels that count; all when left out.
-
-    Returns
-    -------
-    float
-        Grey levels, 0 to 255.
-
-    Raises
-    ------
-    ValueError
-        When shapes or dtypes do not fit, or the mask is empty.
-    """
+    """Mean absolute error in grey levels, 0 to 255; arguments and errors as for `psnr`."""
     difference = _difference(a, b, mask)
     return int(np.sum(np.abs(difference), dtype=np.int64)) / difference.size

@@ -1,7 +1,5 @@
 """Features of the 2015 Inception network: the only ones whose Frechet distance may be called FID."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil
@@ -11,12 +9,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import torch
 from filelock import FileLock
 from tqdm import tqdm
 
+from ablate.storage import written_whole
+
 CENTRE, CROP = 512, 299
-DOWNLOAD = "download"
 
 # TorchScript translation of TensorFlow's network of 2015-12-05, published with StyleGAN2-ADA; it takes grey levels of
 # 0 to 255 and scales them itself. The digest is the one k-diffusion and others pin.
@@ -28,22 +26,9 @@ InceptionFeatures = Callable[[np.ndarray], np.ndarray]
 
 
 def four_crops(images: np.ndarray) -> np.ndarray:
-    """The four corner crops of 299 px of each image's 512 px centre; they overlap by 86 px (the paper).
+    """Cut images (n, H, W) uint8 into (4 n, 299, 299), image by image: the corner crops of their 512 px centres.
 
-    Parameters
-    ----------
-    images : (n, H, W) uint8
-        Grey levels, H and W at least 512.
-
-    Returns
-    -------
-    (4 n, 299, 299) uint8
-        Image by image; no resampling takes place.
-
-    Raises
-    ------
-    ValueError
-        When an image is smaller than 512 px or not uint8.
+    Raise ValueError when images are smaller than 512 px or not uint8.
     """
     if images.ndim != 3 or images.dtype != np.uint8:
         raise ValueError(f"images must be (n, H, W) uint8, got {images.shape} {images.dtype}")
@@ -65,10 +50,6 @@ def inception_file(where: str) -> Path:
         Path of the file, or `download`: `inception-2015-12-05.pt` in `$XDG_CACHE_HOME/ablate` (`~/.cache/ablate`),
         fetched once (91 MiB). Several processes may ask at the same time.
 
-    Returns
-    -------
-    Path
-
     Raises
     ------
     FileNotFoundError
@@ -78,7 +59,7 @@ def inception_file(where: str) -> Path:
     ValueError
         When its SHA-256 is another than `INCEPTION_SHA256`.
     """
-    if where == DOWNLOAD:
+    if where == "download":
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ablate"
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / INCEPTION_URL.rpartition("/")[2]
@@ -94,16 +75,17 @@ def inception_file(where: str) -> Path:
 
 
 def _download(path: Path) -> None:
-    partial = path.with_suffix(".partial")
-    try:
-        with urllib.request.urlopen(INCEPTION_URL, timeout=60) as response, partial.open("wb") as file:
-            size = int(response.headers.get("Content-Length") or 0) or None
-            with tqdm.wrapattr(response, "read", total=size, desc=path.name, unit_scale=True, disable=None) as stream:
-                shutil.copyfileobj(stream, file)
-    except OSError as error:
-        raise ConnectionError(f"{INCEPTION_URL} cannot be downloaded: {error}; give the path of the file") from error
-    _check_digest(partial)
-    partial.replace(path)
+    with written_whole(path) as partial:
+        try:
+            with urllib.request.urlopen(INCEPTION_URL, timeout=60) as response, partial.open("wb") as file:
+                size = int(response.headers.get("Content-Length") or 0) or None
+                bar = tqdm.wrapattr(response, "read", total=size, desc=path.name, unit_scale=True, disable=None)
+                with bar as stream:
+                    shutil.copyfileobj(stream, file)
+        except OSError as error:
+            said = f"{INCEPTION_URL} cannot be downloaded: {error}; give the path of the file"
+            raise ConnectionError(said) from error
+        _check_digest(partial)
 
 
 def _check_digest(path: Path) -> None:
@@ -122,8 +104,6 @@ def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> Inceptio
     ----------
     path : Path
         From `inception_file`. TorchScript, called as `module(x, return_features=True)` with x (b, 3, 299, 299) uint8.
-    device : str
-        Where the network runs.
     batch : int
         Crops at a time.
 
@@ -132,6 +112,8 @@ def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> Inceptio
     callable (n, H, W) uint8 -> (4 n, d) float64
         d = 2048; H and W at least 512, or it raises ValueError.
     """
+    import torch  # only here: every other metric does without it
+
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*torch.jit.load.*", category=DeprecationWarning)
         module = torch.jit.load(str(path), map_location=device).eval()

@@ -1,16 +1,11 @@
-"""How sure a distance between two sets of images is: a bootstrap over whole groups of them, such as probe sites."""
-
-from __future__ import annotations
+"""Bootstrap intervals of a distance between two sets of images, over whole groups of them such as probe sites."""
 
 from collections.abc import Callable
 
 import numpy as np
 
 from ablate.metrics.distances import check_features, frechet_distance, kernel_distance
-from ablate.metrics.kernel_sums import kernel_sums
-
-# (how often each group of X is drawn, and of Y) -> the distance of what is drawn
-_OfDraw = Callable[[np.ndarray, np.ndarray], float]
+from ablate.metrics.kernel_sums import OfDraw, kernel_of_draw
 
 
 def bootstrap_interval(
@@ -24,9 +19,8 @@ def bootstrap_interval(
 ) -> tuple[float, float]:
     """Bootstrap interval of a distance at this sample size.
 
-    Resampling with replacement biases both distances upwards (repeated samples), as small n does. So the
-    spread of the resampled values is taken and put around the estimate: the interval is for the value
-    expected at this n, which is what two models evaluated on the same frames are compared by.
+    Resampling with replacement repeats samples, which biases both distances upwards, as small n does. The spread of
+    the resampled values is therefore centred on the estimate. The interval is for the value expected at this n.
 
     Parameters
     ----------
@@ -38,13 +32,7 @@ def bootstrap_interval(
         Frame or probe site of each row, then n = m and row i of X and of Y belong together: whole groups are
         drawn, the same for both. Without it, rows of X and of Y are drawn independently.
     level : float
-        Coverage aimed at.
-    resamples, seed : int
-        Number of resamples, and of their random generator.
-
-    Returns
-    -------
-    low, high : float
+        Coverage.
 
     Raises
     ------
@@ -64,7 +52,7 @@ def bootstrap_interval(
     if distance is frechet_distance:
         of_draw = _frechet_of_draw(X, Y, owner_x, owner_y)
     elif distance is kernel_distance:
-        of_draw = kernel_sums(X, Y, owner_x, owner_y).distance
+        of_draw = kernel_of_draw(X, Y, owner_x, owner_y)
     else:
         raise ValueError(f"no bootstrap of {distance}: allowed are frechet_distance and kernel_distance")
     size_x, size_y = int(owner_x.max()) + 1, int(owner_y.max()) + 1
@@ -74,8 +62,8 @@ def bootstrap_interval(
         draws[i] = of_draw(times_x, _drawn(rng, size_y) if groups is None else times_x)
     tail = (1.0 - level) / 2.0
     estimate = of_draw(np.ones(size_x, int), np.ones(size_y, int))
-    low, high = np.quantile(draws, [tail, 1.0 - tail]) - draws.mean() + estimate
-    return float(low), float(high)
+    lower, upper = np.quantile(draws, [tail, 1.0 - tail]) - draws.mean() + estimate
+    return float(lower), float(upper)
 
 
 def _drawn(rng: np.random.Generator, groups: int) -> np.ndarray:
@@ -83,7 +71,7 @@ def _drawn(rng: np.random.Generator, groups: int) -> np.ndarray:
     return np.bincount(rng.integers(groups, size=groups), minlength=groups)
 
 
-def _frechet_of_draw(X: np.ndarray, Y: np.ndarray, owner_x: np.ndarray, owner_y: np.ndarray) -> _OfDraw:
+def _frechet_of_draw(X: np.ndarray, Y: np.ndarray, owner_x: np.ndarray, owner_y: np.ndarray) -> OfDraw:
     (rows_x, row_owner_x), (rows_y, row_owner_y) = _condensed(X, owner_x), _condensed(Y, owner_y)
 
     def value(times_x: np.ndarray, times_y: np.ndarray) -> float:

@@ -1,64 +1,21 @@
 """Sums of the cubic kernel (x.y / d + 1)^3 over all pairs of two sets of features, by group."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
 _BLOCK = 2048  # rows at a time: bounds the memory
 
-
-@dataclass(frozen=True, eq=False)
-class KernelSums:
-    """What the kernel distance needs, of all samples or of any choice of groups.
-
-    Attributes
-    ----------
-    within_x : (g, g) float64
-        Sum over all pairs of rows of X, one from each of two groups; a row is paired with itself too.
-    within_y : (h, h) float64
-        The same for Y.
-    between : (g, h) float64
-        The same for a row of X and one of Y.
-    selves_x, selves_y : (g,) and (h,) float64
-        Sum over the rows of each group of their kernel with themselves.
-    sizes_x, sizes_y : (g,) and (h,) int
-        Rows of each group.
-    """
-
-    within_x: np.ndarray
-    within_y: np.ndarray
-    between: np.ndarray
-    selves_x: np.ndarray
-    selves_y: np.ndarray
-    sizes_x: np.ndarray
-    sizes_y: np.ndarray
-
-    def distance(self, times_x: np.ndarray, times_y: np.ndarray) -> float:
-        """Unbiased squared MMD of groups taken `times_x` (g,) int and `times_y` (h,) int times."""
-        n, m = float(times_x @ self.sizes_x), float(times_y @ self.sizes_y)
-        mean_x = (times_x @ self.within_x @ times_x - times_x @ self.selves_x) / (n * (n - 1))
-        mean_y = (times_y @ self.within_y @ times_y - times_y @ self.selves_y) / (m * (m - 1))
-        return float(mean_x + mean_y - 2.0 * (times_x @ self.between @ times_y) / (n * m))
+# (how often each group of X is drawn, (g,) int; the same for Y, (h,) int) -> the distance of what is drawn
+OfDraw = Callable[[np.ndarray, np.ndarray], float]
 
 
-def kernel_sums(X: np.ndarray, Y: np.ndarray, groups_x: np.ndarray, groups_y: np.ndarray) -> KernelSums:
-    """Sums by group: pair by pair, or, of many rows of few features, from sums of monomials.
+def kernel_of_draw(X: np.ndarray, Y: np.ndarray, groups_x: np.ndarray, groups_y: np.ndarray) -> OfDraw:
+    """Return the unbiased squared MMD as a function of how often each group is drawn.
 
-    The kernel is the inner product of the monomials of its rows up to the third degree, so its sum over pairs is
-    the inner product of their sums. Both ways give the same to rounding.
-
-    Parameters
-    ----------
-    X, Y : (n, d) and (m, d) float64
-        Features.
-    groups_x, groups_y : (n,) and (m,) int
-        Group of each row; every number from 0 on occurs.
-
-    Returns
-    -------
-    KernelSums
+    `groups_x`, (n,) int, has the group of each row of `X`, (n, d) float64; every number from 0 on occurs. Kernels are
+    summed pair by pair, or from sums of monomials when many rows have few features: the kernel is the inner product of
+    the monomials of its rows up to the third degree. Both ways give the same to rounding.
     """
     d = X.shape[1]
     sizes_x, sizes_y = np.bincount(groups_x), np.bincount(groups_y)
@@ -68,11 +25,19 @@ def kernel_sums(X: np.ndarray, Y: np.ndarray, groups_x: np.ndarray, groups_y: np
     else:
         within_x, within_y = _pairs(X, X, groups_x, groups_x), _pairs(Y, Y, groups_y, groups_y)
         between = _pairs(X, Y, groups_x, groups_y)
+    # Kernels of rows with themselves, which an unbiased mean leaves out.
     selves_x, selves_y = (
         np.bincount(groups, (np.square(features).sum(axis=1) / d + 1.0) ** 3)
         for features, groups in ((X, groups_x), (Y, groups_y))
     )
-    return KernelSums(within_x, within_y, between, selves_x, selves_y, sizes_x, sizes_y)
+
+    def distance(times_x: np.ndarray, times_y: np.ndarray) -> float:
+        n, m = float(times_x @ sizes_x), float(times_y @ sizes_y)
+        mean_x = (times_x @ within_x @ times_x - times_x @ selves_x) / (n * (n - 1))
+        mean_y = (times_y @ within_y @ times_y - times_y @ selves_y) / (m * (m - 1))
+        return float(mean_x + mean_y - 2.0 * (times_x @ between @ times_y) / (n * m))
+
+    return distance
 
 
 def _pairs(X: np.ndarray, Y: np.ndarray, groups_x: np.ndarray, groups_y: np.ndarray) -> np.ndarray:

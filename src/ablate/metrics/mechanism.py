@@ -1,9 +1,4 @@
-"""Does each component do what it is for? Shadows, structure, checkerboards and the spread of noise.
-
-Every function returns None where the image offers nothing to measure, so that no NaN reaches a log.
-"""
-
-from __future__ import annotations
+"""Metrics of what each component is for: shadows, structure, checkerboards and the spread of noise."""
 
 from functools import lru_cache
 
@@ -23,23 +18,9 @@ RING_PX = 3  # how far around a spectral line its background is taken
 def relative_attenuation(
     attenuation: np.ndarray, mask: np.ndarray, depth_mm: np.ndarray, bin_mm: float = 1.0
 ) -> np.ndarray:
-    """Attenuation map over its median at the same depth.
+    """Attenuation map over its median in the fan at the same depth, (H, W) float32: under 1 in shadow.
 
-    Parameters
-    ----------
-    attenuation : (H, W) float in [0, 1]
-        The integral attenuation map A.
-    mask : (H, W) bool
-        The fan; medians are over its pixels.
-    depth_mm : (H, W) float, mm
-        Distance of each pixel from the probe's face, along its scanline.
-    bin_mm : float
-        Width of a depth bin, mm.
-
-    Returns
-    -------
-    (H, W) float32
-        1 at the median, under 1 in shadow; NaN outside the fan and where the median is 0.
+    It is NaN outside the fan and where the median is 0. The arrays are those of `shadow_contrast`.
     """
     depth_bin = np.clip(depth_mm[mask] / bin_mm, 0, np.iinfo(np.uint16).max).astype(np.uint16)
     values = np.ascontiguousarray(attenuation[mask], dtype=np.float32)
@@ -59,17 +40,14 @@ def shadow_contrast(
     tissue_mask: np.ndarray,
     depth_mm: np.ndarray,
 ) -> float | None:
-    """Error in shadow minus error in enhancement, in tissue: are shadows as deep as they should be?
-
-    Mean of prediction - target where A is under 0.6 of the median at that depth, minus the same mean where A
-    is over 1.4 of it. 0 is right, positive means shadows too bright; a global offset cancels.
+    """Mean error in shadow minus mean error in enhancement, in tissue; docs/metrics.md defines both.
 
     Parameters
     ----------
     prediction, target : (H, W) uint8
         Grey levels.
     attenuation : (H, W) float in [0, 1]
-        The integral attenuation map A.
+        The integral attenuation map.
     mask, tissue_mask : (H, W) bool
         The fan; pixels of tissue rather than fluid.
     depth_mm : (H, W) float, mm
@@ -78,7 +56,7 @@ def shadow_contrast(
     Returns
     -------
     float or None
-        Grey levels; None when shadow or enhancement has fewer than 100 pixels.
+        Grey levels; 0 is right, positive means shadows too bright. None when either has fewer than 100 pixels.
 
     Raises
     ------
@@ -99,59 +77,39 @@ def shadow_contrast(
 
 
 @lru_cache(maxsize=4)
-def _smoothed_mask(mask_bytes: bytes, shape: tuple[int, int], sigma_px: float) -> np.ndarray:
-    """The mask's own Gaussian average; the same for all frames of a probe, so it is kept."""
+def _smoothed_mask(mask_bytes: bytes, shape: tuple[int, int]) -> np.ndarray:
+    """The mask's own Gaussian average; it is kept because it is the same for all frames of a probe."""
     mask = np.frombuffer(mask_bytes, dtype=np.bool_).reshape(shape)
-    return np.maximum(_smooth(mask.astype(np.float32), sigma_px), np.finfo(np.float32).tiny)
+    return np.maximum(_smooth(mask.astype(np.float32)), np.finfo(np.float32).tiny)
 
 
-def _smooth(image: np.ndarray, sigma_px: float) -> np.ndarray:
+def _smooth(image: np.ndarray) -> np.ndarray:
     """Gaussian cut off at 3 standard deviations, of an image that is 0 outside; by FFT, in half the time of taps."""
     height, width = image.shape
-    shape, transfer = _gaussian_transfer(height, width, sigma_px)
+    shape, transfer = _gaussian_transfer(height, width)
     return np.asarray(irfft2(rfft2(image, shape) * transfer, shape)[:height, :width])
 
 
 @lru_cache(maxsize=4)
-def _gaussian_transfer(height: int, width: int, sigma_px: float) -> tuple[tuple[int, int], np.ndarray]:
+def _gaussian_transfer(height: int, width: int) -> tuple[tuple[int, int], np.ndarray]:
     """Size of the FFT, with room for the Gaussian's reach, and its transfer function there."""
-    reach = int(3.0 * sigma_px + 0.5)
+    reach = int(3.0 * SMOOTH_SIGMA_PX + 0.5)
     offsets = np.arange(-reach, reach + 1)
-    taps = np.exp(-0.5 * (offsets / sigma_px) ** 2)
+    taps = np.exp(-0.5 * (offsets / SMOOTH_SIGMA_PX) ** 2)
     rows, columns = (next_fast_len(length + reach, real=True) for length in (height, width))
     along_rows, along_columns = (fft(np.bincount(offsets % n, taps / taps.sum(), n)).real for n in (rows, columns))
     return (rows, columns), np.outer(along_rows, along_columns[: columns // 2 + 1]).astype(np.float32)
 
 
-def mae_smooth(
-    prediction: np.ndarray, target: np.ndarray, mask: np.ndarray, sigma_px: float = SMOOTH_SIGMA_PX
-) -> float:
-    """MAE inside the fan after a Gaussian: wrong structure and level, without wrong speckle.
+def mae_smooth(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray) -> float:
+    """MAE in grey levels inside the fan after a Gaussian, which averages speckle and keeps structure and level.
 
-    The Gaussian is normalised inside the mask, so the black outside does not bleed in.
-
-    Parameters
-    ----------
-    prediction, target : (H, W) uint8
-        Grey levels.
-    mask : (H, W) bool
-        The fan.
-    sigma_px : float
-        Standard deviation of the Gaussian, px; it is cut off at 3 of them.
-
-    Returns
-    -------
-    float
-        Grey levels.
-
-    Raises
-    ------
-    ValueError
-        When shapes or dtypes do not fit, or the mask is empty.
+    The Gaussian of standard deviation 4 px is normalised inside the fan, so the black outside does not count. Images
+    are (H, W) uint8 and `mask` is (H, W) bool. Raises ValueError when they do not fit, or the mask is empty.
     """
     check_pair(prediction, target, mask)
     difference = np.subtract(prediction, target, dtype=np.float32) * mask
-    smooth = _smooth(difference, sigma_px) / _smoothed_mask(mask.tobytes(), mask.shape, sigma_px)
+    smooth = _smooth(difference) / _smoothed_mask(mask.tobytes(), mask.shape)
     return float(np.abs(smooth[mask]).mean(dtype=np.float64))
 
 
@@ -167,21 +125,10 @@ def _mean_spectrum(image: np.ndarray, blocks: np.ndarray) -> np.ndarray:
 
 
 def line_excess_db(image: np.ndarray, blocks: np.ndarray, period_px: int = 2) -> float:
-    """Power on the spectral lines of a grid of `period_px` over the power around them, dB.
+    """Power on the spectral lines of a grid of `period_px` over the power around them in an image (H, W) uint8, dB.
 
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey levels.
-    blocks : (H // 32, W // 32) bool
-        Blocks that count.
-    period_px : int
-        2 is the grid of the last up-sampling, 4 of the one before.
-
-    Returns
-    -------
-    float
-        dB, the mean over the lines (multiples of 1 / period_px along both axes, without zero frequency).
+    The mean is over the `blocks`, (H // 32, W // 32) bool, and over the lines: the multiples of 1 / period_px along
+    both axes, without zero frequency.
     """
     half = _mean_spectrum(image, blocks)
     # The other half follows from symmetry: P(-f) = P(f).
@@ -202,9 +149,8 @@ def line_excess_db(image: np.ndarray, blocks: np.ndarray, period_px: int = 2) ->
 def nyquist_excess(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray, period_px: int = 2) -> float | None:
     """Checkerboard of up-sampling: the prediction's excess at the Nyquist lines over the target's, dB.
 
-    Strided transposed convolutions leave a pattern of period 2 px, and of 4 px from the level before
-    (Odena et al. 2016). The excess is against neighbouring frequencies of the same image, so blur or contrast
-    alone do not move it.
+    Strided transposed convolutions leave a pattern of period 2 px, and of 4 px from the level before (Odena et al.
+    2016). The excess is the power over that of neighbouring frequencies in the same image.
 
     Parameters
     ----------
@@ -212,8 +158,8 @@ def nyquist_excess(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray,
         Grey levels.
     mask : (H, W) bool
         The fan; only blocks of 32 px wholly inside count.
-    period_px : int
-        Period looked for, px: 2 or 4.
+    period_px : {2, 4}
+        Period of the pattern, px.
 
     Returns
     -------
@@ -235,24 +181,11 @@ def nyquist_excess(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray,
 
 
 def noise_sd(draws: np.ndarray, mask: np.ndarray) -> float | None:
-    """How much an image varies between draws of its noise: root mean variance over pixels.
+    """How much an image varies between draws of its noise: root mean variance over pixels, grey levels.
 
-    Parameters
-    ----------
-    draws : (k, H, W) uint8
-        The same frame with k noises, or simulated with k scatterer seeds.
-    mask : (H, W) bool
-        Pixels that count, usually tissue.
-
-    Returns
-    -------
-    float or None
-        Grey levels; None when the mask is empty.
-
-    Raises
-    ------
-    ValueError
-        When there are fewer than two draws or the mask does not fit.
+    `draws`, (k, H, W) uint8, are one frame with k draws of noise or scatterers. Only pixels of `mask`, (H, W) bool,
+    count, usually tissue; the value is None when there is none. Raises ValueError when there are fewer than two draws
+    or the mask does not fit.
     """
     if draws.ndim != 3 or draws.shape[0] < 2 or draws.shape[1:] != mask.shape:
         raise ValueError(f"draws must be (k >= 2, {mask.shape[0]}, {mask.shape[1]}), got {draws.shape}")

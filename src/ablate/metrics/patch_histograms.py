@@ -1,45 +1,19 @@
 """Patch chi-square: how far apart the grey-level histograms of small patches are."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ablate.metrics.fidelity import PEAK, check_pair
 
 
 def as_patches(image: np.ndarray, patch: int) -> np.ndarray:
-    """Cut an image into non-overlapping squares; remainder rows and columns are cropped.
-
-    Parameters
-    ----------
-    image : (H, W)
-        Any dtype.
-    patch : int
-        Side of a square, px.
-
-    Returns
-    -------
-    (H // patch, W // patch, patch * patch)
-        The squares in reading order.
-    """
+    """Cut an image (H, W) into squares of `patch` px, (H // patch, W // patch, patch * patch); the rest is cropped."""
     rows, columns = image.shape[0] // patch, image.shape[1] // patch
     squares = image[: rows * patch, : columns * patch].reshape(rows, patch, columns, patch)
     return squares.swapaxes(1, 2).reshape(rows, columns, patch * patch)
 
 
 def patches_inside(mask: np.ndarray, patch: int = 20) -> np.ndarray:
-    """Which patches lie wholly inside a mask.
-
-    Parameters
-    ----------
-    mask : (H, W) bool
-    patch : int
-        Side of a patch, px.
-
-    Returns
-    -------
-    (H // patch, W // patch) bool
-    """
+    """Which patches of `patch` px lie wholly inside a mask (H, W) bool: (H // patch, W // patch) bool."""
     return np.asarray(as_patches(mask, patch).all(axis=-1))
 
 
@@ -50,18 +24,7 @@ def _bin_of_grey_level(bins: int) -> np.ndarray:
 
 
 def value_counts(patches: np.ndarray, values: int) -> np.ndarray:
-    """How often each value occurs in each patch.
-
-    Parameters
-    ----------
-    patches : (..., pixels) uint8
-        Under `values`.
-    values : int
-
-    Returns
-    -------
-    (..., values) int64
-    """
+    """How often each value occurs in each patch, (..., values) int64, of (..., pixels) uint8 under `values`."""
     flat = patches.reshape(-1, patches.shape[-1])
     first = np.arange(len(flat), dtype=np.int32)[:, None] * np.int32(values)
     counts = np.bincount((flat + first).ravel(), minlength=len(flat) * values)
@@ -69,31 +32,15 @@ def value_counts(patches: np.ndarray, values: int) -> np.ndarray:
 
 
 def patch_counts(image: np.ndarray, patch: int, bins: int) -> np.ndarray:
-    """Histogram of every patch.
-
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey levels.
-    patch : int
-        Side of a patch, px.
-    bins : int
-        Bins over 0 to 255.
-
-    Returns
-    -------
-    (H // patch, W // patch, bins) int64
-        Pixels of each patch in each bin.
-    """
+    """Histograms (H // patch, W // patch, bins) int64 over 0 to 255 of the patches of an image (H, W) uint8."""
     return value_counts(as_patches(_bin_of_grey_level(bins).take(image), patch), bins)
 
 
 def patch_chi2(a: np.ndarray, b: np.ndarray, patch: int = 20, bins: int = 50) -> np.ndarray:
     """Chi-square distance between the patch histograms of two images.
 
-    chi2 = 1/2 sum (h_a - h_b)^2 / (h_a + h_b), histograms normalised to 1 over `linspace(0, 255, bins + 1)`
-    with the last bin closed, 0/0 = 0 (Zhang et al., the paper's section on quantitative evaluation; it leaves
-    range, normalisation and remainder open).
+    chi2 = 1/2 sum (h_a - h_b)^2 / (h_a + h_b) with h of sum 1 over `linspace(0, 255, bins + 1)`, the last bin closed,
+    and 0/0 = 0 (Zhang et al., quantitative evaluation, where range, normalisation and remainder are open).
 
     Parameters
     ----------
@@ -128,24 +75,10 @@ def patch_chi2(a: np.ndarray, b: np.ndarray, patch: int = 20, bins: int = 50) ->
 
 
 def rms(chi2_map: np.ndarray, patches: np.ndarray | None = None) -> float | None:
-    """Root mean square of a patch map: the figure that is reported for patch chi-square.
+    """Root mean square of a patch map (h, w), the figure that is reported for patch chi-square.
 
-    Parameters
-    ----------
-    chi2_map : (h, w) float
-        What `patch_chi2` gives.
-    patches : (h, w) bool, optional
-        Patches that count, for instance from `patches_inside`; all when left out.
-
-    Returns
-    -------
-    float or None
-        None when no patch counts.
-
-    Raises
-    ------
-    ValueError
-        When the two shapes differ.
+    Only `patches`, (h, w) bool as from `patches_inside`, count if they are given. It is None when no patch counts.
+    Raises ValueError when the two shapes differ.
     """
     if patches is not None and patches.shape != chi2_map.shape:
         raise ValueError(f"patches must be {chi2_map.shape} as the map, got {patches.shape}")

@@ -1,6 +1,6 @@
-"""The conditional PatchGAN of pix2pix: each output judges one 70 x 70 patch."""
+"""The conditional PatchGAN of pix2pix: each output scores one patch of 70 x 70 pixels."""
 
-from __future__ import annotations
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -10,11 +10,13 @@ from ablate.networks.layers import draw_initial_weights, instance_norm, laid_out
 from ablate.networks.spec import GeneratorSpec, conditions, scaled
 
 LEAK = 0.2
-SMALLEST_IMAGE = 32
+SMALLEST = 32
 
 
 class PatchDiscriminator(nn.Module):
-    """Three strided 4x4 convolutions and two of stride 1, in the order convolution, norm, leaky ReLU.
+    """Three 4x4 convolutions of stride 2 and two of stride 1, each followed by instance norm and leaky ReLU.
+
+    The first has no norm, and the last has neither.
 
     Parameters
     ----------
@@ -33,40 +35,35 @@ class PatchDiscriminator(nn.Module):
         widths = [scaled(channels, width) for channels in (64, 128, 256, 512)]
         self.first = nn.Conv2d(in_channels, widths[0], 4, stride=2, padding=1)
         self.inner = nn.ModuleList(
-            (
-                nn.Conv2d(widths[0], widths[1], 4, stride=2, padding=1),
-                nn.Conv2d(widths[1], widths[2], 4, stride=2, padding=1),
-                nn.Conv2d(widths[2], widths[3], 4, stride=1, padding=1),
-            )
+            nn.Conv2d(fine, coarse, 4, stride, padding=1)
+            for (fine, coarse), stride in zip(pairwise(widths), (2, 2, 1), strict=True)
         )
         self.last = nn.Conv2d(widths[3], 1, 4, stride=1, padding=1)
         draw_initial_weights(self)
 
     def forward(self, maps: Tensor, image: Tensor) -> Tensor:
-        """Judge patches.
+        """Score patches.
 
         Parameters
         ----------
         maps : (N, C, H, W) float
             The conditions.
         image : (N, 1, H, W) float
-            True or generated, black outside the fan; at least 32 x 32 pixels.
+            Real or generated, black outside the fan.
 
         Returns
         -------
         (N, 1, H / 8 - 2, W / 8 - 2) float
-            Logits, positive for true.
+            Logits, positive for real.
 
         Raises
         ------
         ValueError
-            Where the image is too small to hold a patch's centre.
+            If the image is smaller than 32 x 32 pixels.
         """
-        if min(image.shape[-2:]) < SMALLEST_IMAGE:
-            raise ValueError(
-                f"image: {image.shape[-2]} x {image.shape[-1]} pixels, "
-                f"allowed are {SMALLEST_IMAGE} x {SMALLEST_IMAGE} and more"
-            )
+        height, width = image.shape[-2:]
+        if min(height, width) < SMALLEST:
+            raise ValueError(f"image: {height} x {width} pixels, allowed are {SMALLEST} x {SMALLEST} and more")
         stacked = laid_out(torch.cat((maps, image.to(maps.dtype)), dim=1))
         features = F.leaky_relu(self.first(stacked), LEAK)
         for layer in self.inner:
@@ -76,5 +73,5 @@ class PatchDiscriminator(nn.Module):
 
 
 def discriminator_channels(spec: GeneratorSpec) -> int:
-    """Count the channels that the discriminator of this generator reads: conditions and image."""
+    """Count the input channels of this generator's discriminator: conditions and image."""
     return len(conditions(spec)) + 1

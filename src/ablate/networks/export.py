@@ -1,6 +1,4 @@
-"""A generator as an ONNX file: what OpenVINO, ONNX Runtime and TensorRT take."""
-
-from __future__ import annotations
+"""A generator as an ONNX file, for OpenVINO, ONNX Runtime and TensorRT."""
 
 import json
 import logging
@@ -15,37 +13,35 @@ from torch import Tensor, nn
 
 from ablate.networks.generator import Generator
 from ablate.networks.spec import conditions
+from ablate.storage import written_whole
 
 OPSET = 18
-OUTPUT = "image"
 
 
 def export_onnx(generator: Generator, path: Path, height: int, width: int) -> None:
     """Write a generator as one ONNX file for frames of one size, batch 1, float32.
 
-    The inputs are (1, 1, H, W) each, by name: the maps of `conditions(generator.spec)`, then the noise fields of
-    `generator.noise_sizes(height, width)`, for which `generator.draw_noise` or any standard normal numbers serve
-    (zeros switch the noise off). The only output, `image`, is (1, 1, H, W) in [-1, 1], not masked. The file's
-    metadata hold the specification as JSON under `spec`.
+    The inputs are named. First come the maps of `conditions(generator.spec)`, (1, 1, H, W) each. The noise fields of
+    `generator.noise_sizes(height, width)` follow: standard normal numbers, for example of `generator.draw_noise`, or
+    zeros to switch the noise off. The output `image` is (1, 1, H, W) in [-1, 1], not masked. The metadata of the file
+    hold the specification as JSON under `spec`.
 
     Parameters
     ----------
-    generator : Generator
-        On any device; it is not changed.
     path : Path
         Replaced when the new file is whole.
     height, width : int
-        Of a frame, px; need not be multiples of anything, padding is part of the file.
+        Size of a frame, px. Any size is allowed, because the file contains the padding.
 
     Raises
     ------
     ImportError
-        Where the extra `export` is not installed.
+        If the extra `export` is not installed.
 
     Notes
     -----
-    Noise is an input because its hash shifts 64-bit integers, which TensorRT does not do. A size is fixed because
-    a probe has one, and because a runtime plans its memory and its kernels for it.
+    Noise is an input because its hash shifts 64-bit integers, which TensorRT does not support. The size is fixed
+    because a probe has one size, and because a runtime plans its memory and kernels for it.
     """
     try:
         import onnx
@@ -56,30 +52,21 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int) -> No
     frame = _Frame(generator, height, width)
     sizes = [(height, width)] * len(frame.maps) + list(frame.sizes.values())
     arguments = tuple(torch.zeros(1, 1, *size, device=device) for size in sizes)
+    names = [*frame.maps, *frame.sizes]
     with _quiet_exporter(), torch.no_grad():
         program = torch.onnx.export(
-            frame,
-            arguments,
-            input_names=[*frame.maps, *frame.sizes],
-            output_names=[OUTPUT],
-            opset_version=OPSET,
-            dynamo=True,
-            verbose=False,
+            frame, arguments, input_names=names, output_names=["image"], opset_version=OPSET, dynamo=True, verbose=False
         )
     assert program is not None
     model = program.model_proto
     onnx.helper.set_model_props(model, {"spec": json.dumps(asdict(generator.spec))})
     onnx.checker.check_model(model, full_check=True)
-    unfinished = path.with_name(path.name + ".tmp")
-    try:
-        onnx.save(model, unfinished)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with written_whole(path) as partial:
+        onnx.save(model, partial)
 
 
 class _Frame(nn.Module):
-    """The generator as a function of tensors alone: its maps, then its noise fields."""
+    """The generator as a function of tensors: first its maps, then its noise fields."""
 
     def __init__(self, generator: Generator, height: int, width: int) -> None:
         super().__init__()
@@ -95,7 +82,7 @@ class _Frame(nn.Module):
 
 @contextmanager
 def _quiet_exporter() -> Iterator[None]:
-    """Silence what torch's exporter says of packages that are not needed, and of its own deprecated calls."""
+    """Suppress the exporter's messages about optional packages and about its own deprecated calls."""
     log = logging.getLogger("torch.onnx")
     level = log.level
     log.setLevel(logging.ERROR)

@@ -1,10 +1,8 @@
-"""Gaussian noise fields from a counter-based hash: a function of (seed, level, pixel) and nothing else.
+"""Gaussian noise fields from a counter-based hash of seed, level and pixel.
 
-No state is kept, so a field does not depend on the batch it is drawn in, on what was drawn before,
-nor on the device, and a resumed training sees the noise it would have seen.
+There is no state. A field does not depend on the batch, on earlier draws or on the device, so a resumed training gets
+the same noise as an uninterrupted one.
 """
-
-from __future__ import annotations
 
 import math
 
@@ -20,21 +18,21 @@ _BITS_24 = (1 << 24) - 1
 
 
 def gaussian_field(seed: Tensor, level: int, height: int, width: int) -> Tensor:
-    """Draw one standard normal field a sample.
+    """Draw one standard normal field for each sample.
 
     Parameters
     ----------
     seed : (N,) int64
-        One seed a sample; its device is where the field is computed.
+        One seed for each sample; the field is computed on its device.
     level : int
-        Which field of the seed: fields of different levels are independent.
+        Number of the field; fields of different levels are independent.
     height, width : int
-        Size, pixels.
+        Pixels.
 
     Returns
     -------
     (N, 1, height, width) float32
-        Values within +-5.9 (24 bits a draw).
+        Values within +-5.9, because a draw has 24 bits.
 
     Notes
     -----
@@ -53,12 +51,12 @@ def gaussian_field(seed: Tensor, level: int, height: int, width: int) -> Tensor:
 
 
 def _shifted(word: Tensor, bits: int) -> Tensor:
-    """Shift right by `bits`, filling with zeros (torch's own shift of int64 copies the sign)."""
+    """Shift right by `bits` and fill with zeros; torch's shift of int64 copies the sign."""
     return (word >> bits) & ((1 << (64 - bits)) - 1)
 
 
 def _mix(word: Tensor) -> Tensor:
-    """Finalise a word of splitmix64; products wrap modulo 2^64."""
+    """Apply the final mixing of splitmix64; products wrap modulo 2^64."""
     word = (word ^ _shifted(word, 30)) * _MIX_1
     word = (word ^ _shifted(word, 27)) * _MIX_2
     return word ^ _shifted(word, 31)

@@ -1,6 +1,4 @@
-"""A generator from its specification: any image size in, padded, rendered and cropped back."""
-
-from __future__ import annotations
+"""A generator made from its specification; images of any size are padded, rendered and cropped."""
 
 from collections.abc import Mapping
 
@@ -11,30 +9,19 @@ from torch.nn import functional as F
 from ablate.networks.gaussian_fields import gaussian_field
 from ablate.networks.layers import draw_initial_weights, laid_out
 from ablate.networks.local import LocalNetwork
-from ablate.networks.spec import Concat, Family, GeneratorSpec, Noise, conditions, inputs
+from ablate.networks.spec import DEPTHS, Concat, Family, GeneratorSpec, Noise, conditions, inputs
 from ablate.networks.unet import UNetwork
 
-# What lies outside the fan, and is padded with.
+# The value of each map outside the fan, also used for padding.
 OUTSIDE = {"segmentation": -1.0, "attenuation": 0.0, "low": -1.0}
-_CHANNEL = "noise"
-# The noise channel is a field of its own, apart from those injected at levels 0 to depth - 1.
-_CHANNEL_FIELD = 64
+# Number of each noise field: those injected at the levels of the decoder, and the input channel.
+FIELD_NUMBERS = {f"noise_{level}": level for level in range(DEPTHS[-1])} | {"noise": 64}
 
 
 class Generator(nn.Module):
-    """Segmentation (and what else the specification names) to a B-mode image.
+    """Renders a B-mode image from the segmentation and the other inputs of its specification.
 
-    It holds no parameter and draws, resizes and reads nothing that its variant does not use.
-
-    Parameters
-    ----------
-    spec : GeneratorSpec
-        The components.
-
-    Attributes
-    ----------
-    spec : GeneratorSpec
-    network : LocalNetwork or UNetwork
+    It has no parameter, and computes nothing, that its variant does not use.
     """
 
     def __init__(self, spec: GeneratorSpec) -> None:
@@ -57,22 +44,21 @@ class Generator(nn.Module):
         ----------
         segmentation : (N, 1, H, W) float in [-1, 1]
             Encoded labels, -1 outside the fan.
-        attenuation : (N, 1, H, W) float in [0, 1], optional
-            Integral attenuation map, 0 outside the fan. Not read unless the variant does.
-        low : (N, 1, H, W) float in [-1, 1], optional
-            Low-quality image. Not read unless the variant does.
+        attenuation, low : (N, 1, H, W) float, optional
+            Integral attenuation map in [0, 1], 0 outside the fan, and low-quality image in [-1, 1]; each is ignored by
+            a variant without it.
         noise_seed : (N,) int64, optional
-            One seed a sample for all its noise; None switches noise off (fields of zero).
+            One seed for all noise of each sample; None switches noise off (fields of zero).
 
         Returns
         -------
         (N, 1, H, W) float in [-1, 1]
-            Not masked: the caller knows the fan.
+            Not masked: the caller applies the fan.
 
         Raises
         ------
         ValueError
-            Where a map that the variant reads is missing or has another shape.
+            If a map that the variant reads is missing or has another shape.
         """
         given = {"segmentation": segmentation, "attenuation": attenuation, "low": low}
         if noise_seed is None:
@@ -80,56 +66,44 @@ class Generator(nn.Module):
         return self.render(given, self.draw_noise(noise_seed.to(segmentation.device), *segmentation.shape[-2:]))
 
     def render(self, given: Mapping[str, Tensor | None], noise: Mapping[str, Tensor]) -> Tensor:
-        """Render images with noise that is drawn already.
-
-        Parameters
-        ----------
-        given : mapping of (N, 1, H, W) float
-            The maps of `conditions(spec)`, as in `forward`; others are not read.
-        noise : mapping of (N, 1, h, w) float
-            The fields of `noise_sizes(H, W)`, standard normal; empty to switch noise off.
-
-        Returns
-        -------
-        (N, 1, H, W) float in [-1, 1]
-        """
-        maps = self._padded(given)
-        injected = [noise.get(_injected(level)) for level in range(self.spec.depth)]
-        image: Tensor = self.network(self._stacked(maps, noise.get(_CHANNEL)), self._pyramid(maps), injected)
+        """Render as `forward`, with noise fields (N, 1, h, w) of `noise_sizes(H, W)`; an empty mapping is no noise."""
+        maps = stacked = self._padded(given)
+        if "noise" in inputs(self.spec):
+            channel = noise["noise"].to(maps.dtype) if noise else torch.zeros_like(maps[:, :1])
+            stacked = torch.cat((maps, channel), dim=1)
+        injected = [noise.get(f"noise_{level}") for level in range(self.spec.depth)]
+        image: Tensor = self.network(stacked, self._pyramid(maps), injected)
         height, width = next(value.shape[-2:] for value in given.values() if value is not None)
         return image if image.shape[-2:] == (height, width) else image[..., :height, :width]
 
     def noise_sizes(self, height: int, width: int) -> dict[str, tuple[int, int]]:
-        """Name the noise fields that an image of this size takes, with the height and width of each, px.
+        """List the noise fields of an image of this size: name, and height and width, px.
 
-        `noise` is an input channel, `noise_<level>` is injected at 1/2^level of the resolution. The sizes are those
-        of the image padded to a multiple of 2^depth. Empty where the variant draws none.
+        `noise` is an input channel, `noise_<level>` is injected at 1/2^level of the resolution. Sizes are those of the
+        image padded to a multiple of 2^depth. The result is empty for a variant without noise.
         """
         height, width = height + -height % 2**self.spec.depth, width + -width % 2**self.spec.depth
-        sizes = {_CHANNEL: (height, width)} if _CHANNEL in inputs(self.spec) else {}
+        sizes = {"noise": (height, width)} if "noise" in inputs(self.spec) else {}
         if self.spec.noise is Noise.inject:
-            sizes |= {_injected(level): (height >> level, width >> level) for level in range(self.spec.depth)}
+            sizes |= {f"noise_{level}": (height >> level, width >> level) for level in range(self.spec.depth)}
         return sizes
 
     def draw_noise(self, seed: Tensor, height: int, width: int) -> dict[str, Tensor]:
         """Draw the fields of `noise_sizes(height, width)`, (N, 1, h, w) float32 each, from (N,) int64 seeds."""
-        number = {_CHANNEL: _CHANNEL_FIELD} | {_injected(level): level for level in range(self.spec.depth)}
-        return {
-            name: gaussian_field(seed, number[name], *size) for name, size in self.noise_sizes(height, width).items()
-        }
+        sizes = self.noise_sizes(height, width)
+        return {name: gaussian_field(seed, FIELD_NUMBERS[name], *size) for name, size in sizes.items()}
 
     def noise_magnitude(self) -> Tensor | None:
-        """Mean absolute weight of the injected noise, a scalar; None where none is injected.
+        """Compute the mean absolute weight of the injected noise, a scalar; None if no noise is injected.
 
-        A value that falls under 0.02 tells that the network has learned to ignore its noise.
+        A value below 0.02 means that the network has learned to ignore its noise.
         """
-        if self.spec.noise is not Noise.inject:
-            return None
-        weights = [weight for name, weight in self.named_parameters() if name.endswith("noise_weight")]
-        return torch.cat([weight.detach().flatten() for weight in weights]).abs().mean()
+        named = self.named_parameters()
+        weights = [weight.detach().flatten() for name, weight in named if name.endswith("noise_weight")]
+        return torch.cat(weights).abs().mean() if weights else None
 
     def _padded(self, given: Mapping[str, Tensor | None]) -> Tensor:
-        """Pad and stack the conditions, (N, conditions, H, W), in the dtype that convolutions compute in."""
+        """Pad and stack the conditions, (N, conditions, H, W), in the dtype of the convolutions."""
         names = conditions(self.spec)
         stack: list[Tensor] = []
         for name in names:
@@ -148,13 +122,6 @@ class Generator(nn.Module):
         kind = stacked.device.type
         return stacked.to(torch.get_autocast_dtype(kind)) if torch.is_autocast_enabled(kind) else stacked
 
-    def _stacked(self, maps: Tensor, noise: Tensor | None) -> Tensor:
-        """Append the noise channel to the conditions if the variant has one."""
-        if _CHANNEL not in inputs(self.spec):
-            return maps
-        channel = torch.zeros_like(maps[:, :1]) if noise is None else noise.to(maps.dtype)
-        return torch.cat((maps, channel), dim=1)
-
     def _pyramid(self, maps: Tensor) -> list[Tensor | None]:
         """Resize segmentation (nearest) and attenuation (bilinear) to every level, once."""
         levels = range(self.spec.depth + 1)
@@ -164,16 +131,11 @@ class Generator(nn.Module):
         pyramid: list[Tensor | None] = [maps[:, :fed]]
         for level in levels[1:]:
             step = 2**level
-            # Nearest: the pixel at each cell's corner, which is where a stride-2 convolution is centred.
+            # Nearest: the pixel at each cell's corner, where a convolution of stride 2 is centred.
             resized = [maps[:, :1, ::step, ::step]]
             if fed == 2:
-                # Bilinear: the mean of the four pixels around each cell's centre, (step - 1) / 2 px beside that corner.
+                # Bilinear: the mean of the four pixels around each cell's centre, (step - 1) / 2 px from that corner.
                 size = resized[0].shape[-2:]
                 resized.append(F.interpolate(maps[:, 1:2], size, mode="bilinear", align_corners=False))
             pyramid.append(laid_out(torch.cat(resized, dim=1)))
         return pyramid
-
-
-def _injected(level: int) -> str:
-    """Name the field injected at 1/2^level of the resolution."""
-    return f"{_CHANNEL}_{level}"

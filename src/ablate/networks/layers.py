@@ -1,6 +1,4 @@
-"""What the networks share: convolutions, instance norm, first weights, a list of the layers."""
-
-from __future__ import annotations
+"""Layers that the networks share: convolutions, instance norm, initial weights, and a list of the layers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +8,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-INITIAL_SD = 0.02
 EPSILON = 1e-5
 # Pixels under which torch normalises channels-last maps one value at a time.
 SMALL_MAP = 1024
@@ -21,8 +18,8 @@ Convolution = nn.Conv2d | nn.ConvTranspose2d
 class Stages:
     """The convolutions of a U-shaped network, each list in the order of computation.
 
-    `down[i]` leads from level i (a grid of 2^i px) to level i + 1 and `up[i]` back again; the encoder's
-    features of level i join after `up[i]`, and the bottleneck's output joins its input.
+    `down[i]` leads from level i (a grid of 2^i px) to level i + 1, and `up[i]` leads back. The encoder's features of
+    level i are concatenated after `up[i]`, and the bottleneck's output is concatenated with its input.
     """
 
     stem: Sequence[Convolution]
@@ -33,10 +30,10 @@ class Stages:
 
 
 class JointConvolution(nn.Conv2d):
-    """Convolution of features and maps together: of their concatenation, which is never made.
+    """Convolution of features and maps together: the sum of the convolutions of both.
 
-    The convolution of the features is added to that of the maps. A copy is saved, and channel counts stay multiples
-    of the processor's vectors, which two or three channels more would not be. An exported network holds the plain one.
+    Without a concatenation, nothing is copied, and channel counts remain multiples of the processor's vectors. An
+    exported network contains the ordinary convolution.
     """
 
     def forward(self, features: Tensor, maps: Tensor | None = None) -> Tensor:
@@ -49,11 +46,7 @@ class JointConvolution(nn.Conv2d):
 
 
 class JointTransposedConvolution(nn.ConvTranspose2d):
-    """Transposed convolution of features and maps together, as `JointConvolution`.
-
-    The bias is added afterwards: within the convolution torch takes longer for its gradient on a CPU than for all
-    else.
-    """
+    """The transposed `JointConvolution`. It adds the bias afterwards, where its gradient is faster on a CPU."""
 
     def forward(self, features: Tensor, maps: Tensor | None = None) -> Tensor:  # type: ignore[override]
         """Convolve (N, C, H, W) and, if not None, (N, K, H, W)."""
@@ -71,10 +64,10 @@ class JointTransposedConvolution(nn.ConvTranspose2d):
 
 
 class OneChannelConvolution(nn.Conv2d):
-    """Convolution k x k to a single channel, stride 1, size kept, computed sensibly on a CPU.
+    """Convolution k x k to a single channel, stride 1, same size, faster on a CPU.
 
-    Torch pads the one output channel to a block of 16. Here a convolution 1x1 gives the k^2 taps of every
-    pixel, which are then shifted and summed (in float32 if they are bf16).
+    Torch pads the single output channel to 16. Here a convolution 1x1 computes the k^2 taps of every pixel, which are
+    then shifted and summed (bf16 in float32).
     """
 
     def __init__(self, in_channels: int, kernel: int) -> None:
@@ -95,31 +88,24 @@ class OneChannelConvolution(nn.Conv2d):
 
 
 def laid_out(maps: Tensor) -> Tensor:
-    """Lay (N, C, H, W) out in memory as the convolutions of its device want it; what follows keeps it.
+    """Arrange (N, C, H, W) in the memory format that is fastest on its device; later layers keep it.
 
-    On a CPU channels-last: oneDNN's convolutions take it as it is. On a GPU as torch does: its instance norm
-    returns maps channel by channel, so that another layout would be undone after every convolution.
+    On a CPU oneDNN's convolutions read channels-last maps directly. On a GPU instance norm returns maps channel by
+    channel, torch's default, so another format would be undone after every convolution.
     """
     return maps.contiguous(memory_format=torch.channels_last) if maps.device.type == "cpu" else maps
 
 
 def joined(features: Tensor, maps: Tensor | None) -> Tensor:
-    """Append `maps` (N, K, H, W) to the channels of `features` (N, C, H, W), or nothing if None."""
+    """Append the channels of `maps` (N, K, H, W), if not None, to those of `features` (N, C, H, W)."""
     return features if maps is None else torch.cat((features, maps), dim=1)
 
 
 def instance_norm(features: Tensor) -> Tensor:
-    """Normalise every channel of every sample over its pixels; no parameters.
+    """Normalise every channel of (N, C, H, W) over its pixels (Ulyanov et al., "Instance normalization", 2016).
 
-    Parameters
-    ----------
-    features : (N, C, H, W) float
-        A 1 x 1 map is returned as it is: its deviation is zero, and normalising would erase it.
-
-    Notes
-    -----
-    Ulyanov et al., "Instance normalization", 2016, with torch's epsilon of 1e-5. On a CPU torch's own takes 2 to 10
-    times as long.
+    A 1 x 1 map is returned unchanged, because its deviation is zero. On a CPU torch's own function takes 2 to 10 times
+    as long.
     """
     if features.shape[-1] * features.shape[-2] == 1:
         return features
@@ -133,10 +119,10 @@ def instance_norm(features: Tensor) -> Tensor:
 
 
 class _InstanceNorm(torch.autograd.Function):
-    """Instance norm with a gradient that is fast on channels-last maps.
+    """Instance norm with a fast gradient for channels-last maps.
 
-    Torch's (2.13) takes 60 times as long as the forward pass. From the output y and 1/sd alone:
-    dx = (dy - mean(dy) - y mean(y dy)) / sd, the means over the pixels.
+    The gradient of torch 2.13 takes 60 times as long as the forward pass. Here it comes from the output y and 1/sd:
+    dx = (dy - mean(dy) - y mean(y dy)) / sd, with means over the pixels.
     """
 
     @staticmethod
@@ -159,12 +145,12 @@ class _InstanceNorm(torch.autograd.Function):
 
 
 def _normalised(features: Tensor) -> tuple[Tensor, Tensor]:
-    """Instance norm on a CPU, and 1/sd, (N, C).
+    """Compute instance norm on a CPU, and 1/sd, (N, C).
 
-    Of channels-last maps torch's group norm (2.13) sums values and squares one by one and subtracts the squares of
-    the means: of a frame's 10^6 pixels it loses all digits where a channel hardly varies about its mean, and 8 % of
-    bf16 where it varies by a tenth. So the mean is taken off first. Small maps are laid out channel by channel, where
-    torch sums in a cascade and is 20 times as fast.
+    The group norm of torch 2.13 sums the squares of channels-last maps one by one and subtracts the squared means. With
+    10^6 pixels it loses all digits of a channel that varies little about its mean, and is 8 % wrong in bf16 if the
+    channel varies by a tenth of it. Therefore the mean is subtracted first. Small maps are arranged channel by channel,
+    where torch uses cascaded sums and is 20 times as fast.
     """
     batch, channels, height, width = features.shape
     if height * width < SMALL_MAP:
@@ -178,7 +164,7 @@ def _normalised(features: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _rows(maps: Tensor) -> Tensor:
-    """Lay (N, C, H, W) out as (N, H, W C): torch is at its best with long rows."""
+    """Arrange (N, C, H, W) as (N, H, W C), because torch is fastest with long rows."""
     return maps.contiguous(memory_format=torch.channels_last).permute(0, 2, 3, 1).flatten(2)
 
 
@@ -188,7 +174,7 @@ def _maps(rows: Tensor, channels: int) -> Tensor:
 
 
 def _mean(rows: Tensor, channels: int) -> Tensor:
-    """Average (N, H, W C) over the pixels, (N, C): over columns first, and then in float32 at least."""
+    """Average (N, H, W C) over the pixels, (N, C): first over columns, then in at least float32."""
     sums = rows.sum(1).unflatten(1, (-1, channels))
     return sums.mean(1, dtype=torch.promote_types(rows.dtype, torch.float32)) / rows.shape[1]
 
@@ -201,7 +187,7 @@ def _along(values: Tensor, rows: Tensor) -> Tensor:
 def draw_initial_weights(network: nn.Module) -> None:
     """Draw every convolution's weights from N(0, 0.02^2) and set its bias to zero, as pix2pix does."""
     for layer in convolutions(network):
-        nn.init.normal_(layer.weight, 0.0, INITIAL_SD)
+        nn.init.normal_(layer.weight, 0.0, 0.02)
         if layer.bias is not None:
             nn.init.zeros_(layer.bias)
 

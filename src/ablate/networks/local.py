@@ -1,6 +1,4 @@
-"""The paper's local generator: few levels, the maps fed to every convolution, noise at every resolution."""
-
-from __future__ import annotations
+"""The paper's local generator: few levels, maps at every convolution, noise at every resolution."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -25,7 +23,7 @@ LEAK = 0.2
 
 
 class DownBlock(nn.Module):
-    """Convolution 3x3 of stride 2, then one of stride 1, each read together with the maps."""
+    """A convolution 3x3 of stride 2 and one of stride 1; both also read the maps."""
 
     def __init__(self, channels_in: int, channels_out: int, maps: int) -> None:
         super().__init__()
@@ -39,32 +37,24 @@ class DownBlock(nn.Module):
 
 
 class UpBlock(nn.Module):
-    """Transposed convolution, a stride-1 one if texture-friendly, the skip connection, then noise."""
+    """A transposed convolution, a convolution of stride 1 (if texture-friendly), the skip connection, and noise."""
 
     def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
         super().__init__()
         self.refine: JointConvolution | None = None
-        if spec.upsampling is Upsampling.texture:
-            self.grow = JointTransposedConvolution(
-                channels_in + maps, channels_out, 3, stride=2, padding=1, output_padding=1
-            )
+        is_texture = spec.upsampling is Upsampling.texture
+        kernel, output_padding = (3, 1) if is_texture else (4, 0)
+        self.grow = JointTransposedConvolution(channels_in + maps, channels_out, kernel, 2, 1, output_padding)
+        if is_texture:
             self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1)
-        else:
-            self.grow = JointTransposedConvolution(channels_in + maps, channels_out, 4, stride=2, padding=1)
         self.noise_weight: nn.Parameter | None = None
         if spec.noise is Noise.inject:
-            start = torch.full((2 * channels_out, 1, 1), float(spec.noise_start))
-            self.noise_weight = nn.Parameter(start)
+            self.noise_weight = nn.Parameter(torch.full((2 * channels_out, 1, 1), float(spec.noise_start)))
 
     def forward(
-        self,
-        features: Tensor,
-        skip: Tensor,
-        coarse_maps: Tensor | None,
-        fine_maps: Tensor | None,
-        noise: Tensor | None,
+        self, features: Tensor, skip: Tensor, coarse_maps: Tensor | None, fine_maps: Tensor | None, noise: Tensor | None
     ) -> Tensor:
-        """Double (N, C, H, W), append `skip` of as many channels, add `noise` (N, 1, 2H, 2W) by channel."""
+        """Double the size of (N, C, H, W), append the channels of `skip`, and add `noise` (N, 1, 2H, 2W)."""
         features = decoded(self.grow(features, coarse_maps))
         if self.refine is not None:
             features = decoded(self.refine(features, fine_maps))
@@ -75,13 +65,7 @@ class UpBlock(nn.Module):
 
 
 class LocalNetwork(nn.Module):
-    """Stem, `depth` down blocks, bottleneck, `depth` up blocks, output convolution.
-
-    Parameters
-    ----------
-    spec : GeneratorSpec
-        Of the local family.
-    """
+    """Stem, `depth` down blocks, bottleneck, `depth` up blocks, output convolution."""
 
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
@@ -92,28 +76,15 @@ class LocalNetwork(nn.Module):
         self.stem = nn.Conv2d(len(inputs(spec)), widths[0], 3, padding=1)
         self.down = nn.ModuleList(DownBlock(fine, coarse, maps) for fine, coarse in pairwise(widths))
         self.bottleneck = JointConvolution(widths[-1] + maps, widths[-1], 3, padding=1)
-        self.up = nn.ModuleList()
-        channels = 2 * widths[-1]
-        for width in reversed(widths[:-1]):
-            self.up.append(UpBlock(channels, width, maps, spec))
-            channels = 2 * width
-        self.output = OneChannelConvolution(channels + maps, 3)
+        coarse_to_fine = pairwise(reversed(widths))
+        self.up = nn.ModuleList(UpBlock(2 * coarse, fine, maps, spec) for coarse, fine in coarse_to_fine)
+        self.output = OneChannelConvolution(2 * widths[0] + maps, 3)
 
     def forward(self, stacked: Tensor, maps: Sequence[Tensor | None], noise: Sequence[Tensor | None]) -> Tensor:
-        """Render.
+        """Render the input channels, (N, inputs, H, W) with H and W multiples of 2^depth, to (N, 1, H, W) in [-1, 1].
 
-        Parameters
-        ----------
-        stacked : (N, inputs, H, W) float in [-1, 1]
-            The input channels; H and W are multiples of 2^depth.
-        maps : depth + 1 of (N, K, H / 2^level, W / 2^level) or None
-            What is fed to the convolutions of each level after the stem.
-        noise : depth of (N, 1, H / 2^level, W / 2^level) or None
-            Injected noise of each level.
-
-        Returns
-        -------
-        (N, 1, H, W) float in [-1, 1]
+        The convolutions of each level, except the stem, read its maps, depth + 1 of (N, K, H / 2^level, W / 2^level).
+        Its noise, depth of (N, 1, H / 2^level, W / 2^level), is injected.
         """
         features = encoded(self.stem(stacked))
         skips = []
@@ -128,13 +99,9 @@ class LocalNetwork(nn.Module):
 
     def stages(self) -> Stages:
         """List the convolutions."""
-        return Stages(
-            stem=[self.stem],
-            down=[convolutions(block) for block in self.down],
-            bottleneck=[self.bottleneck],
-            up=[convolutions(block) for block in reversed(self.up)],
-            head=[self.output],
-        )
+        down = [convolutions(block) for block in self.down]
+        up = [convolutions(block) for block in reversed(self.up)]
+        return Stages(stem=[self.stem], down=down, bottleneck=[self.bottleneck], up=up, head=[self.output])
 
 
 def channels_by_level(depth: int) -> list[int]:

@@ -1,16 +1,17 @@
-"""What a generator is made of: the components that an ablation switches, as values."""
-
-from __future__ import annotations
+"""A generator as values: the components that an ablation switches, and the input channels that follow from them."""
 
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
-MIN_DEPTH, MAX_DEPTH = 2, 8
+from ablate.validation import coerce_enums
+
+DEPTHS = range(2, 9)
 
 
 class Family(StrEnum):
-    """Local generator of the paper (SA2H), or the U-Net of pix2pix (LSA2H, NSA2H)."""
+    """The paper's local generator (SA2H), or the U-Net of pix2pix (LSA2H, NSA2H)."""
 
     local = "local"
     unet = "unet"
@@ -24,21 +25,21 @@ class Attenuation(StrEnum):
 
 
 class Concat(StrEnum):
-    """Where segmentation and attenuation enter: before every convolution, or before the first only."""
+    """Which convolutions read segmentation and attenuation: every one, or the first only."""
 
     every_level = "every_level"
     input = "input"
 
 
 class Upsampling(StrEnum):
-    """Up block: transposed 3x3 and a stride-1 3x3 convolution, or one transposed 4x4 convolution."""
+    """The up block: a transposed 3x3 and a stride-1 3x3 convolution, or one transposed 4x4 convolution."""
 
     texture = "texture"
     transposed = "transposed"
 
 
 class Noise(StrEnum):
-    """Gaussian noise: added to the decoder's features, as an input channel, or absent."""
+    """Where Gaussian noise enters: the features of the decoder, an input channel, or nowhere."""
 
     inject = "inject"
     input = "input"
@@ -46,46 +47,33 @@ class Noise(StrEnum):
 
 
 class ExtraInput(StrEnum):
-    """A further input channel: the low-quality image, or noise in its place."""
+    """A further input channel of the U-Nets: the low-quality image, or noise in its place."""
 
     none = "none"
     low = "low"
     noise = "noise"
 
 
-_ENUMS = {
-    "family": Family,
-    "attenuation": Attenuation,
-    "concat": Concat,
-    "upsampling": Upsampling,
-    "noise": Noise,
-    "extra_input": ExtraInput,
-}
-
-
 @dataclass(frozen=True)
 class GeneratorSpec:
-    """A generator, named by its components; the defaults are the paper's full SA2H.
+    """A generator, named by its components; the defaults are the paper's full model SA2H.
 
-    Plain strings are accepted for the enums. The U-Net exists with `concat=input`,
-    `upsampling=transposed` and without injected noise only: anything else is refused, so that no
-    two specifications name the same network.
+    Enums may be given as plain strings. The U-Net allows only `concat=input`, `upsampling=transposed` and noise that is
+    not injected, so that no two specifications name the same network.
 
     Attributes
     ----------
-    family, attenuation, concat, upsampling, noise, extra_input : StrEnum
-        The components.
-    depth : int
-        Number of down-sampling blocks, 2 to 8: the receptive field.
+    attenuation, concat, upsampling, noise, depth
+        The components; `COMPONENTS` says what each is for.
     width : float
         Multiplier of every channel count; 1 is the paper's.
     noise_start : float
-        Initial weight of injected noise, every channel; the paper starts it at zero.
+        Initial weight of injected noise in every channel; the paper starts at zero.
 
     Raises
     ------
     ValueError
-        Where a value, or a combination of values, is none of those allowed.
+        For a value, or a combination of values, that is not allowed.
     """
 
     family: Family = Family.local
@@ -99,24 +87,16 @@ class GeneratorSpec:
     noise_start: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, enum in _ENUMS.items():
-            value = getattr(self, name)
-            try:
-                object.__setattr__(self, name, enum(value))
-            except ValueError:
-                raise ValueError(f"{name}={value!r}: allowed are {', '.join(enum)}") from None
+        coerce_enums(self)
         if isinstance(self.depth, bool) or self.depth != int(self.depth):
             raise ValueError(f"depth={self.depth!r}: allowed are whole numbers")
         object.__setattr__(self, "depth", int(self.depth))
-        if not MIN_DEPTH <= self.depth <= MAX_DEPTH:
-            raise ValueError(f"depth={self.depth}: allowed are {MIN_DEPTH} to {MAX_DEPTH}")
+        if self.depth not in DEPTHS:
+            raise ValueError(f"depth={self.depth}: allowed are {DEPTHS[0]} to {DEPTHS[-1]}")
         if not (math.isfinite(self.width) and self.width > 0):
             raise ValueError(f"width={self.width!r}: allowed are finite numbers above 0")
         if not math.isfinite(self.noise_start):
             raise ValueError(f"noise_start={self.noise_start!r}: allowed are finite numbers")
-        self._refuse_contradictions()
-
-    def _refuse_contradictions(self) -> None:
         if self.family is Family.unet:
             if self.concat is not Concat.input:
                 raise ValueError(f"concat={self.concat} with family=unet: allowed is concat=input")
@@ -132,17 +112,77 @@ class GeneratorSpec:
             )
 
 
+@dataclass(frozen=True)
+class Component:
+    """One switch of the study.
+
+    Attributes
+    ----------
+    name : str
+        The variant without this component is `sa2h-<name>`.
+    field : str
+        Its key in `GeneratorSpec`, in stored configurations and in the table of effects.
+    on, off
+        The level of the full model SA2H, and the level that stands for "without the component".
+    metric : str, optional
+        Name of the metric that measures whether the component does what it is for; None where no metric does.
+    """
+
+    name: str
+    field: str
+    levels: tuple[Any, ...]
+    on: Any
+    off: Any
+    label: str
+    metric: str | None
+    purpose: str
+
+
+_FULL = GeneratorSpec()
+# fmt: off
+COMPONENTS = (
+    Component(
+        "att", "attenuation", tuple(Attenuation), _FULL.attenuation, Attenuation.none,
+        "attenuation map", "shadow_contrast",
+        "The integral attenuation map tells the generator where shadows and enhancement lie.",
+    ),
+    Component(
+        "concat", "concat", tuple(Concat), _FULL.concat, Concat.input,
+        "maps at every level", "mae_smooth",
+        "Segmentation and attenuation at every convolution keep structures where the maps have them.",
+    ),
+    Component(
+        "conv", "upsampling", tuple(Upsampling), _FULL.upsampling, Upsampling.transposed,
+        "texture-friendly up-sampling", "nyquist_excess",
+        "A stride-1 convolution after each transposed one removes the checkerboard pattern of up-sampling.",
+    ),
+    Component(
+        "noise", "noise", tuple(Noise), _FULL.noise, Noise.input,
+        "noise at every resolution", "noise_sd",
+        "Noise injected at every resolution of the decoder gives speckle a random source.",
+    ),
+    Component(
+        "depth", "depth", tuple(DEPTHS), _FULL.depth, DEPTHS[-1],
+        "small receptive field", "mae_smooth",
+        "Few levels keep the receptive field small, so the network learns no layout of whole frames.",
+    ),
+    Component(  # an option of the data set: in which order the labels become grey levels of the segmentation
+        "encoding", "encoding", ("echogenicity", "arbitrary"), "echogenicity", "arbitrary",
+        "order of the labels", None,
+        "Labels ordered from dark to bright tell the generator how bright each tissue is.",
+    ),
+)
+# fmt: on
+
+
 def conditions(spec: GeneratorSpec) -> tuple[str, ...]:
     """Name the maps of a pair that the generator reads, in the order of its input channels.
 
     These are also what the discriminator is conditioned on, and what a dataset has to provide.
     """
-    names = ["segmentation"]
-    if spec.attenuation is Attenuation.integral:
-        names.append("attenuation")
-    if spec.extra_input is ExtraInput.low:
-        names.append("low")
-    return tuple(names)
+    attenuation = ("attenuation",) if spec.attenuation is Attenuation.integral else ()
+    low = ("low",) if spec.extra_input is ExtraInput.low else ()
+    return ("segmentation", *attenuation, *low)
 
 
 def inputs(spec: GeneratorSpec) -> tuple[str, ...]:

@@ -1,6 +1,4 @@
-"""The U-Net of pix2pix (Isola et al., CVPR 2017), which LSA2H and NSA2H are."""
-
-from __future__ import annotations
+"""The U-Net of pix2pix (Isola et al., CVPR 2017), the network of LSA2H and NSA2H."""
 
 from collections.abc import Sequence
 
@@ -11,22 +9,16 @@ from torch.nn import functional as F
 from ablate.networks.layers import JointTransposedConvolution, Stages, convolutions, instance_norm
 from ablate.networks.spec import GeneratorSpec, inputs, scaled
 
-# Channels after each down-sampling; deeper levels stay at the last.
+# Channels after each down-sampling; deeper levels have as many as the last.
 WIDTHS = (64, 128, 256, 512)
 LEAK = 0.2
 
 
 class UNetwork(nn.Module):
-    """`depth` convolutions 4x4 of stride 2 down, as many transposed ones up, skips between them.
+    """`depth` convolutions 4x4 of stride 2, as many transposed ones, and skip connections between them.
 
-    With depth 8 this is pix2pix's U-Net-256, in its order of convolution, instance norm, activation
-    and with a bias in every convolution; its dropout is left out, because the paper does not mention
-    one and a rendering has to be repeatable.
-
-    Parameters
-    ----------
-    spec : GeneratorSpec
-        Of the U-Net family.
+    With depth 8 this is the U-Net-256 of pix2pix, with the same order of convolution, instance norm and activation and
+    a bias in every convolution. It has no dropout, because the paper mentions none and a rendering must be repeatable.
     """
 
     def __init__(self, spec: GeneratorSpec) -> None:
@@ -58,10 +50,6 @@ class UNetwork(nn.Module):
 
     def stages(self) -> Stages:
         """List the convolutions."""
-        return Stages(
-            stem=[],
-            down=[convolutions(layer) for layer in self.down],
-            bottleneck=[],
-            up=[convolutions(layer) for layer in reversed(self.up)],
-            head=[],
-        )
+        down = [convolutions(layer) for layer in self.down]
+        up = [convolutions(layer) for layer in reversed(self.up)]
+        return Stages(stem=[], down=down, bottleneck=[], up=up, head=[])

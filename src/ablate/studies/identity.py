@@ -1,46 +1,41 @@
-"""Which run is which: a hash of what decides the result, and the refusal to mix two results in one place."""
+"""The identity of a run: a hash of the settings that decide its result; no folder may mix two of them."""
 
-from __future__ import annotations
-
-import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ablate.config import StudySettings, plain
-from ablate.metrics import FID_METRICS, choose_metrics
-from ablate.studies.data import about_data
-from ablate.studies.sweep import ConfigurationError, Job
+from ablate.config import ConfigurationError, StudySettings, json_ready
+from ablate.dataset import Encoding
+from ablate.metrics import choose_metrics, needs_inception
+from ablate.storage import digest, write_json
+from ablate.studies.jobs.job import Job
+from ablate.studies.pairs.data import about_data
 
-# Where a job runs, how often it saves and what it is called do not change what comes out.
+# These settings say where a job runs and how often it saves or reports; they do not change its result.
 _INCIDENTAL_TRAINING = ("device", "threads", "checkpoint_every", "validate_every", "log_every")
 
 
 def semantic(settings: StudySettings) -> dict[str, Any]:
-    """Everything that decides the trained network, and nothing else, fit for JSON."""
-    training = {k: v for k, v in plain(settings.training).items() if k not in _INCIDENTAL_TRAINING}
-    encoding: dict[str, Any] = {"order": settings.encoding.name}
-    if settings.encoding.name == "arbitrary":
-        encoding["seed"] = settings.encoding_seed
-    scored = {k: v for k, v in plain(settings.evaluation).items() if k not in ("pictures", "inception")}
+    """The settings that decide the trained network and its scores, as JSON values."""
+    training = {k: v for k, v in json_ready(settings.training).items() if k not in _INCIDENTAL_TRAINING}
+    arbitrary = settings.encoding is Encoding.arbitrary
+    encoding = {"order": settings.encoding.name} | ({"seed": settings.encoding_seed} if arbitrary else {})
+    scored = {k: v for k, v in json_ready(settings.evaluation).items() if k not in ("pictures", "inception")}
     return {
         "data": about_data(settings),
         "encoding": encoding,
-        "model": plain(settings.model),
+        "model": json_ready(settings.model),
         "training": training,
         "evaluation": scored,
-        "crops": {k: v for k, v in plain(settings.crops).items() if k != "workers"},
+        "crops": {k: v for k, v in json_ready(settings.crops).items() if k != "workers"},
         "seed": settings.seed,
     }
 
 
 def shared(content: Mapping[str, Any]) -> dict[str, Any]:
-    """What all runs of a study have in common: `semantic` without what a run is labelled with.
-
-    Two variants are comparable only if they were trained alike on the same pairs.
-    """
+    """The part of `semantic` that is the same for all runs of a study: pairs, training, width, crops, evaluation."""
     training = {k: v for k, v in content["training"].items() if k != "seed"}
     rest = {k: content[k] for k in ("data", "crops", "evaluation")}
     return {**rest, "model.width": content["model"]["width"], "training": training}
@@ -51,18 +46,10 @@ def config_hash(settings: StudySettings) -> str:
     return digest(semantic(settings))
 
 
-def digest(value: Any) -> str:
-    """First 16 hexadecimal digits of the SHA-256 of a JSON value."""
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]
-
-
 def check_place(job: Job) -> None:
     """Refuse a run directory, or a study, that holds another configuration.
 
-    Raises
-    ------
-    ConfigurationError
-        Naming the keys that differ, each with its value there and here.
+    The ConfigurationError names the keys that differ, each with its value there and here.
     """
     here = semantic(job.settings)
     for spec in sorted(job.settings.study_dir.glob("*/seed*/spec.json")):
@@ -70,39 +57,34 @@ def check_place(job: Job) -> None:
         pair = (there, here) if spec.parent == job.folder else (shared(there), shared(here))
         differences = ", ".join(f"{k}: {a} there, {b} here" for k, a, b in _differences(*pair))
         if differences:
-            raise ConfigurationError(
-                f"{spec.parent} holds another configuration ({differences}); give this one a place with study_name=..."
-            )
+            another = f"{spec.parent} holds another configuration ({differences})"
+            raise ConfigurationError(f"{another}; give this one a place with study_name=...")
 
 
 def claim_place(job: Job) -> None:
-    """Write what this run is into its directory, before anything else is written there."""
+    """Write `spec.json`, which says what a run is, before anything else is written into its folder."""
     check_place(job)
     job.folder.mkdir(parents=True, exist_ok=True)
     if not (job.folder / "spec.json").exists():
-        content = {
-            "label": job.label,
-            "hash": config_hash(job.settings),
-            "semantic": semantic(job.settings),
-            "settings": plain(job.settings),
-        }
-        write_json(job.folder / "spec.json", content)
+        known_by = {"label": job.label, "hash": config_hash(job.settings)}
+        decided_by = {"semantic": semantic(job.settings), "settings": json_ready(job.settings)}
+        write_json(job.folder / "spec.json", {**known_by, **decided_by})
 
 
 def finished(job: Job) -> dict[str, Any] | None:
-    """The result of this very configuration, when there is one and it has the metrics that are asked for."""
+    """The result of a job, or None where it has none of the same configuration with all metrics that are asked for."""
     result = read_result(job.folder, config_hash(job.settings))
     if result is None or "metrics" not in result:
         return result
-    names = choose_metrics(job.settings.metrics).names
-    with_network = job.settings.evaluation.inception is not None and not names.isdisjoint(FID_METRICS)
-    if names - choose_metrics(result["metrics"]).names or (with_network and result["inception"] is None):
+    metrics = choose_metrics(job.settings.metrics)
+    with_network = job.settings.evaluation.inception is not None and needs_inception(metrics)
+    if metrics.keys() - choose_metrics(result["metrics"]).keys() or (with_network and result["inception"] is None):
         return None
     return result
 
 
 def with_earlier_metrics(job: Job) -> StudySettings:
-    """The settings, asking for what an earlier call of the same job computed too."""
+    """The settings of a job, which also ask for the metrics that an earlier call of the same job computed."""
     s = job.settings
     before = read_result(job.folder, config_hash(s)) or {}
     metrics = sorted({*before.get("metrics", ()), *([s.metrics] if isinstance(s.metrics, str) else s.metrics)})
@@ -117,13 +99,6 @@ def read_result(folder: Path, expected_hash: str) -> dict[str, Any] | None:
         return None
     result: dict[str, Any] = json.loads(path.read_text())
     return result if result.get("hash") == expected_hash else None
-
-
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write whole or not at all."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(content, indent=2, sort_keys=True))
-    partial.replace(path)
 
 
 def _differences(a: Any, b: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:

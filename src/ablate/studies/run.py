@@ -1,6 +1,4 @@
-"""One job: train a variant, score it on unseen frames, log it; resumed where it stopped, never repeated."""
-
-from __future__ import annotations
+"""Run one job: train a variant, score it on unseen frames, log it. A stopped job resumes, a finished one is skipped."""
 
 import logging
 import time
@@ -10,26 +8,19 @@ import torch
 from filelock import FileLock
 from torch import Tensor
 
-from ablate.dataset import (
-    CropLoader,
-    Crops,
-    CropSettings,
-    Part,
-    end_with_parent,
-    equally_spaced,
-    label_values,
-    network_inputs,
-)
-from ablate.metrics import psnr
-from ablate.networks import Generator, conditions, count_discriminator, count_generator
-from ablate.studies.data import Data, dataset_folder, maps_needed, prepare_data
-from ablate.studies.evaluate import Render
-from ablate.studies.identity import claim_place, config_hash, finished, read_result, with_earlier_metrics, write_json
-from ablate.studies.scores import Scores, score
-from ablate.studies.sweep import Job
+from ablate import dataset
+from ablate.config import StudySettings
+from ablate.dataset import CropLoader, Crops, CropSettings, Part
+from ablate.evaluation import ImageSource, Scorer, inception_for, score_run
+from ablate.metrics import choose_metrics, psnr
+from ablate.networks import Generator, conditions, count_discriminator, count_generator, draws_noise
+from ablate.storage import write_json
+from ablate.studies.identity import claim_place, config_hash, finished, read_result, with_earlier_metrics
+from ablate.studies.jobs.job import Job
+from ablate.studies.pairs.data import Data, dataset_folder, maps_needed, prepare_data
 from ablate.studies.tracked import log_samples, logged, open_child, open_tracking
 from ablate.tracking import RunLog, Status
-from ablate.training import Precision, Validation, generate, median_ms_per_frame, train
+from ablate.training import TrainingPrecision, Validation, chosen_device, generate, median_ms_per_frame, train
 
 _VALIDATION_FRAMES = 8
 
@@ -37,16 +28,13 @@ _VALIDATION_FRAMES = 8
 def run_job(job: Job) -> None:
     """Train, evaluate and log one job; a finished one returns at once.
 
-    Raises
-    ------
-    Exception
-        Whatever stopped the training; the run is marked failed and its last checkpoint kept.
+    Whatever stops the training is raised; the run is then marked failed, and its last checkpoint kept.
     """
     if finished(job) is not None:
         return
-    end_with_parent()
+    dataset.end_with_parent()
     job.folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(job.folder / ".lock"):  # another call of the same command may be at it
+    with FileLock(job.folder / ".lock"):  # another process may be running the same job
         if finished(job) is None:
             _run(job)
 
@@ -70,20 +58,20 @@ def _run(job: Job) -> None:
     if before is not None:  # trained by an earlier call; now scored by more metrics
         scalars = before["scalars"] | {k: v for k, v in scalars.items() if k.startswith(("val/", "test/"))}
     elif scalars["train/resumed_at"] == 0:
-        scalars["seconds"] = time.perf_counter() - started  # from which task=plan tells how long another will take
+        scalars["seconds"] = time.perf_counter() - started  # task=plan estimates the time of other jobs from it
     result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed}
     where = {"data": dataset_folder(job.settings).name, "mlflow_run_id": run.run_id}
     asked = with_earlier_metrics(job)
     scored = {"metrics": asked.metrics, "inception": asked.evaluation.inception}
-    # The last word: all is done.
+    # Written last: a run with this file is finished.
     write_json(job.folder / "result.json", {**result, **where, **scored, "notes": notes, "scalars": scalars})
 
 
 def _train_and_score(job: Job, data: Data, run: RunLog) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Everything a job is for; returns the scalars of its result, and what was left out of it."""
+    """Train and score a job, write and log the scores; returns its scalars and notes on what was left out."""
     s = job.settings
     started = time.perf_counter()
-    values = label_values(data.tissues, s.encoding, s.encoding_seed)
+    values = dataset.label_values(data.tissues, s.encoding, s.encoding_seed)
     settings = CropSettings(s.training.crop, s.training.batch_size, s.crops.fan_fraction, s.crops.flip, s.seed)
     crops = Crops(data.pairs, data.pairs.frames(Part.train), frozenset(conditions(s.model)), values, settings)
     trained = train(
@@ -98,20 +86,36 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> tuple[dict[str, float
     costs = {"train/resumed_at": float(trained.resumed_at)}
     if trained.resumed_at == 0:
         costs["train/seconds"] = time.perf_counter() - started
-    render = renderer(trained.generator, data, values, s.training.precision)
-    scores = score(with_earlier_metrics(job), data, render)
+    render = generated_images(trained.generator, data, values, s.training.precision)
+    scores = score_run(scorer(with_earlier_metrics(job), data), render, draws_noise(s.model))
     maps = _inputs(trained.generator, data, data.pairs.frames(Part.test)[:1], values)
     milliseconds = median_ms_per_frame(trained.generator, maps, s.training.precision, s.evaluation.timed_frames)
-    return _write(job, data, scores, render, {**costs, "ms_per_frame": milliseconds}, run), scores.notes
+    sizes = {"generator": count_generator(s.model), "discriminator": count_discriminator(s.model)}
+    parameters = {f"parameters_{network}": float(count) for network, count in sizes.items()}
+    scalars = {**costs, "ms_per_frame": milliseconds, **scores.scalars, **parameters}
+    scores.per_image.assign(variant=job.label, seed=s.seed).to_parquet(job.folder / "per_image.parquet")
+    shown = dataset.equally_spaced(data.pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant
+    np.savez_compressed(job.folder / "pictures.npz", frames=shown, images=render(shown, 0))
+    run.metrics(logged(scalars))  # at step 0: MLflow draws bars, not curves
+    run.artifact(job.folder / "per_image.parquet")
+    return scalars, scores.notes
+
+
+def scorer(settings: StudySettings, data: Data) -> Scorer:
+    """The scorer that evaluates runs with these settings."""
+    metrics = choose_metrics(settings.metrics)
+    device = str(chosen_device(settings.training.device))
+    inception = inception_for(metrics, data.pairs.shape, settings.evaluation.inception, device)
+    return Scorer(data.pairs, data.tissues, settings.probe, settings.evaluation, metrics, inception)
 
 
 def _validation(job: Job, data: Data, values: np.ndarray, run: RunLog) -> Validation:
-    """PSNR in the fan over a few validation frames, for the curve; presets are chosen on it. Some of them are shown."""
-    frames = equally_spaced(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
-    targets, mask = data.pairs.read("high", frames), data.pairs.mask()
+    """A function that computes the mean PSNR in the fan on a few validation frames, and logs some as images."""
+    frames = dataset.equally_spaced(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
+    targets, mask = data.pairs.read("target", frames), data.pairs.mask()
 
     def validate(generator: Generator, images_seen: int) -> dict[str, float]:
-        images = renderer(generator, data, values, job.settings.training.precision)(frames, 0)
+        images = generated_images(generator, data, values, job.settings.training.precision)(frames, 0)
         log_samples(run, frames, images, targets, images_seen)
         scores = [psnr(image, target, mask) for image, target in zip(images, targets, strict=True)]
         return {"val/psnr_fan_curve": float(np.mean(scores))}
@@ -122,38 +126,15 @@ def _validation(job: Job, data: Data, values: np.ndarray, run: RunLog) -> Valida
 def _inputs(generator: Generator, data: Data, frames: np.ndarray, values: np.ndarray) -> dict[str, Tensor]:
     """The maps of some frames that a generator reads, (k, 1, H, W) float32 each."""
     maps = {name: data.pairs.read(name, frames) for name in conditions(generator.spec)}
-    return network_inputs(maps, values, data.pairs.mask())
+    return dataset.network_inputs(maps, values, data.pairs.mask())
 
 
-def renderer(generator: Generator, data: Data, values: np.ndarray, precision: Precision) -> Render:
-    """Frames of a data set through a trained generator; a frame's noise depends on its number and the draw."""
+def generated_images(generator: Generator, data: Data, values: np.ndarray, precision: TrainingPrecision) -> ImageSource:
+    """A function that renders frames of a data set with a generator; the noise depends on frame number and draw."""
     mask = torch.from_numpy(data.pairs.mask())
 
     def render(frames: np.ndarray, draw: int) -> np.ndarray:
-        maps = _inputs(generator, data, frames, values)
-        seeds = torch.from_numpy(np.asarray(frames, np.int64)) * 1_000_003 + draw
-        return generate(generator, maps, mask, seeds, precision)
+        seeds = torch.from_numpy(dataset.noise_seeds(frames, draw))
+        return generate(generator, _inputs(generator, data, frames, values), mask, seeds, precision)
 
     return render
-
-
-def _write(
-    job: Job,
-    data: Data,
-    scores: Scores,
-    render: Render,
-    costs: dict[str, float],
-    run: RunLog,
-) -> dict[str, float]:
-    """Per-image values and pictures on disk, scalars in the run."""
-    s = job.settings
-    scalars = {**costs, **scores.scalars}
-    per_image = scores.per_image.assign(variant=job.label, seed=s.seed)
-    per_image.to_parquet(job.folder / "per_image.parquet")
-    shown = equally_spaced(data.pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant
-    np.savez_compressed(job.folder / "pictures.npz", frames=shown, images=render(shown, 0))
-    scalars["parameters_generator"] = float(count_generator(s.model))
-    scalars["parameters_discriminator"] = float(count_discriminator(s.model))
-    run.metrics(logged(scalars))  # at step 0: MLflow draws bars, not curves
-    run.artifact(job.folder / "per_image.parquet")
-    return scalars

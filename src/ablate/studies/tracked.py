@@ -1,31 +1,20 @@
-"""A study in the tracking store: its parent run, and what a child run carries."""
-
-from __future__ import annotations
+"""A study in MLflow: its parent run, a child run for each job, and the registered model."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ablate.config import SceneKind, StudySettings, build, plain
+from ablate import tracking
+from ablate.config import SceneKind, StudySettings, build, json_ready
 from ablate.dataset import Part, label_values
-from ablate.studies.data import dataset_folder, dataset_hash
-from ablate.studies.identity import config_hash, write_json
-from ablate.studies.results import Finished, data_of
-from ablate.studies.sweep import Job
-from ablate.tracking import (
-    RunLog,
-    Store,
-    artifact_page,
-    child_run,
-    comparison_page,
-    environment,
-    git_state,
-    hardware,
-    open_store,
-    packages,
-    parent_run,
-)
+from ablate.metrics.stored_names import FLOOR_PREFIX, is_bound
+from ablate.storage import write_json
+from ablate.studies.comparison.results import Finished, data_of
+from ablate.studies.identity import config_hash
+from ablate.studies.jobs.job import Job
+from ablate.studies.pairs.data import dataset_folder, dataset_hash
+from ablate.tracking import RunLog, Store
 from ablate.training import LAST, load_generator
 
 _TRAINING = ("steps", "batch_size", "crop", "learning_rate", "loss", "l1_weight", "ema_decay", "precision")
@@ -34,20 +23,20 @@ _DATA = {
     "simulator": ("rays", "layers", "scanlines", "image_shape"),
 }
 _SAMPLES = 2  # validation frames shown through training
-_EXAMPLE_PX = 64  # of the input that a registered model shows
-_SAMPLE_PX = 512  # larger frames are shown smaller: a run keeps a few dozen of them
+_EXAMPLE_PX = 64  # size of the example input of a registered model
+_SAMPLE_PX = 512  # larger frames are shrunk before they are logged: a run keeps a few dozen of them
 
 
 def open_tracking(settings: StudySettings) -> tuple[Store, str]:
-    """The store and the id of the study's parent run, both made when missing."""
+    """The store and the id of the study's parent run; both are created when they are missing."""
     store = _store(settings)
-    parent = parent_run(store, settings.study)
+    parent = tracking.parent_run(store, settings.study)
     RunLog(store, parent).parameters(_shared(settings))
     return store, parent
 
 
 def _store(settings: StudySettings) -> Store:
-    return open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
+    return tracking.open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
 
 
 def _shared(s: StudySettings) -> dict[str, object]:
@@ -65,39 +54,30 @@ def _own(job: Job) -> dict[str, object]:
     comparison draws the first three by name.
     """
     s = job.settings
-    components = {f"model.{k}": v for k, v in plain(s.model).items() if k != "width" and (k != "noise_start" or v)}
+    components = {f"model.{k}": v for k, v in json_ready(s.model).items() if k != "width" and (k != "noise_start" or v)}
     return {"model": job.label, **components, "encoding": s.encoding.name, "seed": s.seed}
 
 
 def _of(values: object, keys: tuple[str, ...]) -> dict[str, object]:
-    return {k: v for k, v in plain(values).items() if k in keys}
+    return {k: v for k, v in json_ready(values).items() if k in keys}
 
 
 def open_child(job: Job, store: Store, parent: str, frames: int) -> RunLog:
-    """The job's run, with its parameters, tags and provenance written.
-
-    Parameters
-    ----------
-    job : Job
-    store : Store
-    parent : str
-    frames : int
-        Of the data set.
-    """
+    """Open the job's run, and write its parameters, tags, provenance and the number of frames of its data set."""
     s = job.settings
-    code = git_state(Path(__file__).parent)
-    made_with = {k: v for k, v in code.items() if k != "git_diff"} | {"hardware": hardware()}
+    code = tracking.git_state(Path(__file__).parent)
+    made_with = {k: v for k, v in code.items() if k != "git_diff"} | {"hardware": tracking.hardware()}
     tags = {"variant": job.label, "seed": str(s.seed), "study": s.study, "data_hash": dataset_hash(s)}
-    run = RunLog(store, child_run(store, parent, job.name, config_hash(s), tags))
+    run = RunLog(store, tracking.child_run(store, parent, job.name, config_hash(s), tags))
     run.tags(made_with)
     run.describe(_about(job))
     run.parameters(_own(job))
     run.dataset(dataset_folder(s).name, dataset_hash(s), dataset_folder(s), frames)
     provenance = job.folder / "provenance"
     provenance.mkdir(exist_ok=True)
-    write_json(provenance / "config.json", plain(s))
-    write_json(provenance / "made_with.json", {**made_with, **packages()})
-    (provenance / "environment.txt").write_text(environment())
+    write_json(provenance / "config.json", json_ready(s))
+    write_json(provenance / "made_with.json", {**made_with, **tracking.packages()})
+    (provenance / "environment.txt").write_text(tracking.environment())
     (provenance / "uncommitted.diff").write_text(code.get("git_diff", ""))
     for path in sorted(provenance.iterdir()):
         run.artifact(path, "provenance")
@@ -116,61 +96,40 @@ def _about(job: Job) -> str:
 
 
 def log_samples(run: RunLog, frames: np.ndarray, images: np.ndarray, targets: np.ndarray, images_seen: int) -> None:
-    """Some validation frames as they are rendered now, each above its target: MLflow shows images in squares.
+    """Log some of the validation frames of these numbers, (n,), each rendered above its target: MLflow shows squares.
 
-    Parameters
-    ----------
-    run : RunLog
-    frames : (n,) int
-        Their numbers in the data set.
-    images, targets : (n, H, W) uint8
-    images_seen : int
+    `images` and `targets` are (n, H, W) uint8.
     """
     step = -(-images.shape[1] // _SAMPLE_PX)
     height, width = (size // step * step for size in images.shape[1:])
     for k in range(0, len(frames), -(-len(frames) // _SAMPLES)):
-        blocks = [
-            i[:height, :width].reshape(height // step, step, width // step, step) for i in (images[k], targets[k])
-        ]
-        smaller = [b.mean((1, 3)).round().astype(np.uint8) for b in blocks]
-        run.image(f"frames/{frames[k]}", np.vstack(smaller), images_seen)
+        both = np.stack([images[k], targets[k]])[:, :height, :width]
+        blocks = both.reshape(2 * height // step, step, width // step, step)
+        run.image(f"frames/{frames[k]}", blocks.mean((1, 3)).round().astype(np.uint8), images_seen)
 
 
 def describe_study(run: RunLog, runs: Sequence[Finished], comparison: str, cautions: Sequence[str]) -> None:
-    """The parent run's first page: where to look, the comparison, what not to conclude; and its metrics, the floors.
-
-    Parameters
-    ----------
-    run : RunLog
-    runs : sequence of Finished
-    comparison : str
-        The table in Markdown.
-    cautions : sequence of str
-    """
+    """Write the parent run's description (links, the table in Markdown, cautions) and the re-simulation's scores."""
     first: dict[str, str] = {}
     for finished in sorted(runs, key=lambda r: r.seed):
         first.setdefault(finished.label, finished.result["mlflow_run_id"])
-    report = artifact_page(run.store, run.run_id, "report.html")
-    compared = comparison_page(run.store, list(first.values()))
+    report = tracking.artifact_page(run.store, run.run_id, "report.html")
+    compared = tracking.comparison_page(run.store, list(first.values()))
     links = f"[The report]({report}) · [the variants side by side]({compared})"
-    run.describe("\n\n".join([links, _spaced(comparison), *cautions]))
-    run.metrics({k: v for k, v in logged(runs[0].result["scalars"]).items() if k.startswith("test/floor_")})
-
-
-def _spaced(table: str) -> str:
-    """A Markdown table with room between its columns, which MLflow's pages leave none."""
-    lines = [line if set(line) <= set("|-: ") else line.replace(" |", "\u00a0\u00a0|") for line in table.splitlines()]
-    return "\n".join(lines)
+    rows = comparison.splitlines()  # MLflow's pages show no space between the columns of a table
+    spaced = [row if set(row) <= set("|-: ") else row.replace(" |", "\u00a0\u00a0|") for row in rows]
+    run.describe("\n\n".join([links, "\n".join(spaced), *cautions]))
+    run.metrics({k: v for k, v in logged(runs[0].result["scalars"]).items() if k.startswith(f"test/{FLOOR_PREFIX}")})
 
 
 def logged(scalars: Mapping[str, float]) -> dict[str, float]:
-    """Those of a run's scalars that its page shows; bounds of intervals and what validates only are in the tables."""
-    return {k: v for k, v in scalars.items() if not k.startswith("val/floor_") and not k.endswith(("_low", "_high"))}
+    """The scalars that a run's page shows: not the bounds of intervals, nor the re-simulation on validation frames."""
+    return {k: v for k, v in scalars.items() if not k.startswith(f"val/{FLOOR_PREFIX}") and not is_bound(k)}
 
 
 def register_reference(settings: StudySettings, runs: Sequence[Finished]) -> str:
-    """Register the reference's generator, that of the seed that validates best; a line for the screen tells where."""
-    from ablate.tracking.registration import register_generator  # takes seconds, and few want it
+    """Register the reference's generator of the seed with the best validation PSNR; returns a line for the screen."""
+    from ablate.tracking.registration import register_generator  # its import takes seconds
 
     name = settings.tracking.register
     of_reference = [run for run in runs if run.label == settings.reference]

@@ -1,7 +1,5 @@
 """What a result was made with: code, environment, hardware."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re
@@ -35,7 +33,7 @@ def environment() -> str:
 
 
 def packages() -> dict[str, str]:
-    """Versions of Python, of this package and of what it is built on, without what that is built on."""
+    """Versions of Python, of this package and of its direct dependencies."""
     required = [re.split(r"[ ;<>=~!\[]", r)[0] for r in metadata.requires("ablate") or () if "extra ==" not in r]
     return {"python": platform.python_version()} | {
         name: metadata.version(name) for name in ("ablate", *sorted(required))
@@ -44,13 +42,9 @@ def packages() -> dict[str, str]:
 
 def hardware() -> str:
     """One line: processor, cores, and the GPU when there is one."""
-    name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
-    if info.exists():
-        models = [
-            line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")
-        ]
-        name = models[0] if models else name
+    model = re.search(r"^model name\s*:\s*(.+)$", info.read_text(), re.MULTILINE) if info.exists() else None
+    name = model[1].strip() if model else platform.processor() or platform.machine()
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     gpu = f", {torch.cuda.get_device_name()}" if torch.cuda.is_available() else ""
     return f"{name}, {cores} cores{gpu}"

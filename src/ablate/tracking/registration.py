@@ -1,6 +1,4 @@
-"""A trained generator in MLflow's model registry, from which `mlflow.pyfunc.load_model` takes it to render frames."""
-
-from __future__ import annotations
+"""A trained generator in MLflow's model registry; `mlflow.pyfunc.load_model` loads it to render frames."""
 
 import tempfile
 import warnings
@@ -19,7 +17,7 @@ from ablate.dataset import network_inputs
 from ablate.networks import Generator, GeneratorSpec, conditions
 from ablate.tracking.provenance import packages
 from ablate.tracking.store import Store
-from ablate.training import Precision, chosen_device, generate
+from ablate.training import TrainingPrecision, chosen_device, generate
 
 with warnings.catch_warnings():
     warnings.filterwarnings("ignore", message=".*Any type hint is inferred as AnyType")  # in MLflow's own classes
@@ -30,37 +28,23 @@ _FRAMES = (-1, -1, -1)
 _SEED = ParamSpec("seed", "long", 0)
 
 
-def write_generator(path: Path, generator: Generator, values: np.ndarray, precision: Precision) -> None:
-    """A generator and what it needs beside its weights, as a file that loads without running code.
+def write_generator(path: Path, generator: Generator, values: np.ndarray, precision: TrainingPrecision) -> None:
+    """Write a generator and all that it needs to a file that loads without running code.
 
-    Parameters
-    ----------
-    path : Path
-    generator : Generator
-    values : (labels,) float32
-        From `label_values`: how the labels of S are read.
-    precision : Precision
+    `values`, (labels,) float32 from `label_values`, tell how the labels of S are read.
     """
-    spec = {
-        name: value if isinstance(value, int | float) else str(value) for name, value in vars(generator.spec).items()
-    }
+    spec = {k: v if isinstance(v, int | float) else str(v) for k, v in vars(generator.spec).items()}
     kept = {"spec": spec, "values": torch.from_numpy(values), "precision": str(precision)}
     torch.save({**kept, "weights": generator.state_dict()}, path)
 
 
 class RegisteredGenerator:
-    """Frames from the maps of a pair; what `mlflow.pyfunc.load_model` gives wraps this.
-
-    Parameters
-    ----------
-    path : Path
-        What `write_generator` wrote.
-    """
+    """Renders frames with what `write_generator` wrote; `mlflow.pyfunc.load_model` returns a wrapper of this."""
 
     def __init__(self, path: Path) -> None:
         saved = torch.load(path, map_location="cpu", weights_only=True)
         self.values = saved["values"].numpy()
-        self.precision = Precision(saved["precision"])
+        self.precision = TrainingPrecision(saved["precision"])
         self.generator = Generator(GeneratorSpec(**saved["spec"]))
         self.generator.load_state_dict(saved["weights"])
         self.generator.eval().to(chosen_device("auto"))
@@ -68,10 +52,7 @@ class RegisteredGenerator:
     def predict(self, model_input: Mapping[str, np.ndarray], params: Mapping[str, Any] | None = None) -> np.ndarray:
         """Render (n, H, W) uint8; the noise of frame i has the seed `params["seed"]` + i.
 
-        Raises
-        ------
-        ValueError
-            Where a label was not among those trained with.
+        A label that was not among those trained with is a ValueError.
         """
         labels = model_input["segmentation"]
         if labels.max() >= len(self.values):
@@ -83,22 +64,15 @@ class RegisteredGenerator:
 
 
 def _load_pyfunc(path: str) -> RegisteredGenerator:
-    """What MLflow calls: a saved model names this module as its loader, so that `ablate` installed is enough."""
+    """Load a saved model. MLflow calls this function, because the model names this module as its loader."""
     return RegisteredGenerator(Path(path))
 
 
 def signature(spec: GeneratorSpec) -> ModelSignature:
-    """What a registered generator takes and gives.
+    """The inputs and outputs of a registered generator.
 
-    Parameters
-    ----------
-    spec : GeneratorSpec
-
-    Returns
-    -------
-    ModelSignature
-        Inputs `segmentation` (n, H, W) uint8, 0 outside the fan, and, where the generator reads them, `attenuation`
-        float32 in [0, 1] and `low` uint8; the integer parameter `seed`; output (n, H, W) uint8.
+    Inputs are `segmentation` (n, H, W) uint8, 0 outside the fan, and, where the generator reads them, `attenuation`
+    float32 in [0, 1] and `low` uint8; a parameter is the integer `seed`; the output is (n, H, W) uint8.
     """
     inputs = [TensorSpec(np.dtype(_TYPES[name]), _FRAMES, name) for name in conditions(spec)]
     return ModelSignature(Schema(inputs), Schema([TensorSpec(np.dtype(np.uint8), _FRAMES)]), ParamSchema([_SEED]))
@@ -110,29 +84,14 @@ def register_generator(
     run_id: str,
     generator: Generator,
     values: np.ndarray,
-    precision: Precision,
+    precision: TrainingPrecision,
     example: Mapping[str, np.ndarray],
     description: str,
 ) -> int:
-    """Make a version of the registered model `name` from the generator of a run, unless there is one.
+    """Make a version of the registered model `name` from the generator of a run, unless one exists; returns it.
 
-    Parameters
-    ----------
-    store : Store
-    name : str
-    run_id : str
-        Run whose artifacts the model joins.
-    generator : Generator
-    values, precision
-        See `write_generator`.
-    example : dict of (n, H, W)
-        Maps by name, small: they are kept as text.
-    description : str
-
-    Returns
-    -------
-    int
-        The version.
+    The model joins the artifacts of the run. `values` and `precision` are those of `write_generator`. `example` holds
+    (n, H, W) maps by name, small, because they are kept as text.
     """
     client = store.client
     with FileLock(store.lock):

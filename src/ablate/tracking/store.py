@@ -1,16 +1,15 @@
-"""MLflow runs: one parent a study, one child a job, found again rather than made twice."""
-
-from __future__ import annotations
+"""MLflow runs: one parent for each study, one child for each job; an existing run is found again."""
 
 import json
 import logging
 import os
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from urllib.parse import quote
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 
@@ -28,9 +27,7 @@ _EXPERIMENT_TAGS = {
     "mlflow.experimentKind": "custom_model_development",  # the pages then show runs and models, not prompts and traces
     "mlflow.note.content": _ABOUT,
 }
-
-
-# MLflow writes an image, then its small copy; only with both is it whole.
+# MLflow writes an image and then a smaller copy; an image with both files is complete.
 _WHOLE_IMAGE = re.compile(r".+?\+step\+\d+\+(?=.*\+compressed\.webp$)")
 
 
@@ -44,19 +41,11 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Store:
-    """An open tracking store.
-
-    Attributes
-    ----------
-    uri : str
-    experiment_id : str
-    lock : Path
-        Taken around whatever looks a run up and then makes it.
-    """
+    """An open tracking store."""
 
     uri: str
     experiment_id: str
-    lock: Path
+    lock: Path  # taken around whatever looks a run up and then makes it
 
     @property
     def client(self) -> MlflowClient:
@@ -64,7 +53,7 @@ class Store:
 
 
 def default_uri(runs: Path) -> str:
-    """SQLite file in the folder that holds everything produced."""
+    """URI of the SQLite file in the folder of all runs."""
     return f"sqlite:///{runs / 'mlflow.db'}"
 
 
@@ -73,16 +62,6 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
 
     Safe for several processes: concurrent first use of a fresh SQLite store fails otherwise. Artifacts go to
     `runs/artifacts` for the default store; a server given by `uri` decides for itself.
-
-    Parameters
-    ----------
-    runs : Path
-    uri : str or None
-    experiment : str
-
-    Returns
-    -------
-    Store
     """
     logging.getLogger("alembic").setLevel(logging.WARNING)
     logging.getLogger("mlflow").setLevel(logging.WARNING)
@@ -100,26 +79,26 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
 
 
 def parent_run(store: Store, study: str) -> str:
-    """Id of the study's parent run, made when there is none."""
-    return _run(store, f"tags.study = '{study}' and tags.kind = 'study'", study, {"study": study, "kind": "study"})
+    """Id of the study's parent run, which is created when there is none."""
+    return _run(store, study, {"study": study, "kind": "study"})
 
 
 def task_run(store: Store, task: str, study: str) -> str:
-    """Id of the run of a task that looks at a study from outside; made when there is none, named as the task."""
-    tags = {"study": study, "kind": task}
-    return _run(store, f"tags.study = '{study}' and tags.kind = '{task}'", task, tags)
+    """Id of the run of a task such as `precision`, named as the task and created when there is none."""
+    return _run(store, task, {"study": study, "kind": task})
 
 
 def child_run(store: Store, parent: str, name: str, config_hash: str, tags: Mapping[str, str]) -> str:
-    """Id of the job's run under `parent`; the one that a killed job left behind is taken up again."""
-    wanted = {**tags, "kind": "job", "config_hash": config_hash, _PARENT_TAG: parent}
-    query = (
-        f"attributes.run_name = '{name}' and tags.config_hash = '{config_hash}' and tags.`{_PARENT_TAG}` = '{parent}'"
-    )
-    return _run(store, query, name, wanted)
+    """Id of the job's run under `parent`; a run that a killed job left is continued."""
+    known_by = {"kind": "job", "config_hash": config_hash, _PARENT_TAG: parent}
+    return _run(store, name, known_by, tags, f"attributes.run_name = '{name}'")
 
 
-def _run(store: Store, query: str, name: str, tags: Mapping[str, str]) -> str:
+def _run(
+    store: Store, name: str, known_by: Mapping[str, str], tags: Mapping[str, str] | None = None, *conditions: str
+) -> str:
+    """Id of the run that has the tags `known_by` and meets the conditions, or of a new one with all tags."""
+    query = " and ".join([*conditions, *(f"tags.`{tag}` = '{value}'" for tag, value in known_by.items())])
     with FileLock(store.lock):
         client = store.client
         found = client.search_runs([store.experiment_id], query, run_view_type=ViewType.ACTIVE_ONLY, max_results=1)
@@ -127,18 +106,23 @@ def _run(store: Store, query: str, name: str, tags: Mapping[str, str]) -> str:
             run_id = str(found[0].info.run_id)
             client.update_run(run_id, status="RUNNING")
             return run_id
-        made = client.create_run(store.experiment_id, tags=dict(tags), run_name=name)
+        made = client.create_run(store.experiment_id, tags={**(tags or {}), **known_by}, run_name=name)
         return str(made.info.run_id)
 
 
-class RunLog:
-    """Writes to one run, metrics in batches: a call costs a SQLite transaction whatever it holds.
+def artifact_page(store: Store, run_id: str, path: str) -> str:
+    """Link, relative to MLflow's address, to the artifact viewer with a file of a run open."""
+    return f"#/experiments/{store.experiment_id}/runs/{run_id}/artifacts/{quote(path)}"
 
-    Parameters
-    ----------
-    store : Store
-    run_id : str
-    """
+
+def comparison_page(store: Store, run_ids: Sequence[str]) -> str:
+    """Link, relative to MLflow's address, to its comparison of runs: parallel coordinates, parameters, metrics."""
+    runs, experiments = (quote(json.dumps(list(ids))) for ids in (run_ids, [store.experiment_id]))
+    return f"#/compare-runs?runs={runs}&experiments={experiments}"
+
+
+class RunLog:
+    """Writes to one run. Metrics are sent in batches, because each call costs a SQLite transaction."""
 
     def __init__(self, store: Store, run_id: str) -> None:
         self.store, self.run_id = store, run_id
@@ -167,7 +151,7 @@ class RunLog:
         self._flushed = time.monotonic()
 
     def parameters(self, values: Mapping[str, object]) -> None:
-        """Parameters of the run; those that it already has are left as they are."""
+        """Log parameters; those that the run already has are left as they are."""
         known = self._client.get_run(self.run_id).data.params
         new = [Param(k, str(v)) for k, v in values.items() if k not in known]
         if new:
@@ -177,23 +161,17 @@ class RunLog:
         self._client.log_batch(self.run_id, tags=[RunTag(k, str(v)) for k, v in values.items()])
 
     def describe(self, markdown: str) -> None:
-        """The text on the run's first page."""
+        """Set the description on the run's first page."""
         self.tags({"mlflow.note.content": markdown})
 
     def artifact(self, path: Path, folder: str | None = None) -> None:
         self._client.log_artifact(self.run_id, str(path), folder)
 
     def image(self, key: str, image: np.ndarray, step: int) -> None:
-        """An image of a series: MLflow shows those of one key with a slider over steps.
+        """Log an (h, w) uint8 image of a series: MLflow shows those of one key with a slider over steps.
 
-        One that the run has of this key and step is left: a job that goes on at its last checkpoint makes some again.
-
-        Parameters
-        ----------
-        key : str
-            Letters, digits, spaces and `_-./`.
-        image : (h, w) uint8
-        step : int
+        A key has letters, digits, spaces and `_-./`. An image that the run has of this key and step is left: a job
+        that goes on at its last checkpoint makes some again.
         """
         if self._images is None:
             there = self._client.list_artifacts(self.run_id, "images")
@@ -204,7 +182,7 @@ class RunLog:
             self._images.add(name)
 
     def dataset(self, name: str, digest: str, folder: Path, frames: int) -> None:
-        """The data set that the run learns from; the run has it once, however often this is called."""
+        """Log the data set that the run is trained on; logging it again changes nothing."""
         made = Dataset(name, digest, "local", str(folder), profile=json.dumps({"num_rows": frames}))
         self._client.log_inputs(self.run_id, [DatasetInput(made)])
 

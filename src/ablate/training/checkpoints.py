@@ -1,7 +1,5 @@
 """`last.ckpt`: written whole or not at all, loaded without running code, resumed exactly."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +7,11 @@ import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 
 from ablate.networks import Generator
+from ablate.storage import remove_partial, written_whole
 from ablate.training.divergence import DivergenceError
 from ablate.training.interruption import Interruption
 from ablate.training.module import PairGAN
-from ablate.training.settings import plain
+from ablate.training.settings import as_builtins
 
 LAST = "last.ckpt"
 # Settings that may differ between a run and its continuation: they do not change what is computed, but for how long.
@@ -36,12 +35,9 @@ class LastCheckpoint(Callback):
         if is_due or step == module.settings.steps or self.interruption.signal is not None:
             if not module.is_finite():
                 raise DivergenceError(f"step {step}: weights are not finite, {self.path} holds the last good ones")
-            unfinished = self.path.with_suffix(".tmp")
-            try:
-                trainer.save_checkpoint(unfinished)
-                unfinished.replace(self.path)
-            finally:
-                unfinished.unlink(missing_ok=True)
+            remove_partial(self.path)  # one process trains a run
+            with written_whole(self.path) as partial:
+                trainer.save_checkpoint(partial)
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -64,15 +60,9 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def resume(module: PairGAN, path: Path) -> None:
-    """Continue from `path`, unless it holds another network or another training.
-
-    Raises
-    ------
-    ValueError
-        Naming what differs.
-    """
+    """Continue from `path`; ValueError, which names what differs, if it holds another network or another training."""
     checkpoint = read_checkpoint(path)
-    for part, wanted in (("spec", plain(module.spec)), ("settings", plain(module.settings))):
+    for part, wanted in (("spec", as_builtins(module.spec)), ("settings", as_builtins(module.settings))):
         found = checkpoint["hyper_parameters"][part]
         differing = [key for key in wanted if key not in _FREE and found.get(key) != wanted[key]]
         if differing:

@@ -1,12 +1,11 @@
 """Notice soon that a training has failed, instead of spending hours on it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
+from typing import NoReturn
 
-# A discriminator that tells nothing has logits of 0 and the loss of guessing, 2 ln 2; one that knows everything has
-# none, and in minimax form teaches nothing either.
+# A discriminator that cannot tell real from fake has logits of 0 and the loss 2 ln 2. One that always can has the
+# loss 0; in minimax form its gradient then vanishes too.
 _GUESSING = 2 * math.log(2)
 _LOSS_TOLERANCE, _LOGIT_TOLERANCE = 1e-6, 1e-2
 _PATIENCE = 1000
@@ -19,20 +18,9 @@ class DivergenceError(RuntimeError):
 class DivergenceGuard:
     """Look at the mean losses of intervals short enough to notice within an epoch that training has failed.
 
-    Parameters
-    ----------
-    log_every : int
-        Steps between two reports.
-    epoch : int, optional
-        Steps of a pass over the training data.
-
-    Attributes
-    ----------
-    interval : int
-        Steps between two checks: `log_every`, but two to an epoch at least.
-    patience : int
-        Checks in a row that find the discriminator dead before training is given up: about 1000 steps, but within
-        an epoch from the step at which it died.
+    `interval` is the number of steps between two checks: `log_every`, but at most half an epoch. Training is given up
+    after `patience` checks in a row that find the discriminator dead. These are about 1000 steps, but at most an epoch
+    from the step at which it died.
     """
 
     def __init__(self, log_every: int, epoch: int | None = None) -> None:
@@ -42,23 +30,14 @@ class DivergenceGuard:
         self._dead = 0
 
     def check(self, metrics: Mapping[str, float], step: int) -> None:
-        """Raise if training has failed.
+        """Raise DivergenceError if training has failed, judged by the means of `PairGAN.drain` over the interval.
 
-        Parameters
-        ----------
-        metrics : mapping
-            Means over the interval, by the names of `PairGAN.drain`.
-        step : int
-
-        Raises
-        ------
-        DivergenceError
-            Where a loss is not finite, or where the discriminator has guessed or known everything, to within 1e-6 of
-            its loss, for `patience` intervals.
+        It has failed where a loss is not finite, or where the discriminator has guessed or known everything, to within
+        1e-6 of its loss, for `patience` intervals.
         """
         for name, value in metrics.items():
             if not math.isfinite(value):
-                raise DivergenceError(_explained(step, f"{name} is {value}"))
+                _give_up(step, f"{name} is {value}")
         loss = metrics["train/loss_d"]
         has_won = loss < _LOSS_TOLERANCE
         logits = max(abs(metrics["train/logit_real"]), abs(metrics["train/logit_fake"]))
@@ -66,12 +45,9 @@ class DivergenceGuard:
         self._dead = self._dead + 1 if has_won or is_guessing else 0
         if self._dead >= self.patience:
             what = "has won, its loss is 0" if has_won else "is guessing, its loss is 2 ln 2"
-            steps = self._dead * self.interval
-            raise DivergenceError(_explained(step, f"the discriminator {what} for {steps} steps"))
+            _give_up(step, f"the discriminator {what} for {self._dead * self.interval} steps")
 
 
-def _explained(step: int, what: str) -> str:
-    return (
-        f"training has failed at step {step}: {what}; the last good checkpoint is kept; "
-        "a lower training.learning_rate or another seed may help"
-    )
+def _give_up(step: int, what: str) -> NoReturn:
+    advice = "the last good checkpoint is kept; a lower training.learning_rate or another seed may help"
+    raise DivergenceError(f"training has failed at step {step}: {what}; {advice}")

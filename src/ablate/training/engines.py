@@ -1,7 +1,5 @@
 """What computes a frame: torch as it is, torch's compiler, or a runtime for the exported file."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable, Mapping
@@ -16,11 +14,11 @@ import torch
 from torch import Tensor
 
 from ablate.networks import Generator, conditions, export_onnx
-from ablate.training.precision import autocast, chosen_precision
-from ablate.training.settings import Precision
+from ablate.training.hardware import autocast, chosen_precision
+from ablate.training.settings import TrainingPrecision
 
 # Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
-Render = Callable[[Mapping[str, Tensor], Tensor], Tensor]
+OpenEngine = Callable[[Mapping[str, Tensor], Tensor], Tensor]
 # On a CPU torch 2.13 tiles loops over fewer channels than a vector holds wrongly, and the image is another.
 _COMPILER: dict[str, dict[str, Any]] = {
     "cpu": {"options": {"cpp.enable_tiling_heuristics": False}},
@@ -51,22 +49,17 @@ def missing_for(engine: Engine, device: torch.device) -> str | None:
     return None
 
 
-def renderer(
-    generator: Generator, height: int, width: int, precision: Precision = Precision.auto, engine: Engine = Engine.eager
-) -> Render:
-    """Make a function that renders one frame of a fixed size, on the generator's device.
+def open_engine(
+    generator: Generator,
+    height: int,
+    width: int,
+    precision: TrainingPrecision = TrainingPrecision.auto,
+    engine: Engine = Engine.eager,
+) -> OpenEngine:
+    """Make a function that renders one frame of `height` x `width` px, on the generator's device.
 
     Compiling and exporting take their time here or at the first frame. A compiled generator on a GPU replays a
     CUDA graph: an image is overwritten by the next one.
-
-    Parameters
-    ----------
-    generator : Generator
-    height, width : int
-        Of a frame, px.
-    precision : Precision
-        Of the convolutions.
-    engine : Engine
 
     Returns
     -------
@@ -101,20 +94,18 @@ def renderer(
     return render
 
 
-def open_exported(generator: Generator, path: Path, precision: Precision = Precision.auto) -> Render:
+def open_exported(
+    generator: Generator, path: Path, precision: TrainingPrecision = TrainingPrecision.auto
+) -> OpenEngine:
     """Make a function that renders with OpenVINO from a file of `export_onnx`, on as many threads as torch has.
 
     The generator draws the noise, of which the file is given the fields; its weights are not used.
     """
     import openvino
 
-    hint = "bf16" if chosen_precision(precision, torch.device("cpu")) is Precision.bf16 else "f32"
-    options = {
-        "INFERENCE_PRECISION_HINT": hint,
-        "PERFORMANCE_HINT": "LATENCY",
-        "INFERENCE_NUM_THREADS": torch.get_num_threads(),
-    }
-    compiled = openvino.Core().compile_model(path, "CPU", options)
+    hint = "bf16" if chosen_precision(precision, torch.device("cpu")) is TrainingPrecision.bf16 else "f32"
+    options = {"INFERENCE_PRECISION_HINT": hint, "INFERENCE_NUM_THREADS": torch.get_num_threads()}
+    compiled = openvino.Core().compile_model(path, "CPU", options | {"PERFORMANCE_HINT": "LATENCY"})
     names = conditions(generator.spec)
 
     @torch.inference_mode()

@@ -1,7 +1,5 @@
 """Stop between two steps when asked to (SIGTERM, Ctrl-C, SIGUSR2), so that what is saved is a whole step."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from typing import Any
@@ -12,13 +10,7 @@ _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR2)  # SIGUSR2: submitit'
 
 
 class Interruption(Callback):
-    """Remember the first signal and let the step end; a second Ctrl-C stops at once.
-
-    Attributes
-    ----------
-    signal : int or None
-        The signal that was received.
-    """
+    """Remember the first signal in `signal` and let the step end; a second Ctrl-C stops at once."""
 
     def __init__(self) -> None:
         self.signal: int | None = None
@@ -37,15 +29,10 @@ class Interruption(Callback):
             trainer.should_stop = True
 
     def restore(self) -> None:
-        """Give the signals back to whom they belonged when this was made."""
+        """Restore the signal handlers that were set when this was made."""
         if self._in_main_thread:
             for number, handler in self._previous.items():
                 signal.signal(number, handler)
-
-    def deliver(self) -> None:
-        """Hand the signal on, after everything is saved; call `restore` first."""
-        if self.signal is not None:
-            signal.raise_signal(self.signal)
 
     def _receive(self, number: int, _: Any) -> None:
         if self.signal is not None and number == signal.SIGINT:

@@ -1,6 +1,4 @@
-"""Train one network to the end, from wherever it had come."""
-
-from __future__ import annotations
+"""Train one network to its last step, from the start or from its last checkpoint."""
 
 import logging
 import signal
@@ -17,32 +15,22 @@ from lightning.pytorch.plugins.environments import LightningEnvironment
 from torch import Tensor
 
 from ablate.networks import Generator, GeneratorSpec
-from ablate.training.allocator import keep_freed_memory
 from ablate.training.checkpoints import LAST, LastCheckpoint, resume
 from ablate.training.divergence import DivergenceGuard
+from ablate.training.hardware import chosen_device, chosen_precision, keep_freed_memory
 from ablate.training.interruption import Interruption
 from ablate.training.module import PairGAN
-from ablate.training.precision import chosen_device, chosen_precision
 from ablate.training.reporting import MetricSink, Report, Validate, Validation
-from ablate.training.settings import Precision, TrainingSettings
+from ablate.training.settings import TrainingPrecision, TrainingSettings
 
 # Called with the first step and the one after the last; gives one batch a step, a function of the step alone.
 Loader = Callable[[int, int], Iterable[dict[str, Tensor]]]
-_TRAINER_PRECISION = {Precision.fp32: "32-true", Precision.bf16: "bf16-mixed"}
+_TRAINER_PRECISION = {TrainingPrecision.fp32: "32-true", TrainingPrecision.bf16: "bf16-mixed"}
 
 
 @dataclass(frozen=True)
 class TrainedGenerator:
-    """The outcome of a training.
-
-    Attributes
-    ----------
-    generator : Generator
-        The one to evaluate, on the device it was trained on, in evaluation mode.
-    checkpoint : Path
-    resumed_at : int
-        Steps that had been done before.
-    """
+    """The generator to evaluate, on the device it was trained on, its checkpoint, and the steps done before."""
 
     generator: Generator
     checkpoint: Path
@@ -62,13 +50,11 @@ def train(
 
     A run that was stopped at any step and is called again with the same arguments ends with the weights of a run
     that was not stopped: to the bit on the same CPU, and as far as the convolutions of cuDNN repeat themselves
-    on a GPU. SIGTERM, SIGUSR2 and Ctrl-C are answered after the
-    current step, with a checkpoint, and are then handed on.
+    on a GPU. After SIGTERM, SIGUSR2 or Ctrl-C the current step is finished, a checkpoint is written, and the signal
+    is raised again.
 
     Parameters
     ----------
-    spec : GeneratorSpec
-    settings : TrainingSettings
     loader : callable
         `loader(start, stop)` iterates over the batches of these steps; see `PairGAN.training_step` for a batch.
     run_dir : Path
@@ -79,16 +65,12 @@ def train(
         Called with the generator to evaluate and the number of images it has seen, before the first step and every
         `settings.validate_every` steps; returns metrics.
 
-    Returns
-    -------
-    TrainedGenerator
-
     Raises
     ------
     ValueError
         Where the crop is smaller than 2^depth, or `last.ckpt` is of another run.
     InterruptedError
-        Where a signal stopped it and whoever the signal was handed on to carries on.
+        Where a signal stopped training and the handler of that signal returned.
     DivergenceError
         Where training has failed; the last good checkpoint stays.
     RuntimeError
@@ -108,7 +90,7 @@ def train(
     start = module.steps_done
     if start < settings.steps:
         interruption = Interruption()
-        # The order counts: numbers are checked before weights are written, and a stop is written before it is obeyed.
+        # The order matters: losses are checked before weights are written, weights are written before training stops.
         callbacks: list[Callback] = [Report(sink, DivergenceGuard(settings.log_every, epoch))]
         if validation is not None and settings.validate_every:
             callbacks.append(Validate(validation, settings.validate_every, sink))
@@ -117,9 +99,10 @@ def train(
             _fit(module, loader(start, settings.steps), callbacks, device, run_dir)
         finally:
             interruption.restore()
-        interruption.deliver()
+        if interruption.signal is not None:
+            signal.raise_signal(interruption.signal)
         if module.steps_done < settings.steps:
-            if interruption.signal is not None:  # its own handler passed over it, as submitit's does over SIGTERM
+            if interruption.signal is not None:  # the handler found before returned, as submitit's does for SIGTERM
                 name = signal.Signals(interruption.signal).name
                 raise InterruptedError(f"stopped by {name} after step {module.steps_done} of {settings.steps}")
             raise RuntimeError(f"loader: ended after step {module.steps_done}, needed are {settings.steps}")
@@ -133,7 +116,7 @@ def _fit(
         trainer = Trainer(
             accelerator="gpu" if device.type == "cuda" else "cpu",
             devices=1,
-            # Of a job array or an interactive allocation no concern: one process, one device.
+            # A SLURM allocation does not matter here: there is one process with one device.
             plugins=[LightningEnvironment()],
             precision=_TRAINER_PRECISION[chosen_precision(module.settings.precision, device)],  # type: ignore[arg-type]
             max_epochs=1,
@@ -144,8 +127,6 @@ def _fit(
             enable_checkpointing=False,
             enable_progress_bar=False,
             enable_model_summary=False,
-            limit_val_batches=0,
-            num_sanity_val_steps=0,
         )
         trainer.fit(module, batches)
 
@@ -158,10 +139,9 @@ def _quiet_lightning() -> Iterator[None]:
     log.setLevel(logging.WARNING)
     try:
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message=".*does not have many workers.*")
-            warnings.filterwarnings("ignore", message=".*`srun` command is available.*")
-            # Lightning's own call of a name that torch has deprecated.
-            warnings.filterwarnings("ignore", message=".*LeafSpec.*", category=FutureWarning)
+            # LeafSpec: Lightning itself calls a name that torch has deprecated.
+            for message in ("does not have many workers", "`srun` command is available", "LeafSpec"):
+                warnings.filterwarnings("ignore", message=f".*{message}")
             yield
     finally:
         log.setLevel(level)

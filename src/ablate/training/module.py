@@ -1,7 +1,5 @@
 """The conditional GAN as a LightningModule: one generated batch, a step of D, a step of G."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from copy import deepcopy
 from typing import Any, cast
@@ -14,7 +12,7 @@ from torch.nn import functional as F
 from torch.optim import Adam
 
 from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, conditions, discriminator_channels
-from ablate.training.settings import AdversarialLoss, TrainingSettings, plain
+from ablate.training.settings import AdversarialLoss, TrainingSettings, as_builtins
 
 METRICS = ("train/loss_d", "train/loss_g", "train/l1", "train/logit_real", "train/logit_fake")
 # The running average follows faster at first: min(decay, (1 + t) / (10 + t)) at step t.
@@ -22,18 +20,10 @@ _EMA_LAG = 10
 
 
 class PairGAN(LightningModule):
-    """Generator, discriminator, their losses and optimisers.
-
-    Parameters
-    ----------
-    spec : GeneratorSpec or mapping
-        The generator; a mapping is what a checkpoint holds.
-    settings : TrainingSettings or mapping
+    """Generator, discriminator, their losses and optimisers; the arguments may be the mappings of a checkpoint.
 
     Attributes
     ----------
-    generator : Generator
-    discriminator : PatchDiscriminator
     average : Generator or None
         Running average of the generator's weights, if `ema_decay` is above 0.
     steps_done : int
@@ -44,7 +34,7 @@ class PairGAN(LightningModule):
         super().__init__()
         self.spec = spec if isinstance(spec, GeneratorSpec) else GeneratorSpec(**spec)
         self.settings = settings if isinstance(settings, TrainingSettings) else TrainingSettings(**settings)
-        self.save_hyperparameters({"spec": plain(self.spec), "settings": plain(self.settings)})
+        self.save_hyperparameters({"spec": as_builtins(self.spec), "settings": as_builtins(self.settings)})
         self.automatic_optimization = False
         width = self.settings.discriminator_width
         with torch.random.fork_rng():
@@ -53,9 +43,8 @@ class PairGAN(LightningModule):
             self.discriminator = PatchDiscriminator(
                 discriminator_channels(self.spec), self.spec.width if width is None else width
             )
-        self.average: Generator | None = None
-        if self.settings.ema_decay > 0:
-            self.average = deepcopy(self.generator).requires_grad_(False)
+        has_average = self.settings.ema_decay > 0
+        self.average = deepcopy(self.generator).requires_grad_(False) if has_average else None
         self.steps_done = 0
         self._sums: Tensor | None = None
         self._steps_summed = 0
@@ -85,11 +74,11 @@ class PairGAN(LightningModule):
         Parameters
         ----------
         batch : dict of (N, 1, h, w) float
-            The maps of `conditions(spec)`, `image` in [-1, 1] and `mask`; and `noise_seed`, (N,) int64.
+            The maps of `conditions(spec)`, `target` in [-1, 1] and `mask`; and `noise_seed`, (N,) int64.
         """
         optimizer_g, optimizer_d = cast(list[LightningOptimizer], self.optimizers())
         maps = {name: batch[name] for name in conditions(self.spec)}
-        mask, image = batch["mask"].float(), batch["image"]
+        mask, image = batch["mask"].float(), batch["target"]
         rendered = self.generator(**maps, noise_seed=batch["noise_seed"])
         fake = mask * (rendered.float() + 1) - 1
         stacked = torch.cat([maps[name].to(rendered.dtype) for name in maps], dim=1)
@@ -109,9 +98,14 @@ class PairGAN(LightningModule):
         optimizer_g.step()
         self.discriminator.requires_grad_(True)
 
-        self._average_weights()
+        if self.average is not None:
+            decay = min(self.settings.ema_decay, (1 + self.steps_done) / (_EMA_LAG + self.steps_done))
+            with torch.no_grad():
+                torch._foreach_lerp_(list(self.average.parameters()), list(self.generator.parameters()), 1 - decay)
         self.steps_done += 1
-        self._sum_up(torch.stack((loss_d, loss_g, l1, logits_real.mean(), logits_fake.mean())).detach())
+        values = torch.stack((loss_d, loss_g, l1, logits_real.mean(), logits_fake.mean())).detach()
+        self._sums = values if self._sums is None else self._sums + values
+        self._steps_summed += 1
 
     def drain(self) -> dict[str, float]:
         """Return the mean of `METRICS` since the last call; this waits for the device."""
@@ -138,20 +132,8 @@ class PairGAN(LightningModule):
 
     def _adversarial(self, logits_fake: Tensor) -> Tensor:
         """Compute the generator's adversarial loss: -log D, or log(1 - D), with D = sigmoid(logits)."""
-        if self.settings.loss is AdversarialLoss.minimax:
-            return -F.softplus(logits_fake).mean()
-        return F.softplus(-logits_fake).mean()
-
-    @torch.no_grad()
-    def _average_weights(self) -> None:
-        if self.average is None:
-            return
-        decay = min(self.settings.ema_decay, (1 + self.steps_done) / (_EMA_LAG + self.steps_done))
-        torch._foreach_lerp_(list(self.average.parameters()), list(self.generator.parameters()), 1 - decay)
-
-    def _sum_up(self, values: Tensor) -> None:
-        self._sums = values if self._sums is None else self._sums + values
-        self._steps_summed += 1
+        is_minimax = self.settings.loss is AdversarialLoss.minimax
+        return -F.softplus(logits_fake).mean() if is_minimax else F.softplus(-logits_fake).mean()
 
 
 def _lay_out_like_weights(optimizer: Adam) -> None:

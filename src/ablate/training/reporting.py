@@ -1,6 +1,4 @@
-"""What a training says of itself: metrics, a progress bar or plain lines, validation."""
-
-from __future__ import annotations
+"""Reports of a training: metrics, a progress bar or lines of text, validation."""
 
 import logging
 import sys
@@ -92,15 +90,13 @@ class Report(Callback):
 
 
 class Validate(Callback):
-    """Call a function with the generator to evaluate, before the first step and every `every` steps, and send what it
-    returns.
-    """
+    """Evaluate the generator before the first step and every `every` steps, and send the metrics."""
 
     def __init__(self, validation: Validation, every: int, sink: MetricSink | None) -> None:
         self.validation, self.every, self.sink = validation, every, sink
 
     def on_train_start(self, _trainer: Trainer, module: LightningModule) -> None:
-        """Validate what has not learned anything yet: where curves begin."""
+        """Validate the untrained network, where curves begin."""
         assert isinstance(module, PairGAN)
         if module.steps_done == 0:
             self._validate(module)

@@ -1,11 +1,11 @@
 """How a network is trained, as values; the defaults are the paper's."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
+
+from ablate.validation import coerce_enums
 
 SMALLEST_CROP = 32
 
@@ -17,7 +17,7 @@ class AdversarialLoss(StrEnum):
     minimax = "minimax"
 
 
-class Precision(StrEnum):
+class TrainingPrecision(StrEnum):
     """Arithmetic of the convolutions; `auto` is bf16 where the hardware has it, else fp32."""
 
     auto = "auto"
@@ -32,21 +32,18 @@ class TrainingSettings:
     Attributes
     ----------
     steps : int
-        Batches in all. The paper gives no number; the default is 100 passes over its 6000 images, which is
-        the length of pix2pix's schedule before its decay.
-    batch_size : int
+        Batches in all. The paper gives no number. The default is 100 passes over its 6000 images, the length of
+        pix2pix's schedule before its decay.
     crop : int
         Side of the square crops, px.
     learning_rate, beta1, beta2 : float
         Of Adam, for both networks, constant.
     l1_weight : float
         Lambda, the weight of the mean absolute error between images in [-1, 1].
-    loss : AdversarialLoss
     ema_decay : float
         Of the running average of the generator's weights that is evaluated in its place; 0 for none, as the paper.
     discriminator_width : float or None
         Multiplier of the discriminator's channels; None takes the generator's.
-    precision : Precision
     device : str
         `auto` (a GPU if there is one), `cpu` or `cuda`.
     threads : int
@@ -72,7 +69,7 @@ class TrainingSettings:
     loss: AdversarialLoss = AdversarialLoss.nonsaturating
     ema_decay: float = 0.0
     discriminator_width: float | None = None
-    precision: Precision = Precision.auto
+    precision: TrainingPrecision = TrainingPrecision.auto
     device: str = "auto"
     threads: int = 0
     seed: int = 0
@@ -81,20 +78,13 @@ class TrainingSettings:
     log_every: int = 50
 
     def __post_init__(self) -> None:
-        for name, enum in (("loss", AdversarialLoss), ("precision", Precision)):
-            value = getattr(self, name)
-            try:
-                object.__setattr__(self, name, enum(value))
-            except ValueError:
-                raise ValueError(f"{name}={value!r}: allowed are {', '.join(enum)}") from None
+        coerce_enums(self)
         if self.device not in ("auto", "cpu", "cuda"):
             raise ValueError(f"device={self.device!r}: allowed are auto, cpu, cuda")
-        for name, least in (("steps", 1), ("batch_size", 1), ("crop", SMALLEST_CROP), ("log_every", 1)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name}={getattr(self, name)}: allowed are {least} and more")
-        for name in ("threads", "checkpoint_every", "validate_every"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name}={getattr(self, name)}: allowed are 0 and more")
+        least = {"steps": 1, "batch_size": 1, "crop": SMALLEST_CROP, "log_every": 1}
+        for name, lower in (least | {"threads": 0, "checkpoint_every": 0, "validate_every": 0}).items():
+            if getattr(self, name) < lower:
+                raise ValueError(f"{name}={getattr(self, name)}: allowed are {lower} and more")
         for name in ("beta1", "beta2", "ema_decay"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"{name}={getattr(self, name)}: allowed is [0, 1)")
@@ -104,6 +94,6 @@ class TrainingSettings:
             raise ValueError(f"learning_rate={self.learning_rate}: allowed are finite numbers above 0")
 
 
-def plain(value: Any) -> dict[str, Any]:
+def as_builtins(value: Any) -> dict[str, Any]:
     """Turn a settings dataclass into builtin strings and numbers, which load without running code."""
     return {name: str(field) if isinstance(field, StrEnum) else field for name, field in asdict(value).items()}

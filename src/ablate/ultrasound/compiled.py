@@ -1,7 +1,5 @@
 """How functions of this room are compiled: once, kept on disk, without Python's lock, dividing as NumPy does."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Callable
@@ -15,7 +13,7 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 _KEPT_IN = "CACHE_DIR"  # set by numba.core.config as it is imported, which a type checker cannot see
 _ROOM = Path(__file__).parent
-_DIGEST = hashlib.sha256(b"".join(file.read_bytes() for file in sorted(_ROOM.glob("*.py")))).hexdigest()[:16]
+_DIGEST = hashlib.sha256(b"".join(file.read_bytes() for file in sorted(_ROOM.rglob("*.py")))).hexdigest()[:16]
 
 
 def compiled(function: Function) -> Function:

@@ -1,51 +1,36 @@
 """Acoustic properties as tables over the tissues of a scene, ready to be indexed by rays."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ablate.anatomy import Tissue
-from ablate.ultrasound.attenuation import loss_db_mm
 from ablate.ultrasound.settings import DepthMode
 
 DISPLAY_SPEED_M_S = 1540.0
 
 
 class Media(NamedTuple):
-    """Tables over tissues, float32 unless said otherwise; a tuple, so that compiled code can take it.
-
-    Attributes
-    ----------
-    speed_m_s, impedance_mrayl, specularity, thickness_mm : (tissues,)
-    loss_db_mm : (tissues,)
-        One way, at the probe's frequency.
-    lobe_exponent : (tissues,)
-        1 / (s + 1) of the power-cosine lobe of normals, roughness / (1 + roughness).
-    stretch : (tissues,)
-        Displayed length over geometric length: 1, or 1540 / speed in time-of-flight mode.
-    silent : (tissues,) bool
-        Whether it is the background, and has no scatterers.
-    differs : (tissues, tissues) bool
-        Where an interface reflects or refracts.
-    refracts, rough, thick : bool
-        Whether the tissues need these steps at all.
-    """
+    """Tables over tissues, (tissues,) float32 unless said otherwise; a tuple, so that compiled code can take it."""
 
     speed_m_s: np.ndarray
     impedance_mrayl: np.ndarray
     specularity: np.ndarray
     thickness_mm: np.ndarray
-    loss_db_mm: np.ndarray
-    lobe_exponent: np.ndarray
-    stretch: np.ndarray
-    silent: np.ndarray
-    differs: np.ndarray
-    refracts: bool
+    loss_db_mm: np.ndarray  # one way, at the probe's frequency
+    lobe_exponent: np.ndarray  # 1 / (s + 1) of the power-cosine lobe of normals, roughness / (1 + roughness)
+    stretch: np.ndarray  # displayed over geometric length: 1, or 1540 / speed in time-of-flight mode
+    anechoic: np.ndarray  # bool: whether it is the background, and has no scatterers
+    differs: np.ndarray  # (tissues, tissues) bool: where an interface reflects or refracts
+    refracts: bool  # whether the tissues need refraction, rough normals, surface thickness at all
     rough: bool
     thick: bool
+
+
+def loss_db_mm(tissue: Tissue, frequency_mhz: float) -> float:
+    """Amplitude lost one way, alpha f^b, dB/mm."""
+    return tissue.attenuation_db_cm_mhz * frequency_mhz**tissue.attenuation_power / 10
 
 
 def tabulate(tissues: Sequence[Tissue], used: np.ndarray, frequency_mhz: float, mode: DepthMode, full: bool) -> Media:
@@ -67,7 +52,7 @@ def tabulate(tissues: Sequence[Tissue], used: np.ndarray, frequency_mhz: float, 
         loss_db_mm=column([loss_db_mm(t, frequency_mhz) for t in tissues]),
         lobe_exponent=roughness / (1 + roughness),
         stretch=np.ones_like(speed) if geometric else np.float32(DISPLAY_SPEED_M_S) / speed,
-        silent=np.array([i == 0 and t.scatter_power == 0 for i, t in enumerate(tissues)]),
+        anechoic=np.array([i == 0 and t.scatter_power == 0 for i, t in enumerate(tissues)]),
         differs=(impedance[:, None] != impedance) | (speed[:, None] != speed),
         refracts=full or bool((speed[used] != speed[used][0]).any()),
         rough=full or bool(roughness[used].any()),

@@ -4,23 +4,18 @@ Probe axes: x lateral, z depth, y = z cross x elevational; the origin is the mid
 curvature lies at z = -radius. Lengths are mm, angles rad.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 
+#: Of the face, across the image plane (assumed).
+FACE_HALF_WIDTH_MM = 6.0
+
 
 def check_pose(pose: np.ndarray) -> np.ndarray:
-    """A pose as (4, 4) float64, probe to world, mm.
-
-    Raises
-    ------
-    ValueError
-        When it is not a finite rigid transform.
-    """
+    """A pose as (4, 4) float64, probe to world, mm; a ValueError when it is not a finite rigid transform."""
     pose = np.asarray(pose, dtype=np.float64)
     if pose.shape != (4, 4):
         raise ValueError(f"pose must have shape (4, 4), not {pose.shape}")
@@ -43,20 +38,20 @@ def fan_size_mm(probe: ConvexProbe) -> tuple[float, float]:
     return outer - probe.radius_mm * math.cos(half), 2 * outer * math.sin(half)
 
 
-def pixel_coordinates_mm(probe: ConvexProbe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Centres of the pixels of an image of the fan's bounding box.
+def face_sag_mm(probe: ConvexProbe) -> float:
+    """Distance along z from the middle of the face to its edges, mm."""
+    return probe.radius_mm * (1 - math.cos(math.radians(probe.fov_deg) / 2))
 
-    Returns
-    -------
-    x : (W,) float64, mm
-    z : (H,) float64, mm
-        Row 0 lies radius (1 - cos(fov / 2)) above the middle of the face.
+
+def pixel_coordinates_mm(probe: ConvexProbe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Centres x, (W,), and z, (H,), float64 in mm, of the pixels of an image of the fan's bounding box.
+
+    The image begins `face_sag_mm` above the middle of the face.
     """
     rows, columns = shape
     height, width = fan_size_mm(probe)
-    sag = probe.radius_mm * (1 - math.cos(math.radians(probe.fov_deg) / 2))
     x = (np.arange(columns) + 0.5) * (width / columns) - width / 2
-    z = (np.arange(rows) + 0.5) * (height / rows) - sag
+    z = (np.arange(rows) + 0.5) * (height / rows) - face_sag_mm(probe)
     return x, z
 
 
@@ -82,13 +77,6 @@ def scanline_angles(probe: ConvexProbe, scanlines: int) -> np.ndarray:
     return np.linspace(-half, half, scanlines)
 
 
-def scanline_spacing_mm(probe: ConvexProbe, scanlines: int, depth_mm: np.ndarray) -> np.ndarray:
-    """Distance between neighbouring scanlines at some depths, mm; infinite where there is one line only."""
-    if scanlines == 1:
-        return np.full_like(depth_mm, np.inf)
-    return (probe.radius_mm + depth_mm) * math.radians(probe.fov_deg) / (scanlines - 1)
-
-
 def sample_depths_mm(probe: ConvexProbe, samples: int) -> np.ndarray:
     """Depths of the axial samples, (samples,) float64, mm: the middles of equal parts of the depth."""
     return (np.arange(samples) + 0.5) * (probe.depth_mm / samples)
@@ -101,24 +89,35 @@ def layer_offsets_mm(settings: SimulatorSettings) -> np.ndarray:
     return np.linspace(-settings.layer_extent_mm, settings.layer_extent_mm, settings.layers)
 
 
+def on_face(probe: ConvexProbe, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the face in the image plane, (n, 3) float64, mm, and its outward unit normals there, (n, 3)."""
+    normals = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=-1)
+    return probe.radius_mm * normals - (0.0, 0.0, probe.radius_mm), normals
+
+
+def face_arc(probe: ConvexProbe, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """`on_face` at equal angles from edge to edge, however many scanlines there are."""
+    return on_face(probe, np.linspace(-0.5, 0.5, count) * math.radians(probe.fov_deg))
+
+
+def face_points(probe: ConvexProbe, along: int = 29, across: int = 3) -> np.ndarray:
+    """Points all over the face, (along * across, 3) float64, mm."""
+    arc, _ = face_arc(probe, along)
+    offsets = np.linspace(-FACE_HALF_WIDTH_MM, FACE_HALF_WIDTH_MM, across)
+    return np.concatenate([arc + np.array([0.0, offset, 0.0]) for offset in offsets])
+
+
+def fan_outline(probe: ConvexProbe, points: int = 41) -> np.ndarray:
+    """The fan's closed border in the image plane, (2 points + 1, 3) float64, mm."""
+    face, normals = face_arc(probe, points)
+    deepest = face + probe.depth_mm * normals
+    return np.concatenate([face, deepest[::-1], face[:1]])
+
+
 def scanlines_in_plane(probe: ConvexProbe, scanlines: int, offsets_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and unit directions of the scanlines of parallel planes, in probe coordinates.
-
-    Parameters
-    ----------
-    probe : ConvexProbe
-    scanlines : int
-    offsets_mm : (planes,) float
-        Along y.
-
-    Returns
-    -------
-    starts, directions : (planes, scanlines, 3) float64, mm
-    """
-    angle = scanline_angles(probe, scanlines)
-    direction = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=-1)
-    directions = np.broadcast_to(direction, (len(offsets_mm), scanlines, 3)).copy()
-    starts = probe.radius_mm * directions - (0.0, 0.0, probe.radius_mm)
+    """Starts and unit directions, (planes, scanlines, 3) float64, mm, of the scanlines of planes at offsets along y."""
+    planes = len(offsets_mm)
+    starts, directions = (np.tile(part, (planes, 1, 1)) for part in on_face(probe, scanline_angles(probe, scanlines)))
     starts[..., 1] += np.asarray(offsets_mm)[:, None]
     return starts, directions
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from numbers import Integral, Real
 
 import numpy as np
+
+from ablate.validation import check_count, check_number, coerce_enums
 
 #: Part of every data set's identity: raise it when the same settings give another image.
 SIMULATOR_VERSION = 3
 
 
-class Plan(StrEnum):
+class PlanMode(StrEnum):
     """Whether the simulator leaves out what a scene does not need."""
 
     auto = "auto"
@@ -27,7 +27,7 @@ class DepthMode(StrEnum):
     time_of_flight = "time_of_flight"
 
 
-class Precision(StrEnum):
+class SimulatorPrecision(StrEnum):
     """Floating point of the signal chain; rays and their crossings are float32, as Embree is."""
 
     float32 = "float32"
@@ -38,16 +38,8 @@ class Precision(StrEnum):
 class ConvexProbe:
     """A curved array; with these defaults the fan's bounding box is 217.96 x 157.23 mm.
 
-    Attributes
-    ----------
-    radius_mm : float
-        Radius of curvature of the face.
-    fov_deg : float
-        Opening angle of the fan.
-    depth_mm : float
-        Imaging depth from the face.
-    frequency_mhz : float
-        Frequency that attenuation is computed at.
+    `radius_mm` is the face's radius of curvature, `fov_deg` the opening angle of the fan, `depth_mm` the imaging depth
+    from the face, and `frequency_mhz` the frequency that attenuation is computed at.
 
     Raises
     ------
@@ -61,10 +53,10 @@ class ConvexProbe:
     frequency_mhz: float = 8.0
 
     def __post_init__(self) -> None:
-        _check_number("radius_mm", self.radius_mm, 1e-6, 1e6)
-        _check_number("fov_deg", self.fov_deg, 1e-3, 179.0)
-        _check_number("depth_mm", self.depth_mm, 1e-6, 1e6)
-        _check_number("frequency_mhz", self.frequency_mhz, 1e-6, 1e3)
+        check_number("radius_mm", self.radius_mm, 1e-6, 1e6)
+        check_number("fov_deg", self.fov_deg, 1e-3, 179.0)
+        check_number("depth_mm", self.depth_mm, 1e-6, 1e6)
+        check_number("frequency_mhz", self.frequency_mhz, 1e-6, 1e3)
 
 
 @dataclass(frozen=True)
@@ -104,31 +96,27 @@ class SimulatorSettings:
     scatterer_pitch_mm: float = 0.1
     scatterer_level_db: float = -50.0
     depth_mode: DepthMode = DepthMode.geometric
-    plan: Plan = Plan.auto
-    precision: Precision = Precision.float32
+    plan: PlanMode = PlanMode.auto
+    precision: SimulatorPrecision = SimulatorPrecision.float32
     device: str = "cpu"
     path_seed: int = 0
 
     def __post_init__(self) -> None:
         for name in ("scanlines", "axial_samples", "rays", "layers"):
-            _check_count(name, getattr(self, name), 1)
-        _check_count("path_seed", self.path_seed, 0)
+            check_count(name, getattr(self, name), 1)
+        check_count("path_seed", self.path_seed, 0)
         if len(tuple(self.image_shape)) != 2:
             raise ValueError(f"image_shape must be two counts (rows, columns), not {self.image_shape!r}")
         for count in self.image_shape:
-            _check_count("image_shape", count, 1)
+            check_count("image_shape", count, 1)
         object.__setattr__(self, "image_shape", tuple(int(n) for n in self.image_shape))
-        for name, (low, high) in _RANGES.items():
-            _check_number(name, getattr(self, name), low, high)
-        for name, kind in (("depth_mode", DepthMode), ("plan", Plan), ("precision", Precision)):
-            try:
-                object.__setattr__(self, name, kind(getattr(self, name)))
-            except ValueError:
-                raise ValueError(f"{name} must be one of {', '.join(kind)}, not {getattr(self, name)!r}") from None
+        for name, (lower, upper) in _RANGES.items():
+            check_number(name, getattr(self, name), lower, upper)
+        coerce_enums(self)
 
     @classmethod
     def low_quality(cls, **changes: object) -> SimulatorSettings:
-        """Settings of the low-quality image L: one ray, one layer; everything else as in `changes`."""
+        """Settings of the low-quality image L: one ray, one layer, and `changes`."""
         return replace(cls(**changes), rays=1, layers=1)  # type: ignore[arg-type]
 
 
@@ -173,15 +161,3 @@ class Frame:
     image: np.ndarray
     mask: np.ndarray
     envelope: np.ndarray
-
-
-def _check_number(name: str, value: object, low: float, high: float) -> None:
-    """Raise ValueError unless `value` is a finite number in [low, high]."""
-    if not isinstance(value, Real) or not math.isfinite(value) or not low <= float(value) <= high:
-        raise ValueError(f"{name} must be between {low:g} and {high:g}, not {value!r}")
-
-
-def _check_count(name: str, value: object, low: int) -> None:
-    """Raise ValueError unless `value` is a whole number of at least `low`."""
-    if not isinstance(value, Integral) or isinstance(value, bool) or value < low:
-        raise ValueError(f"{name} must be a whole number of at least {low}, not {value!r}")

@@ -1,6 +1,4 @@
-"""The simulator: a scene, a probe and settings, ready to be seen from any pose."""
-
-from __future__ import annotations
+"""The simulator: renders frames of a scene, from any pose, for one probe and one set of settings."""
 
 import math
 import warnings
@@ -12,32 +10,30 @@ import numpy as np
 import torch
 
 from ablate.anatomy import Scene, bounds_mm, check_scene
-from ablate.ultrasound.attenuation import integral_attenuation
-from ablate.ultrasound.bmode import floor_amplitude, grey_levels, receiver_noise, time_gain
-from ablate.ultrasound.bundle import leave_probe, probe_rays
-from ablate.ultrasound.contact import contact_warning
-from ablate.ultrasound.draws import Draws
-from ablate.ultrasound.echoes import clutter_lines, surface_lines
-from ablate.ultrasound.embree import Geometry
-from ablate.ultrasound.illumination import dark, mean_level_db, transmit_beam
-from ablate.ultrasound.plan import compile_scene
-from ablate.ultrasound.point_spread import blur, layer_weights, point_spread
+from ablate.ultrasound.imaging.bmode import ScanConverter, grey_levels, receiver_noise, time_gain
+from ablate.ultrasound.imaging.point_spread import blur, layer_weights, point_spread
+from ablate.ultrasound.imaging.speckle import InsonifiedLines, Speckle
+from ablate.ultrasound.maps.attenuation import integral_attenuation
+from ablate.ultrasound.maps.contact import contact_warning
+from ablate.ultrasound.maps.slices import plane_labels, scanline_labels, segment
 from ablate.ultrasound.probe import check_pose
-from ablate.ultrasound.rays import View
-from ablate.ultrasound.scan_conversion import ScanConverter
+from ablate.ultrasound.render_plan import plan_scene
 from ablate.ultrasound.settings import ConvexProbe, Frame, SimulatorSettings
-from ablate.ultrasound.slices import plane_labels, sampled_lines, segment
-from ablate.ultrasound.speckle import LitLines, Speckle
-from ablate.ultrasound.transport import trace
+from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.transport.draws import Draws
+from ablate.ultrasound.transport.echoes import clutter_lines, surface_lines
+from ablate.ultrasound.transport.illumination import empty_nodes, mean_level_db, transmit_beam
+from ablate.ultrasound.transport.rays import View, leave_probe, probe_rays
+from ablate.ultrasound.transport.tracing import trace
 
 _CLUTTER_ROLL = (61, 1021)  # lines and samples between the noise of the display and that of clutter
 
 
 @dataclass(frozen=True)
 class Traced:
-    """What the rays of one pose brought back; it serves every scatterer seed."""
+    """What the rays of one pose bring back; it does not depend on the scatterers' seed."""
 
-    lit: LitLines
+    insonified: InsonifiedLines
     surfaces: torch.Tensor  # (scanlines, samples)
     clutter: torch.Tensor | None  # (scanlines, samples), amplitude at the receiver
 
@@ -45,16 +41,12 @@ class Traced:
 class Simulator:
     """Renders a scene as a convex probe sees it.
 
-    Rays and labels of the last pose are kept, so that the same pose with another scatterer seed costs the signal
-    chain alone.
+    Rays and labels of the last pose are kept, so the same pose with another scatterer seed needs the signal chain only.
 
     Parameters
     ----------
-    scene : Scene
-    probe : ConvexProbe
-    settings : SimulatorSettings
     poses : iterable of (4, 4) float, optional
-        Where the probe will be; what is out of reach from all of them is left out.
+        Poses of the probe that will be rendered; structures out of reach from all of them are left out.
 
     Attributes
     ----------
@@ -81,14 +73,14 @@ class Simulator:
         check_scene(scene, probe.depth_mm)
         self.settings = settings = settings or SimulatorSettings()
         self._dtype = getattr(torch, settings.precision.value)
-        self._compiled = compile_scene(scene, probe, settings, poses)
-        self.left_out = self._compiled.left_out
+        self._plan = plan_scene(scene, probe, settings, poses)
+        self.left_out = self._plan.left_out
         bounds = bounds_mm(s.mesh for s in scene.structures)
         extent = probe.radius_mm + probe.depth_mm
         # Zero for every scene about the world's origin; float32 then serves scenes that are far from it.
         grid_mm = 10 ** math.ceil(math.log10(extent + float(np.linalg.norm(bounds[1] - bounds[0]))))
         self._origin_mm = grid_mm * np.rint(bounds.mean(axis=0) / grid_mm)
-        self._geometry = Geometry(self._compiled.structures, bounds, self._origin_mm, extent)
+        self._geometry = Geometry(self._plan.structures, bounds, self._origin_mm, extent)
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
         self._rays = probe_rays(probe, settings, self._draws)
         self._convert = ScanConverter(probe, settings, self._dtype)
@@ -115,10 +107,6 @@ class Simulator:
         seed : int
             Of the scatterers and the display's noise; the paths follow `settings.path_seed`.
 
-        Returns
-        -------
-        Frame
-
         Raises
         ------
         ValueError
@@ -130,9 +118,10 @@ class Simulator:
         segmentation, attenuation = self.maps(pose)
         with torch.inference_mode():
             noise = self._noise_at(pose, seed)
-            signal = torch.zeros_like(noise) if self._compiled.silent else self._signal(pose, seed, noise)
+            signal = torch.zeros_like(noise) if self._plan.anechoic else self._signal(pose, seed, noise)
             envelope = signal.square().sum(dim=0).sqrt_()
-            shown = signal.mul_(self._gain).add_(noise, alpha=floor_amplitude(self.settings))
+            floor = self.settings.reference_level * 10 ** (self.settings.noise_floor_db / 20)  # root mean square
+            shown = signal.mul_(self._gain).add_(noise, alpha=floor)
             image = self._convert(grey_levels(shown, self.settings))
         return Frame(
             segmentation=segmentation,
@@ -153,7 +142,7 @@ class Simulator:
         pose = check_pose(pose)
         if self._maps is None or self._maps[0] != pose.tobytes():
             local = self._local(pose)
-            tissue_of_owner, media = self._compiled.tissue_of_owner, self._compiled.media
+            tissue_of_owner, media = self._plan.tissue_of_owner, self._plan.media
             labels = segment(self._geometry, tissue_of_owner, self.probe, self.settings.image_shape, local)
             labels = np.where(self._convert.mask, labels + np.uint8(1), np.uint8(0))
             polar = plane_labels(self._geometry, tissue_of_owner, self.probe, self.settings, local)
@@ -165,10 +154,10 @@ class Simulator:
         return self._maps[1].copy(), self._maps[2].copy()
 
     def _signal(self, pose: np.ndarray, seed: int, noise: torch.Tensor) -> torch.Tensor:
-        """What comes back, (2, scanlines, samples): real and imaginary part."""
+        """The signal received, (2, scanlines, samples): real and imaginary part."""
         traced = self._trace(pose)
-        signal = blur(self._speckle(traced.lit, seed), traced.surfaces, self._spread)
-        if traced.clutter is not None:  # from all sides, so with the phases of noise
+        signal = blur(self._speckle(traced.insonified, seed), traced.surfaces, self._spread)
+        if traced.clutter is not None:  # received from all sides, hence with random phases
             signal.addcmul_(traced.clutter, noise.roll(_CLUTTER_ROLL, dims=(1, 2)))
         return signal
 
@@ -176,40 +165,36 @@ class Simulator:
         """Cast the rays of a pose, unless they were the last ones cast."""
         if self._traced is not None and self._traced[0] == pose.tobytes():
             return self._traced[1]
-        probe, settings, scene = self.probe, self.settings, self._compiled
+        probe, settings, plan = self.probe, self.settings, self._plan
         shape = settings.scanlines, settings.axial_samples
-        bundle = leave_probe(self._geometry, self._rays, self._local(pose))
-        loudest_tgc_db = 20 * math.log10(float(self._gain[-1]))
-        faintest_db = settings.noise_floor_db - 20 - loudest_tgc_db + 20 * math.log10(settings.reference_level)
+        bundle, inside = leave_probe(self._geometry, self._rays, self._local(pose))
+        largest_gain_db = 20 * math.log10(float(self._gain[-1]))
         view = View(
-            scene.media,
-            scene.tissue_of_owner,
-            bundle.starts,
-            bundle.directions,
-            settings.rays,
-            self._draws.seed,
-            probe.depth_mm,
-            faintest_db,
-            self._geometry.step_mm,
+            media=plan.media,
+            tissue_of_owner=plan.tissue_of_owner,
+            elements=bundle.starts,
+            axes=bundle.directions,
+            rays=settings.rays,
+            path_seed=self._draws.seed,
+            depth_mm=probe.depth_mm,
+            roulette_db=settings.noise_floor_db - 20 - largest_gain_db + 20 * math.log10(settings.reference_level),
+            step_mm=self._geometry.step_mm,
         )
-        labels, ranges = sampled_lines(self._geometry, scene.tissue_of_owner, scene.media, bundle, probe, settings)
-        self._warn(contact_warning(labels, self.scene.tissues, probe))
-        nodes = dark(scene.media.silent[labels], probe.depth_mm)
-        echoes = trace(self._geometry, view, self._draws, bundle, nodes)
+        labels, ranges = scanline_labels(self._geometry, plan.tissue_of_owner, plan.media, bundle, probe, settings)
+        words = contact_warning(labels, self.scene.tissues, probe)
+        if words is not None and words not in self._warned:  # once a simulator, however many frames it renders
+            self._warned.add(words)
+            warnings.warn(words, stacklevel=3)
+        nodes = empty_nodes(plan.media.anechoic[labels], probe.depth_mm)
+        echoes = trace(self._geometry, view, self._draws, bundle, inside, nodes)
         where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
         level = mean_level_db(nodes, settings.rays, self._beam)
-        lit = self._speckle.light(bundle.starts + self._origin_mm, bundle.directions, labels, ranges, level)
+        insonified = self._speckle.insonify(bundle.starts + self._origin_mm, bundle.directions, labels, ranges, level)
         clutter_t = None if clutter is None else self._tensor(clutter) * self._spread.axial.sum()
-        traced = Traced(lit, self._tensor(surfaces), clutter_t)
+        traced = Traced(insonified, self._tensor(surfaces), clutter_t)
         self._traced = pose.tobytes(), traced
         return traced
-
-    def _warn(self, words: str | None) -> None:
-        """Once a simulator, however many frames it renders."""
-        if words is not None and words not in self._warned:
-            self._warned.add(words)
-            warnings.warn(words, stacklevel=4)
 
     def _tensor(self, values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(values).to(self.settings.device, self._dtype)

@@ -1,7 +1,5 @@
 """Work on many rows, split among the threads that torch may use."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -12,17 +10,10 @@ Result = TypeVar("Result")
 
 
 def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[Result]:
-    """Results of `work(begin, end)` for consecutive parts of the rows, in order.
+    """Results of `work(begin, end)` for consecutive parts of `part` rows, in order.
 
     The parts do not depend on the number of threads, so neither does what is computed. Embree and compiled code
     let go of Python's lock.
-
-    Parameters
-    ----------
-    work : callable
-    rows : int
-    part : int
-        Rows of a part.
     """
     begins = range(0, rows, part)
     ends = [min(begin + part, rows) for begin in begins]

@@ -1,0 +1,165 @@
+"""Milliseconds and memory of a generated frame: eager, compiled and exported, in fp32 and bf16, at several widths.
+
+make bench-inference
+make bench-inference ARGS="--variant lsa2h --widths 0.25 --size 250 346"
+
+Every row is measured in a process of its own, so that the peak of its memory is its own; for the exported engine
+that process starts from the finished file. Differences are to the eager engine in fp32. Weights are drawn, not
+trained: they change neither time nor memory. Give it the machine alone.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ablate.dataset.encoding import HALF_RANGE
+from ablate.networks import Generator, conditions, count_generator, export_onnx
+from ablate.studies.jobs.variants import variant_model
+from ablate.tracking import hardware
+from ablate.training import (
+    Engine,
+    TrainingPrecision,
+    chosen_device,
+    median_ms,
+    missing_for,
+    open_engine,
+    open_exported,
+)
+
+HEAD = ("width", "parameters", "  engine", "precision", "ms per frame", "ready, s", "peak, GiB", "grey levels apart")
+
+
+def line(cells: tuple[str, ...]) -> None:
+    """Print one row of the table, at once."""
+    print("| " + " | ".join(cell.rjust(len(name)) for cell, name in zip(cells, HEAD, strict=True)) + " |", flush=True)
+
+
+def child(arguments: argparse.Namespace, *more: str) -> dict[str, float]:
+    """Run this file once more for one row, or one file, and return what it measured."""
+    own = ("--variant", arguments.variant, "--size", *map(str, arguments.size), "--repeats", str(arguments.repeats))
+    command = [sys.executable, __file__, *own, "--device", arguments.device, *more]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(command)}\n{done.stderr}")
+    measured: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return measured
+
+
+def peak_gib(device: torch.device) -> float:
+    """Of this process so far: memory of the GPU where one is used, else resident memory."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 2**30
+    with Path("/proc/self/status").open() as file:  # getrusage would count what its parent had
+        return next(int(row.split()[1]) for row in file if row.startswith("VmHWM")) / 2**20
+
+
+def drawn_generator(variant: str, width: float) -> Generator:
+    """A variant's generator with its first weights, its noise switched on."""
+    spec = replace(variant_model(variant), width=width)
+    torch.manual_seed(0)
+    generator = Generator(spec).eval().requires_grad_(False)
+    for name, parameter in generator.named_parameters():
+        if name.endswith("noise_weight"):
+            parameter.fill_(0.1)
+    return generator
+
+
+def measure(arguments: argparse.Namespace) -> None:
+    """Measure one row; prints JSON."""
+    (height, width), device = arguments.size, chosen_device(arguments.device)
+    before = peak_gib(device)
+    generator = drawn_generator(arguments.variant, arguments.widths[0]).to(device)
+    if arguments.engine is None:
+        export_onnx(generator, arguments.file, height, width)
+        print("{}")
+        return
+    random = torch.Generator().manual_seed(0)
+    maps = {name: torch.rand(1, 1, height, width, generator=random).to(device) for name in conditions(generator.spec)}
+    started = time.perf_counter()
+    if arguments.engine is Engine.exported:
+        render = open_exported(generator, arguments.file, arguments.precision)
+    else:
+        render = open_engine(generator, height, width, arguments.precision, arguments.engine)
+    image = render(maps, torch.tensor([1], device=device)).float().cpu()
+    ready = time.perf_counter() - started
+    np.save(arguments.image, image.numpy())
+    milliseconds = median_ms(render, maps, arguments.repeats, warmup=1)
+    print(json.dumps({"ms": milliseconds, "ready": ready, "peak": peak_gib(device), "before": before}))
+
+
+def table(arguments: argparse.Namespace, folder: Path) -> None:
+    """Print a row for each width, engine and precision."""
+    device, before = chosen_device(arguments.device), 0.0
+    for width in arguments.widths:
+        parameters = f"{count_generator(replace(variant_model(arguments.variant), width=width)):,}"
+        exported, reference = folder / "model.onnx", None
+        for engine in Engine:
+            lacking = missing_for(engine, device)
+            if lacking is not None:
+                print(f"{engine} left out, it needs {lacking}")
+                continue
+            if engine is Engine.exported:
+                child(arguments, "--widths", str(width), "--file", str(exported))
+            for precision in (TrainingPrecision.fp32, TrainingPrecision.bf16):
+                out = folder / "image.npy"
+                row = ("--widths", str(width), "--engine", engine, "--precision", precision, "--image", str(out))
+                found = child(arguments, *row, "--file", str(exported))
+                before = max(before, found["before"])
+                image = np.load(out)
+                reference = image if reference is None else reference
+                apart = HALF_RANGE * np.abs(image - reference)
+                line(
+                    (
+                        f"{width:g}",
+                        parameters,
+                        engine,
+                        precision,
+                        f"{found['ms']:.1f}",
+                        f"{found['ready']:.1f}",
+                        f"{found['peak']:.2f}",
+                        f"{apart.max():.2g} at most, {apart.mean():.2g} in the mean",
+                    )
+                )
+    where = (
+        "GPU memory of the arrays"
+        if device.type == "cuda"
+        else f"{before:.2f} GiB of it Python, torch and this project"
+    )
+    print(f"\nPeak: {where}. Ready: until the first frame, compiling included, exporting not.")
+
+
+def main() -> None:
+    """Print the table, or measure one row of it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--variant", default="sa2h")
+    parser.add_argument("--widths", type=float, nargs="+", default=[1.0, 0.5, 0.25])
+    parser.add_argument("--size", type=int, nargs=2, default=[1000, 1386], metavar=("HEIGHT", "WIDTH"))
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
+    # One row, which the table asks for.
+    parser.add_argument("--engine", type=Engine, help=argparse.SUPPRESS)
+    parser.add_argument("--precision", type=TrainingPrecision, default=TrainingPrecision.fp32, help=argparse.SUPPRESS)
+    parser.add_argument("--file", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--image", type=Path, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.file is not None:
+        measure(arguments)
+        return
+    print(f"{hardware()}, {torch.get_num_threads()} threads, torch {torch.__version__}; {arguments.variant} at")
+    print(f"{arguments.size[0]} x {arguments.size[1]}, batch 1, median of {arguments.repeats} frames after warm-up.\n")
+    line(HEAD)
+    print("|" + "|".join("-" * (len(name) + 1) + ":" for name in HEAD) + "|")
+    with tempfile.TemporaryDirectory() as folder:
+        table(arguments, Path(folder))
+
+
+if __name__ == "__main__":
+    main()

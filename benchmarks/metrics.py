@@ -1,0 +1,123 @@
+"""What scoring costs: each metric, and a whole evaluation of the paper's 669 test frames without FID.
+
+make bench-metrics
+
+Some frames of the paper's size are simulated, with a coarser anatomy; an evaluation then takes them over and over as
+its targets, and their re-simulation as a renderer's images. Give it the machine alone; a number of frames after the
+command makes the evaluation shorter.
+"""
+
+import dataclasses
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from statistics import median
+
+import numpy as np
+import torch
+
+from ablate.dataset import Pairs, Part
+from ablate.evaluation import EvaluationSettings, Scorer, resimulation_images, tissue_labels
+from ablate.metrics import METRICS, FeatureKind, Pair, choose_metrics, speckle_features
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.pairs.data import Data, maps_needed, prepare_data
+from ablate.tracking import hardware
+from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound.probe import pixel_polar
+
+SIMULATED, SITES = 16, 30
+PAPER_FRAMES, PAPER_SECONDS, THREADS = 669, 60, 2
+REPEATS = 5
+
+
+class Repeated(Pairs):
+    """A few frames on disk that pass for many, all of them unseen."""
+
+    def stored(self, name: str, frame: int) -> np.ndarray:
+        unseen = np.flatnonzero(self.split[:SIMULATED] != Part.train)
+        return super().stored(name, int(unseen[frame % len(unseen)]))
+
+    def frames(self, part: Part) -> np.ndarray:
+        return np.arange(len(self) if part is Part.test else 0)
+
+
+def simulated(folder: str) -> Data:
+    """Frames of the paper's size, some of them unseen."""
+    size = [f"dataset.frames={SIMULATED}", "dataset.split=frame", "dataset.validation=0.1", "dataset.test=0.4"]
+    (job,) = jobs_of(["preset=paper", f"runs_dir={folder}", *size, "scene.triangles=60000"])
+    return prepare_data(job.settings, maps_needed([job.settings.model]))
+
+
+def milliseconds(call: Callable[[], object]) -> float:
+    """Of one thread's processor time, after a first call that does not count."""
+    call()
+    times = []
+    for _ in range(REPEATS):
+        start = time.process_time()
+        call()
+        times.append(1e3 * (time.process_time() - start))
+    return median(times)
+
+
+def one_frame(data: Data) -> list[tuple[str, float]]:
+    """What each metric costs of one frame, and what an evaluation does beside them."""
+    pairs = data.pairs
+    frame = int(np.flatnonzero(pairs.split != Part.train)[0])
+    solid, mask = tissue_labels(data.tissues), pairs.mask()
+    depth = pixel_polar(ConvexProbe(), pairs.shape)[0]
+    maps = {name: pairs.read(name, [frame])[0] for name in pairs.maps}
+
+    def pair() -> Pair:
+        tissue = np.isin(maps["segmentation"], solid)
+        return Pair(
+            maps["resimulation"], maps["target"], mask, tissue, maps["attenuation"], depth, maps["segmentation"]
+        )
+
+    beside = milliseconds(pair)
+    of_image = {name: metric.of_image for name, metric in METRICS.items() if metric.of_image}
+    rows = [(name, milliseconds(lambda m=measure: m(pair())) - beside) for name, measure in of_image.items()]
+    rows.append(
+        ("fd_speckle: features of both", 2 * milliseconds(lambda: speckle_features(maps["target"][None], mask)))
+    )
+    rows.append(
+        ("reading S, A and H", milliseconds(lambda: [pairs.read(n, [frame]) for n in maps if n != "resimulation"]))
+    )
+    rows.append(("where is tissue", beside))
+    return rows
+
+
+def main() -> None:
+    """Simulate, print the table, then time an evaluation."""
+    frames = int(sys.argv[1]) if len(sys.argv) > 1 else PAPER_FRAMES
+    print(hardware())
+    with tempfile.TemporaryDirectory() as folder:
+        data = simulated(folder)
+        torch.set_num_threads(1)
+        rows = one_frame(data)
+        print(f"\nOne frame of {data.pairs.shape[0]} x {data.pairs.shape[1]}, one thread      ms")
+        for name, cost in (*rows, ("together, patch maps counted once", _together(rows))):
+            print(f"{name:40} {cost:8.1f}")
+
+        torch.set_num_threads(THREADS)
+        fields = {f.name: getattr(data.pairs, f.name) for f in dataclasses.fields(Pairs)}
+        pairs = Repeated(**fields | {"sites": np.arange(frames) % SITES})
+        without_fid = {name: m for name, m in choose_metrics().items() if not m.uses(FeatureKind.inception)}
+        settings = EvaluationSettings(noise_draws=2)
+        scorer = Scorer(pairs, data.tissues, ConvexProbe(), settings, without_fid)
+        start, worked = time.perf_counter(), time.process_time()
+        scorer.score(Part.test, resimulation_images(pairs), draws_noise=True)
+        seconds, worked = time.perf_counter() - start, time.process_time() - worked
+        print(
+            f"\nan evaluation, {frames} frames, {THREADS} threads: {seconds:.1f} s ({worked:.1f} s of processor time)"
+        )
+        print(f"{PAPER_FRAMES} frames: {seconds * PAPER_FRAMES / frames:.1f} s (the bar is {PAPER_SECONDS} s)")
+
+
+def _together(rows: list[tuple[str, float]]) -> float:
+    again = [cost for name, cost in rows if name in ("pchi2_fan", "pchi2_tissue")]
+    return sum(cost for _, cost in rows) - sum(again)
+
+
+if __name__ == "__main__":
+    main()

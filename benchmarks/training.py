@@ -1,0 +1,204 @@
+"""Images a second of a training: this project's loop against a plain one of the same networks.
+
+make bench-training
+make bench-training ARGS="--variants sa2h --threads 1 --rounds 10"
+make bench-training ARGS="--parts --threads 1"
+
+Ours is `ablate.training.train` on the crops of a data set, as `preset=quick` trains: drawing of crops, logging and
+the running average of weights included. The plain one is pix2pix's step in fp32 with plain modules of torch, that
+renders each batch once for either network (`--forwards 1`: once for both, as pix2pix's own code does), on the same
+crops. Each runs in a process of its own; they take their steps in turns. A ratio is that of two successive steps, and
+the median over the rounds is reported. `--parts` compares ours with itself, one part switched off at a time.
+
+On one thread of a CPU, processor time is measured, which other processes change little; otherwise the clock decides,
+and the machine should have nothing else to do.
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from statistics import median
+from subprocess import PIPE
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ablate.config import StudySettings
+from ablate.dataset import CropLoader, Crops, CropSettings, create_pairs, fill_pairs, open_pairs
+from ablate.networks import conditions
+from ablate.studies.jobs.compose import jobs_of
+from ablate.tracking import hardware
+from ablate.training import TrainingPrecision, chosen_device, chosen_precision, train
+from support.plain_gan import PlainGAN
+from support.training_parts import COMPILED, PARTS, TRIED
+
+Times = list[list[float]]
+FRAMES, WARM_UP = 16, 3
+LABELS = np.linspace(-1, 1, 256).astype(np.float32)
+
+
+def drawn_pairs(folder: Path, shape: tuple[int, int]) -> None:
+    """Frames of blocks of tissue with speckle in a fan: what is in a frame does not change what a step costs."""
+    rng = np.random.default_rng(0)
+    height, width = shape
+    across = np.abs(np.linspace(-1, 1, width)) < np.linspace(0.3, 1, height)[:, None]
+    pairs = create_pairs(
+        folder, np.zeros((FRAMES, 4, 4)), np.arange(FRAMES), np.zeros(FRAMES, np.uint8), across, FRAMES, ["a"], {}
+    )
+
+    def render(frames: np.ndarray, maps: frozenset[str]) -> dict[str, np.ndarray]:
+        made = {name: rng.integers(1, 255, (len(frames), *shape)) * across for name in maps}
+        return {name: values / 255 if name == "attenuation" else values for name, values in made.items()}
+
+    list(fill_pairs(pairs, frozenset({"segmentation", "attenuation", "target", "low"}), render))
+
+
+def settings_of(arguments: argparse.Namespace) -> StudySettings:
+    """What `preset=...` composes to for a variant, with what is asked for otherwise."""
+    sizes = {"model.width": arguments.width, "training.batch_size": arguments.batch, "training.crop": arguments.crop}
+    sizes["training.precision"] = arguments.precision
+    given = [f"{key}={value}" for key, value in sizes.items() if value is not None]
+    (job,) = jobs_of([f"preset={arguments.preset}", f"variant={arguments.variants[0]}", *given])
+    rounds, device, threads = arguments.rounds + WARM_UP, arguments.device, arguments.threads[0]
+    training = replace(
+        job.settings.training, steps=rounds, device=device, threads=threads, validate_every=0, checkpoint_every=0
+    )
+    return replace(job.settings, training=training)
+
+
+def in_turns(batches: Iterable[dict[str, Tensor]], device: torch.device) -> Iterator[dict[str, Tensor]]:
+    """Draw a batch when the parent says so, and tell it the milliseconds until the next one is asked for."""
+    batches = iter(batches)
+    clock = time.process_time if device.type == "cpu" and torch.get_num_threads() == 1 else time.perf_counter
+    while True:
+        sys.stdin.readline()
+        started = clock()
+        batch = next(batches, None)
+        if batch is None:
+            return
+        yield batch
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        print(1e3 * (clock() - started), flush=True)
+
+
+def take_steps(arguments: argparse.Namespace) -> None:
+    """Be one of the two sides: train, a step at each word of the parent's."""
+    s = settings_of(arguments)
+    device = chosen_device(s.training.device)
+    torch.set_num_threads(s.training.threads)
+    cut = CropSettings(s.training.crop, s.training.batch_size, s.crops.fan_fraction, s.crops.flip, s.seed)
+    pairs = open_pairs(arguments.folder / "data")
+    crops = Crops(pairs, np.arange(FRAMES), frozenset(conditions(s.model)), LABELS, cut)
+
+    def loader(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        return in_turns(CropLoader(crops, start, stop, s.crops.workers), device)
+
+    if arguments.side == "ours":
+        with tempfile.TemporaryDirectory(dir=arguments.folder) as run:
+            train(s.model, s.training, loader, Path(run), sink=lambda *_: None)
+    else:
+        gan = PlainGAN(s.model, device)
+        for batch in loader(0, s.training.steps):
+            gan.step(batch, arguments.forwards)
+
+
+def in_processes(arguments: argparse.Namespace, variant: str, threads: int, sides: Sequence[Sequence[str]]) -> Times:
+    """Milliseconds of the steps of several sides, taken in turns, the warm-up apart."""
+    command = [sys.executable, __file__, *sys.argv[1:], "--folder", str(arguments.folder), "--variants", variant]
+    processes = [
+        subprocess.Popen([*command, "--threads", str(threads), *side], stdin=PIPE, stdout=PIPE, text=True)
+        for side in sides
+    ]
+    taken: Times = [[] for _ in sides]
+    for _ in range(arguments.rounds + WARM_UP):
+        for process, times in zip(processes, taken, strict=True):
+            assert process.stdin is not None
+            assert process.stdout is not None
+            print(file=process.stdin, flush=True)
+            answer = process.stdout.readline()
+            if not answer:
+                raise SystemExit(f"{' '.join(map(str, process.args))}: ended early")
+            times.append(float(answer))
+    for process in processes:
+        process.communicate()
+    return [times[WARM_UP:] for times in taken]
+
+
+def ratio(numerator: Sequence[float], denominator: Sequence[float]) -> float:
+    """Median of the ratios of successive steps."""
+    return median(a / b for a, b in zip(numerator, denominator, strict=True))
+
+
+def compare(arguments: argparse.Namespace, batch: int) -> None:
+    """Print the table of both loops."""
+    print("| variant | threads | ours, images/s | plain, images/s | ratio |")
+    print("|:--------|--------:|---------------:|----------------:|------:|")
+    for threads, variant in product(arguments.threads, arguments.variants):
+        both = in_processes(arguments, variant, threads, [["--side", "ours"], ["--side", "plain"]])
+        ours, plain = (f"{1e3 * batch / median(times):.2f}" for times in both)
+        print(f"| {variant:7} | {threads:7} | {ours:>14} | {plain:>15} | {ratio(both[1], both[0]):5.2f} |", flush=True)
+
+
+def compare_parts(arguments: argparse.Namespace) -> None:
+    """Print what a step takes without each part, and with what was tried and left out, next to ours."""
+    rows = [("without", name) for name in PARTS] + [("with", name) for name in TRIED]
+    rows += [("with", name) for name in COMPILED if arguments.compile]
+    print(f"| variant | threads | {'ours':42} | times as long |")
+    print(f"|:--------|--------:|:{'-' * 42}-|--------------:|")
+    for threads, variant in product(arguments.threads, arguments.variants):
+        for how, name in rows:
+            whole, changed = in_processes(
+                arguments, variant, threads, [["--side", "ours"], ["--side", "ours", "--changed", name]]
+            )
+            print(f"| {variant:7} | {threads:7} | {how:7} {name:34} | {ratio(changed, whole):13.2f} |", flush=True)
+
+
+def main() -> None:
+    """Print a table, or be one of its sides."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--variants", nargs="+", default=["sa2h", "nsa2h"])
+    parser.add_argument("--threads", type=int, nargs="+", default=[2, 1])
+    parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--forwards", type=int, choices=(1, 2), default=2, help="of the plain generator a step")
+    parser.add_argument("--parts", action="store_true", help="of our loop: what each of them saves")
+    parser.add_argument("--compile", action="store_true", help="with --parts: torch.compile as well (minutes)")
+    parser.add_argument("--preset", default="quick")
+    parser.add_argument("--precision", default="auto", choices=list(TrainingPrecision))
+    parser.add_argument("--width", type=float, help="of the networks, if not the preset's")
+    parser.add_argument("--batch", type=int)
+    parser.add_argument("--crop", type=int)
+    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
+    parser.add_argument("--side", choices=("ours", "plain"), help=argparse.SUPPRESS)
+    parser.add_argument("--changed", choices=[*PARTS, *TRIED, *COMPILED], help=argparse.SUPPRESS)
+    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.changed is not None:
+        (PARTS | TRIED | COMPILED)[arguments.changed]()
+    if arguments.side is not None:
+        take_steps(arguments)
+        return
+    s = settings_of(arguments)
+    precision = chosen_precision(s.training.precision, chosen_device(arguments.device))
+    print(f"{hardware()}, torch {torch.__version__}; ours in {precision}. Width {s.model.width:g}, batches of")
+    print(
+        f"{s.training.batch_size}, crops of {s.training.crop} px; medians of {arguments.rounds} steps taken in turns.\n"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        arguments.folder = Path(folder)
+        drawn_pairs(arguments.folder / "data", s.simulator.image_shape)
+        if arguments.parts:
+            compare_parts(arguments)
+        else:
+            compare(arguments, s.training.batch_size)
+
+
+if __name__ == "__main__":
+    main()

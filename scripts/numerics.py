@@ -1,0 +1,107 @@
+"""Measure again what docs/numerics.md shows: its figures, its CSV files and its tables. Give it the machine alone.
+
+make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene     # an hour at most on two cores
+python scripts/numerics.py --parts fetal                            # only the built-in anatomy with the trained runs
+
+Tables stand between `<!-- table: name -->` and `<!-- end -->`; all other text is left as it is. Of a patient, figures
+of errors and times are shown and no image.
+"""
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+
+from ablate.numerics.precision.summary import tables, verdict
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = DOCS / "numerics.md"
+FIGURES = ("precision", "precision_order")
+PARTS = ("fetal", "paper", "patient", "scaling")
+# Name on the page: the heading's first words in the summary.
+TABLES = {
+    "order": "Observed order",
+    "grids": "Error of a grid",
+    "limits": "Single precision",
+    "plan": "What the plan saves",
+    "budgets": "The best within",
+    "stages": "Stages of a simulated",
+}
+
+
+def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
+    """Run the task, copy its figures and points here; returns what belongs on the page."""
+    subprocess.run([sys.executable, "-m", "ablate", "task=precision", f"runs_dir={runs}", *arguments], check=True)
+    made = runs / "precision"
+    for name in FIGURES:
+        shutil.copy(made / f"{name}.png", DOCS / f"{name}{suffix}.png")
+    shutil.copy(made / "precision.csv", DOCS / f"precision{suffix}.csv")
+    points = pd.read_csv(made / "precision.csv", dtype={"setting": str})
+    details = pd.read_csv(made / "details.csv", dtype={"setting": str})
+    shown = tables(points, details)
+    texts = {
+        name: markdown(next((t for h, t in shown.items() if h.startswith(start)), pd.DataFrame()))
+        for name, start in TABLES.items()
+    }
+    head, _, _ = (made / "summary.txt").read_text().partition(f"\n{verdict(details)}")
+    about = " ".join(head.replace(f" in {runs.resolve()}", "").split("\n"))
+    return texts | {"about": about, "verdict": verdict(details)}
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """A table with the columns of its index first."""
+    if table.empty:
+        return "(nothing of this kind was measured)"
+    flat = table.reset_index().astype(str)
+    rows = [list(map(str, flat.columns)), ["---"] * flat.shape[1], *flat.to_numpy().tolist()]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def fill(page: str, texts: dict[str, str]) -> str:
+    """Put texts between their marks."""
+    for name, text in texts.items():
+        mark = re.compile(rf"(<!-- table: {re.escape(name)} -->\n).*?(<!-- end -->)", re.S)
+        page = mark.sub(lambda m, text=text: f"{m[1]}{text}\n{m[2]}", page)  # type: ignore[misc]
+    return page
+
+
+def main() -> None:
+    """Measure the parts that are asked for and rewrite the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="holds the trained runs (runs_dir)")
+    parser.add_argument("--preset", default="quick", help="what they were trained with")
+    parser.add_argument("--patient", type=Path, help="a scene folder; left out without")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    args = parser.parse_args()
+    jobs = {
+        "fetal": ([f"preset={args.preset}"], args.runs, ""),
+        "paper": (["preset=paper"], args.runs / "paper-size", "_paper"),
+        "patient": (
+            ["scene=folder", f"scene.folder={args.patient}", "evaluation.timed_frames=20"],
+            args.runs / "patient",
+            "_patient",
+        ),
+    }
+    for part in args.parts:
+        if part in jobs and not (part == "patient" and args.patient is None):
+            found = {f"{part} {name}": text for name, text in measure(*jobs[part]).items()}
+            PAGE.write_text(fill(PAGE.read_text(), found))
+        if part == "scaling":
+            script = DOCS.parent / "benchmarks" / "scaling.py"
+            shown = []
+            with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as done:
+                assert done.stdout is not None
+                for line in done.stdout:
+                    print(line, end="", flush=True)
+                    shown.append(line)
+            PAGE.write_text(fill(PAGE.read_text(), {"scaling": "".join(shown).strip()}))
+            if done.returncode:
+                raise SystemExit("the scaling benchmark ended early")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,350 @@
+"""What a change of structure must not change: frames, trained runs, the tables of a comparison, the command's errors.
+
+python scripts/unchanged.py record FOLDER            # with the code of this checkout
+python scripts/unchanged.py record FOLDER --code DIR # with the code of another checkout of this project
+python scripts/unchanged.py compare BEFORE AFTER     # a table; exit code 1 where something differs unexplained
+
+Everything is computed with one thread and fixed seeds, so equal code gives equal bits. Only the public surface of the
+package is used, so the script records a checkout from before a change and from after it.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+ROOT = Path(__file__).resolve().parents[1]
+VARIANTS = "sa2h,sa2h-att,sa2h-conv,nsa2h"
+TINY = [
+    "scene.triangles=6000",
+    "simulator.scanlines=24",
+    "simulator.axial_samples=128",
+    "simulator.rays=2",
+    "simulator.layers=1",
+    "simulator.image_shape=[256,355]",
+    "dataset.frames=12",
+    "dataset.grid=[3,4,1,1]",
+    "dataset.validation=0.2",
+    "dataset.test=0.3",
+    "dataset.shard=3",
+    "dataset.workers=1",
+    "model.width=0.05",
+    "training.steps=4",
+    "training.checkpoint_every=2",
+    "training.validate_every=2",
+    "training.threads=1",
+    "evaluation.timed_frames=1",
+    "evaluation.pictures=2",
+]
+ERRORS = [
+    ["variant=sa3h"],
+    ["-m", "variant=sa2h,sa3h"],
+    ["variant=sa2h", "-m", "seed=0,one"],
+    ["variant=sa2h,nsa2h"],
+    ["trainin.steps=3"],
+    ["training.step=3"],
+    ["training.steps=soon"],
+    ["training.steps=0"],
+    ["training.crop=8"],
+    ["task=nothing"],
+    ["preset=huge"],
+    ["+study=nothing"],
+    ["model.depth=20"],
+    ["model.noise=loud"],
+    ["dataset.frames=0"],
+    ["dataset.grid=[1,2]"],
+    ["dataset.test=0.9", "dataset.validation=0.2"],
+    ["simulator.rays=0"],
+    ["simulator.plan=some"],
+    ["probe.fov_deg=200"],
+    ["metrics=best"],
+    ["metrics=[psnr,nothing.at.all]"],
+    ["encoding=random"],
+    ["scene=folder"],
+    ["scene=folder", "scene.folder=nowhere"],
+    ["scene=pairs", "scene.folder=nowhere"],
+    ["-m", "dataset.frames=12,13"],
+    ["--config-name", "other"],
+    ["hydra/launcher=joblib"],
+    ["-m", "hydra/launcher=slurm", "variant=sa2h,nsa2h"],
+    ["evaluation.inception=nowhere.pt"],
+    ["tracking.register=a/b"],
+    ["seed=-1"],
+    ["task=compare"],
+    ["task=preview", "frame=9999", "dataset.frames=12"],
+]
+TIMES = re.compile(r"ms_per_frame|seconds|resumed")  # measured, never equal twice
+
+# Names that a change has given to stored columns, metrics and values, old to new; what they hold is compared.
+RENAMED = {"low": "lower", "high": "upper", "floor": "resimulation"}
+ENDINGS = {"_low": "_lower", "_high": "_upper"}
+
+
+def record(folder: Path, code: Path) -> None:
+    """Compute everything that is compared.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it goes; what is there is replaced.
+    code : Path
+        Root of the checkout that is recorded.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(code / "src"),
+        "OMP_NUM_THREADS": "1",
+        "COLUMNS": "200",
+        "MLFLOW_DISABLE_TELEMETRY": "true",
+    }
+
+    def run(*command: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, *command], capture_output=True, text=True, check=False, env=environment, cwd=folder
+        )
+
+    def must(*command: str) -> str:
+        done = run(*command)
+        if done.returncode:
+            sys.exit(f"{' '.join(command)} failed:\n{done.stderr}")
+        return done.stdout
+
+    print("frames ...", flush=True)
+    must(str(Path(__file__).resolve()), "frames", str(folder / "frames.npz"))
+    print("errors ...", flush=True)
+    said = {}
+    for arguments in ERRORS:
+        done = run("-m", "ablate", "runs_dir=nothing", *arguments)
+        said[" ".join(arguments)] = [done.returncode, done.stderr.replace(str(folder), "HERE").strip()]
+    (folder / "errors.json").write_text(json.dumps(said, indent=1))
+    shutil.rmtree(folder / "nothing", ignore_errors=True)
+    print("runs ...", flush=True)
+    must("-m", "ablate", "-m", f"variant={VARIANTS}", "runs_dir=runs", "study_name=tiny", *TINY)
+    weights = {}
+    for checkpoint in sorted((folder / "runs" / "tiny").glob("*/seed*/*.ckpt")):
+        weights[checkpoint.parent.parent.name] = must(
+            str(Path(__file__).resolve()), "weights", str(checkpoint)
+        ).splitlines()
+    (folder / "weights.json").write_text(json.dumps(weights, indent=1))
+    print("comparison of the kept study ...", flush=True)
+    kept = folder / "runs" / "laptop-fetal"
+    shutil.copytree(next(code.glob("docs/**/laptop-fetal")), kept)
+    must("-m", "ablate", "task=compare", "preset=laptop", "runs_dir=runs")
+    print("stability ...", flush=True)
+    must("-m", "ablate", "task=stability", "runs_dir=runs")
+    (folder / "describe.txt").write_text(must("-m", "ablate", "task=describe"))
+    (folder / "plan.txt").write_text(
+        must("-m", "ablate", "-m", "task=plan", f"variant={VARIANTS}", "runs_dir=other", *TINY).replace(
+            str(folder), "HERE"
+        )
+    )
+
+
+def frames(path: Path) -> None:
+    """Every map of a frame of five scenes, at high and at low quality, and of the patient where it is."""
+    import torch
+    import trimesh
+
+    from ablate.anatomy import Scene, Structure, fetal_abdomen, load_scene, load_tissues
+    from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
+
+    torch.set_num_threads(1)
+    tissues = load_tissues()
+
+    def box(name: str, near_mm: float, far_mm: float) -> Structure:
+        mesh = trimesh.creation.box((120.0, 80.0, far_mm - near_mm))
+        mesh.apply_translation((10.0, 0.0, (near_mm + far_mm) / 2))
+        return Structure(mesh, tissues[name])
+
+    def ball(name: str, depth_mm: float, radius_mm: float) -> Structure:
+        mesh = trimesh.creation.icosphere(4, radius_mm)
+        mesh.apply_translation((0.0, 0.0, depth_mm))
+        return Structure(mesh, tissues[name])
+
+    gel, names = tissues["coupling_gel"], list(tissues)
+    soft, bone = names[names.index("liver")], next(n for n in names if "bone" in n)
+    scenes = {
+        "gel": Scene((), gel, "gel"),
+        "ball": Scene((ball(soft, 60.0, 40.0),), gel, "ball"),
+        "bone": Scene((box(soft, 3.0, 140.0), box(bone, 40.0, 55.0)), gel, "bone"),
+        "overlap": Scene((box(soft, 3.0, 120.0), ball("fat", 50.0, 30.0), ball(bone, 70.0, 20.0)), gel, "overlap"),
+        "fetal": fetal_abdomen(triangles=20_000),
+    }
+    cases = Path(os.environ.get("ABLATE_CASES", ROOT.parent / "shared" / "cases")) / "ircad11"
+    if cases.is_dir():
+        scenes["patient"] = load_scene(cases)
+    probe = ConvexProbe(frequency_mhz=3.0)
+    size = {"scanlines": 96, "axial_samples": 768, "image_shape": (256, 355), "axial_fwhm_mm": 1.2}
+    kinds = {
+        "high": SimulatorSettings(rays=16, layers=3, **size),
+        "low": SimulatorSettings.low_quality(**size),
+        "full": SimulatorSettings(rays=4, layers=1, plan="full", depth_mode="time_of_flight", **size),
+    }
+    made = {}
+    for name, scene in scenes.items():
+        pose = np.eye(4)
+        if name in ("fetal", "patient"):
+            lower, upper = (
+                np.min([s.mesh.bounds[0] for s in scene.structures], 0),
+                np.max([s.mesh.bounds[1] for s in scene.structures], 0),
+            )
+            centre = (lower + upper) / 2
+            pose[:3, :3] = [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]
+            pose[:3, 3] = (centre[0], lower[1] + 12.0, centre[2])
+        for kind, settings in kinds.items():
+            frame = Simulator(scene, probe, settings).render(pose, seed=3)
+            for part in ("segmentation", "attenuation", "image", "mask", "envelope"):
+                made[f"{name}/{kind}/{part}"] = getattr(frame, part)
+    np.savez_compressed(path, **made)
+
+
+def weights(path: Path) -> None:
+    """The SHA-256 of every tensor of a checkpoint, sorted: names may change, values may not."""
+    import torch
+
+    found: list[str] = []
+
+    def walk(value: object) -> None:
+        if isinstance(value, torch.Tensor):
+            found.append(f"{tuple(value.shape)} {hashlib.sha256(value.detach().numpy().tobytes()).hexdigest()[:24]}")
+        elif isinstance(value, dict):
+            for item in value.values():
+                walk(item)
+        elif isinstance(value, list | tuple):
+            for item in value:
+                walk(item)
+
+    walk(torch.load(path, map_location="cpu", weights_only=True))
+    print("\n".join(sorted(found)))
+
+
+def compare(before: Path, after: Path) -> int:
+    """Print what is equal and what is not.
+
+    Returns
+    -------
+    int
+        How many items differ.
+    """
+    rows: list[tuple[str, str]] = []
+    with np.load(before / "frames.npz") as a, np.load(after / "frames.npz") as b:
+        for name in a.files:
+            rows.append((f"frame {name}", _arrays(a[name], b[name] if name in b.files else None)))
+    for file in ("errors.json", "weights.json"):
+        old, new = (json.loads((side / file).read_text()) for side in (before, after))
+        for name in old:
+            same = old[name] == new.get(name)
+            rows.append((f"{file} {name}", "equal" if same else f"was {old[name]}\n    is {new.get(name)}"))
+    for file in ("describe.txt", "plan.txt"):
+        same = (before / file).read_text() == (after / file).read_text()
+        rows.append((file, "equal" if same else "differs"))
+    for path in sorted((before / "runs").rglob("*")):
+        name = path.relative_to(before)
+        if "artifacts" in name.parts:
+            continue  # copies, in folders that are named at random
+        if path.suffix in (".csv", ".parquet") or path.name == "result.json":
+            other = after / name
+            if not other.exists():
+                rows.append((str(name), "missing"))
+            elif path.suffix == ".json":
+                rows.append((str(name), _scalars(json.loads(path.read_text()), json.loads(other.read_text()))))
+            else:
+                rows.append((str(name), _tables(_read(path), _read(other))))
+        elif path.suffix in (".tex", ".md"):
+            other = after / name
+            same = other.exists() and path.read_text() == other.read_text()
+            rows.append((str(name), "equal" if same else "differs"))
+    worse = [row for row in rows if not row[1].startswith("equal")]
+    for name, verdict in worse:
+        print(f"{name}: {verdict}")
+    print(f"\n{len(rows) - len(worse)} of {len(rows)} items equal to the bit")
+    return len(worse)
+
+
+def _arrays(a: np.ndarray, b: np.ndarray | None) -> str:
+    if b is None or a.shape != b.shape or a.dtype != b.dtype:
+        return "missing or of another shape"
+    if np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
+        return "equal"
+    apart = np.abs(a.astype(np.float64) - b.astype(np.float64))
+    return f"{np.mean(apart > 0):.2%} differ, by {apart.max():.3g} at most"
+
+
+def _new(name: object) -> object:
+    if not isinstance(name, str):
+        return name
+    for old, new in ENDINGS.items():
+        name = name.removesuffix(old) + new if name.endswith(old) else name
+    return RENAMED.get(name, name)
+
+
+def _read(path: Path) -> pd.DataFrame:
+    return pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
+
+
+def _tables(a: pd.DataFrame, b: pd.DataFrame) -> str:
+    a = a.rename(columns=_new).map(_new)
+    gone, new = set(a) - set(b), set(b) - set(a)
+    if gone or len(a) != len(b):
+        return f"columns gone {sorted(gone)}, new {sorted(new)}; {len(a)} rows, then {len(b)}"
+    keys = [c for c in a if a[c].dtype.kind not in "fiub"]
+    measured = a[keys].apply(lambda row: bool(TIMES.search(" ".join(map(str, row)))), axis=1) if keys else None
+    verdicts = []
+    for column in a:
+        if TIMES.search(column):
+            continue
+        x, y = (frame[column] if measured is None else frame[column][~measured.to_numpy()] for frame in (a, b))
+        if x.reset_index(drop=True).equals(y.reset_index(drop=True).astype(x.dtype)):
+            continue
+        if x.dtype.kind == "f":
+            verdicts.append(f"{column} by {np.nanmax(np.abs(x.to_numpy() - y.to_numpy(dtype=float))):.3g}")
+        else:
+            verdicts.append(f"{column} in {int((x.to_numpy() != y.to_numpy()).sum())} rows")
+    if verdicts:
+        return "differs: " + "; ".join(verdicts)
+    return f"equal{f', with new columns {sorted(new)}' if new else ''}"
+
+
+def _scalars(a: dict[str, object], b: dict[str, object]) -> str:
+    old, new = a["scalars"], b["scalars"]
+    assert isinstance(old, dict)
+    assert isinstance(new, dict)
+    old = {_new(k): v for k, v in old.items() if not TIMES.search(k)}
+    apart = [str(k) for k, v in old.items() if k not in new or new[k] != v]
+    return f"differs: {', '.join(apart)}" if apart else "equal"
+
+
+def main() -> int:
+    """Record or compare."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    recording = commands.add_parser("record")
+    recording.add_argument("folder", type=Path)
+    recording.add_argument("--code", type=Path, default=ROOT)
+    comparing = commands.add_parser("compare")
+    comparing.add_argument("before", type=Path)
+    comparing.add_argument("after", type=Path)
+    for name in ("frames", "weights"):
+        commands.add_parser(name).add_argument("path", type=Path)
+    args = parser.parse_args()
+    if args.command == "record":
+        record(args.folder.resolve(), args.code.resolve())
+    elif args.command == "compare":
+        return int(compare(args.before, args.after) > 0)
+    else:
+        {"frames": frames, "weights": weights}[args.command](args.path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,167 @@
+"""A body in 3-D axes with the probe on it and the image on its fan."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from matplotlib.image import AxesImage
+from matplotlib.ticker import MultipleLocator
+from skimage.transform import resize
+
+from ablate.analysis.figures import probe_model
+from ablate.analysis.figures.tissue_colours import tissue_colours
+from ablate.analysis.figures.translucent import Surface, look_through
+from ablate.anatomy import Scene, TissueKind, bounds_mm
+from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound.probe import face_sag_mm, fan_outline, fan_size_mm, to_world
+
+Axes3D = Any  # mpl_toolkits carries no types
+
+MARK = "#2ca02c"
+_HOUSING, _FACE, _OUTLINE = (0.27, 0.30, 0.36), (0.80, 0.83, 0.87), "#ffb000"
+# Opacity facing the camera, and seen edge on.
+_OPACITY = {TissueKind.bone: (0.95, 1.0), TissueKind.gas: (0.3, 0.7)}
+_ORGAN, _ENVELOPE = (0.2, 0.6), (0.05, 0.5)  # any other tissue, and what surrounds the rest
+_LARGE = 0.03  # of the scene's bounds: what fills more of them surrounds the rest
+_FAN_OPACITY = 0.9
+_FILLED = 0.84  # of the panel by the box of its axes; the labels need the rest
+_COLUMNS_PX = 1000
+_TEXTURE_PX = 500  # height that an image is brought to before it is put on the fan: no more of it can be seen
+_MARGIN_MM = 2.0
+
+
+def draw_body(
+    space: Axes3D,
+    scene: Scene,
+    probe: ConvexProbe,
+    pose: np.ndarray,
+    image: np.ndarray,
+    fan: np.ndarray,
+    axis: Sequence[float],
+) -> None:
+    """Draw a scene into empty 3-D axes with `proj_type="ortho"`, in mm and of equal aspect.
+
+    The body is translucent, more so before the image plane; bone is opaque. The camera looks across the image plane,
+    from behind the probe and a little from above. `pose` is probe to world, (4, 4), mm; `image` is (H, W) uint8 and
+    `fan` (H, W) bool; `axis` is the scene's long axis, drawn upright.
+    """
+    surfaces = _surfaces(scene, probe, pose, _image_on_fan(probe, pose, image, fan))
+    lower, upper = bounds_mm(s.mesh for s in surfaces) + np.array([[-_MARGIN_MM], [_MARGIN_MM]])
+    space.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
+    space.set_box_aspect(upper - lower)
+    view = _turn_camera(space, pose, np.asarray(axis, float) / np.linalg.norm(axis))
+    _zoom_to_fit(space, lower, upper)
+    space.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)")
+    space.tick_params(pad=2)
+    upright = np.argmax(np.abs(axis))
+    for number, each in enumerate((space.xaxis, space.yaxis, space.zaxis)):
+        each.labelpad = -4 if number == upright else 1  # the upright one stands next to the image
+        each.set_pane_color((0.97, 0.97, 0.98))
+        each.set_major_locator(MultipleLocator(_tick_mm(float((upper - lower).max()))))
+    space.add_artist(_picture(space, surfaces, lower, upper, view, (pose[:3, 3], pose[:3, 1])))
+    space.plot(*to_world(pose, fan_outline(probe)).T, color=_OUTLINE, lw=0.8)
+
+
+def seen_direction(space: Axes3D, vector: Sequence[float]) -> np.ndarray:
+    """A world direction as it lies in the picture, (2,) float, of length 1 where it does not point to the camera."""
+    turn = space.get_proj()[:2, :3]
+    seen: np.ndarray = turn @ np.asarray(vector, float) / np.linalg.norm(vector) / np.linalg.norm(turn[0])
+    return seen
+
+
+def _tick_mm(extent: float) -> float:
+    """A round distance of which two to five lie in an extent."""
+    decade = 10.0 ** math.floor(math.log10(extent / 2))
+    return max(step * decade for step in (1, 2, 5) if 2 * step * decade <= extent)
+
+
+def _turn_camera(space: Axes3D, pose: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Point the axes' camera at the probe, the body upright; its direction from the body, a unit vector."""
+    across = pose[:3, 1] if pose[:3, 1] @ axis >= 0 else -pose[:3, 1]
+    view = 0.75 * across - 0.7 * pose[:3, 2] + 0.2 * axis
+    view /= np.linalg.norm(view)
+    upright = int(np.argmax(np.abs(axis)))
+    forward, side, up = np.roll(view, 2 - upright)
+    elevation, azimuth = math.degrees(math.asin(up)), math.degrees(math.atan2(side, forward))
+    space.view_init(elevation, azimuth, roll=0 if axis[upright] > 0 else 180, vertical_axis="xyz"[upright])
+    return view
+
+
+def _zoom_to_fit(space: Axes3D, lower: np.ndarray, upper: np.ndarray) -> None:
+    """Fill the panel with the box, but for room for the labels of its axes."""
+    half_view = np.array([space.viewLim.width, space.viewLim.height]) / 2
+    reach = np.abs(_flat_corners(space, lower, upper)).max(axis=0)
+    space.set_box_aspect(upper - lower, zoom=float((_FILLED * half_view / reach).min()))
+
+
+def _flat_corners(space: Axes3D, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """The box's corners in the plane of the picture, (8, 2)."""
+    corners = np.stack(np.meshgrid(*np.stack([lower, upper], axis=-1)), axis=-1).reshape(-1, 3)
+    projection = space.get_proj()
+    flat: np.ndarray = (corners @ projection[:2, :3].T + projection[:2, 3]) / projection[3, 3]
+    return flat
+
+
+def _picture(
+    space: Axes3D,
+    surfaces: Sequence[Surface],
+    lower: np.ndarray,
+    upper: np.ndarray,
+    view: np.ndarray,
+    plane: tuple[np.ndarray, np.ndarray],
+) -> AxesImage:
+    """All surfaces as the axes' projection sees them, as an image that lies on it."""
+    projection = space.get_proj()
+    scale, shift = projection[:3, :3] / projection[3, 3], projection[:3, 3] / projection[3, 3]
+    flat = _flat_corners(space, lower, upper)
+    (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
+    columns, rows = _COLUMNS_PX, round(_COLUMNS_PX * (top - bottom) / (right - left))
+    x = left + (np.arange(columns) + 0.5) * (right - left) / columns
+    y = top - (np.arange(rows) + 0.5) * (top - bottom) / rows
+    grid = np.stack([*np.meshgrid(x, y), np.zeros((rows, columns))], axis=-1).reshape(-1, 3)
+    points = np.linalg.solve(scale, (grid - shift).T).T
+    points += np.outer(np.linalg.norm(upper - lower) - (points - (lower + upper) / 2) @ view, view)
+    seen = look_through(surfaces, points, -view, plane).reshape(rows, columns, 4)
+    picture = AxesImage(space, extent=(left, right, bottom, top), origin="upper", interpolation="antialiased")
+    picture.set_data(np.clip(seen, 0, 1))
+    return picture
+
+
+def _surfaces(
+    scene: Scene, probe: ConvexProbe, pose: np.ndarray, paint: Callable[[np.ndarray], np.ndarray]
+) -> list[Surface]:
+    """The scene's structures, the image on its plane, and the probe."""
+    colours = tissue_colours(scene.tissues)
+    whole = np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).prod()
+    drawn = []
+    for structure, tissue in zip(scene.structures, scene.structure_tissues, strict=True):
+        large = structure.mesh.extents.prod() > _LARGE * whole
+        opacity, rim = _OPACITY.get(structure.tissue.kind, _ENVELOPE if large else _ORGAN)
+        drawn.append(Surface(structure.mesh, colours[tissue], opacity, rim))
+    drawn.append(Surface(probe_model.fan_plane(probe, pose), paint=paint))
+    drawn.append(Surface(probe_model.probe_body(probe, pose), _HOUSING))
+    drawn.append(Surface(probe_model.probe_face(probe, pose), _FACE))
+    drawn.append(Surface(probe_model.first_column_mark(probe, pose), to_rgb(MARK)))
+    return drawn
+
+
+def _image_on_fan(
+    probe: ConvexProbe, pose: np.ndarray, image: np.ndarray, fan: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """The image's grey at points of its plane, transparent outside the fan."""
+    fewer = min(1.0, _TEXTURE_PX / image.shape[0])
+    shape = round(image.shape[0] * fewer), round(image.shape[1] * fewer)
+    grey = resize(image / 255, shape, anti_aliasing=fewer < 1)
+    alpha = _FAN_OPACITY * resize(fan.astype(float), shape, anti_aliasing=fewer < 1)
+    size = np.array(fan_size_mm(probe))
+    corner = np.array([-face_sag_mm(probe), -size[1] / 2])
+
+    def paint(points: np.ndarray) -> np.ndarray:
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        pixel = np.floor((local[:, [2, 0]] - corner) / size * shape).astype(int)
+        row, column = np.clip(pixel, 0, np.array(shape) - 1).T
+        return np.column_stack([*[grey[row, column]] * 3, alpha[row, column]])
+
+    return paint

@@ -1,0 +1,168 @@
+"""Figures made of pictures: the qualitative grid and the patch chi-square maps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
+
+from ablate.analysis.figures.metric_panels import shown_name
+from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, save_figure
+from ablate.analysis.order import CHANGED, variant_group
+from ablate.metrics import patch_chi2, patches_inside, rms
+
+ACROSS = 4  # pictures side by side on a page; with more of them, speckle is lost in print
+MOST_DOWN = 7  # rows of pictures that a page holds
+NAME_IN, HEAD_IN = 0.2, 0.25  # beside and above the pictures, for their names
+INSET = 0.27  # of the picture's width and height: what fits beside a 70 degree fan
+
+
+@dataclass(frozen=True, eq=False)
+class FramePictures:
+    """What was rendered of one test frame.
+
+    Attributes
+    ----------
+    name : str
+        Shown at the left of its row.
+    target : (H, W) uint8
+    predictions : dict of str to (H, W) uint8
+        By variant, in the order shown; the re-simulation goes first, under its own name.
+    mask : (H, W) bool, optional
+        The fan.
+    segmentation, attenuation : (H, W) uint8 and (H, W) float in [0, 1], optional
+        Labels and shadows, each shown in a corner of the target.
+    """
+
+    name: str
+    target: np.ndarray
+    predictions: dict[str, np.ndarray] = field(default_factory=dict)
+    mask: np.ndarray | None = None
+    segmentation: np.ndarray | None = None
+    attenuation: np.ndarray | None = None
+
+
+def _picture(axes: Axes, image: np.ndarray) -> None:
+    axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
+    _bare(axes)
+
+
+def _bare(axes: Axes) -> None:
+    axes.set_axis_on()
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.spines[:].set_visible(False)
+
+
+def _insets(axes: Axes, frame: FramePictures) -> None:
+    """S at the top left and A at the top right: the corners that a fan leaves black."""
+    outside = np.zeros(frame.target.shape, bool) if frame.mask is None else ~frame.mask
+    corners = []
+    if frame.segmentation is not None:
+        labels = np.ma.masked_array(frame.segmentation, outside | (frame.segmentation == 0))
+        corners.append((0.0, labels, "cividis"))
+    if frame.attenuation is not None:
+        # Attenuation falls over decades with depth: its logarithm is what shows shadows.
+        log = np.log10(np.maximum(frame.attenuation.astype(np.float32), 1e-4))
+        corners.append((1 - INSET, np.ma.masked_array(log, outside), "gray"))
+    for left, shown, colours in corners:
+        corner = axes.inset_axes((left, 1 - INSET, INSET, INSET))
+        corner.imshow(shown, cmap=colours, interpolation="nearest")
+        _bare(corner)
+        corner.set_facecolor("none")
+
+
+def _map(axes: Axes, chi2: np.ndarray, inside: np.ndarray | None, patch: int, shape: tuple[int, int]) -> AxesImage:
+    _bare(axes)
+    axes.set_facecolor("#EEEEEE")
+    extent = (0, chi2.shape[1] * patch, chi2.shape[0] * patch, 0)
+    shown = chi2 if inside is None else np.ma.masked_array(chi2, ~inside)
+    drawn = axes.imshow(shown, cmap="inferno", vmin=0, vmax=1, extent=extent)
+    axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0), aspect="equal")
+    return drawn
+
+
+def _columns(frames: Sequence[FramePictures]) -> list[str]:
+    """Names of all predictions as they come, what was changed beside a variant last."""
+    if not frames:
+        raise ValueError("no frame to draw")
+    names = dict.fromkeys(name for frame in frames for name in frame.predictions)
+    return sorted(names, key=lambda name: variant_group(name) == CHANGED)
+
+
+def frames_a_page(predictions: int) -> int:
+    """How many frames `qualitative_figure` can show on one page, each with its target and so many predictions.
+
+    1 to 4: as many columns of pictures as are left when a frame's pictures take one or more.
+    """
+    return max(1, ACROSS // -(-(predictions + 1) // MOST_DOWN))
+
+
+def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path]:
+    """Target, re-simulation and every variant below each other, a column a frame, S and A in the target's corners.
+
+    Variants that do not fit go on in further columns; `frames_a_page` says how many frames fit. The files are a PNG and
+    a PDF at `stem`, a path without suffix. Raises ValueError when there is no frame.
+    """
+    names = ["target", *_columns(frames)]
+    blocks = min(max(-(-len(names) // MOST_DOWN), ACROSS // len(frames)), len(names))
+    down, across = -(-len(names) // blocks), blocks * len(frames)
+    height, width = frames[0].target.shape
+    page = PAGE_IN * max(across / ACROSS, 1.0) if across > 1 else PAGE_IN / 2
+    picture = (page - NAME_IN * blocks) / max(across, 2)
+    with house_style(page):
+        figure = new_figure(page, HEAD_IN + down * picture * height / width, pad_in=0.01)
+        grid = figure.subplots(down, across, squeeze=False)
+        for axes in grid.ravel():
+            axes.set_axis_off()
+        for k, name in enumerate(names):
+            block, row = divmod(k, down)
+            for j, frame in enumerate(frames):
+                axes = grid[row, block * len(frames) + j]
+                image = frame.target if name == "target" else frame.predictions.get(name)
+                if image is None:
+                    continue
+                _picture(axes, image)
+                if name == "target":
+                    _insets(axes, frame)
+                if j == 0:
+                    axes.set_ylabel(shown_name(name).replace(" ", "\n", 1))
+                if row == 0:
+                    axes.set_title(frame.name)
+        return save_figure(figure, stem)
+
+
+def chi2_maps_figure(frame: FramePictures, stem: Path, patch: int = 20) -> list[Path]:
+    """Patch chi-square maps on [0, 1] above their images; the target comes last, as in the paper.
+
+    A patch has a side of `patch` px. The files are a PNG and a PDF at `stem`, a path without suffix. Raises ValueError
+    when there is no prediction.
+    """
+    names = _columns([frame])
+    if not names:
+        raise ValueError(f"frame {frame.name} has no prediction to map")
+    height, width = frame.target.shape
+    inside = None if frame.mask is None else patches_inside(frame.mask, patch)
+    across = min(ACROSS if len(names) < 2 * ACROSS else ACROSS + 1, len(names) + 1)
+    lines = -(-(len(names) + 1) // across)
+    with house_style():
+        figure = new_figure(PAGE_IN, lines * (0.45 + 2 * PAGE_IN / max(across, 3) * height / width), pad_in=0.015)
+        grid = figure.subplots(2 * lines, across, squeeze=False)
+        for axes in grid.ravel():
+            axes.set_axis_off()
+        for k, name in enumerate(names):
+            line, column = divmod(k, across)
+            upper, lower = grid[2 * line, column], grid[2 * line + 1, column]
+            chi2 = patch_chi2(frame.predictions[name], frame.target, patch)
+            drawn = _map(upper, chi2, inside, patch, (height, width))
+            upper.set_title(f"{shown_name(name)}\n{rms(chi2, inside) or 0.0:.3f}")
+            _picture(lower, frame.predictions[name])
+        upper, lower = grid[-2, -1], grid[-1, -1]
+        bar = figure.colorbar(drawn, cax=upper.inset_axes((0.1, 0.5, 0.8, 0.1)), orientation="horizontal")
+        bar.set_label("pχ²")
+        bar.set_ticks([0, 0.5, 1])
+        _picture(lower, frame.target)
+        lower.set_title("target")
+        return save_figure(figure, stem)

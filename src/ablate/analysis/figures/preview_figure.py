@@ -1,0 +1,110 @@
+"""One frame with the probe that saw it: the body in 3-D, beside it the image and its segmentation."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import MultipleLocator
+
+from ablate.analysis.figures.body_view import MARK, Axes3D, draw_body, seen_direction
+from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
+from ablate.analysis.figures.tissue_colours import Colour, tissue_colours
+from ablate.anatomy import Scene
+from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound.probe import face_sag_mm, fan_size_mm
+
+_HEIGHT = 0.64  # of the figure, over its width
+_OUTSIDE: Colour = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """What is shown of one frame.
+
+    Attributes
+    ----------
+    pose : (4, 4) float64
+        Probe to world, mm.
+    image, segmentation : (H, W) uint8
+    axis, front : 3 floats
+        The scene's long axis, and the side that angle 0 looks at.
+    """
+
+    title: str
+    pose: np.ndarray
+    image: np.ndarray
+    segmentation: np.ndarray
+    axis: tuple[float, float, float]
+    front: tuple[float, float, float]
+
+
+def preview_figure(scene: Scene, probe: ConvexProbe, shown: Preview, path: Path) -> Path:
+    """Draw body, probe and fan in 3-D, and beside them the frame's image and segmentation in the same colours.
+
+    The image lies on the fan where it was taken; a green ball marks the side of the probe that is left in it. The scene
+    needs one structure or more. The file is a PNG; `path` is returned.
+    """
+    colours = tissue_colours(scene.tissues)
+    with house_style(), rc_context({"grid.color": "#dddddd", "grid.linewidth": 0.5}):
+        figure = Figure(figsize=(PAGE_IN, _HEIGHT * PAGE_IN))
+        space = figure.add_axes((-0.01, 0.02, 0.6, 0.6 / _HEIGHT), projection="3d", proj_type="ortho")
+        draw_body(space, scene, probe, shown.pose, shown.image, shown.segmentation > 0, shown.axis)
+        _draw_compass(figure, space, shown)
+        upper = figure.add_axes((0.69, 0.595, 0.3, 0.37))
+        lower = figure.add_axes((0.69, 0.205, 0.3, 0.37))
+        _draw_image(upper, probe, shown.image, "image")
+        _draw_image(lower, probe, np.array([_OUTSIDE, *colours])[shown.segmentation], "segmentation")
+        upper.tick_params(labelbottom=False)
+        lower.set_xlabel("lateral (mm)")
+        _draw_legend(figure, scene, shown, colours)
+        figure.text(0.01, 0.98, shown.title, va="top")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=PNG_DPI)
+    return path
+
+
+def _draw_image(axes: Axes, probe: ConvexProbe, image: np.ndarray, title: str) -> None:
+    height, width = fan_size_mm(probe)
+    top = -face_sag_mm(probe)
+    extent = (-width / 2, width / 2, top + height, top)
+    axes.imshow(image, cmap="gray", vmin=0, vmax=255, extent=extent, interpolation="antialiased")
+    axes.plot(-0.42 * width, top + 0.07 * height, "o", color=MARK, ms=4)
+    axes.set_title(title, loc="right", pad=2)
+    axes.set_ylabel("depth (mm)")
+    axes.xaxis.set_major_locator(MultipleLocator(50))
+    axes.yaxis.set_major_locator(MultipleLocator(50))
+
+
+def _draw_compass(figure: Figure, space: Axes3D, shown: Preview) -> None:
+    """Arrows along the scene's axis and to its front, as the 3-D view sees them."""
+    axes = figure.add_axes((0.025, 0.74, 0.11, 0.11 / _HEIGHT))
+    axes.set(xlim=(-1.6, 1.6), ylim=(-1.6, 1.6), aspect="equal")
+    axes.set_axis_off()
+    for name, vector in (("axis", shown.axis), ("front", shown.front)):
+        seen = seen_direction(space, vector)
+        length = max(float(np.linalg.norm(seen)), 1e-6)
+        axes.annotate("", tuple(seen), (0, 0), arrowprops={"arrowstyle": "->", "lw": 1.0, "shrinkA": 0, "shrinkB": 0})
+        across, up = seen * (length + 0.4) / length
+        axes.text(across, up, name, ha="center", va="center")
+
+
+def _draw_legend(figure: Figure, scene: Scene, shown: Preview, colours: Sequence[Colour]) -> None:
+    """The tissues that the frame's segmentation holds."""
+    present = [i - 1 for i in np.unique(shown.segmentation) if i]
+    figure.legend(
+        handles=[Patch(facecolor=colours[i], label=scene.tissues[i].name.replace("_", " ")) for i in present],
+        loc="upper right",
+        bbox_to_anchor=(1.0, 0.13),
+        ncols=4,
+        fontsize=6,
+        frameon=False,
+        handlelength=0.8,
+        handleheight=0.8,
+        columnspacing=0.8,
+        labelspacing=0.3,
+    )

@@ -1,0 +1,1 @@
+"""Paired differences, claims, designs and their effects."""

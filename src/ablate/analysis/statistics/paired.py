@@ -1,0 +1,266 @@
+"""Paired differences on the same frames: of two trained networks, and of every variant to the reference."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from ablate.analysis.order import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
+from ablate.analysis.values import require_columns
+from ablate.metrics.stored_names import PER_IMAGE_COLUMNS
+
+PAIRED_COLUMNS = (
+    *("variant", "reference", "metric", "shift", "lower", "upper", "p_holm", "effect", "n"),
+    *("p_sites_holm", "sites", "dropped"),
+)
+LATTICE = 512  # levels that a bootstrap's differences are rounded to, over their range
+LARGEST = 1e100  # of what is compared: sums and squares of such values stay finite
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """How a variant differs from the reference on the same frames.
+
+    Attributes
+    ----------
+    shift : float
+        Hodges-Lehmann median shift, variant minus reference.
+    lower, upper : float
+        Bootstrap interval of the shift over clusters; infinite when there is only one cluster.
+    p : float
+        Wilcoxon signed-rank over frames, two-sided; 1 when nothing differs. It takes frames for independent, so it
+        speaks of these frames and not of other sites.
+    p_sites : float
+        The same test on one mean a cluster: it speaks of sites like these. Below six clusters it cannot reach 5 %.
+    effect : float
+        Matched-pairs rank-biserial correlation, -1 to 1.
+    n, dropped : int
+        Pairs used, and pairs left out because one value was infinite (identical frames have an infinite PSNR).
+    clusters : int
+        Clusters (probe sites) resampled for the interval.
+    """
+
+    shift: float
+    lower: float
+    upper: float
+    p: float
+    p_sites: float
+    effect: float
+    n: int
+    dropped: int = 0
+    clusters: int = 0
+
+
+def hodges_lehmann(differences: np.ndarray) -> float:
+    """Median of the Walsh averages (d_i + d_j) / 2, i <= j, of (n,) differences (Hodges and Lehmann 1963)."""
+    i, j = np.triu_indices(len(differences))
+    return float(np.median((differences[i] + differences[j]) / 2.0))
+
+
+def rank_biserial(differences: np.ndarray) -> float:
+    """Matched-pairs rank-biserial correlation, (W+ - W-) / (W+ + W-), of (n,) differences (Kerby 2014).
+
+    It is -1 where all are negative and 1 where all are positive. Zeros are dropped, as by Wilcoxon; 0 if nothing
+    differs.
+    """
+    differences = differences[differences != 0]
+    if not differences.size:
+        return 0.0
+    ranks = stats.rankdata(np.abs(differences))
+    return float(np.sum(np.sign(differences) * ranks) / ranks.sum())
+
+
+def _bootstrap_shifts(
+    differences: np.ndarray, clusters: np.ndarray, resamples: int, rng: np.random.Generator
+) -> np.ndarray:
+    """(resamples,) Hodges-Lehmann shifts of resamples of whole clusters.
+
+    On a lattice the counts of all Walsh averages are the autoconvolution of the histogram of differences, so one FFT
+    takes the place of n^2 / 2 averages; an exact method up to rounding to range / LATTICE. The estimate is a point of
+    the lattice: otherwise ties at the estimate (many frames without a difference) would be rounded to a value beside
+    it, and the interval would exclude it.
+    """
+    centre, span = hodges_lehmann(differences), np.ptp(differences)
+    if span == 0:
+        return np.full(resamples, centre)
+    spacing = span / (LATTICE - 2)
+    level = np.rint((differences - centre) / spacing).astype(int)
+    lowest = level.min()
+    level -= lowest
+    names, member = np.unique(clusters, return_inverse=True)
+    histograms = np.zeros((len(names), LATTICE))
+    np.add.at(histograms, (member, level), 1.0)
+    shifts = np.empty(resamples)
+    uniform = np.full(len(names), 1.0 / len(names))
+    for start in range(0, resamples, 256):
+        draws = rng.multinomial(len(names), uniform, size=min(256, resamples - start))
+        counts = draws @ histograms
+        pairs = np.fft.irfft(np.fft.rfft(counts, 2 * LATTICE) ** 2, 2 * LATTICE)
+        pairs[:, ::2] += counts  # i = j counts whole, i < j half of the autoconvolution
+        total = np.cumsum(np.rint(pairs), axis=1)
+        half = total[:, -1:] / 2.0
+        middle = (np.argmax(total >= half, axis=1) + np.argmax(total > half, axis=1)) / 2.0
+        shifts[start : start + len(draws)] = centre + (middle / 2.0 + lowest) * spacing
+    return shifts
+
+
+def _wilcoxon(differences: np.ndarray) -> float:
+    return float(stats.wilcoxon(differences).pvalue) if differences.any() else 1.0
+
+
+def paired_difference(
+    values: Sequence[float] | np.ndarray,
+    reference: Sequence[float] | np.ndarray,
+    clusters: Sequence[object] | np.ndarray | None = None,
+    level: float = 0.95,
+    resamples: int = 2000,
+    seed: int = 0,
+) -> PairedDifference:
+    """Compare two networks on the same frames: do *these two* differ?
+
+    Percentiles of a bootstrap over few clusters are too narrow; they are taken further out, by what Student's t asks
+    for at that number of clusters (Hesterberg 2015, "expanded percentiles").
+
+    Parameters
+    ----------
+    values, reference : (n,) float
+        One value a frame, in the same order; differences are values minus reference.
+    clusters : (n,), optional
+        Probe site of each frame: neighbouring frames are alike, so intervals resample sites. Without it every frame is
+        its own cluster.
+    level : float
+        Coverage aimed at by the interval.
+    resamples, seed : int
+        Bootstrap resamples, and the seed of their draws.
+
+    Raises
+    ------
+    ValueError
+        When lengths differ, a value is NaN or finite beyond 1e100, or no pair is finite.
+    """
+    values, reference = np.asarray(values, dtype=np.float64), np.asarray(reference, dtype=np.float64)
+    labels = np.arange(values.size) if clusters is None else np.asarray(clusters)
+    if values.ndim != 1 or values.shape != reference.shape or labels.shape != values.shape:
+        raise ValueError(
+            "values, reference and clusters must be (n,) alike, "
+            f"got {values.shape}, {reference.shape} and {labels.shape}"
+        )
+    if np.isnan(values).any() or np.isnan(reference).any():
+        raise ValueError("values and reference may not hold NaN")
+    finite = np.isfinite(values) & np.isfinite(reference)
+    if (np.abs([values[finite], reference[finite]]) > LARGEST).any():
+        raise ValueError(f"values and reference must lie within {LARGEST:g}")
+    if not finite.any():
+        raise ValueError("no pair of finite values to compare")
+    differences, labels = values[finite] - reference[finite], labels[finite]
+    lower, upper, groups = -np.inf, np.inf, len(np.unique(labels))
+    if groups > 1:
+        shifts = _bootstrap_shifts(differences, labels, resamples, np.random.default_rng(seed))
+        tail = stats.norm.sf(stats.t.ppf((1 + level) / 2, groups - 1) * np.sqrt(groups / (groups - 1)))
+        lower, upper = np.quantile(shifts, [tail, 1 - tail])
+    return PairedDifference(
+        shift=hodges_lehmann(differences),
+        lower=float(lower),
+        upper=float(upper),
+        p=_wilcoxon(differences),
+        p_sites=_wilcoxon(pd.Series(differences).groupby(labels).mean().to_numpy()),
+        effect=rank_biserial(differences),
+        n=int(differences.size),
+        dropped=int(np.count_nonzero(~finite)),
+        clusters=groups,
+    )
+
+
+def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Holm's step-down adjustment: controls the chance of any false positive in a family (Holm 1979).
+
+    Parameters
+    ----------
+    p : (k,) float in [0, 1]
+        Adjusted values come in the same order.
+
+    Raises
+    ------
+    ValueError
+        When a value lies outside [0, 1].
+    """
+    p = np.asarray(p, dtype=np.float64)
+    if not ((p >= 0) & (p <= 1)).all():
+        raise ValueError("p-values must lie in [0, 1]")
+    order = np.argsort(p)
+    adjusted = np.empty_like(p)
+    adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1)), 1.0)
+    return adjusted
+
+
+def holm_where_known(p: pd.Series) -> pd.Series:
+    """Holm's adjustment of the values of a column that are known; None for the others."""
+    adjusted = pd.Series(None, p.index, dtype=object)
+    if p.notna().any():
+        adjusted[p.notna()] = holm(p[p.notna()].to_numpy(dtype=np.float64))
+    return adjusted
+
+
+def aligned_differences(per_image: pd.DataFrame, metric: str, reference: str = REFERENCE) -> dict[str, pd.DataFrame]:
+    """By variant, its values beside those of the reference, on the frames that both have.
+
+    Columns frame, site, value, reference; values are means over seeds, infinite where one seed's is not finite.
+    """
+    chosen = per_image[per_image["metric"] == metric]
+    chosen = chosen.assign(value=chosen["value"].fillna(np.inf))
+    means = chosen.groupby(["variant", "frame"], as_index=False).agg(value=("value", "mean"), site=("site", "first"))
+    base = means[means["variant"] == reference][["frame", "value"]]
+    base = base.rename(columns={"value": "reference"})
+    result = {}
+    for variant in ordered_variants(list(means["variant"]), reference):
+        joined = means[means["variant"] == variant].merge(base, on="frame", validate="one_to_one")
+        if variant != reference and len(joined):
+            result[variant] = joined[["frame", "site", "value", "reference"]]
+    return result
+
+
+def paired_table(
+    per_image: pd.DataFrame, reference: str = REFERENCE, resamples: int = 2000, seed: int = 0
+) -> pd.DataFrame:
+    """Paired differences of every variant to the reference, in every metric; empty if it is missing or alone.
+
+    Holm's correction runs over all networks and metrics together; the re-simulation is no network and has a family of
+    its own. Metrics without one finite pair are left out.
+
+    Parameters
+    ----------
+    per_image : DataFrame
+        Columns variant, seed, frame, site, metric, value.
+    resamples, seed : int
+        Of the bootstrap over sites.
+
+    Returns
+    -------
+    DataFrame
+        Columns variant, reference, metric, shift, lower, upper, p_holm (Wilcoxon over frames), effect, n (frames),
+        p_sites_holm (Wilcoxon over the sites' means), sites, dropped (frames without two finite values).
+
+    Raises
+    ------
+    ValueError
+        When a column is missing.
+    """
+    require_columns(per_image, PER_IMAGE_COLUMNS, "per_image")
+    rows = []
+    for metric in ordered_metrics(list(per_image["metric"])):
+        for variant, pairs in aligned_differences(per_image, metric, reference).items():
+            value, base = pairs["value"].to_numpy(), pairs["reference"].to_numpy()
+            if not (np.isfinite(value) & np.isfinite(base)).any():
+                continue
+            found = paired_difference(value, base, pairs["site"].to_numpy(), resamples=resamples, seed=seed)
+            rows.append({"variant": variant, "reference": reference, "metric": metric, **vars(found)})
+    renamed = {"p": "p_holm", "p_sites": "p_sites_holm", "clusters": "sites"}
+    table = pd.DataFrame([{renamed.get(k, k): v for k, v in row.items()} for row in rows], columns=list(PAIRED_COLUMNS))
+    for family in (table["variant"] == RESIMULATION, table["variant"] != RESIMULATION):
+        for p in ("p_holm", "p_sites_holm"):
+            if family.any():
+                table.loc[family, p] = holm(table.loc[family, p].to_numpy())
+    order = {name: k for k, name in enumerate(ordered_variants(list(table["variant"]), reference))}
+    return table.sort_values("variant", key=lambda v: v.map(order), kind="stable").reset_index(drop=True)

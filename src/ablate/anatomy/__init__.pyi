@@ -1,0 +1,17 @@
+from .fetal.fetal_abdomen import fetal_abdomen as fetal_abdomen
+from .fetal.sites import fetal_sites as fetal_sites
+from .fetal.standard_planes import fetal_planes as fetal_planes
+from .meshes.check import check_scene as check_scene
+from .scene import ANATOMY_VERSION as ANATOMY_VERSION
+from .scene import Scene as Scene
+from .scene import Structure as Structure
+from .scene import bounds_mm as bounds_mm
+from .scene import content_hash as content_hash
+from .scene_folder import load_scene as load_scene
+from .scene_folder import load_sites as load_sites
+from .scene_folder import validate_scene_folder as validate_scene_folder
+from .site_grid import SiteGrid as SiteGrid
+from .tissue import Tissue as Tissue
+from .tissue import TissueKind as TissueKind
+from .tissue import echogenicity_order as echogenicity_order
+from .tissue import load_tissues as load_tissues

@@ -1,0 +1,1 @@
+"""The fetus itself: trunk, head, organs, limbs and bones."""

@@ -1,0 +1,97 @@
+"""Organs of the fetal chest: lungs, a heart with four chambers, great vessels. Straight trunk (x, y, s), mm."""
+
+import numpy as np
+
+from ablate.anatomy.fetal.fetus.axes import SIDES, TRUNK_BOX, WALL_INSIDE_MM, above_diaphragm, spine_y, trunk
+from ablate.anatomy.fetal.part import Part
+from ablate.anatomy.shapes import sdf
+from ablate.anatomy.shapes.tubes import joined, smooth_path, spindle, tube
+
+HEART_CENTER = np.array([2.6, -3.6, 17.0])
+#: The heart's axes as columns: to the apex (left, forward, down), to its left, and up; made orthonormal.
+HEART_TOWARDS = np.array([[0.64, 0.62, 0.2], [-0.70, 0.76, 0.0], [-0.26, 0.05, 1.0]])
+HEART_AXES = np.linalg.qr(HEART_TOWARDS)[0]
+HEART_AXES *= np.sign((HEART_AXES * HEART_TOWARDS).sum(axis=0))
+
+
+def fetal_chest(scale: float, seed: int) -> list[Part]:
+    """The organs of the chest, outermost first."""
+
+    def solid(field: sdf.Field, tissue: str, pitch_mm: float, name: str) -> Part:
+        return Part(sdf.mesh_field(field, TRUNK_BOX, min(pitch_mm * scale, 7.0), name), tissue)
+
+    below_neck = sdf.half_space((0.0, 0.0, -1.0), -39.0)
+    room = sdf.intersection([sdf.shrunk(trunk, WALL_INSIDE_MM), above_diaphragm(0.6), below_neck], 2.0)
+    chambers = _chambers()
+    walls_mm = (2.8, 2.3, 1.7, 1.7)  # of the heart, thickest around the left ventricle
+    walls = [sdf.shrunk(chamber, -wall_mm) for chamber, wall_mm in zip(chambers, walls_mm, strict=True)]
+    myocardium = sdf.rippled(sdf.union(walls, 4.0), seed, 0.12, 14.0)
+    heart = sdf.intersection([myocardium, sdf.shrunk(trunk, WALL_INSIDE_MM + 0.4)], 1.0)
+    rippled = [sdf.rippled(chamber, seed + 60, 0.06, 9.0) for chamber in chambers]
+    blood = [sdf.mesh_field(chamber, TRUNK_BOX, min(0.5 * scale, 1.6), "chamber") for chamber in rippled]
+    band = spindle(_in_heart((3.9, -0.8, -0.5)), _in_heart((3.4, -7.4, 0.5)), (0.6, 0.8), max(4, round(10 / scale)))
+    return [
+        solid(room, "soft_tissue", 1.0, "mediastinum"),
+        _lungs(min(0.85 * scale, 7.0), sdf.outside(sdf.shrunk(heart, -1.0)), seed + 2),
+        solid(heart, "myocardium", 0.65, "heart"),
+        Part(joined(blood, "heart chambers"), "blood"),
+        Part(joined([band], "moderator band"), "myocardium"),
+        *_great_vessels(scale),
+    ]
+
+
+def _in_heart(point: tuple[float, float, float]) -> np.ndarray:
+    """A point given to the apex, to the heart's left and up, in the straight trunk."""
+    return HEART_CENTER + HEART_AXES @ np.array(point)
+
+
+def _chambers() -> list[sdf.Field]:
+    """Two ventricles and two atria; what is left between them are septa and valves.
+
+    The left ventricle reaches farther to the apex, the right one's valve lies nearer to it.
+    """
+
+    def ventricle(base: tuple[float, float], apex: tuple[float, float], radii: tuple[float, float]) -> sdf.Field:
+        halves = [sdf.capsule(_in_heart((*base, up)), _in_heart((*apex, up)), *radii) for up in (-1.2, 1.2)]
+        return sdf.union(halves, 2.0)
+
+    return [
+        ventricle((-1.2, 4.2), (8.0, 1.7), (3.2, 1.8)),
+        ventricle((-0.2, -4.5), (6.0, -3.6), (3.2, 1.9)),
+        sdf.ellipsoid(_in_heart((-8.5, 3.9, 0.0)), (3.3, 3.5, 4.0), HEART_AXES),
+        sdf.ellipsoid(_in_heart((-7.8, -4.1, 0.0)), (3.5, 3.7, 4.2), HEART_AXES),
+    ]
+
+
+def _lungs(pitch_mm: float, beside_heart: sdf.Field, seed: int) -> Part:
+    """Two lungs on the diaphragm, around heart and spine."""
+    room = [
+        sdf.shrunk(trunk, WALL_INSIDE_MM + 0.6),
+        above_diaphragm(1.4),
+        sdf.half_space((0.0, 0.0, -1.0), -36.0),
+        beside_heart,
+        sdf.outside(sdf.ellipsoid((0.0, 21.0, -10.0), (9.0, 11.0, 62.0))),
+    ]
+    meshes = []
+    for side in SIDES:
+        field = sdf.rippled(sdf.intersection([*room, sdf.half_space((side, 0.0, 0.0), 2.8)], 3.0), seed, 0.2, 12.0)
+        meshes.append(sdf.mesh_field(field, TRUNK_BOX, pitch_mm, "lung"))
+    return Part(joined(meshes, "lungs"), "lung")
+
+
+def _great_vessels(scale: float) -> list[Part]:
+    """Aorta with its arch, both venae cavae; the pulmonary trunk, which the duct joins to the aorta."""
+    sides, count = max(4, round(14 / scale)), max(6, round(70 / scale))
+    aorta = [(0.5, -1.5, 23.0), (0.8, -2.0, 28.0), (2.2, 2.0, 32.0), (3.2, 6.5, 28.5)]
+    aorta += [(3.2, float(spine_y(s)) - 5.4, float(s)) for s in np.linspace(23.0, -36.0, 6)]
+    lower = [(-4.2, float(spine_y(s)) - 5.6, float(s)) for s in np.linspace(-36.0, 2.0, 5)]
+    upper = [(-5.6, -2.0, 38.0), (-5.8, -1.0, 31.0), (-5.6, 0.5, 24.0)]
+    pulmonary = [(3.0, -8.5, 23.0), (4.6, -5.5, 27.0), (5.6, 0.0, 27.0), (5.2, 5.5, 23.5)]
+    vessels = [
+        tube(smooth_path(points, count), np.linspace(first, last, count), sides, up=(1.0, 0.2, 0.1))
+        for points, first, last in ((aorta, 2.1, 1.6), (lower, 1.6, 1.9), (upper, 1.5, 1.6), (pulmonary, 2.0, 1.6))
+    ]
+    return [
+        Part(joined(vessels[:3], "aorta and venae cavae"), "blood"),
+        Part(joined(vessels[3:], "pulmonary trunk"), "blood"),
+    ]

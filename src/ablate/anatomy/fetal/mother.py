@@ -1,0 +1,143 @@
+"""The mother's abdomen in the second trimester: wall, uterus, bladder, bowel, vessels and spine.
+
+World frame in mm: x to her left, y to her back, z up; the navel is near (0, -133, 2).
+"""
+
+import numpy as np
+
+from ablate.anatomy.fetal.part import Part
+from ablate.anatomy.shapes import sdf
+from ablate.anatomy.shapes.tubes import joined, tube
+
+BODY_BOX: sdf.Bounds = ((-175.0, -150.0, -185.0), (175.0, 150.0, 185.0))
+SKIN_MM = 2.0
+FAT_MM = 15.0
+MUSCLE_MM = 10.0
+UTERUS_WALL_MM = 8.0
+UTERUS_CENTER = (0.0, -33.0, 4.0)
+UTERUS_RADII = (77.0, 64.0, 111.0)
+UTERUS_POWER = 2.5
+#: Centre and radius of each pocket of gas, mm; the bowel around it is 3 mm thick.
+GAS_POCKETS = (
+    ((105.0, -30.0, 66.0), 10.0), ((108.0, -12.0, 22.0), 8.0), ((104.0, -26.0, -34.0), 11.0),
+    ((-104.0, -28.0, -56.0), 10.0), ((-107.0, -10.0, 10.0), 9.0), ((-104.0, -26.0, 66.0), 11.0),
+)  # fmt: skip
+
+
+def torso(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """About the distance to the skin, mm, negative inside: an egg-shaped cylinder with a belly in front."""
+    belly = np.exp(-(((z - 2.0) / 85.0) ** 2))
+    width = 146.0 + 6.0 * belly
+    front = 100.0 + 33.0 * belly
+    depth = np.where(y < 0.0, front, 114.0)
+    level = np.sqrt((x / width) ** 2 + (y / depth) ** 2)
+    slope = np.sqrt((x / width**2) ** 2 + (y / depth**2) ** 2)
+    around = sdf.first_order_distance(level, slope, front)
+    return sdf.smooth_max(around, np.abs(z) - 170.0, 12.0)
+
+
+def _muscle_inside(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Inner face of the abdominal wall: two bellies of rectus beside a thin midline, obliques at the flanks."""
+    beside_midline = np.clip((np.abs(x) - 1.5) / 11.0, 0.0, 1.0)
+    belly = 6.0 * beside_midline**2 * (3.0 - 2.0 * beside_midline)
+    at_edge = -3.2 * np.exp(-(((np.abs(x) - 66.0) / 8.0) ** 2))
+    front = (y < 40.0) * (belly + at_edge) - 5.0
+    return torso(x, y, z) + (SKIN_MM + FAT_MM + MUSCLE_MM + front * np.exp(-np.maximum(y + 60.0, 0.0) / 40.0))
+
+
+def _uterus(seed: int) -> sdf.Field:
+    """Outer face of the uterus, held 2 mm behind the abdominal wall."""
+    wall = SKIN_MM + FAT_MM + MUSCLE_MM + 2.0
+    return sdf.rippled(sdf.intersection([_fundus, sdf.shrunk(torso, wall)], 6.0), seed, 1.0, 90.0)
+
+
+def _fundus(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """A superellipsoid, fuller at its ends than an ellipsoid."""
+    parts = [(np.abs(p - c) / r) for p, c, r in zip((x, y, z), UTERUS_CENTER, UTERUS_RADII, strict=True)]
+    power = UTERUS_POWER
+    level = sum(part**power for part in parts) ** (1.0 / power)
+    slope = np.sqrt(sum((part ** (power - 1.0) / r) ** 2 for part, r in zip(parts, UTERUS_RADII, strict=True)))
+    return (level - 1.0) * level ** (power - 1.0) / (slope + 1e-3 / min(UTERUS_RADII))
+
+
+def cavity(seed: int) -> sdf.Field:
+    """Inner face of the uterine wall: the space of the fluid, the placenta and the fetus."""
+    return sdf.rippled(sdf.shrunk(_uterus(seed), UTERUS_WALL_MM), seed + 1, 0.7, 50.0)
+
+
+def mother(scale: float, seed: int) -> list[Part]:
+    """Everything but placenta, cord and fetus, outermost first."""
+
+    def solid(field: sdf.Field, tissue: str, pitch_mm: float, name: str) -> Part:
+        return Part(sdf.mesh_field(field, BODY_BOX, pitch_mm * scale, name), tissue)
+
+    fat_inside = sdf.rippled(sdf.shrunk(torso, SKIN_MM + FAT_MM), seed + 3, 1.0, 70.0)
+    return [
+        solid(torso, "skin", 4.4, "skin"),
+        solid(sdf.rippled(sdf.shrunk(torso, SKIN_MM), seed + 4, 0.12, 40.0), "fat", 4.4, "subcutaneous fat"),
+        solid(fat_inside, "muscle", 4.2, "abdominal wall"),
+        solid(sdf.rippled(_muscle_inside, seed + 5, 0.5, 60.0), "soft_tissue", 4.0, "abdominal cavity"),
+        *_back(scale, seed),
+        *_bowel(scale, seed),
+        solid(_uterus(seed), "uterine_wall", 2.4, "uterus"),
+        *_bladder(scale, seed),
+        solid(cavity(seed), "amniotic_fluid", 2.2, "amniotic cavity"),
+    ]
+
+
+def _bladder(scale: float, seed: int) -> list[Part]:
+    """Half-filled bladder, moulded to the front of the lower uterus."""
+    shape, beside = (
+        sdf.ellipsoid((3.0, -70.0, -104.0), (38.0, 20.0, 22.0)),
+        sdf.outside(sdf.shrunk(_uterus(seed), -5.5)),
+    )
+    lumen = sdf.rippled(sdf.intersection([shape, beside], 5.0), seed + 6, 0.6, 40.0)
+    shapes = ((sdf.shrunk(lumen, -3.0), "muscle", "bladder wall"), (lumen, "urine", "bladder"))
+    pitch_mm = min(1.8 * scale, 8.0)
+    return [Part(sdf.mesh_field(field, BODY_BOX, pitch_mm, name), tissue) for field, tissue, name in shapes]
+
+
+def _bowel(scale: float, seed: int) -> list[Part]:
+    """Loops of bowel beside the uterus, each with a pocket of gas."""
+    loops, gas = [], []
+    for i, (center, radius) in enumerate(GAS_POCKETS):
+        pocket = sdf.ellipsoid(center, (radius, 1.1 * radius, 1.5 * radius))
+        pocket = sdf.rippled(pocket, seed + 10 + i, 0.8, 3.0 * radius)
+        loops.append(sdf.mesh_field(sdf.shrunk(pocket, -3.0), BODY_BOX, min(1.8 * scale, 8.0), "loop"))
+        gas.append(sdf.mesh_field(pocket, BODY_BOX, min(1.8 * scale, 8.0), "gas"))
+    return [Part(joined(loops, "bowel"), "stomach_wall"), Part(joined(gas, "bowel gas"), "gas")]
+
+
+def _back(scale: float, seed: int) -> list[Part]:
+    """Psoas, back muscles, great vessels and the lumbar spine."""
+    pitch = min(2.6 * scale, 12.0)
+    muscles = [sdf.capsule((s * 42.0, 66.0, -130.0), (s * 34.0, 68.0, 110.0), 19.0, 13.0) for s in (-1, 1)]
+    muscles += [sdf.capsule((s * 34.0, 84.0, -140.0), (s * 36.0, 84.0, 140.0), 15.0, 15.0) for s in (-1, 1)]
+    back_muscles = sdf.rippled(sdf.union(muscles, 6.0), seed + 7, 0.8, 50.0)
+    bodies, processes = [], []
+    for level, z in enumerate(np.arange(-92.0, 100.0, 37.0)):
+        radii = ((23.0, 17.5, 60.0), (60.0, 60.0, 14.0))
+        body = sdf.intersection([sdf.ellipsoid((0.0, 69.0, z), r) for r in radii], 4.0)
+        waist = sdf.outside(sdf.ellipsoid((0.0, 40.0, z), (30.0, 13.0, 11.0)))
+        bone = sdf.rippled(sdf.intersection([body, waist], 4.0), seed + 30 + level, 0.3, 20.0)
+        bodies.append(sdf.mesh_field(bone, BODY_BOX, pitch, "vertebra"))
+        arch = [
+            sdf.capsule((0.0, 94.0, z - 2.0), (0.0, 102.0, z - 8.0), 3.5, 3.0),
+            *(sdf.capsule((s * 15.0, 80.0, z), (s * 3.0, 95.0, z - 2.0), 4.0, 3.5) for s in (-1, 1)),
+            *(sdf.capsule((s * 14.0, 84.0, z), (s * 36.0, 87.0, z + 2.0), 3.5, 2.5) for s in (-1, 1)),
+        ]
+        processes.append(sdf.mesh_field(sdf.union(arch, 3.0), BODY_BOX, min(pitch, 5.5), "arch"))
+    sides = max(6, round(40 / scale))
+    z = np.linspace(-120.0, 150.0, max(8, round(80 / scale)))
+    aorta = np.stack([7.0 + 3.0 * np.sin(z / 60.0), np.full_like(z, 43.0), z], 1)
+    cava = np.stack([-13.0 + 2.0 * np.sin(z / 50.0), np.full_like(z, 43.5), z], 1)
+    up = (1.0, 0.0, 0.0)
+    walls = [tube(path, np.full(len(z), r), sides, up) for path, r in ((aorta, 8.4), (cava, 9.0))]
+    lumens = [tube(path[1:-1], np.full(len(z) - 2, r), sides, up) for path, r in ((aorta, 7.2), (cava, 8.3))]
+    return [
+        Part(sdf.mesh_field(back_muscles, BODY_BOX, pitch * 1.3, "back muscles"), "muscle"),
+        Part(joined(walls, "aorta and cava walls"), "vessel_wall"),
+        Part(joined(lumens, "aorta and cava"), "blood"),
+        Part(joined(bodies, "vertebral bodies"), "bone"),
+        Part(joined(processes, "vertebral arches"), "bone"),
+    ]

@@ -1,0 +1,153 @@
+"""The umbilical cord: its way in loops from the navel to the placenta, and its jelly and vessels. World, mm."""
+
+from itertools import pairwise, permutations
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, map_coordinates, maximum_filter
+from skimage.graph import route_through_array
+
+from ablate.anatomy.fetal.fetus.axes import NAVEL_IN_TRUNK, curl
+from ablate.anatomy.fetal.fluid_space import PITCH_MM, FreeSpace
+from ablate.anatomy.fetal.mother import UTERUS_RADII
+from ablate.anatomy.fetal.part import Part
+from ablate.anatomy.fetal.placenta import REACH_DEG, face_points, from_middle, placenta_field
+from ablate.anatomy.fetal.pregnancy import Pregnancy
+from ablate.anatomy.shapes.tubes import arc_length, frames, interpolated, joined, smooth_path, tube
+from ablate.anatomy.shapes.vectors import unit
+
+JELLY_MM = 4.5  # radius of the cord
+WIND_MM = 26.0  # length of one turn of the arteries
+VESSELS = ((0.0, 1.7, 1.6), (132.0, 2.6, 0.95), (228.0, 2.6, 0.95))  # angle (deg), from the middle, radius (mm)
+WALL_MM = 0.3  # of a vessel
+ROOM_MM = 0.5  # least distance between the cord and anything else
+SPACING_MM = 4.0  # of the points that are moved
+_ROOT_IN_TRUNK = ((0.0, -20.0, -27.0), (0.0, -27.0, -27.0))
+_BLOCKED = 1e4
+
+
+def cord_route(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
+    """Middle line of the cord, and where it meets the placenta.
+
+    The shortest way through wide fluid is found, by way of up to three pockets far from everything, and then
+    tightened: its points are pushed away from walls, fetus and other turns of the cord, and towards a straight line.
+    Of the ways that touch nothing, the one through most pockets is taken. Returns the smooth path (n, 3), mm, from
+    under the skin of the navel into the placenta, and its point on the placenta's fetal face, (3,), mm.
+    """
+    space = pregnancy.uterus.without(pregnancy.balls())
+    root = pregnancy.to_world(curl(np.array([*_ROOT_IN_TRUNK, NAVEL_IN_TRUNK])))
+    leave = root[2] + 10.0 * unit(root[2] - root[1])
+    insertion, into = _insertion(pregnancy, space)
+    arrive = insertion - 13.0 * into
+    end = np.array([insertion, insertion + 6.0 * into])
+    pockets = _pockets(space)
+    best, least = np.empty((0, 3)), -np.inf
+    for stops in [*permutations(pockets, 3), *permutations(pockets, 2), *((pocket,) for pocket in pockets), ()]:
+        way = _by_way_of(space, [leave, *stops, arrive])
+        path = _relaxed(space, np.concatenate([root, way, end]))
+        room = _room(space, path)
+        if room > least:
+            best, least = path, room
+        if room > ROOM_MM:
+            break
+    return smooth_path(best, 4 * len(best)), insertion
+
+
+def _insertion(pregnancy: Pregnancy, space: FreeSpace) -> tuple[np.ndarray, np.ndarray]:
+    """A place near the middle of the placenta's face with much fluid before it, and the unit direction into it."""
+    field = placenta_field(pregnancy.seed, pregnancy.placenta)
+    turn = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
+    polar = np.deg2rad(REACH_DEG) * np.repeat((0.1, 0.3, 0.45), 10)
+    directions = from_middle(pregnancy.placenta, polar, np.tile(turn, 3))
+    points, into = face_points(field, directions), unit(directions / np.array(UTERUS_RADII))
+    best = int(np.argmax(np.minimum(space.at(points - 13.0 * into), 12.0) - 6.0 * polar))
+    return points[best], into[best]
+
+
+def _pockets(space: FreeSpace) -> list[np.ndarray]:
+    """At most three places of the fluid that are farthest from everything, 45 mm apart: (3,) mm each."""
+    roomy = space.clearance * (space.clearance == maximum_filter(space.clearance, 7))
+    order = np.argsort(roomy, axis=None)[::-1][:200]
+    order = order[roomy.ravel()[order] > 2.0 * JELLY_MM]
+    chosen: list[np.ndarray] = []
+    for point in space.points.reshape(-1, 3)[order]:
+        if all(np.linalg.norm(point - other) > 45.0 for other in chosen):
+            chosen.append(point)
+    return chosen[:3]
+
+
+def _by_way_of(space: FreeSpace, stops: list[np.ndarray]) -> np.ndarray:
+    """Shortest way from stop to stop through wide fluid, which also avoids its own earlier parts; (n, 3) mm."""
+    points = space.points
+    clearance = space.clearance.copy()
+    legs = []
+    for start, end in pairwise(stops):
+        spare = clearance - JELLY_MM - ROOM_MM
+        cost = np.where(spare > 0.0, 1.0 + (6.0 / np.maximum(spare, 0.5)) ** 2, _BLOCKED)
+        ends = [tuple(np.rint((p - space.first) / PITCH_MM).astype(int)) for p in (start, end)]
+        cells = np.array(route_through_array(cost, *ends, geometric=True)[0])
+        leg = points[tuple(cells.T)]
+        legs.append(leg)
+        passed = np.ones(clearance.shape, bool)
+        passed[tuple(cells[np.linalg.norm(leg - end, axis=1) > 12.0].T)] = False
+        clearance = np.minimum(clearance, distance_transform_edt(passed, PITCH_MM) - JELLY_MM)
+    return np.concatenate(legs)
+
+
+def _relaxed(space: FreeSpace, path: np.ndarray) -> np.ndarray:
+    """The path tightened and pushed away from everything; its first two points and its last one stay. (n, 3) mm."""
+    length = arc_length(path)
+    path, keep = path[np.r_[True, np.diff(length) > 1e-6]], length[np.r_[True, np.diff(length) > 1e-6]]
+    at = np.linspace(0.0, keep[-1], round(keep[-1] / SPACING_MM))
+    moving = interpolated(at, keep, path)
+    slope = np.stack(np.gradient(space.clearance, PITCH_MM))
+    far = np.abs(at[:, None] - at) > 5.0 * SPACING_MM
+    free = ((at > keep[1] + 1.0) & (at < keep[-1] - 1.0))[:, None]
+    inside = np.clip(np.minimum(at - keep[2], keep[-2] - at) / 14.0, 0.0, 1.0)[:, None]  # 0 at both ends
+    for _ in range(150):
+        pull = np.zeros_like(moving)
+        pull[1:-1] = (moving[:-2] + moving[2:]) / 2.0 - moving[1:-1]
+        bend = np.zeros_like(moving)
+        bend[2:-2] = (4.0 * (moving[1:-3] + moving[3:-1]) - moving[:-4] - moving[4:]) / 6.0 - moving[2:-2]
+        index = ((moving - space.first) / PITCH_MM).T
+        away = np.stack([map_coordinates(part, index, order=1, mode="nearest") for part in slope], axis=1)
+        narrow = np.clip(JELLY_MM + 3.0 - space.at(moving), 0.0, 6.0)[:, None]
+        apart = moving[:, None] - moving
+        distance = np.maximum(np.linalg.norm(apart, axis=2), 1e-6)
+        push = np.where(far, np.clip(2.0 * JELLY_MM + 4.0 - distance, 0.0, 6.0), 0.0)
+        aside = (push[:, :, None] * apart / distance[:, :, None]).sum(axis=1)
+        moving = moving + free * (0.15 * pull + 0.35 * bend + 0.25 * inside * narrow * away + 0.15 * aside)
+    return moving
+
+
+def _room(space: FreeSpace, path: np.ndarray) -> float:
+    """The least distance from the cord's surface to other things or to itself, mm; negative where it bends too much."""
+    fine = smooth_path(path, 3 * len(path))
+    at = arc_length(fine)
+    outside = (at > 20.0) & (at < at[-1] - 21.0)
+    from_others = float(space.at(fine[outside]).min()) - JELLY_MM
+    far = np.abs(at[:, None] - at) > np.pi * JELLY_MM
+    from_itself = float(np.linalg.norm(fine[:, None] - fine, axis=2)[far].min()) - 2.0 * JELLY_MM
+    tangent = np.gradient(fine, at, axis=0)
+    sharpest = float(np.linalg.norm(np.gradient(tangent, at, axis=0), axis=1).max())
+    return min(from_others, from_itself, 1.0 / sharpest - 1.2 * JELLY_MM)
+
+
+def umbilical_cord(scale: float, path: np.ndarray) -> list[Part]:
+    """Jelly, vessel walls and blood of a cord whose middle line is `path` (n, 3), from the fetus to the placenta."""
+    length = arc_length(path)
+    at = np.linspace(0.0, length[-1], max(24, round(length[-1] / min(1.1 * scale, 2.2))))
+    path = interpolated(at, length, path)
+    first, second = frames(path, (0.0, 0.0, 1.0))
+    walls, lumens = [], []
+    for start_deg, off_axis_mm, radius in VESSELS:
+        angle = (np.deg2rad(start_deg) + 2.0 * np.pi * at / WIND_MM)[:, None]
+        winding = path + off_axis_mm * (np.cos(angle) * first + np.sin(angle) * second)
+        sides = max(3, round(12 / scale))
+        walls.append(tube(winding[1:-1], np.full(len(path) - 2, radius + WALL_MM), sides))
+        lumens.append(tube(winding[2:-2], np.full(len(path) - 4, radius), sides))
+    jelly = joined([tube(path, np.full(len(path), JELLY_MM), max(5, round(20 / scale)))], "umbilical cord")
+    return [
+        Part(jelly, "wharton_jelly"),
+        Part(joined(walls, "cord vessel walls"), "vessel_wall"),
+        Part(joined(lumens, "cord vessels"), "blood"),
+    ]

@@ -1,0 +1,1 @@
+"""Real meshes made usable: cleaned, closed, checked."""

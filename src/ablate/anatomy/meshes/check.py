@@ -1,0 +1,170 @@
+"""Checks of a scene before rays are cast: closed surfaces, its size, and walls that two structures share.
+
+The tissue at a point is found by counting crossings, so a structure must be closed: a ray that enters through a hole
+crosses nothing, and has the wrong tissue to its end.
+"""
+
+import logging
+import warnings
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ablate.anatomy.meshes.closing import odd_edges, principal_axes, simple_loops
+from ablate.anatomy.meshes.repair import array_fault, have_area, merge_vertices, with_three_corners
+from ablate.anatomy.scene import Scene, Structure, bounds_mm
+
+logger = logging.getLogger(__name__)
+
+TOLERANCE_MM = 1e-3  # between the centroids of triangles that coincide
+GAP = 1e-5  # of a structure's largest extent: vertices nearer than this count as one, and no ray finds such a gap
+#: Largest extent of a body: from a superficial gland to more than a whole adult. An abdomen whose metres are read as mm
+#: is 0.3 mm large, one in micrometres 300 m. A factor of ten too small is not noticed: 34 mm may be an organ.
+BODY_MM = (5.0, 2250.0)
+_BODY_DEPTH_MM = 150.0  # the imaging depth for these extents: a scene may be scaled together with its probe
+_CHUNK = 256
+
+
+def check_scene(scene: Scene, depth_mm: float) -> None:
+    """Refuse structures whose image would be wrong; warn of a size that points to a wrong unit.
+
+    `depth_mm` is the imaging depth of the probe.
+
+    Raises
+    ------
+    ValueError
+        Naming the structure by index and tissue: when it has no triangles or none with an area, a triangle names a
+        vertex that is not there, a vertex is not finite or beyond 1.8e18 mm, or the surface is not closed.
+
+    Warns
+    -----
+    UserWarning
+        When the scene's largest extent is not that of a body (`BODY_MM`, for a depth of 150 mm).
+    """
+    for number, structure in enumerate(scene.structures):
+        if problem := _problem(structure):
+            raise ValueError(f"scene {scene.name!r}: structure {number} ({structure.tissue.name}) {problem}")
+    if not scene.structures:
+        return
+    size_mm, scale = largest_extent_mm(scene), depth_mm / _BODY_DEPTH_MM
+    small = size_mm < BODY_MM[0] * scale and len(scene.structures) > 1  # a lone one may be a point target
+    if small or size_mm > BODY_MM[1] * scale:
+        warnings.warn(
+            f"scene {scene.name!r}: its largest extent is {size_mm:.3g} mm and the probe images {depth_mm:.3g} mm "
+            "deep; are the vertices in mm?",
+            stacklevel=3,  # whoever builds the simulator
+        )
+
+
+def largest_extent_mm(scene: Scene) -> float:
+    """Largest side of the box around all structures, of which there must be at least one."""
+    return float(np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).max())
+
+
+def _problem(structure: Structure) -> str | None:
+    """What makes the image of a structure wrong; None where nothing does."""
+    vertices = np.asarray(structure.mesh.vertices, np.float64)
+    faces = np.asarray(structure.mesh.faces)
+    if fault := array_fault(vertices, faces):
+        return fault
+    chunks = range(0, len(faces), _CHUNK)
+    if not any(have_area(vertices, faces[start : start + _CHUNK]).any() for start in chunks):
+        return f"has no triangle with an area ({len(faces)} without)"
+    if _closed_by_hash(vertices, faces):
+        return None
+    edges, width_mm = openings(vertices, faces)
+    advice = "ablate.anatomy.meshes.repair drops doubled triangles and closes flat holes"
+    return f"is not closed: {edges} open edges, the largest hole {width_mm:.3g} mm wide; {advice}" if edges else None
+
+
+def _closed_by_hash(vertices: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether each edge lies in an even number of triangles, and no triangle occurs twice.
+
+    The exclusive or of the hashes of all edges is zero when every edge occurs an even number of times (Zobrist
+    hashing); of the other meshes about one in 2^60 gives zero too. No edges are sorted. The hash of an edge is the
+    squared difference of the hashes of its vertices, so it has no direction, and an edge from a vertex to itself has
+    zero. The hash of a vertex depends on its coordinates only, so it does not matter whether triangles share vertices.
+    """
+    a, b, c = _place_hash(vertices)[faces.T]
+    total = np.uint64(0)
+    for start, end in ((a, b), (b, c), (c, a)):
+        difference = start - end
+        total ^= np.bitwise_xor.reduce(difference * difference)
+    triangles = np.sort(a * b * c)
+    return total == 0 and not (triangles[1:] == triangles[:-1]).any()
+
+
+def _place_hash(vertices: np.ndarray) -> np.ndarray:
+    """A 64-bit hash of each vertex's coordinates, (n,) uint64; rounds of multiply and shift as in SplitMix64."""
+    bits = (vertices + 0.0).view(np.uint64)  # -0 becomes 0
+    mixed = np.full(len(bits), 0x9E3779B97F4A7C15, np.uint64)
+    for column in bits.T:
+        mixed = (mixed + column) * np.uint64(0xBF58476D1CE4E5B9)
+        mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0x94D049BB133111EB)
+        mixed ^= mixed >> np.uint64(31)
+    return mixed
+
+
+def openings(vertices: np.ndarray, faces: np.ndarray) -> tuple[int, float]:
+    """Number of edges on the rims of all holes that a ray can pass through, and the largest diameter of a hole, mm.
+
+    A triangle that occurs twice counts once, as it does for a ray. Vertices (n, 3) nearer than `GAP` count as one, and
+    a hole that is narrower, where one long edge meets several short ones, does not count.
+    """
+    vertices, faces = merge_vertices(vertices, faces)
+    faces = np.unique(np.sort(faces, axis=1), axis=0)
+    gap_mm = GAP * float(np.ptp(vertices, axis=0).max())
+    near = cKDTree(vertices).query_pairs(gap_mm, output_type="ndarray")
+    links = coo_array((np.ones(len(near), bool), near.T), shape=(len(vertices),) * 2)
+    _, place = connected_components(links, directed=False)
+    points = np.empty_like(vertices)
+    points[place] = vertices
+    loops = simple_loops(odd_edges(with_three_corners(place[faces])))
+    spans = [np.ptp(principal_axes(points[loop])[0], axis=0) for loop in loops]
+    holes = [(len(loop), long) for loop, (long, wide, _) in zip(loops, spans, strict=True) if wide > 2 * gap_mm]
+    return sum(edges for edges, _ in holes), float(max((long for _, long in holes), default=0.0))
+
+
+class SharedWall(NamedTuple):
+    """Two meshes that have triangles at the same place: their names, and the number of triangles."""
+
+    first_name: str
+    second_name: str
+    triangles: int
+
+
+def shared_walls(meshes: Sequence[trimesh.Trimesh]) -> list[SharedWall]:
+    """Pairs of meshes with triangles whose centroids coincide, in the order of the meshes.
+
+    Centroids coincide when they lie in one cell of a grid of spacing `TOLERANCE_MM`, or of that grid shifted by half.
+    """
+    if len(meshes) < 2:
+        return []
+    centroids = np.concatenate([mesh.triangles_center for mesh in meshes])
+    owner = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
+    counts: dict[tuple[int, int], int] = {}
+    for shift in (0.0, 0.5):
+        cell = np.floor(centroids / TOLERANCE_MM + shift).astype(np.int64)
+        order = np.lexsort((owner, *cell.T))
+        same = (np.diff(cell[order], axis=0) == 0).all(axis=1) & (np.diff(owner[order]) > 0)
+        pairs, number = np.unique(
+            np.stack([owner[order[:-1]][same], owner[order[1:]][same]], axis=1), axis=0, return_counts=True
+        )
+        for (i, j), n in zip(pairs.tolist(), number.tolist(), strict=True):
+            counts[i, j] = max(n, counts.get((i, j), 0))
+    names = [str(mesh.metadata.get("name", f"structure {i}")) for i, mesh in enumerate(meshes)]
+    return [SharedWall(names[i], names[j], n) for (i, j), n in sorted(counts.items())]
+
+
+def warn_of_shared_walls(meshes: Sequence[trimesh.Trimesh]) -> None:
+    """Log a warning for each pair that `shared_walls` finds; they break the counting of crossings."""
+    for wall in shared_walls(meshes):
+        logger.warning(
+            "%s and %s share a wall (%d triangles coincide within %g mm): ownership there is undefined",
+            *wall, TOLERANCE_MM,
+        )  # fmt: skip

@@ -1,0 +1,1 @@
+"""Shapes that the built-in anatomy is made of."""

@@ -1,0 +1,66 @@
+"""The scores of a run: those of its generator, and those of re-simulation, the same frames with other scatterers."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from filelock import FileLock
+
+from ablate.dataset import Pairs, Part
+from ablate.evaluation.scorer import ImageSource, Scorer, Scores
+from ablate.metrics import METRICS, METRICS_VERSION
+from ablate.metrics.stored_names import FLOOR_PREFIX, MODEL, RESIMULATED
+from ablate.storage import digest, write_json
+
+
+def resimulation_images(pairs: Pairs) -> ImageSource:
+    """The re-simulated frames; an odd noise draw gives the target, which has other scatterers again."""
+
+    def images_of(frames: np.ndarray, draw: int) -> np.ndarray:
+        return pairs.read("target" if draw % 2 else "resimulation", frames)
+
+    return images_of
+
+
+def resimulation_scores(scorer: Scorer, part: Part) -> Scores:
+    """The floor, or the level, of every metric, which is the same for every run on a data set.
+
+    The first of several jobs computes and stores it beside the data set, and the others wait. It is not stored where
+    one of the metrics is a user's own, because the function may change under its name.
+    """
+    scorer = replace(scorer, settings=replace(scorer.settings, noise_draws=2))
+    images_of = resimulation_images(scorer.pairs)
+    if not scorer.metrics.keys() <= METRICS.keys():
+        return scorer.score(part, images_of, draws_noise=True)
+    made_from = {
+        "version": METRICS_VERSION,
+        "metrics": sorted(scorer.metrics),
+        "inception": scorer.inception is not None,
+        "noise_frames": scorer.settings.noise_frames,
+    }
+    kept = scorer.pairs.folder / "resimulation" / f"{part.name}-{digest(made_from)}.json"
+    kept.parent.mkdir(exist_ok=True)
+    with FileLock(kept.with_suffix(".lock")):
+        if not kept.exists():
+            found = scorer.score(part, images_of, draws_noise=True)
+            write_json(kept, {"per_image": found.per_image.to_dict("list"), "scalars": found.scalars})
+    read = json.loads(kept.read_text())
+    return Scores(pd.DataFrame(read["per_image"]), read["scalars"])
+
+
+def score_run(scorer: Scorer, images_of: ImageSource, draws_noise: bool) -> Scores:
+    """Score a generator, and re-simulation where the data set has it; arguments as for `Scorer.score`."""
+    tables: list[pd.DataFrame] = []
+    scalars: dict[str, float] = {}
+    notes: tuple[str, ...] = ()
+    for part, prefix in ((Part.validation, "val"), (Part.test, "test")):
+        scored = {MODEL: scorer.score(part, images_of, draws_noise)}
+        if "resimulation" in scorer.pairs.maps:
+            scored[RESIMULATED] = resimulation_scores(scorer, part)
+        for source, found in scored.items():
+            tables.append(found.per_image.assign(source=source, split=part.name))
+            mark = FLOOR_PREFIX if source == RESIMULATED else ""
+            scalars |= {f"{prefix}/{mark}{name}": value for name, value in found.scalars.items()}
+        notes = scored[MODEL].notes
+    return Scores(pd.concat(tables, ignore_index=True), scalars, notes)

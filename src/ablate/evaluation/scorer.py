@@ -1,0 +1,180 @@
+"""Scores of images of the frames of a data set, such as those of a trained generator."""
+
+import logging
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+
+import numpy as np
+import pandas as pd
+import torch
+from tqdm import tqdm
+
+from ablate.anatomy import Tissue, TissueKind
+from ablate.dataset import Pairs, Part, equally_spaced
+from ablate.evaluation.set_scores import distances, not_computed
+from ablate.evaluation.settings import EvaluationSettings
+from ablate.metrics import (
+    FeatureKind,
+    InceptionFeatures,
+    Metric,
+    Pair,
+    choose_metrics,
+    evaluate_image,
+    speckle_features,
+)
+from ablate.metrics.stored_names import SCORE_COLUMNS
+from ablate.ultrasound import ConvexProbe, fan_mask
+from ablate.ultrasound.probe import pixel_polar
+
+#: What gives images for frames: (numbers of the frames (k,), number of the noise draw) -> (k, H, W) uint8.
+ImageSource = Callable[[np.ndarray, int], np.ndarray]
+Features = tuple[np.ndarray, np.ndarray]  # of images and of their targets, a row each
+_BATCH = 8
+_SAME_FAN = 0.98  # of the pixels of two fans together lie in both
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Scores of the images of some frames.
+
+    Attributes
+    ----------
+    per_image : DataFrame
+        Columns frame, site, metric, value: infinite PSNR where an image equals its target, NaN where a user's own
+        metric failed. The scores of a run have the columns source (`model`, `resimulation`) and split too.
+    scalars : dict
+        Mean of each per-image metric over its finite values, and what only a set of images has (`fd_speckle`,
+        `noise_sd`, ...); `_lower` and `_upper` are the ends of a 95 % interval. The scores of a run have names such
+        as `test/psnr`, `test/floor_psnr` and `val/psnr`.
+    notes : tuple of str
+        Metrics that were asked for and not computed, and why.
+    """
+
+    per_image: pd.DataFrame
+    scalars: dict[str, float]
+    notes: tuple[str, ...] = ()
+
+
+def tissue_labels(tissues: tuple[Tissue, ...]) -> np.ndarray:
+    """Labels of soft tissue and bone, uint8; gas and fluid are left out."""
+    found = [i + 1 for i, t in enumerate(tissues) if t.kind in (TissueKind.soft, TissueKind.bone)]
+    return np.asarray(found, np.uint8)
+
+
+def describes_fan(probe: ConvexProbe, mask: np.ndarray) -> bool:
+    """Whether a fan is that of a probe, up to a few pixels; only then are the depths of the pixels known."""
+    expected = fan_mask(probe, (mask.shape[0], mask.shape[1]))
+    return bool((expected & mask).sum() >= _SAME_FAN * (expected | mask).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Scorer:
+    """Scores images against the targets of a data set.
+
+    Metrics that need what the data set does not hold are left out.
+
+    Attributes
+    ----------
+    tissues : tuple of Tissue
+        Behind the labels 1, 2, ... of the segmentation.
+    inception : callable, optional
+        From `load_inception`; without it there is no FID and no KID.
+    """
+
+    pairs: Pairs
+    tissues: tuple[Tissue, ...]
+    probe: ConvexProbe
+    settings: EvaluationSettings = EvaluationSettings()
+    metrics: Mapping[str, Metric] = field(default_factory=choose_metrics)
+    inception: InceptionFeatures | None = None
+
+    @cached_property
+    def _mask(self) -> np.ndarray:
+        return self.pairs.mask()
+
+    @cached_property
+    def _solid(self) -> np.ndarray:
+        return tissue_labels(self.tissues)
+
+    @cached_property
+    def _depth_mm(self) -> np.ndarray | None:
+        return pixel_polar(self.probe, self.pairs.shape)[0] if describes_fan(self.probe, self._mask) else None
+
+    def score(self, part: Part, images_of: ImageSource, draws_noise: bool) -> Scores:
+        """Score images of the frames of one part, in as many threads as torch is set to use.
+
+        `draws_noise` tells whether a second noise draw can give another image; `noise_sd` is 0 where it cannot.
+        """
+        frames = self.pairs.frames(part)
+        sites = self.pairs.sites[frames]
+        missing, notes = not_computed(self.metrics.values(), self._mask, len(frames), self.inception)
+        computed = [metric for name, metric in self.metrics.items() if name not in missing]
+        speckle, fid = ([m for m in computed if m.uses(kind)] for kind in (FeatureKind.speckle, FeatureKind.inception))
+        score_frame = partial(self._score_frame, with_texture=bool(speckle))
+        scored: list[tuple[dict[str, float], Features]] = []
+        of_inception: list[Features] = []
+        with (
+            ThreadPoolExecutor(torch.get_num_threads()) as pool,
+            tqdm(total=len(frames), desc=f"evaluate {part.name}", leave=False, mininterval=1.0, disable=None) as bar,
+        ):
+            for start in range(0, len(frames), _BATCH):
+                batch = frames[start : start + _BATCH]
+                images = images_of(batch, 0)
+                scored += pool.map(score_frame, batch, images)
+                if fid and self.inception is not None:
+                    of_inception.append((self.inception(images), self.inception(self.pairs.read("target", batch))))
+                bar.update(len(batch))
+        per_image = _table(part, frames, sites, [values for values, _ in scored])
+        finite = per_image[np.isfinite(per_image["value"])]
+        scalars = {str(name): float(value) for name, value in finite.groupby("metric")["value"].mean().items()}
+        for of_sets, features in ((speckle, [texture for _, texture in scored]), (fid, of_inception)):
+            if of_sets:
+                found, wanted = (np.concatenate(side) for side in zip(*features, strict=True))
+                scalars |= distances(of_sets, found, wanted, sites)
+        for metric in computed:
+            if metric.of_draws is not None:
+                spreads = self._over_draws(metric.of_draws, frames, images_of) if draws_noise else [0.0]
+                if spreads:
+                    scalars[metric.name] = float(np.mean(spreads))
+        return Scores(per_image, scalars, notes)
+
+    def _score_frame(self, frame: int, image: np.ndarray, with_texture: bool) -> tuple[dict[str, float], Features]:
+        """The metrics of one frame, and the speckle features of image and target where they are wanted."""
+        target, labels = self.pairs.stored("target", frame), self.pairs.stored("segmentation", frame)
+        attenuation = self.pairs.read("attenuation", [frame])[0] if "attenuation" in self.pairs.maps else None
+        tissue_mask = np.isin(labels, self._solid)
+        pair = Pair(image, target, self._mask, tissue_mask, attenuation, self._depth_mm, labels)
+        try:
+            values = evaluate_image(pair, self.metrics.values())
+        except Exception as error:
+            error.add_note(f"of frame {frame}")
+            raise
+        if not with_texture:
+            return values, (np.empty(0), np.empty(0))
+        return values, (speckle_features(image[None], self._mask), speckle_features(target[None], self._mask))
+
+    def _over_draws(
+        self, measure: Callable[..., float | None], frames: np.ndarray, images_of: ImageSource
+    ) -> list[float]:
+        """A metric of the noise draws in tissue, of each of some frames that have tissue."""
+        shown = equally_spaced(frames, self.settings.noise_frames)
+        draws = np.stack([images_of(shown, draw) for draw in range(self.settings.noise_draws)])
+        labels = self.pairs.read("segmentation", shown)
+        found = [measure(draws[:, k], np.isin(labels[k], self._solid)) for k in range(len(shown))]
+        return [f for f in found if f is not None]
+
+
+def _table(part: Part, frames: np.ndarray, sites: np.ndarray, values: list[dict[str, float]]) -> pd.DataFrame:
+    """One row a frame and metric."""
+    rows = [
+        (int(frame), int(site), name, value)
+        for frame, site, of_frame in zip(frames, sites, values, strict=True)
+        for name, value in of_frame.items()
+    ]
+    table = pd.DataFrame(rows, columns=list(SCORE_COLUMNS)).astype({"value": "float64"})
+    for name, of_metric in table[table["value"].isna()].groupby("metric"):
+        named = ", ".join(of_metric["frame"].astype(str))
+        logging.getLogger(__name__).warning("%s is NaN on %s frame %s: not in its mean", name, part.name, named)
+    return table

@@ -1,0 +1,50 @@
+"""What a per-image metric reads: a rendered image beside its target, and the maps of its frame."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ablate.metrics.fidelity import check_pair
+from ablate.metrics.patch_histograms import patch_chi2
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A prediction beside its target and the maps of the frame; raises ValueError when shapes or dtypes do not fit.
+
+    Attributes
+    ----------
+    prediction, target : (H, W) uint8
+        Grey levels.
+    mask : (H, W) bool
+        The fan.
+    tissue_mask : (H, W) bool, optional
+        Pixels of tissue; fluid, gas and the outside are False.
+    attenuation : (H, W) float in [0, 1], optional
+        The integral attenuation map.
+    depth_mm : (H, W) float, mm, optional
+        Distance from the probe's face along the scanline.
+    segmentation : (H, W) uint8, optional
+        Tissue labels.
+    """
+
+    prediction: np.ndarray
+    target: np.ndarray
+    mask: np.ndarray
+    tissue_mask: np.ndarray | None = None
+    attenuation: np.ndarray | None = None
+    depth_mm: np.ndarray | None = None
+    segmentation: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        check_pair(self.prediction, self.target)
+        for name in ("mask", "tissue_mask", "attenuation", "depth_mm", "segmentation"):
+            array = getattr(self, name)
+            if array is not None and array.shape != self.target.shape:
+                raise ValueError(f"{name} must be {self.target.shape}, got {array.shape}")
+
+    @cached_property
+    def chi2_map(self) -> np.ndarray:
+        """(H // 20, W // 20) float: patch chi-square map, computed once."""
+        return patch_chi2(self.prediction, self.target)

@@ -1,0 +1,14 @@
+"""Names in stored scores, once for all rooms that write or read them: columns of tables, suffixes, prefixes."""
+
+SCORE_COLUMNS = ("frame", "site", "metric", "value")  # of an evaluation, one row a metric of a frame
+SOURCES = MODEL, RESIMULATED = ("model", "resimulation")  # of images: the trained generator, or other scatterers
+STORED_COLUMNS = (*SCORE_COLUMNS, "source", "split", "variant", "seed")  # `per_image.parquet` of a run
+PER_IMAGE_COLUMNS = ("variant", "seed", *SCORE_COLUMNS)  # of compared runs; the re-simulation is one of the variants
+SCALAR_COLUMNS = ("variant", "seed", "metric", "value")  # one row a metric of a run; `BOUNDS` may follow
+BOUNDS = ("lower", "upper")  # ends of an interval: columns of tables, and suffixes as in `test/fd_speckle_lower`
+FLOOR_PREFIX = "floor_"  # of a scalar of the re-simulation, as `test/floor_psnr`
+
+
+def is_bound(name: str) -> bool:
+    """Whether a scalar is an end of the interval of another."""
+    return name.endswith(tuple(f"_{side}" for side in BOUNDS))

@@ -1,0 +1,91 @@
+"""Sizes of a network that need no memory for it: parameters, and the input region that an output pixel depends on."""
+
+from collections.abc import Iterable
+
+import torch
+from torch import nn
+
+from ablate.networks.discriminator import PatchDiscriminator, discriminator_channels
+from ablate.networks.generator import Generator
+from ablate.networks.layers import Convolution, Stages, convolutions
+from ablate.networks.spec import Concat, GeneratorSpec
+
+Interval = tuple[int, int]
+
+
+def count_generator(spec: GeneratorSpec) -> int:
+    """Count the generator's parameters."""
+    with torch.device("meta"):
+        return count_parameters(Generator(spec))
+
+
+def count_discriminator(spec: GeneratorSpec, width: float | None = None) -> int:
+    """Count the parameters of this generator's discriminator; `width` is the generator's unless given."""
+    width = spec.width if width is None else width
+    with torch.device("meta"):
+        return count_parameters(PatchDiscriminator(discriminator_channels(spec), width))
+
+
+def count_parameters(network: nn.Module) -> int:
+    """Count the elements of all parameters of a network."""
+    return sum(parameter.numel() for parameter in network.parameters())
+
+
+def receptive_field(spec: GeneratorSpec) -> int:
+    """Compute the side of the generator's receptive field, px.
+
+    Intervals of pixels are followed from the output back to the input, through every skip connection and every resized
+    map. The result depends by a few pixels on the position relative to the strides; the largest is returned. The
+    statistics of instance norm, which are global, and the border of the image are not counted.
+    """
+    with torch.device("meta"):
+        stages = Generator(spec).network.stages()
+    period = 2**spec.depth
+    feeds_maps = spec.concat is Concat.every_level
+    extents = (_pixels_reached(stages, period * 64 + phase, feeds_maps) for phase in range(period))
+    return max(last - first + 1 for first, last in extents)
+
+
+def patch_size(discriminator: PatchDiscriminator) -> int:
+    """Compute the side of the patch that one output of the discriminator depends on, px."""
+    interval = (1 << 10, 1 << 10)
+    for layer in reversed(convolutions(discriminator)):
+        interval = _inputs_of(layer, interval)
+    return interval[1] - interval[0] + 1
+
+
+def _pixels_reached(stages: Stages, pixel: int, feeds_maps: bool) -> Interval:
+    """Follow one output pixel back to the interval of input pixels it depends on."""
+    reached: list[Interval] = []
+
+    def through(layers: Iterable[Convolution], interval: Interval, level: int) -> Interval:
+        for layer in layers:
+            interval = _inputs_of(layer, interval)
+            if layer.stride[0] == 2:
+                level += 1 if isinstance(layer, nn.ConvTranspose2d) else -1
+            if feeds_maps:  # a position of the map of this level was resized from these pixels (nearest and bilinear)
+                step = 2**level
+                reached.append((interval[0] * step, interval[1] * step + step // 2))
+        return interval
+
+    decoder = [through(stages.head, (pixel, pixel), 0)]
+    for level, layers in enumerate(stages.up):
+        decoder.append(through(reversed(layers), decoder[level], level))
+    bottom = len(stages.down)
+    encoder = _union(decoder[bottom], through(stages.bottleneck, decoder[bottom], bottom))
+    for level in reversed(range(bottom)):
+        encoder = _union(decoder[level], through(reversed(stages.down[level]), encoder, level + 1))
+    return _union(through(stages.stem, encoder, 0), *reached)
+
+
+def _inputs_of(layer: Convolution, outputs: Interval) -> Interval:
+    """Find the input positions that a convolution reads for these output positions."""
+    kernel, stride, padding = layer.kernel_size[0], layer.stride[0], int(layer.padding[0])
+    if isinstance(layer, nn.ConvTranspose2d):
+        # Output o takes input i where o = i * stride - padding + tap, for tap in 0 to kernel - 1.
+        return -((kernel - 1 - padding - outputs[0]) // stride), (outputs[1] + padding) // stride
+    return outputs[0] * stride - padding, outputs[1] * stride - padding + kernel - 1
+
+
+def _union(*intervals: Interval) -> Interval:
+    return min(first for first, _ in intervals), max(last for _, last in intervals)

@@ -1,0 +1,1 @@
+"""How far the numbers can be trusted: error against run time, and stiff and extreme cases."""

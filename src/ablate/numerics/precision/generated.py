@@ -1,0 +1,167 @@
+"""Error and time of every trained run on disk that was trained on the same pairs."""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+import torch
+
+from ablate.config import StudySettings, build
+from ablate.dataset import decode_grey_levels, label_values, network_inputs
+from ablate.networks import Generator, conditions
+from ablate.numerics.precision.bench import Bench, make_inputs
+from ablate.numerics.precision.csv_table import CsvTable
+from ablate.numerics.precision.errors import Frames, mean_errors
+from ablate.storage import digest
+from ablate.studies.comparison.results import Finished, finished_runs
+from ablate.studies.pairs.data import about_data
+from ablate.training import (
+    LAST,
+    Engine,
+    TrainingPrecision,
+    chosen_device,
+    chosen_precision,
+    load_generator,
+    missing_for,
+    open_engine,
+)
+
+_WARMUP = 2
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Execution:
+    """Precision and engine that a generator is run with."""
+
+    precision: TrainingPrecision
+    engine: Engine
+
+
+def comparable_runs(settings: StudySettings) -> tuple[list[Finished], str]:
+    """List the finished runs of all studies in `runs_dir` that can be compared, and say how many are left out.
+
+    A run that was trained on other data has seen some of these test frames, or frames of another kind. A run without a
+    checkpoint cannot be executed.
+    """
+    about = about_data(settings)
+    studies = sorted({path.parents[2] for path in settings.runs.glob("*/*/seed*/result.json")})
+    runs = [run for study in studies for run in finished_runs(study)]
+    if not runs:
+        return [], f"no trained run in {settings.runs}: the simulator alone"
+    same = [run for run in runs if run.spec["semantic"]["data"] == about]
+    fit = [run for run in same if (run.folder / LAST).exists()]
+    said = f"{len(fit)} trained runs"
+    if others := len(runs) - len(same):
+        said += f"; {others} left out, they learned from other data"
+    if bare := len(same) - len(fit):
+        said += f"; {bare} left out, without a checkpoint"
+    return fit, said
+
+
+def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...]]:
+    """List precisions and engines that this machine can run, eager first, and say what is missing for the others."""
+    device = chosen_device(settings.training.device)
+    notes = []
+    precisions = [TrainingPrecision.fp32]
+    if chosen_precision(TrainingPrecision.auto, device) is TrainingPrecision.bf16:
+        precisions.append(TrainingPrecision.bf16)
+    else:
+        notes.append(f"bf16: {device.type} here does not multiply it")
+    engines = []
+    for engine in Engine:
+        if lacking := missing_for(engine, device):
+            notes.append(f"engine {engine}: needs {lacking}")
+        else:
+            engines.append(engine)
+    return [Execution(p, e) for e in engines for p in precisions], tuple(notes)
+
+
+def schedule_of(runs: list[Finished], settings: StudySettings) -> list[tuple[Finished, list[Execution]]]:
+    """Choose the precisions and engines for each run.
+
+    Every run is executed in eager mode in all precisions. Compiling and exporting take up to a minute each, so only the
+    first run of each network is compiled and exported: the time of a network does not depend on its weights.
+    """
+    every, _ = executions(settings)
+    eager = [execution for execution in every if execution.engine is Engine.eager]
+    seen: set[str] = set()
+    planned = []
+    for run in sorted(runs, key=lambda r: (str(r.folder.parents[1]), r.label, r.seed)):
+        network = digest(run.spec["semantic"]["model"])
+        planned.append((run, eager if network in seen else every))
+        seen.add(network)
+    return planned
+
+
+def measure_generators(
+    bench: Bench,
+    planned: list[tuple[Finished, list[Execution]]],
+    settings: StudySettings,
+    reference: Frames,
+    points: CsvTable,
+    details: CsvTable,
+    advance: Callable[[], object],
+) -> None:
+    """Measure every run; the time of a frame is that of its inputs and of the network.
+
+    An execution that fails, as compilers and runtimes can, is left out with a warning. `advance` is called once for the
+    inputs of each pose, then for each execution.
+    """
+    if not planned:
+        return
+    maps, inputs = make_inputs(bench, advance)
+    device = chosen_device(settings.training.device)
+    for run, its_executions in planned:
+        exact: Frames | None = None
+        for execution in its_executions:
+            setting = _setting(run, execution, settings)
+            advance()
+            try:
+                generator = load_generator(run.folder / LAST).to(device)
+                rendered, network_ms = _render(run, generator, maps, bench, execution)
+            except Exception as failure:
+                _LOG.warning("left out, %s, %s: %s", run.label, setting, " ".join(str(failure).split())[:300])
+                continue
+            needed = {name: inputs[name] for name in conditions(generator.spec)}
+            ms = sum(needed.values()) + network_ms
+            points.add_each(run.label, setting, ms, values=mean_errors(rendered, reference, bench.mask))
+            details.add_each("stage", run.label, setting, values={**needed, "network": network_ms})
+            if exact is None:
+                exact = rendered
+                continue
+            errors = mean_errors(rendered, exact, bench.mask)
+            details.add_each("limit", f"{run.label}, against fp32 eager", setting, values=errors)
+
+
+def _setting(run: Finished, execution: Execution, settings: StudySettings) -> str:
+    """Name an execution among those of a label; the study is named if it is not the present one."""
+    width = run.spec["settings"]["model"]["width"]
+    study = run.folder.parents[1].name
+    elsewhere = "" if study == settings.study else f", {study}"
+    return f"width {width:g}, {execution.precision}, {execution.engine}, seed {run.seed}{elsewhere}"
+
+
+@torch.inference_mode()
+def _render(
+    run: Finished, generator: Generator, maps: dict[str, np.ndarray], bench: Bench, execution: Execution
+) -> tuple[Frames, float]:
+    """Render every frame, and measure the median milliseconds from stored maps to grey levels, after a warm-up."""
+    trained = build(StudySettings, run.spec["settings"])
+    values = label_values(bench.scene.tissues, trained.encoding, trained.encoding_seed)
+    stored = {name: maps[name] for name in conditions(generator.spec)}
+    device = next(generator.parameters()).device
+    render = open_engine(generator, *bench.simulator.image_shape, execution.precision, execution.engine)
+    mask = torch.from_numpy(bench.mask).to(device)
+    images, times = [], []
+    for k in [0] * _WARMUP + list(range(len(bench.frames))):
+        start = time.perf_counter()
+        read = network_inputs({name: m[k : k + 1] for name, m in stored.items()}, values, bench.mask)
+        seed = torch.tensor([int(bench.frames[k])], device=device)
+        image = render({name: m.to(device) for name, m in read.items()}, seed)
+        images.append(decode_grey_levels(image[0, 0], mask).cpu().numpy())  # waits for the device
+        times.append(1e3 * (time.perf_counter() - start))
+    return Frames(np.stack(images[_WARMUP:])), median(times[_WARMUP:])

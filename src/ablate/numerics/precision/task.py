@@ -1,0 +1,100 @@
+"""`task=precision`: measure, draw, print, and log everything to an MLflow run."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from tqdm import tqdm
+
+from ablate.analysis import RESIMULATION, error_vs_runtime, order_figure
+from ablate.config import ConfigurationError, StudySettings
+from ablate.numerics.precision.bench import Bench, bench_of
+from ablate.numerics.precision.csv_table import CsvTable
+from ablate.numerics.precision.generated import comparable_runs, executions, measure_generators, schedule_of
+from ablate.numerics.precision.simulated import RAYS_SERIES, ladders, measure_simulator, series_name, work
+from ablate.numerics.precision.summary import as_text, floors, orders, tables, time_of_parts, verdict
+from ablate.studies.comparison.results import Finished
+from ablate.studies.jobs.job import Job
+from ablate.tracking import RunLog, Status, git_state, hardware, open_store, task_run
+from ablate.ultrasound.render_plan import plan_scene
+
+
+def precision(jobs: Sequence[Job]) -> int:
+    """Error against run time of the simulator and of the trained runs on disk, for the first job's data set."""
+    settings = jobs[0].settings
+    try:
+        runs, found = comparable_runs(settings)
+        bench = bench_of(settings)
+    except (ValueError, FileNotFoundError) as error:  # a mesh with a hole, no usable pose, ...
+        raise ConfigurationError(str(error)) from error
+    about = _about(settings, bench, found, executions(settings)[1] if runs else ())
+    print("\n".join(about), flush=True)
+    folder = settings.runs / "precision"
+    points = CsvTable(folder / "precision.csv", "series setting ms metric error")
+    details = CsvTable(folder / "details.csv", "table series setting quantity value")
+    store = open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
+    run = RunLog(store, task_run(store, "precision", settings.study))
+    status = Status.failed
+    try:
+        _measure(settings, bench, runs, points, details)
+        for path in _report(bench, about, points, details, run):
+            print(path)
+        status = Status.finished
+    except KeyboardInterrupt:
+        status = Status.killed
+        sys.exit(f"ablate: interrupted; what was measured is in {folder}, the same command measures it again")
+    finally:
+        for kept in (points, details):
+            run.artifact(kept.path)
+        code = {k: v for k, v in git_state(Path(__file__).parent).items() if k != "git_diff"}
+        run.tags({"hardware": hardware(), "scene": settings.scene_name, **code})
+        run.end(status)
+    return 0
+
+
+def _about(settings: StudySettings, bench: Bench, found: str, lacking: Sequence[str]) -> list[str]:
+    """Say what is measured, on what hardware, and what is left out."""
+    s = bench.simulator
+    triangles = sum(len(structure.mesh.faces) for structure in bench.scene.structures)
+    left_out = plan_scene(bench.scene, bench.probe, s, bench.poses).left_out
+    return [
+        f"{hardware()}, {torch.get_num_threads()} threads.",
+        f"{settings.scene_name}, {triangles:,} triangles; {len(bench.frames)} test frames of "
+        f"{s.image_shape[0]} x {s.image_shape[1]} pixels; {s.rays} rays, {s.layers} layers, {s.scanlines} scanlines, "
+        f"{s.axial_samples} axial samples unless a series says otherwise.",
+        f"{found}.",
+        *(f"left out, {note}." for note in lacking),
+        *(f"left out by the plan: {note}." for note in left_out),
+    ]
+
+
+def _measure(settings: StudySettings, bench: Bench, runs: list[Finished], points: CsvTable, details: CsvTable) -> None:
+    planned = schedule_of(runs, settings)
+    steps = work(bench.simulator, len(bench.frames))
+    steps += len(bench.frames) * bool(planned) + sum(len(its_executions) for _, its_executions in planned)
+    with tqdm(total=steps, unit="step", desc="precision", mininterval=1.0) as bar:
+        reference = measure_simulator(bench, points, details, bar.update)
+        measure_generators(bench, planned, settings, reference, points, details, bar.update)
+
+
+def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable, run: RunLog) -> list[Path]:
+    """Print the tables, draw the figures, log both, and return the paths of the files except PDFs."""
+    folder, errors, more = points.path.parent, points.table(), details.table()
+    level = floors(errors, bench.simulator.rays)
+    figures = error_vs_runtime(errors, folder / "precision", level, hardware(), time_of_parts(more))
+    base = {series_name(name): getattr(bench.simulator, name) for name in ladders(bench.simulator)}
+    of_rays, grids = errors[errors["series"] == RAYS_SERIES], more[more["table"] == "convergence"]
+    figures += order_figure(of_rays, grids, base, folder / "precision_order")
+    shown = tables(errors, more)
+    head = [verdict(more), f"{RESIMULATION}: " + ", ".join(f"{name} {value:.3g}" for name, value in level.items())]
+    print("\n".join([*head, "", as_text(shown), ""]))
+    summary = folder / "summary.txt"
+    summary.write_text("\n".join([*about, *head, "", as_text(shown), ""]))
+    run.artifact(summary)
+    for figure in figures:
+        run.artifact(figure, "vector" if figure.suffix == ".pdf" else None)
+    run.metrics({f"order/{row['metric']}": row["p"] for row in orders(errors).to_dict("records")})
+    first = as_text(dict(list(shown.items())[:1]))  # the run's first page has room for one table
+    run.describe("\n\n".join([*about, *head, f"```\n{first}\n```", "The rest: Artifacts, `summary.txt`."]))
+    return [points.path, details.path, summary, *(f for f in figures if f.suffix == ".png")]

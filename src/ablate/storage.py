@@ -1,0 +1,46 @@
+"""Files that are written whole or not at all, and the digest of what is written as JSON."""
+
+import glob
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Give the name of a new file beside `path`, which replaces `path` when the block ends without an error.
+
+    The name is different each time, so several processes may write `path` at once, and readers find the old file or
+    a new one. The new file has the suffix of `path`. An error removes it and leaves `path` as it was; a full disk is
+    an OSError.
+    """
+    partial = path.with_name(f"{path.stem}.{uuid4().hex}.partial{path.suffix}")
+    try:
+        yield partial
+        with partial.open("r+b") as file:
+            os.fsync(file.fileno())  # some file systems notice only here that the disk is full
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def remove_partial(path: Path) -> None:
+    """Remove what killed processes left of `path`; only where no other process may be writing it."""
+    for left in path.parent.glob(f"{glob.escape(path.stem)}.*.partial{glob.escape(path.suffix)}"):
+        left.unlink(missing_ok=True)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON whole or not at all."""
+    with written_whole(path) as partial:
+        partial.write_text(json.dumps(content, indent=2, sort_keys=True))
+
+
+def digest(value: Any) -> str:
+    """First 16 hexadecimal digits of the SHA-256 of a JSON value."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]

@@ -1,0 +1,148 @@
+"""Compare the finished runs of a study: tables, figures and a report on disk and in the parent run."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from ablate import analysis
+from ablate.analysis import REFERENCE, Spread
+from ablate.config import ConfigurationError, StudySettings
+from ablate.metrics import Shown, shown_in
+from ablate.networks import COMPONENTS
+from ablate.storage import write_json
+from ablate.studies.comparison.figures import Numbers, draw_figures, stored_pictures
+from ablate.studies.comparison.results import Finished, appendix, data_of, provenance, scored_frames
+from ablate.studies.comparison.usable_runs import UsableRuns, usable_runs
+from ablate.studies.tracked import describe_study, open_tracking, register_reference
+from ablate.tracking import RunLog, Status, default_uri
+
+FACTORS = tuple(component.field for component in COMPONENTS)
+
+
+def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
+    """Compare the finished runs of a study, on disk and on the parent run; returns what the screen shows of it.
+
+    A comparison of the same runs that is there already is kept, unless `rebuild` asks for it anew. No finished run
+    that can be used is a ConfigurationError.
+    """
+    folder, reference = settings.study_dir / "comparison", settings.reference
+    usable = usable_runs(settings.study_dir, reference)
+    if not usable.runs:
+        raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))
+    hashes = [run.result["hash"] for run in usable.runs]
+    scored = [[run.result.get("metrics"), run.result.get("inception")] for run in usable.runs]
+    made_from = {"runs": hashes, "scored": scored, "reference": reference, "notes": list(usable.notes)}
+    marker = folder / "made_from.json"
+    per_image, scalars = scored_frames(usable.runs)
+    table = analysis.comparison_table(per_image, scalars, reference)
+    if rebuild or not marker.exists() or json.loads(marker.read_text()) != made_from:
+        files, notes = write_comparison(usable, folder, settings.study, reference)
+        _track(settings, usable.runs, table, files, notes)
+        write_json(marker, made_from)
+    warnings = "\n".join(f"Note: {c}" for c in (*usable.notes, *analysis.cautions(per_image, reference)))
+    uri = settings.tracking.uri or default_uri(settings.runs)
+    pages = uri if uri.startswith("http") else f"make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
+    where = (
+        f"all metrics    {folder / 'table.csv'}\n"
+        f"paired tests   {folder / 'paired.csv'}\n"
+        f"report         {folder / 'report.html'}\n"
+        f"MLflow         {pages}"
+    )
+    if settings.tracking.register:
+        where += f"\nregistered     {register_reference(settings, list(usable.runs))}"
+    return f"{analysis.to_text(table[table['metric'].isin(shown_in(Shown.screen))])}\n{warnings}\n\n{where}"
+
+
+def write_comparison(
+    usable: UsableRuns, folder: Path, title: str, reference: str = REFERENCE
+) -> tuple[list[Path], list[str]]:
+    """Write tables, figures and the report of at least one run; what was in `folder` is replaced when all is written.
+
+    Returns the files, the report first, and what a reader must know, a sentence each.
+    """
+    partial = folder.with_name(f"{folder.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    runs = usable.runs
+    per_image, scalars = scored_frames(runs)
+    table = analysis.comparison_table(per_image, scalars, reference)
+    design = analysis.find_design({run.label: components_of(run) for run in runs}, FACTORS, reference)
+    paired = analysis.paired_table(per_image, reference)
+    effects = pd.DataFrame() if design is None else analysis.effects_table(per_image, design, scalars)
+    claims = analysis.seed_claims(per_image, scalars, reference)
+    frames, missing = stored_pictures(runs, reference)
+    figures = draw_figures(Numbers(reference, per_image, scalars, table, paired, effects, design), frames, partial)
+    notes = [*usable.notes, *([missing] if missing else [])]
+    report = analysis.write_report(
+        partial / "report.html",
+        title,
+        per_image,
+        table,
+        paired,
+        claims=claims,
+        figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
+        left_out=_left_out(runs),
+        provenance=provenance(runs),
+        reference=reference,
+        appendix=appendix(runs),
+        notes=notes,
+    )
+    analysis.wide_table(table).to_csv(partial / "table.csv", index=False)
+    (partial / "table.tex").write_text(analysis.to_latex(table[table["metric"].isin(shown_in(Shown.table))], reference))
+    (partial / "table.md").write_text(_markdown(table))
+    for name, content in (("paired", paired), ("claims", claims), ("effects", effects)):
+        if len(content) or name != "effects":
+            content.to_csv(partial / f"{name}.csv", index=False)
+    shutil.rmtree(folder, ignore_errors=True)
+    partial.rename(folder)
+    names = dict.fromkeys([report.name, *(p.name for p, _ in figures), *sorted(p.name for p in folder.iterdir())])
+    return [folder / name for name in names], [*notes, *analysis.cautions(per_image, reference)]
+
+
+def _track(
+    settings: StudySettings, runs: Sequence[Finished], table: pd.DataFrame, files: Sequence[Path], notes: Sequence[str]
+) -> None:
+    """Log a comparison to the study's parent run."""
+    store, parent = open_tracking(settings)
+    run = RunLog(store, parent)
+    for path in files:
+        run.artifact(path, "vector" if path.suffix == ".pdf" else None)
+    run.tags(provenance(runs))
+    describe_study(run, runs, analysis.to_markdown(table[table["metric"].isin(shown_in(Shown.headline))]), notes)
+    run.end(Status.finished)
+
+
+def components_of(run: Finished) -> dict[str, object]:
+    """The components of a run's network, and the encoding of its labels."""
+    content = run.spec["semantic"]
+    return {**content["model"], "encoding": content["encoding"]["order"]}
+
+
+def _markdown(table: pd.DataFrame) -> str:
+    """The table of the paper, then every metric with the spread over seeds."""
+    metrics = list(dict.fromkeys(table["metric"]))
+    parts = [
+        "Mean ± standard deviation over test frames (over seeds for figures that a run has one of); the best network "
+        f"in bold.\n\n{analysis.to_markdown(table[table['metric'].isin(shown_in(Shown.table))])}",
+        f"{analysis.resimulation_note(metrics)}\n",
+    ]
+    if table["seed_sd"].notna().any():
+        parts.append(f"Mean ± standard deviation of the seeds' means.\n\n{analysis.to_markdown(table, Spread.seeds)}")
+    else:
+        parts.append(f"All metrics.\n\n{analysis.to_markdown(table)}")
+    return "\n".join(parts)
+
+
+def _left_out(runs: Sequence[Finished]) -> list[str]:
+    """What was left out of this study, and why."""
+    try:
+        said = list(data_of(runs).left_out)
+    except (OSError, ValueError, KeyError):
+        said = []  # the pairs have been deleted
+    said += dict.fromkeys(str(note) for run in runs for note in run.result.get("notes", ()))
+    if not any(run.spec["settings"]["model"]["extra_input"] == "low" for run in runs):
+        said.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
+    return said

@@ -1,0 +1,180 @@
+"""Read the finished runs of a study from disk: values, pictures and provenance."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ablate.analysis import REFERENCE, RESIMULATION, FramePictures, ordered_variants
+from ablate.metrics import Shown, shown_in
+from ablate.metrics.stored_names import BOUNDS, FLOOR_PREFIX, MODEL, RESIMULATED, is_bound
+from ablate.studies.identity import read_result
+from ablate.studies.pairs.data import Data, open_data
+
+_ABOUT_CODE = ("git_commit", "git_dirty", "hardware")
+_PICTURES = "pictures.npz"
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A finished run as it lies on disk."""
+
+    folder: Path
+    spec: dict[str, Any]
+    result: dict[str, Any]
+
+    @property
+    def label(self) -> str:
+        return str(self.result["label"])
+
+    @property
+    def seed(self) -> int:
+        return int(self.result["seed"])
+
+    @property
+    def name(self) -> str:
+        return f"{self.label}/seed{self.seed}"
+
+
+def finished_runs(study_dir: Path) -> list[Finished]:
+    """Every run of a study whose result belongs to its configuration."""
+    runs = []
+    for path in sorted(study_dir.glob("*/seed*/spec.json")):
+        spec = json.loads(path.read_text())
+        result = read_result(path.parent, spec["hash"])
+        if result is not None:
+            runs.append(Finished(path.parent, spec, result))
+    return runs
+
+
+def scored_frames(runs: Sequence[Finished]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Test values of every run, and once those of the re-simulation, as two tables.
+
+    The first has columns variant, seed, frame, site, metric, value: one row a metric of a frame of a run. The second
+    has variant, seed, metric, value, lower, upper: one row a metric that only a run has, with the interval of a
+    distance.
+    """
+    frames, scalars = [], []
+    for i, run in enumerate(runs):
+        table = pd.read_parquet(run.folder / "per_image.parquet")
+        table = table[table["split"] == "test"]
+        frames.append(table[table["source"] == MODEL])
+        floor = table[table["source"] == RESIMULATED]
+        if i == 0 and len(floor):
+            frames.append(floor.assign(variant=RESIMULATION))
+        per_image_metrics = set(table["metric"])
+        values: dict[str, float] = run.result["scalars"]
+        for name, value in values.items():
+            part, _, metric = name.rpartition("/")
+            is_floor = metric.startswith(FLOOR_PREFIX)
+            metric = metric.removeprefix(FLOOR_PREFIX)
+            if metric in per_image_metrics or is_bound(metric):
+                continue
+            if part == "test" and (i == 0 or not is_floor):
+                variant = RESIMULATION if is_floor else run.label
+                bounds = {side: values.get(f"{name}_{side}") for side in BOUNDS}
+                scalars.append({"variant": variant, "seed": run.seed, "metric": metric, "value": value, **bounds})
+            elif name == "ms_per_frame":
+                scalars.append({"variant": run.label, "seed": run.seed, "metric": name, "value": value})
+        parameters = values["parameters_generator"] + values["parameters_discriminator"]
+        scalars.append({"variant": run.label, "seed": run.seed, "metric": "parameters", "value": parameters})
+    return pd.concat(frames, ignore_index=True), pd.DataFrame(scalars)
+
+
+def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]:
+    """Error of every variant against its milliseconds a frame, and the re-simulation's value by metric.
+
+    `table` is what `comparison_table` gives.
+    """
+    means = table.pivot(index="variant", columns="metric", values="mean")
+    networks = means.drop(index=RESIMULATION, errors="ignore")
+    metrics = [m for m in shown_in(Shown.headline) if m in means.columns]
+    rows = [
+        {"series": v, "setting": "", "ms": networks.loc[v, "ms_per_frame"], "metric": m, "error": networks.loc[v, m]}
+        for v in networks.index
+        for m in metrics
+    ]
+    floors = {m: float(means[m].to_dict()[RESIMULATION]) for m in metrics} if RESIMULATION in means.index else {}
+    return pd.DataFrame(rows), floors
+
+
+def data_of(runs: Sequence[Finished]) -> Data:
+    """The pairs that the runs of a study were trained on and scored against."""
+    run = runs[0]
+    return open_data(run.folder.parents[2] / "data" / str(run.result["data"]))
+
+
+def pictures(runs: Sequence[Finished], reference: str = REFERENCE) -> list[FramePictures]:
+    """The frames that all variants have pictures of, each variant's from its lowest seed that has any."""
+    chosen: dict[str, Finished] = {}
+    order = ordered_variants([run.label for run in runs], reference)
+    for run in sorted(runs, key=lambda r: (order.index(r.label), r.seed)):
+        if (run.folder / _PICTURES).exists():
+            chosen.setdefault(run.label, run)
+    stored = {label: _stored_pictures(run) for label, run in chosen.items()}
+    numbers = sorted(set.intersection(*(set(images) for images in stored.values()))) if stored else []
+    if not numbers:
+        return []
+    pairs = data_of(runs).pairs
+    maps = {name: pairs.read(name, numbers) for name in pairs.maps - {"low"}}
+    return [
+        FramePictures(
+            name=f"frame {number}",
+            target=maps["target"][k],
+            predictions={
+                **({RESIMULATION: maps["resimulation"][k]} if "resimulation" in maps else {}),
+                **{v: s[number] for v, s in stored.items()},
+            },
+            mask=pairs.mask(),
+            segmentation=maps["segmentation"][k],
+            attenuation=maps["attenuation"][k] if "attenuation" in maps else None,
+        )
+        for k, number in enumerate(numbers)
+    ]
+
+
+def _stored_pictures(run: Finished) -> dict[int, np.ndarray]:
+    """The pictures of a run, by the frame's number in the data set."""
+    with np.load(run.folder / _PICTURES) as kept:
+        return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
+
+
+def provenance(runs: Sequence[Finished]) -> dict[str, str]:
+    """Data set, code and hardware of a study; where its runs differ, each value names its runs."""
+    return {"data": str(runs[0].result["data"]), **{k: v for k, v in _made_with(runs).items() if k in _ABOUT_CODE}}
+
+
+def appendix(runs: Sequence[Finished]) -> dict[str, str]:
+    """Texts by title: the package versions of the runs, and the uncommitted changes of their code."""
+    packages = {k: v for k, v in _made_with(runs).items() if k not in _ABOUT_CODE}
+    texts = {"Packages": "\n".join(f"{k} {v}" for k, v in packages.items())} if packages else {}
+    names: dict[str, list[str]] = {}
+    for run in runs:
+        names.setdefault(_provenance(run, "uncommitted.diff"), []).append(run.name)
+    return {**texts, **{f"Uncommitted changes: {', '.join(of)}": diff for diff, of in names.items() if diff}}
+
+
+def _made_with(runs: Sequence[Finished]) -> dict[str, str]:
+    """What the runs recorded in `made_with.json` when they were last started, by key."""
+    found = {run.name: _provenance(run, "made_with.json") for run in runs}
+    recorded = {name: json.loads(text) for name, text in found.items() if text}
+    keys = dict.fromkeys(key for of_run in recorded.values() for key in of_run)
+    return {key: _by_run({name: str(of_run.get(key, "")) for name, of_run in recorded.items()}) for key in keys}
+
+
+def _provenance(run: Finished, name: str) -> str:
+    path = run.folder / "provenance" / name
+    return path.read_text() if path.exists() else ""
+
+
+def _by_run(values: dict[str, str]) -> str:
+    distinct: dict[str, list[str]] = {}
+    for name, value in values.items():
+        distinct.setdefault(value, []).append(name)
+    if len(distinct) == 1:
+        return next(iter(distinct))
+    return "; ".join(f"{value} ({', '.join(names)})" for value, names in distinct.items())

@@ -1,0 +1,1 @@
+"""From the command line to jobs that are composed, checked and started."""

@@ -1,0 +1,59 @@
+"""One run of a study: its settings, its label, and the name and place that they give it."""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from omegaconf import OmegaConf
+
+from ablate.config import StudySettings
+from ablate.studies.jobs.hydra_internals import Override, parse_overrides
+from ablate.studies.jobs.schema import configuration_dir
+
+
+@dataclass(frozen=True)
+class Job:
+    """One cell of a sweep; `label` is the variant and what else was changed of its components (`sa2h.depth-8`)."""
+
+    settings: StudySettings
+    label: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.label}/seed{self.settings.seed}"
+
+    @property
+    def folder(self) -> Path:
+        return self.settings.study_dir / self.label / f"seed{self.settings.seed}"
+
+
+def label_of(variant: str, overrides: Sequence[str]) -> str:
+    """A run's label from its variant and the overrides it was composed with.
+
+    The width is a size of the whole study, like the number of steps, and no part of it.
+    """
+    own = {"encoding": "echogenicity", **_model_of(variant)}
+    changed = {name: value for override in parse_overrides(overrides) for name, value in _components(override)}
+    named = [f"{name}-{value}" for name, value in sorted(changed.items()) if str(own.get(name)) != str(value)]
+    return ".".join([variant, *(re.sub(r"[^A-Za-z0-9.+_-]", "_", name) for name in named)])
+
+
+def _components(override: Override) -> Iterator[tuple[str, object]]:
+    """Components that an override sets: `model.depth=8`, `model={depth:8,noise:input}` or `encoding=...`."""
+    key, value = override.key_or_group, override.value()
+    if key == "model" and isinstance(value, dict):
+        yield from ((str(name), v) for name, v in value.items() if name != "width")
+    elif key == "encoding" or (key.startswith("model.") and key != "model.width"):
+        yield key.removeprefix("model."), value
+
+
+def _model_of(variant: str) -> dict[str, object]:
+    """The keys of `model` in a file of conf/variant; none for a variant from a folder of the user."""
+    path = configuration_dir() / "variant" / f"{variant}.yaml"
+    if not path.exists():
+        return {}
+    own = OmegaConf.to_container(OmegaConf.load(path))
+    assert isinstance(own, dict)
+    inherited = [_model_of(str(parent)) for parent in own.get("defaults", [])]
+    return {k: v for model in (*inherited, own.get("model", {})) for k, v in model.items()}

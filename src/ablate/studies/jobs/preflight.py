@@ -1,0 +1,125 @@
+"""Check jobs against the files, folders and devices that they need, before anything expensive starts."""
+
+import os
+import re
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
+from ablate.config import ConfigurationError, SceneKind, StudySettings, Task, refusing
+from ablate.dataset import Part, resample_grid
+from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
+from ablate.networks import conditions
+from ablate.studies.identity import check_place
+from ablate.studies.jobs.job import Job
+from ablate.studies.jobs.variants import variant_model, variant_names
+from ablate.studies.pairs.imported import checked_folder
+
+_NEED_SCENE = (Task.preview, Task.precision)
+
+
+def check(jobs: Sequence[Job]) -> None:
+    """Check every job; a ConfigurationError is one line that names the key or file and what is allowed."""
+    for job in jobs:
+        seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
+        _check_training(job, seen, {other.label for other in jobs})
+        _check_metrics(job.settings)
+    starts = jobs[0].settings.task in (Task.study, Task.simulate)
+    if starts or jobs[0].settings.task in (*_NEED_SCENE, Task.stability):
+        _check_writable(jobs[0].settings.runs)
+    if starts or jobs[0].settings.task is Task.plan:
+        for job in jobs:
+            check_place(job)
+
+
+def _check_pairs(job: Job) -> int:
+    """Check that a folder of pairs has all maps that the variant reads; returns its number of training frames."""
+    s = job.settings
+    if s.task in _NEED_SCENE:
+        scenes = "allowed are scene=fetal and folder"
+        raise ConfigurationError(f"task={s.task}: pairs made elsewhere have no scene; {scenes}")
+    with refusing():
+        checked = checked_folder(s)
+    for name in conditions(s.model):
+        if name not in checked.maps:
+            allowed = [v for v in variant_names() if checked.maps.issuperset(conditions(variant_model(v)))]
+            raise ConfigurationError(
+                f"variant {job.label} reads {name}, but {checked.folder} has no folder {name}; "
+                f"allowed are variants without it: {', '.join(allowed)}"
+            )
+    if checked.parts is not None:
+        return int((checked.parts == Part.train).sum())
+    return _training_frames(s, len(checked.names))
+
+
+def _check_scene(s: StudySettings) -> int:
+    """Check that the grid has as many poses as frames are asked for; returns the number of training frames."""
+    sites: SiteGrid | None = fetal_sites()
+    if s.scene.kind is SceneKind.folder:
+        if not s.scene.folder:
+            raise ConfigurationError("scene=folder needs scene.folder=path/to/folder")
+        with refusing():
+            sites = validate_scene_folder(Path(s.scene.folder)).sites
+        if sites is None:
+            raise ConfigurationError(f"{s.scene.folder}/scene.yaml has no `sites`: where to put the probe")
+    assert sites is not None
+    grid = resample_grid(sites, s.dataset.grid)
+    poses = len(grid.heights_mm) * len(grid.angles_deg) * len(grid.tilts_deg) * len(grid.rolls_deg)
+    if s.dataset.frames > poses:
+        raise ConfigurationError(
+            f"dataset.frames={s.dataset.frames}: at most {poses}, the poses of the probe sites; "
+            "more of them: dataset.grid=[heights,angles,tilts,rolls]"
+        )
+    return _training_frames(s, s.dataset.frames)
+
+
+def _training_frames(s: StudySettings, frames: int) -> int:
+    return round(frames * (1 - s.dataset.validation - s.dataset.test))
+
+
+def _check_training(job: Job, seen: int, labels: set[str]) -> None:
+    s = job.settings
+    stride = 2**s.model.depth
+    if s.training.crop < stride:
+        smallest = f"2^model.depth = {stride} for variant {job.label}"
+        raise ConfigurationError(f"training.crop={s.training.crop}: at least {smallest}")
+    if s.training.batch_size > seen:
+        raise ConfigurationError(f"training.batch_size={s.training.batch_size}: more than the {seen} training frames")
+    for key, device in (("training", s.training.device), ("simulator", s.simulator.device)):
+        if device.partition(":")[0] not in ("auto", "cpu", "cuda"):
+            raise ConfigurationError(f"{key}.device={device}: allowed are cpu and cuda")
+        if device.startswith("cuda") and not torch.cuda.is_available():
+            raise ConfigurationError(f"{key}.device={device}: this machine has no usable GPU; allowed is cpu")
+    known = {*labels, *variant_names(), *(path.name for path in s.study_dir.glob("*"))}
+    if s.reference not in known:
+        raise ConfigurationError(f"reference={s.reference}: allowed are {', '.join(sorted(known))}")
+    if not re.fullmatch(r"[\w.+ -]+", s.study):
+        raise ConfigurationError(f"study_name={s.study}: letters, digits, '.', '_', '+', '-' and spaces only")
+
+
+def _check_metrics(s: StudySettings) -> None:
+    """Check the names of metrics, and get the network of FID, which may be downloaded here."""
+    with refusing():
+        chosen = choose_metrics(s.metrics)
+    if not any(metric.of_image for metric in chosen.values()):
+        names = ", ".join(sorted(chosen))
+        raise ConfigurationError(f"metrics={names}: name one that every image has too, such as psnr")
+    where = s.evaluation.inception
+    asked = [s.metrics] if isinstance(s.metrics, str) else s.metrics
+    named = [name for name, metric in METRICS.items() if metric.uses(FeatureKind.inception) and name in asked]
+    if named and where is None:
+        raise ConfigurationError(f"metrics={named[0]}: needs evaluation.inception=path/to/file or =download")
+    if where is not None and s.task is Task.study and needs_inception(chosen):
+        with refusing(f"evaluation.inception={where}: "):
+            inception_file(where)
+
+
+def _check_writable(runs: Path) -> None:
+    try:
+        runs.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=runs).close()
+    except OSError as error:
+        raise ConfigurationError(f"runs_dir={runs} cannot be written: {os.strerror(error.errno or 0)}") from error

@@ -1,0 +1,55 @@
+"""The folder conf/, and the frozen settings of `ablate.config` as the typed schema that Hydra composes it into."""
+
+import dataclasses
+from dataclasses import MISSING, field
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import DictConfig, OmegaConf
+
+import ablate
+from ablate.config import StudySettings, build
+
+
+def configuration_dir() -> Path:
+    """The folder conf/: inside the installed package, or beside src/ in a checkout."""
+    package = Path(ablate.__file__).parent
+    inside = package / "conf"
+    return inside if inside.is_dir() else package.parents[1] / "conf"
+
+
+def register() -> None:
+    """Make the schema known to Hydra as `schema`, the first entry of conf/config.yaml."""
+    ConfigStore.instance().store(name="schema", node=_schema(StudySettings))
+
+
+def _schema(cls: type) -> type:
+    """A mutable dataclass with the fields of a frozen one, as OmegaConf needs it for typed configurations."""
+    hints = get_type_hints(cls)
+    fields: list[tuple[str, Any, Any]] = []
+    for f in dataclasses.fields(cls):
+        hint = hints[f.name]
+        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+            made = _schema(hint)
+            fields.append((f.name, made, field(default_factory=made)))
+        elif f.default is not MISSING:
+            fields.append((f.name, hint, field(default_factory=_constant(f.default))))
+        else:
+            fields.append((f.name, hint, field(default="???")))
+    return dataclasses.make_dataclass(cls.__name__, fields)
+
+
+def _constant(value: Any) -> Any:
+    return lambda: list(value) if isinstance(value, tuple) else value
+
+
+def settings(config: DictConfig) -> StudySettings:
+    """The frozen values behind a composed configuration, without Hydra's own node.
+
+    A value outside its allowed range is a ValueError that names it.
+    """
+    own = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
+    values = OmegaConf.to_container(own, resolve=True, throw_on_missing=True)
+    assert isinstance(values, dict)
+    return build(StudySettings, {str(k): v for k, v in values.items()})

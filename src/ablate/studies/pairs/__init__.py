@@ -1,0 +1,1 @@
+"""The pairs that a study reads: simulated or imported."""

@@ -1,5 +1,0 @@
-"""Error against run time, of the simulator and of every trained run on disk: `task=precision`."""
-
-from ablate.studies.precision.task import precision
-
-__all__ = ["precision"]

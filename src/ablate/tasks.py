@@ -1,0 +1,144 @@
+"""What each `task=` does. A task imports the rooms that it needs when it starts."""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from ablate.config import StudySettings, Task, refusing
+from ablate.studies.identity import finished
+from ablate.studies.jobs.compose import CommandLine
+from ablate.studies.jobs.job import Job
+from ablate.studies.jobs.launch import Work
+from ablate.studies.jobs.preflight import check
+from ablate.studies.jobs.variants import describe as describe_variants
+from ablate.studies.pairs.data import dataset_folder, dataset_hash, drop_damaged, made_data, maps_needed, prepare_data
+
+
+def run_task(command: CommandLine) -> int:
+    """Check every job of a command line, do its task and return the exit code."""
+    jobs, launch, task = command.jobs, command.launch, command.jobs[0].settings.task
+    if task is not Task.describe:
+        check(jobs)
+    if task is Task.study:
+        return study(jobs, launch, elsewhere=launch.cluster is not None)
+    if task is Task.simulate:
+        return simulate(jobs, launch if launch.cluster else None)
+    return _look(task, jobs)
+
+
+def study(jobs: Sequence[Job], launch: Callable[[Sequence[Job], Work], None], elsewhere: bool = False) -> int:
+    """Simulate what is missing, run every job that is not finished, compare.
+
+    Jobs that run elsewhere simulate their own pairs, because a cluster's login node is not for computing.
+    """
+    from ablate.studies.comparison.compare import compare_study
+    from ablate.studies.run import run_job
+    from ablate.studies.tracked import open_tracking
+    from ablate.tracking import RunLog, Status
+
+    if waiting := [job for job in jobs if finished(job) is None]:
+        if not elsewhere:
+            _simulate_for(waiting)  # so that a mesh that cannot be used is refused before anything is tracked
+        for settings in _studies(waiting):
+            open_tracking(settings)  # database, experiment and parent run exist before any job starts
+        launch(waiting, run_job)
+    for settings in _studies([job for job in jobs if finished(job) is not None]):
+        print(compare_study(settings))
+    if failed := [job for job in jobs if finished(job) is None]:
+        for settings in _studies(failed):
+            RunLog(*open_tracking(settings)).end(Status.failed)
+        names = ", ".join(job.name for job in failed)
+        print(f"not finished: {names}; the same command takes them up again", file=sys.stderr)
+    return int(bool(failed))
+
+
+def simulate(jobs: Sequence[Job], launch: Callable[[Sequence[Job], Work], None] | None = None) -> int:
+    """Simulate the pairs that the jobs read: here, or side by side in jobs that a launcher starts elsewhere.
+
+    Pairs that exist are checked, and damaged ones are made again.
+    """
+    for settings, maps in (sets := _data_sets(jobs)):
+        for damaged in drop_damaged(settings, maps):
+            print(damaged, file=sys.stderr)
+    if launch is None:
+        _simulate_for(jobs)
+    else:
+        launch(jobs, _simulate_own)
+    code = 0
+    for settings, maps in sets:
+        folder = dataset_folder(settings)
+        if made := made_data(settings, maps):
+            print(f"{len(made.pairs)} frames in {folder}; a look at them: contact_sheet.png there")
+        else:
+            print(f"not finished: {folder}; the same command takes it up again", file=sys.stderr)
+            code = 1
+    return code
+
+
+def _simulate_own(job: Job) -> None:
+    """Simulate the pairs that one job reads."""
+    prepare_data(job.settings, maps_needed([job.settings.model]))
+
+
+def _data_sets(jobs: Sequence[Job]) -> list[tuple[StudySettings, frozenset[str]]]:
+    """Every data set that the jobs read, with the maps that at least one of them does."""
+    sets: dict[str, list[Job]] = {}
+    for job in jobs:
+        sets.setdefault(dataset_hash(job.settings), []).append(job)
+    return [(js[0].settings, maps_needed(j.settings.model for j in js)) for js in sets.values()]
+
+
+def _simulate_for(jobs: Sequence[Job]) -> None:
+    with refusing():  # a mesh with a hole, more frames than poses, a full disk, ...
+        for settings, maps in _data_sets(jobs):
+            prepare_data(settings, maps)
+
+
+def _studies(jobs: Sequence[Job]) -> list[StudySettings]:
+    """The settings of the first job of every study among them."""
+    first: dict[Path, StudySettings] = {}
+    for job in jobs:
+        first.setdefault(job.settings.study_dir, job.settings)
+    return list(first.values())
+
+
+def describe(jobs: Sequence[Job]) -> int:
+    """Print the table of variants in full, whatever the width of the terminal."""
+    table = describe_variants(jobs)
+    for column in table.select_dtypes(bool):
+        table[column] = table[column].map({True: "yes", False: "no"})
+    numbers = [c for c in table.columns if c in ("generator", "discriminator") or c.startswith("total")]
+    print(table.to_string(index=False, formatters=dict.fromkeys(numbers, "{:,}".format)))
+    print("\ngenerator, discriminator, total: parameters at the paper's width (model.width=1).")
+    read = maps_needed(job.settings.model for job in jobs)
+    print(f"maps simulated for {', '.join(dict.fromkeys(j.label for j in jobs))}: {', '.join(sorted(read))}")
+    if "low" not in read:
+        print("left out: low, the low-quality image; none of these variants reads it")
+    return 0
+
+
+def _look(task: Task, jobs: Sequence[Job]) -> int:
+    """Do a task that starts no jobs."""
+    if task is Task.describe:
+        return describe(jobs)
+    if task is Task.compare:
+        from ablate.studies.comparison.compare import compare_study
+
+        for settings in _studies(jobs):
+            print(compare_study(settings, rebuild=True))
+        return 0
+    if task is Task.plan:
+        from ablate.studies.progress import show_progress
+
+        return show_progress(jobs)
+    if task is Task.preview:
+        from ablate.studies.preview import preview
+
+        return preview(jobs)
+    if task is Task.precision:
+        from ablate.numerics.precision import precision
+
+        return precision(jobs)
+    from ablate.numerics.stability import stability
+
+    return stability(jobs)

@@ -1,0 +1,14 @@
+from .provenance import environment as environment
+from .provenance import git_state as git_state
+from .provenance import hardware as hardware
+from .provenance import packages as packages
+from .store import RunLog as RunLog
+from .store import Status as Status
+from .store import Store as Store
+from .store import artifact_page as artifact_page
+from .store import child_run as child_run
+from .store import comparison_page as comparison_page
+from .store import default_uri as default_uri
+from .store import open_store as open_store
+from .store import parent_run as parent_run
+from .store import task_run as task_run

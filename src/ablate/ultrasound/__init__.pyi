@@ -1,0 +1,9 @@
+from .probe import fan_mask as fan_mask
+from .settings import SIMULATOR_VERSION as SIMULATOR_VERSION
+from .settings import ConvexProbe as ConvexProbe
+from .settings import DepthMode as DepthMode
+from .settings import Frame as Frame
+from .settings import PlanMode as PlanMode
+from .settings import SimulatorPrecision as SimulatorPrecision
+from .settings import SimulatorSettings as SimulatorSettings
+from .simulator import Simulator as Simulator

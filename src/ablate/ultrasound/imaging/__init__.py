@@ -1,0 +1,1 @@
+"""From echoes and scatterers to grey levels."""

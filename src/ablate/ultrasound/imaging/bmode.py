@@ -1,0 +1,70 @@
+"""From complex lines to the B-mode image: time-gain compensation, noise floor, logarithm, 8 bits, scan conversion."""
+
+import math
+
+import numpy as np
+import torch
+from torch.nn import functional as F
+
+from ablate.ultrasound.imaging.point_spread import along_lines
+from ablate.ultrasound.probe import fan_mask, pixel_polar, sample_depths_mm
+from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.stages import Stage, stage
+
+_KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
+_LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
+
+
+def time_gain(probe: ConvexProbe, settings: SimulatorSettings) -> np.ndarray:
+    """Two-way gain of each sample by `tgc_db_cm_mhz`, (samples,) float64."""
+    depth_cm = sample_depths_mm(probe, settings.axial_samples) / 10
+    gain_db = 2 * settings.tgc_db_cm_mhz * probe.frequency_mhz * depth_cm
+    return 10 ** (np.minimum(gain_db, _LARGEST_GAIN_DB) / 20)
+
+
+def receiver_noise(settings: SimulatorSettings, axial: torch.Tensor, seed: int) -> torch.Tensor:
+    """Complex Gaussian noise of unit mean power with the pulse's bandwidth, (2, scanlines, samples).
+
+    `axial`, (taps,), is the pulse. The generator's key is made of `path_seed` and of the scatterers' `seed`.
+    """
+    key = np.array([(settings.path_seed + _KEY) % 2**64, seed % 2**64], np.uint64)  # a list would become float64
+    generator = np.random.Generator(np.random.Philox(key=key))
+    shape = (2, settings.scanlines, settings.axial_samples)
+    white = torch.from_numpy(generator.standard_normal(shape, np.float32)).to(axial)
+    return along_lines(white, axial / (2 * axial.square().sum()).sqrt())
+
+
+@stage(Stage.grey_levels)
+def grey_levels(signal: torch.Tensor, settings: SimulatorSettings) -> torch.Tensor:
+    """20 log10 of the envelope against the reference level, `dynamic_range_db` on 0 to 255, not yet rounded.
+
+    From the signal with gain and noise, (2, scanlines, samples), to (scanlines, samples). No signal, at minus infinity
+    dB, is black whatever the dynamic range.
+    """
+    power = signal.square().sum(dim=0) / settings.reference_level**2
+    level_db = 10 * torch.log10(power)
+    return (level_db / settings.dynamic_range_db + 1).clamp_(0, 1).mul_(255)
+
+
+class ScanConverter:
+    """Bilinear interpolation from scanlines to pixels of the fan; the sampling positions are computed once."""
+
+    def __init__(self, probe: ConvexProbe, settings: SimulatorSettings, dtype: torch.dtype) -> None:
+        self.mask = fan_mask(probe, settings.image_shape)
+        depth, angle = (polar[self.mask] for polar in pixel_polar(probe, settings.image_shape))
+        lines, samples = settings.scanlines, settings.axial_samples
+        sample = depth * (samples / probe.depth_mm) - 0.5
+        along = 2 * sample / max(samples - 1, 1) - 1
+        across = angle / (math.radians(probe.fov_deg) / 2) if lines > 1 else np.zeros_like(angle)
+        grid = torch.from_numpy(np.stack([along, across], axis=-1))
+        self._grid = grid.to(settings.device, dtype)[None, None]
+
+    @stage(Stage.scan_conversion)
+    def __call__(self, lines: torch.Tensor) -> np.ndarray:
+        """A polar image (scanlines, samples) in the fan; 0 outside, (H, W) float32."""
+        pixels = F.grid_sample(
+            lines[None, None], self._grid, mode="bilinear", padding_mode="border", align_corners=True
+        )
+        image = np.zeros(self.mask.shape, np.float32)
+        image[self.mask] = pixels.flatten().cpu().numpy()
+        return image

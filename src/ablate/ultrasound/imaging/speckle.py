@@ -1,0 +1,131 @@
+"""Scatterers on the scanlines: strength, texture and illumination at every sample."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch.nn import functional as F
+
+from ablate.anatomy import Tissue
+from ablate.ultrasound.imaging.point_spread import axial_kernel, layer_weights
+from ablate.ultrasound.imaging.scatterers import (
+    TABLE_SIZE,
+    cell_hash,
+    lattice_anchor,
+    scatterer_tables,
+    shared_cell_gain,
+    texture_gain_db,
+)
+from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.stages import Stage, stage
+
+_DB_TO_NEPER = math.log(10) / 20
+_TEXTURE_SPACING_MM = 0.3
+_MOST_CELLS = 1 << 24  # of the lattice along a scanline: float32 tells no more apart
+
+
+@dataclass(frozen=True)
+class InsonifiedLines:
+    """Everything about the samples of a pose that does not depend on the scatterers' seed, as tensors."""
+
+    starts: torch.Tensor  # (layers, scanlines, 3) float32, mm from the anchor along the world's axes
+    directions: torch.Tensor  # (layers, scanlines, 3) float32
+    anchor: np.ndarray  # (3,) float64, from `lattice_anchor`, cells
+    ranges_mm: torch.Tensor  # (samples,) or (layers, scanlines, samples), along its line to what a sample displays
+    table_offset: torch.Tensor  # (layers, scanlines, samples) int32, first entry of the tissue's scatterer table
+    amplitude: torch.Tensor  # (layers, scanlines, samples), of unit strength: illumination, texture, level and weight
+
+
+class Speckle:
+    """Scatterers of a scene's tissues on the scanlines of a probe; `dtype` is the signal's, positions stay float32."""
+
+    def __init__(
+        self, tissues: Sequence[Tissue], probe: ConvexProbe, settings: SimulatorSettings, dtype: torch.dtype
+    ) -> None:
+        self._settings, self._dtype = settings, dtype
+        self._spacing_mm = probe.depth_mm / settings.axial_samples
+        reach_mm = probe.radius_mm + probe.depth_mm
+        self._pitch_mm = max(settings.scatterer_pitch_mm, reach_mm / _MOST_CELLS)
+        tables = torch.from_numpy(scatterer_tables(tissues)).to(settings.device)
+        self._tables = torch.view_as_real(tables).flatten(0, 1).to(dtype)
+        textures = np.array([[*(1 / mm for mm in t.texture_mm), t.texture_contrast_db] for t in tissues], np.float32)
+        self._contrasts = textures[:, 3]
+        self._textures = torch.from_numpy(textures).to(settings.device)
+        kernel = axial_kernel(probe, settings)
+        correlation = np.correlate(kernel, kernel, "full")[len(kernel) - 1 :]
+        self._kernel_correlation = correlation / correlation[0]  # 1 at lag 0
+        self._weights_db = 20 * np.log10(np.maximum(layer_weights(probe, settings)[0], 1e-15))
+
+    @stage(Stage.scatterer_level)
+    def insonify(
+        self,
+        starts: np.ndarray,
+        directions: np.ndarray,
+        labels: np.ndarray,
+        ranges_mm: np.ndarray,
+        level_db: torch.Tensor,
+    ) -> InsonifiedLines:
+        """Prepare the scatterers of a pose.
+
+        For groups = layers * scanlines: `starts` and `directions` are (groups, 3) float64 in world coordinates, mm,
+        `labels` (groups, samples) the tissues, `ranges_mm` (samples,) or (groups, samples), and `level_db`, (groups,
+        nodes), the illumination from the first sample to the last.
+        """
+        settings = self._settings
+        shape = settings.layers, settings.scanlines, settings.axial_samples
+        gain = shared_cell_gain(directions, self._spacing_mm, self._pitch_mm, self._kernel_correlation)
+        line_db = settings.scatterer_level_db - 10 * np.log10(gain)
+        nodes = level_db.shape[-1]
+        at_nodes = np.rint(np.linspace(0, shape[2] - 1, nodes)).astype(int)
+        level = level_db.reshape(*shape[:2], nodes) + torch.from_numpy(
+            (line_db.reshape(*shape[:2], 1) + self._weights_db[:, None, at_nodes]).astype(np.float32)
+        )
+        level = level.to(settings.device)
+        label = torch.from_numpy(labels).to(settings.device).reshape(shape)
+
+        def tensor(values: np.ndarray, *size: int) -> torch.Tensor:
+            return torch.from_numpy(values.astype(np.float32)).to(settings.device).reshape(*size)
+
+        ends = tensor(starts, *shape[:2], 3), tensor(directions, *shape[:2], 3)
+        ranges = tensor(ranges_mm, *((shape[2],) if ranges_mm.ndim == 1 else shape))
+        if self._contrasts[np.bincount(labels.ravel(), minlength=1).nonzero()].any():
+            texture = self._texture_db(*ends, ranges, label)
+            level = _interpolated(level, texture.shape[-1]) + texture
+        level = _interpolated(level.mul_(_DB_TO_NEPER), shape[2])
+        amplitude = level.to(self._dtype).exp_()
+        anchor = lattice_anchor(starts, self._pitch_mm)
+        from_anchor = tensor(starts - anchor * self._pitch_mm, *shape[:2], 3)
+        return InsonifiedLines(from_anchor, ends[1], anchor, ranges, label.to(torch.int32) * TABLE_SIZE, amplitude)
+
+    @stage(Stage.scatterers)
+    def __call__(self, lines: InsonifiedLines, seed: int) -> torch.Tensor:
+        """Sum over layers of amplitude x scatterer, (2, scanlines, samples) tensor: real and imaginary part."""
+        total = torch.zeros((*lines.amplitude.shape[1:], 2), dtype=self._dtype, device=lines.amplitude.device)
+        for layer, amplitude in enumerate(lines.amplitude):
+            along = lines.ranges_mm if lines.ranges_mm.ndim == 1 else lines.ranges_mm[layer]
+            points = [
+                lines.starts[layer, :, axis, None] + lines.directions[layer, :, axis, None] * along for axis in range(3)
+            ]
+            entry = cell_hash(points, self._pitch_mm, seed, lines.anchor).add_(lines.table_offset[layer])
+            strength = self._tables.index_select(0, entry.flatten()).view_as(total)
+            total.addcmul_(strength, amplitude[..., None])
+        return total.permute(2, 0, 1).contiguous()
+
+    def _texture_db(
+        self, starts: torch.Tensor, directions: torch.Tensor, ranges_mm: torch.Tensor, label: torch.Tensor
+    ) -> torch.Tensor:
+        """Gain of the slow texture at samples some `_TEXTURE_SPACING_MM` apart, from the first to the last, dB."""
+        stride = max(1, int(_TEXTURE_SPACING_MM / self._spacing_mm))
+        samples = label.shape[-1]
+        coarse = torch.linspace(0, samples - 1, max(2, samples // stride)).round().long()[:samples]
+        coarse = coarse.to(label.device)
+        along = ranges_mm[..., coarse, None]
+        points = starts[:, :, None] + directions[:, :, None] * along
+        return texture_gain_db(points, label[..., coarse].long(), self._textures)
+
+
+def _interpolated(values: torch.Tensor, size: int) -> torch.Tensor:
+    """From nodes between the first and the last sample to so many, along the last axis."""
+    return F.interpolate(values, size=size, mode="linear", align_corners=True)

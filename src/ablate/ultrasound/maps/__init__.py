@@ -1,0 +1,1 @@
+"""Straight lines through a scene: labels, attenuation and contact with the skin."""

@@ -1,0 +1,92 @@
+"""What the simulator renders of a scene: what a scene does not need is found once and left out."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ablate.anatomy import Scene, Structure
+from ablate.ultrasound.media import DISPLAY_SPEED_M_S, Media, tabulate
+from ablate.ultrasound.probe import check_pose, face_sag_mm
+from ablate.ultrasound.settings import ConvexProbe, DepthMode, PlanMode, SimulatorSettings
+
+_MAX_TISSUES = 254  # 0 is outside the fan
+
+
+@dataclass(frozen=True)
+class RenderPlan:
+    """A scene as the simulator uses it."""
+
+    structures: tuple[Structure, ...]  # those within reach, in the scene's order
+    tissue_of_owner: np.ndarray  # (structures + 1,) uint8, index into `Scene.tissues`; entry 0 is the background's
+    media: Media
+    anechoic: bool  # whether nothing within reach scatters or reflects: then no ray is cast
+    left_out: tuple[str, ...]  # what was left out, and why, one line each
+
+
+def plan_scene(
+    scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, poses: Iterable[np.ndarray] | None
+) -> RenderPlan:
+    """Leave out what cannot change an image seen from `poses`; no structure is left out when they are not known.
+
+    A scene with more tissues than labels, or a pose that is not rigid, is a ValueError.
+    """
+    if len(scene.tissues) > _MAX_TISSUES:
+        raise ValueError(f"scene {scene.name!r} has {len(scene.tissues)} tissues; at most {_MAX_TISSUES}")
+    full = settings.plan is PlanMode.full
+    near = np.ones(len(scene.structures), bool)
+    if not full and poses is not None:
+        near = _within_reach(scene, probe, settings, [check_pose(pose) for pose in poses])
+    kept = np.flatnonzero(near)
+    tissue_of_owner = np.array([0, *(scene.structure_tissues[i] for i in kept)], np.uint8)
+    used = np.unique(tissue_of_owner)
+    media = tabulate(scene.tissues, used, probe.frequency_mhz, settings.depth_mode, full)
+    echogenic = any(scene.tissues[i].scatter_power for i in used) or bool(media.differs[np.ix_(used, used)].any())
+    # Where structures are out of reach, rays are cast all the same: the warning about contact needs their labels.
+    anechoic = not (full or echogenic) and bool(near.all())
+    notes = [] if full else _notes(scene, near, used, media, settings)
+    if anechoic:
+        notes = ["rays, scatterers and pulse: nothing in reach scatters or reflects", *notes]
+    return RenderPlan(tuple(scene.structures[i] for i in kept), tissue_of_owner, media, anechoic, tuple(notes))
+
+
+def _within_reach(scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, poses: list[np.ndarray]) -> np.ndarray:
+    """Structures whose bounding box is nearer to some probe than any echo in the image can come from.
+
+    An echo's depth is half its whole path, so a point farther than the depth from every start is never seen,
+    however often a ray was reflected.
+    """
+    half = math.radians(probe.fov_deg) / 2
+    face = math.hypot(probe.radius_mm * math.sin(half), face_sag_mm(probe))
+    off_plane = settings.layer_extent_mm + settings.aperture_mm + settings.elevational_aperture_mm
+    fastest = 1.0
+    if settings.depth_mode is DepthMode.time_of_flight:
+        fastest = max(1.0, max(t.speed_m_s for t in scene.tissues) / DISPLAY_SPEED_M_S)
+    reach = 1.001 * (probe.depth_mm * fastest + face + off_plane)
+    middles = np.array([pose[:3, 3] for pose in poses]).reshape(-1, 3)
+    near = np.zeros(len(scene.structures), bool)
+    for i, structure in enumerate(scene.structures):
+        lower, upper = structure.mesh.bounds
+        gap = np.maximum(np.maximum(lower - middles, middles - upper), 0)
+        near[i] = bool((np.linalg.norm(gap, axis=-1) <= reach).any())
+    return near
+
+
+def _notes(scene: Scene, near: np.ndarray, used: np.ndarray, media: Media, settings: SimulatorSettings) -> list[str]:
+    notes = []
+    if not near.all():
+        names = ", ".join(dict.fromkeys(scene.structures[i].tissue.name for i in np.flatnonzero(~near)))
+        notes.append(f"{(~near).sum()} of {len(near)} structures: out of every fan's reach ({names})")
+    absent = [t.name for i, t in enumerate(scene.tissues) if i not in used]
+    if absent:
+        notes.append(f"scatterers of tissues not in reach: {', '.join(absent)}")
+    unneeded = {
+        "refraction: all speeds of sound agree": not media.refracts,
+        "reflection and roulette: all impedances and speeds agree": not media.differs[np.ix_(used, used)].any(),
+        "rough normals: every roughness is zero": not media.rough,
+        "surface thickness: every thickness is zero": not media.thick,
+        "texture: every contrast is zero": not any(scene.tissues[i].texture_contrast_db for i in used),
+        "elevational weights: there is one layer": settings.layers == 1,
+    }
+    return notes + [note for note, holds in unneeded.items() if holds]

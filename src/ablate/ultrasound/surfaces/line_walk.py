@@ -1,0 +1,142 @@
+"""Straight rays through every surface: what their samples hold, and which structures their ends are inside of."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.surfaces.embree import Geometry, Hits
+from ablate.ultrasound.surfaces.ownership import next_step, owner, toggle
+from ablate.ultrasound.threads import in_parts
+
+_ROWS_OF_A_PART = 256
+
+#: A straight ray under way.
+_WALKER = np.dtype(
+    [
+        ("row", np.int32),  # of its line
+        ("origin", np.float32, 3),  # where the search for the next surface begins: step_mm beyond the last one
+        ("direction", np.float32, 3),
+        ("distance_mm", np.float64),  # of the last surface from the line's start, negative before it
+        ("displayed_mm", np.float64),  # the same, as it is displayed
+        ("reach_mm", np.float32),  # from the origin to the end of the line
+        ("step_mm", np.float32),
+        ("structure", np.int32),  # of the last surface
+        ("triangle", np.int32),  # of the last surface
+        ("filled", np.int32),  # samples that have their value
+    ],
+    align=True,
+)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Where the samples of a line lie, in displayed lengths, and what each holds."""
+
+    first_mm: float
+    spacing_mm: float
+    count: int
+    value_of_owner: np.ndarray  # (structures + 1,) uint8
+    stretch_of_owner: np.ndarray | None = None  # (structures + 1,) float32, displayed over geometric length
+
+    def empty(self, rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """Room for the values, and for the distances of the displayed points."""
+        stretched = 0 if self.stretch_of_owner is None else self.count
+        return np.empty((rows, self.count), np.uint8), np.empty((rows, stretched), np.float32)
+
+
+def walk(
+    geometry: Geometry,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    length_mm: np.ndarray,
+    samples: Samples | None = None,
+    before_mm: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Follow straight rays, which start outside everything, through every surface, from hit to hit.
+
+    Return the sets at the ends, (n, words) uint32; the value of each sample's owner, (n, samples) uint8; and the
+    distance along its line of the point that each sample displays, (n, samples) float32, or (n, 0) where nothing is
+    stretched. Lengths, and the distances `before_mm` from each origin to its line's start, are (n,). `samples` is None
+    where only the ends matter.
+    """
+    owners = geometry.structures + 1
+    samples = samples or Samples(0.0, 1.0, 0, np.zeros(owners, np.uint8))
+    stretch = np.ones(owners, np.float32) if samples.stretch_of_owner is None else samples.stretch_of_owner
+    places = samples.first_mm, samples.spacing_mm, samples.value_of_owner, stretch
+    values, ranges_mm = samples.empty(len(origins))
+    inside = np.zeros((len(origins), max(1, -(-geometry.structures // 32))), np.uint32)
+    walkers = np.zeros(len(origins), _WALKER)
+    walkers["row"] = np.arange(len(origins))
+    walkers["origin"], walkers["direction"], walkers["reach_mm"] = origins, directions, length_mm
+    walkers["structure"] = walkers["triangle"] = -1
+    if before_mm is not None:
+        walkers["distance_mm"] = -before_mm
+
+    def part(begin: int, end: int) -> None:
+        n, own = end - begin, walkers[begin:end]
+        while n:
+            start, direction = (np.ascontiguousarray(own[column][:n]) for column in ("origin", "direction"))
+            hits = geometry.closest(start, direction, own["reach_mm"][:n])
+            n = _cross(own, hits, geometry.step_mm, places, inside, values, ranges_mm)
+
+    in_parts(part, len(origins), _ROWS_OF_A_PART)
+    return inside, values, ranges_mm
+
+
+@compiled
+def _cross(
+    walkers: np.ndarray,
+    hits: Hits,
+    least_step_mm: float,
+    places: tuple[float, float, np.ndarray, np.ndarray],
+    inside: np.ndarray,
+    values: np.ndarray,
+    ranges_mm: np.ndarray,
+) -> int:
+    """Move walkers to the surfaces that they hit; those that go on are moved up and counted."""
+    first_mm, spacing_mm, value_of_owner, stretch_of_owner = places
+    samples, stretched = values.shape[1], ranges_mm.shape[1] > 0
+    left = 0
+    for i in range(len(hits.structure)):
+        walker = walkers[i]
+        row, last, displayed = walker.row, walker.distance_mm, walker.displayed_mm
+        here = owner(inside[row])
+        ends = hits.structure[i] < 0
+        distance, reached, end = last, displayed, samples
+        if not ends:
+            distance = last + walker.step_mm + hits.distance_mm[i]
+            reached = displayed + max(distance - max(last, 0.0), 0.0) * stretch_of_owner[here]
+            end = min(max(math.ceil((reached - first_mm) / spacing_mm), 0), samples)
+        for k in range(walker.filled, end):
+            values[row, k] = value_of_owner[here]
+            if stretched:
+                beyond = (first_mm + k * spacing_mm - displayed) / stretch_of_owner[here]
+                ranges_mm[row, k] = max(last, 0.0) + beyond
+        if ends:
+            continue
+        fresh = hits.structure[i] != walker.structure or hits.triangle[i] != walker.triangle
+        if fresh:  # a plane is met only once
+            toggle(inside[row], hits.structure[i])
+        away = fresh and hits.distance_mm[i] > walker.step_mm
+        step = next_step(walker.step_mm, away, least_step_mm)
+        ahead = hits.distance_mm[i] + step
+        for axis in range(3):
+            walker.origin[axis] += ahead * walker.direction[axis]
+        walker.distance_mm, walker.displayed_mm = distance, reached
+        walker.reach_mm, walker.step_mm = walker.reach_mm - ahead, step
+        walker.structure, walker.triangle = hits.structure[i], hits.triangle[i]
+        walker.filled = max(walker.filled, end)
+        walkers[left] = walker
+        left += 1
+    return left
+
+
+def inside_at(geometry: Geometry, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """The sets that points, (n, 3) in the geometry's coordinates, are inside of, (n, words) uint32.
+
+    They are reached from outside everything along `directions`, (n, 3); the less these graze surfaces the better.
+    """
+    back, _ = geometry.through(points, directions)
+    return walk(geometry, points - back[:, None] * directions, directions, back)[0]

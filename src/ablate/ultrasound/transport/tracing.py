@@ -1,0 +1,150 @@
+"""Monte-Carlo path tracing of rays: they meet surfaces, echo there, and are transmitted, reflected, or both.
+
+All rays of a part advance by one surface at a time: intersect, interact, sample the scattering, connect to the element
+(an echo), Russian roulette, spawn.
+
+The weight of a ray, its throughput, is a two-way amplitude. Through an interface its expectation is
+1 - R = t12 t21 with R = R_p^2, exactly what a pulse keeps on its way there and link. The echo of a ray that was
+reflected before returns straight to its element, where the surface that reflected it does not reflect it again: the
+expectation off that interface is |R_p|, once.
+
+How a ray goes on is sampled so that errors are small, with these expectations. A direct ray, never reflected, carries
+the image: it is always transmitted, with 1 - R of its weight, and at random spawns a reflected one. A ray that was
+reflected before is either reflected or transmitted. The probability q of a reflection is at least its physical share
+R, and more where R_p is small (importance sampling): the weight of the reflected ray is multiplied by |R_p| / q, which
+is 1 / |R_p| for q = R. Such rays, rare and of large weight, would appear as isolated dots in dark fluid.
+"""
+
+import math
+
+import numpy as np
+
+from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.stages import Stage, stage
+from ablate.ultrasound.surfaces.embree import Geometry, Hits
+from ablate.ultrasound.surfaces.ownership import next_step, owner, toggle
+from ablate.ultrasound.threads import in_parts
+from ablate.ultrasound.transport.bounce import (
+    connect,
+    cross_thickness,
+    echo,
+    hit_at,
+    medium_at,
+    move_to_surface,
+    reflection_probability,
+    roulette,
+    segment_ahead,
+    spawn,
+)
+from ablate.ultrasound.transport.draws import CHOICE, COLUMNS, MAX_ROWS, SURVIVAL, THICKNESS, Draws, unstratified
+from ablate.ultrasound.transport.echoes import ECHO
+from ablate.ultrasound.transport.illumination import Nodes, accumulate
+from ablate.ultrasound.transport.interfaces import along, sample_scattering, vector
+from ablate.ultrasound.transport.rays import Bundle, View, start_rays
+
+_GROUPS_OF_A_PART = 96
+
+
+@stage(Stage.tracing)
+def trace(geometry: Geometry, view: View, draws: Draws, bundle: Bundle, inside: np.ndarray, nodes: Nodes) -> np.ndarray:
+    """The echoes, (n,) ECHO, of all rays of a frame until they are deeper than the image; `nodes` are accumulated."""
+
+    def part(begin: int, end: int) -> np.ndarray:
+        rays, sets = start_rays(bundle, inside, slice(begin, end), view), inside[begin:end].copy()
+        n, received = end - begin, []
+        while n:
+            rays, sets = _with_room(rays, 2 * n), _with_room(sets, 2 * n)
+            origins, directions = (np.ascontiguousarray(rays[column][:n]) for column in ("origin", "direction"))
+            hits = geometry.closest(origins, directions, rays["reach_mm"][:n])
+            echoes = np.empty(n, ECHO)
+            table = draws.table(int(rays["interfaces"][:n].max()) + 1)
+            n, count = _advance(rays, sets, hits, view, table, nodes, echoes)
+            received.append(echoes[:count].copy())
+        return np.concatenate(received)
+
+    return np.concatenate(in_parts(part, len(bundle.origins), _GROUPS_OF_A_PART * view.rays))
+
+
+def _with_room(rows: np.ndarray, count: int) -> np.ndarray:
+    """The same rows, with at least `count` of them; those added are not initialised."""
+    return rows if len(rows) >= count else np.concatenate([rows, np.empty((count, *rows.shape[1:]), rows.dtype)])
+
+
+@compiled
+def _advance(
+    rays: np.ndarray, inside: np.ndarray, hits: Hits, view: View, table: np.ndarray, nodes: Nodes, echoes: np.ndarray
+) -> tuple[int, int]:
+    """Advance rays to the surfaces that they hit: one bounce of the path tracer.
+
+    Reflected rays are written behind all rays at first, because transmitted rays take the rows from 0. Returns how many
+    rays there are then, and how many echoes were written.
+    """
+    media = view.media
+    beyond_table = np.empty(COLUMNS, np.float32)
+    transmitted, reflected, received = 0, len(hits.structure), 0
+    for i in range(len(hits.structure)):
+        ray, hit = rays[i], hit_at(hits, i)
+        group, direct = ray.number // view.rays, ray.reflections == 0
+        medium = medium_at(media, ray.medium)
+        if direct:  # up to the surface, or to the end of the image
+            length_mm = (hit.distance_mm + ray.step_mm) * medium.stretch if hit.structure >= 0 else math.inf
+            accumulate(nodes, group, segment_ahead(ray, medium, length_mm), ray.weight)
+        if hit.structure < 0:
+            continue
+        fresh = hit.structure != ray.structure or hit.triangle != ray.triangle  # a plane is met only once
+        beyond = ray.medium
+        if fresh:
+            toggle(inside[i], hit.structure)
+            beyond = view.tissue_of_owner[owner(inside[i])]
+        step_mm = next_step(ray.step_mm, fresh and hit.distance_mm > ray.step_mm, view.step_mm)
+        point = move_to_surface(ray, hit, medium)
+        ray.step_mm = step_mm
+        direction, weight = vector(ray.direction), ray.weight
+
+        if media.differs[ray.medium, beyond]:
+            if ray.interfaces < MAX_ROWS:
+                drawn = table[ray.interfaces, ray.number]
+            else:
+                drawn = unstratified(view.path_seed, ray.interfaces, ray.number, beyond_table)
+            surface = view.tissue_of_owner[hit.structure + 1]
+            scattering = sample_scattering(direction, hit.normal, ray.medium, beyond, surface, drawn, media)
+            thickness_mm = float(drawn[THICKNESS]) * media.thickness_mm[surface] if media.thick else 0.0
+
+            link = connect(ray, point, medium, thickness_mm, vector(view.elements[group]))
+            depth_mm = link.depth_mm + thickness_mm * medium.stretch
+            if depth_mm < view.depth_mm:
+                amplitude = echo(ray, scattering, link, media.specularity[surface], vector(view.axes[group]))
+                if amplitude > 0:
+                    found = echoes[received]
+                    found.group, found.depth_mm = group, depth_mm
+                    found.amplitude, found.reflected = amplitude, not direct
+                    received += 1
+            if link.depth_mm >= view.depth_mm:
+                continue
+
+            ray.interfaces += 1
+            probability = reflection_probability(abs(scattering.pressure), direct)
+            if direct and probability > 0:  # the level is interpolated between nodes: keep it up to the surface
+                energy = scattering.pressure * scattering.pressure
+                accumulate(nodes, group, segment_ahead(ray, medium, nodes.spacing_mm), weight * energy)
+            pressure, choice, luck = scattering.pressure, drawn[CHOICE], drawn[SURVIVAL]
+            back_weight, weight = roulette(ray, pressure, probability, choice, luck, link.two_way_db, view.roulette_db)
+            if back_weight > 0:
+                rays[reflected], inside[reflected] = ray, inside[i]
+                toggle(inside[reflected], hit.structure)
+                child, back = rays[reflected], scattering.reflected
+                child.reflections += 1
+                cross_thickness(child, medium, thickness_mm)
+                spawn(child, along(point, back, step_mm), back, back_weight, view.depth_mm, medium.stretch)
+                reflected += 1
+            direction = scattering.transmitted
+        if weight > 0:
+            rays[transmitted], inside[transmitted] = ray, inside[i]
+            child, stretch = rays[transmitted], float(media.stretch[beyond])
+            child.medium = beyond
+            spawn(child, along(point, direction, step_mm), direction, weight, view.depth_mm, stretch)
+            transmitted += 1
+    for i in range(len(hits.structure), reflected):
+        rays[transmitted], inside[transmitted] = rays[i], inside[i]
+        transmitted += 1
+    return transmitted, received

@@ -1,0 +1,133 @@
+"""A new metric is a function and one entry: every table, figure, caption and statistic shows it."""
+
+import sys
+from types import ModuleType
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ablate.analysis import (
+    RESIMULATION,
+    boxplot_caption,
+    comparison_table,
+    effects_caption,
+    effects_plot,
+    effects_table,
+    find_design,
+    paired_boxplots,
+    paired_table,
+    seed_claims,
+    seed_plot,
+    seeds_caption,
+    to_html,
+    to_latex,
+    to_markdown,
+    to_text,
+    wide_table,
+    write_report,
+)
+from ablate.metrics import (
+    METRICS,
+    Direction,
+    Group,
+    Metric,
+    Pair,
+    Resimulation,
+    Shown,
+    choose_metrics,
+    evaluate_image,
+    metric_of,
+    registry,
+    shown_in,
+)
+
+VARIANTS = {"sa2h": (0, 0), "sa2h-att": (1, 0), "sa2h-noise": (0, 1), "sa2h-att-noise": (1, 1)}
+SAID = {"att": "attenuation", "noise": "noise"}
+
+
+def brightness(pair):
+    return abs(float(pair.prediction.mean()) - float(pair.target.mean()))
+
+
+NEW = Metric(
+    *("brightness", "Brightness error", "grey levels", Direction.lower, Resimulation.floor, Group.pixel, 1),
+    shown=Shown.everywhere,
+    of_image=brightness,
+)
+
+
+@pytest.fixture(params=["of the package", "of a user"])
+def chosen(request, monkeypatch):
+    """The metric among all others: as an entry of the registry, or behind a dotted path."""
+    monkeypatch.setattr(registry, "_OWN", {})
+    if request.param == "of the package":
+        monkeypatch.setitem(METRICS, NEW.name, NEW)
+        return [*choose_metrics(["psnr"]).values(), METRICS[NEW.name]]
+    module = ModuleType("of_a_user")
+    module.brightness_error = NEW
+    monkeypatch.setitem(sys.modules, "of_a_user", module)
+    return list(choose_metrics(["psnr", "of_a_user.brightness_error"]).values())
+
+
+def scored(metrics):
+    """Two components, three seeds, 12 frames of 6 sites; noise makes images brighter."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for variant, (att, noise) in {RESIMULATION: (0, 0), **VARIANTS}.items():
+        for seed in (0,) if variant == RESIMULATION else (0, 1, 2):
+            for frame in range(12):
+                target = rng.integers(0, 200, (20, 20)).astype(np.uint8)
+                image = target + np.uint8(3 * att + 12 * noise + seed + rng.integers(0, 4))
+                found = evaluate_image(Pair(image, target, np.ones((20, 20), bool)), metrics)
+                rows += [(variant, seed, frame, frame % 6, name, value) for name, value in found.items()]
+    return pd.DataFrame(rows, columns=["variant", "seed", "frame", "site", "metric", "value"])
+
+
+def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path):
+    assert metric_of("brightness") is NEW
+    assert all("brightness" in shown_in(place) for place in Shown.everywhere)
+    per_image = scored(chosen)
+
+    table = comparison_table(per_image)
+    assert set(table["metric"]) == {"psnr", "brightness"}
+    best = table[table["best"] & (table["metric"] == "brightness")]
+    assert best["variant"].tolist() == ["sa2h"], "lower is better"
+    for printed in (to_text(table), to_markdown(table), to_html(table)):
+        assert "Brightness error (grey levels) ↓" in printed
+    assert "the floor for Brightness error" in to_text(table)
+    assert r"Brightness error (grey levels) $\downarrow$" in to_latex(table)
+    assert "brightness_mean" in wide_table(table)
+
+    paired, claims = paired_table(per_image, resamples=50), seed_claims(per_image)
+    assert set(paired["metric"]) == set(claims["metric"]) == {"psnr", "brightness"}
+    components = {label: dict(zip(SAID.values(), levels, strict=True)) for label, levels in VARIANTS.items()}
+    design = find_design(components, tuple(SAID.values()))
+    effects = effects_table(per_image, design)
+    assert effects.set_index(["metric", "effect"]).loc[("brightness", "noise"), "estimate"] == pytest.approx(12, abs=2)
+
+    boxes = paired_boxplots(per_image, tmp_path, paired=paired)
+    assert boxes["brightness"][0].name == "boxplot_brightness.png"
+    drawn = seed_plot(per_image, None, shown_in(Shown.panels), tmp_path / "seeds")
+    drawn += effects_plot(effects, shown_in(Shown.panels), tmp_path / "effects")
+    assert all(path.exists() for path in drawn)
+    captions = (boxplot_caption(["brightness"]), seeds_caption(["brightness"]), effects_caption(design, effects))
+    assert all("Brightness error" in caption for caption in captions)
+    page = write_report(tmp_path / "report.html", "new", per_image, table, paired, claims).read_text("utf-8")
+    shown = page.partition("<details>")[0]
+    assert "Brightness error (grey levels)" in shown, "it is among those that are not folded"
+
+
+def test_a_metric_without_an_entry_is_shown_under_its_name_and_not_judged():
+    unknown = metric_of("never_seen")
+    assert (unknown.title, unknown.better, unknown.resimulation) == ("never_seen", Direction.none, Resimulation.none)
+    assert np.isnan(unknown.badness(1.0))
+
+
+def test_what_is_no_metric_of_an_image_is_refused(monkeypatch):
+    module = ModuleType("of_a_user")
+    module.empty, module.taken, module.number = Metric("empty"), Metric("psnr", of_image=brightness), 3
+    monkeypatch.setitem(sys.modules, "of_a_user", module)
+    for name, words in (("empty", "is no function"), ("number", "is no function"), ("taken", "name of another metric")):
+        with pytest.raises(ValueError, match=words):
+            choose_metrics([f"of_a_user.{name}"])

@@ -1,0 +1,114 @@
+"""Pregnancies: rigid lies that differ, limbs that do not tangle, a fetus and a cord that float free."""
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from ablate.anatomy import Scene
+from ablate.anatomy.fetal.fetus.axes import SIDES
+from ablate.anatomy.fetal.fetus.limbs import Limbs
+from ablate.anatomy.fetal.mother import cavity
+from ablate.anatomy.fetal.placenta import placenta_field
+from ablate.anatomy.fetal.pregnancy import draw_pregnancy, fetal_balls, lie, untangled
+from ablate.anatomy.fetal.umbilical_cord import JELLY_MM, cord_route
+
+SEEDS = [0, 1, 2, 3, 4, 5]
+FLESH = ("body and head", "left leg", "right leg", "left arm", "right arm")
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_lie_is_rigid_and_limbs_are_untangled(seed: int) -> None:
+    pregnancy = draw_pregnancy(seed)
+    assert pregnancy.rotation @ pregnancy.rotation.T == pytest.approx(np.eye(3))
+    assert np.linalg.det(pregnancy.rotation) == pytest.approx(1.0)
+    assert np.linalg.norm(pregnancy.placenta) == pytest.approx(1.0)
+    assert untangled(pregnancy.limbs)
+
+
+def test_tangled_limbs_are_told() -> None:
+    assert untangled(Limbs())
+    crossed = Limbs(*(type(Limbs().left_leg)(90.0, -25.0, 10.0, 0.0) for _ in range(2)))
+    assert not untangled(crossed)
+
+
+def test_pregnancies_differ() -> None:
+    pregnancies = [draw_pregnancy(seed) for seed in range(8)]
+    heads = np.array([p.rotation[:, 2] for p in pregnancies])
+    backs = np.array([p.rotation[:, 1] for p in pregnancies])
+    placentas = np.array([p.placenta for p in pregnancies])
+    assert {True, False} == set(heads[:, 2] > 0)  # head down and breech
+    assert backs[:, 0].min() < -0.5 < 0.5 < backs[:, 0].max()  # back to her right and left
+    assert placentas[:, 1].min() < -0.5 < 0.5 < placentas[:, 1].max()  # in front and behind
+    assert len({p.limbs for p in pregnancies}) == len(pregnancies)
+
+
+def test_lie_points_head_and_back_where_asked() -> None:
+    rotation = lie(head_down=True, back_deg=90.0, oblique_deg=0.0, nod_deg=0.0)
+    assert rotation[:, 2] == pytest.approx([0, 0, -1])
+    assert rotation[:, 1] == pytest.approx([1, 0, 0])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_fetus_floats_in_the_fluid(
+    built: Callable[[int, int], Scene], mesh_of: Callable[..., trimesh.Trimesh], seed: int
+) -> None:
+    scene, pregnancy = built(30_000, seed), draw_pregnancy(seed)
+    inner, disc = cavity(seed), placenta_field(seed, pregnancy.placenta)
+    for name in FLESH:
+        points = mesh_of(scene, name).vertices
+        assert inner(*points.T).max() < 0.0, f"{name} touches the uterus"
+        assert disc(*points.T).min() > -0.5, f"{name} lies in the placenta"
+    front = mesh_of(scene, "skin").vertices[:, 1].min()
+    depth = np.concatenate([mesh_of(scene, name).vertices[:, 1] for name in FLESH]) - front
+    assert 30 < depth.min()
+    assert depth.max() < 155
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_balls_fill_the_fetus(
+    built: Callable[[int, int], Scene], mesh_of: Callable[..., trimesh.Trimesh], seed: int
+) -> None:
+    """Every point of the skin is within a few millimetres of the balls that stand for the fetus in fitting."""
+    scene, balls = built(30_000, seed), draw_pregnancy(seed).balls()
+    points = np.concatenate([mesh_of(scene, name).vertices[::5] for name in FLESH])
+    off = (np.linalg.norm(points[:, None] - balls[None, :, :3], axis=2) - balls[:, 3]).min(axis=1)
+    assert off.max() < 6.0 * draw_pregnancy(seed).size  # in the folds between head, trunk and limbs
+    assert np.percentile(off, 95) < 2.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_cord_runs_free_from_navel_to_placenta(
+    built: Callable[[int, int], Scene], mesh_of: Callable[..., trimesh.Trimesh], seed: int
+) -> None:
+    scene, pregnancy = built(30_000, seed), draw_pregnancy(seed)
+    path, insertion = cord_route(pregnancy)
+    length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
+    assert length[-1] > 120.0
+    assert mesh_of(scene, "body and head").contains(path[:1]).all()
+    assert placenta_field(seed, pregnancy.placenta)(*path[-1]) < 0.0
+    assert np.linalg.norm(path[-1] - insertion) < 10.0
+    between = path[(length > 24.0) & (length < length[-1] - 22.0)]
+    assert cavity(seed)(*between.T).max() < -JELLY_MM
+    for name in FLESH:
+        skin = trimesh.sample.sample_surface(mesh_of(scene, name), 30_000, seed=0)[0]
+        distance = cKDTree(skin).query(between)[0]
+        assert distance.min() > JELLY_MM - 1.5, name  # the balls that it was kept from are not quite the flesh
+
+
+def test_limbs_keep_their_lengths_in_every_pose() -> None:
+    for seed in SEEDS:
+        limbs = draw_pregnancy(seed).limbs
+        for side in SIDES:
+            for limb, lengths in ((limbs.leg(side), (46.0, 41.0, 24.0)), (limbs.arm(side), (40.0, 34.0, 19.0))):
+                measured = [np.linalg.norm(b - a) for a, b in pairwise(limb)]
+                assert measured == pytest.approx(lengths)
+
+
+def test_balls_are_in_fetal_axes() -> None:
+    balls = fetal_balls(Limbs())
+    assert balls[:, 2].max() + 30 > 90  # head
+    assert abs(balls[:, 0].mean()) < 2.0

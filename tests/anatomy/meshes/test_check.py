@@ -1,0 +1,143 @@
+"""What a simulator is told of a scene before it casts a ray: refused, warned of, or let pass."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from ablate.anatomy import Scene, Structure, check_scene, load_scene, load_tissues
+from ablate.anatomy.meshes.check import openings
+
+TISSUES = load_tissues()
+BALL = trimesh.creation.icosphere(subdivisions=3, radius=40.0)
+
+
+def scene_of(vertices: np.ndarray, faces: np.ndarray) -> Scene:
+    """A sound structure, and one of these vertices and faces."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    return Scene(
+        (Structure(BALL.copy(), TISSUES["fat"]), Structure(mesh, TISSUES["liver"])), TISSUES["coupling_gel"], "s"
+    )
+
+
+def moved(index: int, value: float) -> np.ndarray:
+    vertices = BALL.vertices.copy()
+    vertices[index, 1] = value
+    return vertices
+
+
+def doubled_wall() -> tuple[np.ndarray, np.ndarray]:
+    """Two boxes side by side, the wall between them twice: watertight, but a ray crosses the two walls as one."""
+    box = trimesh.creation.box((10, 10, 10))
+    other = box.vertices * (1, 1, -1) + (0, 0, 10)
+    return np.concatenate([box.vertices, other]), np.concatenate([box.faces, box.faces + 8])
+
+
+BELOW = BALL.faces[BALL.triangles_center[:, 2] < 20.0]
+REFUSED = {
+    "nothing": (BALL.vertices, np.empty((0, 3), int), "holds no triangles"),
+    "far index": (BALL.vertices, np.array([(0, 1, 642)]), "vertices that are not among its 642"),
+    "negative index": (BALL.vertices, np.array([(0, 1, -1)]), "vertices that are not among its 642"),
+    "nan": (moved(7, np.nan), BALL.faces, "not finite or beyond 1.8e[+]18 mm"),
+    "infinite": (moved(7, -np.inf), BALL.faces, "not finite"),
+    "float32 overflows": (moved(7, 1e30), BALL.faces, "not finite or beyond"),
+    "line": (np.diag([1.0, 2.0, 3.0]) @ np.ones((3, 3)), np.array([(0, 1, 2)]), "no triangle with an area"),
+    "open": (BALL.vertices, BELOW, "not closed: .* open edges"),
+    "open and doubled": (BALL.vertices, np.concatenate([BELOW, BELOW[:, ::-1]]), "not closed: .* open edges"),
+    "doubled wall": (*doubled_wall(), "not closed: 4 open edges, the largest hole 1[0-4]"),
+    "single triangle": (BALL.vertices, BALL.faces[:1], "not closed: 3 open edges"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_would_be_imaged_wrongly_is_refused_by_index_and_tissue(name: str) -> None:
+    vertices, faces, message = REFUSED[name]
+    with pytest.raises(ValueError, match=rf"^scene 's': structure 1 \(liver\) .*{message}") as caught:
+        check_scene(scene_of(vertices, faces), 150.0)
+    assert "\n" not in str(caught.value)
+
+
+def soup(jitter_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles that share no vertex, each corner up to `jitter_mm` beside its place."""
+    corners = BALL.triangles.reshape(-1, 3)
+    shaken = corners + np.random.default_rng(0).uniform(-jitter_mm, jitter_mm, corners.shape)
+    return shaken, np.arange(len(corners)).reshape(-1, 3)
+
+
+def t_junctions() -> tuple[np.ndarray, np.ndarray]:
+    """Every seventh triangle cut in four, its neighbours left as they are."""
+    cut = BALL.subdivide(face_index=np.arange(0, len(BALL.faces), 7))
+    return cut.vertices, cut.faces
+
+
+SOUND = {
+    "closed": (BALL.vertices, BALL.faces),
+    "inside out": (BALL.vertices, BALL.faces[:, ::-1]),
+    "every triangle twice": (BALL.vertices, np.concatenate([BALL.faces, BALL.faces])),
+    "some three times": (BALL.vertices, np.concatenate([BALL.faces, BALL.faces[:90], BALL.faces[:90]])),
+    "degenerate ones too": (BALL.vertices, np.concatenate([BALL.faces, [(3, 3, 9), (5, 5, 5)]])),
+    "unused vertex": (np.concatenate([BALL.vertices, [(np.nan,) * 3]]), BALL.faces),
+    "vertices not shared": soup(0.0),
+    "vertices nearly shared": soup(1e-5),
+    "zeros of both signs": (np.where(BALL.vertices == 0, -0.0, BALL.vertices), BALL.faces),
+    "t-junctions": t_junctions(),
+}
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_what_rays_see_as_closed_passes(name: str) -> None:
+    check_scene(scene_of(*SOUND[name]), 150.0)
+
+
+@pytest.mark.parametrize("missing", [0, 1, 2, 5, 60])
+@pytest.mark.parametrize("seed", range(4))
+def test_closed_is_what_an_independent_library_calls_watertight(missing: int, seed: int) -> None:
+    body = trimesh.util.concatenate([trimesh.creation.torus(30, 9), trimesh.creation.annulus(20, 30, 50)])
+    faces = np.random.default_rng(seed).permutation(body.faces)[missing:]
+    watertight = trimesh.Trimesh(body.vertices, faces, process=False).is_watertight
+    assert watertight == (missing == 0)
+    if watertight:
+        check_scene(scene_of(body.vertices, faces), 150.0)
+    else:
+        with pytest.raises(ValueError, match="not closed"):
+            check_scene(scene_of(body.vertices, faces), 150.0)
+
+
+def test_holes_are_measured() -> None:
+    tube = trimesh.creation.cylinder(radius=6.0, height=20.0, sections=32)
+    end = np.isclose(tube.face_normals[:, 2], 1.0)
+    edges, width_mm = openings(tube.vertices, tube.faces[~end])
+    assert edges == 32
+    assert width_mm == pytest.approx(12.0)
+    two = trimesh.Trimesh(tube.vertices, tube.faces[~np.isclose(np.abs(tube.face_normals[:, 2]), 1.0)], process=False)
+    assert openings(two.vertices, two.faces) == (64, pytest.approx(12.0))
+    assert openings(tube.vertices, tube.faces) == (0, 0.0)
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1e-3, "0.08 mm"), (1e3, "8e[+]04 mm"), (40.0, "3.2e[+]03 mm")])
+def test_a_scene_of_no_body_s_size_is_warned_of(scale: float, said: str) -> None:
+    scene = scene_of(BALL.vertices, BALL.faces)
+    for structure in scene.structures:
+        structure.mesh.apply_scale(scale)
+    with pytest.warns(UserWarning, match=rf"'s': its largest extent is {said} and the probe images 150 mm deep"):
+        check_scene(scene, 150.0)
+    check_scene(scene, 150.0 * scale)  # scaled together with its probe
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_point_target_passes() -> None:
+    mesh = BALL.copy().apply_scale(1e-3)
+    check_scene(Scene((Structure(mesh, TISSUES["liver"]),), TISSUES["coupling_gel"], "s"), 150.0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_scenes_as_they_come_pass(built: Callable[[int, int], Scene]) -> None:
+    check_scene(Scene((), TISSUES["liver"], "empty"), 150.0)
+    check_scene(built(4_000, 0), 150.0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_repaired_patient_passes(cases: Path) -> None:
+    check_scene(load_scene(cases / "ircad11"), 150.0)

@@ -1,0 +1,167 @@
+"""Scene folders: what is read, and one clear line for everything that is wrong."""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+import trimesh
+import yaml
+
+from ablate.anatomy import SiteGrid, load_scene, load_sites, load_tissues, validate_scene_folder
+from ablate.anatomy.meshes.closing import odd_edges
+
+CASES = Path(os.environ.get("ABLATE_CASES", Path(__file__).parents[2].parent / "shared" / "cases"))
+GOOD = {
+    "unit": "cm",
+    "background": "coupling_gel",
+    "structures": [{"mesh": "skin.obj", "tissue": "fat"}, {"mesh": "liver.stl", "tissue": "graft"}],
+    "tissues": {"graft": {"speed_m_s": 1600, "texture_mm": [1, 2, 3]}, "fat": {"scatterer_sd": 0.5}},
+    "sites": {
+        "axis": [0, 0, 1],
+        "front": [0, -1, 0],
+        "heights": {"range": [6, 16], "count": 6},
+        "angles": {"range": [-60, 60], "count": 9},
+        "tilts": [-15, 0, 15],
+        "rolls": 0,
+    },
+}
+
+
+def write(folder: Path, **changes: object) -> Path:
+    trimesh.creation.box((10, 10, 10)).export(folder / "skin.obj")
+    trimesh.creation.icosphere(radius=3.0).export(folder / "liver.stl")
+    (folder / "scene.yaml").write_text(yaml.safe_dump({**GOOD, **changes}))
+    return folder
+
+
+def test_a_folder_is_read_in_mm_with_its_own_tissues(tmp_path: Path) -> None:
+    scene = load_scene(write(tmp_path))
+    assert scene.name == tmp_path.name
+    assert [s.tissue.name for s in scene.structures] == ["fat", "graft"]
+    assert scene.structures[0].mesh.extents == pytest.approx([100, 100, 100])
+    assert scene.structures[0].tissue.scatterer_sd == 0.5
+    assert scene.structures[0].tissue.speed_m_s == load_tissues()["fat"].speed_m_s
+    assert scene.structures[1].tissue.texture_mm == (1.0, 2.0, 3.0)
+    assert scene.background == load_tissues()["coupling_gel"]
+
+
+def test_sites_are_in_mm_and_degrees(tmp_path: Path) -> None:
+    sites = load_sites(write(tmp_path))
+    assert sites.heights_mm == pytest.approx((60, 80, 100, 120, 140, 160))
+    assert sites.angles_deg == pytest.approx((-60, -45, -30, -15, 0, 15, 30, 45, 60))
+    assert sites.tilts_deg == (-15, 0, 15)
+    assert sites.rolls_deg == (0,)
+
+
+def test_a_folder_may_be_all_background(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text("background: liver\n")
+    scene = load_scene(tmp_path)
+    assert scene.structures == ()
+    assert scene.tissues == (load_tissues()["liver"],)
+    with pytest.raises(ValueError, match=r"scene\.yaml: sites: missing"):
+        load_sites(tmp_path)
+
+
+def structure(**values: object) -> dict[str, object]:
+    return {"structures": [{"mesh": "skin.obj", "tissue": "fat", **values}]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"unit": "inch"}, r"unit: 'inch' is not one of mm, cm, m"),
+        ({"unit": ["mm"]}, r"unit: \['mm'\] is not one of"),
+        ({"backgroud": "fat"}, r"unknown key 'backgroud' \(did you mean background\?\); allowed: unit, "),
+        ({"background": "gell"}, r"background: unknown tissue 'gell'.*known: coupling_gel, "),
+        ({"structures": {"mesh": "a"}}, r"structures: must be a list"),
+        ({"structures": ["skin.obj"]}, r"structures\[0\]: must be a mapping of mesh, tissue"),
+        (structure(tissue="livr"), r"structures\[0\]\.tissue: unknown tissue 'livr' \(did you mean liver"),
+        (structure(color="red"), r"structures\[0\]: unknown key 'color'"),
+        (structure(mesh=3), r"structures\[0\]\.mesh: must be a file name, not 3"),
+        (structure(mesh="skin.txt"), r"structures\[0\]\.mesh: skin\.txt is not one of \.obj, \.stl"),
+        (structure(mesh="empty.obj"), r"structures\[0\]\.mesh: .*empty\.obj is empty"),
+        ({"tissues": ["fat"]}, r"tissues: must be a mapping"),
+        ({"tissues": {"fat": {"speed": 1}}}, r"tissues\.fat: unknown key 'speed' \(did you mean speed_m_s"),
+        ({"tissues": {"fat": {"speed_m_s": "fast"}}}, r"tissues\.fat\.speed_m_s: must be a finite number"),
+        ({"tissues": {"fat": {"speed_m_s": -1}}}, r"tissues: tissue 'fat': speed_m_s must be between"),
+        ({"tissues": {"fat": {"texture_mm": 1}}}, r"tissues\.fat\.texture_mm: must be a list of 3 numbers"),
+        ({"sites": {"height": [1]}}, r"sites: unknown key 'height' \(did you mean heights"),
+        ({"sites": {"heights": {"range": [1, 2]}}}, r"sites\.heights\.count: must be a whole number"),
+        ({"sites": {"heights": {"range": [1], "count": 2}}}, r"sites\.heights\.range: must be a list of 2"),
+        ({"sites": {"angles": []}}, r"sites: site grid: angles_deg must be one or more"),
+        ({"sites": {"axis": [0, 1, 0]}}, r"must not point along axis"),
+        ({"sites": {"tilts": [0, 120]}}, r"sites: site grid: tilts_deg must lie between -90 and 90"),
+        ({"sites": {"tilts": ["steep"]}}, r"sites\.tilts: must be a finite number, not 'steep'"),
+        (
+            {"sites": {"region": ["skn.obj"]}},
+            r"sites\.region: no mesh 'skn\.obj' \(did you mean skin\.obj\?\); known: ",
+        ),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, changes: dict[str, object], message: str) -> None:
+    (tmp_path / "empty.obj").touch()
+    with pytest.raises(ValueError, match=message) as caught:
+        validate_scene_folder(write(tmp_path, **changes))
+    assert "\n" not in str(caught.value)
+    assert "scene.yaml" in str(caught.value)
+
+
+def test_what_is_missing_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="nowhere is not a folder"):
+        load_scene(tmp_path / "nowhere")
+    with pytest.raises(FileNotFoundError, match=r"no scene\.yaml"):
+        load_scene(tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"structures\[0\]\.mesh: no file .*gone\.obj"):
+        load_scene(write(tmp_path, **structure(mesh="gone.obj")))
+
+
+@pytest.mark.parametrize("text", ["structures: [", "just words", "[1, 2]", "", "unit: mm\nunit: cm", "? [a]\n: 1"])
+def test_what_is_not_a_mapping_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "scene.yaml").write_text(text)
+    with pytest.raises(ValueError, match=r"scene\.yaml"):
+        validate_scene_folder(tmp_path)
+
+
+def test_keys_given_twice_are_refused(tmp_path: Path) -> None:
+    write(tmp_path)
+    with (tmp_path / "scene.yaml").open("a") as stream:
+        stream.write("background: fat\n")
+    with pytest.raises(ValueError, match=r"scene\.yaml: not readable as YAML: 'background' is given twice .*line"):
+        validate_scene_folder(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("unit", "size", "message"),
+    [
+        ("mm", 0.31, r"unit: mm makes the scene's largest extent 0.31 mm; bodies have 5 to 2250 mm; m would make it"),
+        ("mm", 0.2, r"largest extent 0.2 mm; bodies have 5 to 2250 mm; m would make it 200 mm$"),
+        ("cm", 300.0, r"unit: cm makes the scene's largest extent 3e\+03 mm;.*; mm would make it 300 mm$"),
+        ("m", 30.0, r"largest extent 3e\+04 mm;.*; mm would make it 30 mm and cm would make it 300 mm$"),
+        ("mm", 3e5, r"largest extent 3e\+05 mm; bodies have 5 to 2250 mm$"),
+    ],
+)
+def test_units_that_make_no_body_are_refused(tmp_path: Path, unit: str, size: float, message: str) -> None:
+    write(tmp_path, unit=unit, **structure())
+    trimesh.creation.box((size / 2, size, size / 3)).export(tmp_path / "skin.obj")
+    with pytest.raises(ValueError, match=message) as caught:
+        load_scene(tmp_path)
+    assert "scene.yaml" in str(caught.value)
+
+
+def test_site_grid_refuses_what_is_not_finite() -> None:
+    with pytest.raises(ValueError, match="heights_mm must be one or more finite numbers"):
+        SiteGrid(heights_mm=(float("nan"),))
+
+
+@pytest.mark.skipif(not (CASES / "ircad11").is_dir(), reason="the real case is not here")
+def test_a_real_patient_is_closed_quickly() -> None:
+    start = time.perf_counter()
+    scene = load_scene(CASES / "ircad11")
+    assert time.perf_counter() - start < 20  # about 1.5 s on one idle core
+    assert len(scene.structures) == 11
+    assert all(len(odd_edges(s.mesh.faces)) == 0 for s in scene.structures)
+    by_name = {s.mesh.metadata["name"]: s.mesh for s in scene.structures}
+    assert by_name["skin.obj"].extents == pytest.approx([339.4, 254.0, 210.6], abs=0.2)
+    assert by_name["liver.obj"].centroid[0] < by_name["aorta.obj"].centroid[0]  # the liver is on the right
+    assert load_sites(CASES / "ircad11").rolls_deg == (0, 90)

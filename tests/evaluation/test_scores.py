@@ -1,0 +1,276 @@
+"""Scores of a run: chosen metrics, FID by a file, what is left out in words, re-simulation computed once."""
+
+import hashlib
+import json
+import math
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from ablate.config import ConfigurationError, StudySettings
+from ablate.dataset import Part
+from ablate.evaluation import ImageSource, Scorer, Scores, resimulation_images, score_run
+from ablate.evaluation.set_scores import not_computed
+from ablate.metrics import (
+    METRIC_SETS,
+    Pair,
+    choose_metrics,
+    frechet_distance,
+    inception,
+    mae,
+    speckle_features,
+)
+from ablate.studies.identity import finished
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.job import Job
+from ablate.studies.jobs.preflight import check
+from ablate.studies.pairs.data import Data, maps_needed, prepare_data
+from ablate.studies.run import run_job, scorer
+
+TINY = [
+    "scene.triangles=6000", "simulator.scanlines=32", "simulator.axial_samples=128", "simulator.rays=2",
+    "simulator.layers=1", "simulator.image_shape=[512,710]", "dataset.frames=12", "dataset.grid=[4,3,1,1]",
+    "dataset.validation=0.2", "dataset.test=0.4", "dataset.shard=3", "dataset.workers=1", "model.width=0.05",
+    "training.steps=2", "training.crop=32", "training.checkpoint_every=2", "training.validate_every=0",
+    "evaluation.timed_frames=1", "evaluation.pictures=1",
+]  # fmt: skip
+ENDS = (slice(0, 299), slice(213, 512))  # of the crops in the 512 px centre
+HALVES = (slice(0, 150), slice(149, 299))  # of a crop, that the small network takes the means of
+
+
+def job(runs: Path, *more: str) -> Job:
+    return jobs_of([f"runs_dir={runs}", *TINY, *more])[0]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("runs")
+
+
+@pytest.fixture(scope="module")
+def data(runs: Path) -> Data:
+    tiny = job(runs)
+    return prepare_data(tiny.settings, maps_needed([tiny.settings.model]))
+
+
+@pytest.fixture
+def network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A small network that passes for Inception."""
+
+    class Means(torch.nn.Module):
+        def forward(self, x: torch.Tensor, return_features: bool = False) -> torch.Tensor:  # noqa: ARG002
+            return torch.nn.functional.adaptive_avg_pool2d(x[:, :1].float(), (2, 2)).flatten(1)
+
+    path = tmp_path / "net.pt"
+    with pytest.warns(DeprecationWarning, match="torch.jit"):
+        torch.jit.save(torch.jit.script(Means()), str(path))
+    monkeypatch.setattr(inception, "INCEPTION_SHA256", hashlib.sha256(path.read_bytes()).hexdigest())
+    return path
+
+
+def scored(data: Data, job: Job, images_of: ImageSource, *names: str) -> Scores:
+    chosen = Scorer(
+        data.pairs, data.tissues, job.settings.probe, job.settings.evaluation, choose_metrics(names or "all")
+    )
+    return chosen.score(Part.test, images_of, draws_noise=False)
+
+
+def score(settings: StudySettings, data: Data) -> Scores:
+    return score_run(scorer(settings, data), resimulation_images(data.pairs), draws_noise=True)
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[Part]:
+    """The parts that were scored, once for each time."""
+    parts: list[Part] = []
+    whole = Scorer.score
+
+    def counted(self: Scorer, part: Part, images_of: ImageSource, draws_noise: bool) -> Scores:
+        parts.append(part)
+        return whole(self, part, images_of, draws_noise)
+
+    monkeypatch.setattr(Scorer, "score", counted)
+    return parts
+
+
+def test_values_are_those_of_each_frame_alone_however_many_threads(runs: Path, data: Data) -> None:
+    again, frames = resimulation_images(data.pairs), data.pairs.frames(Part.test)
+    found = scored(data, job(runs), again)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(4)
+    try:
+        pd.testing.assert_frame_equal(found.per_image, scored(data, job(runs), again).per_image)
+    finally:
+        torch.set_num_threads(threads)
+    images, targets = (data.pairs.read(name, frames) for name in ("resimulation", "target"))
+    of_mae = found.per_image[found.per_image["metric"] == "mae"]
+    assert of_mae["frame"].tolist() == frames.tolist()
+    assert of_mae["value"].tolist() == [mae(a, b) for a, b in zip(images, targets, strict=True)]
+    described = [speckle_features(pictures, data.pairs.mask()) for pictures in (images, targets)]
+    assert found.scalars["fd_speckle"] == pytest.approx(frechet_distance(*described))
+    assert found.scalars["fd_speckle_lower"] < found.scalars["fd_speckle"] < found.scalars["fd_speckle_upper"]
+
+
+def test_identical_pictures_are_counted_and_left_out_of_the_mean(runs: Path, data: Data) -> None:
+    first = int(data.pairs.frames(Part.test)[0])
+
+    def mostly_right(frames: np.ndarray, _: int) -> np.ndarray:
+        right = np.asarray(frames) != first
+        return np.where(
+            right[:, None, None], data.pairs.read("target", frames), data.pairs.read("resimulation", frames)
+        )
+
+    found = scored(data, job(runs), mostly_right, "psnr", "mae")
+    others = len(data.pairs.frames(Part.test)) - 1
+    assert np.isinf(found.per_image["value"]).sum() == others
+    images = [data.pairs.stored(name, first) for name in ("resimulation", "target")]
+    squares = np.mean((images[0].astype(float) - images[1]) ** 2)
+    assert found.scalars["psnr"] == pytest.approx(10 * math.log10(255**2 / squares))
+    perfect = scored(data, job(runs), lambda frames, _: data.pairs.read("target", frames), "psnr", "mae")
+    assert perfect.scalars == {"mae": 0.0}
+
+
+def brightest(pair: Pair) -> float:
+    """A user's metric that has no value for a black picture."""
+    return math.nan if pair.prediction.max() == 0 else float(pair.prediction.max())
+
+
+def failing(pair: Pair) -> float:
+    raise ZeroDivisionError(f"of {pair.target.shape}")
+
+
+def test_a_metric_of_ones_own_may_be_nan_and_the_frame_is_named(
+    runs: Path, data: Data, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    last = int(data.pairs.frames(Part.test)[-1])
+
+    def dark(frames: np.ndarray, _: int) -> np.ndarray:
+        return data.pairs.read("target", frames) * (np.asarray(frames) != last)[:, None, None].astype(np.uint8)
+
+    monkeypatch.setitem(sys.modules, "of_mine", sys.modules[__name__])
+    found = scored(data, job(runs), dark, "of_mine.brightest")
+    assert found.per_image.loc[found.per_image["value"].isna(), "frame"].tolist() == [last]
+    assert caplog.messages == [f"brightest is NaN on test frame {last}: not in its mean"]
+    assert found.scalars["brightest"] > 0
+    with pytest.raises(ZeroDivisionError) as raised:
+        scored(data, job(runs), dark, "of_mine.failing")
+    assert "by the metric failing" in raised.value.__notes__
+
+
+def test_black_pictures_have_every_metric(runs: Path, data: Data) -> None:
+    black = scored(data, job(runs), lambda frames, _: np.zeros((len(frames), *data.pairs.shape), np.uint8))
+    expected = set(METRIC_SETS["all"]) - {"fid", "kid"}
+    assert expected <= black.scalars.keys()
+    assert all(np.isfinite(v) for v in black.scalars.values())
+    (note,) = black.notes
+    assert note.startswith("fid and kid: not computed, no Inception weights were given (evaluation.inception=")
+
+
+def test_fid_is_computed_with_a_file_and_kept_with_its_interval(runs: Path, data: Data, network: Path) -> None:
+    with_file = job(runs, f"evaluation.inception={network}", "metrics=[fid,kid,psnr]")
+    check([with_file])
+    found = score(with_file.settings, data)
+    for name in ("test/fid", "test/kid", "val/fid", "test/floor_fid"):
+        assert np.isfinite(found.scalars[name])
+    assert found.scalars["test/fid_lower"] < found.scalars["test/fid"] < found.scalars["test/fid_upper"]
+    assert found.scalars["test/fid"] == pytest.approx(found.scalars["test/floor_fid"], rel=1e-9)
+    assert found.notes == ()
+    seen = []
+    for name in ("resimulation", "target"):
+        centres = data.pairs.read(name, data.pairs.frames(Part.test))[:, :, 99:611].astype(float)
+        crops = [centres[:, i, j] for i in ENDS for j in ENDS]
+        seen.append(
+            np.concatenate([np.stack([c[:, i, j].mean((1, 2)) for i in HALVES for j in HALVES], 1) for c in crops])
+        )
+    assert found.scalars["test/fid"] == pytest.approx(frechet_distance(*seen), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("shape", "fan", "frames", "with_network", "missing", "said"),
+    [
+        ((512, 600), slice(0, 200), 4, True, set(), ""),
+        ((512, 600), slice(0, 200), 4, False, {"fid", "kid"}, "no Inception weights were given"),
+        ((511, 600), slice(0, 200), 4, True, {"fid", "kid"}, "frames of 511 x 600 px are smaller than the 512 px"),
+        ((512, 600), slice(0, 47), 4, True, {"fd_speckle", "kd_speckle"}, "fewer than two patches of 48 x 48 px"),
+        ((512, 60), slice(0, 48), 1, True, {"fid", "kid", "fd_speckle", "kd_speckle"}, "frames of 512 x 60 px"),
+    ],
+)
+def test_distances_that_frames_do_not_allow_are_left_out_in_words(
+    shape: tuple[int, int], fan: slice, frames: int, with_network: bool, missing: set[str], said: str
+) -> None:
+    mask = np.zeros(shape, bool)
+    mask[fan] = True
+    names, notes = not_computed(
+        choose_metrics().values(), mask, frames, (lambda images: images) if with_network else None
+    )
+    assert names == missing
+    assert said in " ".join(notes)
+
+
+def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, calls: list[Part]) -> None:
+    settings = job(runs, "metrics=[mae,noise_sd,psnr]").settings
+    first = score(settings, data)
+    assert len(calls) == 4, "two parts, a model and re-simulation each"
+    second = score(settings, data)
+    assert len(calls) == 6
+    pd.testing.assert_frame_equal(first.per_image, second.per_image)
+    assert first.scalars == second.scalars
+    assert first.scalars["test/floor_noise_sd"] > 0
+    score(job(runs, "metrics=mae").settings, data)
+    assert len(calls) == 10, "other metrics, other scores"
+
+
+def test_jobs_side_by_side_wait_for_the_one_that_scores_resimulation(runs: Path, data: Data, calls: list[Part]) -> None:
+    settings = job(runs, "metrics=[mae_smooth]").settings
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(lambda _: score(settings, data).scalars, range(3)))
+    assert found[0] == found[1] == found[2]
+    assert len(calls) == 3 * 2 + 2, "two parts of each job, and of re-simulation once"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("metrics=psnrr", r"metrics=psnrr: allowed are all, paper, psnr, .*noise_sd"),
+        ("metrics=[psnr,no_such_module.metric]", r"no_such_module.metric: ModuleNotFoundError: No module"),
+        ("metrics=[math.no_such]", r"math.no_such: AttributeError: module 'math' has no"),
+        ("metrics=[math.pi]", r"math.pi: is no function"),
+        ("metrics=[]", "none is named"),
+        ("metrics=null", "metrics=None: allowed are all, paper, psnr"),
+        ("metrics=[fd_speckle,noise_sd]", "name one that every image has too, such as psnr"),
+        ("metrics=[fid,mae]", r"metrics=fid: needs evaluation.inception"),
+        ("evaluation.inception=/no/such/file", r"evaluation.inception=/no/such/file: no Inception weights"),
+    ],
+)
+def test_what_cannot_be_computed_is_refused_first(tmp_path: Path, change: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message) as raised:
+        check([job(tmp_path, change)])
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.usefixtures("data")
+def test_metrics_added_later_are_computed_without_training(runs: Path, network: Path) -> None:
+    few = job(runs, "metrics=[mae,psnr]")
+    run_job(few)
+    result = finished(few)
+    assert result is not None
+    assert {"test/mae", "test/psnr", "train/seconds", "seconds"} <= result["scalars"].keys()
+    assert "test/pchi2" not in result["scalars"]
+    checkpoint = (few.folder / "last.ckpt").stat().st_mtime_ns
+
+    more = job(runs, "metrics=[pchi2,kid]", f"evaluation.inception={network}")
+    assert finished(more) is None
+    run_job(more)
+    again = json.loads((few.folder / "result.json").read_text())
+    assert (few.folder / "last.ckpt").stat().st_mtime_ns == checkpoint
+    assert {"test/pchi2", "test/kid", "test/mae"} <= again["scalars"].keys()
+    for kept in ("test/mae", "train/seconds", "seconds", "ms_per_frame"):
+        assert again["scalars"][kept] == result["scalars"][kept]
+    assert finished(few) is not None
+    assert finished(more) is not None
+    assert set(pd.read_parquet(few.folder / "per_image.parquet")["metric"]) == {"mae", "psnr", "pchi2"}

@@ -1,0 +1,290 @@
+"""Error against run time, of a tiny simulator and of tiny networks, measured, interrupted and refused."""
+
+import json
+import math
+import shutil
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from mlflow import MlflowClient
+
+from ablate.config import ConfigurationError
+from ablate.dataset import Part, label_values, network_inputs
+from ablate.metrics import mae, psnr
+from ablate.numerics.precision import generated, simulated, summary
+from ablate.numerics.precision import task as module
+from ablate.numerics.precision.bench import bench_of, render_all
+from ablate.numerics.precision.csv_table import CsvTable
+from ablate.numerics.precision.errors import Frames, envelope_rms, mean_errors, relative_change
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.pairs.data import dataset_folder, open_data
+from ablate.studies.pairs.simulated import build_scene
+from ablate.studies.run import run_job
+from ablate.tracking import default_uri
+from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
+from ablate.ultrasound import Simulator, SimulatorSettings
+from ablate.ultrasound.imaging import speckle
+from support.studies import run as run_command
+
+TINY = ("preset=tiny", "training.steps=2", "evaluation.noise_frames=1", "evaluation.pictures=1")
+POINTS, DETAILS = "series setting ms metric error", "table series setting quantity value"
+
+
+def run(*arguments: str) -> int:
+    return run_command("task=precision", *TINY, *arguments)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small() -> Iterator[None]:
+    """Few rays and tables of scatterers made once; eager only, because compiling takes a minute."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(speckle, "scatterer_tables", cache(speckle.scatterer_tables))
+        patch.setattr(simulated, "RAYS", (1, 2, 4))
+        patch.setattr(simulated, "REFERENCE_RAYS", 32)
+        patch.setattr(generated, "missing_for", lambda e, _: None if e is Engine.eager else "what a test has not")
+        yield
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory, _small: None) -> Path:
+    """A finished run, one of other pairs, one without its weights, and the outcome of the task beside them."""
+    runs = tmp_path_factory.mktemp("runs")
+    (job,) = jobs_of([f"runs_dir={runs}", *TINY])
+    run_job(job)
+    elsewhere = runs / "elsewhere" / job.label / "seed0"
+    shutil.copytree(job.folder, elsewhere)
+    spec = json.loads((elsewhere / "spec.json").read_text())
+    spec["semantic"]["data"]["dataset"]["seed"] = 1
+    (elsewhere / "spec.json").write_text(json.dumps(spec))
+    shutil.copytree(job.folder, runs / "bare" / job.label / "seed0", ignore=shutil.ignore_patterns("*.ckpt"))
+    with (runs / "said.txt").open("w") as file, redirect_stdout(file):
+        assert run(f"runs_dir={runs}") == 0
+    return runs
+
+
+def test_simulator_and_runs_are_measured(trained: Path) -> None:
+    said = (trained / "said.txt").read_text()
+    assert "1 trained runs; 1 left out, they learned from other data; 1 left out, without a checkpoint" in said
+    assert "left out, engine compiled: needs what a test has not." in said
+    assert "With half of its" in said
+    points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})
+    assert list(points.columns) == ["series", "setting", "ms", "metric", "error"]
+    assert (points["ms"] > 0).all()
+    assert not points["error"].isna().any()
+    assert not points.duplicated(["series", "setting", "metric"]).any()
+    rays = points[points["series"] == "simulator, rays"]
+    assert list(dict.fromkeys(rays["setting"])) == ["1", "2", "4"]
+    assert set(rays["metric"]) == {"envelope_rms", "mae", "psnr", "pchi2", "mae_smooth"}
+    scanlines = points[points["series"] == "simulator, scanlines"]
+    assert list(dict.fromkeys(scanlines["setting"])) == ["6", "12", "24", "48"]
+    assert set(scanlines[scanlines["metric"] == "envelope_rms"]["setting"]) == {"24"}, "one grid has the reference's"
+    full = points[points["series"] == "simulator, rays, plan=full"]
+    assert np.array_equal(full["error"], rays["error"]), "what the plan leaves out changes nothing"
+    network = points[points["series"] == "sa2h"]
+    assert "width 0.05, fp32, eager, seed 0" in set(network["setting"])
+    assert "envelope_rms" not in set(network["metric"])
+
+    details = pd.read_csv(trained / "precision" / "details.csv", dtype=str)
+    stages = details[(details["table"] == "stage") & (details["setting"] == "width 0.05, fp32, eager, seed 0")]
+    paid = stages.set_index("quantity")["value"].astype(float)
+    assert set(paid.index) == {"segmentation", "attenuation", "network"}
+    whole = network[network["setting"] == "width 0.05, fp32, eager, seed 0"]["ms"].iloc[0]
+    assert paid.sum() == pytest.approx(whole), "S and A are paid for"
+    assert {"reference", "convergence", "limit", "plan"} <= set(details["table"])
+    for figure in ("precision", "precision_order"):
+        assert (trained / "precision" / f"{figure}.png").exists()
+
+    client = MlflowClient(default_uri(trained))
+    (found,) = client.search_runs(["1"], "attributes.run_name = 'precision'")
+    assert found.info.status == "FINISHED"
+    assert found.data.tags["scene"] == "fetal"
+    assert found.data.metrics["order/envelope_rms"] > 0
+    kept = {a.path for a in client.list_artifacts(found.info.run_id)}
+    assert kept >= {"precision.csv", "details.csv", "summary.txt", "precision.png", "precision_order.png", "vector"}
+
+
+def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
+    (job,) = jobs_of([f"runs_dir={trained}", *TINY])
+    s = job.settings
+    pairs = open_data(dataset_folder(s)).pairs
+    frames = pairs.frames(Part.test)[[0, -1]]
+    scene, _ = build_scene(s)
+    changed = {n: getattr(s.simulator, n) for n in s.simulator.__dataclass_fields__}
+    exact, coarse = (Simulator(scene, s.probe, type(s.simulator)(**{**changed, "rays": rays})) for rays in (32, 4))
+    targets = [exact.render(pairs.poses[f], s.dataset.seed).image for f in frames]
+    points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})
+    found = points.set_index(["series", "setting", "metric"])["error"]
+    images = [coarse.render(pairs.poses[f], s.dataset.seed).image for f in frames]
+    assert found["simulator, rays", "4", "psnr"] == pytest.approx(np.mean([*map(psnr, images, targets)]))
+    assert found["simulator, rays", "4", "mae"] == pytest.approx(np.mean([*map(mae, images, targets)]))
+    other = [coarse.render(pairs.poses[f], s.dataset.seed + 1).image for f in frames]
+    assert found["simulator, other scatterers", "rays 4", "mae"] == pytest.approx(np.mean([*map(mae, other, targets)]))
+
+    generator = load_generator(job.folder / "last.ckpt")
+    maps = [exact.maps(pairs.poses[f]) for f in frames]
+    stacked = {
+        name: np.stack(m) for name, m in zip(("segmentation", "attenuation"), zip(*maps, strict=True), strict=True)
+    }
+    inputs = network_inputs(stacked, label_values(scene.tissues, s.encoding), exact.mask)
+    made = generate(generator, inputs, torch.from_numpy(exact.mask), torch.from_numpy(frames), TrainingPrecision.fp32)
+    label = "sa2h", "width 0.05, fp32, eager, seed 0"
+    assert found[*label, "psnr"] == pytest.approx(np.mean([*map(psnr, made, targets)]))
+
+
+def test_an_engine_that_fails_costs_its_points_alone(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fails(*arguments: Any) -> Any:
+        if arguments[-2] is not TrainingPrecision.fp32:
+            raise RuntimeError("no such kernel")
+        return open_engine(*arguments)
+
+    monkeypatch.setattr(generated, "open_engine", fails)
+    monkeypatch.setattr(generated, "chosen_precision", lambda *_: TrainingPrecision.bf16)
+    (job,) = jobs_of([f"runs_dir={trained}", *TINY])
+    bench = bench_of(job.settings)
+    ((reference,), _) = render_all(bench, [bench.simulator], (bench.seed,), lambda: None)[0]
+    points, details = CsvTable(tmp_path / "p.csv", POINTS), CsvTable(tmp_path / "d.csv", DETAILS)
+    planned = generated.schedule_of(generated.comparable_runs(job.settings)[0], job.settings)
+    generated.measure_generators(bench, planned, job.settings, reference, points, details, lambda: None)
+    assert "left out, sa2h, width 0.05, bf16, eager, seed 0: no such kernel" in caplog.text
+    table = points.table()
+    assert set(table.loc[table["series"] == "sa2h", "setting"]) == {"width 0.05, fp32, eager, seed 0"}
+
+
+def test_an_interruption_leaves_what_was_measured_and_the_same_command_measures_it_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    arguments = f"runs_dir={tmp_path}", "evaluation.timed_frames=1"
+    with monkeypatch.context() as patch:
+        patch.setattr(simulated, "_converging", stopped)
+        with pytest.raises(SystemExit, match="interrupted; what was measured is in"):
+            run(*arguments)
+    points = pd.read_csv(tmp_path / "precision" / "precision.csv")
+    ladders = {f"simulator, {name}" for name in ("rays", "rays, plan=full", "layers", "scanlines", "axial samples")}
+    assert set(points["series"]) == {*ladders, "simulator, other scatterers"}
+    client = MlflowClient(default_uri(tmp_path))
+    (found,) = client.search_runs(["1"], "attributes.run_name = 'precision'")
+    assert found.info.status == "KILLED"
+    assert {a.path for a in client.list_artifacts(found.info.run_id)} == {"precision.csv", "details.csv"}
+
+    # There is no trained run: the simulator is measured and drawn alone.
+    assert run(*arguments) == 0
+    assert f"no trained run in {tmp_path}: the simulator alone" in capsys.readouterr().out
+    points = pd.read_csv(tmp_path / "precision" / "precision.csv")
+    assert points["series"].str.startswith("simulator").all()
+    assert not (tmp_path / "data" / "fetal").exists(), "no pair is simulated for it"
+
+
+def test_pairs_without_a_scene_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="task=precision: pairs made elsewhere have no scene"):
+        run(f"runs_dir={tmp_path}", "scene=pairs", f"scene.folder={tmp_path}")
+
+
+def test_a_scene_that_cannot_be_used_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: object) -> None:
+        raise ValueError("liver.obj: a hole of 12 mm")
+
+    monkeypatch.setattr(module, "bench_of", broken)
+    with pytest.raises(ConfigurationError, match=r"liver\.obj: a hole of 12 mm"):
+        run(f"runs_dir={tmp_path}")
+    assert not (tmp_path / "precision").exists()
+
+
+def test_the_error_of_an_envelope_is_relative() -> None:
+    random = np.random.default_rng(0)
+    reference = random.rayleigh(size=(40, 30)).astype(np.float32)
+    assert envelope_rms(1.25 * reference, reference) == pytest.approx(0.25, rel=1e-6)
+    noise = random.normal(size=reference.shape)
+    expected = np.linalg.norm(noise) / np.linalg.norm(reference)
+    assert envelope_rms(reference + noise, reference) == pytest.approx(expected, rel=1e-6)
+    silent = np.zeros_like(reference)
+    assert envelope_rms(silent, silent) == 0
+    assert envelope_rms(reference, silent) == math.inf
+
+
+def test_mean_errors_of_identical_and_of_incomparable_frames() -> None:
+    random = np.random.default_rng(0)
+    images = random.integers(0, 256, (3, 60, 80), dtype=np.uint8)
+    envelopes = random.random((3, 20, 10), np.float32)
+    mask = np.ones((60, 80), bool)
+    same = mean_errors(Frames(images, envelopes), Frames(images, envelopes), mask)
+    assert same == {"envelope_rms": 0, "mae": 0, "psnr": math.inf, "pchi2": 0, "mae_smooth": 0}
+    other = images.copy()
+    other[0] ^= 1
+    one = mean_errors(Frames(other), Frames(images, envelopes), mask)
+    assert "envelope_rms" not in one
+    assert one["mae"] == pytest.approx(1 / 3)
+    assert one["psnr"] == pytest.approx(20 * math.log10(255)), "identical frames are left out of its mean"
+    assert "envelope_rms" not in mean_errors(Frames(images, envelopes[:, :10]), Frames(images, envelopes), mask)
+
+
+def test_every_ladder_holds_the_data_sets_own_setting() -> None:
+    base = SimulatorSettings(rays=3, layers=2, scanlines=6, axial_samples=1)
+    found = simulated.ladders(base)
+    assert {name: tuple(ladder) for name, ladder in found.items()} == {
+        "rays": (1, 2, 3, 4),
+        "layers": (1, 2, 3, 5),
+        "scanlines": (2, 3, 6, 12),
+        "axial_samples": (1, 2),
+    }
+    for name, ladder in found.items():
+        assert ladder[getattr(base, name)] == base
+        assert all(replace(s, **{name: getattr(base, name)}) == base for s in ladder.values())
+
+
+def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
+    kept = ("limit", "simulator, float32 against float64", "16", "psnr", 90.0)
+    rows = [
+        ("limit", f"{label}, against fp32 eager", f"width 0.25, {way}, seed 2", metric, value)
+        for label, scale in (("sa2h", 1.0), ("nsa2h", 2.0))
+        for way, error in (("bf16, eager", 0.3), ("fp32, compiled", 0.1))
+        for metric, value in (("mae", scale * error), ("psnr", 60 / scale))
+    ]
+    found = summary._worst(pd.DataFrame([kept, *rows], columns=["table", "series", "setting", "quantity", "value"]))
+    assert tuple(found.iloc[0]) == kept
+    worst = {(row["setting"], row["quantity"]): row["value"] for row in found[1:].to_dict("records")}
+    assert worst == {
+        ("bf16, eager", "mae"): 0.6,
+        ("bf16, eager", "psnr"): 30.0,
+        ("fp32, compiled", "mae"): 0.2,
+        ("fp32, compiled", "psnr"): 30.0,
+    }
+    assert set(found[1:]["series"]) == {"trained runs against fp32 eager, worst of 2"}
+
+
+def test_how_far_a_reference_moves_an_error() -> None:
+    assert relative_change("mae", 2.0, 2.1) == pytest.approx(0.05)
+    assert relative_change("mae", 2.0, 1.9) == pytest.approx(0.05)
+    assert relative_change("mae", 0.0, 0.0) == 0
+    assert relative_change("psnr", 40.0, 40.0 - 20 * math.log10(1.05)) == pytest.approx(0.05)
+    assert relative_change("psnr", math.inf, math.inf) == 0
+
+
+def test_a_table_grows_on_disk(tmp_path: Path) -> None:
+    table = CsvTable(tmp_path / "deep" / "a.csv", "series setting value")
+    table.add("a, b", 16, 0.1)
+    assert (tmp_path / "deep" / "a.csv").read_text().split() == ["series,setting,value", '"a,', 'b",16,0.1']
+    assert table.table().to_dict("records") == [{"series": "a, b", "setting": "16", "value": 0.1}]
+    with pytest.raises(ValueError, match=r"a\.csv: 2 values for the columns"):
+        table.add("a", "b")
+
+
+@pytest.mark.parametrize("device", ["cpu"])
+def test_bf16_only_where_it_is_multiplied(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    (job,) = jobs_of(TINY)
+    monkeypatch.setattr(generated, "chosen_precision", lambda *_: generated.TrainingPrecision.fp32)
+    found, notes = generated.executions(job.settings)
+    assert found == [generated.Execution(generated.TrainingPrecision.fp32, Engine.eager)]
+    assert f"bf16: {torch.device(device).type} here does not multiply it" in notes

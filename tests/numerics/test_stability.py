@@ -1,0 +1,155 @@
+"""`task=stability`: what it writes and logs, that it fails by name, and that nothing that must be tried is missing."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from mlflow import MlflowClient
+
+from ablate.numerics.stability import maps, task
+from ablate.numerics.stability.checks import Case, Check, finite, refused
+from ablate.ultrasound.maps import attenuation
+from support.studies import run as run_command
+
+#: Each with the cases that try it.
+MUST_BE_TRIED = {
+    "40 dB/cm/MHz bone across 150 mm": ["bone of 40 dB/cm/MHz across 150 mm", "A: thousands of decibels"],
+    "air behind soft tissue": ["air behind soft tissue"],
+    "a 20000:1 impedance step": ["an impedance step of 20000 to 1", "an impedance step of 1 to 20000"],
+    "a 0.1 mm layer": ["a layer of 0.1 mm"],
+    "grazing incidence": ["grazing incidence, by the formulas", "grazing incidence, scanlines along a face"],
+    "total reflection": ["total reflection"],
+    "a closed cavity with R near 1": ["a closed cavity with R near 1"],
+    "zero attenuation": ["zero attenuation", "A: no loss, and next to none"],
+    "zero scatterers": ["zero scatterers"],
+    "a fan entirely in gel": ["a fan entirely in gel"],
+    "a fan entirely in bone": ["a fan entirely in bone"],
+    "a fan entirely outside": ["a fan entirely outside the scene"],
+    "coincident surfaces": ["coincident surfaces"],
+    "slivers and needle triangles": ["slivers", "needle triangles"],
+    "metre-sized scenes": ["a scene of metres", "a scene of metres, 1000 km from the origin"],
+    "micrometre-sized scenes": ["a scene of micrometres", "a scene of micrometres, a metre from the origin"],
+    "one ray, one line, one sample": ["one ray, one line, one sample, one pixel", "A: one line, one sample"],
+    "a constant image through instance norm": ["a constant image through instance norm"],
+    "a crop entirely outside the fan": ["a crop entirely outside the fan"],
+    "saturated discriminator logits": ["saturated discriminator logits", "losses of saturated logits"],
+    "lambda 0 and 1e6": ["lambda 0", "lambda 1e6"],
+    "black, white and identical images": ["all-black, all-white and identical images in every metric"],
+    "n < d and n = 1 in the Frechet distance": ["Frechet distance: n < d, n = 2, n = 1"],
+    "empty histograms": ["empty histograms, masks and images"],
+    "every variant": [
+        f"{name} in bf16, float32 and float64"
+        for name in ("sa2h", "sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h-depth", "lsa2h", "nsa2h")
+    ],
+}
+CHEAP = ("A: soft tissue behind 2200 dB", "A: one line, one sample", "statistics: p-values of 0 and 1")
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One folder, and one tracking store, for every run of the task."""
+    return tmp_path_factory.mktemp("runs")
+
+
+@pytest.fixture
+def cheap(monkeypatch: pytest.MonkeyPatch) -> list[Case]:
+    """A few cases that take no time; what a test adds is tried too."""
+    chosen = [case for case in task.all_cases() if case.name in CHEAP]
+    assert len(chosen) == len(CHEAP)
+    monkeypatch.setattr(task, "all_cases", lambda: tuple(chosen))
+    return chosen
+
+
+def run(runs: Path) -> tuple[int, pd.DataFrame]:
+    code = run_command("task=stability", f"runs_dir={runs}")
+    return code, pd.read_csv(runs / "stability" / "stability.csv", keep_default_na=False)
+
+
+def logged(runs: Path) -> tuple[str, dict[str, float], set[str]]:
+    """Status, metrics and artifacts of the last run named `stability`."""
+    client = MlflowClient(f"sqlite:///{runs / 'mlflow.db'}")
+    experiment = client.get_experiment_by_name("ablate")
+    assert experiment is not None
+    found, *_ = client.search_runs(
+        [experiment.experiment_id], "attributes.run_name = 'stability'", order_by=["attributes.start_time DESC"]
+    )
+    names = {a.path for a in client.list_artifacts(found.info.run_id)}
+    return found.info.status, found.data.metrics, names
+
+
+def test_every_stiff_case_is_tried() -> None:
+    cases = task.all_cases()
+    names = [case.name for case in cases]
+    assert len(set(names)) == len(names) >= 40
+    for tried_by in MUST_BE_TRIED.values():
+        assert set(tried_by) <= set(names)
+    assert all(case.about for case in cases), "what is tried is told"
+
+
+def test_the_table_is_printed_written_and_logged(
+    cheap: list[Case], runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, table = run(runs)
+    assert code == 0
+    assert list(table.columns) == ["case", "dtype", "quantity", "measured", "bound", "holds"]
+    assert set(table["case"]) == set(CHEAP)
+    assert table["holds"].all()
+    assert (table["measured"].astype(float) <= table["bound"].astype(float)).all()
+    shown = capsys.readouterr()
+    assert f"{len(cheap)} of {len(cheap)} cases hold" in shown.out
+    assert all(name in shown.out for name in CHEAP)
+    assert "falls" not in shown.err
+    pages = (runs / "stability" / "stability.md").read_text()
+    assert all(f"## {name}\n\n{case.about}" in pages for name, case in zip(CHEAP, cheap, strict=True))
+    status, metrics, files = logged(runs)
+    assert status == "FINISHED"
+    assert metrics == {"cases": 3, "cases_that_hold": 3}
+    assert files == {"stability.csv", "stability.md"}
+
+
+@pytest.mark.usefixtures("cheap")
+def test_a_fault_fells_its_case_by_name(
+    runs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Sums of thousands of nepers in float32: the tissue behind loses its own."""
+    monkeypatch.setattr(attenuation, "_DOUBLE_FROM_NEPERS", np.inf)
+    assert maps.integral_attenuation is attenuation.integral_attenuation
+    code, table = run(runs)
+    assert code == 1
+    assert capsys.readouterr().err.splitlines()[-1] == f"falls: {CHEAP[0]}"
+    assert set(table.loc[~table["holds"], "case"]) == {CHEAP[0]}
+    assert logged(runs)[:2] == ("FAILED", {"cases": 3, "cases_that_hold": 2})
+
+
+def test_an_exception_is_the_fall_of_its_case_alone(
+    cheap: list[Case], runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def breaks(_: str) -> list[Check]:
+        """Breaks."""
+        raise ZeroDivisionError("no reason")
+
+    def overflows(_: str) -> list[Check]:
+        """Overflows, of which NumPy only warns."""
+        return [finite("float64", np.float64(1e308) * np.ones(2) * 10)]
+
+    cheap[:0] = [Case("breaks", breaks), Case("overflows", overflows)]
+    code, table = run(runs)
+    assert code == 1
+    assert capsys.readouterr().err.splitlines()[-2:] == ["falls: breaks", "falls: overflows"]
+    (what,) = table.loc[table["case"] == "breaks", "quantity"]
+    assert what == "ZeroDivisionError: no reason"
+    assert set(table.loc[table["holds"], "case"]) == set(CHEAP)
+
+
+def test_what_is_not_a_number_does_not_hold() -> None:
+    assert not Check("float32", "q", float("nan"), 1.0, "").holds
+    assert Check("float32", "q", 1.0, 1.0, "").holds
+    assert not finite("float32", np.array([1.0, np.inf])).holds
+    assert refused("float32", lambda: int("x")).holds
+    assert not refused("float32", lambda: None).holds
+
+
+def test_every_case_holds(runs: Path) -> None:
+    code, table = run(runs)
+    assert code == 0, table[~table["holds"]]

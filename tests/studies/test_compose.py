@@ -1,0 +1,119 @@
+"""The command line: what it stands for, and how it is refused."""
+
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from ablate.config import ConfigurationError, Task
+from ablate.dataset import Encoding
+from ablate.networks import Family
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.job import Job, label_of
+from ablate.studies.jobs.variants import variant_names
+from support.studies import study_group
+
+
+def test_a_sweep_is_the_product_of_its_values() -> None:
+    jobs = jobs_of(["-m", "variant=sa2h,nsa2h", "seed=0,1"])
+    assert [job.name for job in jobs] == ["sa2h/seed0", "sa2h/seed1", "nsa2h/seed0", "nsa2h/seed1"]
+    assert jobs[1].settings.training.seed == 1
+    assert jobs[0].folder.parts[-3:] == ("quick-fetal", "sa2h", "seed0")
+
+
+def test_a_single_job_is_the_default_study() -> None:
+    (job,) = jobs_of([])
+    assert (job.settings.task, job.label, job.settings.preset) == (Task.study, "sa2h", "quick")
+
+
+def test_labels_name_what_differs_from_the_variant() -> None:
+    assert label_of("sa2h", ["seed=1", "training.steps=3"]) == "sa2h"
+    assert label_of("sa2h", ["model.depth=8"]) == "sa2h.depth-8"
+    assert label_of("sa2h", ["model.width=0.5"]) == "sa2h"
+    assert label_of("sa2h", ["model={depth:8,noise:inject,width:0.5}"]) == "sa2h.depth-8"
+    assert label_of("sa2h-depth", ["model.depth=8"]) == "sa2h-depth"
+    assert label_of("sa2h", ["encoding=arbitrary", "model.noise=none"]) == "sa2h.encoding-arbitrary.noise-none"
+
+
+@pytest.fixture(scope="module")
+def factorial() -> list[Job]:
+    return study_group("factorial")
+
+
+def test_no_two_cells_of_the_factorial_share_a_place(factorial: list[Job]) -> None:
+    assert len({job.folder for job in factorial}) == 32
+    assert len({job.settings.model for job in factorial}) == 32
+
+
+OFF = {"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "input", "depth": 8}
+
+
+def off(job: Job) -> set[str]:
+    """The components that a job goes without."""
+    return {name for name, value in OFF.items() if getattr(job.settings.model, name) == value}
+
+
+def test_half_of_the_factorial_tells_main_effects_and_interactions_apart(factorial: list[Job]) -> None:
+    whole = {job.label: job for job in factorial}
+    half = study_group("factorial_half")
+    assert len(half) == 16
+    assert all(whole[job.label].settings == job.settings for job in half)  # so the whole can follow the half
+    effects = [(name,) for name in OFF] + list(combinations(OFF, 2))
+    signs = np.array([[math.prod(-1 if c in off(job) else 1 for c in effect) for effect in effects] for job in half])
+    np.testing.assert_array_equal(signs.T @ signs, 16 * np.eye(len(effects)))
+
+
+def test_add_one_in_starts_from_nothing() -> None:
+    nothing, *others = study_group("add_one_in")
+    assert off(nothing) == set(OFF)
+    assert nothing.label == nothing.settings.reference
+    assert [set(OFF) - off(job) for job in others] == [{name} for name in OFF]
+    assert {job.settings.model.family for job in others} == {Family.local}
+
+
+def test_table_2_is_every_variant() -> None:
+    jobs = jobs_of(["+study=table2", "preset=laptop", "seed=0,1,2"])
+    assert {job.label for job in jobs} == set(variant_names())
+    assert len(jobs) == 24
+
+
+def test_study_groups_take_seeds() -> None:
+    jobs = jobs_of(["+study=leave_one_out", "seed=0,1,2"])
+    assert len(jobs) == 6 * 3
+    encodings = {job.settings.encoding for job in study_group("encoding")}
+    assert encodings == set(Encoding)
+
+
+def test_a_folder_names_its_study() -> None:
+    (job,) = jobs_of(["scene=folder", "scene.folder=some/where/patient7", "preset=quick"])
+    assert job.settings.study == "quick-patient7"
+    (job,) = jobs_of(["study_name=mine", "runs_dir=/elsewhere"])
+    assert str(job.settings.study_dir) == "/elsewhere/mine"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["variant=sa3h"], r"variant=sa3h: allowed are lsa2h, nsa2h, sa2h, "),
+        (["-m", "variant=sa2h,sa3h"], r"variant=sa3h: allowed are"),
+        (["preset=huge"], r"preset=huge: allowed are laptop, paper, quick"),
+        (["varian=sa2h"], r"unknown key 'varian'; did you mean 'variant'\?"),
+        (["training.stepz=3"], r"unknown key 'training.stepz'; did you mean 'steps'\? allowed in training: "),
+        (["+colour=blue"], r"unknown key 'colour'"),
+        (["training.steps=many"], r"training.steps=many: .*Integer"),
+        (["model.attenuation=some"], r"model.attenuation=some: .*\[integral, none\]"),
+        (["task=dream"], r"task=dream: .*study, simulate, describe, plan, compare"),
+        (["model.depth=9"], r"depth=9: allowed are 2 to 8"),
+        (["simulator.rays=0"], r"rays"),
+        (["training.steps=0"], r"steps=0: allowed are 1 and more"),
+        (["variant=sa2h,nsa2h"], r"asks for several jobs: add -m"),
+        (["-m", "training.steps=1,2"], r"share the place .*study_name"),
+        (["variant="], r"variant"),
+        (["variant=[sa2h"], r"."),
+    ],
+)
+def test_what_cannot_be_run_is_refused_in_one_line(arguments: list[str], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message) as refused:
+        jobs_of(arguments)
+    assert "\n" not in str(refused.value)

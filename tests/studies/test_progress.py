@@ -1,0 +1,59 @@
+"""What `task=plan` expects, against times written down here."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from ablate.config import ConfigurationError
+from ablate.studies.identity import config_hash
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.job import Job
+from ablate.studies.progress import duration, progress, show_progress
+
+
+def finish(job: Job, seconds: float | None) -> None:
+    job.folder.mkdir(parents=True)
+    scalars = {} if seconds is None else {"seconds": seconds}
+    result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed, "scalars": scalars}
+    (job.folder / "result.json").write_text(json.dumps(result))
+    (job.folder / "spec.json").write_text(json.dumps({"hash": result["hash"]}))
+
+
+@pytest.fixture
+def jobs(tmp_path: Path) -> list[Job]:
+    return jobs_of(["-m", "variant=sa2h,nsa2h,sa2h-att", "seed=0,1,2", f"runs_dir={tmp_path}", "training.steps=100"])
+
+
+def test_nothing_is_known_before_the_first_run(jobs: list[Job]) -> None:
+    table = progress(jobs)
+    assert set(table["state"]) == {"missing"}
+    assert table["seconds"].isna().all()
+
+
+def test_time_is_the_median_of_the_label_or_of_the_study(jobs: list[Job]) -> None:
+    sa2h, nsa2h, _ = jobs[:3], jobs[3:6], jobs[6:]
+    finish(sa2h[0], 100.0)
+    finish(sa2h[1], 140.0)
+    finish(nsa2h[0], 30.0)
+    finish(nsa2h[1], None)  # resumed: it tells no time
+    sa2h[2].folder.mkdir()
+    torch.save({"steps_done": 75}, sa2h[2].folder / "last.ckpt")
+    table = progress(jobs).set_index("job")
+    assert table.loc["sa2h/seed2", ["state", "done", "seconds"]].tolist() == ["resumes", 0.75, 0.25 * 120]
+    assert table.loc["nsa2h/seed2", ["state", "seconds"]].tolist() == ["missing", 30.0]
+    assert table.loc["sa2h-att/seed0", "seconds"] == 100.0
+    assert table.loc["sa2h/seed0", ["state", "seconds"]].tolist() == ["finished", 0.0]
+
+
+def test_a_damaged_checkpoint_is_named(jobs: list[Job]) -> None:
+    jobs[0].folder.mkdir(parents=True)
+    (jobs[0].folder / "last.ckpt").write_bytes(b"nothing")
+    with pytest.raises(ConfigurationError, match=r"last\.ckpt: not a readable checkpoint"):
+        show_progress(jobs)
+
+
+def test_durations_are_read_at_a_glance() -> None:
+    assert [duration(s) for s in (4.2, 95, 3900, math.nan)] == ["4 s", "2 min", "1 h 05 min", "?"]

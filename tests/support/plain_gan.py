@@ -1,0 +1,196 @@
+"""The same networks and the same training as anybody would write them first, in the style of pix2pix's own code.
+
+Plain modules of torch, fp32, maps joined by concatenation, noise from torch's generator, two Adams, a number read
+after every step. It is what `benchmark_training.py` compares with, and what tests compare the networks' values with.
+"""
+
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from ablate.networks import Concat, Family, GeneratorSpec, Noise, Upsampling, conditions, discriminator_channels, inputs
+from ablate.networks.local import channels_by_level
+from ablate.networks.spec import scaled
+
+
+class PlainDownBlock(nn.Module):
+    def __init__(self, channels_in: int, channels_out: int, maps: int) -> None:
+        super().__init__()
+        self.shrink = nn.Conv2d(channels_in + maps, channels_out, 3, stride=2, padding=1)
+        self.refine = nn.Conv2d(channels_out + maps, channels_out, 3, padding=1)
+        self.norm = nn.InstanceNorm2d(channels_out)
+
+    def forward(self, features: Tensor, fine: list[Tensor], coarse: list[Tensor]) -> Tensor:
+        features = self.norm(F.leaky_relu(self.shrink(torch.cat([features, *fine], 1)), 0.2))
+        return self.norm(F.leaky_relu(self.refine(torch.cat([features, *coarse], 1)), 0.2))
+
+
+class PlainUpBlock(nn.Module):
+    def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
+        super().__init__()
+        if spec.upsampling is Upsampling.texture:
+            self.grow = nn.ConvTranspose2d(channels_in + maps, channels_out, 3, stride=2, padding=1, output_padding=1)
+            self.refine = nn.Conv2d(channels_out + maps, channels_out, 3, padding=1)
+        else:
+            self.grow = nn.ConvTranspose2d(channels_in + maps, channels_out, 4, stride=2, padding=1)
+        self.norm = nn.InstanceNorm2d(channels_out)
+        if spec.noise is Noise.inject:
+            self.noise_weight = nn.Parameter(torch.full((2 * channels_out, 1, 1), float(spec.noise_start)))
+
+    def forward(self, features: Tensor, skip: Tensor, coarse: list[Tensor], fine: list[Tensor]) -> Tensor:
+        features = self.norm(F.relu(self.grow(torch.cat([features, *coarse], 1))))
+        if hasattr(self, "refine"):
+            features = self.norm(F.relu(self.refine(torch.cat([features, *fine], 1))))
+        features = torch.cat([features, skip], 1)
+        if hasattr(self, "noise_weight"):
+            noise = torch.randn(len(features), 1, *features.shape[-2:], dtype=features.dtype, device=features.device)
+            features = features + self.noise_weight * noise
+        return features
+
+
+class PlainLocal(nn.Module):
+    """The local generator; its parameters are named as those of `LocalNetwork`."""
+
+    def __init__(self, spec: GeneratorSpec) -> None:
+        super().__init__()
+        self.spec = spec
+        widths = [scaled(channels, spec.width) for channels in channels_by_level(spec.depth)]
+        self.fed = 0
+        if spec.concat is Concat.every_level:
+            self.fed = sum(name in ("segmentation", "attenuation") for name in conditions(spec))
+        self.stem = nn.Conv2d(len(inputs(spec)), widths[0], 3, padding=1)
+        self.down = nn.ModuleList(PlainDownBlock(fine, coarse, self.fed) for fine, coarse in pairwise(widths))
+        self.bottleneck = nn.Conv2d(widths[-1] + self.fed, widths[-1], 3, padding=1)
+        ups = list(pairwise([widths[-1], *reversed(widths[:-1])]))
+        self.up = nn.ModuleList(PlainUpBlock(2 * coarse, fine, self.fed, spec) for coarse, fine in ups)
+        self.output = nn.Conv2d(2 * widths[0] + self.fed, 1, 3, padding=1)
+
+    def forward(self, stacked: Tensor) -> Tensor:
+        """Render the stacked conditions, (N, conditions, H, W); H and W are multiples of 2^depth."""
+        maps = [self.resized(stacked, level) for level in range(self.spec.depth + 1)]
+        features = F.instance_norm(F.leaky_relu(self.stem(with_noise(stacked, self.spec)), 0.2))
+        skips = []
+        for level, block in enumerate(self.down):
+            skips.append(features)
+            features = block(features, maps[level], maps[level + 1])
+        bottom = F.instance_norm(F.leaky_relu(self.bottleneck(torch.cat([features, *maps[-1]], 1)), 0.2))
+        features = torch.cat([bottom, features], 1)
+        for level, block in zip(reversed(range(self.spec.depth)), self.up, strict=True):
+            features = block(features, skips[level], maps[level + 1], maps[level])
+        return torch.tanh(self.output(torch.cat([features, *maps[0]], 1)))
+
+    def resized(self, stacked: Tensor, level: int) -> list[Tensor]:
+        """The maps that every level reads, at 1 / 2^level of the resolution."""
+        size = [length >> level for length in stacked.shape[-2:]]
+        maps = [F.interpolate(stacked[:, :1], size, mode="nearest")] if self.fed else []
+        if self.fed == 2:
+            maps.append(F.interpolate(stacked[:, 1:2], size, mode="bilinear"))
+        return maps
+
+
+class PlainUNet(nn.Module):
+    """pix2pix's U-Net without dropout; its parameters are named as those of `UNetwork`."""
+
+    def __init__(self, spec: GeneratorSpec) -> None:
+        super().__init__()
+        self.spec = spec
+        widths = [scaled((64, 128, 256, 512)[min(level, 3)], spec.width) for level in range(spec.depth)]
+        channels = [len(inputs(spec)), *widths]
+        self.down = nn.ModuleList(nn.Conv2d(a, b, 4, stride=2, padding=1) for a, b in pairwise(channels))
+        out = [*reversed(widths[:-1]), 1]
+        into = [widths[-1], *(2 * width for width in out[:-1])]
+        self.up = nn.ModuleList(
+            nn.ConvTranspose2d(a, b, 4, stride=2, padding=1) for a, b in zip(into, out, strict=True)
+        )
+
+    def forward(self, stacked: Tensor) -> Tensor:
+        """Render the stacked conditions, (N, conditions, H, W); H and W are multiples of 2^depth."""
+        features = self.down[0](with_noise(stacked, self.spec))
+        skips = []
+        for layer in self.down[1:-1]:
+            skips.append(features)
+            features = F.instance_norm(layer(F.leaky_relu(features, 0.2)))
+        skips.append(features)
+        features = self.down[-1](F.leaky_relu(features, 0.2))
+        for index, layer in enumerate(self.up):
+            features = F.relu(features if index == 0 else torch.cat([skips.pop(), features], 1))
+            features = layer(features)
+            if index < len(self.up) - 1:
+                features = F.instance_norm(features)
+        return torch.tanh(features)
+
+
+class PlainDiscriminator(nn.Module):
+    """The 70 x 70 PatchGAN; its parameters are named as those of `PatchDiscriminator`."""
+
+    def __init__(self, in_channels: int, width: float) -> None:
+        super().__init__()
+        widths = [scaled(channels, width) for channels in (64, 128, 256, 512)]
+        self.first = nn.Conv2d(in_channels, widths[0], 4, stride=2, padding=1)
+        strides = (2, 2, 1)
+        self.inner = nn.ModuleList(
+            nn.Conv2d(a, b, 4, stride=s, padding=1) for (a, b), s in zip(pairwise(widths), strides, strict=True)
+        )
+        self.norms = nn.ModuleList(nn.InstanceNorm2d(b) for b in widths[1:])
+        self.last = nn.Conv2d(widths[3], 1, 4, padding=1)
+
+    def forward(self, maps: Tensor, image: Tensor) -> Tensor:
+        """Judge patches of (N, 1, H, W) under (N, C, H, W)."""
+        features = F.leaky_relu(self.first(torch.cat([maps, image], 1)), 0.2)
+        for layer, norm in zip(self.inner, self.norms, strict=True):
+            features = F.leaky_relu(norm(layer(features)), 0.2)
+        logits: Tensor = self.last(features)
+        return logits
+
+
+def with_noise(stacked: Tensor, spec: GeneratorSpec) -> Tensor:
+    """Append a channel of noise for the variants that read one."""
+    return torch.cat([stacked, torch.randn_like(stacked[:, :1])], 1) if "noise" in inputs(spec) else stacked
+
+
+class PlainGAN:
+    """Both networks, two Adams, and a step of each."""
+
+    def __init__(self, spec: GeneratorSpec, device: torch.device) -> None:
+        self.spec, self.device = spec, device
+        network = PlainUNet if spec.family is Family.unet else PlainLocal
+        self.generator = network(spec).to(device)
+        self.discriminator = PlainDiscriminator(discriminator_channels(spec), spec.width).to(device)
+        for module in (*self.generator.modules(), *self.discriminator.modules()):
+            if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
+                nn.init.normal_(module.weight, 0.0, 0.02)
+        self.adam_g, self.adam_d = (
+            torch.optim.Adam(network.parameters(), 2e-4, (0.5, 0.999))
+            for network in (self.generator, self.discriminator)
+        )
+        self.criterion = nn.BCEWithLogitsLoss()
+
+    def step(self, batch: dict[str, Tensor], forwards: int) -> dict[str, float]:
+        """Train both networks on a batch; the generator renders it once or, once for each of them, twice."""
+        batch = {name: value.to(self.device) for name, value in batch.items()}
+        maps = torch.cat([batch[name] for name in conditions(self.spec)], 1)
+        mask, image = batch["mask"], batch["target"]
+        fake = mask * (self.generator(maps) + 1) - 1
+        self.adam_d.zero_grad()
+        real_logits, fake_logits = self.discriminator(maps, image), self.discriminator(maps, fake.detach())
+        loss_real = self.criterion(real_logits, torch.ones_like(real_logits))
+        loss_fake = self.criterion(fake_logits, torch.zeros_like(fake_logits))
+        (loss_real + loss_fake).backward()
+        self.adam_d.step()
+        if forwards == 2:
+            fake = mask * (self.generator(maps) + 1) - 1
+        self.adam_g.zero_grad()
+        logits = self.discriminator(maps, fake)
+        loss_g = self.criterion(logits, torch.ones_like(logits))
+        l1 = F.l1_loss(fake, image)
+        (loss_g + 100 * l1).backward()
+        self.adam_g.step()
+        return {
+            "loss_d": (loss_real + loss_fake).item(),
+            "loss_g": loss_g.item(),
+            "l1": l1.item(),
+            "logit_real": real_logits.mean().item(),
+            "logit_fake": fake_logits.mean().item(),
+        }

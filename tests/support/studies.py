@@ -1,0 +1,50 @@
+"""Command lines run in the process of a test."""
+
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from functools import cache
+from io import StringIO
+from pathlib import Path
+
+from ablate.studies.jobs.compose import jobs_of, read_command_line
+from ablate.studies.jobs.job import Job
+from ablate.tasks import run_task
+
+TINY = ["preset=tiny"]
+SWEEP = ["-m", "variant=sa2h,sa2h-att", *TINY]
+
+
+@cache
+def study_group(name: str) -> list[Job]:
+    """The jobs of a file of conf/study, composed once for all tests."""
+    return jobs_of([f"+study={name}"])
+
+
+@dataclass(frozen=True)
+class TinyStudy:
+    """A finished study of two variants in `runs`/tiny-fetal, and what it printed."""
+
+    runs: Path
+    printed: str
+
+
+def run(*arguments: str) -> int:
+    """What `python -m ablate` with these arguments does, and its exit code; a refusal is raised."""
+    command = read_command_line(arguments)
+    assert command is not None
+    return run_task(command)
+
+
+def here(jobs: Sequence[Job], work: Callable[[Job], object]) -> None:
+    """In place of a launcher: the jobs one after another, and what stops one is raised."""
+    for job in jobs:
+        work(job)
+
+
+def make_tiny_study(runs: Path) -> TinyStudy:
+    """Simulate, train and compare SA2H and SA2H-att at the size of conf/preset/tiny.yaml."""
+    printed = StringIO()
+    with redirect_stdout(printed):
+        assert run(*SWEEP, f"runs_dir={runs}") == 0
+    return TinyStudy(runs, printed.getvalue())

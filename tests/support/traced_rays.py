@@ -1,0 +1,41 @@
+"""Rays of a scene, followed to their last echo."""
+
+import numpy as np
+
+from ablate.anatomy import Scene
+from ablate.ultrasound import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.render_plan import plan_scene
+from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.transport.draws import Draws
+from ablate.ultrasound.transport.illumination import Nodes
+from ablate.ultrasound.transport.rays import View, leave_probe, probe_rays
+from ablate.ultrasound.transport.tracing import trace
+
+
+def follow(
+    scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, roulette_db: float = -200.0
+) -> tuple[np.recarray, Nodes]:
+    """Echoes, with the fields of ECHO as attributes, and the illumination at each millimetre."""
+    plan = plan_scene(scene, probe, settings, None)
+    geometry = Geometry(plan.structures, np.array([[-400.0] * 3, [400.0] * 3]), np.zeros(3), 200.0)
+    draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
+    bundle, inside = leave_probe(geometry, probe_rays(probe, settings, draws), np.eye(4))
+    groups = len(bundle.starts)
+    nodes = Nodes(0.0, 1.0, np.ones((groups, 151), bool), np.zeros((groups, 151)))
+    view = View(
+        media=plan.media,
+        tissue_of_owner=plan.tissue_of_owner,
+        elements=bundle.starts,
+        axes=bundle.directions,
+        rays=settings.rays,
+        path_seed=draws.seed,
+        depth_mm=probe.depth_mm,
+        roulette_db=roulette_db,
+        step_mm=geometry.step_mm,
+    )
+    return trace(geometry, view, draws, bundle, inside, nodes).view(np.recarray), nodes
+
+
+def illumination(nodes: Nodes, settings: SimulatorSettings) -> np.ndarray:
+    """Linear illumination of each group at each millimetre."""
+    return nodes.amplitude / settings.rays

@@ -1,0 +1,124 @@
+"""What makes a training step fast, each part switched off or, of what was tried and left, on: `--parts` of
+`benchmark_training.py` runs a training in a process that has called one of these.
+"""
+
+import os
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from ablate.networks import discriminator, layers, local, unet
+from ablate.training import loop
+
+
+def _norm_by_torch(features: Tensor) -> Tensor:
+    single = features.shape[-1] * features.shape[-2] == 1
+    return features if single else F.group_norm(features, features.shape[1])
+
+
+def without_own_gradient() -> None:
+    """Instance norm is torch's group norm, with torch's gradient."""
+    for module in (local, unet, discriminator):
+        module.instance_norm = _norm_by_torch
+
+
+def without_channels_last() -> None:
+    """Maps are laid out channel by channel, and instance norm is what is fastest there."""
+    torch.channels_last = torch.contiguous_format
+    without_own_gradient()
+
+
+def without_sums() -> None:
+    """Maps are appended to the channels of features."""
+    joint, transposed = layers.JointConvolution.forward, layers.JointTransposedConvolution.forward
+    layers.JointConvolution.forward = lambda self, x, maps=None: joint(self, layers.joined(x, maps))
+    layers.JointTransposedConvolution.forward = lambda self, x, maps=None: transposed(self, layers.joined(x, maps))
+
+
+def without_late_bias() -> None:
+    """Transposed convolutions add their own bias."""
+
+    def forward(self: layers.JointTransposedConvolution, features: Tensor, maps: Tensor | None = None) -> Tensor:
+        options = self.stride, self.padding, self.output_padding
+        if maps is None:
+            return F.conv_transpose2d(features, self.weight, self.bias, *options)
+        own, of_maps = self.weight.split((features.shape[1], maps.shape[1]))
+        result = F.conv_transpose2d(features, own, self.bias, *options)
+        return result + F.conv_transpose2d(maps, of_maps, None, *options)
+
+    layers.JointTransposedConvolution.forward = forward
+
+
+def without_taps() -> None:
+    """The output convolution is torch's."""
+    layers.OneChannelConvolution.forward = lambda self, x, maps=None: F.conv2d(
+        layers.joined(x, maps), self.weight, self.bias, padding=self.padding
+    )
+
+
+def without_kept_memory() -> None:
+    """The C library gives freed memory back to the system."""
+    loop.keep_freed_memory = lambda: None
+
+
+def with_noise_as_product() -> None:
+    """Injected noise is added by a matrix product of one column."""
+
+    def addcmul(features: Tensor, noise: Tensor, weight: Tensor) -> Tensor:
+        batch, channels, height, width = features.shape
+        rows = features.permute(0, 2, 3, 1).reshape(-1, channels)
+        rows = torch.addmm(rows, noise.reshape(-1, 1), weight.reshape(1, -1))
+        return rows.view(batch, height, width, channels).permute(0, 3, 1, 2)
+
+    class Torch:
+        def __getattr__(self, name: str) -> object:
+            return addcmul if name == "addcmul" else getattr(torch, name)
+
+    local.torch = Torch()
+
+
+def with_activations_in_place() -> None:
+    """Activations of the local generator overwrite what they are computed from."""
+    local.encoded = lambda x: local.instance_norm(F.leaky_relu(x, local.LEAK, inplace=True))
+    local.decoded = lambda x: local.instance_norm(F.relu(x, inplace=True))
+
+
+def with_flushed_denormals() -> None:
+    """Numbers under 1e-38 are zero."""
+    torch.set_flush_denormal(True)
+
+
+def with_huge_pages() -> None:
+    """Large blocks lie on pages of 2 MiB."""
+    os.environ["THP_MEM_ALLOC_ENABLE"] = "1"  # read by torch at its first large block
+
+
+def with_compilation() -> None:
+    """Both networks are compiled; the warm-up holds the compilation."""
+    made = loop.PairGAN.__init__
+
+    def compiled(self: loop.PairGAN, *arguments: object) -> None:
+        made(self, *arguments)
+        self.generator.compile()
+        self.discriminator.compile()
+
+    loop.PairGAN.__init__ = compiled
+
+
+PARTS: dict[str, Callable[[], None]] = {
+    "channels-last maps": without_channels_last,
+    "own gradient of instance norm": without_own_gradient,
+    "sums of convolutions": without_sums,
+    "bias after transposed convolution": without_late_bias,
+    "taps of the output convolution": without_taps,
+    "kept memory": without_kept_memory,
+}
+TRIED: dict[str, Callable[[], None]] = {
+    "noise as a matrix product": with_noise_as_product,
+    "activations in place": with_activations_in_place,
+    "denormals flushed": with_flushed_denormals,
+    "pages of 2 MiB": with_huge_pages,
+}
+COMPILED: dict[str, Callable[[], None]] = {"torch.compile": with_compilation}

@@ -1,0 +1,60 @@
+"""What each task needs: simulation runs without the trainer and its tracking, training without the simulator."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from skimage.io import imsave
+
+TRAINING, SIMULATOR = ("lightning", "mlflow"), ("numba", "embreex")
+WITHOUT = """
+import sys
+absent, sys.argv[1:] = sys.argv[1].split(","), sys.argv[2:]
+sys.modules.update(dict.fromkeys(absent))  # importing one of them raises
+from ablate.__main__ import main
+main()
+"""
+
+
+def ablate(absent: tuple[str, ...], *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", WITHOUT, ",".join(absent), *arguments]
+    env = {**os.environ, "MLFLOW_DISABLE_TELEMETRY": "true"}
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=env)
+
+
+@pytest.mark.parametrize("name", [*TRAINING, *SIMULATOR])
+def test_an_absent_package_raises(name: str) -> None:
+    code = f"import sys; sys.modules['{name}'] = None; import {name}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "ModuleNotFoundError" in done.stderr
+
+
+def test_simulation_needs_neither_lightning_nor_mlflow(tmp_path: Path) -> None:
+    done = ablate(TRAINING, "task=simulate", "preset=tiny", f"runs_dir={tmp_path}", "dataset.frames=6")
+    assert done.returncode == 0, done.stderr
+    assert "6 frames in" in done.stdout
+
+
+def test_training_and_evaluation_on_pairs_made_elsewhere_need_neither_numba_nor_embree(tmp_path: Path) -> None:
+    folder, random = tmp_path / "mine", np.random.default_rng(0)
+    fan = np.hypot(*(np.mgrid[:96, :120] - np.array([0, 60]).reshape(2, 1, 1))) < 90
+    for name in ("segmentation", "image", "attenuation"):
+        (folder / name).mkdir(parents=True)
+        for k in range(6):
+            values = random.integers(1, 4 if name == "segmentation" else 256, fan.shape)
+            imsave(folder / name / f"site{k}_0.png", (values * fan).astype(np.uint8), check_contrast=False)
+    where = ("scene=pairs", f"scene.folder={folder}", f"runs_dir={tmp_path / 'runs'}")
+    done = ablate(SIMULATOR, "preset=tiny", *where, "training.steps=2", "training.validate_every=0")
+    assert done.returncode == 0, done.stderr
+    (result,) = (tmp_path / "runs").glob("tiny-mine/sa2h/seed0/result.json")
+    assert '"test/psnr"' in result.read_text()
+
+
+def test_the_settings_of_a_run_load_no_numerical_library() -> None:
+    modules = "ablate.dataset.split, ablate.dataset.encoding, ablate.training.settings, ablate.evaluation.settings"
+    code = f"import sys, {modules}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert {"torch", "lightning", "mlflow", "numba", "embreex", "zarr", "trimesh"}.isdisjoint(done.stdout.split())

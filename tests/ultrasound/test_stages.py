@@ -1,0 +1,64 @@
+"""Observing a frame's stages changes nothing, accounts for the frame's time, and costs nothing when it is not used."""
+
+import time
+import timeit
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ablate.anatomy import Scene, Structure, Tissue
+from ablate.ultrasound import Simulator, SimulatorSettings
+from ablate.ultrasound.stages import Stage, observe_stages, stage, stage_times
+
+SETTINGS = SimulatorSettings(scanlines=48, axial_samples=512, rays=4, image_shape=(128, 178))
+
+
+@pytest.fixture
+def simulator(gel: Tissue, tissue: Tissue, ball: Callable[..., Structure]) -> Simulator:
+    return Simulator(Scene((ball(tissue, (0, 0, 60), 30.0),), gel, "ball"), settings=SETTINGS)
+
+
+def test_every_stage_is_timed_and_the_frame_is_the_same(simulator: Simulator) -> None:
+    unobserved = simulator.render(np.eye(4))
+    moved = np.eye(4)
+    moved[0, 3] = 1.0
+    simulator.render(moved)
+    with stage_times() as taken:
+        start = time.perf_counter()
+        timed = simulator.render(np.eye(4))
+        whole = 1e3 * (time.perf_counter() - start)
+    assert np.array_equal(unobserved.image, timed.image)
+    counts = {name: len(taken[name]) for name in Stage}
+    assert counts == dict.fromkeys(Stage, 1) | {Stage.scan_conversion: 2}, "A is converted, too"
+    total = sum(sum(times) for times in taken.values())
+    assert 0.5 * whole < total <= whole
+    simulator.render(moved)
+    assert total == sum(sum(times) for times in taken.values()), "nothing is timed after the context"
+
+
+def test_an_observer_sees_arguments_and_results(simulator: Simulator) -> None:
+    seen = {}
+
+    def note(which: Stage, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+        seen[which] = args, function(*args)
+        return seen[which][1]
+
+    with observe_stages(note):
+        simulator.render(np.eye(4))
+    assert set(seen) == set(Stage)
+    assert seen[Stage.pixel_labels][1].shape == SETTINGS.image_shape
+
+
+def test_an_unobserved_stage_costs_under_two_microseconds() -> None:
+    """A frame has 15 stages and takes milliseconds."""
+
+    def add(a: int, b: int) -> int:
+        return a + b
+
+    declared = stage(Stage.tracing)(add)
+    assert declared(1, b=2) == 3
+    calls = 10_000
+    bare, with_stage = (min(timeit.repeat(lambda f=f: f(1, 2), number=calls, repeat=5)) for f in (add, declared))
+    assert (with_stage - bare) / calls < 2e-6
