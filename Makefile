@@ -7,7 +7,7 @@ LAPTOP := variant=sa2h,sa2h-att,sa2h-concat,sa2h-conv,sa2h-noise,sa2h-depth,lsa2
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep laptop test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start
+.PHONY: help sweep laptop answer test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -28,6 +28,10 @@ laptop: $(STAMP) ## the study of docs/results.md, from where it stands: all vari
 	$(BIN)/python -m ablate +study=encoding preset=laptop seed=0,1,2 hydra/launcher=joblib
 	$(BIN)/python scripts/results.py keep runs/laptop-fetal
 	$(BIN)/python scripts/results.py table
+
+answer: $(STAMP) ## which components earn their keep: 32 runs of a factorial in two anatomies and the runs beside it; resumable
+	$(BIN)/python -m ablate +study=answer hydra/launcher=joblib
+	$(BIN)/python -m ablate +study=answer_beside hydra/launcher=joblib
 
 test: $(STAMP) check ## style, types and tests
 	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow"

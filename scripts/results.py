@@ -54,7 +54,7 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
         raise ValueError(f"{study} holds no finished run; allowed is the folder of a study, as runs/laptop-fetal")
     target = kept / study.resolve().name
     said = list(usable.notes)
-    for run in usable.runs:
+    for run in usable.all:
         folder = target / run.label / f"seed{run.seed}"
         there = folder / "result.json"
         if there.exists():

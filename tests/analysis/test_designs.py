@@ -133,6 +133,34 @@ def test_a_quarter_fraction_keeps_only_what_is_not_confounded():
     assert "concat:noise" in table.loc["attenuation", "aliases"]
 
 
+def test_cells_beside_a_half_are_left_out_because_they_would_confound_it():
+    half = find_design(study_of(HALF), FACTORS)
+    beside = find_design(study_of([*HALF, ("attenuation",), ("depth",)]), FACTORS)
+    pd.testing.assert_frame_equal(beside.cells, half.cells)
+    assert (beside.name, beside.reading) == (half.name, half.reading)
+    assert set(beside.left_out) == {label_of(("attenuation",)), label_of(("depth",))}
+    third = study_of(HALF)
+    third["sa2h.attenuation-compensated"] = {**third["sa2h"], "attenuation": "compensated"}
+    assert find_design(third, FACTORS).left_out == ("sa2h.attenuation-compensated",)
+
+
+def test_blocks_are_taken_out_of_effects_and_cost_one_degree_of_freedom_each():
+    components = study_of(HALF)
+    design = find_design(components, FACTORS)
+    runs = runs_of(components, respond, seeds=2, noise=0.1)
+    block = (runs["variant"].str.contains("attenuation").to_numpy() + runs["seed"].to_numpy()) % 2  # each cell in both
+    plain = effects_table(runs, design).set_index("effect")
+    moved = runs.assign(data=np.array(["a", "b"])[block], value=runs["value"] + 50 * block)
+    blocked = effects_table(moved, design).set_index("effect")
+    pd.testing.assert_series_equal(blocked["estimate"], plain["estimate"])
+    assert (blocked["dof"] == plain["dof"] - 1).all()
+    assert effects_table(runs.assign(data=runs["variant"].str.contains("depth")), design).empty, "depth is the block"
+    off = {name: runs["variant"].str.contains(name) for name in ("attenuation", "noise")}
+    hidden = effects_table(runs.assign(data=off["attenuation"] ^ off["noise"]), design)
+    assert len(hidden) == 14
+    assert "attenuation:noise" not in set(hidden["effect"]), "it is the block"
+
+
 def test_what_differs_otherwise_is_left_out():
     components = study_of(LEAVE_ONE_OUT)
     components["nsa2h"] = {**components["sa2h"], "family": "unet"}

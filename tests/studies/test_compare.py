@@ -1,6 +1,7 @@
 """What a comparison makes of a study that is whole, and of one that is not: words, never a traceback."""
 
 import json
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,8 @@ from matplotlib.figure import Figure
 from ablate.analysis import RESIMULATION, find_design
 from ablate.config import ConfigurationError, StudySettings, json_ready
 from ablate.metrics import Metric, metric_of, registry
-from ablate.studies.comparison.compare import FACTORS, compare_study, write_comparison
+from ablate.studies.comparison.compare import FACTORS, compare_study, components_of, write_comparison
+from ablate.studies.comparison.results import Finished
 from ablate.studies.comparison.usable_runs import usable_runs
 from support.studies import study_group
 
@@ -30,7 +32,9 @@ FRAMES, SITES = 24, 8
 METRICS = ("psnr", "mae", "pchi2")
 
 
-def write_run(study: Path, label: str, seed: int, data: str = "fetal-0", frames: int = FRAMES) -> Path:
+def write_run(
+    study: Path, label: str, seed: int, data: str = "fetal-0", frames: int = FRAMES, anatomy: int = 0
+) -> Path:
     """A finished run without its training."""
     rng = np.random.default_rng([seed, *label.encode()])
     folder = study / label / f"seed{seed}"
@@ -45,7 +49,9 @@ def write_run(study: Path, label: str, seed: int, data: str = "fetal-0", frames:
     pd.DataFrame(rows).assign(variant=label, seed=seed).to_parquet(folder / "per_image.parquet")
     model = COMPONENTS | VARIANTS.get(label.partition(".")[0], {})
     encoding = {"order": "arbitrary" if ".encoding" in label else "echogenicity"}
-    spec = {"label": label, "hash": f"{label}{seed}", "semantic": {"model": model, "encoding": encoding}}
+    pairs = {"scene": {"seed": anatomy}, "dataset": {"frames": frames}}
+    semantic = {"model": model, "encoding": encoding, "data": pairs, "training": {"steps": 9, "seed": seed}}
+    spec = {"label": label, "hash": f"{label}{seed}", "semantic": semantic}
     (folder / "spec.json").write_text(json.dumps({**spec, "settings": {"model": model}}))
     scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_lower": 2.0, "test/fd_speckle_upper": 5.0 + seed}
     scalars |= {"test/floor_fd_speckle": 0.1, "ms_per_frame": 30.0, "test/psnr": 20.0, "test/floor_psnr": 22.0}
@@ -152,9 +158,29 @@ def test_a_missing_reference(study: Path) -> None:
     assert pd.read_csv(folder / "paired.csv").empty
 
 
+def test_another_anatomy_is_a_block_of_effects_and_no_part_of_any_pair(study: Path) -> None:
+    folder, _, _ = compared(study)
+    alone = {name: (folder / name).read_text() for name in ("table.csv", "paired.csv", "claims.csv")}
+    effects = pd.read_csv(folder / "effects.csv")
+    for label in ("sa2h", "sa2h-att", "sa2h-conv"):
+        for seed in (3, 4):
+            run = write_run(study, label, seed, data="fetal-1", anatomy=1)
+            set_values(run, "psnr", lambda t: t["frame"] >= 0, 1000.0 - 5 * (label == "sa2h-att"))
+    folder, report, _ = compared(study)
+    assert {name: (folder / name).read_text() for name in alone} == alone
+    assert "6 runs on another anatomy than fetal-0 take part in the effects of components only: sa2h/seed3," in report
+    together = pd.read_csv(folder / "effects.csv")
+    assert (together["dof"] == effects["dof"] + 6 - 1).all(), "six more runs and one more block"
+    shift = together.set_index(["metric", "effect"])["estimate"]["psnr", "attenuation"]
+    alone_shift = effects.set_index(["metric", "effect"])["estimate"]["psnr", "attenuation"]
+    # Two differences of two means, over 3 + 3 and over 2 + 2 runs; 900 dB between anatomies are in neither.
+    assert shift == pytest.approx((3 * alone_shift + 2 * -5) / 5)
+
+
 def test_runs_of_different_data_sets(study: Path) -> None:
-    change(study / "nsa2h" / "seed1", data="fetal-1")
-    write_run(study, "sa2h-att.encoding-arbitrary", 0, data="fetal-2")
+    shutil.rmtree(study / "nsa2h" / "seed1")
+    write_run(study, "nsa2h", 1, data="fetal-1", frames=10, anatomy=1)
+    write_run(study, "sa2h-att.encoding-arbitrary", 0, data="fetal-2", frames=12)
     folder, report, notes = compared(study)
     said = "2 runs left aside, made from other pairs than fetal-0: nsa2h/seed1, sa2h-att.encoding-arbitrary/seed0."
     assert said in notes
@@ -258,6 +284,7 @@ def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: 
     [
         ("factorial_half", "half of the factorial of 5 components (16 of 32 cells)"),
         ("add_one_in", "one change at a time around"),
+        ("answer", "half of the factorial of 6 components (32 of 64 cells)"),
         ("encoding", "6 of the 8 cells of 3 components"),
     ],
 )
@@ -267,6 +294,23 @@ def test_study_groups_are_recognised_as_the_designs_they_are(group: str, name: s
     design = find_design(components, FACTORS)
     assert design is not None
     assert design.name.startswith(name)
+
+
+def test_a_start_of_noise_that_is_not_injected_and_a_seed_of_training_make_no_other_network(tmp_path: Path) -> None:
+    made = {}
+    for label, noise, start in (("sa2h", "inject", 0.2), ("sa2h-noise", "input", 0.0), ("sa2h-att", "inject", 0.2)):
+        folder = write_run(tmp_path / "s", label, len(made))
+        spec = json.loads((folder / "spec.json").read_text())
+        spec["semantic"]["model"] |= {"noise": noise, "noise_start": start}
+        made[label] = components_of(Finished(folder, spec, {}))
+    design = find_design(made, FACTORS)
+    assert design is not None
+    assert (design.factors, design.left_out) == (["attenuation", "noise"], ())
+    made["sa2h-quiet"] = made["sa2h"] | {"noise_start": 0.0}
+    made["sa2h-long"] = made["sa2h"] | {"training.steps": 99}
+    design = find_design(made, FACTORS)
+    assert design is not None
+    assert design.left_out == ("sa2h-quiet", "sa2h-long")
 
 
 def test_a_metric_of_a_users_own_brings_its_label_as_long_as_it_can_be_imported(

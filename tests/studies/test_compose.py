@@ -1,5 +1,6 @@
 """The command line: what it stands for, and how it is refused."""
 
+import json
 import math
 from itertools import combinations
 
@@ -9,6 +10,7 @@ import pytest
 from ablate.config import ConfigurationError, Task
 from ablate.dataset import Encoding
 from ablate.networks import Family
+from ablate.studies.identity import semantic, shared
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.job import Job, label_of
 from ablate.studies.jobs.variants import variant_names
@@ -70,6 +72,67 @@ def test_add_one_in_starts_from_nothing() -> None:
     assert nothing.label == nothing.settings.reference
     assert [set(OFF) - off(job) for job in others] == [{name} for name in OFF]
     assert {job.settings.model.family for job in others} == {Family.local}
+
+
+@pytest.fixture(scope="module")
+def answer() -> list[Job]:
+    return study_group("answer")
+
+
+def signs_of(jobs: list[Job]) -> dict[str, np.ndarray]:
+    """By component of the answer's design, 1 where a job goes without it and -1 where not."""
+    names = [*OFF, "encoding"]
+    full = jobs[0].settings.model
+    gone = [[getattr(job.settings.model, name) != getattr(full, name) for name in OFF] for job in jobs]
+    rows = [[*of, job.settings.encoding is Encoding.arbitrary] for of, job in zip(gone, jobs, strict=True)]
+    return dict(zip(names, 2 * np.array(rows, float).T - 1, strict=True))
+
+
+def product_of(signs: dict[str, np.ndarray], effect: tuple[str, ...]) -> np.ndarray:
+    return np.prod([signs[name] for name in effect], axis=0)
+
+
+def test_the_answer_has_two_blocks_of_16_runs_that_differ_in_components_alone(answer: list[Job]) -> None:
+    assert len(answer) == len({job.folder for job in answer}) == 32
+    assert answer[0].label == "sa2h"
+    assert [job.settings.seed for job in answer] == list(range(32))
+    assert [sum(job.settings.scene.anatomy_seed == k for job in answer) for k in (0, 1)] == [16, 16]
+    levels = {name: {getattr(job.settings.model, name) for job in answer} for name in OFF}
+    assert all(OFF[name] in values for name, values in levels.items() if name != "depth")
+    assert all(len(values) == 2 for values in levels.values())
+    assert len({json.dumps(shared(semantic(job.settings))) for job in answer}) == 1
+
+
+def test_the_answer_has_resolution_six_and_its_blocks_hide_no_main_effect_and_no_interaction_of_two(
+    answer: list[Job],
+) -> None:
+    signs = signs_of(answer)
+    np.testing.assert_array_equal(product_of(signs, tuple(signs)), np.ones(32))  # I = ABCDEF
+    effects = [e for size in (1, 2) for e in combinations(signs, size)]
+    block = np.array([2.0 * job.settings.scene.anatomy_seed - 1 for job in answer])
+    columns = np.column_stack([np.ones(32), *(product_of(signs, e) for e in effects), block])
+    assert columns.shape[1] == 1 + 6 + 15 + 1
+    np.testing.assert_array_equal(columns.T @ columns, 32 * np.eye(23))
+    hidden = [e for e in combinations(signs, 3) if abs(product_of(signs, e) @ block) == 32]
+    assert hidden == [("attenuation", "concat", "noise"), ("upsampling", "depth", "encoding")]
+
+
+def test_the_answer_and_the_runs_beside_it_are_one_study(answer: list[Job]) -> None:
+    beside = study_group("answer_beside")
+    assert {job.settings.study_dir for job in (*answer, *beside)} == {answer[0].settings.study_dir}
+    assert {job.settings.scene.anatomy_seed for job in beside} == {0}
+    assert len({json.dumps(shared(semantic(job.settings))) for job in (*answer, *beside)}) == 1
+    common = {job.folder for job in answer} & {job.folder for job in beside}
+    assert common == {answer[0].folder}
+    assert {job.settings for job in beside if job.folder in common} == {answer[0].settings}
+    for label in {job.label for job in beside}:
+        assert [job.settings.seed for job in beside if job.label == label] == [0, 1, 2]
+
+
+def test_cells_of_a_study_take_more_keys() -> None:
+    jobs = jobs_of(["+study=answer", "preset=tiny", "training.steps=2,3", "study_name=s${training.steps}"])
+    assert len({job.folder for job in jobs}) == 64
+    assert {job.settings.preset for job in jobs} == {"tiny"}
 
 
 def test_table_2_is_every_variant() -> None:

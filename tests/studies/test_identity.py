@@ -77,6 +77,11 @@ def test_a_study_is_one_configuration_but_for_what_its_labels_say(tmp_path: Path
     claim_place(job(tmp_path))
     claim_place(job(tmp_path, "variant=nsa2h", "seed=3"))
     claim_place(job(tmp_path, "variant=sa2h-att", "encoding=arbitrary", "model.noise=none"))
+    claim_place(job(tmp_path, "variant=sa2h-conv", "scene.anatomy_seed=1"))
+    with pytest.raises(ConfigurationError, match=r"data\.scene\.seed: 0 there, 1 here"):
+        claim_place(job(tmp_path, "scene.anatomy_seed=1"))
+    with pytest.raises(ConfigurationError, match=r"data\.scene\.triangles: \d+ there, 7000 here"):
+        claim_place(job(tmp_path, "variant=lsa2h", "scene.triangles=7000", "scene.anatomy_seed=1"))
     with pytest.raises(ConfigurationError, match=r"training\.steps: \d+ there, 7 here"):
         claim_place(job(tmp_path, "variant=lsa2h", "training.steps=7"))
     with pytest.raises(ConfigurationError, match=r"data\.dataset\.frames: \d+ there, 99 here"):

@@ -16,7 +16,7 @@ def require_columns(frame: pd.DataFrame, columns: Sequence[str], name: str) -> N
 
 
 def finite_values(per_image: pd.DataFrame, scalars: pd.DataFrame | None = None) -> pd.DataFrame:
-    """The finite values of both tables, with the columns variant, seed, metric, value."""
-    columns = list(SCALAR_COLUMNS)
+    """The finite values of both tables, with the columns variant, seed, metric, value, and data where they have it."""
+    columns = [*SCALAR_COLUMNS, *({"data"} & set(per_image))]
     values = per_image[columns] if scalars is None else pd.concat([per_image[columns], scalars[columns]])
     return values[np.isfinite(values["value"])]

@@ -35,10 +35,19 @@ def semantic(settings: StudySettings) -> dict[str, Any]:
 
 
 def shared(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of `semantic` that is the same for all runs of a study: pairs, training, width, crops, evaluation."""
+    """The part of `semantic` that is the same for all runs of a study: pairs, training, width, crops, evaluation.
+
+    The pairs of two runs may show two anatomies; see `shared_pairs`.
+    """
     training = {k: v for k, v in content["training"].items() if k != "seed"}
-    rest = {k: content[k] for k in ("data", "crops", "evaluation")}
-    return {**rest, "model.width": content["model"]["width"], "training": training}
+    rest = {k: content[k] for k in ("crops", "evaluation")}
+    data = shared_pairs(content["data"])
+    return {**rest, "data": data, "model.width": content["model"]["width"], "training": training}
+
+
+def shared_pairs(data: Mapping[str, Any]) -> dict[str, Any]:
+    """What `about_data` says without the seed of the anatomy; anatomies are the blocks of a study."""
+    return {**data, "scene": {k: v for k, v in data["scene"].items() if k != "seed"}}
 
 
 def config_hash(settings: StudySettings) -> str:

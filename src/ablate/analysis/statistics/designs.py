@@ -49,7 +49,8 @@ def find_design(
     components : mapping of str to mapping
         By label, everything its network was made from.
     factors : tuple of str
-        Keys of it that count as components; a label that differs from the reference in another key is left out.
+        Keys of it that count as components. A label that differs from the reference in another key that both have is
+        left out.
     reference : str
         Where it is missing, the label that most others are one change away from stands in for it.
     """
@@ -65,7 +66,7 @@ def find_design(
     alike = [
         label
         for label, made in components.items()
-        if all(made.get(key) == base.get(key) for key in {*made, *base} - set(factors))
+        if all(made[key] == base[key] for key in made.keys() & base.keys() - set(factors))
     ]
     levels = {}
     for factor in factors:
@@ -89,10 +90,14 @@ def _changes(a: Mapping[str, object], b: Mapping[str, object]) -> int:
 
 def _read(cells: pd.DataFrame) -> tuple[pd.DataFrame, str, str]:
     """The cells that make up a design, what it is called, and how its effects are read."""
-    changed = pd.DataFrame({factor: cells[factor].cat.codes for factor in cells})
-    codes = changed.to_numpy()
-    count, factors = len(np.unique(codes, axis=0)), list(cells.columns)
+    factors = list(cells.columns)
     full = 2 ** len(factors)
+    changed = pd.DataFrame({factor: cells[factor].cat.codes for factor in cells})
+    even = changed.sum(axis=1) % 2 == 0
+    if len(factors) >= 5 and 2 * len(changed[even].drop_duplicates()) == full != len(changed.drop_duplicates()):
+        cells, changed = cells[even], changed[even]  # runs beside a half would confound its effects
+    codes = changed.to_numpy()
+    count = len(np.unique(codes, axis=0))
     if count == full:
         reading = "An effect is averaged over all combinations of the other components."
         return cells, f"full factorial of {_components(factors)} ({count} cells)", reading
@@ -128,6 +133,22 @@ def _components(factors: list[str]) -> str:
     return f"{len(factors)} component{'' if len(factors) == 1 else 's'}"
 
 
+def run_means(per_image: pd.DataFrame, design: Design, scalars: pd.DataFrame | None = None) -> pd.DataFrame:
+    """Mean of every metric over the test frames of every run of a design; arguments as for `effects_table`.
+
+    Returns
+    -------
+    DataFrame
+        Columns metric, variant, seed, data (empty where there is one data set), value, and the design's factors.
+    """
+    values = finite_values(per_image, scalars)
+    values = values[values["variant"].isin(design.cells.index)]
+    if "data" not in values:
+        values = values.assign(data="")
+    means = values.groupby(["metric", "variant", "seed", "data"], as_index=False)["value"].mean()
+    return means.join(design.cells, on="variant")
+
+
 def effects_table(
     per_image: pd.DataFrame, design: Design, scalars: pd.DataFrame | None = None, level: float = 0.95
 ) -> pd.DataFrame:
@@ -136,9 +157,10 @@ def effects_table(
     Parameters
     ----------
     per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value.
+        Columns variant, seed, frame, site, metric, value, and data where the runs have several data sets; these are
+        blocks.
     scalars : DataFrame, optional
-        Columns variant, seed, metric, value; costs are left out.
+        Columns variant, seed, metric, value, and data like `per_image`; costs are left out.
     level : float
         Coverage of the intervals.
 
@@ -148,14 +170,12 @@ def effects_table(
         Columns metric and those of `factorial_effects`, and p_holm, corrected over effects and metrics; a metric that
         the runs do not suffice for is left out.
     """
-    values = finite_values(per_image, scalars)
-    values = values[values["variant"].isin(design.cells.index)]
-    means = values.groupby(["metric", "variant", "seed"], as_index=False)["value"].mean()
+    means = run_means(per_image, design, scalars)
     tables = []
     for metric in judged_metrics(list(means["metric"])):
-        runs = means[means["metric"] == metric].join(design.cells, on="variant")
+        runs = means[means["metric"] == metric]
         try:
-            found = factorial_effects(runs, design.factors, level=level)
+            found = factorial_effects(runs, design.factors, level=level, block="data")
         except ValueError:
             continue
         tables.append(found.assign(metric=metric))

@@ -1,6 +1,7 @@
 """Main effects and two-way interactions of components, with intervals, from any set of two-level runs."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -13,67 +14,116 @@ MOST_NAMED = 3  # aliases of an effect; more are summed up
 EFFECT_COLUMNS = ("effect", "estimate", "lower", "upper", "p", "dof", "aliases")
 
 
-def factorial_effects(
-    runs: pd.DataFrame, factors: Sequence[str], value: str = "value", level: float = 0.95
-) -> pd.DataFrame:
-    """Least-squares effects of two-level factors (Box, Hunter and Hunter 2005, chapters 5 and 6).
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Least squares of one value a run on the effects of two-level factors, with blocks.
 
-    An effect is the mean at a factor's second level minus the mean at its first; a two-way interaction is half the
-    difference of one factor's effect between the other's levels. Interactions that the runs cannot tell from other
-    effects are taken as zero, and named as aliases of those effects. Higher interactions and seeds are the error that
-    intervals are made of.
+    Attributes
+    ----------
+    terms : tuple of tuple of str
+        Main effects `(a,)` and the interactions `(a, b)` that the runs can tell apart.
+    effects : (len(terms),) float
+        The mean at a factor's second level minus the mean at its first; of an interaction half the difference of one
+        factor's effect between the other's levels.
+    covariance : (len(terms), len(terms)) float
+        Of the effects, from the residuals of all runs together; NaN where `dof` is 0.
+    dof : int
+        Degrees of freedom of the error.
+    runs : (len(terms), 2) int
+        Runs on the first and on the second side of each effect.
+    aliases : dict
+        By term, what the runs cannot tell from it (text, empty where there is nothing).
+    """
+
+    terms: tuple[tuple[str, ...], ...]
+    effects: np.ndarray
+    covariance: np.ndarray
+    dof: int
+    runs: np.ndarray
+    aliases: dict[tuple[str, ...], str]
+
+    def contrast(self, weights: np.ndarray) -> tuple[float, float]:
+        """A weighted sum of the effects and its standard error; `weights` is (len(terms),) float."""
+        return float(weights @ self.effects), float(np.sqrt(weights @ self.covariance @ weights))
+
+
+def fit_effects(
+    runs: pd.DataFrame, factors: Sequence[str], value: str = "value", block: str | None = None
+) -> LinearModel:
+    """Fit main effects, two-way interactions and blocks (Box, Hunter and Hunter 2005, chapters 5 and 6).
+
+    Interactions that the runs cannot tell from other effects or from blocks are taken as zero, and named as aliases of
+    those effects. Higher interactions and seeds are the error.
 
     Parameters
     ----------
     runs : DataFrame
-        One row a run: a column for each factor, one for the value; seeds are further rows.
+        One row a run: a column for each factor, one for the value, perhaps one for the block; seeds are further rows.
     factors : sequence of str
         Columns with two levels each, in the order of their categories or else of first appearance (the first level is
         the baseline).
     value : str
         Column of the response.
-    level : float
-        Coverage of the intervals.
-
-    Returns
-    -------
-    DataFrame
-        Columns effect (`a` or `a:b`), estimate, lower, upper, p, dof, aliases (text, empty where there are none). Where
-        no degree of freedom is left for error, or an effect rests on fewer than three runs a side, lower, upper and p
-        are None.
+    block : str, optional
+        Column that names the block of a run. Blocks differ by a constant.
 
     Raises
     ------
     ValueError
         When a column is missing, a factor has not two levels, or the runs cannot tell the factors apart.
     """
-    missing = [name for name in (*factors, value) if name not in runs.columns]
+    missing = [name for name in (*factors, value, *([block] if block else [])) if name not in runs.columns]
     if missing:
         raise ValueError(f"runs lack the columns {missing}, they have {list(runs.columns)}")
     signs = _signs(runs, factors)
+    blocks = np.empty((len(runs), 0))
+    if block:
+        blocks = pd.get_dummies(runs[block], drop_first=True).to_numpy(dtype=np.float64)
     terms: list[tuple[str, ...]] = [(factor,) for factor in factors]
-    if np.linalg.matrix_rank(_columns(signs, terms)) <= len(terms):
-        raise ValueError(f"{len(runs)} runs cannot tell the factors {list(factors)} apart: add cells")
-    terms += _separable_pairs(signs, factors)
-    design = _columns(signs, terms)
+    if np.linalg.matrix_rank(_columns(signs, terms, blocks)) <= len(terms) + blocks.shape[1]:
+        among = " and blocks" if blocks.shape[1] else ""
+        raise ValueError(f"{len(runs)} runs cannot tell the factors {list(factors)}{among} apart: add cells")
+    terms += _separable_pairs(signs, factors, blocks)
+    design = _columns(signs, terms, blocks)
     response = runs[value].to_numpy(dtype=np.float64)
     estimate = linalg.lstsq(design, response)[0]
-    inverse = linalg.inv(design.T @ design)
     dof = len(runs) - design.shape[1]
     variance = np.sum((response - design @ estimate) ** 2) / dof if dof > 0 else np.nan
-    aliases = _aliases(signs, factors, terms)
+    chosen = slice(1, 1 + len(terms))
+    changed = np.count_nonzero(design[:, chosen] > 0, axis=0)
+    return LinearModel(
+        tuple(terms),
+        estimate[chosen],
+        variance * linalg.inv(design.T @ design)[chosen, chosen],
+        dof,
+        np.column_stack([len(runs) - changed, changed]),
+        _aliases(signs, factors, terms, blocks),
+    )
+
+
+def factorial_effects(
+    runs: pd.DataFrame, factors: Sequence[str], value: str = "value", level: float = 0.95, block: str | None = None
+) -> pd.DataFrame:
+    """Effects of two-level factors with intervals, from `fit_effects`, which says what the arguments are.
+
+    Returns
+    -------
+    DataFrame
+        Columns effect (`a` or `a:b`), estimate, lower, upper (an interval that covers with probability `level`), p,
+        dof, aliases. Where no degree of freedom is left for error, or an effect rests on fewer than three runs a side,
+        lower, upper and p are None.
+    """
+    model = fit_effects(runs, factors, value, block)
     rows = []
-    for k, term in enumerate(terms, start=1):
-        effect = float(estimate[k])
+    for k, term in enumerate(model.terms):
+        effect, error = model.contrast(np.eye(len(model.terms))[k])
         row: dict[str, object] = {"effect": ":".join(term), "estimate": effect, "lower": None, "upper": None, "p": None}
-        changed = int(np.count_nonzero(design[:, k] > 0))
-        if dof > 0 and min(changed, len(runs) - changed) >= FEWEST_SEEDS:
-            error = float(np.sqrt(variance * inverse[k, k]))
-            reach = float(stats.t.ppf((1 + level) / 2, dof)) * error
+        if model.dof > 0 and model.runs[k].min() >= FEWEST_SEEDS:
+            reach = float(stats.t.ppf((1 + level) / 2, model.dof)) * error
             ratio = abs(effect) / error if error > 0 else np.inf
-            p = float(2 * stats.t.sf(ratio, dof)) if effect else 1.0
+            p = float(2 * stats.t.sf(ratio, model.dof)) if effect else 1.0
             row |= {"lower": effect - reach, "upper": effect + reach, "p": p}
-        rows.append(row | {"dof": dof, "aliases": aliases[term]})
+        rows.append(row | {"dof": model.dof, "aliases": model.aliases[term]})
     return pd.DataFrame(rows, columns=list(EFFECT_COLUMNS))
 
 
@@ -107,21 +157,20 @@ def _product(signs: dict[str, np.ndarray], term: Sequence[str]) -> np.ndarray:
     return np.prod([signs[factor] for factor in term], axis=0)
 
 
-def _columns(signs: dict[str, np.ndarray], terms: Sequence[tuple[str, ...]]) -> np.ndarray:
-    """Design matrix whose coefficients are effects: the mean, then half a sign a term."""
-    runs = len(next(iter(signs.values())))
-    return np.column_stack([np.ones(runs), *(_product(signs, term) / 2 for term in terms)])
+def _columns(signs: dict[str, np.ndarray], terms: Sequence[tuple[str, ...]], blocks: np.ndarray) -> np.ndarray:
+    """Design matrix whose coefficients are effects: the mean, then half a sign a term, then the blocks."""
+    return np.column_stack([np.ones(len(blocks)), *(_product(signs, term) / 2 for term in terms), blocks])
 
 
-def _separable_pairs(signs: dict[str, np.ndarray], factors: Sequence[str]) -> list[tuple[str, ...]]:
-    """Two-way interactions of which all four cells were run, and that no other term stands in for."""
+def _separable_pairs(signs: dict[str, np.ndarray], factors: Sequence[str], blocks: np.ndarray) -> list[tuple[str, ...]]:
+    """Two-way interactions of which all four cells were run, and that no other term or block stands in for."""
     mains: list[tuple[str, ...]] = [(factor,) for factor in factors]
     four = [pair for pair in combinations(factors, 2) if len(np.unique([signs[f] for f in pair], axis=1).T) == 4]
-    rank = np.linalg.matrix_rank(_columns(signs, [*mains, *four]))
+    rank = np.linalg.matrix_rank(_columns(signs, [*mains, *four], blocks))
     kept: list[tuple[str, ...]] = []
     for pair in four:
         others = [*mains, *(other for other in four if other != pair)]
-        if np.linalg.matrix_rank(_columns(signs, others)) < rank:
+        if np.linalg.matrix_rank(_columns(signs, others, blocks)) < rank:
             kept.append(pair)
     return kept
 
@@ -131,16 +180,16 @@ def _subsets(factors: Sequence[str], smallest: int) -> list[tuple[str, ...]]:
 
 
 def _aliases(
-    signs: dict[str, np.ndarray], factors: Sequence[str], terms: Sequence[tuple[str, ...]]
+    signs: dict[str, np.ndarray], factors: Sequence[str], terms: Sequence[tuple[str, ...]], blocks: np.ndarray
 ) -> dict[tuple[str, ...], str]:
     """What each estimate holds beside its effect: from the alias matrix (X'X)^-1 X'Z (Box and Wilson 1951)."""
     left_out = [term for term in _subsets(factors, 2) if term not in terms]
     if not left_out:
         return dict.fromkeys(terms, "")
-    design = _columns(signs, terms)
-    matrix = linalg.lstsq(design, _columns(signs, left_out)[:, 1:])[0][1:]
+    others = np.column_stack([_product(signs, term) / 2 for term in left_out])
+    matrix = linalg.lstsq(_columns(signs, terms, blocks), others)[0]
     found = {}
-    for term, shares in zip(terms, matrix, strict=True):
+    for term, shares in zip(terms, matrix[1 : 1 + len(terms)], strict=True):
         whole = np.isclose(np.abs(shares), 1)
         if (whole | np.isclose(shares, 0)).all() and whole.sum() <= MOST_NAMED:
             names = [

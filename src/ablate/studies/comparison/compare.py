@@ -32,8 +32,8 @@ def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
     usable = usable_runs(settings.study_dir, reference)
     if not usable.runs:
         raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))
-    hashes = [run.result["hash"] for run in usable.runs]
-    scored = [[run.result.get("metrics"), run.result.get("inception")] for run in usable.runs]
+    hashes = [run.result["hash"] for run in usable.all]
+    scored = [[run.result.get("metrics"), run.result.get("inception")] for run in usable.all]
     made_from = {"runs": hashes, "scored": scored, "reference": reference, "notes": list(usable.notes)}
     marker = folder / "made_from.json"
     per_image, scalars = scored_frames(usable.runs)
@@ -69,9 +69,10 @@ def write_comparison(
     runs = usable.runs
     per_image, scalars = scored_frames(runs)
     table = analysis.comparison_table(per_image, scalars, reference)
-    design = analysis.find_design({run.label: components_of(run) for run in runs}, FACTORS, reference)
     paired = analysis.paired_table(per_image, reference)
-    effects = pd.DataFrame() if design is None else analysis.effects_table(per_image, design, scalars)
+    design = analysis.find_design({run.label: components_of(run) for run in usable.all}, FACTORS, reference)
+    in_blocks = scored_frames(usable.all)
+    effects = pd.DataFrame() if design is None else analysis.effects_table(in_blocks[0], design, in_blocks[1])
     claims = analysis.seed_claims(per_image, scalars, reference)
     frames, missing = stored_pictures(runs, reference)
     figures = draw_figures(Numbers(reference, per_image, scalars, table, paired, effects, design), frames, partial)
@@ -85,9 +86,9 @@ def write_comparison(
         claims=claims,
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
         left_out=_left_out(runs),
-        provenance=provenance(runs),
+        provenance=provenance(usable.all),
         reference=reference,
-        appendix=appendix(runs),
+        appendix=appendix(usable.all),
         notes=notes,
     )
     analysis.wide_table(table).to_csv(partial / "table.csv", index=False)
@@ -116,9 +117,14 @@ def _track(
 
 
 def components_of(run: Finished) -> dict[str, object]:
-    """The components of a run's network, and the encoding of its labels."""
+    """What can make a run differ from another one of its study: components, other settings of the network, training.
+
+    Where no noise is injected, the weight that it would start with says nothing and is left out.
+    """
     content = run.spec["semantic"]
-    return {**content["model"], "encoding": content["encoding"]["order"]}
+    model = {k: v for k, v in content["model"].items() if k != "noise_start" or content["model"]["noise"] == "inject"}
+    training = {f"training.{k}": v for k, v in content.get("training", {}).items() if k != "seed"}
+    return {**model, **training, "encoding": content["encoding"]["order"]}
 
 
 def _markdown(table: pd.DataFrame) -> str:

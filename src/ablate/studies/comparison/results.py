@@ -52,19 +52,22 @@ def finished_runs(study_dir: Path) -> list[Finished]:
 
 
 def scored_frames(runs: Sequence[Finished]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Test values of every run, and once those of the re-simulation, as two tables.
+    """Test values of every run, and once a data set those of the re-simulation, as two tables.
 
-    The first has columns variant, seed, frame, site, metric, value: one row a metric of a frame of a run. The second
-    has variant, seed, metric, value, lower, upper: one row a metric that only a run has, with the interval of a
-    distance.
+    The first has columns variant, seed, frame, site, metric, value, data: one row a metric of a frame of a run. The
+    second has variant, seed, data, metric, value, lower, upper: one row a metric that only a run has, with the interval
+    of a distance. `data` is the name of the pairs; frames and sites are numbers within them.
     """
     frames, scalars = [], []
-    for i, run in enumerate(runs):
+    first = {str(run.result["data"]): run for run in reversed(runs)}
+    for run in runs:
+        own: dict[str, Any] = {"variant": run.label, "seed": run.seed, "data": str(run.result["data"])}
+        with_floor = first[own["data"]] is run
         table = pd.read_parquet(run.folder / "per_image.parquet")
-        table = table[table["split"] == "test"]
+        table = table[table["split"] == "test"].assign(data=own["data"])
         frames.append(table[table["source"] == MODEL])
         floor = table[table["source"] == RESIMULATED]
-        if i == 0 and len(floor):
+        if with_floor and len(floor):
             frames.append(floor.assign(variant=RESIMULATION))
         per_image_metrics = set(table["metric"])
         values: dict[str, float] = run.result["scalars"]
@@ -74,14 +77,14 @@ def scored_frames(runs: Sequence[Finished]) -> tuple[pd.DataFrame, pd.DataFrame]
             metric = metric.removeprefix(FLOOR_PREFIX)
             if metric in per_image_metrics or is_bound(metric):
                 continue
-            if part == "test" and (i == 0 or not is_floor):
-                variant = RESIMULATION if is_floor else run.label
+            if part == "test" and (with_floor or not is_floor):
+                of = own | ({"variant": RESIMULATION} if is_floor else {})
                 bounds = {side: values.get(f"{name}_{side}") for side in BOUNDS}
-                scalars.append({"variant": variant, "seed": run.seed, "metric": metric, "value": value, **bounds})
+                scalars.append({**of, "metric": metric, "value": value, **bounds})
             elif name == "ms_per_frame":
-                scalars.append({"variant": run.label, "seed": run.seed, "metric": name, "value": value})
+                scalars.append({**own, "metric": name, "value": value})
         parameters = values["parameters_generator"] + values["parameters_discriminator"]
-        scalars.append({"variant": run.label, "seed": run.seed, "metric": "parameters", "value": parameters})
+        scalars.append({**own, "metric": "parameters", "value": parameters})
     return pd.concat(frames, ignore_index=True), pd.DataFrame(scalars)
 
 
@@ -144,8 +147,9 @@ def _stored_pictures(run: Finished) -> dict[int, np.ndarray]:
 
 
 def provenance(runs: Sequence[Finished]) -> dict[str, str]:
-    """Data set, code and hardware of a study; where its runs differ, each value names its runs."""
-    return {"data": str(runs[0].result["data"]), **{k: v for k, v in _made_with(runs).items() if k in _ABOUT_CODE}}
+    """Data sets, code and hardware of a study; where its runs differ, each value names its runs."""
+    data = ", ".join(dict.fromkeys(str(run.result["data"]) for run in runs))
+    return {"data": data, **{k: v for k, v in _made_with(runs).items() if k in _ABOUT_CODE}}
 
 
 def appendix(runs: Sequence[Finished]) -> dict[str, str]:

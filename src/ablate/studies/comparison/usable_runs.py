@@ -12,21 +12,37 @@ from ablate.analysis import REFERENCE, listed
 from ablate.metrics import choose_metrics
 from ablate.metrics.stored_names import SOURCES, STORED_COLUMNS
 from ablate.studies.comparison.results import Finished
-from ablate.studies.identity import read_result
+from ablate.studies.identity import read_result, shared_pairs
 
 
 @dataclass(frozen=True)
 class UsableRuns:
-    """Finished runs on the same pairs."""
+    """Finished runs of a study.
+
+    Attributes
+    ----------
+    runs : tuple of Finished
+        On the same pairs, so that they can be compared frame by frame.
+    blocks : tuple of Finished
+        On pairs that differ from these in the anatomy alone. They take part in the effects of components.
+    notes : tuple of str
+        What was left aside, a sentence each; for the report.
+    """
 
     runs: tuple[Finished, ...]
-    notes: tuple[str, ...]  # what was left aside, a sentence each; for the report
+    blocks: tuple[Finished, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def all(self) -> tuple[Finished, ...]:
+        return (*self.runs, *self.blocks)
 
 
 def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
     """Read the finished runs of a study, `<label>/seed<k>/`. A run that cannot be used is left aside.
 
-    Of runs on different pairs those on the reference's are taken, or else on the pairs that most runs have.
+    Of runs on different pairs those on the reference's are taken, or else on the pairs that most runs have; and as
+    blocks those on the same pairs of other anatomies.
     """
     runs: list[Finished] = []
     aside: dict[str, list[str]] = {}
@@ -37,17 +53,31 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
         elif found:
             aside.setdefault(found, []).append(f"{folder.parent.name}/{folder.name}")
     notes = [f"{_runs(names)} {reason}: {listed(names)}." for reason, names in aside.items()]
+    blocks: list[Finished] = []
     if runs:
         of_reference = [run for run in runs if run.label == reference]
         chosen = Counter(str(run.result["data"]) for run in of_reference or runs).most_common(1)[0][0]
-        others = [run.name for run in runs if run.result["data"] != chosen]
-        if others:
-            notes.append(f"{_runs(others)} left aside, made from other pairs than {chosen}: {listed(others)}.")
+        others = [run for run in runs if run.result["data"] != chosen]
         runs = [run for run in runs if run.result["data"] == chosen]
-    for name in dict.fromkeys(name for run in runs for name in run.result.get("metrics", ())):
+        blocks = [run for run in others if _another_anatomy(run, runs[0])]
+        if names := [run.name for run in others if run not in blocks]:
+            notes.append(f"{_runs(names)} left aside, made from other pairs than {chosen}: {listed(names)}.")
+        if names := [run.name for run in blocks]:
+            takes = "takes" if len(names) == 1 else "take"
+            notes.append(
+                f"{_runs(names)} on another anatomy than {chosen} {takes} part in the effects of components only: "
+                f"{listed(names)}."
+            )
+    for name in dict.fromkeys(name for run in (*runs, *blocks) for name in run.result.get("metrics", ())):
         with suppress(ValueError):  # imports a user's own metric for its label; one that is gone is shown by its name
             choose_metrics([name])
-    return UsableRuns(tuple(runs), tuple(notes))
+    return UsableRuns(tuple(runs), tuple(blocks), tuple(notes))
+
+
+def _another_anatomy(run: Finished, other: Finished) -> bool:
+    """Whether the pairs of two runs differ in the anatomy and in nothing else."""
+    here, there = (each.spec["semantic"].get("data") for each in (run, other))
+    return here is not None and there is not None and shared_pairs(here) == shared_pairs(there)
 
 
 def _read(folder: Path) -> Finished | str:

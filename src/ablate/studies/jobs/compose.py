@@ -21,6 +21,7 @@ from ablate.studies.jobs.job import Job, label_of
 from ablate.studies.jobs.launch import ComposedJob, Launch
 from ablate.studies.jobs.schema import configuration_dir, register, settings
 
+_CELLS = "cells"
 _SLURM = "ablate.studies.jobs.slurm.QueueLauncher"
 
 
@@ -76,14 +77,21 @@ def read_command_line(arguments: Sequence[str]) -> CommandLine | None:
 
 
 def _expand(master: DictConfig, overrides: Sequence[Override]) -> list[list[str]]:
-    """The overrides of each job of a sweep."""
+    """The overrides of each job of a sweep: the product of its swept keys, for each of its cells.
+
+    `hydra.sweeper.params.cells` may list cells that are no product, such as those of a fraction of a factorial. A cell
+    is a line of overrides.
+    """
     sweeper = master.hydra.runtime.choices["hydra/sweeper"]
     if sweeper != "basic":
         known = "the jobs of a study are known before it starts"
         raise ConfigurationError(f"hydra/sweeper={sweeper}: allowed is basic; {known}")
-    params = [f"{k}={v}" for k, v in (master.hydra.sweeper.params or {}).items()]
+    params = dict(master.hydra.sweeper.params or {})
+    cells = str(params.pop(_CELLS, "")).splitlines() or [""]
+    swept = [f"{k}={v}" for k, v in params.items()]
     with _in_one_line():
-        return hydra_internals.product([*hydra_internals.parse_overrides(params), *overrides])
+        each = [hydra_internals.parse_overrides([*swept, *cell.split()]) for cell in cells]
+        return [job for cell in each for job in hydra_internals.product([*cell, *overrides])]
 
 
 def _check_single(master: DictConfig, overrides: Sequence[Override]) -> None:
