@@ -3,11 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-LAPTOP := variant=sa2h,sa2h-att,sa2h-concat,sa2h-conv,sa2h-noise,sa2h-depth,lsa2h,nsa2h
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep laptop answer test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start
+.PHONY: help sweep answer test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -21,13 +20,6 @@ $(STAMP): pyproject.toml constraints.txt
 
 sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 5 to 9 minutes on two cores
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h hydra/launcher=joblib
-
-laptop: $(STAMP) ## the study of docs/results.md, from where it stands: all variants, three seeds, two encodings; two hours
-	$(BIN)/python scripts/results.py restore
-	$(BIN)/python -m ablate -m preset=laptop seed=0,1,2 $(LAPTOP) hydra/launcher=joblib
-	$(BIN)/python -m ablate +study=encoding preset=laptop seed=0,1,2 hydra/launcher=joblib
-	$(BIN)/python scripts/results.py keep runs/laptop-fetal
-	$(BIN)/python scripts/results.py table
 
 answer: $(STAMP) ## which components earn their keep: 32 runs of a factorial in two anatomies and the runs beside it; resumable
 	$(BIN)/python -m ablate +study=answer hydra/launcher=joblib

@@ -7,10 +7,10 @@ from pathlib import Path
 from ablate.config import StudySettings, Task, refusing
 from ablate.studies.identity import finished
 from ablate.studies.jobs.compose import CommandLine
+from ablate.studies.jobs.describe import description
 from ablate.studies.jobs.job import Job
 from ablate.studies.jobs.launch import Work
 from ablate.studies.jobs.preflight import check
-from ablate.studies.jobs.variants import describe as describe_variants
 from ablate.studies.pairs.data import dataset_folder, dataset_hash, drop_damaged, made_data, maps_needed, prepare_data
 
 
@@ -103,13 +103,8 @@ def _studies(jobs: Sequence[Job]) -> list[StudySettings]:
 
 
 def describe(jobs: Sequence[Job]) -> int:
-    """Print the table of variants in full, whatever the width of the terminal."""
-    table = describe_variants(jobs)
-    for column in table.select_dtypes(bool):
-        table[column] = table[column].map({True: "yes", False: "no"})
-    numbers = [c for c in table.columns if c in ("generator", "discriminator") or c.startswith("total")]
-    print(table.to_string(index=False, formatters=dict.fromkeys(numbers, "{:,}".format)))
-    print("\ngenerator, discriminator, total: parameters at the paper's width (model.width=1).")
+    """Print what the variants are and how large they are, in full, whatever the width of the terminal."""
+    print(description(jobs))
     read = maps_needed(job.settings.model for job in jobs)
     print(f"maps simulated for {', '.join(dict.fromkeys(j.label for j in jobs))}: {', '.join(sorted(read))}")
     if "low" not in read:

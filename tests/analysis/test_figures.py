@@ -186,7 +186,7 @@ def test_chi2_maps_of_eleven_networks_fit_a_page(pictures, figures, tmp_path):
     [
         ("sa2h", "sa2h"),
         ("sa2h-att.encoding-arbitrary", "sa2h-att + arbitrary"),
-        ("sa2h.attenuation-none.concat-input.depth-8.noise-input", "sa2h −att −concat −depth −noise"),
+        ("sa2h.attenuation-none.concat-input.depth-6.noise-input", "sa2h −att −concat depth 6 −noise"),
         ("sa2h.noise-inject.noise_start-0.3", "sa2h + noise-inject + noise_start-0.3"),
     ],
 )

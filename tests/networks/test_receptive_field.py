@@ -30,6 +30,7 @@ def make_linear(network: nn.Module, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
+        {"depth": 1},
         {"depth": 2},
         {"depth": 2, "attenuation": "none"},
         {"depth": 2, "noise": "input"},
@@ -79,7 +80,7 @@ def test_generator_of_eight_levels_on_a_strip(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_level_more_doubles_what_is_seen() -> None:
-    fields = [receptive_field(GeneratorSpec(depth=depth)) for depth in range(2, 9)]
+    fields = [receptive_field(GeneratorSpec(depth=depth)) for depth in range(1, 9)]
     ratios = [deep / shallow for shallow, deep in pairwise(fields)]
     assert all(1.8 < ratio < 2.4 for ratio in ratios)
 

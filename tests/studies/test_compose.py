@@ -12,7 +12,7 @@ from ablate.dataset import Encoding
 from ablate.networks import Family
 from ablate.studies.identity import semantic, shared
 from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job, label_of
+from ablate.studies.jobs.job import Job
 from ablate.studies.jobs.variants import variant_names
 from support.studies import study_group
 
@@ -29,13 +29,26 @@ def test_a_single_job_is_the_default_study() -> None:
     assert (job.settings.task, job.label, job.settings.preset) == (Task.study, "sa2h", "quick")
 
 
-def test_labels_name_what_differs_from_the_variant() -> None:
-    assert label_of("sa2h", ["seed=1", "training.steps=3"]) == "sa2h"
-    assert label_of("sa2h", ["model.depth=8"]) == "sa2h.depth-8"
-    assert label_of("sa2h", ["model.width=0.5"]) == "sa2h"
-    assert label_of("sa2h", ["model={depth:8,noise:inject,width:0.5}"]) == "sa2h.depth-8"
-    assert label_of("sa2h-depth", ["model.depth=8"]) == "sa2h-depth"
-    assert label_of("sa2h", ["encoding=arbitrary", "model.noise=none"]) == "sa2h.encoding-arbitrary.noise-none"
+@pytest.mark.parametrize(
+    ("arguments", "label"),
+    [
+        (["seed=1", "training.steps=3"], "sa2h"),
+        (["model.depth=8"], "sa2h.depth-8"),
+        (["model.depth=${levels:8}"], "sa2h.depth-6"),
+        (["model.depth=${levels:8}", "preset=paper"], "sa2h.depth-8"),
+        (["model.depth=2"], "sa2h"),
+        (["model.depth=${levels:4}"], "sa2h"),
+        (["model.width=0.5"], "sa2h"),
+        (["model={depth:8,noise:inject,width:0.5}"], "sa2h.depth-8"),
+        (["model={depth:${levels:8},noise:input}"], "sa2h.depth-6.noise-input"),
+        (["variant=sa2h-depth", "model.depth=6"], "sa2h-depth"),
+        (["variant=sa2h-depth", "model.depth=8"], "sa2h-depth.depth-8"),
+        (["encoding=arbitrary", "model.noise=none"], "sa2h.encoding-arbitrary.noise-none"),
+    ],
+)
+def test_labels_name_what_differs_from_the_variant(arguments: list[str], label: str) -> None:
+    (job,) = jobs_of(arguments)
+    assert job.label == label
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +61,7 @@ def test_no_two_cells_of_the_factorial_share_a_place(factorial: list[Job]) -> No
     assert len({job.settings.model for job in factorial}) == 32
 
 
-OFF = {"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "input", "depth": 8}
+OFF = {"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "input", "depth": 6}
 
 
 def off(job: Job) -> set[str]:
@@ -167,7 +180,10 @@ def test_a_folder_names_its_study() -> None:
         (["training.steps=many"], r"training.steps=many: .*Integer"),
         (["model.attenuation=some"], r"model.attenuation=some: .*\[integral, none\]"),
         (["task=dream"], r"task=dream: .*study, simulate, describe, plan, compare"),
-        (["model.depth=9"], r"depth=9: allowed are 2 to 8"),
+        (["model.depth=9"], r"depth=9: allowed are 1 to 8"),
+        (["model.depth=${level:4}"], r"model.depth: Unsupported interpolation type level"),
+        (["simulator.image_shape=[0,355]"], r"image_shape"),
+        (["simulator.image_shape=[]"], r"image_shape"),
         (["simulator.rays=0"], r"rays"),
         (["training.steps=0"], r"steps=0: allowed are 1 and more"),
         (["variant=sa2h,nsa2h"], r"asks for several jobs: add -m"),

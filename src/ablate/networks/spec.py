@@ -7,7 +7,7 @@ from typing import Any
 
 from ablate.validation import coerce_enums
 
-DEPTHS = range(2, 9)
+DEPTHS = range(1, 9)
 
 
 class Family(StrEnum):
@@ -98,6 +98,8 @@ class GeneratorSpec:
         if not math.isfinite(self.noise_start):
             raise ValueError(f"noise_start={self.noise_start!r}: allowed are finite numbers")
         if self.family is Family.unet:
+            if self.depth < 2:
+                raise ValueError(f"depth={self.depth} with family=unet: allowed are 2 to {DEPTHS[-1]}")
             if self.concat is not Concat.input:
                 raise ValueError(f"concat={self.concat} with family=unet: allowed is concat=input")
             if self.upsampling is not Upsampling.transposed:

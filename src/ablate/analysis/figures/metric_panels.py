@@ -14,7 +14,7 @@ from ablate.metrics import Direction, Resimulation, metric_of
 from ablate.networks import COMPONENTS
 
 ROW_IN, HEAD_IN, LEGEND_IN = 0.19, 0.55, 0.25
-SHORT = {f"{component.field}-{component.off}": f"−{component.name}" for component in COMPONENTS}
+SHORT = {f"{c.field}-{c.off}": f"−{c.name}" for c in COMPONENTS if c.field != "depth"}
 SHORT["encoding-arbitrary"] = "+ arbitrary"  # another order of the labels: nothing is left out
 HINTS = {Direction.higher: "better →", Direction.lower: "← better", Direction.zero: "0 is right", Direction.none: ""}
 
@@ -46,9 +46,15 @@ def metric_panels(
 
 
 def shown_name(label: str) -> str:
-    """A label as it is written on a figure: `sa2h.concat-input.depth-8` becomes `sa2h −concat −depth`."""
+    """A label as it is written on a figure: `sa2h.concat-input.depth-6` becomes `sa2h −concat depth 6`."""
     variant, *changes = re.split(r"\.(?=[a-z])", label)
-    return " ".join([variant, *(SHORT.get(change, f"+ {change}") for change in changes)])
+    return " ".join([variant, *(_shown_change(change) for change in changes)])
+
+
+def _shown_change(change: str) -> str:
+    if depth := re.fullmatch(r"depth-(\d+)", change):  # which depth stands for "off" follows from the frame size
+        return f"depth {depth[1]}"
+    return SHORT.get(change, f"+ {change}")
 
 
 def axis_title(metric: str, shown: str = "{}") -> str:

@@ -11,8 +11,8 @@ from shutil import which
 from typing import get_type_hints
 
 from hydra.errors import HydraException
-from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from ablate.config import ConfigurationError, StudySettings, Task
 from ablate.studies.jobs import hydra_internals
@@ -86,9 +86,11 @@ def _expand(master: DictConfig, overrides: Sequence[Override]) -> list[list[str]
     if sweeper != "basic":
         known = "the jobs of a study are known before it starts"
         raise ConfigurationError(f"hydra/sweeper={sweeper}: allowed is basic; {known}")
-    params = dict(master.hydra.sweeper.params or {})
+    # Not resolved: `${levels:8}` is that of each job's own frame.
+    params = OmegaConf.to_container(master.hydra.sweeper.params or OmegaConf.create(), resolve=False)
+    assert isinstance(params, dict)
     cells = str(params.pop(_CELLS, "")).splitlines() or [""]
-    swept = [f"{k}={v}" for k, v in params.items()]
+    swept = [f"{k!s}={v}" for k, v in params.items()]
     with _in_one_line():
         each = [hydra_internals.parse_overrides([*swept, *cell.split()]) for cell in cells]
         return [job for cell in each for job in hydra_internals.product([*cell, *overrides])]
@@ -107,12 +109,14 @@ def _check_single(master: DictConfig, overrides: Sequence[Override]) -> None:
 def _composed_job(overrides: Sequence[str], config: DictConfig) -> ComposedJob:
     try:
         made = settings(config)
-    except OmegaConfBaseException as error:
+    except MissingMandatoryValue as error:
         key = error.full_key or "a value"
         raise ConfigurationError(f"{key} must be given: {key}=...") from error
+    except OmegaConfBaseException as error:
+        raise ConfigurationError(f"{error.full_key}: {_one_line(error)}") from error
     except ValueError as error:
         raise ConfigurationError(_one_line(error)) from error
-    return ComposedJob(Job(made, label_of(made.variant, overrides)), tuple(overrides), config)
+    return ComposedJob(Job(made, label_of(made, overrides)), tuple(overrides), config)
 
 
 def _without_repetitions(made: Sequence[ComposedJob]) -> list[ComposedJob]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from omegaconf import OmegaConf
 
-from ablate.config import StudySettings
+from ablate.config import StudySettings, json_ready
 from ablate.studies.jobs.hydra_internals import Override, parse_overrides
 from ablate.studies.jobs.schema import configuration_dir
 
@@ -28,24 +28,34 @@ class Job:
         return self.settings.study_dir / self.label / f"seed{self.settings.seed}"
 
 
-def label_of(variant: str, overrides: Sequence[str]) -> str:
-    """A run's label from its variant and the overrides it was composed with.
+def label_of(settings: StudySettings, overrides: Sequence[str]) -> str:
+    """A run's label from its settings and the overrides that they were composed with.
 
-    The width is a size of the whole study, like the number of steps, and no part of it.
+    It names the components that an override sets to another value than the variant's at this frame size. The width is a
+    size of the whole study, like the number of steps, and no part of it.
     """
-    own = {"encoding": "echogenicity", **_model_of(variant)}
-    changed = {name: value for override in parse_overrides(overrides) for name, value in _components(override)}
-    named = [f"{name}-{value}" for name, value in sorted(changed.items()) if str(own.get(name)) != str(value)]
-    return ".".join([variant, *(re.sub(r"[^A-Za-z0-9.+_-]", "_", name) for name in named)])
+    values = {**json_ready(settings.model), "encoding": settings.encoding.name}
+    own = {"encoding": "echogenicity", **_own_model(settings)}
+    changed = {name for override in parse_overrides(overrides) for name in _components(override)}
+    named = [f"{name}-{values[name]}" for name in sorted(changed) if str(own.get(name)) != str(values[name])]
+    return ".".join([settings.variant, *(re.sub(r"[^A-Za-z0-9.+_-]", "_", name) for name in named)])
 
 
-def _components(override: Override) -> Iterator[tuple[str, object]]:
+def _components(override: Override) -> Iterator[str]:
     """Components that an override sets: `model.depth=8`, `model={depth:8,noise:input}` or `encoding=...`."""
     key, value = override.key_or_group, override.value()
     if key == "model" and isinstance(value, dict):
-        yield from ((str(name), v) for name, v in value.items() if name != "width")
+        yield from (str(name) for name in value if name != "width")
     elif key == "encoding" or (key.startswith("model.") and key != "model.width"):
-        yield key.removeprefix("model."), value
+        yield key.removeprefix("model.")
+
+
+def _own_model(settings: StudySettings) -> dict[str, object]:
+    """The keys of `model` in the file of a variant, with the levels that it has at this frame size."""
+    frame = {"simulator": {"image_shape": list(settings.simulator.image_shape)}}
+    own = OmegaConf.to_container(OmegaConf.create({**frame, "model": _model_of(settings.variant)}), resolve=True)
+    assert isinstance(own, dict)
+    return dict(own["model"])
 
 
 def _model_of(variant: str) -> dict[str, object]:

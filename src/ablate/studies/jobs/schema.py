@@ -10,6 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 
 import ablate
 from ablate.config import StudySettings, build
+from ablate.studies.jobs.scale import register_resolvers
 
 
 def configuration_dir() -> Path:
@@ -20,7 +21,8 @@ def configuration_dir() -> Path:
 
 
 def register() -> None:
-    """Make the schema known to Hydra as `schema`, the first entry of conf/config.yaml."""
+    """Make the schema known to Hydra as `schema`, the first entry of conf/config.yaml, and conf/'s resolvers."""
+    register_resolvers()
     ConfigStore.instance().store(name="schema", node=_schema(StudySettings))
 
 

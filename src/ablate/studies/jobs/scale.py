@@ -1,0 +1,58 @@
+"""Miniatures to scale: the levels and the crop that keep the paper's millimetres in a frame of fewer pixels.
+
+The configuration reaches both as OmegaConf resolvers, which read the frame's rows from the job's own
+`simulator.image_shape`: `${levels:4}` and `${crop:}`.
+"""
+
+import math
+
+from omegaconf import DictConfig, OmegaConf
+
+from ablate.networks.spec import COMPONENTS, DEPTHS
+from ablate.training.settings import SMALLEST_CROP, TrainingSettings
+from ablate.ultrasound.settings import SimulatorSettings
+
+PAPER_ROWS = SimulatorSettings().image_shape[0]
+PAPER_CROP = TrainingSettings().crop
+_UNET_LEVELS = DEPTHS[-1]
+
+
+def levels(at_paper: int, rows: int) -> int:
+    """Levels of a network that has `at_paper` of them in the paper's frame: one less for every halving of its rows.
+
+    A receptive field of depth d grows as 2^d px, so with round(log2(1000 / rows)) levels less it covers the same
+    millimetres, within a factor of sqrt(2) for the rounding. There are no fewer levels than networks can have, and no
+    more.
+    """
+    halvings = round(math.log2(PAPER_ROWS / max(rows, 1)))  # fewer rows than 1 are refused with the other settings
+    return min(max(at_paper - halvings, DEPTHS[0]), DEPTHS[-1])
+
+
+def paper_levels(depth: int, rows: int) -> int | None:
+    """Levels in the paper's frame that are `depth` at this one; None where no network of the paper's frame is so deep.
+
+    Where several are, in frames too small for a level less, it is that of SA2H or of the U-Net if it can be.
+    """
+    component = next(c for c in COMPONENTS if c.field == "depth")
+    known = (component.on, component.off, *reversed(DEPTHS))
+    return next((at_paper for at_paper in known if levels(at_paper, rows) == depth), None)
+
+
+def crop(rows: int) -> int:
+    """Side of the crop, px: the paper's share of the rows (0.512), as a multiple of 2^levels of the U-Net.
+
+    So no network pads a crop.
+    """
+    unit = 2 ** levels(_UNET_LEVELS, rows)
+    return max(round(rows * PAPER_CROP / PAPER_ROWS / unit) * unit, unit, SMALLEST_CROP)
+
+
+def register_resolvers() -> None:
+    """Make `${levels:n}` and `${crop:}` known to OmegaConf."""
+    OmegaConf.register_new_resolver("levels", lambda n, *, _root_: levels(int(n), _rows(_root_)), replace=True)
+    OmegaConf.register_new_resolver("crop", lambda *, _root_: crop(_rows(_root_)), replace=True)
+
+
+def _rows(root: DictConfig) -> int:
+    shape = root.simulator.image_shape
+    return int(shape[0]) if len(shape) else 1  # an empty shape is refused with the other settings

@@ -1,0 +1,56 @@
+"""What `task=describe` prints is the paper's table, beside what the networks see of this preset's frames."""
+
+import pytest
+
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.describe import described, description
+from ablate.studies.jobs.variants import variant_names
+
+TOTALS = {
+    "lsa2h": 57_171_266,
+    "nsa2h": 57_170_242,
+    "sa2h-att": 14_415_947,
+    "sa2h-concat": 14_384_130,
+    "sa2h-conv": 16_164_308,
+    "sa2h-noise": 14_450_388,
+    "sa2h": 14_450_964,
+}
+
+
+@pytest.mark.parametrize("preset", ["quick", "paper"])
+def test_the_papers_parameter_counts_stay_at_every_size(preset: str) -> None:
+    table = described(jobs_of([f"preset={preset}"]))
+    assert list(table.index) == list(variant_names())
+    for variant, total in TOTALS.items():
+        assert table.loc[variant, "total"] == total
+    assert (table["generator"] + table["discriminator"] == table["total"]).all()
+    # Measured by gradients in tests/networks/test_receptive_field.py.
+    assert (table.loc[["sa2h", "sa2h-depth"], "paper_field_px"] == [173, 2813]).all()
+    assert table.loc["sa2h", "paper_field_mm"] == pytest.approx(173 * 157.23 / 1000, rel=1e-4)
+    if preset == "paper":
+        assert (table["total_here"] == table["total"]).all()
+        assert (table["field_mm"] == table["paper_field_mm"]).all()
+
+
+def test_a_miniature_sees_the_papers_millimetres() -> None:
+    table = described(jobs_of(["preset=quick"]))
+    assert table["field_mm"].to_numpy() == pytest.approx(table["paper_field_mm"].to_numpy(), rel=0.12)
+    assert table.loc["sa2h", "field_px"] == 41
+    assert table.loc["sa2h", "field_percent"] == pytest.approx(100 * 41 / 256)
+
+
+def test_the_text_is_whole_and_readable_at_120_columns() -> None:
+    text = description(jobs_of(["simulator.image_shape=[300,416]", "training.crop=96"]))
+    assert max(map(len, text.splitlines())) <= 120
+    assert "..." not in text
+    assert "frame: 300 x 416 px of 0.52 mm (in the paper: 1000 rows of 0.16 mm)" in text
+    assert "crop: 96 px, 50 mm, 32 % of the frame's height (in the paper: 512 px, 81 mm, 51 %)" in text
+    for variant, total in TOTALS.items():
+        assert any(line.split()[:1] == [variant] and line.endswith(f"{total:,}") for line in text.splitlines())
+
+
+def test_a_network_deeper_than_any_of_the_papers_has_no_counterpart() -> None:
+    table = described(jobs_of(["-m", "model.depth=3,8"]))
+    assert list(table.index) == ["sa2h.depth-3", "sa2h.depth-8"]
+    assert table.loc["sa2h.depth-3", "paper_depth"] == 5
+    assert table.loc["sa2h.depth-8", ["paper_depth", "paper_field_px", "total"]].isna().all()

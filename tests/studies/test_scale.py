@@ -1,0 +1,75 @@
+"""Miniatures to scale: every network and the crop cover the paper's millimetres, whatever the frame's pixels."""
+
+import math
+
+import pytest
+
+from ablate.networks import receptive_field
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.scale import PAPER_ROWS, crop, levels, paper_levels
+from ablate.studies.jobs.variants import variant_names
+
+LOCAL, UNET = 4, 8  # levels in the paper's frame
+
+
+@pytest.mark.parametrize(
+    ("frame", "local", "deep", "side"),
+    [((1000, 1386), 4, 8, 512), ((512, 710), 3, 7, 256), ((256, 355), 2, 6, 128), ((128, 178), 1, 5, 64)],
+)
+def test_a_frame_n_times_smaller_has_log2_n_levels_less_and_a_crop_n_times_smaller(
+    frame: tuple[int, int], local: int, deep: int, side: int
+) -> None:
+    size = f"simulator.image_shape=[{frame[0]},{frame[1]}]"
+    jobs = {job.label: job.settings for job in jobs_of(["-m", f"variant={','.join(variant_names())}", size])}
+    assert len(jobs) == len(variant_names())
+    for variant, settings in jobs.items():
+        assert settings.model.depth == (deep if variant in ("lsa2h", "nsa2h", "sa2h-depth") else local)
+        assert settings.training.crop == side
+
+
+def test_any_frame_keeps_the_papers_share_within_the_rounding() -> None:
+    paper = receptive_field(jobs_of(["preset=paper"])[0].settings.model) / PAPER_ROWS
+    for rows in range(100, 1400, 37):
+        deviation = math.log2(PAPER_ROWS / rows) - (LOCAL - levels(LOCAL, rows))
+        assert abs(deviation) <= 0.5
+        assert abs(crop(rows) / rows - 0.512) <= 2 ** (levels(UNET, rows) - 1) / rows
+        assert crop(rows) % 2 ** levels(UNET, rows) == 0
+    (quick,) = jobs_of(["preset=quick"])
+    share = receptive_field(quick.settings.model) / quick.settings.simulator.image_shape[0]
+    assert share == pytest.approx(paper, rel=0.1)
+
+
+def test_a_users_own_frame_size_is_to_scale() -> None:
+    (job,) = jobs_of(["simulator.image_shape=[300,416]", "variant=lsa2h"])
+    assert (job.settings.model.depth, job.settings.training.crop) == (6, 128)
+
+
+def test_numbers_on_the_command_line_are_levels_and_pixels() -> None:
+    (job,) = jobs_of(["model.depth=3", "training.crop=96"])
+    assert (job.settings.model.depth, job.settings.training.crop, job.label) == (3, 96, "sa2h.depth-3")
+
+
+def test_each_job_of_a_sweep_over_presets_is_to_its_own_scale() -> None:
+    jobs = jobs_of(["+study=factorial", "preset=tiny,paper"])
+    found = {(job.settings.preset, job.settings.model.depth, job.label) for job in jobs}
+    assert {("tiny", 5, "sa2h.depth-5"), ("paper", 8, "sa2h.depth-8"), ("tiny", 1, "sa2h")} <= found
+    assert {depth for preset, depth, _ in found if preset == "tiny"} == {1, 5}
+
+
+@pytest.mark.parametrize("preset", ["quick", "paper"])
+def test_the_reference_of_add_one_in_is_one_of_its_jobs(preset: str) -> None:
+    nothing, *others = jobs_of(["+study=add_one_in", f"preset={preset}"])
+    assert {job.settings.reference for job in (nothing, *others)} == {nothing.label}
+
+
+@pytest.mark.parametrize("rows", [32, 64, 90, 2000, 5000])
+def test_frames_beyond_what_networks_allow_get_the_nearest(rows: int) -> None:
+    assert levels(LOCAL, rows) == {32: 1, 64: 1, 90: 1, 2000: 5, 5000: 6}[rows]
+    assert levels(UNET, rows) == {32: 3, 64: 4, 90: 5, 2000: 8, 5000: 8}[rows]
+    assert crop(rows) >= 32
+    assert paper_levels(levels(LOCAL, rows), rows) == LOCAL
+    assert paper_levels(levels(UNET, rows), rows) == UNET
+
+
+def test_no_network_of_the_papers_frame_is_as_deep_as_eight_levels_of_a_small_one() -> None:
+    assert [paper_levels(depth, 256) for depth in (1, 3, 5, 6, 7, 8)] == [3, 5, 7, 8, None, None]
