@@ -3,7 +3,7 @@
 import resource
 import sys
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +12,22 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ablate.dataset import CropLoader, Crops, CropSettings, DamagedShardError, Pairs, create_pairs, fill_pairs
+from ablate.dataset import (
+    CropLoader,
+    Crops,
+    CropSettings,
+    DamagedShardError,
+    Pairs,
+    create_pairs,
+    fill_pairs,
+    network_inputs,
+)
+from ablate.ultrasound import ConvexProbe, compensated_attenuation
 
 H, W, FRAMES = 40, 60, 6
 MAPS = frozenset({"segmentation", "attenuation", "target"})
 VALUES = np.linspace(-1, 1, 256).astype(np.float32)
+PROBE, TGC = ConvexProbe(frequency_mhz=3.0), 0.4
 
 
 @pytest.fixture(scope="module")
@@ -37,12 +48,13 @@ def pairs(tmp_path_factory: pytest.TempPathFactory, stack: np.ndarray) -> Pairs:
         return {m: stack[frames] / 255 if m == "attenuation" else stack[frames] for m in maps}
 
     list(fill_pairs(made, MAPS, render))
-    return made
+    return replace(made, probe=PROBE, tgc_db_cm_mhz=TGC)
 
 
 def crops(pairs: Pairs, in_memory_bytes: int = 1 << 30, **changes: object) -> Crops:
     chosen = CropSettings(**{"size": 16, "batch_size": 2, **changes})  # type: ignore[arg-type]
-    return Crops(pairs, np.arange(FRAMES), frozenset({"attenuation"}), VALUES, chosen, in_memory_bytes)
+    maps = frozenset({"attenuation", "compensated"})
+    return Crops(pairs, np.arange(FRAMES), maps, VALUES, chosen, in_memory_bytes)
 
 
 def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
@@ -105,6 +117,30 @@ def test_any_crop_is_a_window_of_one_frame_that_touches_the_fan(
         assert grey in (1, 2, 3)
         assert (crop["target"][~mask] == -1).all()
         np.testing.assert_array_equal(crop["segmentation"], np.where(mask, VALUES[grey], VALUES[0]))
+
+
+def test_compensated_attenuation_is_cut_from_what_whole_frames_are_read_as(pairs: Pairs) -> None:
+    numbers = np.arange(FRAMES)
+    frames = {name: pairs.read(name, numbers) for name in ("segmentation", "attenuation", "compensated")}
+    fed = network_inputs(frames, VALUES, pairs.mask())["compensated"][:, 0].numpy()
+    expected = compensated_attenuation(frames["attenuation"], PROBE, TGC)
+    np.testing.assert_allclose(fed, expected, atol=0.6 / 65535)
+    assert len(np.unique(fed)) > 100
+    whole = np.stack([frames["attenuation"], fed], axis=1)
+    whole = np.concatenate([whole, whole[..., ::-1]])
+    windows = np.lib.stride_tricks.sliding_window_view(whole, (16, 16), axis=(2, 3))
+    made = crops(pairs, flip=True)
+    for step in range(8):
+        for crop in torch.cat([made[step]["attenuation"], made[step]["compensated"]], dim=1).numpy():
+            same_place = (windows == crop[:, None, None]).all(axis=(1, 4, 5))
+            assert same_place.any()
+    for crop in crops(pairs, size=64)[0]["compensated"][:, 0].numpy():  # larger than a frame
+        assert any(np.array_equal(crop, np.pad(frame, ((0, 64 - H), (0, 64 - W)))) for frame in fed)
+
+
+def test_compensated_attenuation_of_frames_from_elsewhere_is_refused(pairs: Pairs) -> None:
+    with pytest.raises(ValueError, match="compensated attenuation needs the probe and the TGC of the simulation"):
+        replace(pairs, probe=None).read("compensated", [0])
 
 
 def test_crops_are_cut_everywhere_and_from_every_frame() -> None:
@@ -177,14 +213,15 @@ def test_a_damaged_shard_stops_the_loader_with_its_name(tmp_path: Path, pairs: P
     file = made.shard_file("target", 1)
     file.write_bytes(file.read_bytes()[:-1])
     with pytest.raises(DamagedShardError, match=r"'target' of frames 3 to 5.*task=simulate"):
-        list(CropLoader(crops(made, in_memory_bytes=0), 0, 50, 2))
+        list(CropLoader(crops(replace(made, probe=PROBE, tgc_db_cm_mhz=TGC), in_memory_bytes=0), 0, 50, 2))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of resident memory is in kB on Linux")
 def test_memory_stays_flat(pairs: Pairs) -> None:
     """300 batches of 3 MiB through two workers; a leak of one crop in a hundred would show."""
     peaks = []
-    for step, _ in enumerate(CropLoader(crops(pairs, in_memory_bytes=0, size=256, batch_size=3), 0, 400, 2)):
+    made = Crops(pairs, np.arange(FRAMES), frozenset({"attenuation"}), VALUES, CropSettings(256, 3), 0)
+    for step, _ in enumerate(CropLoader(made, 0, 400, 2)):
         if step in (100, 399):
             peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     assert peaks[1] - peaks[0] < 4096

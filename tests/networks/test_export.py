@@ -19,6 +19,7 @@ UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise"
 VARIANTS = {
     "sa2h": {"noise_start": 0.5},
     "sa2h-att": {"attenuation": "none"},
+    "sa2h-compensated": {"attenuation": "compensated", "noise_start": 0.5},
     "sa2h-concat": {"concat": "input"},
     "sa2h-conv": {"upsampling": "transposed"},
     "sa2h-noise": {"noise": "input"},
@@ -90,7 +91,7 @@ def test_the_file_computes_what_the_network_computes(name: str, tmp_path: Path) 
     operations = {node.op_type for node in model.graph.node}
     standard = {"Add", "Concat", "Conv", "ConvTranspose", "InstanceNormalization", "LeakyRelu", "Mul", "Pad", "Relu"}
     assert operations <= standard | {"Resize", "Slice", "Tanh"}
-    resizes = generator.spec.concat == "every_level" and generator.spec.attenuation == "integral"
+    resizes = generator.spec.concat == "every_level" and generator.spec.attenuation != "none"
     assert ("Resize" in operations) is resizes
     assert ("Mul" in operations) is (generator.spec.noise == "inject")
 

@@ -12,6 +12,8 @@ UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise"
 VARIANTS = {
     "sa2h": {},
     "att": {"attenuation": "none"},
+    "compensated": {"attenuation": "compensated"},
+    "compensated-unet": {**UNET, "attenuation": "compensated", "extra_input": "low"},
     "concat": {"concat": "input"},
     "conv": {"upsampling": "transposed"},
     "noise-input": {"noise": "input"},
@@ -35,6 +37,7 @@ def maps(height: int = 24, width: int = 32, batch: int = 2, seed: int = 0) -> di
         "segmentation": torch.rand(shape, generator=random) * 2 - 1,
         "attenuation": torch.rand(shape, generator=random),
         "low": torch.rand(shape, generator=random) * 2 - 1,
+        "compensated": torch.rand(shape, generator=random),
         "noise_seed": torch.arange(batch) + seed,
     }
 
@@ -88,22 +91,30 @@ def test_exactly_the_named_maps_are_read(variant: str) -> None:
     generator = make(**VARIANTS[variant])
     given = maps()
     reference = generator(**given)
-    for name in ("segmentation", "attenuation", "low"):
+    for name in ("segmentation", "attenuation", "compensated", "low"):
         changed = generator(**{**given, name: given[name].flip(-1)})
         assert torch.equal(changed, reference) is (name not in inputs(generator.spec))
 
 
-@pytest.mark.parametrize("variant", ["sa2h", "lsa2h"])
+@pytest.mark.parametrize("variant", ["sa2h", "compensated", "lsa2h"])
 def test_padding_is_a_larger_frame_with_nothing_beside_the_fan(variant: str) -> None:
-    generator = make(**VARIANTS[variant], **({"noise_start": 0.5} if variant == "sa2h" else {}))
+    generator = make(**VARIANTS[variant], **({} if variant == "lsa2h" else {"noise_start": 0.5}))
     given = maps(21, 30)
     padded = {
-        name: F.pad(value, (0, 2, 0, 3), value=0.0 if name == "attenuation" else -1.0)
+        name: F.pad(value, (0, 2, 0, 3), value=0.0 if name in ("attenuation", "compensated") else -1.0)
         for name, value in given.items()
         if name != "noise_seed"
     }
     whole = generator(**padded, noise_seed=given["noise_seed"])
     assert torch.equal(generator(**given), whole[..., :21, :30])
+
+
+def test_the_compensated_map_takes_the_place_of_the_integral_one() -> None:
+    """The same weights on the same numbers give the same image, whichever scale they are said to have."""
+    for changes in ({"noise_start": 0.5}, VARIANTS["lsa2h"]):
+        given = maps()
+        swapped = {**given, "attenuation": given["compensated"], "compensated": given["attenuation"]}
+        assert torch.equal(make(**changes)(**swapped), make(**changes, attenuation="compensated")(**given))
 
 
 def test_a_missing_or_misshapen_map_is_refused_by_name() -> None:

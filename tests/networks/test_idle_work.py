@@ -18,6 +18,7 @@ OPERATIONS = {"resized": "upsample_bilinear2d", "drawn": "cos", "injected": "add
 #: Variant, and how often each of these runs.
 VARIANTS: dict[str, tuple[dict[str, Any], dict[str, int]]] = {
     "sa2h": ({}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
+    "sa2h-compensated": ({"attenuation": "compensated"}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
     "sa2h-att": ({"attenuation": "none"}, {"drawn": DEPTH, "injected": DEPTH}),
     "sa2h-concat": ({"concat": "input"}, {"drawn": DEPTH, "injected": DEPTH}),
     "sa2h-conv": ({"upsampling": "transposed"}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
@@ -47,7 +48,7 @@ class Operations(TorchDispatchMode):
 
 def traced(changes: dict[str, Any], size: tuple[int, int] = SIZE, seed: int | None = 1) -> tuple[Generator, Operations]:
     generator = Generator(GeneratorSpec(**{"depth": DEPTH, "width": 0.1, **changes}))
-    maps = {name: torch.rand(1, 1, *size) for name in ("segmentation", "attenuation", "low")}
+    maps = {name: torch.rand(1, 1, *size) for name in ("segmentation", "attenuation", "compensated", "low")}
     with torch.no_grad(), Operations() as operations:
         generator(**maps, noise_seed=None if seed is None else torch.tensor([seed]))
     return generator, operations

@@ -10,6 +10,7 @@ UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise"
 VARIANTS = {
     "sa2h": {},
     "att": {"attenuation": "none"},
+    "compensated": {"attenuation": "compensated"},
     "concat": {"concat": "input"},
     "conv": {"upsampling": "transposed"},
     "depth": {"depth": 5},

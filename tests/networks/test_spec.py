@@ -45,6 +45,7 @@ def test_what_is_not_a_network_is_refused_by_name(changes: dict, message: str) -
     [
         ({}, ("segmentation", "attenuation"), True),
         ({"attenuation": "none"}, ("segmentation",), True),
+        ({"attenuation": "compensated"}, ("segmentation", "compensated"), True),
         ({"noise": "input"}, ("segmentation", "attenuation", "noise"), True),
         ({"noise": "none"}, ("segmentation", "attenuation"), False),
         ({**UNET, "extra_input": "low"}, ("segmentation", "attenuation", "low"), False),

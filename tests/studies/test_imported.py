@@ -160,6 +160,8 @@ def test_what_cannot_be_is_refused_before_anything_is_started(
         study(where)
     with pytest.raises(ConfigurationError, match="task=preview: pairs made elsewhere have no scene"):
         run("task=preview", *where, f"scene.folder={folder}")
+    with pytest.raises(ConfigurationError, match=r"^model\.attenuation=compensated in variant sa2h-c.*allowed are int"):
+        study([*where, f"scene.folder={folder}", "variant=sa2h-compensated"])
     broken = tmp_path / "broken"
     shutil.copytree(folder, broken)
     (broken / "image" / "03.png").unlink()

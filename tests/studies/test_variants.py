@@ -52,7 +52,9 @@ def test_the_page_of_the_networks_prints_the_table_of_components() -> None:
         assert f"| {c.name} | `{c.field}` | {c.on} | {c.off} | {f'`{c.metric}` |' if c.metric else '|'}\n" in page
 
 
-@pytest.mark.parametrize("variant", ["sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h-depth"])
+@pytest.mark.parametrize(
+    "variant", ["sa2h-att", "sa2h-compensated", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h-depth"]
+)
 def test_an_ablation_is_one_change(variant: str) -> None:
     full, ablated = spec("sa2h"), spec(variant)
     changed = [f.name for f in dataclasses.fields(full) if getattr(full, f.name) != getattr(ablated, f.name)]

@@ -59,7 +59,7 @@ class PlainLocal(nn.Module):
         widths = [scaled(channels, spec.width) for channels in channels_by_level(spec.depth)]
         self.fed = 0
         if spec.concat is Concat.every_level:
-            self.fed = sum(name in ("segmentation", "attenuation") for name in conditions(spec))
+            self.fed = sum(name in ("segmentation", "attenuation", "compensated") for name in conditions(spec))
         self.stem = nn.Conv2d(len(inputs(spec)), widths[0], 3, padding=1)
         self.down = nn.ModuleList(PlainDownBlock(fine, coarse, self.fed) for fine, coarse in pairwise(widths))
         self.bottleneck = nn.Conv2d(widths[-1] + self.fed, widths[-1], 3, padding=1)

@@ -31,6 +31,7 @@ def batch() -> Callable[[int], dict[str, Tensor]]:
         return {
             "segmentation": segmentation * mask + mask - 1,
             "attenuation": attenuation * mask,
+            "compensated": (1 - attenuation / 2) * mask,
             "low": image.roll(1, -1),
             "target": image,
             "mask": mask,

@@ -9,10 +9,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits as bce
 
-from ablate.networks import GeneratorSpec
+from ablate.networks import Attenuation, GeneratorSpec
 from ablate.training import AdversarialLoss, Loader, PairGAN, TrainingSettings, train
 
+UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none", "noise_start": 0.0}
 
+
+@pytest.mark.parametrize(("level", "read"), [("integral", "attenuation"), ("compensated", "compensated")])
 @pytest.mark.parametrize("loss", AdversarialLoss)
 def test_training_is_that_of_the_paper(
     spec: GeneratorSpec,
@@ -21,8 +24,10 @@ def test_training_is_that_of_the_paper(
     batch: Callable[[int], dict[str, Tensor]],
     tmp_path: Path,
     loss: AdversarialLoss,
+    level: str,
+    read: str,
 ) -> None:
-    settings = replace(settings, loss=loss, steps=4)
+    spec, settings = replace(spec, attenuation=Attenuation(level)), replace(settings, loss=loss, steps=4)
     written_out = PairGAN(spec, settings)
     generator, discriminator = written_out.generator, written_out.discriminator
     average = [parameter.detach().clone() for parameter in generator.parameters()]
@@ -31,8 +36,8 @@ def test_training_is_that_of_the_paper(
     )
     for step in range(settings.steps):
         given = batch(step)
-        maps = torch.cat((given["segmentation"], given["attenuation"]), 1)
-        rendered = generator(given["segmentation"], given["attenuation"], noise_seed=given["noise_seed"])
+        maps = torch.cat((given["segmentation"], given[read]), 1)
+        rendered = generator(given["segmentation"], noise_seed=given["noise_seed"], **{read: given[read]})
         fake = torch.where(given["mask"] > 0, rendered, -1.0)
         real_logits, fake_logits = discriminator(maps, given["target"]), discriminator(maps, fake.detach())
         loss_d = bce(real_logits, torch.ones_like(real_logits)) + bce(fake_logits, torch.zeros_like(fake_logits))
@@ -80,7 +85,9 @@ def test_the_error_falls(spec: GeneratorSpec, settings: TrainingSettings, loader
         {"noise": "input", "noise_start": 0.0},
         {"attenuation": "none"},
         {"extra_input": "low", "concat": "input", "upsampling": "transposed", "noise": "none", "noise_start": 0.0},
-        {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none", "noise_start": 0.0},
+        UNET,
+        {"attenuation": "compensated"},
+        {**UNET, "attenuation": "compensated"},
     ],
 )
 def test_every_kind_of_variant_trains(

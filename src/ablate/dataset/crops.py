@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ablate.dataset.encoding import encode_grey_levels
-from ablate.dataset.pairs import FORMATS, Pairs, decode_attenuation
+from ablate.dataset.pairs import Pairs, decode_attenuation
 from ablate.dataset.seeds import crop_generator
 
 _TRIES = 50
@@ -35,12 +35,12 @@ class CropSettings:
 class Crops:
     """Batch number `step` of an endless training run, as a dict of tensors.
 
-    Item `step` holds `segmentation`, `target` and, where the pairs are read with them, `attenuation` and `low`:
-    (N, 1, size, size) float32 in [-1, 1], outside the fan -1 (attenuation in [0, 1], outside 0); `mask`,
+    Item `step` holds `segmentation`, `target` and, where the pairs are read with them, `attenuation`, `compensated` and
+    `low`: (N, 1, size, size) float32 in [-1, 1], outside the fan -1 (attenuation in [0, 1], outside 0); `mask`,
     (N, 1, size, size) float32; and `noise_seed`, (N,) int64.
 
-    Crops are drawn from `frames`, (k,) int. `maps` says which of `attenuation` and `low` are included, `values` come
-    from `label_values`. Frames that take at most `in_memory_bytes` are kept in memory, as they are stored.
+    Crops are drawn from `frames`, (k,) int. `maps` says which maps are included besides, `values` come from
+    `label_values`. Frames that take at most `in_memory_bytes` are kept in memory, as `Pairs.stored` has them.
 
     Raises
     ------
@@ -60,11 +60,11 @@ class Crops:
         if settings.batch_size > len(frames):
             raise ValueError(f"training.batch_size={settings.batch_size}: more than the {len(frames)} training frames")
         self.pairs, self.frames, self.values, self.settings = pairs, np.asarray(frames), values, settings
-        self.names = ("segmentation", "target", *sorted(maps & {"attenuation", "low"}))
+        self.names = ("segmentation", "target", *sorted(maps - {"segmentation", "target"}))
         self.mask = pairs.mask()
         if not self.mask.any():
             raise ValueError(f"{pairs.folder}: no pixel of the frames lies in the fan")
-        bytes_needed = len(frames) * self.mask.size * sum(FORMATS[n].itemsize for n in self.names)
+        bytes_needed = len(frames) * sum(pairs.stored(n, frames[0]).nbytes for n in self.names)
         fits = bytes_needed <= in_memory_bytes
         self._held = {n: np.stack([pairs.stored(n, i) for i in frames]) for n in self.names} if fits else None
 
@@ -87,7 +87,7 @@ class Crops:
             place = batch[name][index, 0]
             if name == "segmentation":
                 np.take(self.values, cut, out=place)
-            elif name == "attenuation":
+            elif cut.dtype == np.uint16:  # attenuation
                 decode_attenuation(cut, out=place)
             else:
                 encode_grey_levels(cut, out=place)

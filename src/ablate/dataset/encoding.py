@@ -60,8 +60,9 @@ def decode_grey_levels(image: Tensor, mask: Tensor) -> Tensor:
 def network_inputs(maps: Mapping[str, np.ndarray], values: np.ndarray, mask: np.ndarray) -> dict[str, Tensor]:
     """Convert maps, (k, H, W) each, to what the networks read, (k, 1, H, W) float32 each.
 
-    `maps` holds `segmentation` uint8 and, where they are wanted, `attenuation` float32 in [0, 1] and `low` uint8.
-    `values`, (labels,) float32, come from `label_values`. Outside of `mask`, (H, W) or (k, H, W) bool, `low` is black.
+    `maps` holds `segmentation` uint8 and, where they are wanted, `attenuation` and `compensated` float32 in
+    [0, 1] and `low` uint8. `values`, (labels,) float32, come from `label_values`. Outside of `mask`, (H, W) or
+    (k, H, W) bool, `low` is black.
     """
     import torch
 

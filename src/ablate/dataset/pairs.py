@@ -14,6 +14,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from ablate.dataset.shards import FrameFormat, absent_frames, read_frame
 from ablate.dataset.split import Part
 from ablate.storage import written_whole
+from ablate.ultrasound import ConvexProbe, compensated_attenuation
 
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
 PAIRS_VERSION = 3
@@ -25,6 +26,8 @@ FORMATS = {
     "low": FrameFormat("uint8", "bitshuffle"),
     "resimulation": FrameFormat("uint8", "bitshuffle"),
 }
+#: What is not stored but made from a stored map when it is read, by the name of that map.
+DERIVED = {"compensated": "attenuation"}
 _ATTENUATION_SCALE = np.float32(65535)
 _ATTENUATION_BITS = 9
 _MEND = "`python -m ablate task=simulate` with the same settings"
@@ -51,6 +54,8 @@ class Pairs:
         Probe to world, mm.
     sites : (n,) int32
     split : (n,) uint8 of `Part`
+    probe, tgc_db_cm_mhz
+        What the frames were simulated with, for `compensated`; None where it is not known.
     """
 
     folder: Path
@@ -60,6 +65,8 @@ class Pairs:
     shape: tuple[int, int]
     shard: int
     tissues: tuple[str, ...]
+    probe: ConvexProbe | None = None
+    tgc_db_cm_mhz: float | None = None
 
     def __len__(self) -> int:
         return len(self.sites)
@@ -105,6 +112,8 @@ class Pairs:
     def stored(self, name: str, frame: int) -> np.ndarray:
         """One frame of one map as it is stored, (H, W) uint8 or, of attenuation, uint16.
 
+        `compensated` is `compensated_attenuation` in steps of 1/65535.
+
         Raises
         ------
         DamagedShardError
@@ -112,6 +121,8 @@ class Pairs:
         FileNotFoundError
             When it has not been made.
         """
+        if name == "compensated":
+            return self._compensated(frame)
         shard, slot = divmod(int(frame), self.shard)
         file = self.shard_file(name, shard)
         try:
@@ -122,6 +133,13 @@ class Pairs:
             frames = self.frames_of_shard(shard)
             where = f"{file}, '{name}' of frames {frames[0]} to {frames[-1]}"
             raise DamagedShardError(f"{where}, is damaged: {error}") from error
+
+    def _compensated(self, frame: int) -> np.ndarray:
+        if self.probe is None or self.tgc_db_cm_mhz is None:
+            raise ValueError(f"{self.folder}: compensated attenuation needs the probe and the TGC of the simulation")
+        attenuation = decode_attenuation(self.stored(DERIVED["compensated"], frame))
+        shares = compensated_attenuation(attenuation, self.probe, self.tgc_db_cm_mhz)
+        return np.rint(shares * _ATTENUATION_SCALE).astype(np.uint16)
 
     def _stored(self, name: str, first: int, stop: int) -> np.ndarray:
         """Frames `first` to `stop` - 1, all of one shard, (k, H, W)."""
@@ -151,9 +169,9 @@ class Pairs:
         return {}
 
     def read(self, name: str, frames: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Frames of one map, (k, H, W); `attenuation` is float32 in [0, 1], others as stored. Raises as `stored`."""
+        """Frames of one map, (k, H, W): of attenuation float32 in [0, 1], others as stored. Raises as `stored`."""
         stack = np.stack([self.stored(name, i) for i in frames])
-        return decode_attenuation(stack) if name == "attenuation" else stack
+        return decode_attenuation(stack) if stack.dtype == np.uint16 else stack
 
     def mask(self) -> np.ndarray:
         """The fan, (H, W) bool."""

@@ -9,11 +9,11 @@ from torch.nn import functional as F
 from ablate.networks.gaussian_fields import gaussian_field
 from ablate.networks.layers import draw_initial_weights, laid_out
 from ablate.networks.local import LocalNetwork
-from ablate.networks.spec import DEPTHS, Concat, Family, GeneratorSpec, Noise, conditions, inputs
+from ablate.networks.spec import DEPTHS, Family, GeneratorSpec, Noise, conditions, inputs, maps_of_every_level
 from ablate.networks.unet import UNetwork
 
 # The value of each map outside the fan, also used for padding.
-OUTSIDE = {"segmentation": -1.0, "attenuation": 0.0, "low": -1.0}
+OUTSIDE = {"segmentation": -1.0, "attenuation": 0.0, "compensated": 0.0, "low": -1.0}
 # Number of each noise field: those injected at the levels of the decoder, and the input channel.
 FIELD_NUMBERS = {f"noise_{level}": level for level in range(DEPTHS[-1])} | {"noise": 64}
 
@@ -37,6 +37,7 @@ class Generator(nn.Module):
         attenuation: Tensor | None = None,
         low: Tensor | None = None,
         noise_seed: Tensor | None = None,
+        compensated: Tensor | None = None,
     ) -> Tensor:
         """Render images.
 
@@ -49,6 +50,8 @@ class Generator(nn.Module):
             a variant without it.
         noise_seed : (N,) int64, optional
             One seed for all noise of each sample; None switches noise off (fields of zero).
+        compensated : (N, 1, H, W) float, optional
+            From `ablate.ultrasound.compensated_attenuation`, in place of `attenuation`, for a variant that reads it.
 
         Returns
         -------
@@ -60,7 +63,7 @@ class Generator(nn.Module):
         ValueError
             If a map that the variant reads is missing or has another shape.
         """
-        given = {"segmentation": segmentation, "attenuation": attenuation, "low": low}
+        given = {"segmentation": segmentation, "attenuation": attenuation, "compensated": compensated, "low": low}
         if noise_seed is None:
             return self.render(given, {})
         return self.render(given, self.draw_noise(noise_seed.to(segmentation.device), *segmentation.shape[-2:]))
@@ -125,9 +128,9 @@ class Generator(nn.Module):
     def _pyramid(self, maps: Tensor) -> list[Tensor | None]:
         """Resize segmentation (nearest) and attenuation (bilinear) to every level, once."""
         levels = range(self.spec.depth + 1)
-        if self.spec.concat is Concat.input:
+        fed = len(maps_of_every_level(self.spec))
+        if not fed:
             return [None for _ in levels]
-        fed = sum(name in ("segmentation", "attenuation") for name in conditions(self.spec))
         pyramid: list[Tensor | None] = [maps[:, :fed]]
         for level in levels[1:]:
             step = 2**level

@@ -15,7 +15,7 @@ from ablate.networks.layers import (
     convolutions,
     instance_norm,
 )
-from ablate.networks.spec import Concat, GeneratorSpec, Noise, Upsampling, inputs, scaled
+from ablate.networks.spec import GeneratorSpec, Noise, Upsampling, inputs, maps_of_every_level, scaled
 
 # Channels at full, half, quarter ... resolution; deeper levels stay at the last.
 WIDTHS = (64, 128, 128, 256, 512)
@@ -70,9 +70,7 @@ class LocalNetwork(nn.Module):
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
         widths = [scaled(channels, spec.width) for channels in channels_by_level(spec.depth)]
-        maps = 0
-        if spec.concat is Concat.every_level:
-            maps = sum(name in ("segmentation", "attenuation") for name in inputs(spec))
+        maps = len(maps_of_every_level(spec))
         self.stem = nn.Conv2d(len(inputs(spec)), widths[0], 3, padding=1)
         self.down = nn.ModuleList(DownBlock(fine, coarse, maps) for fine, coarse in pairwise(widths))
         self.bottleneck = JointConvolution(widths[-1] + maps, widths[-1], 3, padding=1)

@@ -18,9 +18,10 @@ class Family(StrEnum):
 
 
 class Attenuation(StrEnum):
-    """Whether the integral attenuation map is an input."""
+    """Which attenuation map is an input: the integral one, the one compensated for the time gain, or none."""
 
     integral = "integral"
+    compensated = "compensated"
     none = "none"
 
 
@@ -177,14 +178,25 @@ COMPONENTS = (
 # fmt: on
 
 
+_ATTENUATION_MAPS: dict[Attenuation, tuple[str, ...]] = {
+    Attenuation.integral: ("attenuation",),
+    Attenuation.compensated: ("compensated",),
+    Attenuation.none: (),
+}
+
+
 def conditions(spec: GeneratorSpec) -> tuple[str, ...]:
     """Name the maps of a pair that the generator reads, in the order of its input channels.
 
     These are also what the discriminator is conditioned on, and what a dataset has to provide.
     """
-    attenuation = ("attenuation",) if spec.attenuation is Attenuation.integral else ()
     low = ("low",) if spec.extra_input is ExtraInput.low else ()
-    return ("segmentation", *attenuation, *low)
+    return ("segmentation", *_ATTENUATION_MAPS[spec.attenuation], *low)
+
+
+def maps_of_every_level(spec: GeneratorSpec) -> tuple[str, ...]:
+    """Name the conditions that every convolution reads, the first ones of all; none where the maps enter only once."""
+    return () if spec.concat is Concat.input else tuple(name for name in conditions(spec) if name != "low")
 
 
 def inputs(spec: GeneratorSpec) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from ablate import tracking
 from ablate.config import SceneKind, StudySettings, build, json_ready
 from ablate.dataset import Part, label_values
 from ablate.metrics.stored_names import FLOOR_PREFIX, is_bound
+from ablate.networks import conditions
 from ablate.storage import write_json
 from ablate.studies.comparison.results import Finished, data_of
 from ablate.studies.identity import config_hash
@@ -146,7 +147,7 @@ def register_reference(settings: StudySettings, runs: Sequence[Finished]) -> str
         load_generator(chosen.folder / LAST),
         label_values(data.tissues, trained.encoding, trained.encoding_seed),
         trained.training.precision,
-        {name: data.pairs.read(name, frame)[:, *middle] for name in data.pairs.maps},
+        {name: data.pairs.read(name, frame)[:, *middle] for name in conditions(trained.model)},
         f"{chosen.name} of the study {settings.study}, the seed that validates best.",
     )
     return f"models:/{name}/{version}    ({chosen.name})"

@@ -23,7 +23,7 @@ with warnings.catch_warnings():
     warnings.filterwarnings("ignore", message=".*Any type hint is inferred as AnyType")  # in MLflow's own classes
     import mlflow.pyfunc
 
-_TYPES = {"segmentation": np.uint8, "attenuation": np.float32, "low": np.uint8}
+_TYPES = {"segmentation": np.uint8, "attenuation": np.float32, "compensated": np.float32, "low": np.uint8}
 _FRAMES = (-1, -1, -1)
 _SEED = ParamSpec("seed", "long", 0)
 
@@ -71,8 +71,8 @@ def _load_pyfunc(path: str) -> RegisteredGenerator:
 def signature(spec: GeneratorSpec) -> ModelSignature:
     """The inputs and outputs of a registered generator.
 
-    Inputs are `segmentation` (n, H, W) uint8, 0 outside the fan, and, where the generator reads them, `attenuation`
-    float32 in [0, 1] and `low` uint8; a parameter is the integer `seed`; the output is (n, H, W) uint8.
+    Inputs are `segmentation` (n, H, W) uint8, 0 outside the fan, and, where the generator reads them, `attenuation` or
+    `compensated` float32 in [0, 1] and `low` uint8; a parameter is the integer `seed`; the output is (n, H, W) uint8.
     """
     inputs = [TensorSpec(np.dtype(_TYPES[name]), _FRAMES, name) for name in conditions(spec)]
     return ModelSignature(Schema(inputs), Schema([TensorSpec(np.dtype(np.uint8), _FRAMES)]), ParamSchema([_SEED]))
@@ -91,7 +91,7 @@ def register_generator(
     """Make a version of the registered model `name` from the generator of a run, unless one exists; returns it.
 
     The model joins the artifacts of the run. `values` and `precision` are those of `write_generator`. `example` holds
-    (n, H, W) maps by name, small, because they are kept as text.
+    the maps that the generator reads, (n, H, W) by name, small, because they are kept as text.
     """
     client = store.client
     with FileLock(store.lock):
@@ -112,7 +112,7 @@ def register_generator(
                 loader_module=__name__,
                 data_path=str(weights),
                 signature=signature(generator.spec),
-                input_example=({k: v for k, v in example.items() if k in conditions(generator.spec)}, {"seed": 0}),
+                input_example=(dict(example), {"seed": 0}),
                 pip_requirements=[f"{k}=={v}" for k, v in versions.items()],
             )
             client.log_artifacts(run_id, str(model), "model")

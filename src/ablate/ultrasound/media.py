@@ -33,6 +33,11 @@ def loss_db_mm(tissue: Tissue, frequency_mhz: float) -> float:
     return tissue.attenuation_db_cm_mhz * frequency_mhz**tissue.attenuation_power / 10
 
 
+def time_gain_db(depth_mm: np.ndarray, frequency_mhz: float, tgc_db_cm_mhz: float) -> np.ndarray:
+    """Two-way gain of the TGC at some depths, dB: what tissue of `tgc_db_cm_mhz` takes on the way there and back."""
+    return 2 * tgc_db_cm_mhz * frequency_mhz * (depth_mm / 10)
+
+
 def tabulate(tissues: Sequence[Tissue], used: np.ndarray, frequency_mhz: float, mode: DepthMode, full: bool) -> Media:
     """Tables of some tissues; steps that no tissue in use needs are switched off unless `full`."""
 

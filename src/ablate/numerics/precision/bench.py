@@ -13,7 +13,7 @@ from ablate.dataset import Part, equally_spaced
 from ablate.numerics.precision.errors import Frames
 from ablate.studies.pairs.data import dataset_folder, open_data
 from ablate.studies.pairs.simulated import build_scene, lay_out
-from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, fan_mask
+from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, compensated_attenuation, fan_mask
 from ablate.ultrasound.stages import Stage, stage_times
 
 _TURN = 2  # poses of one setting before the next setting
@@ -107,8 +107,9 @@ def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[],
 def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """Make the inputs of generators, (n, H, W) each, and measure the median milliseconds of each.
 
-    They are `segmentation`, uint8, `attenuation`, float32 in [0, 1], and `low`, uint8. The first two come from one call
-    of `Simulator.maps`. For a generator that reads no attenuation only the labels of the pixels count.
+    They are `segmentation`, uint8, `attenuation` and `compensated`, float32 in [0, 1], and `low`, uint8. The first two
+    come from one call of `Simulator.maps`, whose part for the attenuation counts for `compensated` too. For a generator
+    that reads no attenuation only the labels of the pixels count.
     """
     maps = Simulator(bench.scene, bench.probe, bench.simulator, poses=bench.poses)
     low = Simulator(bench.scene, bench.probe, replace(bench.simulator, rays=1, layers=1), poses=bench.poses)
@@ -121,13 +122,16 @@ def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, 
             segmentation, attenuation = maps.maps(pose)
             both = 1e3 * (time.perf_counter() - start)
         labels = sum(taken[Stage.pixel_labels])
+        start = time.perf_counter()
+        compensated = compensated_attenuation(attenuation, bench.probe, bench.simulator.tgc_db_cm_mhz)
+        more = 1e3 * (time.perf_counter() - start)
         low.maps(pose)  # is now kept: the following time is of the image only
         start = time.perf_counter()
         image = low.render(pose, bench.seed).image
-        rows.append((labels, both - labels, 1e3 * (time.perf_counter() - start)))
-        made.append((segmentation, attenuation, image))
+        rows.append((labels, both - labels, both - labels + more, 1e3 * (time.perf_counter() - start)))
+        made.append((segmentation, attenuation, compensated, image))
         advance()
-    names = ("segmentation", "attenuation", "low")
+    names = ("segmentation", "attenuation", "compensated", "low")
     arrays = {name: np.stack(c) for name, c in zip(names, zip(*made, strict=True), strict=True)}
     return arrays, {name: median(c) for name, c in zip(names, zip(*rows, strict=True), strict=True)}
 

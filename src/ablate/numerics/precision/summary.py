@@ -15,7 +15,7 @@ _SAME, _OTHER, _RUN = "simulator, same speckle", "simulator, other speckle", "tr
 _RAYS = (Stage.probe_rays, Stage.tracing, Stage.surface_echoes, Stage.clutter, Stage.illumination)
 _PART_OF_STAGE: dict[str, str] = {
     **dict.fromkeys((Stage.pixel_labels, "segmentation"), "S"),
-    **dict.fromkeys((Stage.attenuation_labels, Stage.attenuation_sum, "attenuation"), "A"),
+    **dict.fromkeys((Stage.attenuation_labels, Stage.attenuation_sum, "attenuation", "compensated"), "A"),
     **dict.fromkeys(_RAYS, "rays"),
     "low": "L",
     "network": "network",

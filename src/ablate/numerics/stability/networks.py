@@ -39,6 +39,7 @@ def maps_of(device: str, seed: int = 0, side: int = SIDE) -> dict[str, Tensor]:
     maps = {
         "segmentation": segmentation * mask + mask - 1,
         "attenuation": torch.linspace(1, 0, side)[:, None] * mask,
+        "compensated": torch.linspace(0.2, 0.8, side)[:, None] * mask,
         "low": (speckle - 1) * mask + mask - 1,
         "target": speckle * mask - 1,
         "mask": mask,

@@ -12,7 +12,7 @@ from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
 from ablate.config import ConfigurationError, SceneKind, StudySettings, Task, refusing
 from ablate.dataset import Part, resample_grid
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
-from ablate.networks import conditions
+from ablate.networks import Attenuation, conditions
 from ablate.studies.identity import check_place
 from ablate.studies.jobs.job import Job
 from ablate.studies.jobs.variants import variant_model, variant_names
@@ -43,6 +43,11 @@ def _check_pairs(job: Job) -> int:
         raise ConfigurationError(f"task={s.task}: pairs made elsewhere have no scene; {scenes}")
     with refusing():
         checked = checked_folder(s)
+    if s.model.attenuation is Attenuation.compensated:
+        raise ConfigurationError(
+            f"model.attenuation=compensated in variant {job.label}: pairs made elsewhere do not tell the time gain of "
+            "their images; allowed are integral and none"
+        )
     for name in conditions(s.model):
         if name not in checked.maps:
             allowed = [v for v in variant_names() if checked.maps.issuperset(conditions(variant_model(v)))]

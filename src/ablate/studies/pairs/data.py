@@ -5,7 +5,7 @@ What needs a scene, and with it Embree and numba, is imported where a scene is u
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,11 @@ from tqdm import tqdm
 
 from ablate.anatomy import Tissue
 from ablate.config import SceneKind, StudySettings, build
-from ablate.dataset import PAIRS_VERSION, Pairs, open_pairs, remove_damaged, write_contact_sheet
+from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, open_pairs, remove_damaged, write_contact_sheet
 from ablate.networks import GeneratorSpec, conditions
 from ablate.storage import digest
 from ablate.studies.pairs.imported import about_imported, checked_folder, import_data
+from ablate.ultrasound import ConvexProbe
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Data:
 
 def maps_needed(models: Iterable[GeneratorSpec]) -> frozenset[str]:
     """Arrays that a study reads: L only where a variant does; A always, the mechanism metrics need it."""
-    read = {name for spec in models for name in conditions(spec)}
+    read = {DERIVED.get(name, name) for spec in models for name in conditions(spec)}
     return frozenset(read | {"segmentation", "attenuation", "target", "resimulation"})
 
 
@@ -94,4 +95,6 @@ def open_data(folder: Path) -> Data:
     """A data set as it lies on disk; a FileNotFoundError when it has not been simulated."""
     pairs = open_pairs(folder)
     about = json.loads((folder / "about.json").read_text())
+    if simulator := about.get("simulator"):
+        pairs = replace(pairs, probe=build(ConvexProbe, about["probe"]), tgc_db_cm_mhz=simulator["tgc_db_cm_mhz"])
     return Data(pairs, tuple(build(Tissue, t) for t in about["tissues"]), tuple(about["left_out"]))

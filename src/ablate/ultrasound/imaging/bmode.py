@@ -7,6 +7,7 @@ import torch
 from torch.nn import functional as F
 
 from ablate.ultrasound.imaging.point_spread import along_lines
+from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, pixel_polar, sample_depths_mm
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
@@ -17,8 +18,8 @@ _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is 
 
 def time_gain(probe: ConvexProbe, settings: SimulatorSettings) -> np.ndarray:
     """Two-way gain of each sample by `tgc_db_cm_mhz`, (samples,) float64."""
-    depth_cm = sample_depths_mm(probe, settings.axial_samples) / 10
-    gain_db = 2 * settings.tgc_db_cm_mhz * probe.frequency_mhz * depth_cm
+    depth_mm = sample_depths_mm(probe, settings.axial_samples)
+    gain_db = time_gain_db(depth_mm, probe.frequency_mhz, settings.tgc_db_cm_mhz)
     return 10 ** (np.minimum(gain_db, _LARGEST_GAIN_DB) / 20)
 
 

@@ -1,13 +1,19 @@
-"""The integral attenuation map A: how much of the pulse's amplitude is left at each point, one way."""
+"""The integral attenuation map A: how much of the pulse's amplitude is left at each point; and A with the time gain."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
+from ablate.ultrasound.media import time_gain_db
+from ablate.ultrasound.probe import fan_mask, pixel_polar
+from ablate.ultrasound.settings import ConvexProbe
 from ablate.ultrasound.stages import Stage, stage
 
 DB_PER_NEPER = 20 / math.log(10)  # 8.686
 _DOUBLE_FROM_NEPERS = 1e3  # float32 is 6e-5 apart there, less than a sample of soft tissue takes
+_LEAST = 1e-4  # of A; what is darker is black at any depth
+_REACH_DB = 36.0  # levels from minus this to this are 0 to 1
 
 
 @stage(Stage.attenuation_sum)
@@ -32,3 +38,35 @@ def _percentile_of_decay(total: np.ndarray, percent: float) -> float:
     ordered = np.partition(total, (below, above), axis=None)
     a, b = float(ordered[below]), float(ordered[above])  # a <= b: the larger and the smaller amplitude
     return a - math.log1p((position - below) * math.expm1(a - b))
+
+
+def compensated_attenuation(attenuation: np.ndarray, probe: ConvexProbe, tgc_db_cm_mhz: float) -> np.ndarray:
+    """The map A as the image has it: in decibels, two ways, plus the gain of the TGC at the depth of each pixel.
+
+    It is (40 log10(max(A, 1e-4)) + 2 tgc f z + 36) / 72 with the depth z in cm, clipped to [0, 1]. At 0.5 (0 dB) the
+    gain makes up for the attenuation. How bright a pixel is follows from A and z, and a crop of A does not tell z.
+
+    Parameters
+    ----------
+    attenuation : (..., H, W) float in [0, 1]
+        A, over its 98th percentile, of an image of the fan's bounding box.
+
+    Returns
+    -------
+    (..., H, W) float32 in [0, 1]
+        0 outside the fan.
+    """
+    height, width = attenuation.shape[-2:]
+    level_db = 40 * np.log10(np.maximum(attenuation, _LEAST, dtype=np.float32))
+    level_db += _gain_db(probe, tgc_db_cm_mhz, (height, width))
+    level_db += np.float32(_REACH_DB)
+    level_db /= np.float32(2 * _REACH_DB)
+    return np.clip(level_db, 0, 1, out=level_db)
+
+
+@lru_cache(maxsize=4)
+def _gain_db(probe: ConvexProbe, tgc_db_cm_mhz: float, shape: tuple[int, int]) -> np.ndarray:
+    """Gain of the TGC at every pixel, (H, W) float32; minus infinity outside the fan, where the image is black."""
+    depth_mm, _ = pixel_polar(probe, shape)
+    gain = time_gain_db(depth_mm, probe.frequency_mhz, tgc_db_cm_mhz)
+    return np.where(fan_mask(probe, shape), gain, -np.inf).astype(np.float32)
