@@ -22,6 +22,7 @@ from ablate.analysis import RESIMULATION
 from ablate.storage import write_json
 from ablate.studies.comparison.results import Finished, pictures
 from ablate.studies.comparison.usable_runs import usable_runs
+from ablate.studies.identity import scored_by
 from results_page import FRAME, PICTURES, write_page
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -58,9 +59,11 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
         folder = target / run.label / f"seed{run.seed}"
         there = folder / "result.json"
         if there.exists():
-            if json.loads(there.read_text())["hash"] != run.result["hash"]:
+            before = json.loads(there.read_text())
+            if before["hash"] != run.result["hash"]:
                 raise ValueError(f"{folder} holds another configuration of {run.name}: remove it or keep it elsewhere")
-            continue
+            if scored_by(before) == scored_by(run.result):
+                continue
         folder.mkdir(parents=True, exist_ok=True)
         own = {"runs_dir": "runs", "tracking": {**run.spec["settings"].get("tracking", {}), "uri": None}}
         write_json(folder / "spec.json", {**run.spec, "settings": {**run.spec["settings"], **own}})

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 
 from ablate.config import json_ready
+from ablate.metrics import METRICS_VERSION
 from ablate.studies.identity import config_hash, finished, semantic
 from ablate.studies.jobs.compose import jobs_of
 
@@ -46,6 +47,7 @@ def study(tmp_path: Path) -> Path:
         np.savez(job.folder / "pictures.npz", frames=[300, 310], images=[IMAGE, IMAGE // 2])
         scalars = {"parameters_generator": 1e6, "parameters_discriminator": 2e6, "ms_per_frame": 30.0}
         result = {"hash": spec["hash"], "label": job.label, "seed": job.settings.seed, "data": "fetal-0"}
+        result |= {"metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
         (job.folder / "result.json").write_text(json.dumps({**result, "mlflow_run_id": "x", "scalars": scalars}))
     return jobs[0].settings.study_dir
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ablate.dataset import Pairs, Part, Recipe, simulate_pairs
+from ablate.dataset.seeds import resimulation_seed
 from ablate.ultrasound import Simulator
 
 Blank = Callable[..., Pairs]
@@ -32,9 +33,19 @@ def test_the_maps_are_those_of_the_simulator(pairs: Pairs, recipe: Recipe) -> No
         np.testing.assert_array_equal(pairs.stored("segmentation", i), frame.segmentation)
         np.testing.assert_allclose(pairs.read("attenuation", [i])[0], frame.attenuation, rtol=2**-9, atol=1e-5)
         np.testing.assert_array_equal(pairs.stored("low", i), low.render(pose, seed=recipe.seed).image)
+
+
+def test_resimulation_has_other_scatterers_and_other_paths(pairs: Pairs, recipe: Recipe) -> None:
+    simulate_pairs(recipe, pairs, frozenset({"target", "resimulation"}), 1)
+    settings = replace(recipe.settings, path_seed=resimulation_seed(recipe.settings.path_seed))
+    same_paths, other_paths = (Simulator(recipe.scene, recipe.probe, s) for s in (recipe.settings, settings))
+    again = resimulation_seed(recipe.seed)
     for i in np.flatnonzero(pairs.split != Part.train):
-        again = pairs.stored("resimulation", i)
-        assert (again != pairs.stored("target", i)).mean() > 0.3
+        stored, pose = pairs.stored("resimulation", i), pairs.poses[i]
+        np.testing.assert_array_equal(stored, other_paths.render(pose, seed=again).image)
+        assert (stored != pairs.stored("target", i)).mean() > 0.3
+        assert (stored != other_paths.render(pose, seed=recipe.seed).image).mean() > 0.3, "other scatterers"
+        assert (stored != same_paths.render(pose, seed=again).image).any(), "other paths"
 
 
 def test_two_processes_make_the_same_set_as_one(

@@ -5,6 +5,7 @@ import json
 import math
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +15,21 @@ import torch
 
 from ablate.config import ConfigurationError, StudySettings
 from ablate.dataset import Part
-from ablate.evaluation import ImageSource, Scorer, Scores, resimulation_images, score_run
+from ablate.evaluation import ImageSource, Scorer, Scores, resimulation_images, score_run, tissue_labels
 from ablate.evaluation.set_scores import not_computed
 from ablate.metrics import (
     METRIC_SETS,
+    METRICS_VERSION,
     Pair,
     choose_metrics,
+    crps,
     frechet_distance,
     inception,
     mae,
+    noise_sd,
     speckle_features,
 )
+from ablate.storage import write_json
 from ablate.studies.identity import finished
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.job import Job
@@ -225,6 +230,49 @@ def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, call
     assert len(calls) == 10, "other metrics, other scores"
 
 
+def test_draws_are_rendered_once_for_all_metrics_and_scored_on_every_frame(runs: Path, data: Data) -> None:
+    rendered: list[tuple[int, int]] = []
+
+    def images_of(frames: np.ndarray, draw: int) -> np.ndarray:
+        rendered.extend((int(frame), draw) for frame in frames)
+        noise = [np.random.default_rng([frame, draw]).integers(0, 60, data.pairs.shape) for frame in frames]
+        return (data.pairs.read("resimulation", frames) // 2 + np.stack(noise)).astype(np.uint8)
+
+    settings = job(runs, "evaluation.noise_draws=4").settings
+    frames, names = data.pairs.frames(Part.test), ("crps", "noise_sd", "mae", "nyquist_excess")
+    scorer = Scorer(data.pairs, data.tissues, settings.probe, settings.evaluation, choose_metrics(names))
+    found = scorer.score(Part.test, images_of, draws_noise=True)
+    assert sorted(rendered) == [(frame, draw) for frame in frames.tolist() for draw in range(4)]
+    table = found.per_image.pivot(index="frame", columns="metric", values="value")
+    solid = tissue_labels(data.tissues)
+    for frame in frames:
+        draws = np.concatenate([images_of(np.array([frame]), draw) for draw in range(4)])
+        target, tissue = data.pairs.stored("target", frame), np.isin(data.pairs.stored("segmentation", frame), solid)
+        assert table.loc[frame, "crps"] == crps(draws, target, tissue)
+        assert table.loc[frame, "noise_sd"] == noise_sd(draws, tissue)
+        assert table.loc[frame, "mae"] == mae(draws[0], target), "of the first draw"
+    assert found.scalars["crps"] == pytest.approx(table["crps"].mean())
+
+    rendered.clear()
+    without = scorer.score(Part.test, images_of, draws_noise=False)
+    assert sorted(rendered) == [(frame, 0) for frame in frames.tolist()]
+    assert without.scalars["noise_sd"] == 0
+    rendered.clear()
+    replace(scorer, metrics=choose_metrics("mae")).score(Part.test, images_of, draws_noise=True)
+    assert sorted(rendered) == [(frame, 0) for frame in frames.tolist()], "no metric reads draws"
+
+
+def test_a_perfect_renderer_scores_half_of_its_mean_absolute_error(runs: Path, data: Data) -> None:
+    floors = score(job(runs, "metrics=[crps,mae]").settings, data).per_image
+    kept = floors[(floors["source"] == "resimulation") & (floors["metric"] == "crps") & (floors["split"] == "test")]
+    frames, solid = data.pairs.frames(Part.test), tissue_labels(data.tissues)
+    assert kept["frame"].tolist() == frames.tolist()
+    for frame, value in zip(frames, kept["value"], strict=True):
+        images = [data.pairs.stored(name, frame) for name in ("resimulation", "target")]
+        tissue = np.isin(data.pairs.stored("segmentation", frame), solid)
+        assert value == pytest.approx(mae(*images, tissue) / 2)
+
+
 def test_jobs_side_by_side_wait_for_the_one_that_scores_resimulation(runs: Path, data: Data, calls: list[Part]) -> None:
     settings = job(runs, "metrics=[mae_smooth]").settings
     with ThreadPoolExecutor(3) as pool:
@@ -242,7 +290,7 @@ def test_jobs_side_by_side_wait_for_the_one_that_scores_resimulation(runs: Path,
         ("metrics=[math.pi]", r"math.pi: is no function"),
         ("metrics=[]", "none is named"),
         ("metrics=null", "metrics=None: allowed are all, paper, psnr"),
-        ("metrics=[fd_speckle,noise_sd]", "name one that every image has too, such as psnr"),
+        ("metrics=[fd_speckle,kd_speckle]", "name one that every image has too, such as psnr"),
         ("metrics=[fid,mae]", r"metrics=fid: needs evaluation.inception"),
         ("evaluation.inception=/no/such/file", r"evaluation.inception=/no/such/file: no Inception weights"),
     ],
@@ -274,3 +322,10 @@ def test_metrics_added_later_are_computed_without_training(runs: Path, network: 
     assert finished(few) is not None
     assert finished(more) is not None
     assert set(pd.read_parquet(few.folder / "per_image.parquet")["metric"]) == {"mae", "psnr", "pchi2"}
+
+    stale = {**again["scalars"], "test/mae": -1.0, "test/of_an_earlier_version": 1.0}
+    write_json(few.folder / "result.json", {**again, "metrics_version": METRICS_VERSION - 1, "scalars": stale})
+    assert finished(more) is None
+    run_job(more)
+    assert json.loads((few.folder / "result.json").read_text())["scalars"] == pytest.approx(again["scalars"])
+    assert (few.folder / "last.ckpt").stat().st_mtime_ns == checkpoint, "scored again, not trained again"

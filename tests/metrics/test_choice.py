@@ -18,7 +18,7 @@ def test_names_sets_and_lists():
     assert {name for name, metric in paper.items() if metric.of_image} == {"psnr", "mae", "pchi2"}
     assert {name for name, metric in paper.items() if metric.of_set} == {"fid", "fd_speckle"}
     assert choose_metrics(["mae", "paper", "mae"]).keys() == paper.keys()
-    assert choose_metrics(["noise_sd"])["noise_sd"].of_image is None
+    assert choose_metrics(["noise_sd"])["noise_sd"].of_draws is not None
 
 
 def test_two_of_one_name_are_refused(monkeypatch, tmp_path):

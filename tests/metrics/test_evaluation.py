@@ -10,19 +10,22 @@ from ablate.metrics import METRICS, Pair, evaluate_image, psnr
 
 NAMES = {
     "psnr", "psnr_fan", "mae", "mae_fan", "pchi2", "pchi2_fan", "pchi2_tissue",
-    "shadow_contrast", "mae_smooth", "nyquist_excess",
+    "shadow_contrast", "mae_smooth", "thin_contrast", "nyquist_excess", "crps", "noise_sd",
 }  # fmt: skip
 
 
 def pair_of(frame, prediction, **changes):
     values = {"mask": frame.mask, "tissue_mask": frame.tissue, "attenuation": frame.attenuation}
-    return Pair(prediction, frame.image, **(values | {"depth_mm": frame.depth_mm} | changes))
+    values |= {"segmentation": frame.labels, "bone_mask": frame.bone, "pixel_mm": frame.pixel_mm}
+    values |= {"target": frame.image, "depth_mm": frame.depth_mm}
+    return Pair(prediction, **(values | changes))
 
 
 def test_names_are_those_that_runs_log(make_frame):
     frame = make_frame(0)
-    values = evaluate_image(pair_of(frame, make_frame(1).image))
-    assert set(values) == {name for name, metric in METRICS.items() if metric.of_image} == NAMES
+    images = np.stack([make_frame(k).image for k in (1, 2)])
+    values = evaluate_image(pair_of(frame, images[0], draws=images))
+    assert set(values) == {name for name, metric in METRICS.items() if metric.of_image or metric.of_draws} == NAMES
     assert values["psnr"] == psnr(make_frame(1).image, frame.image)
     assert values["pchi2"] < values["pchi2_fan"], "patches outside the fan are right for nothing"
 
@@ -50,7 +53,9 @@ def test_patches_of_the_frame_the_fan_and_tissue(make_frame):
 def test_metrics_without_their_input_are_left_out(make_frame):
     frame = make_frame(0)
     bare = evaluate_image(Pair(frame.image, frame.image, frame.mask))
-    assert set(bare) == NAMES - {"pchi2_tissue", "shadow_contrast"}
+    of_maps, of_draws = {"pchi2_tissue", "shadow_contrast", "thin_contrast"}, {"crps", "noise_sd"}
+    assert set(bare) == NAMES - of_maps - of_draws
+    assert set(evaluate_image(pair_of(frame, frame.image))) == NAMES - of_draws
     outside = evaluate_image(pair_of(frame, frame.image, mask=np.zeros_like(frame.mask)))
     assert set(outside) == {"psnr", "mae", "pchi2"}
     with pytest.raises(ValueError, match="depth_mm must be"):
@@ -62,7 +67,8 @@ def test_extreme_images_give_no_nan(make_frame):
     black, white = np.zeros_like(frame.image), np.full_like(frame.image, 255)
     checker = (np.indices(black.shape).sum(0) % 2 * 255).astype(np.uint8)
     for a, b in product((black, white, checker, frame.image), repeat=2):
-        values = evaluate_image(Pair(a, b, frame.mask, frame.tissue, frame.attenuation, frame.depth_mm))
+        values = evaluate_image(pair_of(frame, a, target=b, draws=np.stack([a, b])))
+        assert set(values) == NAMES
         assert not any(np.isnan(v) for v in values.values())
         assert all(np.isfinite(v) for k, v in values.items() if not k.startswith("psnr"))
 

@@ -100,7 +100,11 @@ def test_every_score_is_a_number(images: tuple[np.ndarray, np.ndarray], seed: in
     random = np.random.default_rng(seed)
     mask, tissue = random.random((2, *a.shape)) < random.random()
     attenuation, depth = random.random(a.shape).astype(np.float32), 150 * random.random(a.shape)
-    scores = evaluate_image(Pair(a, b, mask, tissue, attenuation, depth))
+    labels = random.integers(0, 4, a.shape).astype(np.uint8)
+    pixel_mm = (random.uniform(0.05, 5), random.uniform(0.05, 5))
+    scores = evaluate_image(
+        Pair(a, b, mask, tissue, attenuation, depth, labels, labels == 3, pixel_mm, np.stack([a, b, a]))
+    )
     assert not any(math.isnan(value) for value in scores.values())
     assert all(abs(value) < math.inf or name.startswith("psnr") for name, value in scores.items())
 
@@ -116,7 +120,8 @@ def test_a_uniform_error_is_what_it_is(a: int, b: int, seed: int) -> None:
     prediction, target = np.full(shape, a, np.uint8), np.full(shape, b, np.uint8)
     assert abs(mae_smooth(prediction, target, mask) - abs(a - b)) <= 255 * 64 * 2**-24 / 0.01
     attenuation = np.where(np.arange(50) < 20, 0.1, 0.9) * np.ones(shape, np.float32)
-    contrast = shadow_contrast(prediction, target, attenuation.astype(np.float32), mask, mask, np.zeros(shape))
+    labels = np.ones(shape, np.uint8)
+    contrast = shadow_contrast(prediction, target, attenuation.astype(np.float32), mask, labels, np.zeros(shape))
     assert contrast in (None, 0.0)
 
 

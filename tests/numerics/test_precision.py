@@ -30,11 +30,11 @@ from ablate.studies.pairs.simulated import build_scene
 from ablate.studies.run import run_job
 from ablate.tracking import default_uri
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
-from ablate.ultrasound import Simulator, SimulatorSettings
+from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 from ablate.ultrasound.imaging import speckle
 from support.studies import run as run_command
 
-TINY = ("preset=tiny", "training.steps=2", "evaluation.noise_frames=1", "evaluation.pictures=1")
+TINY = ("preset=tiny", "training.steps=2", "evaluation.pictures=1")
 POINTS, DETAILS = "series setting ms metric error", "table series setting quantity value"
 
 
@@ -218,16 +218,16 @@ def test_mean_errors_of_identical_and_of_incomparable_frames() -> None:
     random = np.random.default_rng(0)
     images = random.integers(0, 256, (3, 60, 80), dtype=np.uint8)
     envelopes = random.random((3, 20, 10), np.float32)
-    mask = np.ones((60, 80), bool)
-    same = mean_errors(Frames(images, envelopes), Frames(images, envelopes), mask)
+    probe = ConvexProbe()
+    same = mean_errors(Frames(images, envelopes), Frames(images, envelopes), probe)
     assert same == {"envelope_rms": 0, "mae": 0, "psnr": math.inf, "pchi2": 0, "mae_smooth": 0}
     other = images.copy()
     other[0] ^= 1
-    one = mean_errors(Frames(other), Frames(images, envelopes), mask)
+    one = mean_errors(Frames(other), Frames(images, envelopes), probe)
     assert "envelope_rms" not in one
     assert one["mae"] == pytest.approx(1 / 3)
     assert one["psnr"] == pytest.approx(20 * math.log10(255)), "identical frames are left out of its mean"
-    assert "envelope_rms" not in mean_errors(Frames(images, envelopes[:, :10]), Frames(images, envelopes), mask)
+    assert "envelope_rms" not in mean_errors(Frames(images, envelopes[:, :10]), Frames(images, envelopes), probe)
 
 
 def test_every_ladder_holds_the_data_sets_own_setting() -> None:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from ablate.analysis import RESIMULATION, find_design
 from ablate.config import ConfigurationError, StudySettings, json_ready
-from ablate.metrics import Metric, metric_of, registry
+from ablate.metrics import METRICS_VERSION, Metric, metric_of, registry
 from ablate.studies.comparison.compare import FACTORS, compare_study, components_of, write_comparison
 from ablate.studies.comparison.results import Finished
 from ablate.studies.comparison.usable_runs import usable_runs
@@ -57,6 +57,7 @@ def write_run(
     scalars |= {"test/floor_fd_speckle": 0.1, "ms_per_frame": 30.0, "test/psnr": 20.0, "test/floor_psnr": 22.0}
     scalars |= {"parameters_generator": 1e6, "parameters_discriminator": 2e6}
     result = {"hash": spec["hash"], "label": label, "seed": seed, "data": data, "mlflow_run_id": "none"}
+    result["metrics_version"] = METRICS_VERSION
     notes = ["FID: no Inception weights were given."]
     (folder / "result.json").write_text(json.dumps({**result, "scalars": scalars, "notes": notes}))
     return folder
@@ -219,6 +220,14 @@ def test_a_run_made_by_an_earlier_version_is_left_aside_in_words(study: Path) ->
     table.replace({"source": {"resimulation": "floor"}}).to_parquet(path)
     (note,) = usable_runs(study).notes
     assert note.startswith("1 run left aside, made by an earlier version (source floor in per_image.parquet)")
+
+
+def test_a_run_that_another_version_of_the_metrics_scored_is_left_aside_in_words(study: Path) -> None:
+    change(study / "sa2h-att" / "seed1", metrics_version=METRICS_VERSION - 1)
+    usable = usable_runs(study)
+    assert "sa2h-att/seed1" not in {run.name for run in usable.runs}
+    said = f"scored by version {METRICS_VERSION - 1} of the metrics, not {METRICS_VERSION}: start it again"
+    assert usable.notes == (f"1 run left aside, {said}: sa2h-att/seed1.",)
 
 
 def test_identical_images(study: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from ablate.config import ConfigurationError
+from ablate.metrics import METRICS_VERSION
 from ablate.storage import write_json
 from ablate.studies.identity import claim_place, config_hash, finished
 from ablate.studies.jobs.compose import jobs_of
@@ -96,6 +97,11 @@ def test_only_the_result_of_this_configuration_counts_as_finished(tmp_path: Path
     assert finished(mine) is None
     write_json(mine.folder / "result.json", {"hash": "of another"})
     assert finished(mine) is None
-    write_json(mine.folder / "result.json", {"hash": config_hash(mine.settings), "seed": 0})
-    assert finished(mine) == {"hash": config_hash(mine.settings), "seed": 0}
+    result = {"hash": config_hash(mine.settings), "seed": 0, "metrics": ["all"]}
+    write_json(mine.folder / "result.json", result)
+    assert finished(mine) is None, "the first version of the metrics was not stored"
+    write_json(mine.folder / "result.json", {**result, "metrics_version": METRICS_VERSION + 1})
+    assert finished(mine) is None
+    write_json(mine.folder / "result.json", {**result, "metrics_version": METRICS_VERSION, "inception": None})
+    assert finished(mine) == json.loads((mine.folder / "result.json").read_text())
     assert json.loads((mine.folder / "spec.json").read_text())["hash"] == config_hash(mine.settings)

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from ablate.config import ConfigurationError
+from ablate.metrics import METRICS_VERSION
 from ablate.studies.identity import config_hash
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.job import Job
@@ -18,6 +19,7 @@ def finish(job: Job, seconds: float | None) -> None:
     job.folder.mkdir(parents=True)
     scalars = {} if seconds is None else {"seconds": seconds}
     result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed, "scalars": scalars}
+    result |= {"metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
     (job.folder / "result.json").write_text(json.dumps(result))
     (job.folder / "spec.json").write_text(json.dumps({"hash": result["hash"]}))
 

@@ -28,7 +28,6 @@ TINY = [
     "model.noise_start=0.3",
     "reference=sa2h.noise_start-0.3",
     "training.steps=1",
-    "evaluation.noise_frames=1",
     "tracking.register=renderer of a fetus",
 ]
 

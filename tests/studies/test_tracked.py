@@ -25,7 +25,6 @@ TINY = [
     "dataset.frames=10",
     "training.steps=4",
     "training.validate_every=1",
-    "evaluation.noise_frames=1",
 ]
 
 

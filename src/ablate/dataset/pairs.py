@@ -17,7 +17,7 @@ from ablate.storage import written_whole
 from ablate.ultrasound import ConvexProbe, compensated_attenuation
 
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
-PAIRS_VERSION = 3
+PAIRS_VERSION = 4
 # Labels repeat as whole bytes; grey levels and 16-bit values pack better with bits, or bytes, of like place together.
 FORMATS = {
     "segmentation": FrameFormat("uint8", "noshuffle"),

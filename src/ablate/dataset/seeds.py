@@ -28,7 +28,7 @@ def crop_generator(seed: int, step: int, index: int) -> np.random.Generator:
 
 
 def resimulation_seed(seed: int) -> int:
-    """Seed of the scatterers with which a data set's frames are simulated again."""
+    """Seed, of the scatterers or of the paths, with which a data set's frames are simulated again."""
     return seed + _STRIDE
 
 

@@ -44,6 +44,7 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
     """A function that renders the wanted maps of some frames of a data set, for `fill_pairs`."""
 
     of_target, of_low = recipe.settings, replace(recipe.settings, rays=1, layers=1)
+    again = replace(recipe.settings, path_seed=resimulation_seed(recipe.settings.path_seed))
 
     @cache
     def simulator(settings: SimulatorSettings) -> Simulator:
@@ -60,7 +61,7 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
             elif maps & {"segmentation", "attenuation"}:
                 made["segmentation"], made["attenuation"] = simulator(of_target).maps(pose)
             if "resimulation" in maps and pairs.split[frame] != Part.train:
-                made["resimulation"] = simulator(of_target).render(pose, seed=resimulation_seed(recipe.seed)).image
+                made["resimulation"] = simulator(again).render(pose, seed=resimulation_seed(recipe.seed)).image
             if "low" in maps:
                 made["low"] = simulator(of_low).render(pose, seed=recipe.seed).image
             for name in made.keys() & maps:

@@ -1,4 +1,4 @@
-"""The scores of a run: those of its generator, and those of re-simulation, the same frames with other scatterers."""
+"""The scores of a run: of its generator, and of re-simulation, the same frames with other scatterers and paths."""
 
 import json
 from dataclasses import replace
@@ -15,7 +15,7 @@ from ablate.storage import digest, write_json
 
 
 def resimulation_images(pairs: Pairs) -> ImageSource:
-    """The re-simulated frames; an odd noise draw gives the target, which has other scatterers again."""
+    """The re-simulated frames; an odd noise draw gives the target, which has other scatterers and paths again."""
 
     def images_of(frames: np.ndarray, draw: int) -> np.ndarray:
         return pairs.read("target" if draw % 2 else "resimulation", frames)
@@ -37,7 +37,6 @@ def resimulation_scores(scorer: Scorer, part: Part) -> Scores:
         "version": METRICS_VERSION,
         "metrics": sorted(scorer.metrics),
         "inception": scorer.inception is not None,
-        "noise_frames": scorer.settings.noise_frames,
     }
     kept = scorer.pairs.folder / "resimulation" / f"{part.name}-{digest(made_from)}.json"
     kept.parent.mkdir(exist_ok=True)

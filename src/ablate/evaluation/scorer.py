@@ -1,7 +1,7 @@
 """Scores of images of the frames of a data set, such as those of a trained generator."""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -12,7 +12,7 @@ import torch
 from tqdm import tqdm
 
 from ablate.anatomy import Tissue, TissueKind
-from ablate.dataset import Pairs, Part, equally_spaced
+from ablate.dataset import Pairs, Part
 from ablate.evaluation.set_scores import distances, not_computed
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.metrics import (
@@ -26,7 +26,7 @@ from ablate.metrics import (
 )
 from ablate.metrics.stored_names import SCORE_COLUMNS
 from ablate.ultrasound import ConvexProbe, fan_mask
-from ablate.ultrasound.probe import pixel_polar
+from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
 #: What gives images for frames: (numbers of the frames (k,), number of the noise draw) -> (k, H, W) uint8.
 ImageSource = Callable[[np.ndarray, int], np.ndarray]
@@ -45,8 +45,8 @@ class Scores:
         Columns frame, site, metric, value: infinite PSNR where an image equals its target, NaN where a user's own
         metric failed. The scores of a run have the columns source (`model`, `resimulation`) and split too.
     scalars : dict
-        Mean of each per-image metric over its finite values, and what only a set of images has (`fd_speckle`,
-        `noise_sd`, ...); `_lower` and `_upper` are the ends of a 95 % interval. The scores of a run have names such
+        Mean of each per-image metric over its finite values, and what only a set of images has (`fd_speckle`, ...);
+        `_lower` and `_upper` are the ends of a 95 % interval. The scores of a run have names such
         as `test/psnr`, `test/floor_psnr` and `val/psnr`.
     notes : tuple of str
         Metrics that were asked for and not computed, and why.
@@ -57,9 +57,11 @@ class Scores:
     notes: tuple[str, ...] = ()
 
 
-def tissue_labels(tissues: tuple[Tissue, ...]) -> np.ndarray:
-    """Labels of soft tissue and bone, uint8; gas and fluid are left out."""
-    found = [i + 1 for i, t in enumerate(tissues) if t.kind in (TissueKind.soft, TissueKind.bone)]
+def tissue_labels(
+    tissues: tuple[Tissue, ...], kinds: Collection[TissueKind] = (TissueKind.soft, TissueKind.bone)
+) -> np.ndarray:
+    """Labels of some kinds of tissue, uint8; those of soft tissue and bone leave out gas and fluid."""
+    found = [i + 1 for i, t in enumerate(tissues) if t.kind in kinds]
     return np.asarray(found, np.uint8)
 
 
@@ -99,13 +101,22 @@ class Scorer:
         return tissue_labels(self.tissues)
 
     @cached_property
+    def _bone(self) -> np.ndarray:
+        return tissue_labels(self.tissues, [TissueKind.bone])
+
+    @cached_property
     def _depth_mm(self) -> np.ndarray | None:
         return pixel_polar(self.probe, self.pairs.shape)[0] if describes_fan(self.probe, self._mask) else None
+
+    @cached_property
+    def _pixel_mm(self) -> tuple[float, float] | None:
+        return None if self._depth_mm is None else pixel_size_mm(self.probe, self.pairs.shape)
 
     def score(self, part: Part, images_of: ImageSource, draws_noise: bool) -> Scores:
         """Score images of the frames of one part, in as many threads as torch is set to use.
 
-        `draws_noise` tells whether a second noise draw can give another image; `noise_sd` is 0 where it cannot.
+        `draws_noise` tells whether a second noise draw can give another image; where it cannot, each frame is rendered
+        once.
         """
         frames = self.pairs.frames(part)
         sites = self.pairs.sites[frames]
@@ -113,6 +124,14 @@ class Scorer:
         computed = [metric for name, metric in self.metrics.items() if name not in missing]
         speckle, fid = ([m for m in computed if m.uses(kind)] for kind in (FeatureKind.speckle, FeatureKind.inception))
         score_frame = partial(self._score_frame, with_texture=bool(speckle))
+        draws = self.settings.noise_draws if any(metric.of_draws for metric in computed) else 1
+
+        def draws_of(batch: np.ndarray, images: np.ndarray) -> np.ndarray:
+            """(k, draws, H, W) uint8, the first of which are `images`."""
+            if not draws_noise:
+                return np.broadcast_to(images[:, None], (len(images), min(draws, 2), *images.shape[1:]))
+            return np.stack([images, *(images_of(batch, draw) for draw in range(1, draws))], axis=1)
+
         scored: list[tuple[dict[str, float], Features]] = []
         of_inception: list[Features] = []
         with (
@@ -122,7 +141,7 @@ class Scorer:
             for start in range(0, len(frames), _BATCH):
                 batch = frames[start : start + _BATCH]
                 images = images_of(batch, 0)
-                scored += pool.map(score_frame, batch, images)
+                scored += pool.map(score_frame, batch, draws_of(batch, images))
                 if fid and self.inception is not None:
                     of_inception.append((self.inception(images), self.inception(self.pairs.read("target", batch))))
                 bar.update(len(batch))
@@ -133,19 +152,25 @@ class Scorer:
             if of_sets:
                 found, wanted = (np.concatenate(side) for side in zip(*features, strict=True))
                 scalars |= distances(of_sets, found, wanted, sites)
-        for metric in computed:
-            if metric.of_draws is not None:
-                spreads = self._over_draws(metric.of_draws, frames, images_of) if draws_noise else [0.0]
-                if spreads:
-                    scalars[metric.name] = float(np.mean(spreads))
         return Scores(per_image, scalars, notes)
 
-    def _score_frame(self, frame: int, image: np.ndarray, with_texture: bool) -> tuple[dict[str, float], Features]:
+    def _score_frame(self, frame: int, draws: np.ndarray, with_texture: bool) -> tuple[dict[str, float], Features]:
         """The metrics of one frame, and the speckle features of image and target where they are wanted."""
+        image = draws[0]
         target, labels = self.pairs.stored("target", frame), self.pairs.stored("segmentation", frame)
         attenuation = self.pairs.read("attenuation", [frame])[0] if "attenuation" in self.pairs.maps else None
-        tissue_mask = np.isin(labels, self._solid)
-        pair = Pair(image, target, self._mask, tissue_mask, attenuation, self._depth_mm, labels)
+        pair = Pair(
+            image,
+            target,
+            self._mask,
+            tissue_mask=np.isin(labels, self._solid),
+            attenuation=attenuation,
+            depth_mm=self._depth_mm,
+            segmentation=labels,
+            bone_mask=np.isin(labels, self._bone),
+            pixel_mm=self._pixel_mm,
+            draws=draws if len(draws) > 1 else None,
+        )
         try:
             values = evaluate_image(pair, self.metrics.values())
         except Exception as error:
@@ -154,16 +179,6 @@ class Scorer:
         if not with_texture:
             return values, (np.empty(0), np.empty(0))
         return values, (speckle_features(image[None], self._mask), speckle_features(target[None], self._mask))
-
-    def _over_draws(
-        self, measure: Callable[..., float | None], frames: np.ndarray, images_of: ImageSource
-    ) -> list[float]:
-        """A metric of the noise draws in tissue, of each of some frames that have tissue."""
-        shown = equally_spaced(frames, self.settings.noise_frames)
-        draws = np.stack([images_of(shown, draw) for draw in range(self.settings.noise_draws)])
-        labels = self.pairs.read("segmentation", shown)
-        found = [measure(draws[:, k], np.isin(labels[k], self._solid)) for k in range(len(shown))]
-        return [f for f in found if f is not None]
 
 
 def _table(part: Part, frames: np.ndarray, sites: np.ndarray, values: list[dict[str, float]]) -> pd.DataFrame:

@@ -19,7 +19,7 @@ class Direction(Enum):
 
 
 class Resimulation(StrEnum):
-    """What the same frame simulated with other scatterers tells about a metric."""
+    """What the same frame simulated with other scatterers and other paths tells about a metric."""
 
     floor = "floor"  # no stochastic renderer can do better
     level = "level"  # a perfect stochastic renderer scores this; a better score means smoothing
@@ -58,7 +58,6 @@ class FeatureKind(Enum):
 
 
 ImageMetric = Callable[[Pair], float | None]
-DrawsMetric = Callable[[np.ndarray, np.ndarray], float | None]
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ class Metric:
     of_image : callable, optional
         Value of a `Pair`, or None where the image offers nothing to measure.
     of_draws : callable, optional
-        Value of (k, H, W) uint8, k draws of one frame, and (H, W) bool, its tissue. It is 0 where all draws are equal.
+        The same of a `Pair` with draws. Frames are rendered with more than one draw of noise only for such a metric.
     """
 
     name: str
@@ -96,7 +95,7 @@ class Metric:
     shown: Shown = Shown.nowhere
     of_image: ImageMetric | None = None
     of_set: SetDistance | None = None
-    of_draws: DrawsMetric | None = None
+    of_draws: ImageMetric | None = None
 
     def __post_init__(self) -> None:
         if not self.label:

@@ -27,6 +27,12 @@ class Pair:
         Distance from the probe's face along the scanline.
     segmentation : (H, W) uint8, optional
         Tissue labels.
+    bone_mask : (H, W) bool, optional
+        Pixels of bone.
+    pixel_mm : (float, float), mm, optional
+        Height and width of a pixel.
+    draws : (k >= 2, H, W) uint8, optional
+        The prediction, and the same frame with other draws of the generator's noise.
     """
 
     prediction: np.ndarray
@@ -36,10 +42,13 @@ class Pair:
     attenuation: np.ndarray | None = None
     depth_mm: np.ndarray | None = None
     segmentation: np.ndarray | None = None
+    bone_mask: np.ndarray | None = None
+    pixel_mm: tuple[float, float] | None = None
+    draws: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         check_pair(self.prediction, self.target)
-        for name in ("mask", "tissue_mask", "attenuation", "depth_mm", "segmentation"):
+        for name in ("mask", "tissue_mask", "attenuation", "depth_mm", "segmentation", "bone_mask"):
             array = getattr(self, name)
             if array is not None and array.shape != self.target.shape:
                 raise ValueError(f"{name} must be {self.target.shape}, got {array.shape}")

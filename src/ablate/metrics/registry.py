@@ -2,15 +2,22 @@
 
 from collections.abc import Callable, Iterable
 
+import numpy as np
+
 from ablate.metrics.distances import frechet_distance, kernel_distance
 from ablate.metrics.fidelity import mae, psnr
-from ablate.metrics.mechanism import mae_smooth, noise_sd, nyquist_excess, shadow_contrast
+from ablate.metrics.mechanism.draws import crps, noise_sd
+from ablate.metrics.mechanism.grid_lines import nyquist_excess
+from ablate.metrics.mechanism.shadows import shadow_contrast
+from ablate.metrics.mechanism.structure import mae_smooth
+from ablate.metrics.mechanism.thin_structures import thin_contrast
 from ablate.metrics.metric import Direction, FeatureKind, Group, ImageMetric, Metric, Resimulation, SetDistance, Shown
 from ablate.metrics.pair import Pair
 from ablate.metrics.patch_histograms import patches_inside, rms
 
-#: Raise it when a metric gives another value for the same images: kept scores of re-simulation are then made anew.
-METRICS_VERSION = 1
+#: Raise it when a metric gives another value for the same images: kept scores, of runs and of re-simulation, are then
+#: made anew.
+METRICS_VERSION = 2
 
 
 def _whole(metric: Callable[..., float]) -> ImageMetric:
@@ -34,9 +41,28 @@ def _pchi2_tissue(pair: Pair) -> float | None:
 
 
 def _shadow_contrast(pair: Pair) -> float | None:
-    if pair.attenuation is None or pair.tissue_mask is None or pair.depth_mm is None:
+    if pair.attenuation is None or pair.tissue_mask is None or pair.segmentation is None or pair.depth_mm is None:
         return None
-    return shadow_contrast(pair.prediction, pair.target, pair.attenuation, pair.mask, pair.tissue_mask, pair.depth_mm)
+    labels = np.where(pair.tissue_mask, pair.segmentation, 0)
+    return shadow_contrast(pair.prediction, pair.target, pair.attenuation, pair.mask, labels, pair.depth_mm)
+
+
+def _mae_smooth(pair: Pair) -> float | None:
+    return mae_smooth(pair.prediction, pair.target, pair.mask, pair.pixel_mm) if pair.mask.any() else None
+
+
+def _thin_contrast(pair: Pair) -> float | None:
+    if pair.bone_mask is None or pair.depth_mm is None or pair.pixel_mm is None:
+        return None
+    return thin_contrast(pair.prediction, pair.target, pair.mask, pair.bone_mask, pair.depth_mm, pair.pixel_mm)
+
+
+def _noise_sd(pair: Pair) -> float | None:
+    return None if pair.draws is None or pair.tissue_mask is None else noise_sd(pair.draws, pair.tissue_mask)
+
+
+def _crps(pair: Pair) -> float | None:
+    return None if pair.draws is None or pair.tissue_mask is None else crps(pair.draws, pair.target, pair.tissue_mask)
 
 
 _FD_SPECKLE = SetDistance(FeatureKind.speckle, frechet_distance)
@@ -46,7 +72,7 @@ _KID = SetDistance(FeatureKind.inception, kernel_distance)
 
 HIGHER, LOWER, ZERO, UNJUDGED = Direction
 FLOOR, LEVEL, NEITHER = Resimulation
-PIXEL, PATCH, SET, MECHANISM, SIMULATION, COST, _ = Group
+PIXEL, PATCH, SET, MECHANISM, SIMULATION, COST, OWN = Group
 GREY = "grey levels"
 _DRAWN = Shown.panels | Shown.screen
 
@@ -64,11 +90,13 @@ _ENTRIES = (
     Metric("fid", "FID", "", LOWER, FLOOR, SET, 2, Shown.table | Shown.report, of_set=_FID),
     Metric("kid", "KID", "", LOWER, FLOOR, SET, 3, of_set=_KID),
     Metric(
-        "shadow_contrast", "Shadow contrast", GREY, ZERO, FLOOR, MECHANISM, 1, _DRAWN | Shown.report, _shadow_contrast
+        "shadow_contrast", "Shadow contrast", GREY, LOWER, FLOOR, MECHANISM, 1, _DRAWN | Shown.report, _shadow_contrast
     ),
-    Metric("mae_smooth", "Smooth MAE", GREY, LOWER, LEVEL, MECHANISM, 2, _DRAWN, _in_fan(mae_smooth)),
-    Metric("nyquist_excess", "Nyquist excess", "dB", ZERO, FLOOR, MECHANISM, 2, Shown.panels, _in_fan(nyquist_excess)),
-    Metric("noise_sd", "Noise sd", GREY, UNJUDGED, LEVEL, MECHANISM, 1, _DRAWN, of_draws=noise_sd),
+    Metric("mae_smooth", "Smooth MAE", GREY, LOWER, LEVEL, MECHANISM, 2, _DRAWN, _mae_smooth),
+    Metric("thin_contrast", "Thin contrast", GREY, LOWER, FLOOR, MECHANISM, 1, _DRAWN, _thin_contrast),
+    Metric("nyquist_excess", "Nyquist excess", "dB", LOWER, FLOOR, MECHANISM, 2, _DRAWN, _in_fan(nyquist_excess)),
+    Metric("crps", "CRPS", GREY, LOWER, FLOOR, MECHANISM, 2, _DRAWN, of_draws=_crps),
+    Metric("noise_sd", "Noise sd", GREY, UNJUDGED, LEVEL, MECHANISM, 1, _DRAWN, of_draws=_noise_sd),
     Metric("envelope_rms", "Envelope error", "relative RMS", LOWER, LEVEL, SIMULATION, 4),
     Metric("ms_per_frame", "Time", "ms/frame", LOWER, NEITHER, COST, 1, Shown.screen | Shown.report),
     Metric("parameters", "Parameters", "", UNJUDGED, NEITHER, COST, 0, Shown.table | Shown.report),
@@ -101,13 +129,14 @@ def shown_in(place: Shown) -> list[str]:
 def evaluate_image(pair: Pair, metrics: Iterable[Metric] = METRICS.values()) -> dict[str, float]:
     """Every per-image metric that this pair allows, by name.
 
-    Metrics that the frame offers nothing for (no shadow in it, no tissue mask) are left out. `psnr` may be inf. No
-    metric of the package is NaN, but one of the user's may be.
+    Metrics that the frame offers nothing for (no shadow in it, no tissue mask, no draws) are left out. `psnr` may be
+    inf. No metric of the package is NaN, but one of the user's may be.
     """
     found = {}
     for metric in metrics:
         try:
-            value = None if metric.of_image is None else metric.of_image(pair)
+            measure = metric.of_image if pair.draws is None else metric.of_image or metric.of_draws
+            value = None if measure is None else measure(pair)
             if value is not None:
                 found[metric.name] = float(value)
         except Exception as error:

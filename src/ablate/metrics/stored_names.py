@@ -1,7 +1,7 @@
 """Names in stored scores, once for all rooms that write or read them: columns of tables, suffixes, prefixes."""
 
 SCORE_COLUMNS = ("frame", "site", "metric", "value")  # of an evaluation, one row a metric of a frame
-SOURCES = MODEL, RESIMULATED = ("model", "resimulation")  # of images: the trained generator, or other scatterers
+SOURCES = MODEL, RESIMULATED = ("model", "resimulation")  # of images: the trained generator, or simulated again
 STORED_COLUMNS = (*SCORE_COLUMNS, "source", "split", "variant", "seed")  # `per_image.parquet` of a run
 PER_IMAGE_COLUMNS = ("variant", "seed", *SCORE_COLUMNS)  # of compared runs; the re-simulation is one of the variants
 SCALAR_COLUMNS = ("variant", "seed", "metric", "value")  # one row a metric of a run; `BOUNDS` may follow

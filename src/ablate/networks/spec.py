@@ -151,7 +151,7 @@ COMPONENTS = (
     ),
     Component(
         "concat", "concat", tuple(Concat), _FULL.concat, Concat.input,
-        "maps at every level", "mae_smooth",
+        "maps at every level", "thin_contrast",
         "Segmentation and attenuation at every convolution keep structures where the maps have them.",
     ),
     Component(
@@ -161,7 +161,7 @@ COMPONENTS = (
     ),
     Component(
         "noise", "noise", tuple(Noise), _FULL.noise, Noise.input,
-        "noise at every resolution", "noise_sd",
+        "noise at every resolution", "crps",
         "Noise injected at every resolution of the decoder gives speckle a random source.",
     ),
     Component(
@@ -171,7 +171,7 @@ COMPONENTS = (
     ),
     Component(  # an option of the data set: in which order the labels become grey levels of the segmentation
         "encoding", "encoding", ("echogenicity", "arbitrary"), "echogenicity", "arbitrary",
-        "order of the labels", None,
+        "order of the labels", "mae_smooth",
         "Labels ordered from dark to bright tell the generator how bright each tissue is.",
     ),
 )

@@ -8,7 +8,7 @@ from typing import Any
 
 from ablate.config import ConfigurationError, StudySettings, json_ready
 from ablate.dataset import Encoding
-from ablate.metrics import choose_metrics, needs_inception
+from ablate.metrics import METRICS_VERSION, choose_metrics, needs_inception
 from ablate.storage import digest, write_json
 from ablate.studies.jobs.job import Job
 from ablate.studies.pairs.data import about_data
@@ -81,15 +81,23 @@ def claim_place(job: Job) -> None:
 
 
 def finished(job: Job) -> dict[str, Any] | None:
-    """The result of a job, or None where it has none of the same configuration with all metrics that are asked for."""
+    """The result of a job, or None where it has none of the same configuration with all metrics that are asked for.
+
+    A result that was scored by another version of the metrics is not finished: the run is scored again.
+    """
     result = read_result(job.folder, config_hash(job.settings))
-    if result is None or "metrics" not in result:
-        return result
+    if result is None or scored_by(result) != METRICS_VERSION:
+        return None
     metrics = choose_metrics(job.settings.metrics)
     with_network = job.settings.evaluation.inception is not None and needs_inception(metrics)
     if metrics.keys() - choose_metrics(result["metrics"]).keys() or (with_network and result["inception"] is None):
         return None
     return result
+
+
+def scored_by(result: Mapping[str, Any]) -> int:
+    """The `METRICS_VERSION` that a result was scored by; version 1 did not store it."""
+    return int(result.get("metrics_version", 1))
 
 
 def with_earlier_metrics(job: Job) -> StudySettings:

@@ -12,7 +12,7 @@ from ablate import dataset
 from ablate.config import StudySettings
 from ablate.dataset import CropLoader, Crops, CropSettings, Part
 from ablate.evaluation import ImageSource, Scorer, inception_for, score_run
-from ablate.metrics import choose_metrics, psnr
+from ablate.metrics import METRICS_VERSION, choose_metrics, psnr
 from ablate.networks import Generator, conditions, count_discriminator, count_generator, draws_noise
 from ablate.storage import write_json
 from ablate.studies.identity import claim_place, config_hash, finished, read_result, with_earlier_metrics
@@ -55,14 +55,15 @@ def _run(job: Job) -> None:
         raise
     run.end(Status.finished)
     before = read_result(job.folder, config_hash(job.settings))
-    if before is not None:  # trained by an earlier call; now scored by more metrics
-        scalars = before["scalars"] | {k: v for k, v in scalars.items() if k.startswith(("val/", "test/"))}
+    if before is not None:  # trained by an earlier call; now scored by more metrics, or by another version of them
+        scores = {k: v for k, v in scalars.items() if k.startswith(("val/", "test/"))}
+        scalars = {k: v for k, v in before["scalars"].items() if not k.startswith(("val/", "test/"))} | scores
     elif scalars["train/resumed_at"] == 0:
         scalars["seconds"] = time.perf_counter() - started  # task=plan estimates the time of other jobs from it
     result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed}
     where = {"data": dataset_folder(job.settings).name, "mlflow_run_id": run.run_id}
     asked = with_earlier_metrics(job)
-    scored = {"metrics": asked.metrics, "inception": asked.evaluation.inception}
+    scored = {"metrics": asked.metrics, "metrics_version": METRICS_VERSION, "inception": asked.evaluation.inception}
     # Written last: a run with this file is finished.
     write_json(job.folder / "result.json", {**result, **where, **scored, "notes": notes, "scalars": scalars})
 

@@ -91,8 +91,9 @@ def _about(job: Job) -> str:
         f"`{job.label}`, seed {job.settings.seed}, of the study `{study}`. **Model metrics**: `frames/` are validation "
         "frames as training went on, rendered above, their target below; `train/` and `val/` are curves; "
         "the step of all these is the number of images seen. `test/` was measured once, on frames of unseen probe "
-        "sites; `test/floor_` is what the same frames simulated with other scatterers score. **Artifacts**: every "
-        "metric of every frame in `per_image.parquet`; configuration, code and environment in `provenance`."
+        "sites; `test/floor_` is what the same frames simulated with other scatterers and ray paths score. "
+        "**Artifacts**: every metric of every frame in `per_image.parquet`; configuration, code and environment in "
+        "`provenance`."
     )
 
 

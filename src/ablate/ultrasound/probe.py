@@ -38,6 +38,12 @@ def fan_size_mm(probe: ConvexProbe) -> tuple[float, float]:
     return outer - probe.radius_mm * math.cos(half), 2 * outer * math.sin(half)
 
 
+def pixel_size_mm(probe: ConvexProbe, shape: tuple[int, int]) -> tuple[float, float]:
+    """Height and width, mm, of a pixel of an image of the fan's bounding box; the two axes scale independently."""
+    height, width = fan_size_mm(probe)
+    return height / shape[0], width / shape[1]
+
+
 def face_sag_mm(probe: ConvexProbe) -> float:
     """Distance along z from the middle of the face to its edges, mm."""
     return probe.radius_mm * (1 - math.cos(math.radians(probe.fov_deg) / 2))

@@ -26,9 +26,9 @@ def qualitative_caption(reference: str = REFERENCE) -> str:
     """Caption of `qualitative_figure`."""
     return (
         "Test frames of unseen probe sites. The target has its segmentation S in the left corner and the logarithm of "
-        "its attenuation A in the right corner. The re-simulation is the same frame with other scatterers. Where it "
-        f"differs from the target, no network can know the target. The other images are by {reference} and all other "
-        "variants, with the lowest seed of each."
+        "its attenuation A in the right corner. The re-simulation is the same frame with other scatterers and ray "
+        "paths. Where it differs from the target, no network can know the target. The other images are by "
+        f"{reference} and all other variants, with the lowest seed of each."
     )
 
 

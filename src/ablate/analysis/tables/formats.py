@@ -69,7 +69,9 @@ def resimulation_note(metrics: list[str]) -> str:
         parts.append(f"It is the floor for {floor}.")
     if level:
         parts.append(f"It is the level of a perfect stochastic renderer for {level}, which a network can exceed.")
-    return " ".join(["Re-simulation is the same frame with other scatterers.", *(parts or ["It is not judged."])])
+    return " ".join(
+        ["Re-simulation is the same frame with other scatterers and ray paths.", *(parts or ["It is not judged."])]
+    )
 
 
 def to_text(table: pd.DataFrame) -> str:

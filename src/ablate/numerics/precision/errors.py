@@ -1,11 +1,12 @@
 """Errors of frames against a reference, on the linear envelope and on the displayed image."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ablate.metrics import mae, mae_smooth, patch_chi2, psnr, rms
+from ablate.metrics import METRICS, Pair, evaluate_image
+from ablate.ultrasound import ConvexProbe, fan_mask
+from ablate.ultrasound.probe import pixel_size_mm
 
 ENVELOPE = "envelope_rms"
 
@@ -34,29 +35,25 @@ def envelope_rms(envelope: np.ndarray, reference: np.ndarray) -> float:
 
 
 #: On the whole image as in the tables of a study; `mae_smooth` in the fan, after a Gaussian that averages speckle.
-IMAGE_ERRORS: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray], float | None]] = {
-    "mae": lambda image, target, _: mae(image, target),
-    "psnr": lambda image, target, _: psnr(image, target),
-    "pchi2": lambda image, target, _: rms(patch_chi2(image, target)),
-    "mae_smooth": mae_smooth,
-}
+IMAGE_ERRORS = tuple(METRICS[name] for name in ("mae", "psnr", "pchi2", "mae_smooth"))
 
 
-def mean_errors(rendered: Frames, reference: Frames, mask: np.ndarray) -> dict[str, float]:
+def mean_errors(rendered: Frames, reference: Frames, probe: ConvexProbe) -> dict[str, float]:
     """Average each error over the frames of the same poses; an error that cannot be computed is left out.
 
     `envelope_rms` is left out where there are no envelopes or their grids differ: images are compared on the same
     pixels whatever the grid of samples. PSNR of identical images is infinite; they are left out of its mean, unless all
-    are. `mask` is the fan, (H, W) bool.
+    are.
     """
     found: dict[str, list[float]] = {}
     here, there = rendered.envelopes, reference.envelopes
     if here is not None and there is not None and here.shape == there.shape:
         found[ENVELOPE] = [envelope_rms(a, b) for a, b in zip(here, there, strict=True)]
-    for name, error in IMAGE_ERRORS.items():
-        values = [error(a, b, mask) for a, b in zip(rendered.images, reference.images, strict=True)]
-        if known := [v for v in values if v is not None]:
-            found[name] = known
+    shape = (reference.images.shape[1], reference.images.shape[2])
+    mask, pixel_mm = fan_mask(probe, shape), pixel_size_mm(probe, shape)
+    for image, target in zip(rendered.images, reference.images, strict=True):
+        for name, error in evaluate_image(Pair(image, target, mask, pixel_mm=pixel_mm), IMAGE_ERRORS).items():
+            found.setdefault(name, []).append(error)
     return {name: _mean(values) for name, values in found.items()}
 
 

@@ -128,12 +128,12 @@ def measure_generators(
                 continue
             needed = {name: inputs[name] for name in conditions(generator.spec)}
             ms = sum(needed.values()) + network_ms
-            points.add_each(run.label, setting, ms, values=mean_errors(rendered, reference, bench.mask))
+            points.add_each(run.label, setting, ms, values=mean_errors(rendered, reference, bench.probe))
             details.add_each("stage", run.label, setting, values={**needed, "network": network_ms})
             if exact is None:
                 exact = rendered
                 continue
-            errors = mean_errors(rendered, exact, bench.mask)
+            errors = mean_errors(rendered, exact, bench.probe)
             details.add_each("limit", f"{run.label}, against fp32 eager", setting, values=errors)
 
 

@@ -71,17 +71,17 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
         full = [replace(settings, plan=PlanMode.full) for settings in planned] if name == "rays" else []
         found = render_all(bench, planned + full, seeds, advance)
         for value, settings, ((rendered, other), ms) in zip(ladder, planned, found, strict=False):
-            errors = mean_errors(rendered, reference, bench.mask)
+            errors = mean_errors(rendered, reference, bench.probe)
             points.add_each(series_name(name), value, ms, values=errors)
             setting = f"{name.replace('_', ' ')} {value}"
-            points.add_each(OTHER_SERIES, setting, ms, values=mean_errors(other, reference, bench.mask))
+            points.add_each(OTHER_SERIES, setting, ms, values=mean_errors(other, reference, bench.probe))
             usual = rendered if settings == base else usual
             if name == "rays":
-                to_half = mean_errors(rendered, half, bench.mask)
+                to_half = mean_errors(rendered, half, bench.probe)
                 changes = {metric: relative_change(metric, errors[metric], to_half[metric]) for metric in errors}
                 details.add_each("reference", RAYS_SERIES, value, values=changes)
         for value, ((rendered, _), ms), ((as_planned, _), _) in zip(ladder, found[len(planned) :], found, strict=False):
-            points.add_each(FULL_SERIES, value, ms, values=mean_errors(rendered, reference, bench.mask))
+            points.add_each(FULL_SERIES, value, ms, values=mean_errors(rendered, reference, bench.probe))
             apart = np.abs(rendered.images.astype(np.int16) - as_planned.images).max()
             details.add("plan", FULL_SERIES, value, "largest grey difference to planned", int(apart))
     for name in _GRIDS:
@@ -89,7 +89,7 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
     assert usual is not None  # every ladder has the data set's settings
     in_float64 = replace(base, precision=SimulatorPrecision.float64)
     (((double,), _),) = render_all(bench, [in_float64], seeds[:1], advance)
-    limits = mean_errors(usual, double, bench.mask)  # of the signal chain in single precision, on the same paths
+    limits = mean_errors(usual, double, bench.probe)  # of the signal chain in single precision, on the same paths
     details.add_each("limit", "simulator, float32 against float64", base.rays, values=limits)
     for rays in _staged(base):
         details.add_each("stage", RAYS_SERIES, rays, values=time_stages(bench, replace(base, rays=rays), advance))
@@ -105,4 +105,4 @@ def _converging(bench: Bench, name: str, details: CsvTable, advance: Callable[[]
     for value, settings in ladders(base)[name].items():
         (((found[value],), _),) = render_all(bench, [settings], (bench.seed,), advance)
     for setting, rendered in found.items():
-        details.add_each("convergence", series_name(name), setting, values=mean_errors(rendered, fine, bench.mask))
+        details.add_each("convergence", series_name(name), setting, values=mean_errors(rendered, fine, bench.probe))

@@ -13,11 +13,13 @@ from ablate import metrics
 from ablate.metrics.features import GRADIENT_UNIT
 from ablate.numerics.stability.checks import FLOAT32, FLOAT64, Case, Check, finite, none, off, refused
 from ablate.ultrasound import ConvexProbe, fan_mask
-from ablate.ultrasound.probe import pixel_polar
+from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
 SHAPE = (200, 277)
 FAN = fan_mask(ConvexProbe(), SHAPE)
 DEPTH_MM = pixel_polar(ConvexProbe(), SHAPE)[0]
+PIXEL_MM = pixel_size_mm(ConvexProbe(), SHAPE)
+BONE = FAN & (np.indices(SHAPE) // 5 % 6 == 0).all(axis=0)  # squares of 4 mm and more
 FFT_ERROR = 255 * 64 * FLOAT32
 DISTANCES = metrics.frechet_distance, metrics.kernel_distance
 
@@ -31,9 +33,12 @@ def _noise(seed: int) -> np.ndarray:
 
 
 def _scores(a: np.ndarray, b: np.ndarray, mask: np.ndarray = FAN) -> dict[str, float]:
-    """Compute all metrics of a pair, with shadow at the left and enhancement at the right."""
+    """Compute all metrics of a pair, with shadow at the left, enhancement at the right, and bone."""
     attenuation = np.repeat([0.2, 1.0, 2.0], (80, 117, 80)).astype(np.float32) / 2 * np.ones(SHAPE, np.float32)
-    return metrics.evaluate_image(metrics.Pair(a, b, mask, mask, attenuation, np.maximum(DEPTH_MM, 0)))
+    labels, draws = np.ones(SHAPE, np.uint8), np.stack([a, b])
+    depth_mm = np.maximum(DEPTH_MM, 0)
+    pair = metrics.Pair(a, b, mask, mask, attenuation, depth_mm, labels, BONE, PIXEL_MM, draws)
+    return metrics.evaluate_image(pair)
 
 
 def _against(label: str, found: dict[str, float], right: dict[str, float]) -> Iterator[Check]:
@@ -52,13 +57,14 @@ def _against(label: str, found: dict[str, float], right: dict[str, float]) -> It
 
 def _black_and_white(device: str) -> Iterator[Check]:  # noqa: ARG001
     """Black against white images, and each image against itself."""
-    same = dict.fromkeys(("mae", "mae_fan", "pchi2", "pchi2_fan", "pchi2_tissue", "shadow_contrast", "mae_smooth"), 0.0)
-    same |= {"psnr": math.inf, "psnr_fan": math.inf, "nyquist_excess": 0.0}
+    of_pair = [name for name, metric in metrics.METRICS.items() if metric.of_image or metric.of_draws]
+    same = {name: math.inf if name in ("psnr", "psnr_fan") else 0.0 for name in of_pair}
     yield from _against("black, black", _scores(_grey(0), _grey(0)), same)
     yield from _against("white, white", _scores(_grey(255), _grey(255)), same)
     yield from _against("noise, itself", _scores(_noise(0), _noise(0)), same)
     apart = {"psnr": 0.0, "psnr_fan": 0.0, "mae": 255.0, "mae_fan": 255.0, "mae_smooth": 255.0, "pchi2": 1.0}
     apart |= {"pchi2_fan": 1.0, "pchi2_tissue": 1.0, "shadow_contrast": 0.0, "nyquist_excess": 0.0}
+    apart |= {"thin_contrast": 0.0, "crps": 127.5, "noise_sd": 255 / math.sqrt(2)}
     yield from _against("black, white", _scores(_grey(0), _grey(255)), apart)
 
 
@@ -66,9 +72,10 @@ def _in_double(device: str) -> Iterator[Check]:  # noqa: ARG001
     """Metrics that are computed in float32, against float64, on images of noise."""
     a, b = _noise(1), _noise(2)
     difference = (a.astype(float) - b) * FAN
-    smooth, weight = (gaussian_filter(x, 4.0, mode="constant", truncate=3.0) for x in (difference, FAN.astype(float)))
+    sigma = [1.5 / size for size in PIXEL_MM]
+    smooth, weight = (gaussian_filter(x, sigma, mode="constant", truncate=3.0) for x in (difference, FAN.astype(float)))
     right = float(np.abs(smooth[FAN] / weight[FAN]).mean())
-    error = abs(metrics.mae_smooth(a, b, FAN) - right)
+    error = abs(metrics.mae_smooth(a, b, FAN, PIXEL_MM) - right)
     why = "Sums of values up to 255 by an FFT with some ten factors."
     yield Check("float32", "mae_smooth against float64, grey levels", error, FFT_ERROR, why)
     images = np.stack([_noise(k) for k in range(4)])
@@ -84,7 +91,7 @@ def _shadows(device: str) -> Iterator[Check]:  # noqa: ARG001
     tiny = float(np.finfo(np.float32).tiny)
     for label, value in (("0", 0.0), ("the smallest float32", tiny), ("-0", -0.0)):
         attenuation = np.full(SHAPE, value, np.float32)
-        found = metrics.shadow_contrast(_noise(1), _noise(2), attenuation, FAN, FAN, np.maximum(DEPTH_MM, 0))
+        found = metrics.shadow_contrast(_noise(1), _noise(2), attenuation, FAN, FAN.astype(np.uint8), DEPTH_MM)
         yield none("float32", f"A is {label}: shadows found", found is not None, "A is constant at every depth.")
 
 

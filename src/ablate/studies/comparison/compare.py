@@ -10,7 +10,7 @@ import pandas as pd
 from ablate import analysis
 from ablate.analysis import REFERENCE, Spread
 from ablate.config import ConfigurationError, StudySettings
-from ablate.metrics import Shown, shown_in
+from ablate.metrics import METRICS_VERSION, Shown, shown_in
 from ablate.networks import COMPONENTS
 from ablate.storage import write_json
 from ablate.studies.comparison.figures import Numbers, draw_figures, stored_pictures
@@ -34,7 +34,8 @@ def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
         raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))
     hashes = [run.result["hash"] for run in usable.all]
     scored = [[run.result.get("metrics"), run.result.get("inception")] for run in usable.all]
-    made_from = {"runs": hashes, "scored": scored, "reference": reference, "notes": list(usable.notes)}
+    version = {"metrics_version": METRICS_VERSION}
+    made_from = {"runs": hashes, "scored": scored, "reference": reference, "notes": list(usable.notes), **version}
     marker = folder / "made_from.json"
     per_image, scalars = scored_frames(usable.runs)
     table = analysis.comparison_table(per_image, scalars, reference)

@@ -9,10 +9,10 @@ from pathlib import Path
 import pandas as pd
 
 from ablate.analysis import REFERENCE, listed
-from ablate.metrics import choose_metrics
+from ablate.metrics import METRICS_VERSION, choose_metrics
 from ablate.metrics.stored_names import SOURCES, STORED_COLUMNS
 from ablate.studies.comparison.results import Finished
-from ablate.studies.identity import read_result, shared_pairs
+from ablate.studies.identity import read_result, scored_by, shared_pairs
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,8 @@ def _read(folder: Path) -> Finished | str:
         result = read_result(folder, spec["hash"])
         if result is None:
             return "left aside, with a result of another configuration"
+        if (version := scored_by(result)) != METRICS_VERSION:
+            return f"left aside, scored by version {version} of the metrics, not {METRICS_VERSION}: start it again"
         run = Finished(folder, spec, result)
         if missing := {"label", "seed", "data", "scalars"} - result.keys():
             return f"left aside, without {', '.join(sorted(missing))} in result.json"

@@ -109,7 +109,7 @@ def _check_metrics(s: StudySettings) -> None:
     """Check the names of metrics, and get the network of FID, which may be downloaded here."""
     with refusing():
         chosen = choose_metrics(s.metrics)
-    if not any(metric.of_image for metric in chosen.values()):
+    if not any(metric.of_image or metric.of_draws for metric in chosen.values()):
         names = ", ".join(sorted(chosen))
         raise ConfigurationError(f"metrics={names}: name one that every image has too, such as psnr")
     where = s.evaluation.inception

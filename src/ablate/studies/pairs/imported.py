@@ -84,8 +84,9 @@ def _left_out(settings: StudySettings, checked: PngFolder, mask: np.ndarray) -> 
     elif not describes_fan(settings.probe, mask):
         probe = settings.probe
         said.append(
-            "shadow_contrast: the fan of the images is not that of probe.radius_mm="
-            f"{probe.radius_mm:g}, fov_deg={probe.fov_deg:g}, depth_mm={probe.depth_mm:g}, so depths are not known"
+            "shadow_contrast and thin_contrast: the fan of the images is not that of probe.radius_mm="
+            f"{probe.radius_mm:g}, fov_deg={probe.fov_deg:g}, depth_mm={probe.depth_mm:g}, so depths are not known "
+            "and the Gaussian of mae_smooth is in px"
         )
     if checked.tissues is None:
         said.append("tissues: without labels.csv the labels are ordered by number, and all count as solid tissue")

@@ -1,0 +1,87 @@
+"""Are shadows dark and enhancement bright? The error between them, within one tissue and depth at a time."""
+
+import numpy as np
+
+from ablate.metrics.fidelity import check_pair
+
+SHADOW, ENHANCEMENT = 0.6, 1.4  # of the median attenuation at a depth
+MEDIAN_BIN_MM = 1.0  # of depth, in which that median is taken
+COMPARED_BIN_MM = 10.0  # of depth, in which shadow and enhancement of one tissue are compared
+FEWEST_PIXELS = 100  # speckle of 22 grey levels then leaves 2 in a mean
+
+
+def relative_attenuation(
+    attenuation: np.ndarray, mask: np.ndarray, depth_mm: np.ndarray, bin_mm: float = MEDIAN_BIN_MM
+) -> np.ndarray:
+    """Attenuation map over its median in the fan at the same depth, (H, W) float32: under 1 in shadow.
+
+    It is NaN outside the fan and where the median is 0. The arrays are those of `shadow_contrast`.
+    """
+    depth_bin = np.clip(depth_mm[mask] / bin_mm, 0, np.iinfo(np.uint16).max).astype(np.uint16)
+    values = np.ascontiguousarray(attenuation[mask], dtype=np.float32)
+    by_depth = np.split(values[np.argsort(depth_bin, kind="stable")], np.cumsum(np.bincount(depth_bin))[:-1])
+    median = np.array([np.median(level) if level.size else np.nan for level in by_depth], dtype=np.float32)
+    relative = np.full(attenuation.shape, np.nan, dtype=np.float32)
+    at_pixel = median[depth_bin]
+    relative[mask] = np.divide(values, at_pixel, out=np.full_like(values, np.nan), where=at_pixel > 0)
+    return relative
+
+
+def shadow_contrast(
+    prediction: np.ndarray,
+    target: np.ndarray,
+    attenuation: np.ndarray,
+    mask: np.ndarray,
+    labels: np.ndarray,
+    depth_mm: np.ndarray,
+) -> float | None:
+    """Error of the contrast between shadow and enhancement of the same tissue at the same depth, grey levels.
+
+    In each bin of one label and 10 mm of depth, the mean error in shadow minus the mean error in enhancement is
+    taken. The value is the magnitude of the mean over bins with the weights m n / (m + n), where m and n are the
+    numbers of pixels in shadow and in enhancement: these weights are the inverse variance of the difference of two
+    means. A constant error of a tissue, of a depth or of the whole image cancels.
+
+    Parameters
+    ----------
+    prediction, target : (H, W) uint8
+        Grey levels.
+    attenuation : (H, W) float in [0, 1]
+        The integral attenuation map. Shadow is where it is under 0.6 of its median in the fan at the same depth,
+        enhancement where it is over 1.4 of it.
+    mask : (H, W) bool
+        The fan.
+    labels : (H, W) uint8
+        Tissue labels; 0 is left out, such as fluid and gas.
+    depth_mm : (H, W) float, mm
+        Distance from the probe's face along the scanline.
+
+    Returns
+    -------
+    float or None
+        At least 0, which is right. None when the bins that hold both have fewer than 100 pixels of either.
+
+    Raises
+    ------
+    ValueError
+        When shapes or dtypes do not fit.
+    """
+    check_pair(prediction, target)
+    for name, array in (("attenuation", attenuation), ("mask", mask), ("labels", labels), ("depth_mm", depth_mm)):
+        if array.shape != target.shape:
+            raise ValueError(f"{name} must be {target.shape}, got {array.shape}")
+    relative = relative_attenuation(attenuation, mask, depth_mm)
+    compared = mask & (labels > 0) & ((relative < SHADOW) | (relative > ENHANCEMENT))
+    depth_bin = np.clip(depth_mm[compared] / COMPARED_BIN_MM, 0, np.iinfo(np.uint8).max).astype(np.intp)
+    bins = depth_bin * 256 + labels[compared]
+    in_shadow = relative[compared] < SHADOW
+    error = np.subtract(prediction, target, dtype=np.int16)[compared]
+    sums, counts = [], []
+    for chosen in (in_shadow, ~in_shadow):
+        sums.append(np.bincount(bins[chosen], error[chosen], minlength=256 * 256))
+        counts.append(np.bincount(bins[chosen], minlength=256 * 256).astype(np.float64))
+    both = (counts[0] > 0) & (counts[1] > 0)
+    (shadow, enhanced), (m, n) = ([values[both] for values in pair] for pair in (sums, counts))
+    if min(m.sum(), n.sum()) < FEWEST_PIXELS:
+        return None
+    return float(abs(np.average(shadow / m - enhanced / n, weights=m * n / (m + n))))

@@ -1,0 +1,91 @@
+"""Do thin bright structures stand out? The contrast of bone surfaces with what surrounds them."""
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, find_objects, label
+
+from ablate.metrics.fidelity import check_pair
+
+BAND_MM = 2.0  # of bone below its surface
+RING_MM = (2.0, 5.0)  # from the band, of its surround
+FEWEST_MM2 = 4.0  # of a band and of its surround
+
+
+def surface_band(bone: np.ndarray, depth_mm: np.ndarray, pixel_mm: tuple[float, float]) -> np.ndarray:
+    """Bone at most 2 mm below a surface that faces the probe, (H, W) bool; thinner bone is in it as a whole.
+
+    A pixel belongs to it if the point 2 mm before it, along its scanline, is no bone. Arguments are those of
+    `thin_contrast`.
+    """
+    down, right = np.gradient(depth_mm, *pixel_mm)  # away from the probe
+    rows, columns = np.nonzero(bone)
+    before = []
+    for places, gradient, size, length in zip((rows, columns), (down, right), pixel_mm, bone.shape, strict=True):
+        moved = np.rint(places - BAND_MM * gradient[rows, columns] / size).astype(np.intp)
+        before.append((moved, (moved >= 0) & (moved < length)))
+    inside = before[0][1] & before[1][1]
+    covered = np.zeros(len(rows), bool)
+    covered[inside] = bone[before[0][0][inside], before[1][0][inside]]
+    band = np.zeros_like(bone)
+    band[rows[~covered], columns[~covered]] = True
+    return band
+
+
+def thin_contrast(
+    prediction: np.ndarray,
+    target: np.ndarray,
+    mask: np.ndarray,
+    bone: np.ndarray,
+    depth_mm: np.ndarray,
+    pixel_mm: tuple[float, float],
+) -> float | None:
+    """Error of the contrast of bone surfaces with their surround, grey levels.
+
+    The contrast of a structure is the mean of its surface band minus the mean of its surround. The value is the mean
+    over structures, weighted by the pixels of their bands, of |contrast in the prediction - contrast in the target|.
+    A structure is a connected part of the bands of `surface_band`, with diagonal neighbours. Its surround lies 2 to
+    5 mm from it, is no bone, and is not deeper than its deepest pixel, so that the shadow below is left out. Bands and
+    surrounds of less than 4 mm^2 are left out.
+
+    Parameters
+    ----------
+    prediction, target : (H, W) uint8
+        Grey levels.
+    mask, bone : (H, W) bool
+        The fan; pixels of bone.
+    depth_mm : (H, W) float, mm
+        Distance from the probe's face along the scanline.
+    pixel_mm : (float, float), mm
+        Height and width of a pixel.
+
+    Returns
+    -------
+    float or None
+        At least 0, which is right. None where there is no such structure.
+
+    Raises
+    ------
+    ValueError
+        When shapes or dtypes do not fit.
+    """
+    check_pair(prediction, target)
+    for name, array in (("mask", mask), ("bone", bone), ("depth_mm", depth_mm)):
+        if array.shape != target.shape:
+            raise ValueError(f"{name} must be {target.shape}, got {array.shape}")
+    bone = bone & mask
+    if min(target.shape) < 2 or not bone.any():
+        return None
+    parts, _ = label(surface_band(bone, depth_mm, pixel_mm), np.ones((3, 3)))
+    error = np.subtract(prediction, target, dtype=np.int16)
+    fewest = FEWEST_MM2 / (pixel_mm[0] * pixel_mm[1])
+    reach = [int(np.ceil(RING_MM[1] / size)) for size in pixel_mm]
+    errors, weights = [], []
+    for number, (rows, columns) in enumerate(find_objects(parts), start=1):
+        window = tuple(slice(max(s.start - r, 0), s.stop + r) for s, r in zip((rows, columns), reach, strict=True))
+        band = parts[window] == number
+        away = distance_transform_edt(~band, pixel_mm)
+        around = (away >= RING_MM[0]) & (away <= RING_MM[1]) & mask[window] & ~bone[window]
+        around &= depth_mm[window] <= depth_mm[window][band].max()
+        if min(band.sum(), around.sum()) >= fewest:
+            errors.append(abs(error[window][band].mean() - error[window][around].mean()))
+            weights.append(band.sum())
+    return float(np.average(errors, weights=weights)) if errors else None

@@ -1,0 +1,86 @@
+"""The line excess of up-sampling, on pictures with and without a grid."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from ablate.metrics import nyquist_excess
+from ablate.metrics.mechanism.grid_lines import line_power
+
+
+def checkered(frame, period, grey):
+    rows, columns = np.indices(frame.image.shape) % period < period // 2
+    pattern = np.where(rows ^ columns, grey, -grey)
+    return np.where(frame.mask, np.clip(frame.image.astype(int) + pattern, 0, 255), 0).astype(np.uint8)
+
+
+@pytest.mark.parametrize("period", [2, 4])
+def test_a_checkerboard_is_seen_at_its_period(make_frame, period):
+    target, again = make_frame(0), make_frame(1)
+    clean = nyquist_excess(again.image, target.image, target.mask, period)
+    assert 0 <= clean < 0.5
+    assert nyquist_excess(checkered(again, period, 15), target.image, target.mask, period) > clean + 3
+    assert nyquist_excess(target.image, target.image, target.mask, period) == 0
+
+
+@pytest.mark.parametrize("sigma", [0.7, 1.5, 3.0])
+def test_a_smooth_picture_is_not_punished_and_its_grid_counts_as_much(make_frame, sigma):
+    """Against its own faint surround the same grid would have many dB more in the smooth picture."""
+    target, again = make_frame(0), make_frame(1)
+    smooth = np.where(again.mask, gaussian_filter(again.image, sigma), 0).astype(np.uint8)
+    assert nyquist_excess(smooth, target.image, target.mask) < 0.5
+    kept = again.image.copy()
+    again.image[:] = smooth
+    on_smooth = nyquist_excess(checkered(again, 2, 6), target.image, target.mask)
+    again.image[:] = kept
+    assert on_smooth == pytest.approx(nyquist_excess(checkered(again, 2, 6), target.image, target.mask), abs=1.5)
+
+
+def test_contrast_and_level_are_no_checkerboard(make_frame):
+    target = make_frame(0)
+    brighter = np.where(target.mask, np.minimum(target.image.astype(int) + 20, 255), 0).astype(np.uint8)
+    for harmless in (target.image // 2, brighter):
+        assert nyquist_excess(harmless, target.image, target.mask) < 0.5
+    assert nyquist_excess(np.zeros_like(target.image), np.full_like(target.image, 255), target.mask) == 0
+    assert nyquist_excess(target.image, target.image, np.zeros_like(target.mask)) is None
+
+
+def test_a_grid_of_the_target_that_is_missing_counts_too(make_frame):
+    target, again = make_frame(0), make_frame(1)
+    with_grid = checkered(target, 2, 15)
+    assert nyquist_excess(again.image, with_grid, target.mask) > 3
+    assert nyquist_excess(checkered(again, 2, 15), with_grid, target.mask) < 0.5
+
+
+def test_it_is_that_of_whole_spectra_block_by_block():
+    """Against numpy's full transform of each block, and a loop over the lines and their neighbours."""
+    rng = np.random.default_rng(2)
+    board = (-1) ** np.indices((64, 96)).sum(0)
+    images = [np.clip(rng.normal(120, 20, (64, 96)) + a * board, 0, 255).astype(np.uint8) for a in (8, 2)]
+    window = np.outer(np.hanning(32), np.hanning(32))
+    spectra = []
+    for image in images:
+        blocks = [image[i : i + 32, j : j + 32].astype(float) for i in (0, 32) for j in (0, 32, 64)]
+        power = np.mean([np.abs(np.fft.fft2((b - b.mean()) * window)) ** 2 for b in blocks], axis=0)
+        spectra.append(power / np.square(window).sum() + 1 / 12)
+    for period in (2, 4):
+        on, around = {0: [], 1: []}, {0: [], 1: []}
+        lines = range(0, 32, 32 // period)
+        for row, column in ((r, c) for r in lines for c in lines if r or c):
+            for k, power in enumerate(spectra):
+                near, ring = [], []
+                for i in range(-3, 4):
+                    for j in range(-3, 4):
+                        place = power[(row + i) % 32, (column + j) % 32]
+                        (near if max(abs(i), abs(j)) <= 1 else ring).append(place)
+                on[k].append(np.mean(near))
+                around[k].append(np.median(ring))
+        for k in (0, 1):
+            found = line_power(images[k], np.ones((2, 3), bool), period)
+            np.testing.assert_allclose(found, (on[k], around[k]), rtol=1e-4)
+        lines = [zip(on[k], around[k], around[1], strict=True) for k in (0, 1)]
+        added = [np.mean([max(a - b, 0) / c for a, b, c in line]) for line in lines]
+        expected = abs(10 * np.log10((1 + added[0]) / (1 + added[1])))
+        assert nyquist_excess(*images, np.ones((64, 96), bool), period) == pytest.approx(expected, abs=1e-4)
+    with pytest.raises(ValueError, match="period_px must be 2 or 4"):
+        nyquist_excess(*images, np.ones((64, 96), bool), 3)
