@@ -2,6 +2,7 @@
 
 import pytest
 
+from ablate.networks import GeneratorSpec, count_discriminator
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.describe import described, description
 from ablate.studies.jobs.variants import variant_names
@@ -54,3 +55,12 @@ def test_a_network_deeper_than_any_of_the_papers_has_no_counterpart() -> None:
     assert list(table.index) == ["sa2h.depth-3", "sa2h.depth-8"]
     assert table.loc["sa2h.depth-3", "paper_depth"] == 5
     assert table.loc["sa2h.depth-8", ["paper_depth", "paper_field_px", "total"]].isna().all()
+
+
+@pytest.mark.parametrize("arguments", [["task=describe"], ["-m", "variant=sa2h,sa2h-gan", "task=describe"]])
+def test_a_variant_without_a_discriminator_has_no_parameters_of_one(arguments: list[str]) -> None:
+    table = described(jobs_of(arguments))
+    with_one, without = table.loc["sa2h"], table.loc["sa2h-gan"]
+    assert (with_one["discriminator"], without["discriminator"]) == (2_764_737, 0)
+    assert without["total"] == without["generator"] == with_one["generator"]
+    assert with_one["total_here"] - without["total_here"] == count_discriminator(GeneratorSpec(width=0.25))

@@ -12,6 +12,7 @@ from ablate.metrics import METRICS
 from ablate.networks import COMPONENTS, GeneratorSpec
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.variants import leave_one_out, variant_names
+from ablate.training import AdversarialLoss
 
 
 @cache
@@ -59,3 +60,9 @@ def test_an_ablation_is_one_change(variant: str) -> None:
     full, ablated = spec("sa2h"), spec(variant)
     changed = [f.name for f in dataclasses.fields(full) if getattr(full, f.name) != getattr(ablated, f.name)]
     assert len(changed) == 1
+
+
+def test_a_variant_without_a_discriminator_is_sa2h_but_for_its_loss() -> None:
+    with_one, without = (job.settings for job in jobs_of(["-m", "variant=sa2h,sa2h-gan", "preset=paper"]))
+    training = dataclasses.replace(with_one.training, loss=AdversarialLoss.none)
+    assert without == dataclasses.replace(with_one, variant="sa2h-gan", training=training)

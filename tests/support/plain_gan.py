@@ -184,7 +184,7 @@ class PlainGAN:
         self.adam_g.zero_grad()
         logits = self.discriminator(maps, fake)
         loss_g = self.criterion(logits, torch.ones_like(logits))
-        l1 = F.l1_loss(fake, image)
+        l1 = (mask * (fake - image).abs()).sum() / mask.sum()
         (loss_g + 100 * l1).backward()
         self.adam_g.step()
         return {

@@ -11,34 +11,58 @@ from torch.nn.functional import binary_cross_entropy_with_logits as bce
 
 from ablate.networks import Attenuation, GeneratorSpec
 from ablate.training import AdversarialLoss, Loader, PairGAN, TrainingSettings, train
+from ablate.training.losses import second_seeds
+
+ADVERSARIAL = [loss for loss in AdversarialLoss if loss is not AdversarialLoss.none]
+PAPER = {"reconstruction": "l1", "schedule": "constant"}
 
 UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none", "noise_start": 0.0}
 
 
 @pytest.mark.parametrize(("level", "read"), [("integral", "attenuation"), ("compensated", "compensated")])
-@pytest.mark.parametrize("loss", AdversarialLoss)
-def test_training_is_that_of_the_paper(
+@pytest.mark.parametrize(
+    ("loss", "options"),
+    [
+        *((loss, PAPER) for loss in AdversarialLoss),
+        *(
+            (loss, {**PAPER, "reconstruction": "crps"})
+            for loss in (AdversarialLoss.nonsaturating, AdversarialLoss.none)
+        ),
+        (AdversarialLoss.nonsaturating, {**PAPER, "schedule": "linear"}),
+    ],
+)
+def test_training_is_what_it_is_in_plain_torch(
     spec: GeneratorSpec,
     settings: TrainingSettings,
     loader: Loader,
     batch: Callable[[int], dict[str, Tensor]],
     tmp_path: Path,
     loss: AdversarialLoss,
+    options: dict[str, str],
     level: str,
     read: str,
 ) -> None:
-    spec, settings = replace(spec, attenuation=Attenuation(level)), replace(settings, loss=loss, steps=4)
-    written_out = PairGAN(spec, settings)
-    generator, discriminator = written_out.generator, written_out.discriminator
+    spec, settings = replace(spec, attenuation=Attenuation(level)), replace(settings, loss=loss, steps=4, **options)
+    generator = PairGAN(spec, settings).generator
+    discriminator = PairGAN(spec, replace(settings, loss=AdversarialLoss.nonsaturating)).discriminator
+    assert discriminator is not None
     average = [parameter.detach().clone() for parameter in generator.parameters()]
     adam_g, adam_d = (
         torch.optim.Adam(network.parameters(), lr=2e-4, betas=(0.5, 0.999)) for network in (generator, discriminator)
     )
     for step in range(settings.steps):
         given = batch(step)
+        inside = given["mask"] > 0
+        if options["schedule"] == "linear":
+            for group in (*adam_g.param_groups, *adam_d.param_groups):
+                group["lr"] = 2e-4 * (1, 1, 1, 0.5)[step]
         maps = torch.cat((given["segmentation"], given[read]), 1)
-        rendered = generator(given["segmentation"], noise_seed=given["noise_seed"], **{read: given[read]})
-        fake = torch.where(given["mask"] > 0, rendered, -1.0)
+
+        def drawn(seed: Tensor, given: dict[str, Tensor] = given, inside: Tensor = inside) -> Tensor:
+            rendered = generator(given["segmentation"], noise_seed=seed, **{read: given[read]})
+            return torch.where(inside, rendered, -1.0)
+
+        fake = drawn(given["noise_seed"])
         real_logits, fake_logits = discriminator(maps, given["target"]), discriminator(maps, fake.detach())
         loss_d = bce(real_logits, torch.ones_like(real_logits)) + bce(fake_logits, torch.zeros_like(fake_logits))
         adam_d.zero_grad()
@@ -47,10 +71,16 @@ def test_training_is_that_of_the_paper(
         logits = discriminator(maps, fake)
         if loss is AdversarialLoss.minimax:
             adversarial = (1 - logits.sigmoid()).log().mean()
-        else:
+        elif loss is AdversarialLoss.nonsaturating:
             adversarial = -logits.sigmoid().log().mean()
+        else:
+            adversarial = torch.zeros(())
+        error = (fake - given["target"])[inside].abs().mean()
+        if options["reconstruction"] == "crps":
+            other = drawn(second_seeds(given["noise_seed"]))
+            error = (error + (other - given["target"])[inside].abs().mean() - (fake - other)[inside].abs().mean()) / 2
         adam_g.zero_grad()
-        (adversarial + 100 * (fake - given["target"]).abs().mean()).backward()
+        (adversarial + 100 * error).backward()
         adam_g.step()
         decay = min(0.9, (1 + step) / (10 + step))
         for kept, parameter in zip(average, generator.parameters(), strict=True):
@@ -69,6 +99,17 @@ def test_same_seed_same_start_and_the_global_generator_is_left_alone(
     weights = [module.generator.network.stem.weight for module in (first, second, other)]
     assert torch.equal(weights[0], weights[1])
     assert not torch.equal(weights[0], weights[2])
+
+
+def test_without_a_discriminator_the_generator_starts_the_same_and_nothing_else_is_made(
+    spec: GeneratorSpec, settings: TrainingSettings
+) -> None:
+    with_one, without = PairGAN(spec, settings), PairGAN(spec, replace(settings, loss=AdversarialLoss.none))
+    assert without.discriminator is None
+    kept = {key: value for key, value in with_one.state_dict().items() if not key.startswith("discriminator.")}
+    assert kept.keys() == without.state_dict().keys() < with_one.state_dict().keys()
+    assert all(torch.equal(value, without.state_dict()[key]) for key, value in kept.items())
+    assert len(without.configure_optimizers()) == 1
 
 
 def test_the_error_falls(spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path) -> None:
@@ -99,7 +140,7 @@ def test_every_kind_of_variant_trains(
 
 
 @pytest.mark.parametrize("l1_weight", [0.0, 1e6])
-@pytest.mark.parametrize("loss", AdversarialLoss)
+@pytest.mark.parametrize("loss", ADVERSARIAL)
 def test_extreme_weights_stay_finite(
     spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, l1_weight: float, loss: str
 ) -> None:
@@ -108,7 +149,7 @@ def test_extreme_weights_stay_finite(
     assert all(parameter.isfinite().all() for parameter in trained.generator.parameters())
 
 
-@pytest.mark.parametrize("loss", AdversarialLoss)
+@pytest.mark.parametrize("loss", ADVERSARIAL)
 @pytest.mark.parametrize("logit", [1e4, -1e4])
 def test_saturated_logits_have_finite_losses_and_gradients(
     spec: GeneratorSpec, settings: TrainingSettings, loss: AdversarialLoss, logit: float

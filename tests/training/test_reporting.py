@@ -2,6 +2,7 @@
 
 import logging
 import math
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,16 @@ import torch
 from torch import Tensor
 
 from ablate.networks import Generator, GeneratorSpec
-from ablate.training import LAST, DivergenceError, Loader, TrainingSettings, read_checkpoint, train
+from ablate.training import (
+    LAST,
+    AdversarialLoss,
+    DivergenceError,
+    Loader,
+    Reconstruction,
+    TrainingSettings,
+    read_checkpoint,
+    train,
+)
 from ablate.training.divergence import DivergenceGuard
 
 
@@ -39,6 +49,30 @@ def test_lines_are_about_ten(
     assert caplog.messages[-1].startswith("step 40 of 40: ")
     weights = [float(line.rpartition("noise weight ")[2]) for line in caplog.messages]
     assert weights == pytest.approx([0.1] * 10, abs=0.01), "they start at 0.1 and take 40 small steps"
+
+
+def test_without_a_discriminator_its_values_are_left_out(
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    loader: Loader,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    calls: list[dict[str, float]] = []
+    settings = replace(settings, loss=AdversarialLoss.none, reconstruction=Reconstruction.crps)
+    with caplog.at_level(logging.INFO):
+        train(spec, settings, loader, tmp_path, sink=lambda metrics, _: calls.append(metrics))
+    assert {f"train/{name}" for name in ("images_per_second", "l1", "crps", "noise_weight")} == calls[0].keys()
+    assert re.fullmatch(
+        r"step 8 of 8: [\d.]+ images/s, L1 [\d.]+, CRPS [\d.]+, noise weight [\d.]+", caplog.messages[-1]
+    )
+
+
+def test_without_a_discriminator_a_loss_that_is_not_finite_still_stops() -> None:
+    guard = DivergenceGuard(log_every=50)
+    guard.check({"train/l1": 0.1}, 50)
+    with pytest.raises(DivergenceError, match="at step 100: train/l1 is nan"):
+        guard.check({"train/l1": math.nan}, 100)
 
 
 def test_validation_is_called_with_the_generator_to_evaluate_from_the_start(

@@ -1,5 +1,6 @@
 """A run stopped anywhere and continued equals the run that was not stopped, in every weight."""
 
+import itertools
 import json
 import os
 import shutil
@@ -17,7 +18,7 @@ import torch
 from torch import Tensor
 
 from ablate.networks import GeneratorSpec
-from ablate.training import LAST, Loader, TrainingSettings, load_generator, read_checkpoint, train
+from ablate.training import LAST, Loader, Schedule, TrainingSettings, load_generator, read_checkpoint, train
 
 
 class Stopped(BaseException):
@@ -85,6 +86,41 @@ def test_after_a_crash_at_any_step(
     resumed = train(spec, settings, loader, tmp_path)
     assert resumed.resumed_at == (fatal_step - 1) // 3 * 3
     assert_same_state(whole(precision), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"loss": "none"}, {"reconstruction": "crps"}, {"schedule": "linear"}, {"loss": "none", "reconstruction": "crps"}],
+)
+def test_after_a_stop_with_other_losses_and_learning_rates(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, options: dict[str, str]
+) -> None:
+    settings = replace(settings, **options)
+
+    def crashing(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        yield from itertools.islice(loader(start, stop), 6)
+        raise OSError("disk gone")
+
+    train(spec, settings, loader, tmp_path / "whole")
+    with pytest.raises(OSError, match="disk gone"):
+        train(spec, settings, crashing, tmp_path / "stopped")
+    # Lightning takes one batch more than it trains on.
+    assert train(spec, settings, loader, tmp_path / "stopped").resumed_at in (3, 6)
+    assert_same_state(tmp_path / "whole", tmp_path / "stopped")
+    checkpoint = read_checkpoint(tmp_path / "whole" / LAST)
+    has_discriminator = options.get("loss") != "none"
+    assert len(checkpoint["optimizer_states"]) == 1 + has_discriminator
+    assert any(key.startswith("discriminator.") for key in checkpoint["state_dict"]) == has_discriminator
+    load_generator(tmp_path / "whole" / LAST)
+
+
+def test_a_falling_learning_rate_goes_on_with_the_same_number_of_steps_only(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+) -> None:
+    settings = replace(settings, schedule=Schedule.linear)
+    train(spec, replace(settings, steps=4), loader, tmp_path)
+    with pytest.raises(ValueError, match=r"of another run \(steps=4 there, 8 asked for\)"):
+        train(spec, settings, loader, tmp_path)
 
 
 # Trains in one process for each case, which kills itself at a step, or, without one, while the second checkpoint takes

@@ -1,24 +1,45 @@
 """The paper's values, what is refused, and which arithmetic `auto` means."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
 from ablate.networks import GeneratorSpec
-from ablate.training import Loader, TrainingPrecision, TrainingSettings, chosen_device, chosen_precision, train
+from ablate.training import (
+    Loader,
+    Schedule,
+    TrainingPrecision,
+    TrainingSettings,
+    chosen_device,
+    chosen_precision,
+    train,
+)
 
 
 def test_the_defaults_are_the_papers() -> None:
     chosen = TrainingSettings()
     assert (chosen.learning_rate, chosen.beta1, chosen.beta2) == (2e-4, 0.5, 0.999)
     assert (chosen.batch_size, chosen.crop, chosen.l1_weight, chosen.ema_decay) == (4, 512, 100.0, 0.0)
+    assert (chosen.loss, chosen.reconstruction, chosen.schedule) == ("nonsaturating", "l1", "constant")
+
+
+def test_the_learning_rate_falls_linearly_to_0_over_the_second_half() -> None:
+    constant = TrainingSettings(steps=10)
+    linear = replace(constant, schedule=Schedule.linear)
+    assert [constant.learning_rate_at(step) for step in range(10)] == [2e-4] * 10
+    expected = [1, 1, 1, 1, 1, 1, 0.8, 0.6, 0.4, 0.2, 0]
+    assert [linear.learning_rate_at(step) for step in range(11)] == pytest.approx([2e-4 * share for share in expected])
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"loss": "hinge"}, "loss='hinge': allowed are nonsaturating, minimax"),
+        ({"loss": "hinge"}, "loss='hinge': allowed are nonsaturating, minimax, none"),
+        ({"loss": "none", "l1_weight": 0.0}, "l1_weight=0 with loss=none: allowed are numbers above 0"),
+        ({"reconstruction": "l2"}, "reconstruction='l2': allowed are l1, crps"),
+        ({"schedule": "cosine"}, "schedule='cosine': allowed are constant, linear"),
         ({"precision": "fp16"}, "precision='fp16': allowed are auto, fp32, bf16"),
         ({"device": "tpu"}, "device='tpu': allowed are auto, cpu, cuda"),
         ({"steps": 0}, "steps=0: allowed are 1 and more"),

@@ -13,7 +13,7 @@ from torch.optim import Adam
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from ablate.networks import GeneratorSpec
-from ablate.training import PairGAN, TrainingPrecision, TrainingSettings
+from ablate.training import AdversarialLoss, PairGAN, Reconstruction, TrainingPrecision, TrainingSettings
 from ablate.training.hardware import autocast
 
 Batch = Callable[[int], dict[str, Tensor]]
@@ -96,6 +96,36 @@ def test_one_fake_serves_both_networks(
     assert torch.equal(second, masked)
     assert not first.requires_grad
     assert second.requires_grad
+
+
+@pytest.mark.parametrize("loss", [AdversarialLoss.nonsaturating, AdversarialLoss.none])
+@pytest.mark.parametrize(("noise", "passes"), [("inject", 2), ("input", 2), ("none", 1)])
+def test_the_score_of_two_draws_renders_twice_where_draws_can_differ_and_the_first_is_judged(
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    batch: Batch,
+    monkeypatch: pytest.MonkeyPatch,
+    loss: AdversarialLoss,
+    noise: str,
+    passes: int,
+) -> None:
+    spec = replace(spec, noise=noise, noise_start=0.1 if noise == "inject" else 0.0)  # type: ignore[arg-type]
+    made = module(spec, replace(settings, loss=loss, reconstruction=Reconstruction.crps), monkeypatch)
+    fakes: list[Tensor] = []
+    judged: list[Tensor] = []
+    made.generator.register_forward_hook(lambda _, __, result: fakes.append(result.detach()))
+    if made.discriminator is not None:
+        made.discriminator.register_forward_pre_hook(lambda _, args: judged.append(args[1].detach()))
+    given = batch(0)
+    made.training_step(given, 0)
+    assert len(fakes) == passes
+    assert all(torch.equal(image, given["mask"] * (fakes[0] + 1) - 1) for image in judged[1:])
+    assert len(judged) == (3 if loss is AdversarialLoss.nonsaturating else 0)
+    found = made.drain()
+    assert ("train/crps" in found) == (passes == 2)
+    if passes == 2:
+        assert not torch.equal(*fakes)
+        assert found["train/crps"] < found["train/l1"] * 1.5
 
 
 def test_both_optimisers_are_fused(spec: GeneratorSpec, settings: TrainingSettings) -> None:

@@ -37,9 +37,10 @@ def semantic(settings: StudySettings) -> dict[str, Any]:
 def shared(content: Mapping[str, Any]) -> dict[str, Any]:
     """The part of `semantic` that is the same for all runs of a study: pairs, training, width, crops, evaluation.
 
-    The pairs of two runs may show two anatomies; see `shared_pairs`.
+    The pairs of two runs may show two anatomies; see `shared_pairs`. The rest is what labels tell apart: components,
+    encoding, seed, and the adversarial loss.
     """
-    training = {k: v for k, v in content["training"].items() if k != "seed"}
+    training = {k: v for k, v in content["training"].items() if k not in ("seed", "loss")}
     rest = {k: content[k] for k in ("crops", "evaluation")}
     data = shared_pairs(content["data"])
     return {**rest, "data": data, "model.width": content["model"]["width"], "training": training}

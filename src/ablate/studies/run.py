@@ -13,9 +13,10 @@ from ablate.config import StudySettings
 from ablate.dataset import CropLoader, Crops, CropSettings, Part
 from ablate.evaluation import ImageSource, Scorer, inception_for, score_run
 from ablate.metrics import METRICS_VERSION, choose_metrics, psnr
-from ablate.networks import Generator, conditions, count_discriminator, count_generator, draws_noise
+from ablate.networks import Generator, conditions, draws_noise
 from ablate.storage import write_json
 from ablate.studies.identity import claim_place, config_hash, finished, read_result, with_earlier_metrics
+from ablate.studies.jobs.describe import parameters
 from ablate.studies.jobs.job import Job
 from ablate.studies.pairs.data import Data, dataset_folder, maps_needed, prepare_data
 from ablate.studies.tracked import log_samples, logged, open_child, open_tracking
@@ -91,9 +92,9 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> tuple[dict[str, float
     scores = score_run(scorer(with_earlier_metrics(job), data), render, draws_noise(s.model))
     maps = _inputs(trained.generator, data, data.pairs.frames(Part.test)[:1], values)
     milliseconds = median_ms_per_frame(trained.generator, maps, s.training.precision, s.evaluation.timed_frames)
-    sizes = {"generator": count_generator(s.model), "discriminator": count_discriminator(s.model)}
-    parameters = {f"parameters_{network}": float(count) for network, count in sizes.items()}
-    scalars = {**costs, "ms_per_frame": milliseconds, **scores.scalars, **parameters}
+    generator, discriminator = parameters(s)
+    sizes = {"parameters_generator": float(generator), "parameters_discriminator": float(discriminator)}
+    scalars = {**costs, "ms_per_frame": milliseconds, **scores.scalars, **sizes}
     scores.per_image.assign(variant=job.label, seed=s.seed).to_parquet(job.folder / "per_image.parquet")
     shown = dataset.equally_spaced(data.pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant
     np.savez_compressed(job.folder / "pictures.npz", frames=shown, images=render(shown, 0))

@@ -18,7 +18,10 @@ from ablate.studies.pairs.data import dataset_folder, dataset_hash
 from ablate.tracking import RunLog, Store
 from ablate.training import LAST, load_generator
 
-_TRAINING = ("steps", "batch_size", "crop", "learning_rate", "loss", "l1_weight", "ema_decay", "precision")
+_TRAINING = (
+    *("steps", "batch_size", "crop", "learning_rate", "schedule"),
+    *("reconstruction", "l1_weight", "ema_decay", "precision"),
+)
 _DATA = {
     "dataset": ("frames", "split", "validation", "test"),
     "simulator": ("rays", "layers", "scanlines", "image_shape"),
@@ -56,7 +59,8 @@ def _own(job: Job) -> dict[str, object]:
     """
     s = job.settings
     components = {f"model.{k}": v for k, v in json_ready(s.model).items() if k != "width" and (k != "noise_start" or v)}
-    return {"model": job.label, **components, "encoding": s.encoding.name, "seed": s.seed}
+    own = {"encoding": s.encoding.name, "training.loss": s.training.loss.name, "seed": s.seed}
+    return {"model": job.label, **components, **own}
 
 
 def _of(values: object, keys: tuple[str, ...]) -> dict[str, object]:

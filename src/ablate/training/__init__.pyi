@@ -19,5 +19,7 @@ from .module import PairGAN as PairGAN
 from .reporting import MetricSink as MetricSink
 from .reporting import Validation as Validation
 from .settings import AdversarialLoss as AdversarialLoss
+from .settings import Reconstruction as Reconstruction
+from .settings import Schedule as Schedule
 from .settings import TrainingPrecision as TrainingPrecision
 from .settings import TrainingSettings as TrainingSettings

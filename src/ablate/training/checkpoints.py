@@ -11,11 +11,11 @@ from ablate.storage import remove_partial, written_whole
 from ablate.training.divergence import DivergenceError
 from ablate.training.interruption import Interruption
 from ablate.training.module import PairGAN
-from ablate.training.settings import as_builtins
+from ablate.training.settings import Schedule, as_builtins
 
 LAST = "last.ckpt"
 # Settings that may differ between a run and its continuation: they do not change what is computed, but for how long.
-_FREE = ("steps", "device", "threads", "checkpoint_every", "validate_every", "log_every")
+_FREE = frozenset({"steps", "device", "threads", "checkpoint_every", "validate_every", "log_every"})
 
 
 class LastCheckpoint(Callback):
@@ -62,9 +62,11 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 def resume(module: PairGAN, path: Path) -> None:
     """Continue from `path`; ValueError, which names what differs, if it holds another network or another training."""
     checkpoint = read_checkpoint(path)
+    # A falling learning rate depends on the number of steps.
+    free = _FREE if module.settings.schedule is Schedule.constant else _FREE - {"steps"}
     for part, wanted in (("spec", as_builtins(module.spec)), ("settings", as_builtins(module.settings))):
         found = checkpoint["hyper_parameters"][part]
-        differing = [key for key in wanted if key not in _FREE and found.get(key) != wanted[key]]
+        differing = [key for key in wanted if key not in free and found.get(key) != wanted[key]]
         if differing:
             changes = ", ".join(f"{key}={found.get(key)} there, {wanted[key]} asked for" for key in differing)
             raise ValueError(f"{path}: of another run ({changes})")

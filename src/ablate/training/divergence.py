@@ -33,11 +33,13 @@ class DivergenceGuard:
         """Raise DivergenceError if training has failed, judged by the means of `PairGAN.drain` over the interval.
 
         It has failed where a loss is not finite, or where the discriminator has guessed or known everything, to within
-        1e-6 of its loss, for `patience` intervals.
+        1e-6 of its loss, for `patience` intervals. Without a discriminator, losses are only checked to be finite.
         """
         for name, value in metrics.items():
             if not math.isfinite(value):
                 _give_up(step, f"{name} is {value}")
+        if "train/loss_d" not in metrics:
+            return
         loss = metrics["train/loss_d"]
         has_won = loss < _LOSS_TOLERANCE
         logits = max(abs(metrics["train/logit_real"]), abs(metrics["train/logit_fake"]))

@@ -1,20 +1,27 @@
 """The conditional GAN as a LightningModule: one generated batch, a step of D, a step of G."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
-from typing import Any, cast
+from typing import Any
 
 import torch
 from lightning.pytorch import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
 from torch import Tensor
 from torch.nn import functional as F
-from torch.optim import Adam
+from torch.optim import Adam, Optimizer
 
-from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, conditions, discriminator_channels
-from ablate.training.settings import AdversarialLoss, TrainingSettings, as_builtins
+from ablate.networks import (
+    Generator,
+    GeneratorSpec,
+    PatchDiscriminator,
+    conditions,
+    discriminator_channels,
+    draws_noise,
+)
+from ablate.training.losses import crps_of_two_draws, mean_in_fan, second_seeds
+from ablate.training.settings import AdversarialLoss, Reconstruction, TrainingSettings, as_builtins
 
-METRICS = ("train/loss_d", "train/loss_g", "train/l1", "train/logit_real", "train/logit_fake")
 # The running average follows faster at first: min(decay, (1 + t) / (10 + t)) at step t.
 _EMA_LAG = 10
 
@@ -24,6 +31,8 @@ class PairGAN(LightningModule):
 
     Attributes
     ----------
+    discriminator : PatchDiscriminator or None
+        None with `loss=none`.
     average : Generator or None
         Running average of the generator's weights, if `ema_decay` is above 0.
     steps_done : int
@@ -40,13 +49,16 @@ class PairGAN(LightningModule):
         with torch.random.fork_rng():
             torch.manual_seed(self.settings.seed)
             self.generator = Generator(self.spec)
-            self.discriminator = PatchDiscriminator(
-                discriminator_channels(self.spec), self.spec.width if width is None else width
-            )
+            self.discriminator: PatchDiscriminator | None = None
+            if self.settings.has_discriminator:
+                self.discriminator = PatchDiscriminator(
+                    discriminator_channels(self.spec), self.spec.width if width is None else width
+                )
         has_average = self.settings.ema_decay > 0
         self.average = deepcopy(self.generator).requires_grad_(False) if has_average else None
         self.steps_done = 0
         self._sums: Tensor | None = None
+        self._summed: tuple[str, ...] = ()
         self._steps_summed = 0
         self._optimizer_states: list[dict[str, Any]] | None = None
 
@@ -55,18 +67,19 @@ class PairGAN(LightningModule):
         """The generator to evaluate: the running average where there is one."""
         return self.generator if self.average is None else self.average
 
-    def configure_optimizers(self) -> tuple[Adam, Adam]:
+    def configure_optimizers(self) -> tuple[Adam, ...]:
         """Make one Adam a network, generator's first, with the states of a restored checkpoint."""
         chosen = self.settings
         optimizers = tuple(
             Adam(network.parameters(), chosen.learning_rate, (chosen.beta1, chosen.beta2), fused=True)
             for network in (self.generator, self.discriminator)
+            if network is not None
         )
         for optimizer, state in zip(optimizers, self._optimizer_states or (), strict=False):
             optimizer.load_state_dict(state)
             _lay_out_like_weights(optimizer)
         self._optimizer_states = None
-        return optimizers[0], optimizers[1]
+        return optimizers
 
     def training_step(self, batch: dict[str, Tensor], _: int) -> None:
         """Train both networks on one batch.
@@ -76,44 +89,49 @@ class PairGAN(LightningModule):
         batch : dict of (N, 1, h, w) float
             The maps of `conditions(spec)`, `target` in [-1, 1] and `mask`; and `noise_seed`, (N,) int64.
         """
-        optimizer_g, optimizer_d = cast(list[LightningOptimizer], self.optimizers())
+        optimizer_g, *others = self._optimizers_at_this_step()
         maps = {name: batch[name] for name in conditions(self.spec)}
         mask, image = batch["mask"].float(), batch["target"]
         rendered = self.generator(**maps, noise_seed=batch["noise_seed"])
-        fake = mask * (rendered.float() + 1) - 1
-        stacked = torch.cat([maps[name].to(rendered.dtype) for name in maps], dim=1)
+        fake = _in_fan(rendered, mask)
+        losses: dict[str, Tensor] = {}
+        if self.discriminator is not None:
+            stacked = torch.cat([maps[name].to(rendered.dtype) for name in maps], dim=1)
+            losses |= self._train_discriminator(self.discriminator, others[0], stacked, image, fake.detach())
+            self.discriminator.requires_grad_(False)
+            losses["train/loss_g"] = self._adversarial(self.discriminator(stacked, fake).float())
 
-        logits_real = self.discriminator(stacked, image).float()
-        logits_fake = self.discriminator(stacked, fake.detach()).float()
-        loss_d = F.softplus(-logits_real).mean() + F.softplus(logits_fake).mean()
-        optimizer_d.zero_grad(set_to_none=True)
-        self.manual_backward(loss_d)
-        optimizer_d.step()
-
-        self.discriminator.requires_grad_(False)
-        loss_g = self._adversarial(self.discriminator(stacked, fake).float())
-        l1 = F.l1_loss(fake, image)
+        losses["train/l1"] = error = mean_in_fan((fake - image).abs(), mask)
+        if self.settings.reconstruction is Reconstruction.crps and draws_noise(self.spec):
+            second = _in_fan(self.generator(**maps, noise_seed=second_seeds(batch["noise_seed"])), mask)
+            losses["train/crps"] = error = mean_in_fan(crps_of_two_draws(fake, second, image), mask)
         optimizer_g.zero_grad(set_to_none=True)
-        self.manual_backward(loss_g + self.settings.l1_weight * l1)
+        self.manual_backward(losses.get("train/loss_g", 0) + self.settings.l1_weight * error)
         optimizer_g.step()
-        self.discriminator.requires_grad_(True)
+        if self.discriminator is not None:
+            self.discriminator.requires_grad_(True)
 
         if self.average is not None:
             decay = min(self.settings.ema_decay, (1 + self.steps_done) / (_EMA_LAG + self.steps_done))
             with torch.no_grad():
                 torch._foreach_lerp_(list(self.average.parameters()), list(self.generator.parameters()), 1 - decay)
         self.steps_done += 1
-        values = torch.stack((loss_d, loss_g, l1, logits_real.mean(), logits_fake.mean())).detach()
+        values = torch.stack(list(losses.values())).detach()
         self._sums = values if self._sums is None else self._sums + values
+        self._summed = tuple(losses)
         self._steps_summed += 1
 
     def drain(self) -> dict[str, float]:
-        """Return the mean of `METRICS` since the last call; this waits for the device."""
+        """Return the mean of every loss since the last call, by name; this waits for the device.
+
+        `train/l1` and, of two draws, `train/crps`; with a discriminator also `train/loss_d`, `train/loss_g`,
+        `train/logit_real` and `train/logit_fake`.
+        """
         if self._sums is None:
             return {}
         means = (self._sums / self._steps_summed).tolist()
         self._sums, self._steps_summed = None, 0
-        return dict(zip(METRICS, means, strict=True))
+        return dict(zip(self._summed, means, strict=True))
 
     def is_finite(self) -> bool:
         """Whether all weights are finite; this waits for the device."""
@@ -130,10 +148,45 @@ class PairGAN(LightningModule):
         self.steps_done = checkpoint["steps_done"]
         self._optimizer_states = checkpoint["optimizer_states"]
 
+    def _optimizers_at_this_step(self) -> Sequence[Optimizer | LightningOptimizer]:
+        """Set the learning rate of the step; the generator's optimiser is first."""
+        found = self.optimizers()  # Lightning gives a single one without a list around it
+        optimizers = found if isinstance(found, Sequence) else [found]
+        for optimizer in optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = self.settings.learning_rate_at(self.steps_done)
+        return optimizers
+
+    def _train_discriminator(
+        self,
+        discriminator: PatchDiscriminator,
+        optimizer: Optimizer | LightningOptimizer,
+        maps: Tensor,
+        image: Tensor,
+        fake: Tensor,
+    ) -> dict[str, Tensor]:
+        """Take a step of the discriminator on real and generated images; returns its losses."""
+        logits_real = discriminator(maps, image).float()
+        logits_fake = discriminator(maps, fake).float()
+        loss = F.softplus(-logits_real).mean() + F.softplus(logits_fake).mean()
+        optimizer.zero_grad(set_to_none=True)
+        self.manual_backward(loss)
+        optimizer.step()
+        return {
+            "train/loss_d": loss,
+            "train/logit_real": logits_real.mean(),
+            "train/logit_fake": logits_fake.mean(),
+        }
+
     def _adversarial(self, logits_fake: Tensor) -> Tensor:
         """Compute the generator's adversarial loss: -log D, or log(1 - D), with D = sigmoid(logits)."""
         is_minimax = self.settings.loss is AdversarialLoss.minimax
         return -F.softplus(logits_fake).mean() if is_minimax else F.softplus(-logits_fake).mean()
+
+
+def _in_fan(rendered: Tensor, mask: Tensor) -> Tensor:
+    """Set what lies outside the fan to black, in float32."""
+    return mask * (rendered.float() + 1) - 1
 
 
 def _lay_out_like_weights(optimizer: Adam) -> None:

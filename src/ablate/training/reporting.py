@@ -21,6 +21,14 @@ Validation = Callable[[Generator, int], Mapping[str, float]]
 
 _LOG = logging.getLogger(__name__)
 _LINES = 10
+# What a line shows of the metrics that there are.
+_SHOWN = {
+    "l1": "L1 {:.3f}",
+    "crps": "CRPS {:.3f}",
+    "loss_g": "G {:.2f}",
+    "loss_d": "D {:.2f}",
+    "noise_weight": "noise weight {:.3f}",
+}
 # Mean weight under which injected noise no longer shows in an image.
 DYING_NOISE = 0.02
 
@@ -79,10 +87,10 @@ class Report(Callback):
             self._bar = None
 
     def _show(self, metrics: Mapping[str, float], step: int, steps: int, interval: int) -> None:
-        numbers = (metrics[f"train/{name}"] for name in ("images_per_second", "l1", "loss_g", "loss_d"))
-        text = "{:.1f} images/s, L1 {:.3f}, G {:.2f}, D {:.2f}".format(*numbers)
-        if (weight := metrics.get("train/noise_weight")) is not None:
-            text += f", noise weight {weight:.3f}"
+        text = f"{metrics['train/images_per_second']:.1f} images/s"
+        for name, shown in _SHOWN.items():
+            if (value := metrics.get(f"train/{name}")) is not None:
+                text += f", {shown.format(value)}"
         if self._bar is not None:
             self._bar.set_postfix_str(text)
         elif step == steps or step * _LINES // steps > (step - interval) * _LINES // steps:

@@ -11,10 +11,25 @@ SMALLEST_CROP = 32
 
 
 class AdversarialLoss(StrEnum):
-    """What the generator minimises: -log D(G), or log(1 - D(G)) as the paper prints it."""
+    """What the generator minimises: -log D(G), or log(1 - D(G)) as the paper prints it; `none`: without a D."""
 
     nonsaturating = "nonsaturating"
     minimax = "minimax"
+    none = "none"
+
+
+class Reconstruction(StrEnum):
+    """The error of an image in the fan: mean absolute, or the ranked probability score (CRPS) of two draws of noise."""
+
+    l1 = "l1"
+    crps = "crps"
+
+
+class Schedule(StrEnum):
+    """The learning rates: constant, or falling linearly to 0 over the second half of the steps, as in pix2pix."""
+
+    constant = "constant"
+    linear = "linear"
 
 
 class TrainingPrecision(StrEnum):
@@ -37,9 +52,11 @@ class TrainingSettings:
     crop : int
         Side of the square crops, px.
     learning_rate, beta1, beta2 : float
-        Of Adam, for both networks, constant.
+        Of Adam, for both networks.
     l1_weight : float
-        Lambda, the weight of the mean absolute error between images in [-1, 1].
+        Lambda, the weight of `reconstruction`, an error of images in [-1, 1].
+    loss : AdversarialLoss
+        With `none` there is no discriminator, and `reconstruction` is all that is minimised.
     ema_decay : float
         Of the running average of the generator's weights that is evaluated in its place; 0 for none, as the paper.
     discriminator_width : float or None
@@ -63,9 +80,11 @@ class TrainingSettings:
     batch_size: int = 4
     crop: int = 512
     learning_rate: float = 2e-4
+    schedule: Schedule = Schedule.constant
     beta1: float = 0.5
     beta2: float = 0.999
     l1_weight: float = 100.0
+    reconstruction: Reconstruction = Reconstruction.l1
     loss: AdversarialLoss = AdversarialLoss.nonsaturating
     ema_decay: float = 0.0
     discriminator_width: float | None = None
@@ -90,8 +109,23 @@ class TrainingSettings:
                 raise ValueError(f"{name}={getattr(self, name)}: allowed is [0, 1)")
         if not (math.isfinite(self.l1_weight) and self.l1_weight >= 0):
             raise ValueError(f"l1_weight={self.l1_weight}: allowed are finite numbers from 0")
+        if not (self.has_discriminator or self.l1_weight):
+            raise ValueError(
+                "l1_weight=0 with loss=none: allowed are numbers above 0, there is nothing else to minimise"
+            )
         if not (math.isfinite(self.learning_rate) and self.learning_rate > 0):
             raise ValueError(f"learning_rate={self.learning_rate}: allowed are finite numbers above 0")
+
+    @property
+    def has_discriminator(self) -> bool:
+        """Whether a discriminator is made and trained."""
+        return self.loss is not AdversarialLoss.none
+
+    def learning_rate_at(self, step: int) -> float:
+        """Compute the learning rate of both networks at a step, the first of which is 0."""
+        if self.schedule is Schedule.constant:
+            return self.learning_rate
+        return self.learning_rate * min(1.0, 2 * (self.steps - step) / self.steps)
 
 
 def as_builtins(value: Any) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from ablate.networks import (
 from ablate.networks.layers import EPSILON, convolutions, instance_norm
 from ablate.numerics.stability.checks import BFLOAT16, FLOAT32, FLOAT64, TF32, Case, Check, finite, labelled, none
 from ablate.studies.jobs.variants import variant_model, variant_names
+from ablate.training.losses import mean_in_fan
 
 WIDTH = 0.125  # rounding errors depend on the depth of a network more than on its width
 SIDE = 256  # px; eight levels of stride 2 leave one pixel of it
@@ -63,7 +64,8 @@ class _Chain(nn.Module):
         image = self.generator(**given, noise_seed=noise_seed)
         fake = maps["mask"] * (image + 1) - 1
         logits = self.discriminator(torch.cat(list(given.values()), dim=1).to(image.dtype), fake)
-        return image, F.softplus(-logits.float()).mean() + 100 * F.l1_loss(fake.float(), maps["target"].float())
+        error = mean_in_fan((fake.float() - maps["target"].float()).abs(), maps["mask"].float())
+        return image, F.softplus(-logits.float()).mean() + 100 * error
 
 
 def _run(chain: _Chain, maps: dict[str, Tensor], bf16: bool = False) -> tuple[np.ndarray, float, list[np.ndarray]]:

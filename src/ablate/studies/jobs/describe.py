@@ -26,7 +26,7 @@ def described(jobs: Sequence[Job]) -> pd.DataFrame:
     height. The columns of the paper are those of the network with the levels that it has in the paper's frame, and
     width 1; they are None where no network of the paper's frame is so deep.
     """
-    rows = {label: _row(spec, settings) for label, spec, settings in _networks(jobs)}
+    rows = {label: _row(settings) for label, settings in _variants(jobs)}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variant")
 
 
@@ -59,32 +59,41 @@ def description(jobs: Sequence[Job]) -> str:
     return "\n\n".join([*shown, "\n".join(same)])
 
 
-def _networks(jobs: Sequence[Job]) -> list[tuple[str, GeneratorSpec, StudySettings]]:
-    """Label and generator of each row, and the settings of the job whose frames it would see."""
+def parameters(settings: StudySettings) -> tuple[int, int]:
+    """Count the parameters of the generator and of the discriminator, which is 0 for a job that trains without one."""
+    generator, training = networks.count_generator(settings.model), settings.training
+    if not training.has_discriminator:
+        return generator, 0
+    return generator, networks.count_discriminator(settings.model, training.discriminator_width)
+
+
+def _variants(jobs: Sequence[Job]) -> list[tuple[str, StudySettings]]:
+    """Label and settings of each row: the generator and the loss of the variant, the frames of the job."""
     if len(jobs) > 1:
-        return [(job.label, job.settings.model, job.settings) for job in jobs]
+        return [(job.label, job.settings) for job in jobs]
     s = jobs[0].settings
     rows, columns = s.simulator.image_shape
     sizes = [f"preset={s.preset}", f"model.width={s.model.width}", f"simulator.image_shape=[{rows},{columns}]"]
-    made = jobs_of(["-m", *sizes, f"variant={','.join(variant_names())}"])
-    return [(job.settings.variant, job.settings.model, s) for job in made]
+    made = [job.settings for job in jobs_of(["-m", *sizes, f"variant={','.join(variant_names())}"])]
+    return [(m.variant, replace(s, model=m.model, training=replace(s.training, loss=m.training.loss))) for m in made]
 
 
-def _row(spec: GeneratorSpec, settings: StudySettings) -> dict[str, object]:
-    rows = settings.simulator.image_shape[0]
+def _row(settings: StudySettings) -> dict[str, object]:
+    spec, rows = settings.model, settings.simulator.image_shape[0]
     at_paper = paper_levels(spec.depth, rows)
     row: dict[str, object] = {
         "family": spec.family.value,
         **{component.name: _level(spec, component) for component in OF_THE_NETWORK},
         "inputs": "+".join(networks.inputs(spec)),
         **_field(spec, "field", rows, fan_size_mm(settings.probe)[0]),
-        "total_here": networks.count_generator(spec) + networks.count_discriminator(spec),
+        "total_here": sum(parameters(settings)),
         "paper_depth": at_paper,
     }
     if at_paper is None:
         return row
     paper = replace(spec, width=1.0, depth=at_paper)
-    generator, discriminator = networks.count_generator(paper), networks.count_discriminator(paper)
+    at_width_1 = replace(settings.training, discriminator_width=None)
+    generator, discriminator = parameters(replace(settings, model=paper, training=at_width_1))
     sizes = {"generator": generator, "discriminator": discriminator, "total": generator + discriminator}
     return row | _field(paper, "paper_field", PAPER_ROWS, _PAPER_MM) | sizes
 

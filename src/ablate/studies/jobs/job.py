@@ -10,11 +10,12 @@ from omegaconf import OmegaConf
 from ablate.config import StudySettings, json_ready
 from ablate.studies.jobs.hydra_internals import Override, parse_overrides
 from ablate.studies.jobs.schema import configuration_dir
+from ablate.training.settings import TrainingSettings
 
 
 @dataclass(frozen=True)
 class Job:
-    """One cell of a sweep; `label` is the variant and what else was changed of its components (`sa2h.depth-8`)."""
+    """One cell of a sweep; `label` is the variant and what else was changed beside it (`sa2h.depth-8`)."""
 
     settings: StudySettings
     label: str
@@ -31,39 +32,41 @@ class Job:
 def label_of(settings: StudySettings, overrides: Sequence[str]) -> str:
     """A run's label from its settings and the overrides that they were composed with.
 
-    It names the components that an override sets to another value than the variant's at this frame size. The width is a
-    size of the whole study, like the number of steps, and no part of it.
+    It names the components, and the adversarial loss, that an override sets to another value than the variant's at this
+    frame size. The width is a size of the whole study, like the number of steps, and no part of it.
     """
-    values = {**json_ready(settings.model), "encoding": settings.encoding.name}
-    own = {"encoding": "echogenicity", **_own_model(settings)}
+    values = {**json_ready(settings.model), "encoding": settings.encoding.name, "loss": settings.training.loss.name}
+    own = {"encoding": "echogenicity", "loss": TrainingSettings.loss.name, **_own_values(settings)}
     changed = {name for override in parse_overrides(overrides) for name in _components(override)}
     named = [f"{name}-{values[name]}" for name in sorted(changed) if str(own.get(name)) != str(values[name])]
     return ".".join([settings.variant, *(re.sub(r"[^A-Za-z0-9.+_-]", "_", name) for name in named)])
 
 
 def _components(override: Override) -> Iterator[str]:
-    """Components that an override sets: `model.depth=8`, `model={depth:8,noise:input}` or `encoding=...`."""
+    """What an override sets: `model.depth=8`, `model={depth:8,noise:input}`, `encoding=...` or `training.loss=...`."""
     key, value = override.key_or_group, override.value()
     if key == "model" and isinstance(value, dict):
         yield from (str(name) for name in value if name != "width")
     elif key == "encoding" or (key.startswith("model.") and key != "model.width"):
         yield key.removeprefix("model.")
+    elif key == "training.loss" or (key == "training" and isinstance(value, dict) and "loss" in value):
+        yield "loss"
 
 
-def _own_model(settings: StudySettings) -> dict[str, object]:
-    """The keys of `model` in the file of a variant, with the levels that it has at this frame size."""
+def _own_values(settings: StudySettings) -> dict[str, object]:
+    """What the file of a variant sets of `model` and of the loss, with the levels that it has at this frame size."""
     frame = {"simulator": {"image_shape": list(settings.simulator.image_shape)}}
-    own = OmegaConf.to_container(OmegaConf.create({**frame, "model": _model_of(settings.variant)}), resolve=True)
+    own = OmegaConf.to_container(OmegaConf.create({**frame, "model": _values_of(settings.variant)}), resolve=True)
     assert isinstance(own, dict)
     return dict(own["model"])
 
 
-def _model_of(variant: str) -> dict[str, object]:
-    """The keys of `model` in a file of conf/variant; none for a variant from a folder of the user."""
+def _values_of(variant: str) -> dict[str, object]:
+    """The keys of `model` and `training` in a file of conf/variant; none for a variant from a folder of the user."""
     path = configuration_dir() / "variant" / f"{variant}.yaml"
     if not path.exists():
         return {}
     own = OmegaConf.to_container(OmegaConf.load(path))
     assert isinstance(own, dict)
-    inherited = [_model_of(str(parent)) for parent in own.get("defaults", [])]
-    return {k: v for model in (*inherited, own.get("model", {})) for k, v in model.items()}
+    inherited = [_values_of(str(parent)) for parent in own.get("defaults", [])]
+    return {k: v for values in (*inherited, own.get("model", {}), own.get("training", {})) for k, v in values.items()}
