@@ -50,7 +50,9 @@ def write_run(
     model = COMPONENTS | VARIANTS.get(label.partition(".")[0], {})
     encoding = {"order": "arbitrary" if ".encoding" in label else "echogenicity"}
     pairs = {"scene": {"seed": anatomy}, "dataset": {"frames": frames}}
-    semantic = {"model": model, "encoding": encoding, "data": pairs, "training": {"steps": 9, "seed": seed}}
+    loss = "none" if label.startswith("sa2h-gan") else "nonsaturating"
+    training = {"steps": 9, "seed": seed, "loss": loss}
+    semantic = {"model": model, "encoding": encoding, "data": pairs, "training": training}
     spec = {"label": label, "hash": f"{label}{seed}", "semantic": semantic}
     (folder / "spec.json").write_text(json.dumps({**spec, "settings": {"model": model}}))
     scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_lower": 2.0, "test/fd_speckle_upper": 5.0 + seed}
@@ -126,6 +128,15 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     assert "FID: no Inception weights were given." in report
     assert report.count("FID: no Inception weights") == 1
     assert "There are no pictures: the runs kept no frame in common." in notes
+
+
+def test_a_run_without_a_discriminator_is_compared_but_is_no_cell_of_the_design(study: Path) -> None:
+    before = pd.read_csv(compared(study)[0] / "effects.csv")
+    for seed in (0, 1, 2):
+        write_run(study, "sa2h-gan", seed)
+    folder, _, _ = compared(study)
+    assert "sa2h-gan" in set(pd.read_csv(folder / "paired.csv")["variant"])
+    pd.testing.assert_frame_equal(pd.read_csv(folder / "effects.csv"), before)
 
 
 def test_pictures_without_their_pairs_are_said_to_be_missing(study: Path) -> None:

@@ -71,7 +71,8 @@ def test_frames_and_curves_go_on_where_a_job_was_stopped(stopped_once: Job) -> N
 def test_a_run_has_the_parameters_that_may_differ_and_the_study_those_that_are_shared(stopped_once: Job) -> None:
     _, study, child = runs_of(stopped_once)
     components = {"family", "attenuation", "concat", "upsampling", "noise", "depth", "extra_input"}
-    assert child.data.params.keys() == {"model", "seed", "encoding", *(f"model.{c}" for c in components)}
+    others = {"model", "seed", "encoding", "training.loss"}
+    assert child.data.params.keys() == others | {f"model.{c}" for c in components}
     assert study.data.params["training.steps"] == "4"
     assert study.data.params["dataset.frames"] == "10"
     assert not study.data.params.keys() & child.data.params.keys()
