@@ -112,13 +112,13 @@ class Scorer:
     def _pixel_mm(self) -> tuple[float, float] | None:
         return None if self._depth_mm is None else pixel_size_mm(self.probe, self.pairs.shape)
 
-    def score(self, part: Part, images_of: ImageSource, draws_noise: bool) -> Scores:
-        """Score images of the frames of one part, in as many threads as torch is set to use.
+    def score(self, part: Part, images_of: ImageSource, draws_noise: bool, frames: np.ndarray | None = None) -> Scores:
+        """Score images of the frames of one part, or of some of them, in as many threads as torch is set to use.
 
         `draws_noise` tells whether a second noise draw can give another image; where it cannot, each frame is rendered
         once.
         """
-        frames = self.pairs.frames(part)
+        frames = self.pairs.frames(part) if frames is None else frames
         sites = self.pairs.sites[frames]
         missing, notes = not_computed(self.metrics.values(), self._mask, len(frames), self.inception)
         computed = [metric for name, metric in self.metrics.items() if name not in missing]

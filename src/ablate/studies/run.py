@@ -12,7 +12,7 @@ from ablate import dataset
 from ablate.config import StudySettings
 from ablate.dataset import CropLoader, Crops, CropSettings, Part
 from ablate.evaluation import ImageSource, Scorer, inception_for, score_run
-from ablate.metrics import METRICS_VERSION, choose_metrics, psnr
+from ablate.metrics import METRICS_VERSION, choose_metrics
 from ablate.networks import Generator, conditions, draws_noise
 from ablate.storage import write_json
 from ablate.studies.identity import claim_place, config_hash, finished, read_result, with_earlier_metrics
@@ -23,7 +23,9 @@ from ablate.studies.tracked import log_samples, logged, open_child, open_trackin
 from ablate.tracking import RunLog, Status
 from ablate.training import TrainingPrecision, Validation, chosen_device, generate, median_ms_per_frame, train
 
-_VALIDATION_FRAMES = 8
+_VALIDATION_FRAMES = 16
+# Metrics of the validation curves; MLflow's comparison of runs shows the first.
+_CURVES = ("psnr_fan", "mae_smooth", "pchi2_tissue", "shadow_contrast", "noise_sd", "crps", "fd_speckle")
 
 
 def run_job(job: Job) -> None:
@@ -112,15 +114,17 @@ def scorer(settings: StudySettings, data: Data) -> Scorer:
 
 
 def _validation(job: Job, data: Data, values: np.ndarray, run: RunLog) -> Validation:
-    """A function that computes the mean PSNR in the fan on a few validation frames, and logs some as images."""
+    """A function that scores a few validation frames and logs them as images: the curves of a training."""
+    s = job.settings
     frames = dataset.equally_spaced(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
-    targets, mask = data.pairs.read("target", frames), data.pairs.mask()
+    targets = data.pairs.read("target", frames)
+    of_curves = Scorer(data.pairs, data.tissues, s.probe, s.evaluation, choose_metrics(list(_CURVES)))
 
     def validate(generator: Generator, images_seen: int) -> dict[str, float]:
-        images = generated_images(generator, data, values, job.settings.training.precision)(frames, 0)
-        log_samples(run, frames, images, targets, images_seen)
-        scores = [psnr(image, target, mask) for image, target in zip(images, targets, strict=True)]
-        return {"val/psnr_fan_curve": float(np.mean(scores))}
+        render = generated_images(generator, data, values, s.training.precision)
+        log_samples(run, frames, render(frames, 0), targets, images_seen)
+        found = of_curves.score(Part.validation, render, draws_noise(s.model), frames).scalars
+        return {f"val/{name}_curve": found[name] for name in _CURVES if name in found}
 
     return validate
 
