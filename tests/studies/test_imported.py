@@ -28,7 +28,7 @@ def study(arguments: list[str]) -> None:
 
 
 def make_all_maps(arguments: list[str]) -> None:
-    lsa2h = ["study_name=maps", "variant=lsa2h", "training.crop=256"]  # the only one that reads `low`, in such crops
+    lsa2h = ["study_name=maps", "variant=lsa2h"]  # the only one that reads `low`
     assert run("task=simulate", *arguments, *lsa2h) == 0
 
 

@@ -1,13 +1,15 @@
 """Miniatures to scale: every network and the crop cover the paper's millimetres, whatever the frame's pixels."""
 
 import math
+from pathlib import Path
 
+import numpy as np
 import pytest
+from skimage.io import imsave
 
 from ablate.networks import receptive_field
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.scale import PAPER_ROWS, crop, levels, paper_levels
-from ablate.studies.jobs.variants import variant_names
 
 LOCAL, UNET = 4, 8  # levels in the paper's frame
 
@@ -20,10 +22,10 @@ def test_a_frame_n_times_smaller_has_log2_n_levels_less_and_a_crop_n_times_small
     frame: tuple[int, int], local: int, deep: int, side: int
 ) -> None:
     size = f"simulator.image_shape=[{frame[0]},{frame[1]}]"
-    jobs = {job.label: job.settings for job in jobs_of(["-m", f"variant={','.join(variant_names())}", size])}
-    assert len(jobs) == len(variant_names())
+    jobs = {job.label: job.settings for job in jobs_of(["-m", "variant=sa2h,sa2h-depth,lsa2h,nsa2h", size])}
+    assert len(jobs) == 4
     for variant, settings in jobs.items():
-        assert settings.model.depth == (deep if variant in ("lsa2h", "nsa2h", "sa2h-depth") else local)
+        assert settings.model.depth == (local if variant == "sa2h" else deep)
         assert settings.training.crop == side
 
 
@@ -44,22 +46,38 @@ def test_a_users_own_frame_size_is_to_scale() -> None:
     assert (job.settings.model.depth, job.settings.training.crop) == (6, 128)
 
 
+def test_images_made_elsewhere_are_to_the_scale_of_their_own_pixels(tmp_path: Path) -> None:
+    (tmp_path / "segmentation").mkdir()
+    imsave(tmp_path / "segmentation" / "0.png", np.ones((512, 600), np.uint8), check_contrast=False)
+    where = ["preset=tiny", "scene=pairs", f"scene.folder={tmp_path}"]
+    (job,) = jobs_of([*where, "model.depth=${levels:8}"])
+    assert job.settings.simulator.image_shape == (512, 600)
+    assert (job.settings.model.depth, job.settings.training.crop, job.label) == (7, 256, "sa2h.depth-7")
+    (nowhere,) = jobs_of(["scene=pairs", f"scene.folder={tmp_path}/nowhere"])
+    assert nowhere.settings.simulator.image_shape[0] == PAPER_ROWS
+
+
 def test_numbers_on_the_command_line_are_levels_and_pixels() -> None:
     (job,) = jobs_of(["model.depth=3", "training.crop=96"])
     assert (job.settings.model.depth, job.settings.training.crop, job.label) == (3, 96, "sa2h.depth-3")
 
 
 def test_each_job_of_a_sweep_over_presets_is_to_its_own_scale() -> None:
-    jobs = jobs_of(["+study=factorial", "preset=tiny,paper"])
-    found = {(job.settings.preset, job.settings.model.depth, job.label) for job in jobs}
-    assert {("tiny", 5, "sa2h.depth-5"), ("paper", 8, "sa2h.depth-8"), ("tiny", 1, "sa2h")} <= found
-    assert {depth for preset, depth, _ in found if preset == "tiny"} == {1, 5}
+    jobs = jobs_of(["-m", "preset=tiny,paper", "model.depth=${levels:4},${levels:8}"])
+    assert [(job.settings.preset, job.settings.model.depth, job.label) for job in jobs] == [
+        ("tiny", 1, "sa2h"),
+        ("tiny", 5, "sa2h.depth-5"),
+        ("paper", 4, "sa2h"),
+        ("paper", 8, "sa2h.depth-8"),
+    ]
 
 
-@pytest.mark.parametrize("preset", ["quick", "paper"])
-def test_the_reference_of_add_one_in_is_one_of_its_jobs(preset: str) -> None:
-    nothing, *others = jobs_of(["+study=add_one_in", f"preset={preset}"])
-    assert {job.settings.reference for job in (nothing, *others)} == {nothing.label}
+def test_the_reference_of_add_one_in_is_one_of_its_jobs_at_every_size() -> None:
+    jobs = jobs_of(["+study=add_one_in", "preset=tiny,paper"])
+    for preset, deep in (("tiny", 5), ("paper", 8)):
+        nothing, *others = [job for job in jobs if job.settings.preset == preset]
+        assert f".depth-{deep}." in nothing.label
+        assert {job.settings.reference for job in (nothing, *others)} == {nothing.label}
 
 
 @pytest.mark.parametrize("rows", [32, 64, 90, 2000, 5000])

@@ -95,6 +95,20 @@ def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
     return PngFolder(folder, names, files, shape, sites, parts, _tissues(folder / "labels.csv"))
 
 
+def png_shape(folder: str | Path) -> tuple[int, int]:
+    """Height and width of the first segmentation in a folder, px.
+
+    Raises
+    ------
+    OSError, ValueError
+        When there is none, or it is no PNG.
+    """
+    found = sorted(path for path in (Path(folder) / FOLDERS["segmentation"]).iterdir() if path.suffix.lower() == ".png")
+    if not found:
+        raise FileNotFoundError(f"{folder}: no PNG file in {FOLDERS['segmentation']}")
+    return _header(found[0])[0]
+
+
 def content_digest(checked: PngFolder) -> str:
     """SHA-256, hexadecimal, of all that becomes part of a data set: names and bytes of the files."""
     files = [checked.files[name][frame] for name in sorted(checked.maps) for frame in checked.names]

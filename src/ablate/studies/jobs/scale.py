@@ -1,10 +1,11 @@
 """Miniatures to scale: the levels and the crop that keep the paper's millimetres in a frame of fewer pixels.
 
 The configuration reaches both as OmegaConf resolvers, which read the frame's rows from the job's own
-`simulator.image_shape`: `${levels:4}` and `${crop:}`.
+`simulator.image_shape`: `${levels:4}` and `${crop:}`. For pairs made elsewhere it is `${png_shape:}`.
 """
 
 import math
+from contextlib import suppress
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -12,7 +13,8 @@ from ablate.networks.spec import COMPONENTS, DEPTHS
 from ablate.training.settings import SMALLEST_CROP, TrainingSettings
 from ablate.ultrasound.settings import SimulatorSettings
 
-PAPER_ROWS = SimulatorSettings().image_shape[0]
+PAPER_SHAPE = SimulatorSettings().image_shape
+PAPER_ROWS = PAPER_SHAPE[0]
 PAPER_CROP = TrainingSettings().crop
 _UNET_LEVELS = DEPTHS[-1]
 
@@ -48,9 +50,19 @@ def crop(rows: int) -> int:
 
 
 def register_resolvers() -> None:
-    """Make `${levels:n}` and `${crop:}` known to OmegaConf."""
+    """Make `${levels:n}`, `${crop:}` and `${png_shape:}` known to OmegaConf."""
     OmegaConf.register_new_resolver("levels", lambda n, *, _root_: levels(int(n), _rows(_root_)), replace=True)
     OmegaConf.register_new_resolver("crop", lambda *, _root_: crop(_rows(_root_)), replace=True)
+    OmegaConf.register_new_resolver("png_shape", _png_shape, replace=True)
+
+
+def _png_shape(*, _root_: DictConfig) -> list[int]:
+    """The size of the images in `scene.folder`; the paper's where there are none, as that folder is refused later."""
+    from ablate.dataset.png_folder import png_shape
+
+    with suppress(OSError, ValueError, TypeError):
+        return list(png_shape(_root_.scene.folder))
+    return list(PAPER_SHAPE)
 
 
 def _rows(root: DictConfig) -> int:
