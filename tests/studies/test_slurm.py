@@ -140,7 +140,7 @@ def test_pairs_made_elsewhere_are_reported_and_what_is_missing_is_said(
 
 
 def test_a_study_elsewhere_leaves_the_simulating_to_its_jobs(tmp_path: Path) -> None:
-    jobs = jobs_of(["-m", "variant=sa2h,nsa2h", *TINY, "training.crop=256", f"runs_dir={tmp_path}"])
+    jobs = jobs_of(["-m", "variant=sa2h,nsa2h", *TINY, f"runs_dir={tmp_path}"])
 
     def launch(*_: object) -> None:
         assert (tmp_path / "mlflow.db").exists()
