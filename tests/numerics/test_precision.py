@@ -21,7 +21,7 @@ from ablate.dataset import Part, label_values, network_inputs
 from ablate.metrics import mae, psnr
 from ablate.numerics.precision import generated, simulated, summary
 from ablate.numerics.precision import task as module
-from ablate.numerics.precision.bench import bench_of, render_all
+from ablate.numerics.precision.bench import bench_of, make_inputs, render_all
 from ablate.numerics.precision.csv_table import CsvTable
 from ablate.numerics.precision.errors import Frames, envelope_rms, mean_errors, relative_change
 from ablate.studies.jobs.compose import jobs_of
@@ -137,6 +137,18 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
     made = generate(generator, inputs, torch.from_numpy(exact.mask), torch.from_numpy(frames), TrainingPrecision.fp32)
     label = "sa2h", "width 0.05, fp32, eager, seed 0"
     assert found[*label, "psnr"] == pytest.approx(np.mean([*map(psnr, made, targets)]))
+
+
+def test_the_compensated_attenuation_is_that_of_the_pairs_and_costs_more_than_the_integral_one(trained: Path) -> None:
+    (job,) = jobs_of([f"runs_dir={trained}", *TINY])
+    bench, pairs = bench_of(job.settings), open_data(dataset_folder(job.settings)).pairs
+    maps, ms = make_inputs(bench, lambda: None)
+    stored = pairs.read("compensated", bench.frames)
+    steps = 2 * 20 * np.log10(1 + 2**-9) / 72 + 1e-4  # A is stored with nine bits
+    bright = maps["attenuation"] > 0.01
+    np.testing.assert_allclose(maps["compensated"][bright], stored[bright], atol=steps)
+    assert (maps["compensated"] > 0).mean() > 0.2
+    assert ms["compensated"] > ms["attenuation"]
 
 
 def test_an_engine_that_fails_costs_its_points_alone(
