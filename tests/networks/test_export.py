@@ -22,6 +22,7 @@ VARIANTS = {
     "sa2h-compensated": {"attenuation": "compensated", "noise_start": 0.5},
     "sa2h-concat": {"concat": "input"},
     "sa2h-conv": {"upsampling": "transposed"},
+    "resize": {"upsampling": "resize", "noise_start": 0.5},
     "sa2h-noise": {"noise": "input"},
     "sa2h-depth": {"depth": 3, "noise_start": 0.5},
     "lsa2h": {**UNET, "extra_input": "low"},

@@ -22,6 +22,7 @@ VARIANTS: dict[str, tuple[dict[str, Any], dict[str, int]]] = {
     "sa2h-att": ({"attenuation": "none"}, {"drawn": DEPTH, "injected": DEPTH}),
     "sa2h-concat": ({"concat": "input"}, {"drawn": DEPTH, "injected": DEPTH}),
     "sa2h-conv": ({"upsampling": "transposed"}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
+    "resize": ({"upsampling": "resize"}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
     "sa2h-noise": ({"noise": "input"}, {"resized": DEPTH, "drawn": 1}),
     "no noise": ({"noise": "none"}, {"resized": DEPTH}),
     "nothing": ({"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "none"}, {}),
@@ -83,7 +84,8 @@ def test_parameters_are_convolutions_and_the_weights_of_injected_noise(name: str
     changes, expected = VARIANTS[name]
     generator = Generator(GeneratorSpec(**{"depth": DEPTH, "width": 0.1, **changes}))
     kinds = Counter(parameter.rpartition(".")[2] for parameter, _ in generator.named_parameters())
-    blocks = {"local": 1 + 2 * DEPTH + 1 + DEPTH * (1 if "upsampling" in changes else 2) + 1, "unet": 2 * DEPTH}
+    of_up_block = 1 if changes.get("upsampling") == "transposed" else 2
+    blocks = {"local": 1 + 2 * DEPTH + 1 + of_up_block * DEPTH + 1, "unet": 2 * DEPTH}
     layers = blocks[generator.spec.family]
     assert kinds == Counter({"weight": layers, "bias": layers, "noise_weight": expected.get("injected", 0)})
     assert not list(generator.buffers())

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ablate.networks.layers import JointConvolution, JointTransposedConvolution, instance_norm
+from ablate.networks.layers import JointConvolution, JointTransposedConvolution, ResizedConvolution, instance_norm
 
 
 def gradients(result: Tensor, wanted: list[Tensor]) -> tuple[Tensor, ...]:
@@ -51,6 +51,25 @@ def test_joint_convolutions_are_those_of_the_concatenation(
     beside = torch.randn(2, maps, 9, 7, dtype=torch.float64) if maps else None
     expected = reference(features if beside is None else torch.cat((features, beside), 1))
     result = layer(features, beside)
+    torch.testing.assert_close(result, expected, rtol=1e-12, atol=1e-12)
+    ours = gradients(result, [features, *layer.parameters()])
+    torchs = gradients(expected, [features, *reference.parameters()])
+    for one, other in zip(ours, torchs, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("maps", [0, 2])
+@pytest.mark.parametrize("size", [(9, 7), (1, 1), (1, 6)])
+def test_a_resized_convolution_is_nearest_neighbour_and_a_convolution(size: tuple[int, int], maps: int) -> None:
+    torch.manual_seed(0)
+    layer = ResizedConvolution(4 + maps, 6).double()
+    reference = nn.Conv2d(4 + maps, 6, 3, padding=1).double()
+    reference.load_state_dict(layer.state_dict())
+    features = torch.randn(2, 4, *size, dtype=torch.float64, requires_grad=True)
+    beside = [torch.randn(2, maps, 2 * size[0], 2 * size[1], dtype=torch.float64)] if maps else []
+    enlarged = features.repeat_interleave(2, -1).repeat_interleave(2, -2)
+    expected = reference(torch.cat((enlarged, *beside), 1))
+    result = layer(features, *beside)
     torch.testing.assert_close(result, expected, rtol=1e-12, atol=1e-12)
     ours = gradients(result, [features, *layer.parameters()])
     torchs = gradients(expected, [features, *reference.parameters()])

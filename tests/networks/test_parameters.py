@@ -31,6 +31,10 @@ def test_counting_on_the_meta_device_counts_the_real_network() -> None:
     assert count_generator(spec) == count_parameters(Generator(spec))
 
 
+def test_resizing_in_place_of_transposed_convolutions_costs_no_parameter() -> None:
+    assert count_generator(GeneratorSpec(upsampling="resize")) == count_generator(GeneratorSpec())  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("noise", ["input", "none"])
 def test_a_variant_without_injected_noise_has_no_weight_for_it(noise: str) -> None:
     with_noise = count_generator(GeneratorSpec())

@@ -13,6 +13,8 @@ VARIANTS = {
     "compensated": {"attenuation": "compensated"},
     "concat": {"concat": "input"},
     "conv": {"upsampling": "transposed"},
+    "resize": {"upsampling": "resize"},
+    "resize without maps": {"upsampling": "resize", "concat": "input"},
     "depth": {"depth": 5},
     "low": {"extra_input": "low"},
     "unet": UNET,

@@ -38,6 +38,8 @@ def make_linear(network: nn.Module, monkeypatch: pytest.MonkeyPatch) -> None:
         {"depth": 3},
         {"depth": 3, "concat": "input"},
         {"depth": 3, "upsampling": "transposed"},
+        {"depth": 2, "upsampling": "resize"},
+        {"depth": 3, "upsampling": "resize", "concat": "input"},
         {"depth": 4},
         {**UNET, "depth": 2},
         {**UNET, "depth": 3, "extra_input": "low"},

@@ -32,6 +32,8 @@ def test_plain_strings_become_enums_and_equal_specs_compare_equal() -> None:
         ({**UNET, "depth": 1}, "depth=1 with family=unet: allowed are 2 to 8"),
         ({**UNET, "concat": "every_level"}, "allowed is concat=input"),
         ({**UNET, "upsampling": "texture"}, "allowed is upsampling=transposed"),
+        ({"upsampling": "bicubic"}, "upsampling='bicubic': allowed are texture, transposed, resize"),
+        ({**UNET, "upsampling": "resize"}, "upsampling=resize with family=unet: allowed is upsampling=transposed"),
         ({**UNET, "noise": "inject"}, "noise=inject with family=unet"),
     ],
 )

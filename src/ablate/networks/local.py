@@ -11,6 +11,7 @@ from ablate.networks.layers import (
     JointConvolution,
     JointTransposedConvolution,
     OneChannelConvolution,
+    ResizedConvolution,
     Stages,
     convolutions,
     instance_norm,
@@ -37,15 +38,18 @@ class DownBlock(nn.Module):
 
 
 class UpBlock(nn.Module):
-    """A transposed convolution, a convolution of stride 1 (if texture-friendly), the skip connection, and noise."""
+    """A convolution that enlarges, one of stride 1 (but for `transposed`), the skip connection, and noise."""
 
     def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
         super().__init__()
+        self.grow: ResizedConvolution | JointTransposedConvolution
+        if spec.upsampling is Upsampling.resize:
+            self.grow = ResizedConvolution(channels_in + maps, channels_out)
+        else:
+            kernel, output_padding = (3, 1) if spec.upsampling is Upsampling.texture else (4, 0)
+            self.grow = JointTransposedConvolution(channels_in + maps, channels_out, kernel, 2, 1, output_padding)
         self.refine: JointConvolution | None = None
-        is_texture = spec.upsampling is Upsampling.texture
-        kernel, output_padding = (3, 1) if is_texture else (4, 0)
-        self.grow = JointTransposedConvolution(channels_in + maps, channels_out, kernel, 2, 1, output_padding)
-        if is_texture:
+        if spec.upsampling is not Upsampling.transposed:
             self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1)
         self.noise_weight: nn.Parameter | None = None
         if spec.noise is Noise.inject:
@@ -55,7 +59,8 @@ class UpBlock(nn.Module):
         self, features: Tensor, skip: Tensor, coarse_maps: Tensor | None, fine_maps: Tensor | None, noise: Tensor | None
     ) -> Tensor:
         """Double the size of (N, C, H, W), append the channels of `skip`, and add `noise` (N, 1, 2H, 2W)."""
-        features = decoded(self.grow(features, coarse_maps))
+        maps = fine_maps if isinstance(self.grow, ResizedConvolution) else coarse_maps
+        features = decoded(self.grow(features, maps))
         if self.refine is not None:
             features = decoded(self.refine(features, fine_maps))
         features = torch.cat((features, skip), dim=1)

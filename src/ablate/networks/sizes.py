@@ -7,7 +7,7 @@ from torch import nn
 
 from ablate.networks.discriminator import PatchDiscriminator, discriminator_channels
 from ablate.networks.generator import Generator
-from ablate.networks.layers import Convolution, Stages, convolutions
+from ablate.networks.layers import Convolution, ResizedConvolution, Stages, convolutions
 from ablate.networks.spec import Concat, GeneratorSpec
 
 Interval = tuple[int, int]
@@ -66,6 +66,8 @@ def _pixels_reached(stages: Stages, pixel: int, feeds_maps: bool) -> Interval:
             if feeds_maps:  # a position of the map of this level was resized from these pixels (nearest and bilinear)
                 step = 2**level
                 reached.append((interval[0] * step, interval[1] * step + step // 2))
+            if isinstance(layer, ResizedConvolution):
+                interval, level = (interval[0] // 2, interval[1] // 2), level + 1
         return interval
 
     decoder = [through(stages.head, (pixel, pixel), 0)]
