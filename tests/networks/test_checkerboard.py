@@ -3,7 +3,7 @@
 A transposed convolution of stride 2 computes the four pixels of a 2 x 2 cell with different taps of its kernel: 3x3
 with 1, 2, 2 and 4 of them, 4x4 with 4 each (Odena et al., "Deconvolution and checkerboard artifacts", Distill 2016).
 So the first weights of the texture-friendly block leave the stronger pattern, and its stride-1 convolution does not
-remove it: white weights pass every frequency alike. After `resize`, all pixels have the same 9 taps. What training makes
+remove it: white weights pass every frequency alike. After `resize` all pixels have the same 9 taps. What training makes
 of it is measured (`nyquist_excess`).
 """
 
