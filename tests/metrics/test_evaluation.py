@@ -10,7 +10,8 @@ from ablate.metrics import METRICS, Pair, evaluate_image, psnr
 
 NAMES = {
     "psnr", "psnr_fan", "mae", "mae_fan", "pchi2", "pchi2_fan", "pchi2_tissue",
-    "shadow_contrast", "mae_smooth", "thin_contrast", "nyquist_excess", "crps", "noise_sd",
+    "shadow_contrast", "mae_smooth", "thin_contrast", "nyquist_excess",
+    "octave_sd", "crps", "noise_sd",
 }  # fmt: skip
 
 
@@ -53,7 +54,7 @@ def test_patches_of_the_frame_the_fan_and_tissue(make_frame):
 def test_metrics_without_their_input_are_left_out(make_frame):
     frame = make_frame(0)
     bare = evaluate_image(Pair(frame.image, frame.image, frame.mask))
-    of_maps, of_draws = {"pchi2_tissue", "shadow_contrast", "thin_contrast"}, {"crps", "noise_sd"}
+    of_maps, of_draws = {"pchi2_tissue", "shadow_contrast", "thin_contrast", "octave_sd"}, {"crps", "noise_sd"}
     assert set(bare) == NAMES - of_maps - of_draws
     assert set(evaluate_image(pair_of(frame, frame.image))) == NAMES - of_draws
     outside = evaluate_image(pair_of(frame, frame.image, mask=np.zeros_like(frame.mask)))

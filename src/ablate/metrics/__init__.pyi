@@ -14,6 +14,7 @@ from .intervals import bootstrap_interval as bootstrap_interval
 from .mechanism.draws import crps as crps
 from .mechanism.draws import noise_sd as noise_sd
 from .mechanism.grid_lines import nyquist_excess as nyquist_excess
+from .mechanism.octaves import octave_sd as octave_sd
 from .mechanism.shadows import shadow_contrast as shadow_contrast
 from .mechanism.structure import mae_smooth as mae_smooth
 from .mechanism.thin_structures import thin_contrast as thin_contrast

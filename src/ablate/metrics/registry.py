@@ -8,6 +8,7 @@ from ablate.metrics.distances import frechet_distance, kernel_distance
 from ablate.metrics.fidelity import mae, psnr
 from ablate.metrics.mechanism.draws import crps, noise_sd
 from ablate.metrics.mechanism.grid_lines import nyquist_excess
+from ablate.metrics.mechanism.octaves import octave_sd
 from ablate.metrics.mechanism.shadows import shadow_contrast
 from ablate.metrics.mechanism.structure import mae_smooth
 from ablate.metrics.mechanism.thin_structures import thin_contrast
@@ -57,6 +58,12 @@ def _thin_contrast(pair: Pair) -> float | None:
     return thin_contrast(pair.prediction, pair.target, pair.mask, pair.bone_mask, pair.depth_mm, pair.pixel_mm)
 
 
+def _octave_sd(pair: Pair) -> float | None:
+    if pair.tissue_mask is None:
+        return None
+    return octave_sd(pair.prediction, pair.target, pair.tissue_mask & pair.mask)
+
+
 def _noise_sd(pair: Pair) -> float | None:
     return None if pair.draws is None or pair.tissue_mask is None else noise_sd(pair.draws, pair.tissue_mask)
 
@@ -95,6 +102,7 @@ _ENTRIES = (
     Metric("mae_smooth", "Smooth MAE", GREY, LOWER, LEVEL, MECHANISM, 2, _DRAWN, _mae_smooth),
     Metric("thin_contrast", "Thin contrast", GREY, LOWER, FLOOR, MECHANISM, 1, _DRAWN, _thin_contrast),
     Metric("nyquist_excess", "Nyquist excess", "dB", LOWER, FLOOR, MECHANISM, 2, _DRAWN, _in_fan(nyquist_excess)),
+    Metric("octave_sd", "Octave sd", "dB", LOWER, FLOOR, MECHANISM, 2, of_image=_octave_sd),
     Metric("crps", "CRPS", GREY, LOWER, FLOOR, MECHANISM, 2, _DRAWN, of_draws=_crps),
     Metric("noise_sd", "Noise sd", GREY, UNJUDGED, LEVEL, MECHANISM, 1, _DRAWN, of_draws=_noise_sd),
     Metric("envelope_rms", "Envelope error", "relative RMS", LOWER, LEVEL, SIMULATION, 4),

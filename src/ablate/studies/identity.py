@@ -8,7 +8,7 @@ from typing import Any
 
 from ablate.config import ConfigurationError, StudySettings, json_ready
 from ablate.dataset import Encoding
-from ablate.metrics import METRICS_VERSION, choose_metrics, needs_inception
+from ablate.metrics import METRIC_SETS, METRICS_VERSION, choose_metrics, needs_inception
 from ablate.storage import digest, write_json
 from ablate.studies.jobs.job import Job
 from ablate.studies.pairs.data import about_data
@@ -105,7 +105,9 @@ def with_earlier_metrics(job: Job) -> StudySettings:
     """The settings of a job, which also ask for the metrics that an earlier call of the same job computed."""
     s = job.settings
     before = read_result(job.folder, config_hash(s)) or {}
-    metrics = sorted({*before.get("metrics", ()), *([s.metrics] if isinstance(s.metrics, str) else s.metrics)})
+    asked = [*before.get("metrics", ()), *([s.metrics] if isinstance(s.metrics, str) else s.metrics)]
+    # By name: a set such as `all` may have more of them when the run is looked at again.
+    metrics = sorted({name for entry in asked for name in METRIC_SETS.get(entry, (entry,))})
     inception = s.evaluation.inception or before.get("inception")
     return replace(s, metrics=metrics, evaluation=replace(s.evaluation, inception=inception))
 

@@ -49,8 +49,8 @@ def _against(label: str, found: dict[str, float], right: dict[str, float]) -> It
             continue
         wrong = 0.0 if found[name] == value else abs(found[name] - value)
         quantity = f"{label}: {name} against {value:g}"
-        if name in ("mae_smooth", "nyquist_excess"):
-            yield Check("float32", quantity, wrong, FFT_ERROR, "Float32 sums by an FFT with some ten factors.")
+        if name in ("mae_smooth", "nyquist_excess", "octave_sd"):
+            yield Check("float32", quantity, wrong, FFT_ERROR, "Float32 sums with some ten factors each.")
         else:
             yield Check("uint8", quantity, wrong, 16 * FLOAT64 * 255, "Sums of whole numbers and one division.")
 
@@ -64,7 +64,7 @@ def _black_and_white(device: str) -> Iterator[Check]:  # noqa: ARG001
     yield from _against("noise, itself", _scores(_noise(0), _noise(0)), same)
     apart = {"psnr": 0.0, "psnr_fan": 0.0, "mae": 255.0, "mae_fan": 255.0, "mae_smooth": 255.0, "pchi2": 1.0}
     apart |= {"pchi2_fan": 1.0, "pchi2_tissue": 1.0, "shadow_contrast": 0.0, "nyquist_excess": 0.0}
-    apart |= {"thin_contrast": 0.0, "crps": 127.5, "noise_sd": 255 / math.sqrt(2)}
+    apart |= {"thin_contrast": 0.0, "octave_sd": 0.0, "crps": 127.5, "noise_sd": 255 / math.sqrt(2)}
     yield from _against("black, white", _scores(_grey(0), _grey(255)), apart)
 
 

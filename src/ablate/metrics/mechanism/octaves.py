@@ -1,0 +1,63 @@
+"""Is texture as rough as it should be, at every scale? The standard deviation of tissue in octave bands."""
+
+import numpy as np
+from scipy.ndimage import convolve1d
+
+from ablate.metrics.fidelity import check_pair
+
+OCTAVES = 4
+FEWEST_PIXELS = 100  # of tissue in a band
+BINOMIAL = np.array([1, 4, 6, 4, 1], np.float32) / 16  # nearly a Gaussian of 1 px
+ROUNDING = 1.0 / 12.0  # grey levels^2, of 8 bits; keeps the bands of flat images finite
+
+
+def octave_variances(image: np.ndarray, mask: np.ndarray) -> list[float]:
+    """Variance of an image (H, W) in octave bands, grey levels^2, over the pixels of `mask`, (H, W) bool.
+
+    A band is the image minus its average by the binomial window (1, 4, 6, 4, 1) / 16 along both axes, normalised
+    within the mask. The next band is that of every second pixel of the average (Burt and Adelson 1983). There are at
+    most four bands, of periods from 2 to some 30 px; bands with fewer than 100 pixels are left out.
+    """
+    values, inside = image.astype(np.float32), mask
+    found: list[float] = []
+    for _ in range(OCTAVES):
+        if np.count_nonzero(inside) < FEWEST_PIXELS:
+            break
+        average = _blurred(values * inside) / np.maximum(_blurred(inside.astype(np.float32)), np.float32(1e-6))
+        found.append(float((values - average)[inside].var(dtype=np.float64)))
+        values, inside = average[::2, ::2], inside[::2, ::2]
+    return found
+
+
+def _blurred(values: np.ndarray) -> np.ndarray:
+    down = convolve1d(values, BINOMIAL, axis=0, mode="constant")
+    return np.asarray(convolve1d(down, BINOMIAL, axis=1, mode="constant"))
+
+
+def octave_sd(prediction: np.ndarray, target: np.ndarray, tissue_mask: np.ndarray) -> float | None:
+    """Error of the standard deviation in octave bands of tissue: mean over bands of |20 log10(sd / sd of the target)|.
+
+    Parameters
+    ----------
+    prediction, target : (H, W) uint8
+        Grey levels.
+    tissue_mask : (H, W) bool
+        Pixels of tissue rather than fluid, in the fan.
+
+    Returns
+    -------
+    float or None
+        dB, at least 0, which is right. None when there are fewer than 100 pixels of tissue.
+
+    Raises
+    ------
+    ValueError
+        When shapes or dtypes do not fit.
+    """
+    check_pair(prediction, target)
+    if tissue_mask.shape != target.shape:
+        raise ValueError(f"tissue_mask must be {target.shape}, got {tissue_mask.shape}")
+    found, right = (np.array(octave_variances(image, tissue_mask)) for image in (prediction, target))
+    if not len(right):
+        return None
+    return float(np.abs(10.0 * np.log10((found + ROUNDING) / (right + ROUNDING))).mean())
