@@ -182,7 +182,7 @@ def test_a_folder_names_its_study() -> None:
         (["training.stepz=3"], r"unknown key 'training.stepz'; did you mean 'steps'\? allowed in training: "),
         (["+colour=blue"], r"unknown key 'colour'"),
         (["training.steps=many"], r"training.steps=many: .*Integer"),
-        (["model.attenuation=some"], r"model.attenuation=some: .*\[integral, none\]"),
+        (["model.attenuation=some"], r"model.attenuation=some: .*\[integral, compensated, none\]"),
         (["task=dream"], r"task=dream: .*study, simulate, describe, plan, compare"),
         (["model.depth=9"], r"depth=9: allowed are 1 to 8"),
         (["model.depth=${level:4}"], r"model.depth: Unsupported interpolation type level"),
