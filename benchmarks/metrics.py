@@ -17,6 +17,7 @@ from statistics import median
 import numpy as np
 import torch
 
+from ablate.anatomy import TissueKind
 from ablate.dataset import Pairs, Part
 from ablate.evaluation import EvaluationSettings, Scorer, resimulation_images, tissue_labels
 from ablate.metrics import METRICS, FeatureKind, Pair, choose_metrics, speckle_features
@@ -24,7 +25,7 @@ from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.pairs.data import Data, maps_needed, prepare_data
 from ablate.tracking import hardware
 from ablate.ultrasound import ConvexProbe
-from ablate.ultrasound.probe import pixel_polar
+from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
 SIMULATED, SITES = 16, 30
 PAPER_FRAMES, PAPER_SECONDS, THREADS = 669, 60, 2
@@ -64,18 +65,19 @@ def one_frame(data: Data) -> list[tuple[str, float]]:
     """What each metric costs of one frame, and what an evaluation does beside them."""
     pairs = data.pairs
     frame = int(np.flatnonzero(pairs.split != Part.train)[0])
-    solid, mask = tissue_labels(data.tissues), pairs.mask()
-    depth = pixel_polar(ConvexProbe(), pairs.shape)[0]
+    solid, bone, mask = tissue_labels(data.tissues), tissue_labels(data.tissues, [TissueKind.bone]), pairs.mask()
+    depth, pixel_mm = pixel_polar(ConvexProbe(), pairs.shape)[0], pixel_size_mm(ConvexProbe(), pairs.shape)
     maps = {name: pairs.read(name, [frame])[0] for name in pairs.maps}
 
     def pair() -> Pair:
-        tissue = np.isin(maps["segmentation"], solid)
-        return Pair(
-            maps["resimulation"], maps["target"], mask, tissue, maps["attenuation"], depth, maps["segmentation"]
-        )
+        labels, image, target = (maps[name] for name in ("segmentation", "resimulation", "target"))
+        tissue, of_bone = np.isin(labels, solid), np.isin(labels, bone)
+        draws = np.stack([image, target, image])
+        return Pair(image, target, mask, tissue, maps["attenuation"], depth, labels, of_bone, pixel_mm, draws)
 
     beside = milliseconds(pair)
-    of_image = {name: metric.of_image for name, metric in METRICS.items() if metric.of_image}
+    measures = {name: metric.of_image or metric.of_draws for name, metric in METRICS.items()}
+    of_image = {name: measure for name, measure in measures.items() if measure}
     rows = [(name, milliseconds(lambda m=measure: m(pair())) - beside) for name, measure in of_image.items()]
     rows.append(
         ("fd_speckle: features of both", 2 * milliseconds(lambda: speckle_features(maps["target"][None], mask)))
