@@ -183,6 +183,7 @@ def test_a_folder_names_its_study() -> None:
         (["+colour=blue"], r"unknown key 'colour'"),
         (["training.steps=many"], r"training.steps=many: .*Integer"),
         (["model.attenuation=some"], r"model.attenuation=some: .*\[integral, compensated, none\]"),
+        (["model.upsampling=bicubic"], r"model.upsampling=bicubic: .*\[texture, transposed, resize\]"),
         (["task=dream"], r"task=dream: .*study, simulate, describe, plan, compare"),
         (["model.depth=9"], r"depth=9: allowed are 1 to 8"),
         (["model.depth=${level:4}"], r"model.depth: Unsupported interpolation type level"),
