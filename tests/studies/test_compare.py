@@ -15,13 +15,14 @@ from matplotlib.figure import Figure
 from ablate.analysis import RESIMULATION, find_design
 from ablate.config import ConfigurationError, StudySettings, json_ready
 from ablate.metrics import METRICS_VERSION, Metric, metric_of, registry
+from ablate.networks import COMPONENTS
 from ablate.studies.comparison.compare import FACTORS, compare_study, components_of, write_comparison
 from ablate.studies.comparison.results import Finished
 from ablate.studies.comparison.usable_runs import usable_runs
 from support.studies import study_group
 
-COMPONENTS = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
-COMPONENTS |= {"noise": "inject", "depth": 4, "extra_input": "none", "width": 0.25}
+MODEL = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
+MODEL |= {"noise": "inject", "depth": 4, "extra_input": "none", "width": 0.25}
 VARIANTS = {
     "sa2h": {},
     "sa2h-att": {"attenuation": "none"},
@@ -29,7 +30,7 @@ VARIANTS = {
     "nsa2h": {"family": "unet", "extra_input": "noise"},
 }
 FRAMES, SITES = 24, 8
-METRICS = ("psnr", "mae", "pchi2")
+METRICS = ("psnr", "mae", "pchi2", str(COMPONENTS[0].metric))  # the last one is what `att` is judged by
 
 
 def write_run(
@@ -47,7 +48,7 @@ def write_run(
         for f in range(frames)
     ]
     pd.DataFrame(rows).assign(variant=label, seed=seed).to_parquet(folder / "per_image.parquet")
-    model = COMPONENTS | VARIANTS.get(label.partition(".")[0], {})
+    model = MODEL | VARIANTS.get(label.partition(".")[0], {})
     encoding = {"order": "arbitrary" if ".encoding" in label else "echogenicity"}
     pairs = {"scene": {"seed": anatomy}, "dataset": {"frames": frames}}
     loss = "none" if label.startswith("sa2h-gan") else "nonsaturating"
@@ -75,7 +76,7 @@ def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
             path.write_bytes(b"")
         return paths
 
-    for module in ("boxplots", "seeds_figure", "effects_figure", "image_figures", "runtime_figure"):
+    for module in ("boxplots", "seeds_figure", "forest_figure", "effects_figure", "image_figures", "runtime_figure"):
         monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", save)
 
 
@@ -112,7 +113,8 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     folder, report, notes = compared(study)
     names = {path.name for path in folder.iterdir()}
     assert names >= {"report.html", "table.csv", "table.tex", "table.md", "paired.csv", "claims.csv", "effects.csv"}
-    figures = {"boxplots", "seeds", "effects", "error_vs_runtime", *(f"boxplot_{m}" for m in METRICS)}
+    assert names >= {"verdicts.csv", "runs.csv"}
+    figures = {"verdicts", "boxplots", "seeds", "effects", "error_vs_runtime", *(f"boxplot_{m}" for m in METRICS)}
     assert names >= {f"{name}.{kind}" for name in figures for kind in ("png", "pdf")}
     assert not (study / "comparison.partial").exists()
     table = pd.read_csv(folder / "table.csv").set_index("variant")

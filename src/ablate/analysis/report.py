@@ -9,8 +9,9 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ablate.analysis.cautions import cautions
-from ablate.analysis.order import REFERENCE, RESIMULATION
+from ablate.analysis.order import COMPONENT_LABELS, REFERENCE, RESIMULATION
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS, Verdict
+from ablate.analysis.statistics.verdicts import Answer
 from ablate.analysis.tables.formats import cell_texts, head, resimulation_note
 from ablate.metrics import Shown, metric_of, shown_in
 
@@ -81,6 +82,26 @@ def _claims(claims: pd.DataFrame) -> Grid:
     return Grid(["metric", "verdict", "shift", "95 % interval", "p", "seeds"], rows)
 
 
+def _verdicts(verdicts: pd.DataFrame) -> Grid:
+    rows = []
+    for row in verdicts[verdicts["effect"].notna()].to_dict("records"):
+        metric, known = metric_of(row["metric"]), pd.notna(row["lower"])
+        decimals = metric.decimals + 1
+        lower, upper, p = row["lower"], row["upper"], row["p_holm"]
+        cells = [
+            Cell(metric.title),
+            Cell(f"{row['effect']:+.{decimals}f}"),
+            Cell(f"[{lower:.{decimals}f}, {upper:.{decimals}f}]" if known else "–"),
+            Cell(f"{row['band']:g}"),
+            Cell(f"{row['runs_a']} / {row['runs_b']}"),
+            Cell(f"{p:.2g}" if known else "–"),
+            Cell(f"{row['verdict']}".replace("_", " "), True),
+            Cell(row["why"] if row["verdict"] == Answer.undecided else ""),
+        ]
+        rows.append((COMPONENT_LABELS[row["component"]], cells))
+    return Grid(["metric", "effect", "95 % interval", "band", "runs with / without", "p, Holm", "verdict", "why"], rows)
+
+
 def _is_lesser(stem: str) -> bool:
     """Whether a figure is folded: box plots of one metric, chi-square maps of all frames but the first."""
     return stem.startswith("boxplot_") or (stem.startswith("pchi2_maps_") and stem != "pchi2_maps_0")
@@ -108,6 +129,7 @@ def write_report(
     reference: str = REFERENCE,
     appendix: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
+    verdicts: pd.DataFrame | None = None,
 ) -> Path:
     """Write the report to `path`; it needs no other file and no network.
 
@@ -117,10 +139,10 @@ def write_report(
         Heading, usually the study's name.
     per_image : DataFrame
         Columns variant, seed, frame, site, metric, value.
-    table, paired, claims : DataFrame
-        What `comparison_table`, `paired_table` and `seed_claims` give.
+    table, paired, claims, verdicts : DataFrame
+        What `comparison_table`, `paired_table`, `seed_claims` and `verdict_table` give.
     figures : sequence of (Path, str)
-        PNG files and their captions, in order; they are inlined.
+        PNG files and their captions, in order; they are inlined. That of the verdicts, `verdicts.png`, comes first.
     left_out : sequence of str
         What the simulator or the networks did not compute, and why.
     provenance : mapping, optional
@@ -135,6 +157,7 @@ def write_report(
     def parts(rows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
         return rows[rows["metric"].isin(unfolded)], rows[~rows["metric"].isin(unfolded)]
 
+    answered = [place for place, (file, _) in enumerate(figures) if file.stem == "verdicts"]
     inlined = [(base64.b64encode(file.read_bytes()).decode("ascii"), caption) for file, caption in figures]
     lesser = [_is_lesser(file.stem) for file, _ in figures]
     text = _TEMPLATES.get_template("report.html.jinja").render(
@@ -147,7 +170,13 @@ def write_report(
         paired=[_paired(part) for part in parts(paired)] if len(paired) else None,
         claims=None if claims is None or claims.empty else _claims(claims),
         fewest_seeds=FEWEST_SEEDS,
-        figures=[figure for figure, folded in zip(inlined, lesser, strict=True) if not folded],
+        answers=[inlined[place] for place in answered],
+        verdicts=None if verdicts is None else _verdicts(verdicts),
+        figures=[
+            figure
+            for k, (figure, folded) in enumerate(zip(inlined, lesser, strict=True))
+            if not folded and k not in answered
+        ],
         more_figures=[figure for figure, folded in zip(inlined, lesser, strict=True) if folded],
         left_out=left_out,
         provenance=provenance,

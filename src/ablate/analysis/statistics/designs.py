@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from scipy import stats
 
-from ablate.analysis.order import REFERENCE, judged_metrics
+from ablate.analysis.order import REFERENCE, RESIMULATION, judged_metrics
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.statistics.effects import EFFECT_COLUMNS, defining_relation, factorial_effects
 from ablate.analysis.statistics.paired import holm_where_known
@@ -42,7 +43,7 @@ class Design:
 def find_design(
     components: Mapping[str, Mapping[str, object]], factors: tuple[str, ...], reference: str = REFERENCE
 ) -> Design | None:
-    """Find the design that the labels of a study make up around its reference; None if fewer than two components vary.
+    """Find the design that the labels of a study make up around its reference; None if no component varies.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def find_design(
             levels[factor] = [base[factor], max(dict.fromkeys(others), key=others.count)]
     kept = [label for label in alike if all(components[label][f] in pair for f, pair in levels.items())]
     kept.sort(key=lambda label: label != reference)
-    if len(levels) < 2:
+    if not levels:
         return None
     cells = pd.DataFrame(
         {f: pd.Categorical([components[label][f] for label in kept], pair) for f, pair in levels.items()}, index=kept
@@ -100,6 +101,8 @@ def _read(cells: pd.DataFrame) -> tuple[pd.DataFrame, str, str]:
     count = len(np.unique(codes, axis=0))
     if count == full:
         reading = "An effect is averaged over all combinations of the other components."
+        if len(factors) == 1:
+            return cells, f"with and without one component ({factors[0]})", "Nothing else differs between these runs."
         return cells, f"full factorial of {_components(factors)} ({count} cells)", reading
     words = defining_relation(cells, factors)
     if len(words) == 1 and 2 * count == full:
@@ -133,8 +136,12 @@ def _components(factors: list[str]) -> str:
     return f"{len(factors)} component{'' if len(factors) == 1 else 's'}"
 
 
-def run_means(per_image: pd.DataFrame, design: Design, scalars: pd.DataFrame | None = None) -> pd.DataFrame:
-    """Mean of every metric over the test frames of every run of a design; arguments as for `effects_table`.
+def run_means(
+    per_image: pd.DataFrame, scalars: pd.DataFrame | None = None, design: Design | None = None
+) -> pd.DataFrame:
+    """Mean of every metric over the test frames of every run, or of the runs of a design.
+
+    Arguments as for `effects_table`.
 
     Returns
     -------
@@ -142,11 +149,13 @@ def run_means(per_image: pd.DataFrame, design: Design, scalars: pd.DataFrame | N
         Columns metric, variant, seed, data (empty where there is one data set), value, and the design's factors.
     """
     values = finite_values(per_image, scalars)
-    values = values[values["variant"].isin(design.cells.index)]
+    values = values[values["variant"] != RESIMULATION]
+    if design is not None:
+        values = values[values["variant"].isin(design.cells.index)]
     if "data" not in values:
         values = values.assign(data="")
-    means = values.groupby(["metric", "variant", "seed", "data"], as_index=False)["value"].mean()
-    return means.join(design.cells, on="variant")
+    means = values.groupby(["metric", "variant", "seed", "data"])["value"].mean().reset_index()
+    return means if design is None else means.join(design.cells, on="variant")
 
 
 def effects_table(
@@ -167,10 +176,11 @@ def effects_table(
     Returns
     -------
     DataFrame
-        Columns metric and those of `factorial_effects`, and p_holm, corrected over effects and metrics; a metric that
-        the runs do not suffice for is left out.
+        Columns metric and those of `factorial_effects`; p_holm, corrected over effects and metrics, and q, the share of
+        false claims among effects with a q as small (Benjamini and Hochberg 1995). A metric that the runs do not
+        suffice for is left out.
     """
-    means = run_means(per_image, design, scalars)
+    means = run_means(per_image, scalars, design)
     tables = []
     for metric in judged_metrics(list(means["metric"])):
         runs = means[means["metric"] == metric]
@@ -179,11 +189,15 @@ def effects_table(
         except ValueError:
             continue
         tables.append(found.assign(metric=metric))
-    names = ["metric", *EFFECT_COLUMNS, "p_holm"]
+    names = ["metric", *EFFECT_COLUMNS, "p_holm", "q"]
     if not tables:
         return pd.DataFrame(columns=names)
     table = pd.concat(tables, ignore_index=True)
     table["p_holm"] = holm_where_known(table["p"])
+    known = table["p"].notna()
+    table["q"] = pd.Series(None, table.index, dtype=object)
+    if known.any():
+        table.loc[known, "q"] = stats.false_discovery_control(table.loc[known, "p"].to_numpy(dtype=np.float64))
     return table[names]
 
 

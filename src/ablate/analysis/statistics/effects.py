@@ -33,6 +33,7 @@ class LinearModel:
         Runs on the first and on the second side of each effect.
     aliases : dict
         By term, what the runs cannot tell from it (text, empty where there is nothing).
+    residuals : (runs,) float
     """
 
     terms: tuple[tuple[str, ...], ...]
@@ -41,6 +42,7 @@ class LinearModel:
     dof: int
     runs: np.ndarray
     aliases: dict[tuple[str, ...], str]
+    residuals: np.ndarray
 
     def contrast(self, weights: np.ndarray) -> tuple[float, float]:
         """A weighted sum of the effects and its standard error; `weights` is (len(terms),) float."""
@@ -48,7 +50,11 @@ class LinearModel:
 
 
 def fit_effects(
-    runs: pd.DataFrame, factors: Sequence[str], value: str = "value", block: str | None = None
+    runs: pd.DataFrame,
+    factors: Sequence[str],
+    value: str = "value",
+    block: str | None = None,
+    interactions: bool = True,
 ) -> LinearModel:
     """Fit main effects, two-way interactions and blocks (Box, Hunter and Hunter 2005, chapters 5 and 6).
 
@@ -66,6 +72,8 @@ def fit_effects(
         Column of the response.
     block : str, optional
         Column that names the block of a run. Blocks differ by a constant.
+    interactions : bool
+        Whether two-way interactions are terms; without them they are part of the error.
 
     Raises
     ------
@@ -83,12 +91,14 @@ def fit_effects(
     if np.linalg.matrix_rank(_columns(signs, terms, blocks)) <= len(terms) + blocks.shape[1]:
         among = " and blocks" if blocks.shape[1] else ""
         raise ValueError(f"{len(runs)} runs cannot tell the factors {list(factors)}{among} apart: add cells")
-    terms += _separable_pairs(signs, factors, blocks)
+    if interactions:
+        terms += _separable_pairs(signs, factors, blocks)
     design = _columns(signs, terms, blocks)
     response = runs[value].to_numpy(dtype=np.float64)
     estimate = linalg.lstsq(design, response)[0]
     dof = len(runs) - design.shape[1]
-    variance = np.sum((response - design @ estimate) ** 2) / dof if dof > 0 else np.nan
+    residuals = response - design @ estimate
+    variance = np.sum(residuals**2) / dof if dof > 0 else np.nan
     chosen = slice(1, 1 + len(terms))
     changed = np.count_nonzero(design[:, chosen] > 0, axis=0)
     return LinearModel(
@@ -98,6 +108,7 @@ def fit_effects(
         dof,
         np.column_stack([len(runs) - changed, changed]),
         _aliases(signs, factors, terms, blocks),
+        residuals,
     )
 
 

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -49,6 +49,7 @@ def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
     where = (
         f"all metrics    {folder / 'table.csv'}\n"
         f"paired tests   {folder / 'paired.csv'}\n"
+        f"verdicts       {folder / 'verdicts.csv'}{_said(folder / 'verdicts.csv')}\n"
         f"report         {folder / 'report.html'}\n"
         f"MLflow         {pages}"
     )
@@ -74,9 +75,12 @@ def write_comparison(
     design = analysis.find_design({run.label: components_of(run) for run in usable.all}, FACTORS, reference)
     in_blocks = scored_frames(usable.all)
     effects = pd.DataFrame() if design is None else analysis.effects_table(in_blocks[0], design, in_blocks[1])
+    means = analysis.run_means(*in_blocks, design)
+    verdicts = analysis.verdict_table(means, design, analysis.distances_to_resimulation(table, reference))
     claims = analysis.seed_claims(per_image, scalars, reference)
     frames, missing = stored_pictures(runs, reference)
-    figures = draw_figures(Numbers(reference, per_image, scalars, table, paired, effects, design), frames, partial)
+    numbers = Numbers(reference, per_image, scalars, table, paired, effects, design, means, verdicts)
+    figures = draw_figures(numbers, frames, partial)
     notes = [*usable.notes, *([missing] if missing else [])]
     report = analysis.write_report(
         partial / "report.html",
@@ -85,6 +89,7 @@ def write_comparison(
         table,
         paired,
         claims=claims,
+        verdicts=verdicts,
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
         left_out=_left_out(runs),
         provenance=provenance(usable.all),
@@ -95,7 +100,14 @@ def write_comparison(
     analysis.wide_table(table).to_csv(partial / "table.csv", index=False)
     (partial / "table.tex").write_text(analysis.to_latex(table[table["metric"].isin(shown_in(Shown.table))], reference))
     (partial / "table.md").write_text(_markdown(table))
-    for name, content in (("paired", paired), ("claims", claims), ("effects", effects)):
+    runs_csv = _scores(analysis.run_means(*in_blocks), {run.label: components_of(run) for run in usable.all})
+    for name, content in (
+        ("paired", paired),
+        ("claims", claims),
+        ("effects", effects),
+        ("verdicts", verdicts),
+        ("runs", runs_csv),
+    ):
         if len(content) or name != "effects":
             content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
@@ -117,6 +129,14 @@ def _track(
     run.end(Status.finished)
 
 
+def _said(verdicts: Path) -> str:
+    """The verdicts of a file, for the screen; nothing where no run goes without a component."""
+    table = pd.read_csv(verdicts)
+    shown = table[table["effect"].notna()]
+    words = [f"{c} {v.replace('_', ' ')}" for c, v in zip(shown["component"], shown["verdict"], strict=True)]
+    return f" ({', '.join(words)})" if words else ""
+
+
 def components_of(run: Finished) -> dict[str, object]:
     """What can make a run differ from another one of its study: components, other settings of the network, training.
 
@@ -126,6 +146,14 @@ def components_of(run: Finished) -> dict[str, object]:
     model = {k: v for k, v in content["model"].items() if k != "noise_start" or content["model"]["noise"] == "inject"}
     training = {f"training.{k}": v for k, v in content.get("training", {}).items() if k != "seed"}
     return {**model, **training, "encoding": content["encoding"]["order"]}
+
+
+def _scores(means: pd.DataFrame, components: Mapping[str, Mapping[str, object]]) -> pd.DataFrame:
+    """One row a run: variant, seed, data, its components, and its mean of every metric."""
+    wide = means.pivot(index=["variant", "seed", "data"], columns="metric", values="value").reset_index()
+    for place, factor in enumerate(FACTORS):
+        wide.insert(3 + place, factor, [components[label].get(factor) for label in wide["variant"]])
+    return wide
 
 
 def _markdown(table: pd.DataFrame) -> str:

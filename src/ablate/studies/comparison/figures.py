@@ -24,7 +24,9 @@ class Numbers:
     table: pd.DataFrame
     paired: pd.DataFrame
     effects: pd.DataFrame
-    design: Design | None  # None where no two components vary; `effects` is then empty
+    design: Design | None  # None where no component varies; `effects` is then empty
+    means: pd.DataFrame  # one row a metric of a run of the design
+    verdicts: pd.DataFrame
 
 
 def stored_pictures(runs: Sequence[Finished], reference: str) -> tuple[list[FramePictures], str]:
@@ -44,6 +46,9 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
     def add(paths: Sequence[Path], caption: str) -> None:
         made.extend((path, caption) for path in paths)
 
+    design, means = numbers.design, numbers.means
+    tables = numbers.verdicts, analysis.improvements(means, design), analysis.interactions(means, design)
+    add(analysis.forest_figure(*tables, folder / "verdicts"), analysis.verdicts_caption(design, reference))
     page = analysis.frames_a_page(len(frames[0].predictions)) if frames else 1
     for k, start in enumerate(range(0, len(frames), page)):
         paths = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}")
@@ -56,10 +61,10 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
         analysis.seed_plot(per_image, numbers.scalars, panels, folder / "seeds", reference),
         analysis.seeds_caption(panels, reference),
     )
-    if numbers.design is not None and len(numbers.effects):
+    if design is not None and len(numbers.effects):
         gaps = _gaps(numbers.table, reference)
         drawn = analysis.effects_plot(numbers.effects, panels, folder / "effects", gaps)
-        add(drawn, analysis.effects_caption(numbers.design, numbers.effects, reference if gaps else None))
+        add(drawn, analysis.effects_caption(design, numbers.effects, reference if gaps else None))
     for k, frame in enumerate(frames):
         add(analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}"), analysis.chi2_caption(frame.name))
     points, floors = runtime_points(numbers.table)

@@ -1,0 +1,134 @@
+"""Which components earn their keep, in one picture: effects with intervals, costs, and the map of interactions."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.ticker import PercentFormatter
+
+from ablate.analysis.figures.metric_panels import one_legend
+from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, save_figure
+from ablate.analysis.order import COMPONENT_LABELS
+from ablate.analysis.statistics.verdicts import ALPHA, Answer
+from ablate.metrics import Direction, metric_of
+
+ROW_IN, HEAD_IN, CELL_IN = 0.42, 0.75, 0.27
+BAND_COLOUR, RUN_COLOUR = "#DDDDDD", "#0072B2"
+WORDS = {Answer.earns: "earns", Answer.does_not: "does not", Answer.undecided: "undecided"}
+COLOURS = {Answer.earns: "#007A55", Answer.does_not: "#B04A00", Answer.undecided: "#555555"}
+
+
+_MAP = LinearSegmentedColormap.from_list("harm to gain", ["#E08A4F", "#FFFFFF", "#6BAED6"]).with_extremes(bad="#F2F2F2")
+
+
+def forest_figure(verdicts: pd.DataFrame, runs: pd.DataFrame, pairs: pd.DataFrame, stem: Path) -> list[Path]:
+    """Draw the verdicts: a row a component, and below them how components change each other's effects.
+
+    Improvements are shares of the distance from the reference to re-simulation in the component's primary metric, or of
+    ten bands where that distance is smaller than a band or not known. Components without an effect are left out. The
+    files are a PNG and a PDF at `stem`, a path without suffix; none without an effect.
+
+    Parameters
+    ----------
+    verdicts, runs, pairs : DataFrame
+        What `verdict_table`, `improvements` and `interactions` give.
+    """
+    shown = verdicts[verdicts["effect"].notna()].reset_index(drop=True)
+    if shown.empty:
+        return []
+    units = {row["component"]: _unit(row["distance"], row["band"]) for row in shown.to_dict("records")}
+    mapped = len(pairs) > 0
+    forest_in = HEAD_IN + ROW_IN * len(shown)
+    map_in = 0.75 + CELL_IN * len(shown) if mapped else 0.0
+    with house_style():
+        figure = new_figure(PAGE_IN, forest_in + map_in)
+        rows = [forest_in, map_in] if mapped else [forest_in]
+        grid = figure.add_gridspec(len(rows), 2, height_ratios=rows, width_ratios=[2.5, 1])
+        forest = figure.add_subplot(grid[0, 0])
+        _draw_forest(forest, shown, runs, units)
+        _write_beside(figure.add_subplot(grid[0, 1], sharey=forest), shown)
+        if mapped:
+            _draw_map(figure.add_subplot(grid[1, 0]), shown, pairs, units)
+            _explain_map(figure.add_subplot(grid[1, 1]))
+        one_legend(figure, [forest], 5)
+        return save_figure(figure, stem)
+
+
+def _unit(distance: float, band: float) -> float:
+    return distance if distance > band else 10 * band
+
+
+def _draw_forest(axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, units: dict[str, float]) -> None:
+    places = np.arange(len(shown), 0, -1)
+    axes.axvline(0, color="black", lw=0.8, zorder=1)
+    for place, row in zip(places, shown.to_dict("records"), strict=True):
+        name, metric = row["component"], metric_of(row["metric"])
+        scale = (1 if metric.better is Direction.higher else -1) * 100 / units[name]
+        reach = abs(scale) * row["band"]
+        label = "too small to matter"
+        axes.fill_between([-reach, reach], place - 0.44, place + 0.44, color=BAND_COLOUR, lw=0, zorder=0, label=label)
+        of = runs[runs["component"] == name]
+        for on, fill, label in ((True, RUN_COLOUR, "run with it"), (False, "white", "run without it")):
+            values = 100 * of.loc[of["on"] == on, "improvement"] / units[name]
+            at = np.full(len(values), place + (0.24 if on else -0.24))
+            axes.plot(values, at, "o", ms=3.2, mfc=fill, mec=RUN_COLOUR, mew=0.7, label=label, zorder=2)
+        if pd.notna(row["lower"]):
+            ends = [scale * row["lower"], scale * row["upper"]]
+            axes.plot(ends, [place] * 2, color="black", lw=2.2, solid_capstyle="butt", zorder=3)
+        style: dict[str, Any] = {"ms": 5.5, "mfc": "black", "mec": "white", "mew": 0.6}
+        axes.plot([scale * row["effect"]], [place], "D", **style, label="effect, 95 % interval", zorder=4)
+    names = zip(shown["component"], shown["metric"], strict=True)
+    axes.set_yticks(places, [f"{COMPONENT_LABELS[name]}\n{metric_of(metric).label}" for name, metric in names])
+    axes.set_ylim(0.5, len(shown) + 0.5)
+    axes.tick_params(axis="y", length=0)
+    axes.xaxis.set_major_formatter(PercentFormatter(decimals=0))
+    axes.set_xlabel("improvement, as a share of the distance from the full model to re-simulation")
+
+
+def _write_beside(axes: Axes, shown: pd.DataFrame) -> None:
+    """Verdicts and costs, as columns of text in the rows of the forest."""
+    axes.set_axis_off()
+    axes.set_xlim(0, 1)
+    for x, head, side in ((0.03, "it ...", "left"), (0.68, "ms", "right"), (1.0, "weights", "right")):
+        axes.text(x, len(shown) + 0.72, head, ha=side, va="center", color="#666666")
+    for k, row in enumerate(shown.to_dict("records")):
+        place, word = len(shown) - k, Answer(row["verdict"])
+        axes.text(0.03, place, WORDS[word], va="center", weight="bold", color=COLOURS[word])
+        axes.text(0.68, place, _signed(row["ms_per_frame"], 1), ha="right", va="center")
+        axes.text(1.0, place, _signed(row["parameters"] / 1000, 0, "k"), ha="right", va="center")
+
+
+def _signed(value: float, decimals: int, unit: str = "") -> str:
+    """A number with its sign; a dash where it is missing, and no sign where it is printed as zero."""
+    if pd.isna(value):
+        return "–"
+    text = f"{value:+,.{decimals}f}".replace("-", "−")
+    return f"{text}{unit}" if text.strip("+−0.") else "0"
+
+
+def _draw_map(axes: Axes, shown: pd.DataFrame, pairs: pd.DataFrame, units: dict[str, float]) -> None:
+    names = list(shown["component"])
+    of = pairs[pairs["component"].isin(names) & pairs["other"].isin(names)]
+    share = np.full((len(names), len(names)), np.nan)
+    for row in of.to_dict("records"):
+        place = names.index(row["component"]), names.index(row["other"])
+        share[place] = 100 * row["improvement"] / units[row["component"]]
+        star = "*" if row["q"] < ALPHA else ""
+        axes.text(*place[::-1], f"{_signed(share[place], 0, ' %')}{star}", ha="center", va="center")
+    most = max(float(np.nanmax(np.abs(share), initial=0.0)), 10.0)
+    axes.imshow(share, cmap=_MAP, vmin=-most, vmax=most, aspect="auto")
+    axes.set_xticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), [COMPONENT_LABELS[name] for name in names])
+    axes.tick_params(length=0)
+    axes.xaxis.tick_top()
+    axes.spines[:].set_visible(False)
+
+
+def _explain_map(axes: Axes) -> None:
+    axes.set_axis_off()
+    lines = ("Interactions: how much", "more the component at", "the left improves its", "metric if the one above")
+    text = "\n".join((*lines, "is on (half the difference,", "same unit)", "", "* q < 0.05 (false", "discovery rate)"))
+    axes.text(0.03, 0.5, text, va="center", color="#444444", transform=axes.transAxes, linespacing=1.4)

@@ -1,0 +1,245 @@
+"""Verdicts on synthetic runs in the design of `+study=answer`: what was put in comes out, and chance does not."""
+
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from ablate.analysis import (
+    RESIMULATION,
+    Answer,
+    Design,
+    distances_to_resimulation,
+    find_design,
+    improvements,
+    interactions,
+    verdict_table,
+)
+from ablate.analysis.statistics.verdicts import BANDS, VERDICT_COLUMNS, answer
+from ablate.config import json_ready
+from ablate.networks import COMPONENTS
+from ablate.studies.comparison.compare import FACTORS
+from support.studies import study_group
+
+NAMES = [component.name for component in COMPONENTS]
+METRIC = {component.name: str(component.metric) for component in COMPONENTS}
+
+
+@pytest.fixture(scope="module")
+def cells() -> pd.DataFrame:
+    """The runs of the study, and two more seeds of SA2H: variant, seed, data, a column a component that is 1 if on."""
+    jobs = study_group("answer")
+    full = json_ready(jobs[0].settings.model) | {"encoding": "echogenicity"}
+    rows = []
+    for job in jobs:
+        made = json_ready(job.settings.model) | {"encoding": job.settings.encoding.name}
+        on = {c.name: int(made[c.field] == full[c.field]) for c in COMPONENTS}
+        rows.append(
+            {"variant": job.label, "seed": job.settings.seed, "data": str(job.settings.scene.anatomy_seed), **on}
+        )
+    return pd.DataFrame([*rows, *({**rows[0], "seed": seed} for seed in (1, 2))])
+
+
+@pytest.fixture(scope="module")
+def design() -> Design:
+    components = {
+        job.label: {**json_ready(job.settings.model), "encoding": job.settings.encoding.name}
+        for job in study_group("answer")
+    }
+    found = find_design(components, FACTORS)
+    assert found is not None
+    return found
+
+
+def means_of(cells: pd.DataFrame, design: Design, values: np.ndarray) -> pd.DataFrame:
+    """The table that verdicts are made from, with the same value in every primary metric."""
+    runs = cells[["variant", "seed", "data"]].assign(value=values).join(design.cells, on="variant")
+    return pd.concat([runs.assign(metric=metric) for metric in dict.fromkeys(METRIC.values())], ignore_index=True)
+
+
+def response(cells: pd.DataFrame, mains: dict[str, float], pairs: dict[tuple[str, str], float]) -> np.ndarray:
+    """A sum of what each component adds where it is on, and each pair where both are; the second anatomy adds 50."""
+    value = 30.0 + 50.0 * (cells["data"] == "1")
+    for name, size in mains.items():
+        value += size * cells[name]
+    for (a, b), size in pairs.items():
+        value += size * cells[a] * cells[b]
+    return value.to_numpy()
+
+
+def test_known_effects_come_out_and_neither_blocks_nor_interactions_touch_them(
+    cells: pd.DataFrame, design: Design
+) -> None:
+    mains, pairs = {"att": -7.0, "depth": 2.0}, {("att", "depth"): -4.0, ("concat", "noise"): 1.5}
+    table = verdict_table(means_of(cells, design, response(cells, mains, pairs)), design).set_index("component")
+    assert list(table.reset_index().columns) == list(VERDICT_COLUMNS)
+    # Averaged over the other component, half of what a pair adds belongs to either of the two.
+    averaged = {"att": -7 - 2, "depth": 2 - 2, "concat": 0.75, "noise": 0.75, "conv": 0, "encoding": 0}
+    assert table["effect"].to_dict() == pytest.approx(averaged, abs=1e-9)
+    at_full = {"att": -11, "depth": -2, "concat": 1.5, "noise": 1.5, "conv": 0, "encoding": 0}
+    assert table["full_effect"].to_dict() == pytest.approx(at_full, abs=1e-9)
+    assert (table["runs_a"] == 18).all()
+    assert (table["runs_b"] == 16).all()
+    assert (table["dof"] == 34 - 1 - 6 - 15 - 1).all()
+    found = interactions(means_of(cells, design, response(cells, mains, pairs)), design).set_index(
+        ["component", "other"]
+    )
+    assert len(found) == 30
+    sizes = found["improvement"]  # less is better in all primaries, so a smaller value improves
+    assert sizes["att", "depth"] == pytest.approx(2)
+    assert sizes["depth", "att"] == pytest.approx(2)
+    assert sizes["noise", "concat"] == pytest.approx(-0.75)
+    others = sizes.drop([("att", "depth"), ("depth", "att"), ("noise", "concat"), ("concat", "noise")])
+    assert others.abs().max() == pytest.approx(0, abs=1e-9)
+
+
+def test_intervals_are_those_of_least_squares_on_dummy_variables(cells: pd.DataFrame, design: Design) -> None:
+    """The textbook's formula, on variables that are 1 where a component is on."""
+    values = np.random.default_rng(0).normal(size=len(cells))
+    table = verdict_table(means_of(cells, design, values), design).set_index("component")
+    on = {name: cells[name].to_numpy(float) for name in NAMES}
+    pairs = list(combinations(NAMES, 2))
+    columns = [
+        np.ones(len(cells)),
+        (cells["data"] == "1").to_numpy(float),
+        *on.values(),
+        *(on[a] * on[b] for a, b in pairs),
+    ]
+    x = np.column_stack(columns)
+    beta, rss, rank, _ = np.linalg.lstsq(x, values, rcond=None)
+    dof = len(cells) - rank
+    for k, name in enumerate(NAMES):
+        for kind, share in (("", 0.5), ("full_", 1.0)):
+            weights = np.array([0, 0, *np.eye(6)[k], *(share * (name in pair) for pair in pairs)])
+            error = np.sqrt(rss[0] / dof * weights @ np.linalg.inv(x.T @ x) @ weights)
+            reach = stats.t.ppf(0.975, dof) * error
+            ends = (weights @ beta - reach, weights @ beta + reach)
+            assert tuple(table.loc[name, [f"{kind}lower", f"{kind}upper"]]) == pytest.approx(ends)
+
+
+@pytest.mark.parametrize(
+    ("improvement", "p", "p_band", "said"),
+    [
+        (5.0, 0.001, 0.9, Answer.earns),
+        (5.0, 0.06, 0.9, Answer.undecided),
+        (-5.0, 0.001, 0.001, Answer.does_not),  # harm
+        (0.3, 0.001, 0.001, Answer.does_not),  # there, but too small to matter
+        (0.3, 0.4, 0.001, Answer.does_not),
+        (0.3, 0.4, 0.2, Answer.undecided),
+        (-0.3, 0.4, 0.2, Answer.undecided),
+        (-5.0, 0.001, 0.2, Answer.undecided),  # cannot be: harm is further from the band than from zero
+    ],
+)
+def test_the_rule(improvement: float, p: float, p_band: float, said: Answer) -> None:
+    assert answer(improvement, p, p_band) is said
+
+
+def test_verdicts_follow_the_rule_with_holms_correction_by_hand(cells: pd.DataFrame, design: Design) -> None:
+    rng = np.random.default_rng(3)
+    sizes = {"att": -3.0, "concat": -0.2, "conv": -1.2, "noise": 1.0, "depth": -0.9, "encoding": 0.0}
+    values = response(cells, sizes, {}) + rng.normal(size=len(cells))
+    table = verdict_table(means_of(cells, design, values), design, bands=dict.fromkeys(NAMES, 1.0))
+    dof = int(table["dof"].iloc[0])
+    error = (table["upper"] - table["lower"]) / 2 / stats.t.ppf(0.975, dof)
+    ps = {
+        "p_holm": 2 * stats.t.sf(np.abs(table["effect"]) / error, dof),
+        "p_band_holm": stats.t.cdf((-table["effect"] - 1.0) / error, dof),
+    }
+    for name, raw in ps.items():
+        adjusted = np.empty(6)
+        running = 0.0
+        for rank, k in enumerate(np.argsort(raw)):
+            running = max(running, raw[k] * (6 - rank))
+            adjusted[k] = min(running, 1.0)
+        np.testing.assert_allclose(table[name], adjusted)
+    said = dict(zip(table["component"], table["verdict"], strict=True))
+    assert said["att"] == "earns"
+    assert said["noise"] == "does_not"
+    assert set(said.values()) == {"earns", "does_not", "undecided"}
+    why = table.set_index("component")["why"]
+    assert all(isinstance(why[name], str) == (word == "undecided") for name, word in said.items())
+
+
+def test_chance_earns_nothing_and_what_reaches_the_band_is_not_said_to_fail(
+    cells: pd.DataFrame, design: Design
+) -> None:
+    """Shares of false claims about any component, in studies whose runs differ by chance and by exactly the band."""
+    studies, rng = 60, np.random.default_rng(0)
+    earned, failed, covered = 0, 0, 0
+    for _ in range(studies):
+        chance = means_of(cells, design, response(cells, {}, {}))
+        runs = chance.groupby("metric")["value"].transform(lambda v: v + rng.normal(size=len(v)))
+        nothing = verdict_table(chance.assign(value=runs), design, bands=dict.fromkeys(NAMES, 1.0))
+        earned += (nothing["verdict"] == "earns").any()
+        at_band = response(cells, dict.fromkeys(NAMES, -1.0), {})
+        shifted = means_of(cells, design, at_band).assign(value=lambda t, r=runs, c=chance: t["value"] + r - c["value"])
+        band = verdict_table(shifted, design, bands=dict.fromkeys(NAMES, 1.0))
+        failed += (band["verdict"] == "does_not").any()
+        covered += int(((band["lower"] <= -1) & (-1 <= band["upper"])).sum())
+    most = stats.binom.ppf(0.999, studies, 0.05)
+    assert earned <= most
+    assert failed <= most
+    assert covered / (6 * studies) == pytest.approx(0.95, abs=0.03)
+
+
+def test_what_cannot_be_judged_says_why(design: Design, cells: pd.DataFrame) -> None:
+    means = means_of(cells, design, response(cells, {}, {}))
+    nothing = verdict_table(means, None)
+    assert set(nothing["verdict"]) == {"undecided"}
+    assert set(nothing["why"]) == {"no run goes without it"}
+    assert list(nothing["component"]) == NAMES
+    assert nothing["band"].to_dict() == dict(enumerate(BANDS.values()))
+    made = {"family": "local", "attenuation": "integral", "noise": "inject"}
+    pair = find_design({"sa2h": made, "sa2h-att": made | {"attenuation": "none"}}, ("attenuation", "noise"))
+    assert pair is not None
+    assert pair.name == "with and without one component (attenuation)"
+    for seeds, why in ((1, "1 runs with it and 1 without it"), (2, "2 runs with it and 2 without it")):
+        rows = [(v, s, "", 9.0 + s) for v in pair.cells.index for s in range(seeds)]
+        runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric=METRIC["att"])
+        row = verdict_table(runs.join(pair.cells, on="variant"), pair).set_index("component").loc["att"]
+        assert (row["verdict"], row["effect"]) == ("undecided", pytest.approx(0.0, abs=1e-9))
+        assert row["why"].startswith(why)
+    third = find_design({"sa2h": made, "b": made | {"attenuation": "compensated"}}, ("attenuation", "noise"))
+    assert third is not None
+    row = verdict_table(runs.join(third.cells, on="variant"), third).iloc[0]
+    assert row["why"] == "the runs compare integral with compensated"
+    unscored = verdict_table(means[means["metric"] != METRIC["conv"]], design).set_index("component")
+    assert unscored.loc["conv", "why"] == f"no run was scored by {METRIC['conv']}"
+    confounded = means.assign(data=means["attenuation"].astype(str))
+    assert "cannot tell the factors" in verdict_table(confounded, design)["why"].iloc[0]
+
+
+def test_three_seeds_of_two_variants_are_the_t_test() -> None:
+    made = {"family": "local", "attenuation": "integral"}
+    pair = find_design({"sa2h": made, "sa2h-att": made | {"attenuation": "none"}}, ("attenuation",))
+    assert pair is not None
+    values = {"sa2h": [3.0, 3.4, 2.9], "sa2h-att": [9.0, 9.9, 9.2]}
+    rows = [(v, s, "", value) for v, of in values.items() for s, value in enumerate(of)]
+    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric=METRIC["att"])
+    table = verdict_table(runs.join(pair.cells, on="variant"), pair, {METRIC["att"]: 12.0})
+    row = table.set_index("component").loc["att"]
+    expected = stats.ttest_ind(values["sa2h"], values["sa2h-att"])
+    assert row["p_holm"] == pytest.approx(expected.pvalue)
+    assert (row["lower"], row["upper"]) == pytest.approx(tuple(expected.confidence_interval()))
+    assert (row["effect"], row["distance"]) == (pytest.approx(3.1 - 28.1 / 3), 12.0)
+    assert (row["verdict"], row["better"]) == ("earns", "lower")
+
+
+def test_dots_are_the_runs_without_what_other_components_and_anatomies_add(cells: pd.DataFrame, design: Design) -> None:
+    sizes = {"att": -3.0, "concat": 2.0, "depth": -5.0}
+    dots = improvements(means_of(cells, design, response(cells, sizes, {})), design)
+    assert len(dots) == 6 * len(cells)
+    for name in NAMES:
+        of = dots[dots["component"] == name]
+        assert of.loc[~of["on"], "improvement"].to_numpy() == pytest.approx(np.zeros(16), abs=1e-9)
+        assert of.loc[of["on"], "improvement"].to_numpy() == pytest.approx(np.full(18, -sizes.get(name, 0.0)), abs=1e-9)
+
+
+def test_distances_are_counted_in_the_direction_that_is_worse() -> None:
+    rows = [("psnr", "sa2h", 19.0), ("psnr", RESIMULATION, 22.0), ("mae", "sa2h", 9.0), ("mae", RESIMULATION, 4.0)]
+    rows += [("parameters", "sa2h", 9.0), ("parameters", RESIMULATION, 4.0), ("fid", "sa2h", 1.0)]
+    table = pd.DataFrame(rows, columns=["metric", "variant", "mean"])
+    assert distances_to_resimulation(table) == {"psnr": 3.0, "mae": 5.0}
+    assert distances_to_resimulation(table, "nsa2h") == {}
