@@ -16,8 +16,8 @@ from ablate.metrics import Direction, metric_of
 from ablate.networks import COMPONENTS, Component
 
 ALPHA = 0.05
-# By component, the improvement of its primary metric that is too small to matter, in units of the metric: a tenth of the
-# distance from SA2H to re-simulation on validation sites of the pilot, rounded, and fixed before the study.
+# By component, the improvement of its primary metric that is too small to matter, in units of the metric: a tenth of
+# the distance from SA2H to re-simulation on validation sites of the pilot, rounded, and fixed before the study.
 BANDS: dict[str, float] = {
     "att": 3.0,
     "concat": 1.0,
