@@ -31,6 +31,7 @@ def follow(
         path_seed=draws.seed,
         depth_mm=probe.depth_mm,
         roulette_db=roulette_db,
+        gain_db_mm=0.0,
         step_mm=geometry.step_mm,
     )
     return trace(geometry, view, draws, bundle, inside, nodes).view(np.recarray), nodes

@@ -155,9 +155,9 @@ def test_roulette_is_unbiased(plates, pencil, apart, amplitudes) -> None:
         replace(plates.background, attenuation_db_cm_mhz=1.4),
         "s",
     )
-    all_followed, most_ended = (  # rays are followed to 20 dB under the display's noise
-        amplitudes(lossy, pencil, replace(apart, rays=256, noise_floor_db=floor), (75, 105), path_seeds=range(6))
-        for floor in (-300.0, 0.0)
+    all_followed, most_ended = (  # rays are followed to a level that is fixed against white
+        amplitudes(lossy, pencil, replace(apart, rays=256, reference_level=white), (75, 105), path_seeds=range(6))
+        for white in (1e-12, 4e-3)
     )
     difference = (most_ended - all_followed).mean(axis=1)
     assert abs(difference.mean()) <= 3 * difference.std(ddof=1) / np.sqrt(6)

@@ -6,42 +6,39 @@ import numpy as np
 import pytest
 
 from ablate.anatomy import Scene, Tissue
-from ablate.ultrasound.transport.bounce import SHARED_FROM_WEIGHT
+from ablate.ultrasound.transport.bounce import SHARED_FROM_GROWTH
 from ablate.ultrasound.transport.draws import (
     MAX_ROWS,
 )
 from support.traced_rays import follow
 
 
-@pytest.mark.parametrize(("pressure", "rays", "reflected"), [(0.25, 64, 8), (0.5, 64, 16), (0.6, 100, 36)])
-def test_reflections_are_stratified_and_weighted(gel, slab, probe, one_line, pressure, rays, reflected) -> None:
-    """Exactly max(|R_p| / 2, R) of the rays spawn a reflected ray, whose weight is |R_p| over that share, for any seed.
+@pytest.mark.parametrize("pressure", [0.06, 0.25, 0.6, 0.98])
+def test_every_direct_ray_is_reflected_once(gel, slab, probe, one_line, pressure) -> None:
+    """A surface splits each of them; the reflected part has the weight |R_p|, the same for all of them and any seed.
 
     They meet a face from behind that is too weak to reflect them again, so each echoes once.
     """
     impedances = 1.6, 1.6 * (1 + pressure) / (1 - pressure)
     weak, hard = (Tissue("t", 1540, z, 0.0, roughness=0.0, specularity=0.0) for z in impedances)
     r = 0.1 / 3.1
-    expected = (1 - r**2) * r * pressure * rays / reflected
+    expected = (1 - r**2) * r * pressure
     for seed in range(5):
         scene = Scene((slab(weak, 20.0, 400.0), slab(hard, 40.0, 400.0)), gel, "s")
-        echoes, _ = follow(scene, probe, replace(one_line, path_seed=seed, rays=rays))
-        np.testing.assert_allclose(echoes.amplitude[echoes.reflected], np.full(reflected, expected), rtol=1e-5)
+        echoes, _ = follow(scene, probe, replace(one_line, path_seed=seed, rays=64))
+        np.testing.assert_allclose(echoes.amplitude[echoes.reflected], np.full(64, expected), rtol=1e-5)
 
 
-def test_weak_reverberation_has_many_paths(gel, slab, probe, one_line) -> None:
-    """Off faces of R_p = 0.08: at probability R, 8 of 200,000 rays would be reflected twice and make the echo."""
+def test_weak_reverberation_has_no_error(gel, slab, probe, one_line) -> None:
+    """Off faces of R_p = 0.08: at probability R, 8 of 200,000 rays would be reflected twice and make the echo.
+
+    A surface splits a ray until its second reflection, so every ray makes the echo, with the weight of its path.
+    """
     tissues = (Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 1.5 * 1.08 / 0.92), ("b", 1.5)))
     scene = Scene(tuple(slab(t, near, 400.0) for t, near in zip(tissues, (30.0, 60.0), strict=True)), gel, "s")
-    means, paths = [], 0
-    for seed in range(10):
-        settings = replace(one_line, rays=20_000, path_seed=seed)
-        echoes, _ = follow(scene, probe, settings)
-        thrice = echoes.amplitude[echoes.reflected & (np.abs(echoes.depth_mm - 90.0) < 1)]
-        means.append(thrice.sum(dtype=float) / settings.rays)
-        paths += len(thrice)
-    assert paths > 400
-    assert abs(np.mean(means) - (1 - 0.08**2) * 0.08**3) < 3 * np.std(means, ddof=1) / np.sqrt(10)
+    echoes, _ = follow(scene, probe, one_line)
+    thrice = echoes.amplitude[echoes.reflected & (np.abs(echoes.depth_mm - 90.0) < 1)]
+    np.testing.assert_allclose(thrice, np.full(one_line.rays, (1 - 0.08**2) * 0.08**3), rtol=1e-5)
 
 
 def test_reverberation_between_two_plates(gel, slab, probe, one_line) -> None:
@@ -92,7 +89,7 @@ def test_echoes_of_many_reflections_keep_their_mean(gel, slab, probe, one_line) 
         means.append([echoes.amplitude[a & echoes.reflected].sum(dtype=float) / settings.rays for a in at])
     truth = (1 - 0.8**2) * 0.8 * 0.8 ** (2 * np.arange(1, 8))
     error = np.std(means, axis=0, ddof=1) / np.sqrt(10)
-    assert (np.abs(np.mean(means, axis=0) - truth) < 4 * error).all()
+    assert (np.abs(np.mean(means, axis=0) - truth) < 4 * error + 1e-6 * truth).all()  # the first has no error
     assert (error < 0.15 * truth).all()
 
 
@@ -100,16 +97,16 @@ def test_surfaces_share_reflected_rays(gel, slab, probe, one_line) -> None:
     """In 200 faces of R_p = 0.1 the amplitudes of all paths would grow by 1 + |R_p| - R at each."""
     pair = [Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 1.5 * 1.1 / 0.9), ("b", 1.5))]
     scene = Scene(tuple(slab(pair[i % 2], 20.0 + 0.5 * i, 400.0) for i in range(200)), gel, "s")
-    settings = replace(one_line, rays=1000)
-    echoes, _ = follow(scene, probe, settings)
+    settings = replace(one_line, rays=200)
+    echoes, _ = follow(scene, probe, settings, -10.0)  # else each ray is split at each face
     deep = echoes.reflected & (echoes.depth_mm > 110)
     a_face = echoes.amplitude[deep].sum(dtype=float) / settings.rays / (2 * (probe.depth_mm - 110))
     direct = 10.0  # 1 / |R_p|: what all of 1 - R, (1 - R)^2, ... send back together
-    assert 0 < a_face < 0.1 * SHARED_FROM_WEIGHT * direct
+    assert 0 < a_face < 0.1 * 5 / 4 * SHARED_FROM_GROWTH * direct
 
 
 def test_draws_beyond_the_table_are_new_ones(gel, slab, probe, one_line) -> None:
-    """Off 52 mm, then off 20 mm at the 128th interface; the draws of the 64th would reflect the same rays again."""
+    """Off 52 mm and 20 mm, twice; at the 192nd and the 256th interface at random, and not the same rays at both."""
     tissues = [Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 4.5), ("b", 4.51), ("c", 13.53))]
     between = (slab(tissues[1 - i % 2], 20.5 + 0.5 * i, 400.0) for i in range(MAX_ROWS - 1))
     scene = Scene((slab(tissues[0], 20.0, 400.0), *between, slab(tissues[2], 52.0, 400.0)), gel, "s")
@@ -117,9 +114,9 @@ def test_draws_beyond_the_table_are_new_ones(gel, slab, probe, one_line) -> None
     for seed in range(10):
         settings = replace(one_line, rays=2000, path_seed=seed)
         echoes, _ = follow(scene, probe, settings)
-        again = echoes.reflected & (np.abs(echoes.depth_mm - 84.0) < 0.1)
+        again = echoes.reflected & (np.abs(echoes.depth_mm - 116.0) < 0.1)
         means.append(echoes.amplitude[again].sum(dtype=float) / settings.rays)
-    assert abs(np.mean(means) - 0.75 * 0.5**3) < 4 * np.std(means, ddof=1) / np.sqrt(10)
+    assert abs(np.mean(means) - 0.75 * 0.5**5) < 4 * np.std(means, ddof=1) / np.sqrt(10)
     assert np.std(means, ddof=1) < 0.1 * np.mean(means)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ablate.validation import check_count, check_number, coerce_enums
 
 #: Part of every data set's identity: raise it when the same settings give another image.
-SIMULATOR_VERSION = 3
+SIMULATOR_VERSION = 4
 
 
 class PlanMode(StrEnum):

@@ -27,7 +27,7 @@ from ablate.numerics.stability.frames import (
 from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings
 from ablate.ultrasound.imaging.point_spread import axial_kernel
 from ablate.ultrasound.probe import pixel_coordinates_mm
-from ablate.ultrasound.transport.bounce import SHARED_FROM_WEIGHT
+from ablate.ultrasound.transport.bounce import SHARED_FROM_GROWTH
 
 HARD = Tissue("hard", 1540, 1.8, 0.5, 0.6, 0.0, 0.8, roughness=0.0)
 _LENGTHS = (
@@ -193,10 +193,10 @@ def _stack(pressure: float, gap_mm: float, faces: int, device: str) -> Iterator[
     pulse = axial_kernel(PROBE, settings).sum()
     for dtype, frame in frames.items():
         received = float(frame.envelope.sum(axis=0, dtype=float).mean() / pulse)
-        bound = 1 / pressure + SHARED_FROM_WEIGHT / 2 * (PROBE.depth_mm - 20) / gap_mm
+        bound = 1 / pressure + 5 / 4 * SHARED_FROM_GROWTH * (PROBE.depth_mm - 20) / gap_mm
         why = (
             "Direct echoes sum to R_p (1 + (1 - R) + (1 - R)^2 ...) = 1 / R_p at most. The reflected rays carry this "
-            "weight times SHARED_FROM_WEIGHT / 2 at most (a weight starts at 2), and add R_p of it in every gap."
+            "weight times 5/4 of SHARED_FROM_GROWTH at most, and add R_p of it in every gap."
         )
         yield Check(dtype, "sum of the echoes of a line, over a mirror's", received, bound, why)
 

@@ -18,23 +18,25 @@ from ablate.ultrasound.transport.rays import Ray
 #: the others, so that a thin gap does not reflect rays to and fro until they are as deep as the image.
 ROULETTE_REFLECTIONS = 8
 
-#: Probability of a reflection over |R_p|, never under R: of a direct ray, and of one reflected before. More of the
-#: former costs more time than it takes off the error. At 1 a reflection keeps the weight, and a transmission
-#: multiplies it by 1 + |R_p|.
-DIRECT_PROBABILITY, INDIRECT_PROBABILITY = 0.5, 1.0
+#: Up to this many reflections a surface splits a ray into a reflected and a transmitted one, so that both keep the
+#: weights of their paths. From then on it sends one of the two, at random, so that rays do not multiply.
+SPLIT_REFLECTIONS = 1
 
 #: Surfaces of a smaller |R_p| reflect no ray, they only take 1 - R of its weight. Left out, for speed: reverberation
 #: that is 26 dB down before its second surface.
 SMALLEST_REFLECTION = 0.05
 
-#: From this weight on a surface shares an indirect ray, |R_p| reflected and 1 - |R_p| transmitted. Below, |R_p| + 1 - R
-#: is more than came: amplitudes of paths of unknown phase are summed, and in a stack of strong surfaces that sum would
-#: grow by up to a quarter at each of them, without end.
-SHARED_FROM_WEIGHT = 16.0
+#: A surface sends on |R_p| of a reflected ray's weight and 1 - R, up to 5/4 of what came: amplitudes of paths of
+#: unknown phase are summed. Once a ray's family has grown so much, surfaces share its weight, |R_p| and 1 - |R_p|, else
+#: the sum would grow without end in a stack of strong surfaces. It stays under 5/4 of this.
+SHARED_FROM_GROWTH = 6.4
 
 #: An element receives along its scanline: echoes of reflected rays fall off with the distance from that axis as a
 #: Gaussian of this standard deviation (assumed); reverberation between layers that face the probe is hardly changed.
 RECEIVE_SIGMA_MM = 6.0
+
+#: Russian roulette takes a ray off its axis to be received by at least this, because it may come back to the axis.
+_LEAST_RECEIVED = 0.1
 
 _NEPER_PER_DB = math.log(10) / 20
 
@@ -57,12 +59,16 @@ class Medium(NamedTuple):
 
 
 class Connection(NamedTuple):
-    """The straight way back from a surface to the ray's element: displayed depth, and loss there and back."""
+    """The straight way back from a surface to the ray's element: displayed depth, and loss there and back.
+
+    `received` is what the element's direction leaves of it, 1 for a direct ray.
+    """
 
     to_element: Vector
     distance_mm: float
     depth_mm: float
     two_way_db: float
+    received: float
 
 
 @compiled
@@ -96,7 +102,7 @@ def move_to_surface(ray: Ray, hit: Hit, medium: Medium) -> Vector:
 
 
 @compiled
-def connect(ray: Ray, point: Vector, medium: Medium, thickness_mm: float, element: Vector) -> Connection:
+def connect(ray: Ray, point: Vector, medium: Medium, thickness_mm: float, element: Vector, axis: Vector) -> Connection:
     """Connect a surface to the ray's element.
 
     A reflected ray's way back to its element is not its way there; its loss is taken in proportion.
@@ -105,57 +111,67 @@ def connect(ray: Ray, point: Vector, medium: Medium, thickness_mm: float, elemen
     distance_mm = max(math.sqrt(dot(to_element, to_element)), 1e-6)
     ways = 2.0 if ray.reflections == 0 else 1 + distance_mm / max(ray.path_mm, 1e-6)
     two_way_db = ray.loss_db * ways + 2 * thickness_mm * medium.loss_db_mm
-    return Connection(to_element, distance_mm, ray.displayed_mm * ways / 2, two_way_db)
+    received = 1.0
+    if ray.reflections > 0:
+        on_axis = dot(to_element, axis)
+        received = math.exp(-0.5 * max(distance_mm**2 - on_axis**2, 0.0) / RECEIVE_SIGMA_MM**2)
+    return Connection(to_element, distance_mm, ray.displayed_mm * ways / 2, two_way_db, received)
 
 
 @compiled
-def echo(ray: Ray, scattering: Scattering, link: Connection, specularity: float, axis: Vector) -> float:
+def echo(ray: Ray, scattering: Scattering, link: Connection, specularity: float) -> float:
     """Amplitude that the element receives: weight |R_p| cos^n, less the loss of both ways."""
     lobe = max(dot(scattering.reflected, link.to_element) / link.distance_mm, 0.0) ** specularity
     amplitude = ray.weight * abs(scattering.pressure) * lobe
-    amplitude *= math.exp(-link.two_way_db * _NEPER_PER_DB)
-    if ray.reflections > 0:
-        on_axis = dot(link.to_element, axis)
-        amplitude *= math.exp(-0.5 * max(link.distance_mm**2 - on_axis**2, 0.0) / RECEIVE_SIGMA_MM**2)
-    return amplitude
+    return amplitude * link.received * math.exp(-link.two_way_db * _NEPER_PER_DB)
 
 
 @compiled
-def roulette(
-    ray: Ray, pressure: float, probability: float, choice: float, luck: float, two_way_db: float, roulette_db: float
+def faintness_db(link: Connection, gain_db_mm: float, depth_mm: float) -> float:
+    """How much fainter than its weight a ray is here, for Russian roulette: loss, direction, and half the gain ahead.
+
+    What the time gain adds up to the end of the image makes up for loss in tissue, and in fluid it does not.
+    """
+    ahead_db = gain_db_mm * max(depth_mm - link.depth_mm, 0.0)
+    return link.two_way_db + ahead_db / 2 - 20 * math.log10(max(link.received, _LEAST_RECEIVED))
+
+
+@compiled
+def go_on(
+    ray: Ray, pressure: float, probability: float, choice: float, luck: float, faint_db: float, roulette_db: float
 ) -> tuple[float, float]:
     """Weights of the reflected and of the transmitted ray, 0 where there is none; choice and luck are random."""
-    energy, reflects = pressure * pressure, choice < probability
-    back, onward = 0.0, 0.0
-    if reflects:
-        weight = ray.weight * abs(pressure) / probability
-        survival = _survival(weight, two_way_db, roulette_db, ray.reflections >= ROULETTE_REFLECTIONS)
-        back = weight / survival if luck < survival else 0.0
-    if ray.reflections == 0:
-        onward = ray.weight * (1 - energy)
-    elif not reflects:
-        weight = ray.weight
-        if probability == 0 or weight < SHARED_FROM_WEIGHT:
-            weight *= (1 - energy) / (1 - probability)
-        survival = _survival(weight, two_way_db, roulette_db, False)
-        onward = weight / survival if luck < survival else 0.0
-    return back, onward
+    reflection, through = abs(pressure), 1 - pressure * pressure
+    if ray.reflections > 0 and probability > 0:
+        if ray.growth >= SHARED_FROM_GROWTH:
+            through = 1 - reflection
+        ray.growth *= reflection + through
+    back, onward = ray.weight * reflection, ray.weight * through
+    if ray.reflections <= SPLIT_REFLECTIONS:
+        back = _surviving(back, choice, faint_db, roulette_db, False) if probability > 0 else 0.0
+        if ray.reflections > 0:
+            onward = _surviving(onward, luck, faint_db, roulette_db, False)
+        return back, onward
+    if choice < probability:
+        return _surviving(back / probability, luck, faint_db, roulette_db, ray.reflections >= ROULETTE_REFLECTIONS), 0.0
+    return 0.0, _surviving(onward / (1 - probability), luck, faint_db, roulette_db, False)
 
 
 @compiled
-def reflection_probability(reflection: float, direct: bool) -> float:
-    """Probability that a surface of this |R_p| reflects a ray, or makes a direct one spawn a reflected ray."""
-    if reflection < SMALLEST_REFLECTION:
-        return 0.0
-    return max(reflection * reflection, (DIRECT_PROBABILITY if direct else INDIRECT_PROBABILITY) * reflection)
+def reflection_probability(reflection: float) -> float:
+    """Probability that a surface of this |R_p| reflects a ray that it does not split; 0 where it reflects none.
+
+    At |R_p| a reflection keeps the weight, and a transmission multiplies it by 1 + |R_p|.
+    """
+    return reflection if reflection >= SMALLEST_REFLECTION else 0.0
 
 
 @compiled
-def _survival(weight: float, two_way_db: float, roulette_db: float, often_reflected: bool) -> float:
-    """Probability that a ray survives Russian roulette; survivors' weights grow by its inverse, without bias."""
-    level_db = 20 * math.log10(max(weight, 1e-30)) - two_way_db
-    survival = min(1.0, 10 ** ((level_db - roulette_db) / 20))
-    return min(survival, 0.5) if often_reflected else survival
+def _surviving(weight: float, luck: float, faint_db: float, roulette_db: float, often_reflected: bool) -> float:
+    """Weight after Russian roulette: it grows by the inverse of the probability to survive, without bias, or is 0."""
+    level_db = 20 * math.log10(max(weight, 1e-30)) - faint_db
+    survival = min(0.5 if often_reflected else 1.0, 10 ** ((level_db - roulette_db) / 20))
+    return weight / survival if luck < survival else 0.0
 
 
 @compiled

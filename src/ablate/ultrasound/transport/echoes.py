@@ -10,9 +10,11 @@ from torch.nn import functional as F
 from ablate.ultrasound.stages import Stage, stage
 
 #: Echoes of reflected rays are few and out of focus: they are spread over these standard deviations.
-_CLUTTER_LINES = 6.0
+_CLUTTER_LINES = 12.0
 _CLUTTER_MM = 2.0
 _CLUTTER_CELLS_PER_SIGMA = 2.0
+#: Lines are dealt to so many sets, and the power of these echoes is estimated from products of different sets.
+_CLUTTER_SETS = 4
 
 
 #: An echo received from a surface.
@@ -61,7 +63,9 @@ def clutter_lines(
 ) -> np.ndarray | None:
     """The same for reflected rays: few and out of focus, they are spread along and across the lines.
 
-    The sum is kept; None where there are no such echoes.
+    The sum is kept; None where there are no such echoes. The power of the sum is estimated without bias, from products
+    x_i x_j of different lines' shares i != j in it (a U-statistic; Hoeffding 1948). The square of the sum would hold
+    x_i^2 as well, whose mean is too large by the variance: bright bands of one heavy path in dark fluid.
     """
     if not echoes["reflected"].any():
         return None
@@ -69,8 +73,17 @@ def clutter_lines(
     line, position, amplitude = _placed(echoes, echoes["reflected"], weights, rays, depth_mm, shape)
     cells = max(1, min(samples, math.ceil(depth_mm / _CLUTTER_MM * _CLUTTER_CELLS_PER_SIGMA)))
     coarse = torch.from_numpy(splat(line, (position + 0.5) * (cells / samples) - 0.5, amplitude, (lines, cells)))
-    coarse = _spreading(lines, _CLUTTER_LINES) @ coarse @ _spreading(cells, _CLUTTER_CELLS_PER_SIGMA).T
-    fine = F.interpolate(coarse[None], size=samples, mode="linear", align_corners=False)
+    across, along = _spreading(lines, _CLUTTER_LINES), _spreading(cells, _CLUTTER_CELLS_PER_SIGMA)
+    dealt = torch.arange(lines) % _CLUTTER_SETS == torch.arange(min(_CLUTTER_SETS, lines))[:, None]
+    by_set = across * dealt[:, None, :]
+    spread = by_set @ (coarse @ along.T)
+    share = by_set.sum(dim=-1) / across.sum(dim=-1)
+    if len(spread) == 1:
+        total = spread[0]
+    else:
+        of_pairs = spread.sum(dim=0).square() - spread.square().sum(dim=0)
+        total = (of_pairs.clamp(min=0) / (1 - share.square().sum(dim=0))[:, None]).sqrt()
+    fine = F.interpolate(total[None], size=samples, mode="linear", align_corners=False)
     return fine[0].numpy() * (cells / samples)
 
 

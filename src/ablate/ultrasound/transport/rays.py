@@ -27,6 +27,7 @@ RAY = np.dtype(
         ("displayed_mm", np.float64),  # the length as it is displayed
         ("loss_db", np.float64),  # one way
         ("weight", np.float64),  # throughput: two-way amplitude without losses
+        ("growth", np.float64),  # of the weight of all rays that come of a reflected one, by the sum of their parts
         ("interfaces", np.int32),  # that the ray has met
         ("reflections", np.int32),  # at how many of them it was reflected
         ("structure", np.int32),  # of the last surface
@@ -49,7 +50,8 @@ class View(NamedTuple):
     rays: int  # of each group
     path_seed: np.uint64
     depth_mm: float  # of the image; echoes displayed deeper are not followed
-    roulette_db: float  # two-way amplitude under which Russian roulette may end a reflected ray
+    roulette_db: float  # two-way amplitude at the image's depth under which Russian roulette may end a reflected ray
+    gain_db_mm: float  # of the display with depth
     step_mm: float  # from a surface to the origin of the rays that leave it
 
 
@@ -109,7 +111,7 @@ def start_rays(bundle: Bundle, inside: np.ndarray, chosen: slice, view: View) ->
     rays = np.zeros(len(medium), RAY)
     rays["number"] = np.arange(chosen.start, chosen.stop)
     rays["origin"], rays["direction"] = bundle.origins[chosen], bundle.ray_directions[chosen]
-    rays["medium"], rays["weight"] = medium, 1.0
+    rays["medium"], rays["weight"], rays["growth"] = medium, 1.0, 1.0
     rays["structure"] = rays["triangle"] = -1
     rays["reach_mm"] = np.float32(view.depth_mm) / view.media.stretch[medium]
     return rays

@@ -9,10 +9,10 @@ reflected before returns straight to its element, where the surface that reflect
 expectation off that interface is |R_p|, once.
 
 How a ray goes on is sampled so that errors are small, with these expectations. A direct ray, never reflected, carries
-the image: it is always transmitted, with 1 - R of its weight, and at random spawns a reflected one. A ray that was
-reflected before is either reflected or transmitted. The probability q of a reflection is at least its physical share
-R, and more where R_p is small (importance sampling): the weight of the reflected ray is multiplied by |R_p| / q, which
-is 1 / |R_p| for q = R. Such rays, rare and of large weight, would appear as isolated dots in dark fluid.
+the image: a surface splits it into a transmitted one, with 1 - R of its weight, and a reflected one, with |R_p|. A ray
+that was reflected once is split, too. So that rays do not multiply, one that was reflected more often is either
+reflected, with the probability |R_p|, or transmitted. Were it reflected with the probability R, the few that are would
+have the weight 1 / |R_p|, and would appear as isolated dots in dark fluid. Russian roulette ends faint reflected rays.
 """
 
 import math
@@ -28,11 +28,12 @@ from ablate.ultrasound.transport.bounce import (
     connect,
     cross_thickness,
     echo,
+    faintness_db,
+    go_on,
     hit_at,
     medium_at,
     move_to_surface,
     reflection_probability,
-    roulette,
     segment_ahead,
     spawn,
 )
@@ -110,10 +111,11 @@ def _advance(
             scattering = sample_scattering(direction, hit.normal, ray.medium, beyond, surface, drawn, media)
             thickness_mm = float(drawn[THICKNESS]) * media.thickness_mm[surface] if media.thick else 0.0
 
-            link = connect(ray, point, medium, thickness_mm, vector(view.elements[group]))
+            element, axis = vector(view.elements[group]), vector(view.axes[group])
+            link = connect(ray, point, medium, thickness_mm, element, axis)
             depth_mm = link.depth_mm + thickness_mm * medium.stretch
             if depth_mm < view.depth_mm:
-                amplitude = echo(ray, scattering, link, media.specularity[surface], vector(view.axes[group]))
+                amplitude = echo(ray, scattering, link, media.specularity[surface])
                 if amplitude > 0:
                     found = echoes[received]
                     found.group, found.depth_mm = group, depth_mm
@@ -123,12 +125,13 @@ def _advance(
                 continue
 
             ray.interfaces += 1
-            probability = reflection_probability(abs(scattering.pressure), direct)
+            probability = reflection_probability(abs(scattering.pressure))
             if direct and probability > 0:  # the level is interpolated between nodes: keep it up to the surface
                 energy = scattering.pressure * scattering.pressure
                 accumulate(nodes, group, segment_ahead(ray, medium, nodes.spacing_mm), weight * energy)
             pressure, choice, luck = scattering.pressure, drawn[CHOICE], drawn[SURVIVAL]
-            back_weight, weight = roulette(ray, pressure, probability, choice, luck, link.two_way_db, view.roulette_db)
+            faint_db = faintness_db(link, view.gain_db_mm, view.depth_mm)
+            back_weight, weight = go_on(ray, pressure, probability, choice, luck, faint_db, view.roulette_db)
             if back_weight > 0:
                 rays[reflected], inside[reflected] = ray, inside[i]
                 toggle(inside[reflected], hit.structure)
