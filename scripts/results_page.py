@@ -34,7 +34,7 @@ from ablate.analysis import (
     to_markdown,
 )
 from ablate.metrics import METRICS, Group, Shown, metric_of, shown_in
-from ablate.studies.comparison.compare import FACTORS, components_of
+from ablate.studies.comparison.answers import FACTORS, components_of
 from ablate.studies.comparison.results import Finished, scored_frames
 from ablate.studies.comparison.usable_runs import usable_runs
 

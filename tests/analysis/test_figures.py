@@ -16,6 +16,7 @@ from ablate.analysis import (
     effects_caption,
     effects_plot,
     error_vs_runtime,
+    forest_figure,
     frames_a_page,
     paired_boxplots,
     paired_table,
@@ -49,7 +50,7 @@ def figures(monkeypatch):
         drawn[stem.name] = figure
         return [stem]
 
-    for module in ("boxplots", "seeds_figure", "effects_figure", "image_figures"):
+    for module in ("boxplots", "seeds_figure", "effects_figure", "forest_figure", "image_figures"):
         monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", keep)
     return drawn
 
@@ -133,6 +134,60 @@ def test_written_seed_and_effects_figures(study, tmp_path):
     assert_written(seed_plot(study, None, ["psnr", "pchi2"], tmp_path / "seeds"))
     effects = pd.DataFrame({"effect": ["a"], "estimate": [1.0], "lower": [0.5], "upper": [2.0], "metric": ["psnr"]})
     assert_written(effects_plot(effects, ["psnr"], tmp_path / "effects"))
+
+
+def verdicts_of(**more):
+    """Verdicts of two components whose metrics are better where they are smaller; the second is without an effect."""
+    first = {"component": "att", "metric": "shadow_contrast", "effect": -6.0, "lower": -8.0, "upper": -4.0, "band": 3.0}
+    first |= {"verdict": "earns", "distance": 30.0, "ms_per_frame": 1.26, "parameters": -2400.0}
+    second = dict.fromkeys(first, np.nan) | {"component": "conv", "metric": "nyquist_excess", "verdict": "undecided"}
+    third = first | {
+        "component": "depth",
+        "metric": "mae_smooth",
+        "distance": 0.5,
+        "verdict": "does_not",
+        "effect": 1.0,
+    }
+    return pd.DataFrame([first | more, second, third])
+
+
+def test_the_forest_is_in_units_of_what_is_missing_and_says_the_verdict(figures, tmp_path):
+    dots = [("att", True, 6.5), ("att", True, 5.5), ("att", False, -0.3), ("conv", True, 9.0)]
+    runs = pd.DataFrame(dots, columns=["component", "on", "improvement"])
+    rows = [("att", "depth", 3.0, 0.01), ("depth", "att", -6.0, 0.2), ("conv", "att", 9.0, 0.01)]
+    pairs = pd.DataFrame(rows, columns=["component", "other", "improvement", "q"])
+    forest_figure(verdicts_of(), runs, pairs, tmp_path / "verdicts")
+    forest, beside, table, _ = figures["verdicts"].axes
+    drawn = {}
+    for line in forest.lines:
+        drawn.setdefault(line.get_label(), []).append(list(line.get_xdata()))
+    # Of att 30 grey levels are missing; of depth less than a band, so ten bands are the unit.
+    assert [x for (x,) in drawn["effect, 95 % interval"]] == pytest.approx([20, -100 / 30])
+    assert drawn["run with it"][0] == pytest.approx([100 * 6.5 / 30, 100 * 5.5 / 30])
+    assert drawn["run without it"][0] == pytest.approx([-1.0])
+    bands = [collection.get_paths()[0].get_extents() for collection in forest.collections]
+    assert [(band.x0, band.x1) for band in bands] == [(-10, 10), (-10, 10)]
+    assert forest.get_yticklabels()[0].get_text() == "attenuation map\nShadow contrast"
+    words = [text.get_text() for text in beside.texts]
+    assert words[3:] == ["earns", "+1.3", "−2k", "does not", "+1.3", "−2k"]
+    assert [text.get_text() for text in table.texts] == ["+10 %*", "−20 %"]
+    assert table.images[0].get_array().filled(0).tolist() == pytest.approx(np.array([[0, 10], [-20, 0]]))
+    assert legend_of(figures["verdicts"])[0] == "too small to matter"
+
+
+def test_a_forest_of_one_run_a_side_has_no_interval_and_none_without_an_effect(figures, tmp_path):
+    nothing = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])
+    alone = verdicts_of(lower=np.nan, upper=np.nan, ms_per_frame=np.nan, verdict="undecided").iloc[:2]
+    assert forest_figure(alone, nothing, nothing, tmp_path / "verdicts")
+    forest, beside = figures["verdicts"].axes
+    assert not [line for line in forest.lines if line.get_linewidth() > 2]
+    assert [text.get_text() for text in beside.texts][3:] == ["undecided", "–", "−2k"]
+    assert forest_figure(alone.iloc[1:], nothing, nothing, tmp_path / "none") == []
+
+
+def test_written_forest(tmp_path):
+    nothing = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])
+    assert_written(forest_figure(verdicts_of(), nothing, nothing, tmp_path / "verdicts"))
 
 
 def test_qualitative_grid_with_and_without_everything(pictures, tmp_path):

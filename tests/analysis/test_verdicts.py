@@ -20,7 +20,7 @@ from ablate.analysis import (
 from ablate.analysis.statistics.verdicts import BANDS, VERDICT_COLUMNS, answer
 from ablate.config import json_ready
 from ablate.networks import COMPONENTS
-from ablate.studies.comparison.compare import FACTORS
+from ablate.studies.comparison.answers import FACTORS
 from support.studies import study_group
 
 NAMES = [component.name for component in COMPONENTS]

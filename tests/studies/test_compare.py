@@ -16,7 +16,8 @@ from ablate.analysis import RESIMULATION, find_design
 from ablate.config import ConfigurationError, StudySettings, json_ready
 from ablate.metrics import METRICS_VERSION, Metric, metric_of, registry
 from ablate.networks import COMPONENTS
-from ablate.studies.comparison.compare import FACTORS, compare_study, components_of, write_comparison
+from ablate.studies.comparison.answers import FACTORS, components_of
+from ablate.studies.comparison.compare import compare_study, write_comparison
 from ablate.studies.comparison.results import Finished
 from ablate.studies.comparison.usable_runs import usable_runs
 from support.studies import study_group

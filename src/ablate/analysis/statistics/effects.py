@@ -177,13 +177,8 @@ def _separable_pairs(signs: dict[str, np.ndarray], factors: Sequence[str], block
     """Two-way interactions of which all four cells were run, and that no other term or block stands in for."""
     mains: list[tuple[str, ...]] = [(factor,) for factor in factors]
     four = [pair for pair in combinations(factors, 2) if len(np.unique([signs[f] for f in pair], axis=1).T) == 4]
-    rank = np.linalg.matrix_rank(_columns(signs, [*mains, *four], blocks))
-    kept: list[tuple[str, ...]] = []
-    for pair in four:
-        others = [*mains, *(other for other in four if other != pair)]
-        if np.linalg.matrix_rank(_columns(signs, others, blocks)) < rank:
-            kept.append(pair)
-    return kept
+    same = np.abs(linalg.null_space(_columns(signs, [*mains, *four], blocks))).sum(axis=1)  # 0 of a column of its own
+    return [pair for pair, share in zip(four, same[1 + len(mains) :], strict=False) if share < 1e-9]
 
 
 def _subsets(factors: Sequence[str], smallest: int) -> list[tuple[str, ...]]:

@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -11,15 +11,13 @@ from ablate import analysis
 from ablate.analysis import REFERENCE, Spread
 from ablate.config import ConfigurationError, StudySettings
 from ablate.metrics import METRICS_VERSION, Shown, shown_in
-from ablate.networks import COMPONENTS
 from ablate.storage import write_json
+from ablate.studies.comparison.answers import answers
 from ablate.studies.comparison.figures import Numbers, draw_figures, stored_pictures
 from ablate.studies.comparison.results import Finished, appendix, data_of, provenance, scored_frames
 from ablate.studies.comparison.usable_runs import UsableRuns, usable_runs
 from ablate.studies.tracked import describe_study, open_tracking, register_reference
 from ablate.tracking import RunLog, Status, default_uri
-
-FACTORS = tuple(component.field for component in COMPONENTS)
 
 
 def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
@@ -72,15 +70,10 @@ def write_comparison(
     per_image, scalars = scored_frames(runs)
     table = analysis.comparison_table(per_image, scalars, reference)
     paired = analysis.paired_table(per_image, reference)
-    design = analysis.find_design({run.label: components_of(run) for run in usable.all}, FACTORS, reference)
-    in_blocks = scored_frames(usable.all)
-    effects = pd.DataFrame() if design is None else analysis.effects_table(in_blocks[0], design, in_blocks[1])
-    means = analysis.run_means(*in_blocks, design)
-    verdicts = analysis.verdict_table(means, design, analysis.distances_to_resimulation(table, reference))
+    found = answers(usable.all, table, reference)
     claims = analysis.seed_claims(per_image, scalars, reference)
     frames, missing = stored_pictures(runs, reference)
-    numbers = Numbers(reference, per_image, scalars, table, paired, effects, design, means, verdicts)
-    figures = draw_figures(numbers, frames, partial)
+    figures = draw_figures(Numbers(reference, per_image, scalars, table, paired, found), frames, partial)
     notes = [*usable.notes, *([missing] if missing else [])]
     report = analysis.write_report(
         partial / "report.html",
@@ -89,7 +82,7 @@ def write_comparison(
         table,
         paired,
         claims=claims,
-        verdicts=verdicts,
+        verdicts=found.verdicts,
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
         left_out=_left_out(runs),
         provenance=provenance(usable.all),
@@ -100,16 +93,9 @@ def write_comparison(
     analysis.wide_table(table).to_csv(partial / "table.csv", index=False)
     (partial / "table.tex").write_text(analysis.to_latex(table[table["metric"].isin(shown_in(Shown.table))], reference))
     (partial / "table.md").write_text(_markdown(table))
-    runs_csv = _scores(analysis.run_means(*in_blocks), {run.label: components_of(run) for run in usable.all})
-    for name, content in (
-        ("paired", paired),
-        ("claims", claims),
-        ("effects", effects),
-        ("verdicts", verdicts),
-        ("runs", runs_csv),
-    ):
-        if len(content) or name != "effects":
-            content.to_csv(partial / f"{name}.csv", index=False)
+    tables = {"paired": paired, "claims": claims, "verdicts": found.verdicts, "runs": found.runs}
+    for name, content in (tables | ({"effects": found.effects} if len(found.effects) else {})).items():
+        content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
     partial.rename(folder)
     names = dict.fromkeys([report.name, *(p.name for p, _ in figures), *sorted(p.name for p in folder.iterdir())])
@@ -135,25 +121,6 @@ def _said(verdicts: Path) -> str:
     shown = table[table["effect"].notna()]
     words = [f"{c} {v.replace('_', ' ')}" for c, v in zip(shown["component"], shown["verdict"], strict=True)]
     return f" ({', '.join(words)})" if words else ""
-
-
-def components_of(run: Finished) -> dict[str, object]:
-    """What can make a run differ from another one of its study: components, other settings of the network, training.
-
-    Where no noise is injected, the weight that it would start with says nothing and is left out.
-    """
-    content = run.spec["semantic"]
-    model = {k: v for k, v in content["model"].items() if k != "noise_start" or content["model"]["noise"] == "inject"}
-    training = {f"training.{k}": v for k, v in content.get("training", {}).items() if k != "seed"}
-    return {**model, **training, "encoding": content["encoding"]["order"]}
-
-
-def _scores(means: pd.DataFrame, components: Mapping[str, Mapping[str, object]]) -> pd.DataFrame:
-    """One row a run: variant, seed, data, its components, and its mean of every metric."""
-    wide = means.pivot(index=["variant", "seed", "data"], columns="metric", values="value").reset_index()
-    for place, factor in enumerate(FACTORS):
-        wide.insert(3 + place, factor, [components[label].get(factor) for label in wide["variant"]])
-    return wide
 
 
 def _markdown(table: pd.DataFrame) -> str:

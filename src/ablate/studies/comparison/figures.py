@@ -8,8 +8,9 @@ from zipfile import BadZipFile
 import pandas as pd
 
 from ablate import analysis
-from ablate.analysis import RESIMULATION, Design, FramePictures
+from ablate.analysis import RESIMULATION, FramePictures
 from ablate.metrics import Shown, shown_in
+from ablate.studies.comparison.answers import Answers
 from ablate.studies.comparison.results import Finished, pictures, runtime_points
 from ablate.tracking import hardware
 
@@ -23,10 +24,7 @@ class Numbers:
     scalars: pd.DataFrame
     table: pd.DataFrame
     paired: pd.DataFrame
-    effects: pd.DataFrame
-    design: Design | None  # None where no component varies; `effects` is then empty
-    means: pd.DataFrame  # one row a metric of a run of the design
-    verdicts: pd.DataFrame
+    answers: Answers
 
 
 def stored_pictures(runs: Sequence[Finished], reference: str) -> tuple[list[FramePictures], str]:
@@ -46,8 +44,8 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
     def add(paths: Sequence[Path], caption: str) -> None:
         made.extend((path, caption) for path in paths)
 
-    design, means = numbers.design, numbers.means
-    tables = numbers.verdicts, analysis.improvements(means, design), analysis.interactions(means, design)
+    design, means, effects = numbers.answers.design, numbers.answers.means, numbers.answers.effects
+    tables = numbers.answers.verdicts, analysis.improvements(means, design), analysis.interactions(means, design)
     add(analysis.forest_figure(*tables, folder / "verdicts"), analysis.verdicts_caption(design, reference))
     page = analysis.frames_a_page(len(frames[0].predictions)) if frames else 1
     for k, start in enumerate(range(0, len(frames), page)):
@@ -61,10 +59,10 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
         analysis.seed_plot(per_image, numbers.scalars, panels, folder / "seeds", reference),
         analysis.seeds_caption(panels, reference),
     )
-    if design is not None and len(numbers.effects):
+    if design is not None and len(effects):
         gaps = _gaps(numbers.table, reference)
-        drawn = analysis.effects_plot(numbers.effects, panels, folder / "effects", gaps)
-        add(drawn, analysis.effects_caption(design, numbers.effects, reference if gaps else None))
+        drawn = analysis.effects_plot(effects, panels, folder / "effects", gaps)
+        add(drawn, analysis.effects_caption(design, effects, reference if gaps else None))
     for k, frame in enumerate(frames):
         add(analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}"), analysis.chi2_caption(frame.name))
     points, floors = runtime_points(numbers.table)

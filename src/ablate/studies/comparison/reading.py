@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,11 +11,13 @@ import pandas as pd
 
 from ablate.analysis import FramePictures, comparison_table
 from ablate.config import StudySettings, build
+from ablate.studies.comparison.answers import Answers, answers
 from ablate.studies.comparison.results import Finished, data_of, pictures, scored_frames
 from ablate.studies.comparison.usable_runs import usable_runs
 from ablate.studies.pairs.data import Data
 
-DEFAULT_STUDY = "runs/quick-fetal"  # where `make sweep` leaves its study
+SWEEP = ("runs/quick-fetal",)  # where `make sweep` leaves its study
+ANSWER = ("runs/answer", "docs/results/answer")  # where `make answer` leaves its study, and where it is kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +26,7 @@ class Study:
 
     folder: Path
     runs: tuple[Finished, ...]
+    blocks: tuple[Finished, ...]  # on other anatomies; they take part in `answers` only
     reference: str  # what it was last compared with
     per_image: pd.DataFrame  # as `comparison_table` takes it, like `scalars`
     scalars: pd.DataFrame
@@ -35,6 +39,10 @@ class Study:
     def pictures(self) -> list[FramePictures]:
         return pictures(self.runs, self.reference)
 
+    @cached_property
+    def answers(self) -> Answers:
+        return answers((*self.runs, *self.blocks), self.table, self.reference)
+
     @property
     def data(self) -> Data:
         return data_of(self.runs)
@@ -45,18 +53,18 @@ class Study:
         return build(StudySettings, self.runs[0].spec["settings"])
 
 
-def open_study() -> Study:
-    """Open the study named by the environment variable ABLATE_STUDY, or that of `make sweep`, here or one folder up.
+def open_study(places: Sequence[str] = SWEEP, made_by: str = "make sweep") -> Study:
+    """Open the study named by the environment variable ABLATE_STUDY, or the first of `places`, here or one folder up.
 
     Without one a SystemExit names the command that makes it, so that a notebook stops without a traceback.
     """
     named = os.environ.get("ABLATE_STUDY")
-    places = [Path(named)] if named else [Path(DEFAULT_STUDY), Path("..") / DEFAULT_STUDY]
-    for folder in places:
+    folders = [Path(named)] if named else [Path(up) / place for up in (".", "..") for place in places]
+    for folder in folders:
         marker = folder / "comparison" / "made_from.json"
         reference = json.loads(marker.read_text())["reference"] if marker.exists() else StudySettings.reference
-        runs = usable_runs(folder.resolve(), reference).runs
-        if runs:
-            return Study(folder.resolve(), runs, reference, *scored_frames(runs))
-    advice = "Run `make sweep` first, or name another by the environment variable ABLATE_STUDY."
-    raise SystemExit(f"There is no finished study at {places[0]}. {advice}")
+        usable = usable_runs(folder.resolve(), reference)
+        if usable.runs:
+            return Study(folder.resolve(), usable.runs, usable.blocks, reference, *scored_frames(usable.runs))
+    advice = f"Run `{made_by}` first, or name another by the environment variable ABLATE_STUDY."
+    raise SystemExit(f"There is no finished study at {folders[0]}. {advice}")
