@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep answer test test-all check lint ui precision bench-simulator bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start
+.PHONY: help sweep answer test test-all check lint ui precision bench-simulator bench-bands bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -46,6 +46,9 @@ ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
 
 bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size; SCENE=folder adds one to the table of plans
 	$(BIN)/python benchmarks/simulator.py $(if $(SCENE),--scene $(SCENE))
+
+bench-bands: $(STAMP) ## frames with bright bands in fluid; ARGS="--frames 24 --against path/to/another/checkout"
+	$(BIN)/python benchmarks/bands.py $(ARGS)
 
 bench-dataset: $(STAMP) ## what the paper's data set costs: to simulate, to store, to read crops from
 	$(BIN)/python benchmarks/dataset.py
