@@ -59,3 +59,14 @@ def test_random_effects_are_estimated_from_a_study(tmp_path):
     assert (found.sites, found.frames) == (30, 6)
     with pytest.raises(ValueError, match="no variant with two seeds"):
         SCRIPT["sizes_of"](tmp_path / "nowhere")
+
+
+@pytest.mark.slow
+def test_verdicts_find_an_effect_of_one_and_a_half_standard_deviations_and_invent_none():
+    answer = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "calibration_verdicts.py"))
+    study, repetitions = answer["answer_runs"](), 300
+    assert answer["shares"](*study, {"att": 1.5}, 0.5, repetitions)["earns"] > 0.75
+    allowed = stats.binom.ppf(0.999, repetitions, 0.05) / repetitions
+    assert answer["shares"](*study, {}, 0.5, repetitions)["any_earns"] <= allowed
+    at_band = dict.fromkeys(answer["NAMES"], 1.0)
+    assert answer["shares"](*study, at_band, 1.0, repetitions)["any_does_not"] <= allowed

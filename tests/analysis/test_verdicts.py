@@ -15,6 +15,7 @@ from ablate.analysis import (
     find_design,
     improvements,
     interactions,
+    paper_effects,
     verdict_table,
 )
 from ablate.analysis.statistics.verdicts import BANDS, VERDICT_COLUMNS, answer
@@ -235,6 +236,22 @@ def test_dots_are_the_runs_without_what_other_components_and_anatomies_add(cells
         of = dots[dots["component"] == name]
         assert of.loc[~of["on"], "improvement"].to_numpy() == pytest.approx(np.zeros(16), abs=1e-9)
         assert of.loc[of["on"], "improvement"].to_numpy() == pytest.approx(np.full(18, -sizes.get(name, 0.0)), abs=1e-9)
+
+
+def test_the_papers_effects_are_excluded_where_the_interval_excludes_them(cells: pd.DataFrame, design: Design) -> None:
+    chance = 0.1 * np.random.default_rng(0).normal(size=len(cells))
+    # Half of what the attenuation map adds needs the maps at every level: averaged it is less than at the full model.
+    psnr = response(cells, {"att": 1.6}, {("att", "concat"): 1.55}) + chance
+    runs = means_of(cells, design, psnr)
+    table = paper_effects(runs[runs["metric"] == METRIC["att"]].assign(metric="psnr"), design).set_index("component")
+    assert list(table.index) == ["att", "concat", "conv", "noise"]
+    # SA2H and its ablations in the paper's Table II.
+    assert table["paper"].to_list() == pytest.approx([28.19 - 25.04, 28.19 - 26.23, 28.19 - 24.85, 28.19 - 26.45])
+    assert table["excluded"].to_list() == [False, True, True, True]
+    assert table.loc["att", "effect"] == pytest.approx(3.15, abs=0.3)
+    assert table.loc["att", "lower"] < 3.15 < table.loc["att", "upper"]
+    assert paper_effects(runs, design).empty, "no metric of the paper"
+    assert paper_effects(runs, None).empty
 
 
 def test_distances_are_counted_in_the_direction_that_is_worse() -> None:

@@ -114,7 +114,8 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     folder, report, notes = compared(study)
     names = {path.name for path in folder.iterdir()}
     assert names >= {"report.html", "table.csv", "table.tex", "table.md", "paired.csv", "claims.csv", "effects.csv"}
-    assert names >= {"verdicts.csv", "runs.csv"}
+    assert names >= {"verdicts.csv", "runs.csv", "paper.csv"}
+    assert pd.read_csv(folder / "runs.csv").set_index(["variant", "seed"]).loc[("sa2h-att", 1), "attenuation"] == "none"
     figures = {"verdicts", "boxplots", "seeds", "effects", "error_vs_runtime", *(f"boxplot_{m}" for m in METRICS)}
     assert names >= {f"{name}.{kind}" for name in figures for kind in ("png", "pdf")}
     assert not (study / "comparison.partial").exists()
@@ -183,7 +184,7 @@ def test_another_anatomy_is_a_block_of_effects_and_no_part_of_any_pair(study: Pa
             set_values(run, "psnr", lambda t: t["frame"] >= 0, 1000.0 - 5 * (label == "sa2h-att"))
     folder, report, _ = compared(study)
     assert {name: (folder / name).read_text() for name in alone} == alone
-    assert "6 runs on another anatomy than fetal-0 take part in the effects of components only: sa2h/seed3," in report
+    assert "6 runs on another anatomy than fetal-0 take part in effects and verdicts only: sa2h/seed3," in report
     together = pd.read_csv(folder / "effects.csv")
     assert (together["dof"] == effects["dof"] + 6 - 1).all(), "six more runs and one more block"
     shift = together.set_index(["metric", "effect"])["estimate"]["psnr", "attenuation"]

@@ -39,6 +39,7 @@ from .statistics.paired import PairedDifference as PairedDifference
 from .statistics.paired import holm as holm
 from .statistics.paired import paired_difference as paired_difference
 from .statistics.paired import paired_table as paired_table
+from .statistics.paper_effects import paper_effects as paper_effects
 from .statistics.verdicts import Answer as Answer
 from .statistics.verdicts import distances_to_resimulation as distances_to_resimulation
 from .statistics.verdicts import improvements as improvements

@@ -56,8 +56,9 @@ def _about_seeds(networks: pd.DataFrame, reference: str) -> list[str]:
     if not few:
         return []
     return [
-        f"Fewer than {FEWEST_SEEDS} seeds for {listed(few)}: that a component matters is not claimable; the paired "
-        "differences are between these trained networks only."
+        f"Fewer than {FEWEST_SEEDS} seeds for {listed(few)}: from these alone it is not claimable that a variant is "
+        "better or worse; the paired differences are between these trained networks only. Verdicts about components "
+        "count all runs of a design."
     ]
 
 

@@ -46,7 +46,7 @@ def forest_figure(verdicts: pd.DataFrame, runs: pd.DataFrame, pairs: pd.DataFram
     with house_style():
         figure = new_figure(PAGE_IN, forest_in + map_in)
         rows = [forest_in, map_in] if mapped else [forest_in]
-        grid = figure.add_gridspec(len(rows), 2, height_ratios=rows, width_ratios=[2.5, 1])
+        grid = figure.add_gridspec(len(rows), 2, height_ratios=rows, width_ratios=[2.3, 1])
         forest = figure.add_subplot(grid[0, 0])
         _draw_forest(forest, shown, runs, units)
         _write_beside(figure.add_subplot(grid[0, 1], sharey=forest), shown)
@@ -97,7 +97,13 @@ def _write_beside(axes: Axes, shown: pd.DataFrame) -> None:
     for k, row in enumerate(shown.to_dict("records")):
         place, word = len(shown) - k, Answer(row["verdict"])
         axes.text(0.03, place, WORDS[word], va="center", weight="bold", color=COLOURS[word])
-        axes.text(0.68, place, _signed(row["ms_per_frame"], 1), ha="right", va="center")
+        axes.text(
+            0.68,
+            place,
+            _signed(row["ms_per_frame"], 1 if abs(row["ms_per_frame"]) < 10 else 0),
+            ha="right",
+            va="center",
+        )
         axes.text(1.0, place, _signed(row["parameters"] / 1000, 0, "k"), ha="right", va="center")
 
 

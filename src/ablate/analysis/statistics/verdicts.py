@@ -9,8 +9,9 @@ from scipy import stats
 
 from ablate.analysis.order import REFERENCE, RESIMULATION
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
+from ablate.analysis.statistics.component_models import models_of, of_component, oriented, why_untold
 from ablate.analysis.statistics.designs import Design
-from ablate.analysis.statistics.effects import LinearModel, fit_effects
+from ablate.analysis.statistics.effects import LinearModel
 from ablate.analysis.statistics.paired import holm_where_known
 from ablate.metrics import Direction, metric_of
 from ablate.networks import COMPONENTS, Component
@@ -33,6 +34,7 @@ VERDICT_COLUMNS = (
     *("ms_per_frame", "parameters", "why"),
 )
 COSTS = ("ms_per_frame", "parameters")
+JUDGED_BY = (*dict.fromkeys(str(component.metric) for component in COMPONENTS), *COSTS)
 
 
 class Answer(StrEnum):
@@ -91,7 +93,7 @@ def verdict_table(
         components are on, from the same model), ms_per_frame and parameters (what the component adds), and why it is
         undecided. What the runs cannot tell is missing.
     """
-    models = _models(means, design)
+    models = models_of(JUDGED_BY, means, design)
     table = pd.DataFrame([_row(c, models, design, bands[c.name], level) for c in COMPONENTS])
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in COMPONENTS]
     table["distance"] = [(distances or {}).get(str(c.metric), np.nan) for c in COMPONENTS]
@@ -133,14 +135,14 @@ def improvements(means: pd.DataFrame, design: Design | None) -> pd.DataFrame:
         without it, in units of the metric): residuals of the model of main effects and blocks, plus the effect for the
         runs that have the component.
     """
-    tables, models = [], _models(means, design, interactions=False)
+    tables, models = [], models_of(JUDGED_BY, means, design, interactions=False)
     for component in COMPONENTS:
         model = _model(component, models, design)
         if isinstance(model, str) or design is None:
             continue
-        runs = _runs(str(component.metric), means, design)
+        runs = oriented(str(component.metric), means, design)
         on = runs[component.field].cat.codes.to_numpy() == 1
-        effect, _ = model.contrast(_of_component(component, model))
+        effect, _ = model.contrast(of_component(component, model))
         improvement = _sign(component) * (model.residuals + effect * on)
         shown = runs[["variant", "seed"]].assign(component=component.name, on=on, improvement=improvement)
         tables.append(shown)
@@ -159,7 +161,7 @@ def interactions(means: pd.DataFrame, design: Design | None) -> pd.DataFrame:
         Benjamini and Hochberg 1995; NaN where no error can be estimated).
     """
     named = {component.field: component.name for component in COMPONENTS}
-    rows, models = [], _models(means, design)
+    rows, models = [], models_of(JUDGED_BY, means, design)
     for component in COMPONENTS:
         model = _model(component, models, design)
         if isinstance(model, str):
@@ -186,9 +188,9 @@ def _row(
         return row | {"why": model}
     for cost in COSTS:
         priced = models[cost]
-        row[cost] = None if isinstance(priced, str) else priced.contrast(_of_component(component, priced))[0]
-    effect, error = model.contrast(_of_component(component, model))
-    full, full_error = model.contrast(_of_component(component, model, full=True))
+        row[cost] = None if isinstance(priced, str) else priced.contrast(of_component(component, priced))[0]
+    effect, error = model.contrast(of_component(component, model))
+    full, full_error = model.contrast(of_component(component, model, full=True))
     off, on = (int(n) for n in model.runs[model.terms.index((component.field,))])
     row |= {"effect": effect, "full_effect": full, "runs_a": on, "runs_b": off, "dof": model.dof}
     if model.dof < 1 or min(on, off) < FEWEST_SEEDS:
@@ -208,59 +210,16 @@ def _row(
     }
 
 
-def _models(means: pd.DataFrame, design: Design | None, interactions: bool = True) -> dict[str, LinearModel | str]:
-    """The model of every primary metric and of every cost, or why there is none."""
-    found: dict[str, LinearModel | str] = {}
-    for metric in {*(str(component.metric) for component in COMPONENTS), *COSTS}:
-        if design is None or metric not in set(means["metric"]):
-            found[metric] = f"no run was scored by {metric}"
-            continue
-        try:
-            runs = _runs(metric, means, design)
-            found[metric] = fit_effects(runs, design.factors, block="data", interactions=interactions)
-        except ValueError as error:
-            found[metric] = str(error)
-    return found
-
-
 def _model(component: Component, models: Mapping[str, LinearModel | str], design: Design | None) -> LinearModel | str:
     """The model of a component's primary metric, or why nothing can be said of the component."""
     if component.metric is None or metric_of(component.metric).better is Direction.none:
         return "it has no metric that judges it"
-    if design is None or component.field not in design.factors:
-        return "no run goes without it"
-    levels = list(design.cells[component.field].cat.categories)
-    if isinstance(component.on, str) and set(levels) != {component.on, component.off}:
-        return f"the runs compare {levels[0]} with {levels[1]}"
-    return models[component.metric]
-
-
-def _runs(metric: str, means: pd.DataFrame, design: Design) -> pd.DataFrame:
-    """The runs by a metric, with the full model's level the second one of every factor.
-
-    A metric that is best at 0 is replaced by its absolute value.
-    """
-    runs = means[means["metric"] == metric]
-    if metric_of(metric).better is Direction.zero:
-        runs = runs.assign(value=runs["value"].abs())
-    on = {c.field: c.on for c in COMPONENTS}
-    for factor in design.factors:
-        first, second = design.cells[factor].cat.categories
-        last = on[factor] if on[factor] in (first, second) else first
-        if not isinstance(last, str):  # a depth follows the size of the frame; the full model's is the smaller one
-            last = min(first, second)
-        runs = runs.assign(**{factor: runs[factor].cat.set_categories([second if last == first else first, last])})
-    return runs
+    return why_untold(component, design) or models[component.metric]
 
 
 def _sign(component: Component) -> int:
     """1 where larger values of its metric are better, and -1 where smaller ones are."""
     return 1 if metric_of(str(component.metric)).better is Direction.higher else -1
-
-
-def _of_component(component: Component, model: LinearModel, full: bool = False) -> np.ndarray:
-    """(terms,) weights of the effect of a component; with `full` where all others are on, else averaged."""
-    return np.array([component.field in term and (full or len(term) == 1) for term in model.terms], dtype=np.float64)
 
 
 def _two_sided(effect: float, error: float, dof: int) -> float:

@@ -25,6 +25,8 @@ class Answers:
         One row a metric of a run of the design.
     runs : DataFrame
         One row a run of the study: variant, seed, data, its components, and its mean of every metric.
+    paper : DataFrame
+        The paper's effects beside those of the study.
     """
 
     design: Design | None
@@ -32,6 +34,7 @@ class Answers:
     effects: pd.DataFrame
     verdicts: pd.DataFrame
     runs: pd.DataFrame
+    paper: pd.DataFrame
 
 
 def answers(runs: Sequence[Finished], table: pd.DataFrame, reference: str = REFERENCE) -> Answers:
@@ -53,6 +56,7 @@ def answers(runs: Sequence[Finished], table: pd.DataFrame, reference: str = REFE
         pd.DataFrame() if design is None else analysis.effects_table(per_image, design, scalars),
         analysis.verdict_table(means, design, analysis.distances_to_resimulation(table, reference)),
         wide,
+        analysis.paper_effects(means, design),
     )
 
 

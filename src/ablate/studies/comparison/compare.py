@@ -94,7 +94,8 @@ def write_comparison(
     (partial / "table.tex").write_text(analysis.to_latex(table[table["metric"].isin(shown_in(Shown.table))], reference))
     (partial / "table.md").write_text(_markdown(table))
     tables = {"paired": paired, "claims": claims, "verdicts": found.verdicts, "runs": found.runs}
-    for name, content in (tables | ({"effects": found.effects} if len(found.effects) else {})).items():
+    tables |= {name: made for name, made in (("effects", found.effects), ("paper", found.paper)) if len(made)}
+    for name, content in tables.items():
         content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
     partial.rename(folder)

@@ -65,7 +65,7 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
         if names := [run.name for run in blocks]:
             takes = "takes" if len(names) == 1 else "take"
             notes.append(
-                f"{_runs(names)} on another anatomy than {chosen} {takes} part in the effects of components only: "
+                f"{_runs(names)} on another anatomy than {chosen} {takes} part in effects and verdicts only: "
                 f"{listed(names)}."
             )
     for name in dict.fromkeys(name for run in (*runs, *blocks) for name in run.result.get("metrics", ())):

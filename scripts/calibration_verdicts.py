@@ -1,0 +1,116 @@
+"""Do verdicts keep their word? Simulated studies in the design of `+study=answer`: false verdicts and power.
+
+python scripts/calibration_verdicts.py    # the tables of docs/statistics.md, in ten minutes
+"""
+
+import argparse
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import pandas as pd
+from tqdm import trange
+
+from ablate.analysis import Answer, Design, find_design, run_means, verdict_table
+from ablate.config import json_ready
+from ablate.networks import COMPONENTS
+from ablate.studies.comparison.answers import FACTORS
+from ablate.studies.jobs.compose import jobs_of
+
+NAMES = tuple(component.name for component in COMPONENTS)
+EFFECTS = (0.5, 1.0, 1.5, 2.0, 3.0)
+BANDS = (0.5, 1.0, 1.5, 2.0)
+
+
+def answer_runs() -> tuple[pd.DataFrame, Design]:
+    """The runs of the study without a value, as `run_means` gives them, and their design.
+
+    Returns
+    -------
+    DataFrame
+        One row a primary metric of a run; value is 0. SA2H has the two seeds more that stand beside the study.
+    Design
+    """
+    jobs = [*jobs_of(["+study=answer"]), *jobs_of(["-m", "+study=answer_beside", "variant=sa2h", "seed=1,2"])]
+    made = {job.label: {**json_ready(job.settings.model), "encoding": job.settings.encoding.name} for job in jobs}
+    design = find_design(made, FACTORS)
+    assert design is not None
+    rows = [
+        (job.label, job.settings.seed, "0", "0", metric, 0.0, str(job.settings.scene.anatomy_seed))
+        for metric in dict.fromkeys(component.metric for component in COMPONENTS)
+        for job in jobs
+    ]
+    columns = ["variant", "seed", "frame", "site", "metric", "value", "data"]
+    return run_means(pd.DataFrame(rows, columns=columns), None, design), design
+
+
+def verdicts(runs: pd.DataFrame, design: Design, effects: Mapping[str, float], band: float, seed: int) -> pd.DataFrame:
+    """Verdicts of one simulated study; the standard deviation of a run is 1, and metrics are independent.
+
+    Parameters
+    ----------
+    runs, design
+        What `answer_runs` gives.
+    effects : mapping of str to float
+        By component, by how much it improves its metric: less is better in all primary metrics.
+    band : float
+        Of all components.
+    seed : int
+        Of the chance.
+    """
+    values = np.random.default_rng(seed).normal(size=len(runs))
+    for component in COMPONENTS:
+        on = runs[component.field] == design.cells.loc["sa2h", component.field]
+        values -= effects.get(component.name, 0.0) * (on & (runs["metric"] == component.metric))
+    return verdict_table(runs.assign(value=values), design, bands=dict.fromkeys(NAMES, band)).set_index("component")
+
+
+def shares(
+    runs: pd.DataFrame, design: Design, effects: Mapping[str, float], band: float, repetitions: int
+) -> dict[str, float]:
+    """How often each verdict is given in simulated studies; arguments as for `verdicts`.
+
+    Returns
+    -------
+    dict
+        `<answer>`: of the attenuation map; `any_<answer>`: of at least one component.
+    """
+    counts = {f"{prefix}{word}": 0 for word in Answer for prefix in ("", "any_")}
+    for k in trange(repetitions, desc=f"{effects}, band {band:g}", leave=False, mininterval=1.0, disable=None):
+        said = verdicts(runs, design, effects, band, k)["verdict"]
+        for word in Answer:
+            counts[word] += int(said["att"] == word)
+            counts[f"any_{word}"] += int((said == word).any())
+    return {name: count / repetitions for name, count in counts.items()}
+
+
+def report(repetitions: int) -> Iterator[str]:
+    """The tables in Markdown, line by line."""
+    yield f"{repetitions} simulated studies a number; effects and bands in standard deviations of a run.\n"
+    yield f"| improvement by one component (band 0.5) | {' | '.join(f'{size:g}' for size in (0.0, *EFFECTS))} |"
+    yield f"| --- |{' --- |' * (1 + len(EFFECTS))}"
+    study = answer_runs()
+    found = [shares(*study, {"att": size}, 0.5, repetitions) for size in (0.0, *EFFECTS)]
+    for word in Answer:
+        yield f"| `{word}` | {' | '.join(f'{rates[word]:.2f}' for rates in found)} |"
+    yield f"\n| band, where no component improves anything | {' | '.join(f'{band:g}' for band in BANDS)} |"
+    yield f"| --- |{' --- |' * len(BANDS)}"
+    none = [found[0], *(shares(*study, {}, band, repetitions) for band in BANDS[1:])]
+    for name, row in (("`does_not`, one component", "does_not"), ("`earns`, at least one component", "any_earns")):
+        yield f"| {name} | {' | '.join(f'{rates[row]:.3f}' for rates in none)} |"
+    at_band = shares(*study, dict.fromkeys(NAMES, 1.0), 1.0, repetitions)
+    yield (
+        "\nWhere every component improves its metric by exactly the band, a share of "
+        f"{at_band['any_does_not']:.3f} of the studies says `does_not` of at least one."
+    )
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repetitions", type=int, default=500)
+    for line in report(parser.parse_args().repetitions):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
