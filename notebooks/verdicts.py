@@ -86,7 +86,8 @@ answers.paper.set_index(["component", "metric"]).round(3)
 # %% [markdown]
 # ## Everything else
 #
-# Effects on all other metrics are exploratory. These have a false discovery rate below 5 %.
+# Effects on all other metrics are exploratory. These have a false discovery rate below 5 %. They are effects of the
+# change from SA2H: what it does to a metric if the component is taken away.
 
 # %%
 effects = answers.effects
