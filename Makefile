@@ -21,9 +21,12 @@ $(STAMP): pyproject.toml constraints.txt
 sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 5 to 9 minutes on two cores
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h hydra/launcher=joblib
 
-answer: $(STAMP) ## which components earn their keep: 32 runs of a factorial in two anatomies and the runs beside it; resumable
+answer: $(STAMP) ## which components earn their keep: 32 runs of a factorial in two anatomies and the runs beside it, kept in docs/results; resumable
+	$(BIN)/python scripts/results.py restore
 	$(BIN)/python -m ablate +study=answer hydra/launcher=joblib
 	$(BIN)/python -m ablate +study=answer_beside hydra/launcher=joblib
+	$(BIN)/python scripts/results.py keep runs/answer
+	$(BIN)/python scripts/results.py table
 
 test: $(STAMP) check ## style, types and tests
 	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow"

@@ -1,7 +1,7 @@
 """Does the statistics keep its word? Simulated studies, judged by the project's own functions: false claims and power.
 
 python scripts/calibration.py                             # the tables of docs/statistics.md
-python scripts/calibration.py --study runs/laptop-fetal   # the random effects of a study of yours, and their tables
+python scripts/calibration.py --study runs/answer         # the random effects of a study of yours, and their tables
 """
 
 import argparse
@@ -44,7 +44,7 @@ class Sizes:
     frames: int
 
 
-# PSNR in dB between seeds of one variant, as `--study` prints them of the study in docs/results.md.
+# PSNR in dB between seeds of one variant, as `--study` printed them of a study of version 0.1.0.
 MEASURED = Sizes(run=0.085, run_site=0.123, run_frame=0.195, sites=16, frames=6)
 
 

@@ -1,11 +1,12 @@
 """Results that are kept in the repository: small copies of finished runs, and the tables and figures made from them.
 
-python scripts/results.py keep runs/laptop-fetal    # copy what is finished into docs/results/laptop-fetal
-python scripts/results.py restore                   # put it back into runs/: the same sweep goes on where it stopped
-python scripts/results.py table                     # write the tables of docs/results.md and its figures
+python scripts/results.py keep runs/answer    # copy what is finished into docs/results/answer
+python scripts/results.py restore             # put it back into runs/: the same sweep goes on where it stopped
+python scripts/results.py table               # write the tables of docs/results.md and its figures
 
-A run is kept with its configuration, its scalars and its values a frame; not with its weights. Prose in docs/results.md
-stays as it is: only what stands between the two markers is written.
+`keep` adds what has finished since, on whichever machine. A run is kept with its configuration, its scalars, its values
+a frame and what it was made with; not with its weights. Of the variants with a name of their own the first training
+keeps one picture. Prose in docs/results.md stays as it is: only what stands between the two markers is written.
 """
 
 import argparse
@@ -23,11 +24,11 @@ from ablate.storage import write_json
 from ablate.studies.comparison.results import Finished, pictures
 from ablate.studies.comparison.usable_runs import usable_runs
 from ablate.studies.identity import scored_by
-from results_page import FRAME, PICTURES, write_page
+from results_page import FRAME, PICTURES, named, write_page
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 KEPT, PAGE = DOCS / "results", DOCS / "results.md"
-VALUES = "per_image.parquet"
+VALUES, MADE_WITH = "per_image.parquet", "provenance/made_with.json"
 
 
 def keep(study: Path, kept: Path = KEPT) -> list[str]:
@@ -36,7 +37,7 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
     Parameters
     ----------
     study : Path
-        As `runs/laptop-fetal`.
+        As `runs/answer`.
     kept : Path
         Folder of kept studies.
 
@@ -52,7 +53,7 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
     """
     usable = usable_runs(study)
     if not usable.runs:
-        raise ValueError(f"{study} holds no finished run; allowed is the folder of a study, as runs/laptop-fetal")
+        raise ValueError(f"{study} holds no finished run; allowed is the folder of a study, as runs/answer")
     target = kept / study.resolve().name
     said = list(usable.notes)
     for run in usable.all:
@@ -68,13 +69,16 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
         own = {"runs_dir": "runs", "tracking": {**run.spec["settings"].get("tracking", {}), "uri": None}}
         write_json(folder / "spec.json", {**run.spec, "settings": {**run.spec["settings"], **own}})
         pack(run.folder / VALUES, folder / VALUES)
-        if run.seed == 0 and (run.folder / PICTURES).exists():
+        if run.seed == 0 and named([run]) and (run.folder / PICTURES).exists():
             with np.load(run.folder / PICTURES) as shown:
                 np.savez_compressed(folder / PICTURES, frames=shown["frames"][:1], images=shown["images"][:1])
+        if (run.folder / MADE_WITH).exists():
+            (folder / MADE_WITH).parent.mkdir(exist_ok=True)
+            shutil.copyfile(run.folder / MADE_WITH, folder / MADE_WITH)
         write_json(there, run.result)  # last: a run that has it is whole
         said.append(f"kept {run.name}")
     if not (target / FRAME).exists():
-        said += keep_frame(usable.runs, target / FRAME)
+        said += keep_frame(named(usable.runs), target / FRAME)
     return said
 
 
@@ -121,7 +125,7 @@ def keep_frame(runs: Sequence[Finished], path: Path) -> list[str]:
 
 
 def restore(kept: Path = KEPT, runs_dir: Path = Path("runs")) -> list[str]:
-    """Put kept runs back where a sweep looks for them; a run that is there stays.
+    """Put kept runs back where a sweep looks for them. What is finished there, or has another configuration, stays.
 
     Parameters
     ----------
@@ -138,14 +142,20 @@ def restore(kept: Path = KEPT, runs_dir: Path = Path("runs")) -> list[str]:
     for result in sorted(kept.glob("*/*/seed*/result.json")):
         name = result.parent.relative_to(kept)
         target = runs_dir / name
-        if (target / "spec.json").exists():
+        if (target / "result.json").exists() or _hash(target) not in ("", _hash(result.parent)):
             said.append(f"there already: {name}")
             continue
-        target.mkdir(parents=True, exist_ok=True)
-        for file in sorted(result.parent.iterdir(), key=lambda path: path.name == "result.json"):
-            shutil.copyfile(file, target / file.name)
+        whole = shutil.ignore_patterns("result.json")  # it comes last: a run that has it is whole
+        shutil.copytree(result.parent, target, dirs_exist_ok=True, ignore=whole)
+        shutil.copyfile(result, target / "result.json")
         said.append(f"restored {name}")
     return said
+
+
+def _hash(run: Path) -> str:
+    """The hash of a run's configuration; empty where it was never started."""
+    spec = run / "spec.json"
+    return str(json.loads(spec.read_text())["hash"]) if spec.exists() else ""
 
 
 def main() -> int:

@@ -1,9 +1,11 @@
-"""What docs/results.md says of the kept studies: tables, tests and figures in Markdown; scripts/results.py calls it."""
+"""What docs/results.md says of the kept studies: verdicts, tables and figures; scripts/results.py calls it."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,203 +17,252 @@ from ablate.analysis import (
     Design,
     FramePictures,
     Spread,
-    boxplot_caption,
-    boxplot_panels,
-    cautions,
     comparison_table,
-    effects_caption,
-    effects_plot,
-    effects_table,
-    find_design,
+    forest_figure,
+    improvements,
+    interactions,
     ordered_variants,
-    paired_table,
-    qualitative_caption,
     qualitative_figure,
     resimulation_note,
     seed_claims,
-    seed_plot,
-    seeds_caption,
     to_markdown,
+    verdicts_caption,
 )
-from ablate.metrics import METRICS, Group, Shown, metric_of, shown_in
-from ablate.studies.comparison.answers import FACTORS, components_of
-from ablate.studies.comparison.results import Finished, scored_frames
-from ablate.studies.comparison.usable_runs import usable_runs
+from ablate.metrics import METRICS, Group, Shown, shown_in
+from ablate.networks import Noise
+from ablate.studies.comparison.answers import Answers, answers
+from ablate.studies.comparison.results import Finished, provenance, scored_frames
+from ablate.studies.comparison.usable_runs import UsableRuns, usable_runs
+from ablate.studies.jobs.compose import jobs_of
+from results_tables import claim_rows, effect_rows, interaction_rows, paper_rows, shortfalls, verdict_rows
 
 BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by scripts/results.py: end -->"
-HEADLINE, PANELS = shown_in(Shown.headline), shown_in(Shown.panels)
-TABLE_II = [*shown_in(Shown.table), "ms_per_frame"]
-MECHANISM = [name for name, metric in METRICS.items() if metric.group is Group.mechanism]
-FIGURE_4 = [name for name in HEADLINE if METRICS[name].of_image]
 FRAME, PICTURES = "frame.npz", "pictures.npz"
+# By study, the file of conf/study that lists the runs of its design, and the one that lists those beside it.
+PLANS = {"answer": ("answer", "answer_beside")}
+BESIDE = [*shown_in(Shown.headline), *(name for name, m in METRICS.items() if m.group is Group.mechanism)]
+JUDGED_AGAINST_BARS = (REFERENCE, "sa2h-compensated")
 
 
-def kept_frame(study: Path, runs: Sequence[Finished]) -> list[FramePictures]:
-    """The kept frame with what every variant made of it; empty when it was not kept.
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """A kept study, read once: its runs, and the tables of `ablate.analysis` that its page shows."""
 
-    Parameters
-    ----------
-    study : Path
-        Folder of a kept study.
-    runs : sequence of Finished
+    usable: UsableRuns
+    per_image: pd.DataFrame  # as `scored_frames` gives it, of all anatomies
+    beside: pd.DataFrame  # `comparison_table` of the named variants, on the anatomy of the reference
+    claims: pd.DataFrame  # `seed_claims` of the same
+    answers: Answers
 
-    Returns
-    -------
-    list of FramePictures
-        One or none.
-    """
+
+def numbers_of(study: Path) -> Numbers:
+    """Read a kept study. Raises ValueError where no run of it can be used."""
+    usable = usable_runs(study)
+    if not usable.runs:
+        raise ValueError(" ".join([f"{study} holds no run that can be shown.", *usable.notes]))
+    per_image, scalars = scored_frames(usable.all)
+    here = str(usable.runs[0].result["data"])
+    shown = {RESIMULATION, *(run.label for run in named(usable.runs))}
+    of = [rows[(rows["data"] == here) & rows["variant"].isin(shown)] for rows in (per_image, scalars)]
+    beside = comparison_table(*of)
+    return Numbers(usable, per_image, beside, seed_claims(*of), answers(usable.all, beside))
+
+
+def named(runs: Sequence[Finished]) -> list[Finished]:
+    """The runs of variants that have a name of their own, as sa2h-gan; cells of a factorial have none."""
+    return [run for run in runs if "." not in run.label]
+
+
+@cache
+def planned_runs(group: str) -> frozenset[str]:
+    """Names of the runs of a file of conf/study."""
+    return frozenset(job.name for job in jobs_of([f"+study={group}"]))
+
+
+def finished_of(study: str, runs: Sequence[Finished]) -> tuple[list[tuple[int, int]], str]:
+    """How many runs of each part of a study's plan are finished, of how many, and a sentence that says so."""
+    done = {run.name for run in runs}
+    if study not in PLANS:
+        return [], f"{len(done)} runs are finished."
+    planned = [planned_runs(part) for part in PLANS[study]]
+    counts = [(len(part & done), len(part)) for part in planned]
+    (design, of_design), together = counts[0], frozenset.union(*planned)
+    said = f"{len(together & done)} of {len(together)} runs are finished"
+    return counts, said + (f": {design} of the {of_design} runs of the design." if design < of_design else ".")
+
+
+def study_lines(study: Path) -> Iterator[str]:
+    """The page of a kept study, paragraph by paragraph; figures and `verdicts.csv` are written into its folder."""
+    found = numbers_of(study)
+    runs, design = found.usable.all, found.answers.design
+    counts, said = finished_of(study.name, runs)
+    preliminary = bool(counts) and counts[0][0] < counts[0][1]
+    yield f"## {study.name}"
+    yield said + (" **All verdicts are preliminary.**" if preliminary else "")
+    yield about(runs, found.per_image)
+    found.answers.verdicts.to_csv(study / "verdicts.csv", index=False)
+    drawn = {
+        path.stem: f"![{path.stem}]({study.parent.name}/{study.name}/{path.name})" for path in figures(study, found)
+    }
+    if "verdicts" in drawn:
+        yield f"{drawn['verdicts']}\n\n*{verdicts_caption(design)}*"
+        yield from verdict_lines(study.name, found, preliminary)
+    if "qualitative" in drawn:
+        yield "### Pictures"
+        yield (
+            f"{drawn['qualitative']}\n\n*A test frame of an unseen probe site. The target has its segmentation in the "
+            "left corner and the logarithm of its attenuation map in the right corner. Each network is the first "
+            "training of its variant. Re-simulation is the same frame with other scatterers and ray paths.*"
+        )
+    yield from beside_lines(found)
+    if design is not None:
+        yield from design_lines(found, design)
+
+
+def about(runs: Sequence[Finished], per_image: pd.DataFrame) -> str:
+    """Size, data, code and machines of a study, in a paragraph."""
+    s = runs[0].spec["settings"]
+    rows, columns = s["simulator"]["image_shape"]
+    tested = per_image[per_image["variant"] != RESIMULATION].groupby("data")
+    sets = ", ".join(f"`{name}` ({of['frame'].nunique()} of {of['site'].nunique()} sites)" for name, of in tested)
+    made = {run.name: provenance([run]) for run in runs}
+    commits = Counter(of.get("git_commit", "")[:7] for of in made.values())
+    machines = Counter(of.get("hardware", "") for of in made.values())
+    said = [
+        f"Frames of {rows} x {columns} pixels, networks of {s['model']['width']:g} times the paper's width, "
+        f"{s['training']['steps']:,} training steps. Test frames: {sets}.",
+        f"Commits: {', '.join(filter(None, commits))}." if any(commits) else "",
+        f"Machines: {'; '.join(f'{name} ({n} runs)' for name, n in machines.items())}." if any(machines) else "",
+        "Times a frame on different machines cannot be compared." if len(machines) > 1 else "",
+    ]
+    return " ".join(filter(None, said))
+
+
+def verdict_lines(study: str, found: Numbers, preliminary: bool) -> Iterator[str]:
+    """The verdicts as a table, and why where nothing can be said."""
+    yield verdict_rows(found.answers.verdicts, preliminary)
+    dof = found.answers.verdicts["dof"].max()
+    yield (
+        "An effect is the mean of the runs with a component minus the mean of those without it, averaged over all "
+        "other components, or where all others are on. The arrow says which values are better. p (zero) is that "
+        "the effect is zero, p (band) that the improvement reaches the band; both are corrected over the components "
+        f"(Holm). {'' if pd.isna(dof) else f'The error has {dof} degrees of freedom. '}"
+        f"[verdicts.csv](results/{study}/verdicts.csv) has all columns."
+    )
+    unknown = found.answers.verdicts[found.answers.verdicts["p_holm"].isna()]
+    yield "\n".join(f"- {row['component']}: {row['why']}." for row in unknown.to_dict("records"))
+
+
+def beside_lines(found: Numbers) -> Iterator[str]:
+    """Named variants with re-simulation, the full model against its bars, and whether noise is alive."""
+    shown = found.beside[found.beside["metric"].isin((*BESIDE, "ms_per_frame"))]
+    yield "### The runs beside the design"
+    yield (
+        "Mean ± standard deviation of the trainings' means. The best network is bold.\n\n"
+        f"{to_markdown(shown, Spread.seeds)}"
+    )
+    yield resimulation_note(list(dict.fromkeys(shown["metric"])))
+    claims = found.claims[found.claims["metric"].isin(BESIDE)]
+    if claims["p"].notna().any():
+        yield claim_rows(claims)
+        yield (
+            f"Difference of the trainings' mean from {REFERENCE} (Welch's test). **Bold**: p is below 5 % after Holm's "
+            "correction over all variants and metrics. *Italic*: suggested, p is below 5 % only without it."
+        )
+    if table := shortfalls(found.beside, JUDGED_AGAINST_BARS):
+        yield "### How far from re-simulation"
+        yield table
+    rows = found.per_image[found.per_image["metric"] == "noise_sd"]
+    injecting = {run.name for run in found.usable.all if run.spec["semantic"]["model"]["noise"] == Noise.inject}
+    means = rows.groupby(["variant", "seed", "data"])["value"].mean().reset_index()
+    levels = means[means["variant"] == RESIMULATION].set_index("data")["value"]
+    means = means[(means["variant"] + "/seed" + means["seed"].astype(str)).isin(injecting)]
+    if len(means) and set(means["data"]) <= set(levels.index):
+        shares = means["value"] / means["data"].map(levels)
+        yield (
+            f"{len(means)} runs inject noise. Their standard deviation over draws (`noise_sd`) is "
+            f"{means['value'].min():.1f} to {means['value'].max():.1f} grey levels, {shares.min():.2f} to "
+            f"{shares.max():.2f} times that of re-simulation on the same anatomy."
+        )
+
+
+def design_lines(found: Numbers, design: Design) -> Iterator[str]:
+    """The paper's differences, the interactions on primary metrics, and all effects."""
+    if table := paper_rows(found.answers.means, design):
+        yield "### The differences that the paper reports"
+        yield table
+        yield (
+            "Mean with a component minus mean without it. The paper's are those of its Table II, one training each at "
+            "its own size. A difference as large as the paper's is excluded where it lies outside our 95 % interval: "
+            "the component then does less here, or more. Both intervals are named where they disagree."
+        )
+    if table := interaction_rows(interactions(found.answers.means, design), found.answers.verdicts):
+        yield "### Interactions"
+        yield table
+        yield (
+            "How much more a component (row) improves its metric where another one (column) is on: half the "
+            "difference, in units of the metric. Bold: the false discovery rate is below 5 %."
+        )
+    effects = found.answers.effects
+    if len(effects):
+        yield "### All effects"
+        yield effect_rows(effects, design.factors)
+        yield (
+            "Exploratory. Mean with a component minus mean without it. Bold, and named in the last column: the false "
+            f"discovery rate over all {len(effects)} effects and interactions of the table is below 5 %."
+        )
+
+
+def figures(study: Path, found: Numbers) -> list[Path]:
+    """Draw the verdicts and the kept frame as PNG into the folder of the study; PDF is for `task=compare`."""
+    kept = []
+    with TemporaryDirectory() as folder:
+        tables = (
+            found.answers.verdicts,
+            improvements(found.answers.means, found.answers.design),
+            interactions(found.answers.means, found.answers.design),
+        )
+        made = forest_figure(*tables, Path(folder) / "verdicts")
+        if frame := kept_frame(study, named(found.usable.runs)):
+            made += qualitative_figure([frame], Path(folder) / "qualitative")
+        for path in made:
+            if path.suffix == ".png":
+                kept.append(study / path.name)
+                with Image.open(path) as image:  # 256 colours: a third of the size
+                    image.convert("RGB").quantize(256).save(kept[-1], optimize=True)
+    return kept
+
+
+def kept_frame(study: Path, runs: Sequence[Finished]) -> FramePictures | None:
+    """The kept frame with what the first training of each variant made of it; None where it was not kept."""
     if not (study / FRAME).exists():
-        return []
+        return None
     with np.load(study / FRAME) as file:
         maps = dict(file)
     number = int(maps["number"])
     predictions = {RESIMULATION: maps["resimulation"]} if "resimulation" in maps else {}
     order = ordered_variants([run.label for run in runs])
-    for run in sorted(runs, key=lambda run: order.index(run.label)):
-        if (run.folder / PICTURES).exists():
+    for run in sorted(runs, key=lambda run: (order.index(run.label), run.seed)):
+        if run.label not in predictions and (run.folder / PICTURES).exists():
             with np.load(run.folder / PICTURES) as file:
                 if number in file["frames"]:
                     predictions[run.label] = file["images"][file["frames"].tolist().index(number)]
-    return [
-        FramePictures(
-            f"frame {number}", maps["target"], predictions, maps["mask"], maps["segmentation"], maps.get("attenuation")
-        )
-    ]
-
-
-def study_lines(study: Path) -> Iterator[str]:
-    """Tables and figures of a kept study, paragraph by paragraph; figures are written into its folder."""
-    usable = usable_runs(study)
-    per_image, scalars = scored_frames(usable.runs)
-    table = comparison_table(per_image, scalars)
-    networks = per_image[per_image["variant"] != RESIMULATION]
-    yield f"## {study.name}"
-    yield (
-        f"{len(usable.runs)} runs, {networks['frame'].nunique()} test frames of {networks['site'].nunique()} unseen "
-        f"probe sites, data set `{usable.runs[0].result['data']}`."
-    )
-    yield "\n".join(f"- {note}" for note in (*usable.notes, *cautions(per_image)))
-    shown = table[table["metric"].isin(TABLE_II)]
-    yield f"Mean ± standard deviation over test frames. The best network is bold.\n\n{to_markdown(shown)}"
-    spread = table[table["metric"].isin((*HEADLINE, *MECHANISM))]
-    yield (
-        "Mean ± standard deviation over the means of the seeds, with the mechanism metrics.\n\n"
-        f"{to_markdown(spread, Spread.seeds)}"
-    )
-    yield resimulation_note(list(dict.fromkeys([*shown["metric"], *spread["metric"]])))
-    for reference, labels in families(list(dict.fromkeys(per_image["variant"]))).items():
-        where = "" if reference == REFERENCE else f", compared with {reference}"
-        of, sets = (rows[rows["variant"].isin(labels)] for rows in (per_image, scalars))
-        claims, paired = seed_claims(of, sets, reference), paired_table(of, reference)
-        yield f"### Do the components matter{where}?\n\n{claims_text(claims, reference)}"
-        yield f"### Do the trained networks differ{where}?\n\n{paired_text(paired, reference)}"
-    design = find_design({run.label: components_of(run) for run in usable.runs}, FACTORS)
-    for path, caption in figures(study, usable.runs, design):
-        yield f"![{path.stem}]({study.parent.name}/{study.name}/{path.name})\n\n*{caption}*"
-
-
-def families(labels: Sequence[str]) -> dict[str, list[str]]:
-    """What is compared with what: all with sa2h, and what shares a change with it, as sa2h.encoding-arbitrary."""
-    found = {REFERENCE: list(labels)}
-    for label in labels:
-        name, dot, change = label.partition(".")
-        alike = [other for other in labels if other.endswith(dot + change)]
-        if name == REFERENCE and dot and len(alike) > 1:
-            found[label] = alike
-    return found
-
-
-def grid_text(rows: pd.DataFrame, cell: Callable[[str, dict[str, Any]], str]) -> str:
-    """A row a variant and a column a metric, in Markdown."""
-    metrics = list(dict.fromkeys(rows["metric"]))
-    lines = [["variant", *(metric_of(m).title for m in metrics)], ["---", *["---:"] * len(metrics)]]
-    for variant, of in rows.groupby("variant", sort=False):
-        cells = of.set_index("metric").to_dict("index")
-        lines.append([str(variant), *(cell(m, cells[m]) if m in cells else "–" for m in metrics)])
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def claims_text(claims: pd.DataFrame, reference: str = REFERENCE) -> str:
-    """Whether components matter, judged on trainings."""
-    claims = claims[claims["metric"].isin((*TABLE_II, *MECHANISM))]
-    if claims["p"].isna().all():
-        return "Not claimable: this needs the reference and three seeds per network."
-
-    def cell(metric: str, claim: dict[str, Any]) -> str:
-        if pd.isna(claim["p"]):
-            return str(claim["verdict"])
-        text = f"{claim['shift']:+.{metric_of(metric).decimals}f}"
-        return {"differs": f"**{text}**", "suggested": f"*{text}*"}.get(str(claim["verdict"]), text)
-
-    return (
-        f"Difference from {reference} between the means over the seeds (Welch's test). **Bold**: p is below 5 % after "
-        "Holm's correction over all rows and metrics. *Italic*: suggested, p is below 5 % only before it.\n\n"
-        f"{grid_text(claims, cell)}"
-    )
-
-
-def paired_text(paired: pd.DataFrame, reference: str = REFERENCE) -> str:
-    """How the trained networks differ on the same frames."""
-    paired = paired[paired["metric"].isin((*FIGURE_4, *MECHANISM))]
-    if paired.empty:
-        return "There is no pair of networks to compare."
-
-    def cell(metric: str, row: dict[str, Any]) -> str:
-        shift, lower, upper = (f"{row[k]:+.{metric_of(metric).decimals}f}" for k in ("shift", "lower", "upper"))
-        return f"{f'**{shift}**' if row['p_sites_holm'] < 0.05 else shift} [{lower}, {upper}]"
-
-    return (
-        f"Median shift relative to {reference} on the same frames, with its 95 % interval over probe sites. **Bold**: "
-        "Wilcoxon's test over the means of the sites gives p below 5 % after Holm's correction over all rows and "
-        "metrics.\n\n"
-        f"{grid_text(paired, cell)}"
-    )
-
-
-def figures(study: Path, runs: Sequence[Finished], effects_of: Design | None) -> list[tuple[Path, str]]:
-    """The figures of a kept study as PNG, each with its caption; PDF is for `task=compare`."""
-    per_image, scalars = scored_frames(runs)
-    made: list[tuple[list[Path], str]] = []
-    with TemporaryDirectory() as folder:
-        drawn = Path(folder)
-        if frames := kept_frame(study, runs):
-            made.append((qualitative_figure(frames, drawn / "qualitative"), qualitative_caption()))
-        boxes = boxplot_panels(per_image, FIGURE_4, drawn / "boxplots", paired=paired_table(per_image))
-        made.append((boxes, boxplot_caption(FIGURE_4)))
-        made.append((seed_plot(per_image, scalars, PANELS, drawn / "seeds"), seeds_caption(PANELS)))
-        if effects_of is not None and len(effects := effects_table(per_image, effects_of, scalars)):
-            made.append((effects_plot(effects, PANELS, drawn / "effects"), effects_caption(effects_of, effects)))
-        kept = []
-        for paths, caption in made:
-            for path in paths:
-                if path.suffix == ".png":
-                    kept.append((study / path.name, caption))
-                    with Image.open(path) as image:  # 256 colours: a third of the size
-                        image.convert("RGB").quantize(256).save(study / path.name, optimize=True)
-    return kept
+    name, of = f"frame {number}", (maps["mask"], maps["segmentation"], maps.get("attenuation"))
+    return FramePictures(name, maps["target"], predictions, *of)
 
 
 def write_page(kept: Path, page: Path) -> None:
     """Write what stands between the markers of the page; a page without them is begun.
 
-    Parameters
-    ----------
-    kept : Path
-        Folder of kept studies.
-    page : Path
-
-    Raises
-    ------
-    ValueError
-        When nothing is kept.
+    `kept` is the folder of kept studies. Raises ValueError when nothing is kept.
     """
     studies = sorted({path.parents[2] for path in kept.glob("*/*/seed*/result.json")})
     if not studies:
-        raise ValueError(f"{kept} holds no study; `python scripts/results.py keep runs/laptop-fetal` copies one")
+        raise ValueError(f"{kept} holds no study; `python scripts/results.py keep runs/answer` copies one")
     text = page.read_text() if page.exists() else f"# Results\n\n{BEGIN}\n{END}\n"
     before, _, rest = text.partition(BEGIN)
-    _, found, after = rest.partition(END)
-    if not found:
+    _, ended, after = rest.partition(END)
+    if not ended:
         raise ValueError(f"{page} lacks the markers {BEGIN} and {END}")
-    paragraphs = [line for study in studies for line in study_lines(study) if line]
+    paragraphs = [line.strip() for study in studies for line in study_lines(study) if line]
     page.write_text(before + BEGIN + "\n\n" + "\n\n".join(paragraphs) + "\n\n" + END + after)

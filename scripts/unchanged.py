@@ -136,10 +136,10 @@ def record(folder: Path, code: Path) -> None:
             str(Path(__file__).resolve()), "weights", str(checkpoint)
         ).splitlines()
     (folder / "weights.json").write_text(json.dumps(weights, indent=1))
-    print("comparison of the kept study ...", flush=True)
-    kept = folder / "runs" / "laptop-fetal"
-    shutil.copytree(next(code.glob("docs/**/laptop-fetal")), kept)
-    must("-m", "ablate", "task=compare", "preset=laptop", "runs_dir=runs")
+    for kept in sorted({path.parents[2] for path in code.glob("docs/results/*/*/seed*/result.json")}):
+        print(f"comparison of the kept study {kept.name} ...", flush=True)
+        shutil.copytree(kept, folder / "runs" / kept.name)
+        must("-m", "ablate", "task=compare", f"study_name={kept.name}", "runs_dir=runs")
     print("stability ...", flush=True)
     must("-m", "ablate", "task=stability", "runs_dir=runs")
     (folder / "describe.txt").write_text(must("-m", "ablate", "task=describe"))

@@ -12,6 +12,7 @@ import trimesh
 import yaml
 
 from ablate.__main__ import main
+from ablate.config import TrackingSettings
 from ablate.studies.jobs.job import Job
 from ablate.studies.jobs.launch import Launch
 
@@ -170,3 +171,28 @@ def test_a_job_that_fails_is_shown_where_it_happened_and_the_next_one_runs(
     assert shown.count("in broken") == 2
     assert "sa2h/seed0: the loss is not finite" in shown
     assert "nsa2h/seed0: the loss is not finite" in shown
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "http://anna:canary@host:5000",
+        "https://canary@host",
+        "'postgresql+psycopg2://anna:can/canary#@host/db'",
+        "'mysql://host/db?password=canary'",
+        "http://anna:can,canary@host",
+        "${oc.env:TRACKING}",
+    ],
+)
+def test_a_password_in_the_tracking_uri_is_refused_and_not_shown(
+    refused: Refused, monkeypatch: pytest.MonkeyPatch, uri: str
+) -> None:
+    monkeypatch.setenv("TRACKING", "http://anna:canary@host:5000")
+    said = refused(f"tracking.uri={uri}")
+    assert "canary" not in said
+    assert "," in uri or "tracking.uri: holds a user or a password" in said
+
+
+@pytest.mark.parametrize("uri", ["http://host:5000", "postgresql://anna@host/db", "sqlite:////a:b/c@d/mlflow.db"])
+def test_a_tracking_uri_without_a_password_is_taken(uri: str) -> None:
+    assert TrackingSettings(uri=uri).uri == uri

@@ -3,6 +3,7 @@
 import importlib
 import json
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -11,13 +12,20 @@ import pandas as pd
 import pytest
 
 from ablate.config import json_ready
-from ablate.metrics import METRICS_VERSION
+from ablate.metrics import METRICS, METRICS_VERSION
+from ablate.networks import COMPONENTS
+from ablate.studies.comparison.answers import components_of
 from ablate.studies.identity import config_hash, finished, semantic
 from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.job import Job
 
-FRAMES, SITES = 24, 8
-SWEEP = ["-m", "variant=sa2h,sa2h-att", "seed=0,1,2"]
+FRAMES, SITES = 8, 8
+PLAN = ("answer", "answer_beside")
+PER_IMAGE = [name for name, metric in METRICS.items() if metric.of_image or metric.of_draws]
+SCALARS = ("fd_speckle", "kd_speckle")
+EFFECT = 6.0  # on every metric of going without the attenuation map; twice the band
 IMAGE = np.full((40, 60), 90, np.uint8)
+PICTURED = {"lsa2h", "nsa2h", "sa2h", "sa2h-att", "sa2h-compensated", "sa2h-gan"}
 
 
 @pytest.fixture
@@ -26,94 +34,261 @@ def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("results")
 
 
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> list[Job]:
+    """Every job of the two halves of the plan, each once."""
+    runs = tmp_path_factory.mktemp("study") / "runs"
+    jobs = [job for part in PLAN for job in jobs_of([f"+study={part}", f"runs_dir={runs}"])]
+    return list({job.name: job for job in jobs}.values())
+
+
+@pytest.fixture(scope="module")
+def whole(planned: list[Job]) -> Path:
+    """The whole study, as if trained."""
+    for job in planned:
+        pretend(job)
+    return planned[0].settings.study_dir
+
+
 @pytest.fixture
-def study(tmp_path: Path) -> Path:
-    """Every run of a sweep, as if trained."""
-    rng = np.random.default_rng(0)
-    jobs = jobs_of([*SWEEP, f"runs_dir={tmp_path}/runs"])
-    for job in jobs:
-        job.folder.mkdir(parents=True)
-        spec = {"label": job.label, "hash": config_hash(job.settings), "semantic": semantic(job.settings)}
-        (job.folder / "spec.json").write_text(json.dumps({**spec, "settings": json_ready(job.settings)}))
-        rows = [
-            {"frame": 300 + f, "site": f % SITES, "metric": m, "value": 20 + k + rng.normal(), "source": s, "split": p}
-            for k, m in enumerate(("psnr", "mae", "pchi2"))
-            for s in ("model", "resimulation")
-            for p in ("test", "validation")
-            for f in range(FRAMES)
-        ]
-        table = pd.DataFrame(rows).assign(variant=job.label, seed=job.settings.seed)
-        table.to_parquet(job.folder / "per_image.parquet")
-        np.savez(job.folder / "pictures.npz", frames=[300, 310], images=[IMAGE, IMAGE // 2])
-        scalars = {"parameters_generator": 1e6, "parameters_discriminator": 2e6, "ms_per_frame": 30.0}
-        result = {"hash": spec["hash"], "label": job.label, "seed": job.settings.seed, "data": "fetal-0"}
-        result |= {"metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
-        (job.folder / "result.json").write_text(json.dumps({**result, "mlflow_run_id": "x", "scalars": scalars}))
-    return jobs[0].settings.study_dir
+def study(whole: Path, tmp_path: Path) -> Path:
+    """A copy of it that a test may change."""
+    return shutil.copytree(whole, tmp_path / "runs" / whole.name)
+
+
+def pretend(job: Job) -> None:
+    """Write the files of a finished run: chance about 20 in every metric, and 26 without the attenuation map."""
+    s, rng = job.settings, np.random.default_rng(job.settings.seed)
+    anatomy = s.scene.anatomy_seed
+    mean = 20 + 5 * anatomy + rng.normal(scale=0.1) + EFFECT * (s.model.attenuation == "none")
+    job.folder.mkdir(parents=True)
+    spec = {"label": job.label, "hash": config_hash(s), "semantic": semantic(s)}
+    (job.folder / "spec.json").write_text(json.dumps({**spec, "settings": json_ready(s)}))
+    rows = [
+        {"frame": 300 + f, "site": f % SITES, "metric": m, "value": v + rng.normal(scale=0.01), "source": o, "split": p}
+        for m in PER_IMAGE
+        for o, v in (("model", mean), ("resimulation", 12.0 if METRICS[m].better != "higher" else 32.0))
+        for p in ("test", "validation")
+        for f in range(FRAMES)
+    ]
+    pd.DataFrame(rows).assign(variant=job.label, seed=s.seed).to_parquet(job.folder / "per_image.parquet")
+    np.savez(job.folder / "pictures.npz", frames=[300, 310], images=[IMAGE, IMAGE // 2])
+    scalars = {"parameters_generator": 1e6, "parameters_discriminator": 2e6, "ms_per_frame": 30.0}
+    scalars |= {f"test/{name}": 0.5 + 0.01 * mean for name in SCALARS}
+    scalars |= {f"test/floor_{name}": 0.1 for name in SCALARS}
+    result = {"hash": spec["hash"], "label": job.label, "seed": s.seed, "data": f"fetal-{anatomy}"}
+    result |= {"metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
+    (job.folder / "result.json").write_text(json.dumps({**result, "mlflow_run_id": "x", "scalars": scalars}))
+    (job.folder / "provenance").mkdir()
+    made_with = {"git_commit": "0123456789", "git_dirty": "false", "hardware": f"machine {anatomy}"}
+    (job.folder / "provenance" / "made_with.json").write_text(json.dumps(made_with))
+    (job.folder / "last.ckpt").write_text("weights")
+
+
+def keep_frame(kept: Path) -> None:
+    maps = {"target": IMAGE, "resimulation": IMAGE, "segmentation": IMAGE // 90, "mask": IMAGE > 0}
+    np.savez(kept / "answer" / "frame.npz", number=300, **maps)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+def rows_of(text: str, heading: str) -> dict[str, list[str]]:
+    """The first table below a heading: cells by the first cell, or by the first two where the first repeats."""
+    lines = text.split(heading, 1)[1].split("\n")
+    start = next(k for k, line in enumerate(lines) if line.startswith("|"))
+    found: dict[str, list[str]] = {}
+    for line in lines[start:]:
+        if not line.startswith("|"):
+            break
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        found[cells[0] if cells[0] not in found else f"{cells[0]} {cells[1]}"] = cells
+    return found
+
+
 def test_what_is_kept_is_small_whole_and_without_the_machine(study: Path, script: ModuleType, tmp_path: Path) -> None:
     said = script.keep(study, tmp_path / "kept")
     assert said.count("kept sa2h/seed0") == 1
-    assert sum(line.startswith("kept ") for line in said) == 6
+    assert sum(line.startswith("kept ") for line in said) == 49
     assert any(line.startswith("no picture of the target is kept") for line in said), "its pairs are not on disk"
-    run = tmp_path / "kept" / study.name / "sa2h-att" / "seed1"
-    assert {path.name for path in run.iterdir()} == {"spec.json", "result.json", "per_image.parquet"}
-    assert str(tmp_path) not in (run / "spec.json").read_text(), "no path of this machine"
+    folder = tmp_path / "kept" / study.name
+    run = folder / "sa2h-att" / "seed1"
+    assert set(contents(run)) == {"spec.json", "result.json", "per_image.parquet", "provenance/made_with.json"}
+    assert str(study.parents[1]) not in (run / "spec.json").read_text(), "no path of this machine"
     original, kept = (pd.read_parquet(f / "per_image.parquet") for f in (study / "sa2h-att" / "seed1", run))
     pd.testing.assert_frame_equal(kept, original, check_dtype=False, rtol=1e-6)
     assert kept["value"].dtype == "float32"
-    with np.load(run.parents[1] / "sa2h-att" / "seed0" / "pictures.npz") as shown:
+    pictured = {path.parts[-3]: path for path in folder.glob("*/seed*/pictures.npz")}
+    assert pictured.keys() == PICTURED, "cells of the factorial are in no picture"
+    assert {path.parent.name for path in pictured.values()} == {"seed0"}
+    with np.load(pictured["sa2h-att"]) as shown:
         assert shown["frames"].tolist() == [300]
     before = contents(tmp_path / "kept")
     assert not any(line.startswith("kept ") for line in script.keep(study, tmp_path / "kept")), "a second time"
     assert contents(tmp_path / "kept") == before
 
 
+def test_a_study_is_kept_in_pieces_from_several_machines(study: Path, script: ModuleType, tmp_path: Path) -> None:
+    other = shutil.copytree(study, tmp_path / "other" / study.name)
+    labels = sorted(folder.name for folder in study.iterdir())
+    for label in labels[:20]:
+        shutil.rmtree(study / label)
+    for label in labels[20:]:
+        shutil.rmtree(other / label)
+    script.keep(study, tmp_path / "kept")
+    script.keep(other, tmp_path / "kept")
+    assert len(list((tmp_path / "kept" / study.name).glob("*/seed*/result.json"))) == 49
+
+
 def test_a_restored_study_has_nothing_left_to_do(study: Path, script: ModuleType, tmp_path: Path) -> None:
     script.keep(study, tmp_path / "kept")
     (study / "sa2h" / "seed2" / "result.json").write_text("{}")
+    (study / "sa2h" / "seed1" / "result.json").unlink()
+    for name in ("spec.json", "result.json"):
+        (study / "nsa2h" / "seed0" / name).unlink()
+        (study / "lsa2h" / "seed0" / name).unlink()
+    (study / "lsa2h" / "seed0" / "spec.json").write_text('{"hash": "another"}')
     shutil.rmtree(study / "sa2h-att")
     said = script.restore(tmp_path / "kept", tmp_path / "runs")
-    assert sum(line.startswith("restored") for line in said) == 3
+    back = {line.split()[-1] for line in said if line.startswith("restored")}
+    anew = ("nsa2h/seed0", "sa2h/seed1", *(f"sa2h-att/seed{k}" for k in range(3)))
+    assert back == {f"answer/{name}" for name in anew}, "also what was started and has not finished"
     assert f"there already: {study.name}/sa2h/seed2" in said, "what is there is not touched"
-    jobs = jobs_of([*SWEEP, f"runs_dir={tmp_path}/runs"])
-    assert [job.name for job in jobs if finished(job) is None] == ["sa2h/seed2"]
+    assert f"there already: {study.name}/lsa2h/seed0" in said, "another configuration is not touched"
+    jobs = [job for part in PLAN for job in jobs_of([f"+study={part}", f"runs_dir={tmp_path}/runs"])]
+    assert [job.name for job in jobs if finished(job) is None] == ["sa2h/seed2", "lsa2h/seed0"]
+    assert (study / "sa2h-att" / "seed0" / "provenance" / "made_with.json").exists()
 
 
-def test_the_page_is_written_between_its_markers(study: Path, script: ModuleType, tmp_path: Path) -> None:
+def test_the_page_of_a_whole_study(study: Path, script: ModuleType, tmp_path: Path) -> None:
     kept, page = tmp_path / "results", tmp_path / "results.md"
     script.keep(study, kept)
-    maps = {"target": IMAGE, "resimulation": IMAGE, "segmentation": IMAGE // 90, "mask": IMAGE > 0}
-    np.savez(kept / study.name / "frame.npz", number=300, **maps)
+    keep_frame(kept)
     script.write_page(kept, page)
     page.write_text(f"Before.\n{page.read_text()}\nAfter.\n")
     script.write_page(kept, page)
     text = page.read_text()
     assert text.startswith("Before.\n# Results")
     assert text.endswith("\nAfter.\n")
-    assert text.count("## quick-fetal") == 1
-    for name in ("qualitative", "boxplots", "seeds"):
-        assert f"![{name}](results/quick-fetal/{name}.png)" in text
-        assert (kept / "quick-fetal" / f"{name}.png").stat().st_size > 5_000
+    assert text.count("## answer\n") == 1
+    assert "49 of 49 runs are finished." in text
+    assert "preliminary" not in text
+    assert "machine 0 (33 runs); machine 1 (16 runs)" in text
+    assert "nan" not in text.lower()
+    for name in ("qualitative", "verdicts"):
+        assert f"![{name}](results/answer/{name}.png)" in text
+        assert (kept / "answer" / f"{name}.png").stat().st_size > 5_000
     for line in text.splitlines():
         assert not line.startswith("|") or line.endswith("|")
-    assert "| sa2h | 3 |" in text
+
+    stored = pd.read_csv(kept / "answer" / "verdicts.csv").set_index("component")
+    assert list(stored.reset_index().columns[:10]) == (
+        ["component", "metric", "effect", "lower", "upper", "band", "runs_a", "runs_b", "p_holm", "verdict"]
+    )
+    assert stored.loc["att", "verdict"] == "earns"
+    assert stored.loc["depth", "verdict"] == "does_not", "chance, far below the band"
+    shown = rows_of(text, "verdicts.png)")
+    assert set(shown) - {"component", "---"} == {component.name for component in COMPONENTS}
+    for name, row in stored.iterrows():
+        assert shown[str(name)][2].strip("*") == row["verdict"].replace("_", " ")
+    assert stored["p_holm"].notna().all()
+
+    runs = rows_of(text, "### The runs beside the design")
+    assert set(runs) == PICTURED | {"variant", "---", "re-simulation"}
+    assert {row[1] for name, row in runs.items() if name in PICTURED} == {"3"}
+
+
+def test_effects_at_the_full_model_are_those_of_the_cells_by_hand(whole: Path, script: ModuleType) -> None:
+    page = importlib.import_module("results_page")
+    tables = importlib.import_module("results_tables")
+    found = page.numbers_of(whole)
+    fitted = tables.models(found.answers.means, found.answers.design, ["mae_smooth", "shadow_contrast"])
+    for component in COMPONENTS:
+        if component.metric in fitted:
+            row = found.answers.verdicts.set_index("component").loc[component.name]
+            for full, part in ((False, ""), (True, "full_")):
+                names = (f"{part}effect", *(f"{part or ''}{side}" for side in ("lower", "upper")))
+                ours = tables.effect_of(component.field, fitted[component.metric], full)
+                assert ours == pytest.approx([row[name] for name in names])
+    estimate, lower, upper = tables.effect_of("attenuation", fitted["mae_smooth"], False)
+    assert lower < -EFFECT < upper
+    assert estimate == pytest.approx(-EFFECT, abs=0.2)
+    assert script is not None
+
+
+def test_the_papers_differences_are_excluded_where_ours_are_far_from_them(whole: Path, script: ModuleType) -> None:
+    page, tables = importlib.import_module("results_page"), importlib.import_module("results_tables")
+    found = page.numbers_of(whole)
+    rows = rows_of(f"x\n{tables.paper_rows(found.answers.means, found.answers.design)}", "x")
+    assert len(rows) == 2 + 4 * 3
+    by_cell = {(row[0], row[1].split()[0]): row for row in rows.values()}
+    assert by_cell["att", "PSNR"][3] == "+3.15", "28.19 - 25.04 dB"
+    assert by_cell["noise", "MAE"][3] == "−1.77", "6.37 - 8.14 grey levels"
+    assert by_cell["conv", "pχ²"][3] == "−0.141", "0.186 - 0.327"
+    assert by_cell["att", "PSNR"][2] == "less here", "the map makes PSNR smaller by 6"
+    assert by_cell["att", "MAE"][2] == "more here", "and MAE too"
+    shifted = found.answers.means.copy()
+    on = (shifted["metric"] == "psnr") & (shifted["attenuation"] == "integral")
+    shifted.loc[on, "value"] += EFFECT + 3.15
+    rows = rows_of(f"x\n{tables.paper_rows(shifted, found.answers.design)}", "x")
+    assert next(row for row in rows.values() if row[:2] == ["att", "PSNR (dB) ↑"])[2] == "no"
+    assert script is not None
+
+
+def test_bars_and_living_noise(whole: Path, script: ModuleType) -> None:
+    page, tables = importlib.import_module("results_page"), importlib.import_module("results_tables")
+    assert script is not None
+    found = page.numbers_of(whole)
+    rows = rows_of(f"x\n{tables.shortfalls(found.beside, ('sa2h', 'sa2h-compensated'))}", "x")
+    means = found.beside.pivot(index="metric", columns="variant", values="mean")
+    ratio = means.loc["mae_smooth", "sa2h"] / means.loc["mae_smooth", "re-simulation"]
+    smooth = next(row for name, row in rows.items() if name.startswith("Smooth MAE"))
+    assert smooth[5] == f"{ratio:.2f}"
+    assert 1.5 < ratio < 2.5
+    assert smooth[2] == "sa2h, sa2h-compensated"
+    assert next(row for name, row in rows.items() if name.startswith("FD speckle"))[2] == "sa2h, sa2h-compensated"
+    worse = found.beside.copy()
+    worse.loc[(worse["metric"] == "mae_smooth") & (worse["variant"] == "sa2h"), "mean"] *= 2
+    rows = rows_of(f"x\n{tables.shortfalls(worse, ('sa2h', 'sa2h-compensated'))}", "x")
+    assert next(row for name, row in rows.items() if name.startswith("Smooth MAE"))[2] == "sa2h-compensated"
+    text = "\n".join(page.beside_lines(found))
+    differences = rows_of(text, "can exceed.")
+    place = next(k for k, title in enumerate(differences["variant"]) if title.startswith("MAE"))
+    shift = means.loc["mae", "sa2h-att"] - means.loc["mae", "sa2h"]
+    assert differences["sa2h-att"][place] == f"**+{shift:.2f}**"
+    assert differences["sa2h-gan"][place] == "0.00"
+    injecting = [run for run in found.usable.all if components_of(run)["noise"] == "inject"]
+    assert f"{len(injecting)} runs inject noise." in text
+
+
+def test_verdicts_of_an_unfinished_design_are_preliminary(study: Path, script: ModuleType, tmp_path: Path) -> None:
+    kept, page = tmp_path / "results", tmp_path / "results.md"
+    cells = sorted(study.glob("*.*/seed*"), key=lambda folder: int(folder.name.removeprefix("seed")))
+    for cell in cells[-4:]:
+        (cell / "result.json").unlink()
+    script.keep(study, kept)
+    script.write_page(kept, page)
+    text = page.read_text()
+    assert "45 of 49 runs are finished: 28 of the 32 runs of the design. **All verdicts are preliminary.**" in text
+    words = [row[2] for row in rows_of(text, "verdicts.png)").values()][2:]
+    assert all(word.endswith("(preliminary)") for word in words)
     assert "nan" not in text.lower()
-    page.write_text("No markers.")
-    with pytest.raises(ValueError, match="lacks the markers"):
-        script.write_page(kept, page)
 
 
-@pytest.mark.usefixtures("script")
-def test_networks_with_the_same_change_are_also_compared_with_each_other() -> None:
-    families = importlib.import_module("results_page").families
-    labels = ["re-simulation", "sa2h", "nsa2h", "sa2h.encoding-arbitrary", "nsa2h.encoding-arbitrary", "sa2h.depth-2"]
-    assert families(labels) == {"sa2h": labels, "sa2h.encoding-arbitrary": labels[3:5]}
+@pytest.mark.parametrize("labels", [("sa2h",), ("sa2h", "nsa2h"), ("nsa2h",)])
+def test_a_page_is_made_of_whatever_has_finished(
+    study: Path, script: ModuleType, tmp_path: Path, labels: Sequence[str]
+) -> None:
+    for folder in study.iterdir():
+        if folder.name not in labels:
+            shutil.rmtree(folder)
+    script.keep(study, tmp_path / "results")
+    script.write_page(tmp_path / "results", tmp_path / "page.md")
+    text = (tmp_path / "page.md").read_text()
+    assert f"{3 * len(labels)} of 49 runs are finished" in text
+    assert "earns**" not in text
+    assert "nan" not in text.lower().replace("nsa2h", "")
 
 
 def test_what_cannot_be_kept_or_shown_is_refused(study: Path, script: ModuleType, tmp_path: Path) -> None:
@@ -122,6 +297,9 @@ def test_what_cannot_be_kept_or_shown_is_refused(study: Path, script: ModuleType
     with pytest.raises(ValueError, match="holds no study"):
         script.write_page(tmp_path / "kept", tmp_path / "page.md")
     script.keep(study, tmp_path / "kept")
+    (tmp_path / "page.md").write_text("No markers.")
+    with pytest.raises(ValueError, match="lacks the markers"):
+        script.write_page(tmp_path / "kept", tmp_path / "page.md")
     for name in ("spec.json", "result.json"):
         path = study / "sa2h" / "seed0" / name
         path.write_text(json.dumps(json.loads(path.read_text()) | {"hash": "another"}))

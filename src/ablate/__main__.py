@@ -1,5 +1,6 @@
 """Entry point of `python -m ablate` and of the console script `ablate`."""
 
+import re
 import sys
 
 from ablate.config import ConfigurationError
@@ -16,7 +17,8 @@ def main() -> None:
 
         code = run_task(command)
     except ConfigurationError as error:
-        print(f"ablate: {error}", file=sys.stderr)
+        said = re.sub(r"://[^\s@]*@", "://...@", str(error))  # no password on the screen
+        print(f"ablate: {said}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit("ablate: interrupted; the same command continues where it stopped")

@@ -122,10 +122,21 @@ class CropChoice:
         _at_least("crops.", self, workers=0)
 
 
+def _has_secret(uri: str) -> bool:
+    """Whether a tracking URI names a password, or any user of a web server, whose name may be a token."""
+    scheme, _, rest = uri.partition("://")
+    if scheme.startswith(("sqlite", "file")):
+        return False
+    named = re.search(r"[?&;](\w*passw\w*|pwd|\w*token|\w*secret)=", rest, re.IGNORECASE)
+    user = r".*@" if scheme.startswith("http") else r"[^@]*:.*@"
+    return bool(named or re.match(user, rest))
+
+
 @dataclass(frozen=True)
 class TrackingSettings:
     """Where runs are tracked; `uri` null is the SQLite file `mlflow.db` in `runs_dir`.
 
+    Settings are stored and shown, so `uri` may hold no password: MLflow takes it from the environment.
     `register` names the model in MLflow's registry that the reference variant's generator becomes a version of.
     """
 
@@ -134,6 +145,9 @@ class TrackingSettings:
     register: str | None = None
 
     def __post_init__(self) -> None:
+        if self.uri is not None and _has_secret(self.uri):
+            where = "MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or PGPASSWORD for a database"
+            raise ValueError(f"tracking.uri: holds a user or a password; allowed is a URI without, and {where}")
         if self.register is not None and not re.fullmatch(r"\w[\w.+ -]*", self.register):
             raise ValueError(f"tracking.register={self.register}: allowed are letters, digits, blanks and _.+-")
 

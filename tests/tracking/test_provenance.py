@@ -5,27 +5,57 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from ablate.tracking import environment, git_state, hardware, packages
 
 
-def test_git_state_tells_commit_and_diff(tmp_path: Path) -> None:
-    def git(*arguments: str) -> str:
-        identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
-        command = ["git", "-C", str(tmp_path), *identity, *arguments]
-        return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+def git(folder: Path, *arguments: str) -> str:
+    identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    command = ["git", "-C", str(folder), *identity, *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
-    assert git_state(tmp_path) == {}
-    git("init")
-    (tmp_path / "a").write_text("one\n")
-    git("add", "a")
-    git("commit", "-m", "first")
-    clean = git_state(tmp_path)
-    assert clean == {"git_commit": git("rev-parse", "HEAD").strip(), "git_dirty": "false", "git_diff": ""}
-    (tmp_path / "a").write_text("two\n")
-    dirty = git_state(tmp_path)
+
+def repository(root: Path, place: str, name: str) -> Path:
+    """A repository of a project with this name, which has the package in a folder; returns the package."""
+    package = root / place / "ablate"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (root / "pyproject.toml").write_text(f'[project]\nname = "{name}"\n')
+    git(root, "init")
+    return package
+
+
+def test_git_state_tells_commit_and_diff(tmp_path: Path) -> None:
+    package = repository(tmp_path, "src", "ablate")
+    assert git_state(package) == {}, "without a commit"
+    (package / "a").write_text("one\n")
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-m", "first")
+    clean = git_state(package)
+    assert clean == {"git_commit": git(tmp_path, "rev-parse", "HEAD").strip(), "git_dirty": "false", "git_diff": ""}
+    (package / "a").write_bytes(b"two \xe9\n")  # Latin-1
+    dirty = git_state(package)
     assert dirty["git_dirty"] == "true"
     assert "+two" in dirty["git_diff"]
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "committed"),
+    [
+        (".venv/lib/python3.11/site-packages", "thesis", False),
+        (".venv/lib/python3.11/site-packages", "ablate", True),
+        ("src", "thesis", True),
+        ("src", "ablate", False),
+    ],
+)
+def test_another_repository_tells_nothing(tmp_path: Path, place: str, name: str, committed: bool) -> None:
+    package = repository(tmp_path, place, name)
+    (tmp_path / "secret.txt").write_text("one\n")
+    git(tmp_path, "add", *(["."] if committed else ["secret.txt"]))
+    git(tmp_path, "commit", "-m", "first")
+    (tmp_path / "secret.txt").write_text("two\n")
+    assert git_state(package) == {}
 
 
 def test_environment_names_versions() -> None:

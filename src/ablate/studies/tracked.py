@@ -1,7 +1,6 @@
 """A study in MLflow: its parent run, a child run for each job, and the registered model."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -70,7 +69,7 @@ def _of(values: object, keys: tuple[str, ...]) -> dict[str, object]:
 def open_child(job: Job, store: Store, parent: str, frames: int) -> RunLog:
     """Open the job's run, and write its parameters, tags, provenance and the number of frames of its data set."""
     s = job.settings
-    code = tracking.git_state(Path(__file__).parent)
+    code = tracking.git_state()
     made_with = {k: v for k, v in code.items() if k != "git_diff"} | {"hardware": tracking.hardware()}
     tags = {"variant": job.label, "seed": str(s.seed), "study": s.study, "data_hash": dataset_hash(s)}
     run = RunLog(store, tracking.child_run(store, parent, job.name, config_hash(s), tags))

@@ -4,24 +4,39 @@ import os
 import platform
 import re
 import subprocess
+import tomllib
 from importlib import metadata
 from pathlib import Path
 
 import torch
 
+import ablate
 
-def git_state(folder: Path) -> dict[str, str]:
-    """Commit, dirty flag and uncommitted diff of the checkout that `folder` lies in; empty outside one."""
+_PACKAGE = Path(ablate.__file__).parent
+
+
+def git_state(package: Path = _PACKAGE) -> dict[str, str]:
+    """Commit, dirty flag and uncommitted diff of the repository that holds the source of this package.
+
+    Empty where the package is not loaded from its own repository: a package that is installed in an environment inside
+    another repository must not publish that repository.
+    """
+    root = package.parents[1]  # the package lies in src/ablate
 
     def git(*arguments: str) -> str:
-        done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True)
-        return done.stdout
+        command = ["git", "-C", str(root), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, errors="replace", check=True).stdout
 
     try:
+        if tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["project"]["name"] != "ablate":
+            return {}
+        if Path(git("rev-parse", "--show-toplevel").rstrip("\n")).resolve() != root.resolve():
+            return {}
+        git("ls-files", "--error-unmatch", str(package / "__init__.py"))
         commit = git("rev-parse", "HEAD").strip()
         diff = git("diff", "HEAD")
         untracked = git("status", "--porcelain").strip()
-    except (OSError, subprocess.CalledProcessError):
+    except (OSError, ValueError, KeyError, subprocess.CalledProcessError):
         return {}
     return {"git_commit": commit, "git_dirty": str(bool(diff or untracked)).lower(), "git_diff": diff}
 

@@ -47,7 +47,7 @@ def precision(jobs: Sequence[Job]) -> int:
     finally:
         for kept in (points, details):
             run.artifact(kept.path)
-        code = {k: v for k, v in git_state(Path(__file__).parent).items() if k != "git_diff"}
+        code = {k: v for k, v in git_state().items() if k != "git_diff"}
         run.tags({"hardware": hardware(), "scene": settings.scene_name, **code})
         run.end(status)
     return 0

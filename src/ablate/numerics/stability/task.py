@@ -54,7 +54,7 @@ def stability(jobs: Sequence[Job]) -> int:
         status = Status.killed
         raise
     finally:
-        code = {k: v for k, v in git_state(Path(__file__).parent).items() if k != "git_diff"}
+        code = {k: v for k, v in git_state().items() if k != "git_diff"}
         run.tags({"hardware": hardware(), **code})
         run.end(status)
         torch.set_num_threads(threads)

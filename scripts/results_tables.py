@@ -1,0 +1,203 @@
+"""The tables of docs/results.md in Markdown, made from those of `ablate.analysis`; results_page.py calls them."""
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from ablate.analysis import RESIMULATION, Answer, Design, Verdict
+from ablate.analysis.statistics.effects import LinearModel, fit_effects
+from ablate.analysis.statistics.verdicts import ALPHA
+from ablate.analysis.tables.formats import NOTHING, head
+from ablate.metrics import Direction, metric_of
+from ablate.networks import COMPONENTS
+
+# Zhang, Portenier and Goksel (2021), Table II: PSNR (dB), MAE (grey levels) and patch chi-square of SA2H, and of SA2H
+# without each component.
+PAPER_METRICS = ("psnr", "mae", "pchi2")
+PAPER_FULL = (28.19, 6.37, 0.1860)
+PAPER_WITHOUT = {
+    "att": (25.04, 8.75, 0.2940),
+    "concat": (26.23, 9.08, 0.2936),
+    "conv": (24.85, 8.87, 0.3270),
+    "noise": (26.45, 8.14, 0.2595),
+}
+# What the full model is to reach, from its mean and that of re-simulation.
+BARS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
+    "pchi2_tissue": ("at most 2 times re-simulation", lambda value, level: value <= 2 * level),
+    "mae_smooth": ("at most 2.5 times re-simulation", lambda value, level: value <= 2.5 * level),
+    "fd_speckle": ("below 1", lambda value, _: value < 1),
+    "noise_sd": ("above half of re-simulation", lambda value, level: value > level / 2),
+}
+NAMES = {component.field: component.name for component in COMPONENTS}
+
+
+def pipe_table(head_cells: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> str:
+    """A pipe table; the first `words` columns hold words, the others numbers."""
+    under = ["---"] * words + ["---:"] * (len(head_cells) - words)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head_cells, under, *rows))
+
+
+def signed(value: float | None, decimals: int) -> str:
+    """A number with its sign; a dash where it is missing, and no sign where it is printed as zero."""
+    if value is None or pd.isna(value):
+        return NOTHING
+    text = f"{value:+,.{decimals}f}"
+    return text.replace("-", "−") if text.strip("+-0.,") else text[1:]
+
+
+def with_interval(value: float, lower: float, upper: float, decimals: int) -> str:
+    """`+1.2 [+0.8, +1.6]`, without the brackets where there is no interval."""
+    if pd.isna(lower):
+        return signed(value, decimals)
+    return f"{signed(value, decimals)} [{signed(lower, decimals)}, {signed(upper, decimals)}]"
+
+
+def probability(p: float) -> str:
+    """Three decimals; what is smaller is said to be smaller."""
+    return NOTHING if pd.isna(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def verdict_rows(verdicts: pd.DataFrame, preliminary: bool) -> str:
+    """What `verdict_table` gives, a row a component."""
+    rows = []
+    for row in verdicts.to_dict("records"):
+        metric = metric_of(row["metric"])
+        effects = [
+            with_interval(row[part], row[f"{side}lower"], row[f"{side}upper"], metric.decimals)
+            for part, side in (("effect", ""), ("full_effect", "full_"))
+        ]
+        word = f"**{Answer(row['verdict']).replace('_', ' ')}**" + (" (preliminary)" if preliminary else "")
+        chances = (probability(row[name]) for name in ("p_holm", "p_band_holm"))
+        costs = signed(row["ms_per_frame"], 1), signed(row["parameters"] / 1000, 0)
+        rows.append([row["component"], head(row["metric"]), word, *effects, f"{row['band']:g}", *chances, *costs])
+    titles = ("effect [95 %]", "at the full model", "band", "p (zero)", "p (band)", "ms a frame", "parameters (1000)")
+    return pipe_table(("component", "metric", "verdict", *titles), rows, 3)
+
+
+def claim_rows(claims: pd.DataFrame) -> str:
+    """What `seed_claims` gives, a row a variant and a column a metric."""
+    metrics = list(dict.fromkeys(claims["metric"]))
+    rows = []
+    for variant, of in claims.groupby("variant", sort=False):
+        shifts = dict.fromkeys(metrics, NOTHING)
+        for row in of.to_dict("records"):
+            text = signed(row["shift"], metric_of(row["metric"]).decimals)
+            around = {Verdict.differs: "**", Verdict.suggested: "*"}.get(row["verdict"], "")
+            shifts[row["metric"]] = f"{around}{text}{around}"
+        rows.append([str(variant), *shifts.values()])
+    return pipe_table(("variant", *map(head, metrics)), rows)
+
+
+def shortfalls(table: pd.DataFrame, labels: Sequence[str]) -> str:
+    """How far networks are from re-simulation, against the bars; a row a metric of a `comparison_table`."""
+    means = table.pivot(index="metric", columns="variant", values="mean")
+    labels = [label for label in labels if label in means]
+    if RESIMULATION not in means or not labels:
+        return ""
+    rows = []
+    for name, (bar, reached) in BARS.items():
+        if name in means.index:
+            level, decimals = float(means.at[name, RESIMULATION]), metric_of(name).decimals
+            values = {label: float(means.at[name, label]) for label in labels}
+            cells = [cell for v in values.values() for cell in (f"{v:.{decimals}f}", f"{v / level:.2f}")]
+            met = [label for label, value in values.items() if reached(value, level)]
+            rows.append([head(name), bar, ", ".join(met) or "none", f"{level:.{decimals}f}", *cells])
+    titles = [title for label in labels for title in (label, "ratio")]
+    return pipe_table(("metric", "bar", "reached by", RESIMULATION, *titles), rows, 3)
+
+
+def models(means: pd.DataFrame, design: Design, metrics: Iterable[str]) -> dict[str, LinearModel]:
+    """The model of each metric, where the runs suffice for one; `means` is what `run_means` gives."""
+    found = {}
+    for metric in metrics:
+        try:
+            found[metric] = fit_effects(means[means["metric"] == metric], design.factors, block="data")
+        except ValueError:
+            continue
+    return found
+
+
+def effect_of(field: str, model: LinearModel, full: bool) -> tuple[float, float, float]:
+    """Mean with a component minus mean without it, and its 95 % interval; NaN where there is none.
+
+    Averaged over the design, or with `full` where all other components are on. The first level of a design's factors is
+    that of the full model.
+    """
+    weights = [-1.0 if term == (field,) else float(full and field in term) for term in model.terms]
+    estimate, error = model.contrast(np.array(weights))
+    reach = stats.t.ppf(1 - ALPHA / 2, model.dof) * error if model.dof > 0 else np.nan
+    return estimate, estimate - reach, estimate + reach
+
+
+def paper_rows(means: pd.DataFrame, design: Design) -> str:
+    """The differences that the paper reports, beside those of this study; a row a component and metric."""
+    rows = []
+    fitted = models(means, design, PAPER_METRICS)
+    for component in COMPONENTS:
+        if component.name not in PAPER_WITHOUT or component.field not in design.factors:
+            continue
+        for metric, full, without in zip(PAPER_METRICS, PAPER_FULL, PAPER_WITHOUT[component.name], strict=True):
+            if metric in fitted:
+                ours = [effect_of(component.field, fitted[metric], at_full) for at_full in (False, True)]
+                decimals = metric_of(metric).decimals
+                cells = [with_interval(*effect, decimals) for effect in ours]
+                said = _excluded(full - without, metric_of(metric).better, *ours)
+                rows.append([component.name, head(metric), said, signed(full - without, decimals), *cells])
+    titles = ("paper", "here, averaged [95 %]", "here, at the full model [95 %]")
+    return pipe_table(("component", "metric", "excluded", *titles), rows, 3) if rows else ""
+
+
+def _excluded(paper: float, better: Direction, averaged: Sequence[float], full: Sequence[float]) -> str:
+    """Whether effects, each with the ends of its interval, exclude a difference of the paper's size."""
+    sign = 1 if better is Direction.higher else -1
+    said = []
+    for estimate, lower, upper in (averaged, full):
+        if np.isnan(lower):
+            return NOTHING
+        less = sign * estimate < sign * paper
+        said.append("no" if lower <= paper <= upper else "less here" if less else "more here")
+    return said[0] if len(set(said)) == 1 else f"averaged: {said[0]}; full model: {said[1]}"
+
+
+def interaction_rows(pairs: pd.DataFrame, verdicts: pd.DataFrame) -> str:
+    """What `interactions` gives, a row a component and a column the other one."""
+    if pairs.empty:
+        return ""
+    metrics = dict(zip(verdicts["component"], verdicts["metric"], strict=True))
+    names = [c.name for c in COMPONENTS if c.name in {*pairs["component"], *pairs["other"]}]
+    cells = {(row["component"], row["other"]): row for row in pairs.to_dict("records")}
+
+    def cell(name: str, other: str) -> str:
+        if (name, other) not in cells:
+            return NOTHING
+        row = cells[name, other]
+        text = signed(row["improvement"], metric_of(metrics[name]).decimals)
+        return f"**{text}**" if row["q"] < ALPHA else text
+
+    rows = [[name, metric_of(metrics[name]).title, *(cell(name, other) for other in names)] for name in names]
+    return pipe_table(("component", "its metric", *names), rows, 2)
+
+
+def effect_rows(effects: pd.DataFrame, factors: Sequence[str]) -> str:
+    """What `effects_table` gives, with the component minus without it; a row a metric and a column a component."""
+    rows = []
+    for metric, of in effects.groupby("metric", sort=False):
+        decimals, found = metric_of(str(metric)).decimals, of.set_index("effect")
+
+        def cell(factor: str, found: pd.DataFrame = found, decimals: int = decimals) -> str:
+            if factor not in found.index:
+                return NOTHING
+            text = signed(-found.at[factor, "estimate"], decimals)
+            return f"**{text}**" if _claimed(found.at[factor, "q"]) else text
+
+        pairs = [name for name, q in found["q"].items() if ":" in str(name) and _claimed(q)]
+        named = [":".join(NAMES.get(part, part) for part in str(pair).split(":")) for pair in pairs]
+        rows.append([head(str(metric)), *map(cell, factors), ", ".join(named) or NOTHING])
+    columns = [NAMES.get(factor, factor) for factor in factors]
+    return pipe_table(("metric", *columns, "interactions"), rows)
+
+
+def _claimed(q: float | None) -> bool:
+    return q is not None and bool(q < ALPHA)
