@@ -1,10 +1,17 @@
 """Files that are written whole or not at all."""
 
+import re
 from pathlib import Path
 
 import pytest
 
-from ablate.storage import remove_partial, written_whole
+import ablate
+from ablate.storage import digest_of_files, read_json, remove_partial, written_whole
+
+# Calls that write a file in place; what they are given must be the name that `written_whole` gives.
+WRITERS = re.compile(r"\.(write_text|write_bytes|to_csv|to_parquet|savefig)\(|\.(save|savez|savez_compressed)\(")
+# The module that defines `written_whole`, and functions that write to a path their caller has from it.
+WRITES = {"storage.py", "scene_cache.py", "registration.py"}
 
 
 def test_a_file_is_replaced_when_it_is_complete(tmp_path: Path) -> None:
@@ -38,3 +45,34 @@ def test_only_leftovers_of_the_same_file_are_removed(tmp_path: Path) -> None:
         (tmp_path / name).touch()
     remove_partial(tmp_path / "a[1].ckpt")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a[1].ckpt", "b.deadbeef.partial.ckpt"]
+
+
+def test_every_file_of_the_package_is_written_whole() -> None:
+    """A kill while a file is written in place leaves half of it, which later commands stumble over."""
+    root = Path(ablate.__file__).parent
+    lines = [
+        f"{path.relative_to(root)}: {line.strip()}"
+        for path in root.rglob("*.py")
+        if path.name not in WRITES
+        for line in path.read_text().splitlines()
+        if WRITERS.search(line) and "partial" not in line
+    ]
+    assert lines == []
+
+
+@pytest.mark.parametrize("content", ["", "{", "[1]", "null", "[" * 100_000, "\ud800"])
+def test_what_is_no_json_object_is_named(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "a.json"
+    path.write_bytes(content.encode("utf-8", "surrogatepass"))
+    with pytest.raises(ValueError, match=r"a\.json cannot be read"):
+        read_json(path)
+
+
+def test_the_digest_of_files_tells_content_and_name_and_passes_over_what_is_missing(tmp_path: Path) -> None:
+    one, other, missing = tmp_path / "one", tmp_path / "other", tmp_path / "missing"
+    one.write_text("a")
+    other.write_text("a")
+    assert digest_of_files([one, missing]) == digest_of_files([one]) != digest_of_files([other])
+    before = digest_of_files([one, other])
+    other.write_text("b")
+    assert digest_of_files([one, other]) != before

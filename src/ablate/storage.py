@@ -4,7 +4,7 @@ import glob
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -35,10 +35,44 @@ def remove_partial(path: Path) -> None:
         left.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text whole or not at all."""
+    with written_whole(path) as partial:
+        partial.write_text(text, "utf-8")
+
+
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON whole or not at all."""
-    with written_whole(path) as partial:
-        partial.write_text(json.dumps(content, indent=2, sort_keys=True))
+    write_text(path, json.dumps(content, indent=2, sort_keys=True))
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read the JSON object of a file.
+
+    Raises
+    ------
+    OSError
+        When the file is missing or cannot be read.
+    ValueError
+        When it holds something else, such as nothing; the message names the file.
+    """
+    try:
+        content = json.loads(path.read_text("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} cannot be read: it holds no JSON object")
+    return content
+
+
+def digest_of_files(paths: Iterable[Path]) -> str:
+    """First 16 hexadecimal digits of the SHA-256 of the names and contents of the files that exist among `paths`."""
+    found = hashlib.sha256()
+    for path in paths:
+        if path.is_file():
+            with path.open("rb") as file:
+                found.update(path.name.encode() + hashlib.file_digest(file, "sha256").digest())
+    return found.hexdigest()[:16]
 
 
 def digest(value: Any) -> str:

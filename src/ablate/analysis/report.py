@@ -14,6 +14,7 @@ from ablate.analysis.statistics.component_claims import FEWEST_SEEDS, Verdict
 from ablate.analysis.statistics.verdicts import Answer
 from ablate.analysis.tables.formats import cell_texts, head, resimulation_note
 from ablate.metrics import Shown, metric_of, shown_in
+from ablate.storage import write_text
 
 _TEMPLATES = Environment(
     loader=FileSystemLoader(Path(__file__).parent),
@@ -183,5 +184,5 @@ def write_report(
         appendix=appendix or {},
     )
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text.lstrip() + "\n", "utf-8")
+    write_text(path, text.lstrip() + "\n")
     return path

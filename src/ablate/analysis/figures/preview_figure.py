@@ -15,6 +15,7 @@ from ablate.analysis.figures.body_view import MARK, Axes3D, draw_body, seen_dire
 from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.analysis.figures.tissue_colours import Colour, tissue_colours
 from ablate.anatomy import Scene
+from ablate.storage import written_whole
 from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.probe import face_sag_mm, fan_size_mm
 
@@ -64,7 +65,8 @@ def preview_figure(scene: Scene, probe: ConvexProbe, shown: Preview, path: Path)
         _draw_legend(figure, scene, shown, colours)
         figure.text(0.01, 0.98, shown.title, va="top")
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=PNG_DPI)
+        with written_whole(path) as partial:
+            figure.savefig(partial, dpi=PNG_DPI)
     return path
 
 

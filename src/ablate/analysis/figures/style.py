@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from ablate.analysis.order import REFERENCE, RESIMULATION
+from ablate.storage import written_whole
 
 COLUMN_IN, PAGE_IN = 3.5, 7.16  # widths of a column and a page of an IEEE paper, inches
 PNG_DPI = 200
@@ -46,8 +47,9 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     """Write a figure as PNG and PDF to `stem`, a path without suffix; its folder is made."""
     stem.parent.mkdir(parents=True, exist_ok=True)
     paths = [stem.with_name(stem.name + suffix) for suffix in (".png", ".pdf")]
-    figure.savefig(paths[0], dpi=PNG_DPI)
-    figure.savefig(paths[1], dpi=PNG_DPI, metadata={"CreationDate": None})
+    for path in paths:
+        with written_whole(path) as partial:
+            figure.savefig(partial, dpi=PNG_DPI, metadata={"CreationDate": None} if path.suffix == ".pdf" else None)
     return paths
 
 

@@ -14,6 +14,7 @@ from ablate.numerics.precision.csv_table import CsvTable
 from ablate.numerics.precision.generated import comparable_runs, executions, measure_generators, schedule_of
 from ablate.numerics.precision.simulated import RAYS_SERIES, ladders, measure_simulator, series_name, work
 from ablate.numerics.precision.summary import as_text, floors, orders, tables, time_of_parts, verdict
+from ablate.storage import write_text
 from ablate.studies.comparison.results import Finished
 from ablate.studies.jobs.job import Job
 from ablate.tracking import RunLog, Status, git_state, hardware, open_store, task_run
@@ -90,7 +91,7 @@ def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable,
     head = [verdict(more), f"{RESIMULATION}: " + ", ".join(f"{name} {value:.3g}" for name, value in level.items())]
     print("\n".join([*head, "", as_text(shown), ""]))
     summary = folder / "summary.txt"
-    summary.write_text("\n".join([*about, *head, "", as_text(shown), ""]))
+    write_text(summary, "\n".join([*about, *head, "", as_text(shown), ""]))
     run.artifact(summary)
     for figure in figures:
         run.artifact(figure, "vector" if figure.suffix == ".pdf" else None)

@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from ablate.numerics.stability import extremes, losses, maps, metrics, networks, shapes, sound, statistics
 from ablate.numerics.stability.checks import Case, Check
+from ablate.storage import write_text, written_whole
 from ablate.studies.jobs.job import Job
 from ablate.tracking import RunLog, Status, git_state, hardware, open_store, task_run
 from ablate.training import chosen_device
@@ -88,11 +89,12 @@ def _written(table: pd.DataFrame, tried: Sequence[Case], folder: Path) -> list[P
     """Write the table as CSV, and as Markdown with what each case tries and the reason of each bound."""
     folder.mkdir(parents=True, exist_ok=True)
     csv, pages = folder / "stability.csv", folder / "stability.md"
-    table[COLUMNS].to_csv(csv, index=False)
+    with written_whole(csv) as partial:
+        table[COLUMNS].to_csv(partial, index=False)
     text = ["# Numerical stability on stiff and extreme cases"]
     for case in tried:
         text += [f"## {case.name}", cleandoc(case.about), "\n".join(_markdown(table[table["case"] == case.name]))]
-    pages.write_text("\n\n".join(text) + "\n")
+    write_text(pages, "\n\n".join(text) + "\n")
     return [csv, pages]
 
 
