@@ -207,7 +207,7 @@ def test_moments_laid_out_otherwise_in_memory_are_the_same_moments(
     assert_same_state(whole("fp32"), tmp_path / "resumed")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR2])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR2])
 def test_a_signal_saves_the_step_and_is_handed_on(
     spec: GeneratorSpec,
     settings: TrainingSettings,
@@ -235,6 +235,29 @@ def test_a_signal_saves_the_step_and_is_handed_on(
     assert read_checkpoint(tmp_path / "signalled" / LAST)["steps_done"] in (4, 5)
     train(spec, settings, loader, tmp_path / "signalled")
     assert_same_state(whole("fp32"), tmp_path / "signalled")
+
+
+def test_ctrl_c_and_then_a_parent_that_asks_again_save_the_step(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
+) -> None:
+    """A terminal sends SIGINT to all processes; whoever started this one may send SIGTERM beside it, in any order."""
+    for first, second in ((signal.SIGINT, signal.SIGTERM), (signal.SIGTERM, signal.SIGINT)):
+        folder = tmp_path / first.name
+
+        def signalled(start: int, stop: int, numbers: tuple[int, ...] = (first, second)) -> Iterator[dict[str, Tensor]]:
+            for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
+                if step == 4:
+                    for number in numbers:
+                        os.kill(os.getpid(), number)
+                yield batch
+
+        previous = signal.signal(signal.SIGTERM, lambda *_: None)
+        try:
+            with pytest.raises((KeyboardInterrupt, InterruptedError)):
+                train(spec, settings, signalled, folder)
+        finally:
+            signal.signal(signal.SIGTERM, previous)
+        assert read_checkpoint(folder / LAST)["steps_done"] in (4, 5)
 
 
 def test_a_signal_that_is_passed_over_stops_the_training_all_the_same(

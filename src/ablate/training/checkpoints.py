@@ -19,7 +19,7 @@ _FREE = frozenset({"steps", "device", "threads", "checkpoint_every", "validate_e
 
 
 class LastCheckpoint(Callback):
-    """Write `last.ckpt` every `every` steps, after the last one and when the process is asked to stop.
+    """Write `last.ckpt` every `every` steps, after the last one and when the process is asked to stop, and then stop.
 
     Weights that are not finite are never written: the last good checkpoint stays.
     """
@@ -32,7 +32,8 @@ class LastCheckpoint(Callback):
         assert isinstance(module, PairGAN)
         step = module.steps_done
         is_due = self.every > 0 and step % self.every == 0
-        if is_due or step == module.settings.steps or self.interruption.signal is not None:
+        trainer.should_stop = trainer.should_stop or self.interruption.signal is not None
+        if is_due or step == module.settings.steps or trainer.should_stop:
             if not module.is_finite():
                 raise DivergenceError(f"step {step}: weights are not finite, {self.path} holds the last good ones")
             remove_partial(self.path)  # one process trains a run

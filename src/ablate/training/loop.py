@@ -50,8 +50,8 @@ def train(
 
     A run that was stopped at any step and is called again with the same arguments ends with the weights of a run
     that was not stopped: to the bit on the same CPU, and as far as the convolutions of cuDNN repeat themselves
-    on a GPU. After SIGTERM, SIGUSR2 or Ctrl-C the current step is finished, a checkpoint is written, and the signal
-    is raised again.
+    on a GPU. After SIGTERM, SIGHUP, SIGUSR2 or Ctrl-C the current step is finished, a checkpoint is written, and the
+    signal is raised again.
 
     Parameters
     ----------
@@ -90,11 +90,12 @@ def train(
     start = module.steps_done
     if start < settings.steps:
         interruption = Interruption()
-        # The order matters: losses are checked before weights are written, weights are written before training stops.
-        callbacks: list[Callback] = [Report(sink, DivergenceGuard(settings.log_every, epoch))]
+        # The order matters: signals are taken over before the first validation, losses are checked before weights are
+        # written.
+        callbacks: list[Callback] = [interruption, Report(sink, DivergenceGuard(settings.log_every, epoch))]
         if validation is not None and settings.validate_every:
             callbacks.append(Validate(validation, settings.validate_every, sink))
-        callbacks += [LastCheckpoint(run_dir, settings.checkpoint_every, interruption), interruption]
+        callbacks.append(LastCheckpoint(run_dir, settings.checkpoint_every, interruption))
         try:
             _fit(module, loader(start, settings.steps), callbacks, device, run_dir)
         finally:
