@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ablate.dataset import end_with_parent
+from ablate.dataset import end_with_parent, processes
 from ablate.dataset.processes import allotted_cores
 
 PARENT = """
@@ -48,6 +48,33 @@ def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     while alive(worker) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not alive(worker)
+
+
+def test_a_worker_that_starts_when_its_parent_is_already_gone_ends_too(tmp_path: Path) -> None:
+    """The imports of a worker take longer than its parent lives."""
+    script, told = tmp_path / "parent.py", tmp_path / "pid"
+    watch, told_who = "    end_with_parent()\n", '    open(path, "w").write(str(os.getpid()))\n'
+    assert watch + told_who in PARENT
+    script.write_text(PARENT.replace(watch + told_who, f"{told_who}    time.sleep(2)\n{watch}"))
+    parent = subprocess.Popen([sys.executable, script, told])
+    deadline = time.monotonic() + 60
+    while not (told.exists() and told.read_text()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.kill(parent.pid, signal.SIGKILL)
+    parent.wait()
+    worker = int(told.read_text())
+    while alive(worker) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not alive(worker)
+
+
+def test_a_container_may_use_fewer_cores_than_the_machine_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    quota = tmp_path / "cpu.max"
+    monkeypatch.setattr(processes, "_QUOTA", quota)
+    without = allotted_cores()
+    for text, cores in (("max 100000", without), ("100000 100000", 1), ("50000 100000", 1), ("nonsense", without)):
+        quota.write_text(text)
+        assert allotted_cores() == cores
 
 
 def test_a_main_process_watches_nobody() -> None:

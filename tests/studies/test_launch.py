@@ -1,5 +1,9 @@
 """A launcher, whichever it is, gets every job once, composed, and brings it to a process where it runs."""
 
+import os
+import signal
+import threading
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -38,6 +42,62 @@ def test_every_launcher_carries_the_jobs(launcher: str, tmp_path: Path) -> None:
     (tmp_path / "notes").mkdir()
     command.launch(command.jobs[1:], leave_a_note(tmp_path / "notes"))
     assert notes(tmp_path / "notes") == {"sa2h-1": "7", "nsa2h-0": "7", "nsa2h-1": "7"}
+
+
+def test_a_process_that_is_killed_takes_no_other_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As the system does when memory runs out; with joblib's own pool the other processes were ended too."""
+    folder = str(tmp_path)
+
+    def work(job: Job) -> None:
+        import os
+        import signal
+        import time
+        from pathlib import Path
+
+        if job.settings.seed == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(1)
+        (Path(folder) / str(job.settings.seed)).touch()
+
+    command = composed("-m", "seed=0,1,2", "hydra/launcher=joblib", f"runs_dir={tmp_path / 'runs'}")
+    command.launch(command.jobs, work)
+    assert notes(tmp_path).keys() == {"1", "2"}
+    assert "seed=0: its process was ended by SIGKILL" in capsys.readouterr().err
+
+
+def test_after_ctrl_c_every_process_saves_what_it_is_at(tmp_path: Path) -> None:
+    """The launcher is interrupted alone: its processes are told by SIGTERM, and it waits for them."""
+    folder = str(tmp_path)
+
+    def work(job: Job) -> None:
+        import signal
+        import time
+        from pathlib import Path
+
+        def save(*_: object) -> None:
+            time.sleep(1)
+            (Path(folder) / f"saved{job.settings.seed}").touch()
+            raise SystemExit
+
+        signal.signal(signal.SIGTERM, save)
+        (Path(folder) / f"begun{job.settings.seed}").touch()
+        time.sleep(60)
+
+    command = composed(
+        "-m", "seed=0,1", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", f"runs_dir={tmp_path}/runs"
+    )
+    begun = [tmp_path / "begun0", tmp_path / "begun1"]
+
+    def interrupt() -> None:
+        while not all(path.exists() for path in begun):
+            time.sleep(0.1)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        command.launch(command.jobs, work)
+    assert (tmp_path / "saved0").exists()
+    assert (tmp_path / "saved1").exists()
 
 
 def test_a_single_job_and_batches_need_no_numbers(tmp_path: Path) -> None:

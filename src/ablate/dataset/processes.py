@@ -2,36 +2,54 @@
 
 import multiprocessing
 import os
+import pickle
 import signal
+import sys
 import threading
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
-_EVERY_S = 1.0
+_QUOTA = Path("/sys/fs/cgroup/cpu.max")  # of a container: microseconds of computing in a period, and the period
 
 
 def allotted_cores() -> int:
-    """Cores that this process may use: on a cluster those of its job, which are fewer than the machine's."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Cores that this process may use: of its job on a cluster, or of its container, not of the machine."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    with suppress(OSError, ValueError):  # no container, or `max`, no limit
+        quota, period = map(int, _QUOTA.read_text().split())
+        cores = min(cores, -(-quota // period))
+    return cores
 
 
 def end_with_parent() -> None:
     """In a worker process, send oneself SIGTERM once the parent is gone; elsewhere, nothing.
 
-    A parent that is killed outright cannot end its workers, and those of joblib would go on for minutes. SIGTERM
-    rather than a hard end: training writes a checkpoint first.
+    A parent that is killed outright cannot end its workers, and may be gone before a worker has asked. SIGTERM rather
+    than a hard end: training writes a checkpoint first.
     """
-    if multiprocessing.current_process().name == "MainProcess":
+    parent = multiprocessing.parent_process()
+    if parent is None:
         return
-    parent = os.getppid()
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(_EVERY_S)
+        parent.join()  # a pipe that the system closes when the parent ends, also before this
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def work_for_parent(content: bytes) -> None:
+    """In a worker process, call what is pickled in `content`: a function and its arguments.
+
+    The parent is watched before anything is imported for them, which may take longer than the parent lives.
+    """
+    end_with_parent()
+    try:
+        function, arguments = pickle.loads(content)
+        function(*arguments)
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
 
 
 @contextmanager

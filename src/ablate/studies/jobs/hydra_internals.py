@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import hydra
 from hydra import compose, initialize_config_dir
@@ -18,20 +19,24 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.utils import get_args_parser
 from hydra.core.config_search_path import ConfigSearchPath as ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override as Override
 from hydra.core.plugins import Plugins
 from hydra.core.singleton import Singleton as Singleton
 from hydra.core.utils import JobReturn as JobReturn
 from hydra.core.utils import JobStatus as JobStatus
-from hydra.core.utils import configure_log, run_job
-from hydra.plugins.launcher import Launcher
-from hydra.types import HydraContext, TaskFunction
+from hydra.core.utils import configure_log, run_job, setup_globals
+from hydra.plugins.launcher import Launcher as Launcher
+from hydra.types import HydraContext as HydraContext
+from hydra.types import TaskFunction as TaskFunction
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 CONFIG = "config"
 _VERSION_BASE = "1.3"
+_JOBLIB = "hydra_plugins.hydra_joblib_launcher.joblib_launcher.JoblibLauncher"
+_IN_PLACE_OF_JOBLIB = "ablate.studies.jobs.side_by_side.ProcessLauncher"
 _QUESTIONS = ("help", "hydra_help", "cfg", "info", "shell_completion")
 
 
@@ -127,10 +132,37 @@ def run_sweep(
     callbacks.on_multirun_end(config=master, config_name=CONFIG)
 
 
+def run_sweep_job(
+    context: HydraContext,
+    config: DictConfig,
+    task: TaskFunction,
+    overrides: list[str],
+    number: int,
+    singletons: Mapping[Any, Any],
+) -> None:
+    """Run one job of a sweep in a process of its own, as Hydra's launchers do; `singletons` are the parent's."""
+    setup_globals()
+    Singleton.set_state(dict(singletons))
+    own = context.config_loader.load_sweep_config(config, overrides)
+    with open_dict(own):
+        own.hydra.job.id, own.hydra.job.num = f"{own.hydra.job.name}_{number}", number
+    HydraConfig.instance().set_config(own)
+    run_job(task, own, "hydra.sweep.dir", "hydra.sweep.subdir", context)
+
+
 def _launcher(master: DictConfig, context: HydraContext, task: TaskFunction) -> Launcher:
-    """The launcher that `master` names; Hydra accepts only those in the package `hydra_plugins`, and ours is not."""
+    """The launcher that `master` names; Hydra accepts only those in the package `hydra_plugins`, and ours are not.
+
+    In place of `joblib` there is one of ours that reads its key `n_jobs`: where one process of joblib's pool is killed,
+    or Ctrl-C is pressed, the pool ends all others before they have saved anything.
+    """
+    launcher: Launcher
+    if master.hydra.launcher["_target_"] == _JOBLIB:
+        launcher = instantiate({"_target_": _IN_PLACE_OF_JOBLIB, "n_jobs": master.hydra.launcher.n_jobs})
+        launcher.setup(hydra_context=context, task_function=task, config=master)
+        return launcher
     if Plugins.is_in_toplevel_plugins_module(master.hydra.launcher["_target_"]):
         return Plugins.instance().instantiate_launcher(context, task, master)
-    launcher: Launcher = instantiate(master.hydra.launcher)
+    launcher = instantiate(master.hydra.launcher)
     launcher.setup(hydra_context=context, task_function=task, config=master)
     return launcher

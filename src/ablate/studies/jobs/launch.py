@@ -1,5 +1,6 @@
 """Start composed jobs in this process or by the launcher that the command line names."""
 
+import sys
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,6 +9,7 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from ablate.config import ConfigurationError
 from ablate.studies.jobs.hydra_internals import ComposedConfigLoader, ConfigSearchPath, run_single, run_sweep
 from ablate.studies.jobs.job import Job
 
@@ -61,5 +63,7 @@ class _Task:
         number = HydraConfig.get().job.num if len(self.jobs) > 1 else 0  # Hydra numbers the jobs of sweeps only
         try:
             self.work(self.jobs[number])
+        except ConfigurationError as error:
+            print(f"{self.jobs[number].name}: {error}", file=sys.stderr)
         except Exception:
             traceback.print_exc()

@@ -1,0 +1,105 @@
+"""Run the jobs of a sweep on this machine, each in a process of its own."""
+
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing.connection import wait
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+
+import cloudpickle
+from omegaconf import DictConfig
+
+from ablate.config import ConfigurationError
+from ablate.dataset.processes import allotted_cores, work_for_parent
+from ablate.studies.jobs.hydra_internals import (
+    HydraContext,
+    JobReturn,
+    JobStatus,
+    Launcher,
+    Singleton,
+    TaskFunction,
+    run_sweep_job,
+)
+
+_GRACE_S = 3.0  # after Ctrl-C, which reaches every process of a terminal
+# What libraries of numerics read when they are loaded.
+_THREADS = ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMBA", "NUMEXPR")
+
+
+class ProcessLauncher(Launcher):
+    """Starts a process for each job, `n_jobs` at a time; one that dies takes no other with it.
+
+    After Ctrl-C it waits until every process has saved the step that it is at. Processes whose launcher was killed end
+    by themselves. Each has its share of the cores as threads, unless `OMP_NUM_THREADS` and the like say otherwise.
+    """
+
+    def __init__(self, n_jobs: int = -1) -> None:
+        if n_jobs == 0:
+            raise ConfigurationError("hydra.launcher.n_jobs=0: allowed are 1 and more, or -1 for the number of cores")
+        self.n_jobs = n_jobs if n_jobs > 0 else max(1, allotted_cores() + 1 + n_jobs)
+
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
+        """Keep what every job is run with; Hydra calls this."""
+        self.context, self.task, self.config = hydra_context, task_function, config
+
+    def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> list[JobReturn]:
+        """Run the jobs; return when all processes have ended, however they did."""
+        Path(str(self.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
+        coming = list(enumerate(job_overrides, initial_job_idx))
+        running: dict[int, tuple[SpawnProcess, str]] = {}
+        try:
+            while coming or running:
+                while coming and len(running) < self.n_jobs:
+                    number, overrides = coming.pop(0)
+                    process = self._started(number, overrides)
+                    running[process.sentinel] = process, " ".join(overrides)
+                for sentinel in wait(list(running)):
+                    process, name = running.pop(int(sentinel))  # type: ignore[arg-type]
+                    process.join()
+                    _tell(process.exitcode or 0, name)
+        except KeyboardInterrupt:
+            wait_for_all([process for process, _ in running.values()])
+            raise
+        return [JobReturn(status=JobStatus.COMPLETED) for _ in job_overrides]
+
+    def _started(self, number: int, overrides: Sequence[str]) -> SpawnProcess:
+        arguments = self.context, self.config, self.task, list(overrides), number, Singleton.get_state()
+        content = cloudpickle.dumps((run_sweep_job, arguments))
+        process = multiprocessing.get_context("spawn").Process(target=work_for_parent, args=(content,))
+        with _share_of_threads(max(1, allotted_cores() // self.n_jobs)):
+            process.start()
+        return process
+
+
+def wait_for_all(processes: Sequence[SpawnProcess]) -> None:
+    """Wait until processes that were interrupted have ended; those that do not know of it are told by SIGTERM."""
+    for process in processes:
+        process.join(_GRACE_S)
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        process.join()
+
+
+def _tell(code: int, name: str) -> None:
+    if code < 0:
+        killed = f"{name}: its process was ended by {signal.Signals(-code).name}"
+        why = "; SIGKILL is often the system's, out of memory: try fewer hydra.launcher.n_jobs"
+        print(f"{killed}{why if -code == signal.SIGKILL else ''}", file=sys.stderr)
+
+
+@contextmanager
+def _share_of_threads(threads: int) -> Iterator[None]:
+    """Processes that are started meanwhile compute with so many threads, unless the environment says otherwise."""
+    own = {f"{library}_NUM_THREADS": str(threads) for library in _THREADS}
+    added = own.keys() - os.environ.keys()
+    os.environ.update({name: own[name] for name in added})
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
