@@ -1,11 +1,12 @@
 """What each `task=` does. A task imports the rooms that it needs when it starts."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from ablate.config import StudySettings, Task, refusing
-from ablate.studies.identity import finished
+from ablate.studies.identity import claim_place, finished
 from ablate.studies.jobs.compose import CommandLine
 from ablate.studies.jobs.describe import description
 from ablate.studies.jobs.job import Job
@@ -33,23 +34,37 @@ def study(jobs: Sequence[Job], launch: Callable[[Sequence[Job], Work], None], el
     """
     from ablate.studies.comparison.compare import compare_study
     from ablate.studies.run import run_job
-    from ablate.studies.tracked import open_tracking
-    from ablate.tracking import RunLog, Status
 
     if waiting := [job for job in jobs if finished(job) is None]:
         if not elsewhere:
             _simulate_for(waiting)  # so that a mesh that cannot be used is refused before anything is tracked
-        for settings in _studies(waiting):
-            open_tracking(settings)  # database, experiment and parent run exist before any job starts
-        launch(waiting, run_job)
-    for settings in _studies([job for job in jobs if finished(job) is not None]):
-        print(compare_study(settings))
+        for job in {job.settings.study_dir: job for job in reversed(waiting)}.values():
+            claim_place(job)  # of two commands that start a study with two configurations, the second stops here
+    with _parents_of(waiting):
+        if waiting:
+            launch(waiting, run_job)
+        for settings in _studies([job for job in jobs if finished(job) is not None]):
+            print(compare_study(settings))
     if failed := [job for job in jobs if finished(job) is None]:
-        for settings in _studies(failed):
-            RunLog(*open_tracking(settings)).end(Status.failed)
         names = ", ".join(job.name for job in failed)
         print(f"not finished: {names}; the same command takes them up again", file=sys.stderr)
     return int(bool(failed))
+
+
+@contextmanager
+def _parents_of(jobs: Sequence[Job]) -> Iterator[None]:
+    """Create database, experiment and parent runs before any job starts; when all have ended, close the parent runs."""
+    from ablate.studies.tracked import open_tracking
+    from ablate.tracking import RunLog, Status
+
+    studies = _studies(jobs)
+    parents = [RunLog(*open_tracking(settings)) for settings in studies]
+    try:
+        yield
+    finally:
+        for settings, parent in zip(studies, parents, strict=True):
+            of_study = [job for job in jobs if job.settings.study_dir == settings.study_dir]
+            parent.end(Status.failed if any(finished(job) is None for job in of_study) else Status.finished)
 
 
 def simulate(jobs: Sequence[Job], launch: Callable[[Sequence[Job], Work], None] | None = None) -> int:

@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 
 from ablate.analysis import RESIMULATION, find_design
 from ablate.config import ConfigurationError, StudySettings, json_ready
-from ablate.metrics import METRICS_VERSION, Metric, metric_of, registry
+from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
 from ablate.networks import COMPONENTS
 from ablate.studies.comparison.answers import FACTORS, components_of
 from ablate.studies.comparison.compare import compare_study, write_comparison
-from ablate.studies.comparison.results import Finished
+from ablate.studies.comparison.results import Finished, finished_runs
 from ablate.studies.comparison.usable_runs import usable_runs
 from support.studies import study_group
 
@@ -281,6 +281,23 @@ def test_a_run_scored_on_fewer_frames(tmp_path: Path) -> None:
     assert set(pd.read_csv(folder / "paired.csv").query("variant == 'nsa2h'")["n"]) == {10}
 
 
+def test_a_comparison_is_kept_until_a_run_is_made_again(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that was deleted and trained again has the same hash."""
+    monkeypatch.setattr("ablate.studies.comparison.compare._track", lambda *_: None)
+    settings = StudySettings(runs_dir=str(study.parent), study_name=study.name)
+    compare_study(settings)
+    table, before = study / "comparison" / "table.csv", (study / "comparison" / "table.csv").stat().st_mtime_ns
+    compare_study(settings)
+    assert table.stat().st_mtime_ns == before
+    set_values(study / "nsa2h" / "seed0", "psnr", lambda t: t["frame"] >= 0, 90.0)
+    assert "43." in compare_study(settings)
+    assert 43 < pd.read_csv(table).set_index("variant").loc["nsa2h", "psnr_mean"] < 44
+    (study / "comparison" / "made_from.json").write_text("")
+    table.unlink()
+    compare_study(settings)
+    assert table.exists()
+
+
 def test_no_run_at_all_is_one_line_that_says_why(tmp_path: Path) -> None:
     settings = StudySettings(runs_dir=str(tmp_path), study_name="quick-fetal")
     with pytest.raises(ConfigurationError, match=r"quick-fetal holds no finished run to compare\.$"):
@@ -337,18 +354,33 @@ def test_a_start_of_noise_that_is_not_injected_and_a_seed_of_training_make_no_ot
     assert design.left_out == ("sa2h-quiet", "sa2h-long")
 
 
-def test_a_metric_of_a_users_own_brings_its_label_as_long_as_it_can_be_imported(
-    study: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_metric_that_a_result_names_is_not_imported(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A result may come from anybody. A user's own metric has its label where the command names it."""
     monkeypatch.setattr(registry, "_OWN", {})
     for folder in study.glob("*/seed*"):
         change(folder, metrics=["all", "of_a_user.own"])
         table = pd.read_parquet(folder / "per_image.parquet")
         table.assign(metric=table["metric"].replace("mae", "brightness")).to_parquet(folder / "per_image.parquet")
-    usable_runs(study)
-    assert metric_of("brightness").label == "brightness"
     module = ModuleType("of_a_user")
     module.own = Metric("brightness", "Brightness error", of_image=lambda _: 0.0)  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "of_a_user", module)
-    usable_runs(study)
+    assert len(usable_runs(study).runs) == 12
+    assert metric_of("brightness").label == "brightness"
+    choose_metrics(["all", "of_a_user.own"])
     assert metric_of("brightness").label == "Brightness error"
+
+
+@pytest.mark.parametrize("name", ["pictures.npz", "provenance/made_with.json", "provenance/uncommitted.diff"])
+def test_a_damaged_file_beside_the_scores_stops_nothing(study: Path, name: str) -> None:
+    path = study / "sa2h" / "seed0" / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(b"" if name.endswith("npz") else b"\xe9{")
+    assert len(usable_runs(study).runs) == len(VARIANTS) * 3
+    assert compared(study)[0].is_dir()
+
+
+@pytest.mark.parametrize("damage", ["", "{}", '{"hash": "sa2h0"}', '{"hash": "sa2h0", "semantic": 3}'])
+def test_a_damaged_spec_leaves_its_run_aside(study: Path, damage: str) -> None:
+    (study / "sa2h" / "seed0" / "spec.json").write_text(damage)
+    assert "1 run left aside" in compared(study)[2]
+    assert len(finished_runs(study)) >= 11

@@ -1,14 +1,17 @@
 """A run is known by what decides its result, and two results never share a place."""
 
 import json
+import sys
 from pathlib import Path
+from typing import Any
 
+import pandas as pd
 import pytest
 
 from ablate.config import ConfigurationError
 from ablate.metrics import METRICS_VERSION
 from ablate.storage import write_json
-from ablate.studies.identity import claim_place, config_hash, finished
+from ablate.studies.identity import check_place, claim_place, config_hash, finished, with_earlier_metrics
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.job import Job
 
@@ -98,17 +101,73 @@ def test_a_study_is_one_configuration_but_for_what_its_labels_say(tmp_path: Path
         claim_place(job(tmp_path, "variant=lsa2h", "model.width=0.5"))
 
 
+def whole_result(job: Job) -> dict[str, Any]:
+    """A result as a run writes it, and the values of its frames on disk."""
+    pd.DataFrame({"metric": []}).to_parquet(job.folder / "per_image.parquet")
+    about = {
+        "hash": config_hash(job.settings),
+        "label": job.label,
+        "seed": 0,
+        "data": "fetal-0",
+        "mlflow_run_id": "none",
+    }
+    return {**about, "scalars": {}, "metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
+
+
 def test_only_the_result_of_this_configuration_counts_as_finished(tmp_path: Path) -> None:
     mine = job(tmp_path)
     claim_place(mine)
     assert finished(mine) is None
     write_json(mine.folder / "result.json", {"hash": "of another"})
     assert finished(mine) is None
-    result = {"hash": config_hash(mine.settings), "seed": 0, "metrics": ["all"]}
-    write_json(mine.folder / "result.json", result)
+    result = whole_result(mine)
+    write_json(mine.folder / "result.json", {k: v for k, v in result.items() if k != "metrics_version"})
     assert finished(mine) is None, "the first version of the metrics was not stored"
     write_json(mine.folder / "result.json", {**result, "metrics_version": METRICS_VERSION + 1})
     assert finished(mine) is None
-    write_json(mine.folder / "result.json", {**result, "metrics_version": METRICS_VERSION, "inception": None})
-    assert finished(mine) == json.loads((mine.folder / "result.json").read_text())
+    write_json(mine.folder / "result.json", result)
+    assert finished(mine) == result
+    (mine.folder / "per_image.parquet").write_bytes(b"")
+    assert finished(mine) is None, "the values of frames are lost, and are made again from the checkpoint"
+    assert json.loads((mine.folder / "spec.json").read_text())["hash"] == config_hash(mine.settings)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    ["", "{", "[]", '{"hash": 1}', "metrics: 5", 'metrics: [{"all": 1}]', "scalars: null", 'metrics_version: "two"'],
+)
+def test_a_damaged_result_is_not_finished_and_stops_nothing(tmp_path: Path, damage: str) -> None:
+    mine = job(tmp_path)
+    claim_place(mine)
+    key, _, value = damage.partition(": ")
+    changed = json.dumps(whole_result(mine) | {key: json.loads(value)}) if value and key.isidentifier() else damage
+    (mine.folder / "result.json").write_text(changed)
+    assert finished(mine) is None
+    assert with_earlier_metrics(mine).metrics
+
+
+def test_names_in_a_result_are_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A result may come from anybody, and a module of a user's own metric may be gone."""
+    mine = job(tmp_path)
+    claim_place(mine)
+    (tmp_path / "evil_metric.py").write_text("raise SystemExit('imported')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    result = whole_result(mine) | {"metrics": ["all", "evil_metric.f", "gone.f"]}
+    write_json(mine.folder / "result.json", result)
+    assert finished(mine) == result
+    assert not {"evil_metric.f", "gone.f"} & set(with_earlier_metrics(mine).metrics)
+    assert "evil_metric" not in sys.modules
+
+
+def test_a_damaged_spec_of_another_run_stops_nothing_and_ones_own_only_before_training_goes_on(tmp_path: Path) -> None:
+    mine, other = job(tmp_path), job(tmp_path, "variant=nsa2h")
+    for each in (mine, other):
+        claim_place(each)
+        (each.folder / "spec.json").write_text("")
+    check_place(mine)
+    (mine.folder / "last.ckpt").touch()
+    with pytest.raises(ConfigurationError, match=r"spec\.json is damaged .* remove .*seed0 to start again"):
+        claim_place(mine)
+    write_json(mine.folder / "result.json", whole_result(mine))  # it names the configuration as well
+    claim_place(mine)
     assert json.loads((mine.folder / "spec.json").read_text())["hash"] == config_hash(mine.settings)

@@ -4,10 +4,10 @@ import json
 import math
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import torch
 
-from ablate.config import ConfigurationError
 from ablate.metrics import METRICS_VERSION
 from ablate.studies.identity import config_hash
 from ablate.studies.jobs.compose import jobs_of
@@ -18,7 +18,9 @@ from ablate.studies.progress import duration, progress, show_progress
 def finish(job: Job, seconds: float | None) -> None:
     job.folder.mkdir(parents=True)
     scalars = {} if seconds is None else {"seconds": seconds}
+    pd.DataFrame({"metric": []}).to_parquet(job.folder / "per_image.parquet")
     result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed, "scalars": scalars}
+    result |= {"data": "fetal-0", "mlflow_run_id": "none"}
     result |= {"metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
     (job.folder / "result.json").write_text(json.dumps(result))
     (job.folder / "spec.json").write_text(json.dumps({"hash": result["hash"]}))
@@ -50,11 +52,14 @@ def test_time_is_the_median_of_the_label_or_of_the_study(jobs: list[Job]) -> Non
     assert table.loc["sa2h/seed0", ["state", "seconds"]].tolist() == ["finished", 0.0]
 
 
-def test_a_damaged_checkpoint_is_named(jobs: list[Job]) -> None:
+def test_a_damaged_checkpoint_is_named_and_stops_nothing(jobs: list[Job], capsys: pytest.CaptureFixture[str]) -> None:
     jobs[0].folder.mkdir(parents=True)
     (jobs[0].folder / "last.ckpt").write_bytes(b"nothing")
-    with pytest.raises(ConfigurationError, match=r"last\.ckpt: not a readable checkpoint"):
-        show_progress(jobs)
+    assert show_progress(jobs) == 0
+    printed = capsys.readouterr()
+    assert "last.ckpt: not a readable checkpoint" in printed.err
+    assert printed.out.count(" damaged ") == 1
+    assert printed.out.count(" missing ") == len(jobs) - 1
 
 
 def test_durations_are_read_at_a_glance() -> None:

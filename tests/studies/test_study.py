@@ -17,8 +17,9 @@ from mlflow import MlflowClient
 from ablate import tasks
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.job import Job
+from ablate.studies.run import run_job
 from ablate.tracking import default_uri
-from support.studies import SWEEP, TINY, TinyStudy, run
+from support.studies import SWEEP, TINY, TinyStudy, here, run
 
 
 def sweep(runs: Path, *more: str) -> list[Job]:
@@ -114,6 +115,35 @@ def test_the_same_command_again_repeats_nothing(finished: Path) -> None:
     before = state(finished)
     assert tasks.study(sweep(finished), lambda *_: pytest.fail("nothing is left to launch")) == 0
     assert state(finished) == before
+
+
+def test_a_killed_scoring_loses_no_result(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A finished run is scored again; the process ends in the middle of a file."""
+    job, before = sweep(finished)[0], state(finished)
+    result, per_image = job.folder / "result.json", job.folder / "per_image.parquet"
+    whole = json.loads(result.read_text())
+    result.write_text(json.dumps(whole | {"metrics_version": 1}))
+
+    def killed(_: pd.DataFrame, path: Path) -> None:
+        path.write_bytes(b"PAR1 and no more")
+        raise SystemExit
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pd.DataFrame, "to_parquet", killed)
+        with pytest.raises(SystemExit):
+            run_job(job)
+    assert before[str(per_image)] == per_image.stat().st_mtime
+    assert tasks.study(sweep(finished), here) == 0
+    assert json.loads(result.read_text())["scalars"].keys() == whole["scalars"].keys()
+
+
+def test_the_studys_run_is_closed_where_the_comparison_is_kept(finished: Path) -> None:
+    """Another command has finished the last job meanwhile, and compared."""
+    result = sweep(finished)[0].folder / "result.json"
+    before = result.rename(result.with_suffix(".away"))
+    assert tasks.study(sweep(finished), lambda *_: before.rename(result) and None) == 0
+    client = MlflowClient(default_uri(finished))
+    assert {run.info.status for run in client.search_runs(["1"])} == {"FINISHED"}
 
 
 def test_another_configuration_in_the_study_is_refused_and_nothing_is_lost(finished: Path) -> None:

@@ -1,7 +1,8 @@
 """The scores of a run: of its generator, and of re-simulation, the same frames with other scatterers and paths."""
 
-import json
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,7 @@ from ablate.dataset import Pairs, Part
 from ablate.evaluation.scorer import ImageSource, Scorer, Scores
 from ablate.metrics import METRICS, METRICS_VERSION
 from ablate.metrics.stored_names import FLOOR_PREFIX, MODEL, RESIMULATED
-from ablate.storage import digest, write_json
+from ablate.storage import digest, read_json, write_json
 
 
 def resimulation_images(pairs: Pairs) -> ImageSource:
@@ -41,10 +42,15 @@ def resimulation_scores(scorer: Scorer, part: Part) -> Scores:
     kept = scorer.pairs.folder / "resimulation" / f"{part.name}-{digest(made_from)}.json"
     kept.parent.mkdir(exist_ok=True)
     with FileLock(kept.with_suffix(".lock")):
-        if not kept.exists():
-            found = scorer.score(part, images_of, draws_noise=True)
-            write_json(kept, {"per_image": found.per_image.to_dict("list"), "scalars": found.scalars})
-    read = json.loads(kept.read_text())
+        with suppress(OSError, ValueError, KeyError):  # not made yet, or damaged
+            return _read(kept)
+        found = scorer.score(part, images_of, draws_noise=True)
+        write_json(kept, {"per_image": found.per_image.to_dict("list"), "scalars": found.scalars})
+        return _read(kept)
+
+
+def _read(kept: Path) -> Scores:
+    read = read_json(kept)
     return Scores(pd.DataFrame(read["per_image"]), read["scalars"])
 
 

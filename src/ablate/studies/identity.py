@@ -1,17 +1,20 @@
 """The identity of a run: a hash of the settings that decide its result; no folder may mix two of them."""
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock
+from pyarrow.parquet import read_schema
+
 from ablate.config import ConfigurationError, StudySettings, json_ready
 from ablate.dataset import Encoding
-from ablate.metrics import METRIC_SETS, METRICS_VERSION, choose_metrics, needs_inception
-from ablate.storage import digest, write_json
+from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, choose_metrics, needs_inception
+from ablate.storage import digest, read_json, write_json
 from ablate.studies.jobs.job import Job
 from ablate.studies.pairs.data import about_data
+from ablate.studies.result_file import read_result, scored_by
 
 # These settings say where a job runs and how often it saves or reports; they do not change its result.
 _INCIDENTAL_TRAINING = ("device", "threads", "checkpoint_every", "validate_every", "log_every")
@@ -63,62 +66,89 @@ def check_place(job: Job) -> None:
     """
     here = semantic(job.settings)
     for spec in sorted(job.settings.study_dir.glob("*/seed*/spec.json")):
-        there = json.loads(spec.read_text())["semantic"]
-        pair = (there, here) if spec.parent == job.folder else (shared(there), shared(here))
-        differences = ", ".join(f"{k}: {a} there, {b} here" for k, a, b in _differences(*pair))
+        try:
+            there = read_json(spec)["semantic"]
+            pair = (there, here) if spec.parent == job.folder else (shared(there), shared(here))
+            differences = ", ".join(f"{k}: {a} there, {b} here" for k, a, b in _differences(*pair))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            continue  # a damaged file tells nothing; comparisons leave its run aside
         if differences:
             another = f"{spec.parent} holds another configuration ({differences})"
             raise ConfigurationError(f"{another}; give this one a place with study_name=...")
 
 
 def claim_place(job: Job) -> None:
-    """Write `spec.json`, which says what a run is, before anything else is written into its folder."""
-    check_place(job)
+    """Write `spec.json`, which says what a run is, before anything else is written into its folder.
+
+    Of two processes that claim places in a study at the same time, the second sees what the first has claimed.
+    """
     job.folder.mkdir(parents=True, exist_ok=True)
-    if not (job.folder / "spec.json").exists():
-        known_by = {"label": job.label, "hash": config_hash(job.settings)}
-        decided_by = {"semantic": semantic(job.settings), "settings": json_ready(job.settings)}
-        write_json(job.folder / "spec.json", {**known_by, **decided_by})
+    with FileLock(job.settings.study_dir / ".claim.lock"):
+        check_place(job)
+        if not _is_claimed(job):
+            known_by = {"label": job.label, "hash": config_hash(job.settings)}
+            decided_by = {"semantic": semantic(job.settings), "settings": json_ready(job.settings)}
+            write_json(job.folder / "spec.json", {**known_by, **decided_by})
+
+
+def _is_claimed(job: Job) -> bool:
+    """Whether the folder of a job says what its run is; a damaged `spec.json` is a ConfigurationError if it matters."""
+    path = job.folder / "spec.json"
+    try:
+        return bool(read_json(path)["hash"] == config_hash(job.settings))
+    except FileNotFoundError:
+        return False
+    except (OSError, ValueError, KeyError) as error:
+        from ablate.training import LAST  # loads PyTorch
+
+        if (job.folder / LAST).exists() and read_result(job.folder, config_hash(job.settings)) is None:
+            unknown = f"what {LAST} beside it was trained on is not known; remove {job.folder} to start again"
+            raise ConfigurationError(f"{path} is damaged ({' '.join(str(error).split())}): {unknown}") from error
+        return False
 
 
 def finished(job: Job) -> dict[str, Any] | None:
     """The result of a job, or None where it has none of the same configuration with all metrics that are asked for.
 
-    A result that was scored by another version of the metrics is not finished: the run is scored again.
+    A result that was scored by another version of the metrics, or whose values of frames cannot be read, is not
+    finished: the run is scored again.
     """
-    result = read_result(job.folder, config_hash(job.settings))
-    if result is None or scored_by(result) != METRICS_VERSION:
+    s = job.settings
+    result = read_result(job.folder, config_hash(s))
+    if result is None or scored_by(result) != METRICS_VERSION or not _has_frames(job.folder):
         return None
-    metrics = choose_metrics(job.settings.metrics)
-    with_network = job.settings.evaluation.inception is not None and needs_inception(metrics)
-    if metrics.keys() - choose_metrics(result["metrics"]).keys() or (with_network and result["inception"] is None):
+    with_network = s.evaluation.inception is not None and needs_inception(choose_metrics(s.metrics))
+    if _names(s.metrics) - _names(result["metrics"]) or (with_network and result["inception"] is None):
         return None
     return result
 
 
-def scored_by(result: Mapping[str, Any]) -> int:
-    """The `METRICS_VERSION` that a result was scored by; version 1 did not store it."""
-    return int(result.get("metrics_version", 1))
+def _names(asked: str | Iterable[str]) -> set[str]:
+    """Names of metrics, and paths of a user's own, behind names and sets; nothing is imported."""
+    entries = [asked] if isinstance(asked, str) else asked
+    return {name for entry in entries for name in METRIC_SETS.get(entry, (entry,))}
+
+
+def _has_frames(folder: Path) -> bool:
+    """Whether `per_image.parquet` of a run is there and whole; its end is written last."""
+    try:
+        read_schema(folder / "per_image.parquet")
+    except (OSError, ValueError):  # pyarrow raises children of ValueError
+        return False
+    return True
 
 
 def with_earlier_metrics(job: Job) -> StudySettings:
-    """The settings of a job, which also ask for the metrics that an earlier call of the same job computed."""
+    """The settings of a job, which also ask for the metrics that an earlier call of the same job computed.
+
+    Of those only the package's: a path in `result.json` may come from anybody, and importing it runs code.
+    """
     s = job.settings
     before = read_result(job.folder, config_hash(s)) or {}
-    asked = [*before.get("metrics", ()), *([s.metrics] if isinstance(s.metrics, str) else s.metrics)]
     # By name: a set such as `all` may have more of them when the run is looked at again.
-    metrics = sorted({name for entry in asked for name in METRIC_SETS.get(entry, (entry,))})
+    metrics = sorted(_names(s.metrics) | (_names(before.get("metrics", ())) & METRICS.keys()))
     inception = s.evaluation.inception or before.get("inception")
     return replace(s, metrics=metrics, evaluation=replace(s.evaluation, inception=inception))
-
-
-def read_result(folder: Path, expected_hash: str) -> dict[str, Any] | None:
-    """`result.json` of a run directory when its hash is the expected one."""
-    path = folder / "result.json"
-    if not path.exists():
-        return None
-    result: dict[str, Any] = json.loads(path.read_text())
-    return result if result.get("hash") == expected_hash else None
 
 
 def _differences(a: Any, b: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:

@@ -1,10 +1,10 @@
 """What `task=plan` prints: which jobs are finished, which are left, and how long these will take."""
 
+import sys
 from collections.abc import Sequence
 
 import pandas as pd
 
-from ablate.config import refusing
 from ablate.studies.comparison.results import finished_runs
 from ablate.studies.identity import finished
 from ablate.studies.jobs.job import Job
@@ -26,7 +26,7 @@ def show_progress(jobs: Sequence[Job]) -> int:
 
 
 def progress(jobs: Sequence[Job]) -> pd.DataFrame:
-    """One row a job: job; state, `finished`, `resumes` or `missing`; done, the share of the steps; seconds left.
+    """One row a job: job; state, `finished`, `resumes`, `missing` or `damaged`; done, share of the steps; seconds left.
 
     The time of a job is the median of the finished runs of its label in its study, or of all runs there, or else NaN.
     A run that was resumed tells no time.
@@ -45,8 +45,11 @@ def progress(jobs: Sequence[Job]) -> pd.DataFrame:
         if finished(job) is not None:
             state, done = "finished", 1.0
         elif checkpoint.exists():
-            with refusing():  # a damaged checkpoint
+            try:
                 state, done = "resumes", read_checkpoint(checkpoint)["steps_done"] / job.settings.training.steps
+            except ValueError as error:
+                state = "damaged"
+                print(error, file=sys.stderr)
         here = measured[measured["study"] == str(job.settings.study_dir)]
         alike = here[here["label"] == job.label]
         told = (alike if len(alike) else here)["seconds"].median()

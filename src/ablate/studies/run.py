@@ -14,11 +14,12 @@ from ablate.dataset import CropLoader, Crops, CropSettings, Part
 from ablate.evaluation import ImageSource, Scorer, inception_for, score_run
 from ablate.metrics import METRICS_VERSION, choose_metrics
 from ablate.networks import Generator, conditions, draws_noise
-from ablate.storage import write_json
-from ablate.studies.identity import claim_place, config_hash, finished, read_result, with_earlier_metrics
+from ablate.storage import remove_partial, write_json, written_whole
+from ablate.studies.identity import claim_place, config_hash, finished, with_earlier_metrics
 from ablate.studies.jobs.describe import parameters
 from ablate.studies.jobs.job import Job
 from ablate.studies.pairs.data import Data, dataset_folder, maps_needed, prepare_data
+from ablate.studies.result_file import read_result
 from ablate.studies.tracked import log_samples, logged, open_child, open_tracking
 from ablate.tracking import RunLog, Status
 from ablate.training import TrainingPrecision, Validation, chosen_device, generate, median_ms_per_frame, train
@@ -35,7 +36,6 @@ def run_job(job: Job) -> None:
     """
     if finished(job) is not None:
         return
-    dataset.end_with_parent()
     job.folder.mkdir(parents=True, exist_ok=True)
     with FileLock(job.folder / ".lock"):  # another process may be running the same job
         if finished(job) is None:
@@ -50,6 +50,8 @@ def _run(job: Job) -> None:
     store, parent = open_tracking(job.settings)
     run = open_child(job, store, parent, len(data.pairs))
     started = time.perf_counter()
+    for left in ("per_image.parquet", "pictures.npz", "result.json"):
+        remove_partial(job.folder / left)
     try:
         scalars, notes = _train_and_score(job, data, run)
     except BaseException as error:
@@ -97,9 +99,12 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> tuple[dict[str, float
     generator, discriminator = parameters(s)
     sizes = {"parameters_generator": float(generator), "parameters_discriminator": float(discriminator)}
     scalars = {**costs, "ms_per_frame": milliseconds, **scores.scalars, **sizes}
-    scores.per_image.assign(variant=job.label, seed=s.seed).to_parquet(job.folder / "per_image.parquet")
+    with written_whole(job.folder / "per_image.parquet") as partial:
+        scores.per_image.assign(variant=job.label, seed=s.seed).to_parquet(partial)
     shown = dataset.equally_spaced(data.pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant
-    np.savez_compressed(job.folder / "pictures.npz", frames=shown, images=render(shown, 0))
+    images = render(shown, 0)
+    with written_whole(job.folder / "pictures.npz") as partial:
+        np.savez_compressed(partial, frames=shown, images=images)
     run.metrics(logged(scalars))  # at step 0: MLflow draws bars, not curves
     run.artifact(job.folder / "per_image.parquet")
     return scalars, scores.notes

@@ -9,7 +9,7 @@ from ablate.config import SceneKind, StudySettings, build, json_ready
 from ablate.dataset import Part, label_values
 from ablate.metrics.stored_names import FLOOR_PREFIX, is_bound
 from ablate.networks import conditions
-from ablate.storage import write_json
+from ablate.storage import write_json, write_text
 from ablate.studies.comparison.results import Finished, data_of
 from ablate.studies.identity import config_hash
 from ablate.studies.jobs.job import Job
@@ -81,10 +81,10 @@ def open_child(job: Job, store: Store, parent: str, frames: int) -> RunLog:
     provenance.mkdir(exist_ok=True)
     write_json(provenance / "config.json", json_ready(s))
     write_json(provenance / "made_with.json", {**made_with, **tracking.packages()})
-    (provenance / "environment.txt").write_text(tracking.environment())
-    (provenance / "uncommitted.diff").write_text(code.get("git_diff", ""))
-    for path in sorted(provenance.iterdir()):
-        run.artifact(path, "provenance")
+    write_text(provenance / "environment.txt", tracking.environment())
+    write_text(provenance / "uncommitted.diff", code.get("git_diff", ""))
+    for name in ("config.json", "environment.txt", "made_with.json", "uncommitted.diff"):
+        run.artifact(provenance / name, "provenance")
     return run
 
 

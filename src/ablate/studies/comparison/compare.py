@@ -1,18 +1,19 @@
 """Compare the finished runs of a study: tables, figures and a report on disk and in the parent run."""
 
-import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
+from filelock import FileLock
 
 from ablate import analysis
 from ablate.analysis import REFERENCE, Spread
 from ablate.config import ConfigurationError, StudySettings
 from ablate.metrics import METRICS_VERSION, Shown, shown_in
-from ablate.storage import write_json
-from ablate.studies.comparison.answers import answers
+from ablate.storage import digest_of_files, read_json, write_json
+from ablate.studies.comparison.answers import answers, components_of
 from ablate.studies.comparison.figures import Numbers, draw_figures, stored_pictures
 from ablate.studies.comparison.results import Finished, appendix, data_of, provenance, scored_frames
 from ablate.studies.comparison.usable_runs import UsableRuns, usable_runs
@@ -23,21 +24,26 @@ from ablate.tracking import RunLog, Status, default_uri
 def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
     """Compare the finished runs of a study, on disk and on the parent run; returns what the screen shows of it.
 
-    A comparison of the same runs that is there already is kept, unless `rebuild` asks for it anew. No finished run
-    that can be used is a ConfigurationError.
+    A comparison of the same runs that is there already is kept, unless `rebuild` asks for it anew. Of several processes
+    one compares and the others wait, and then keep what it made. No finished run that can be used is a
+    ConfigurationError.
     """
+    if not settings.study_dir.is_dir():
+        raise ConfigurationError(f"{settings.study_dir} holds no finished run to compare.")
+    with FileLock(settings.study_dir / ".comparison.lock"):
+        return _compare_study(settings, rebuild)
+
+
+def _compare_study(settings: StudySettings, rebuild: bool) -> str:
     folder, reference = settings.study_dir / "comparison", settings.reference
     usable = usable_runs(settings.study_dir, reference)
     if not usable.runs:
         raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))
-    hashes = [run.result["hash"] for run in usable.all]
-    scored = [[run.result.get("metrics"), run.result.get("inception")] for run in usable.all]
-    version = {"metrics_version": METRICS_VERSION}
-    made_from = {"runs": hashes, "scored": scored, "reference": reference, "notes": list(usable.notes), **version}
+    made_from = _made_from(usable, reference)
     marker = folder / "made_from.json"
     per_image, scalars = scored_frames(usable.runs)
     table = analysis.comparison_table(per_image, scalars, reference)
-    if rebuild or not marker.exists() or json.loads(marker.read_text()) != made_from:
+    if rebuild or not _says(marker, made_from):
         files, notes = write_comparison(usable, folder, settings.study, reference)
         _track(settings, usable.runs, table, files, notes)
         write_json(marker, made_from)
@@ -54,6 +60,23 @@ def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
     if settings.tracking.register:
         where += f"\nregistered     {register_reference(settings, list(usable.runs))}"
     return f"{analysis.to_text(table[table['metric'].isin(shown_in(Shown.screen))])}\n{warnings}\n\n{where}"
+
+
+def _made_from(usable: UsableRuns, reference: str) -> dict[str, Any]:
+    """What decides a comparison: the files that it reads of its runs, the reference, and what was left aside.
+
+    A run that was deleted and trained again has the same configuration and other files.
+    """
+    runs = {f"{run.name} of {run.result['data']}": digest_of_files(run.files) for run in usable.all}
+    return {"runs": runs, "reference": reference, "notes": list(usable.notes), "metrics_version": METRICS_VERSION}
+
+
+def _says(marker: Path, made_from: Mapping[str, Any]) -> bool:
+    """Whether the comparison on disk was made from this."""
+    try:
+        return read_json(marker) == made_from
+    except (OSError, ValueError):
+        return False
 
 
 def write_comparison(
@@ -146,6 +169,6 @@ def _left_out(runs: Sequence[Finished]) -> list[str]:
     except (OSError, ValueError, KeyError):
         said = []  # the pairs have been deleted
     said += dict.fromkeys(str(note) for run in runs for note in run.result.get("notes", ()))
-    if not any(run.spec["settings"]["model"]["extra_input"] == "low" for run in runs):
+    if not any(components_of(run).get("extra_input") == "low" for run in runs):
         said.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
     return said

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import pandas as pd
 
@@ -31,7 +30,7 @@ def stored_pictures(runs: Sequence[Finished], reference: str) -> tuple[list[Fram
     """The frames that can be shown, and where pairs or pictures are missing or damaged the reason, for the report."""
     try:
         frames = pictures(runs, reference)
-    except (OSError, ValueError, KeyError, BadZipFile) as error:
+    except (OSError, ValueError, KeyError) as error:
         return [], f"There are no pictures: {' '.join(str(error).split())}."
     return frames, "" if frames else "There are no pictures: the runs kept no frame in common."
 

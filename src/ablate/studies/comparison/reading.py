@@ -1,8 +1,8 @@
 """Open a finished study for reading; the notebooks use this."""
 
-import json
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,7 @@ import pandas as pd
 
 from ablate.analysis import FramePictures, comparison_table
 from ablate.config import StudySettings, build
+from ablate.storage import read_json
 from ablate.studies.comparison.answers import Answers, answers
 from ablate.studies.comparison.results import Finished, data_of, pictures, scored_frames
 from ablate.studies.comparison.usable_runs import usable_runs
@@ -61,8 +62,9 @@ def open_study(places: Sequence[str] = SWEEP, made_by: str = "make sweep") -> St
     named = os.environ.get("ABLATE_STUDY")
     folders = [Path(named)] if named else [Path(up) / place for up in (".", "..") for place in places]
     for folder in folders:
-        marker = folder / "comparison" / "made_from.json"
-        reference = json.loads(marker.read_text())["reference"] if marker.exists() else StudySettings.reference
+        reference = StudySettings.reference
+        with suppress(OSError, ValueError, KeyError):  # not compared yet, or a damaged file
+            reference = str(read_json(folder / "comparison" / "made_from.json")["reference"])
         usable = usable_runs(folder.resolve(), reference)
         if usable.runs:
             return Study(folder.resolve(), usable.runs, usable.blocks, reference, *scored_frames(usable.runs))

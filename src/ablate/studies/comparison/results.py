@@ -1,10 +1,13 @@
 """Read the finished runs of a study from disk: values, pictures and provenance."""
 
-import json
+import logging
+import zlib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import pandas as pd
@@ -12,11 +15,14 @@ import pandas as pd
 from ablate.analysis import REFERENCE, RESIMULATION, FramePictures, ordered_variants
 from ablate.metrics import Shown, shown_in
 from ablate.metrics.stored_names import BOUNDS, FLOOR_PREFIX, MODEL, RESIMULATED, is_bound
-from ablate.studies.identity import read_result
+from ablate.storage import read_json
 from ablate.studies.pairs.data import Data, open_data
+from ablate.studies.result_file import read_result
 
 _ABOUT_CODE = ("git_commit", "git_dirty", "hardware")
+_LOG = logging.getLogger(__name__)
 _PICTURES = "pictures.npz"
+_DIFF, _MADE_WITH = "uncommitted.diff", "made_with.json"
 
 
 @dataclass(frozen=True)
@@ -39,15 +45,22 @@ class Finished:
     def name(self) -> str:
         return f"{self.label}/seed{self.seed}"
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that a comparison reads of it; some may be missing."""
+        own = ("spec.json", "result.json", "per_image.parquet", _PICTURES)
+        of_code = (self.folder / "provenance" / name for name in (_DIFF, _MADE_WITH))
+        return (*(self.folder / name for name in own), *of_code)
+
 
 def finished_runs(study_dir: Path) -> list[Finished]:
     """Every run of a study whose result belongs to its configuration."""
     runs = []
     for path in sorted(study_dir.glob("*/seed*/spec.json")):
-        spec = json.loads(path.read_text())
-        result = read_result(path.parent, spec["hash"])
-        if result is not None:
-            runs.append(Finished(path.parent, spec, result))
+        with suppress(OSError, ValueError):  # a damaged file
+            spec = read_json(path)
+            if result := read_result(path.parent, str(spec.get("hash"))):
+                runs.append(Finished(path.parent, spec, result))
     return runs
 
 
@@ -113,12 +126,11 @@ def data_of(runs: Sequence[Finished]) -> Data:
 
 def pictures(runs: Sequence[Finished], reference: str = REFERENCE) -> list[FramePictures]:
     """The frames that all variants have pictures of, each variant's from its lowest seed that has any."""
-    chosen: dict[str, Finished] = {}
     order = ordered_variants([run.label for run in runs], reference)
+    stored: dict[str, dict[int, np.ndarray]] = {}
     for run in sorted(runs, key=lambda r: (order.index(r.label), r.seed)):
-        if (run.folder / _PICTURES).exists():
-            chosen.setdefault(run.label, run)
-    stored = {label: _stored_pictures(run) for label, run in chosen.items()}
+        if run.label not in stored and (images := _stored_pictures(run)):
+            stored[run.label] = images
     numbers = sorted(set.intersection(*(set(images) for images in stored.values()))) if stored else []
     if not numbers:
         return []
@@ -141,9 +153,16 @@ def pictures(runs: Sequence[Finished], reference: str = REFERENCE) -> list[Frame
 
 
 def _stored_pictures(run: Finished) -> dict[int, np.ndarray]:
-    """The pictures of a run, by the frame's number in the data set."""
-    with np.load(run.folder / _PICTURES) as kept:
-        return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
+    """The pictures of a run, by the frame's number in the data set; none where the file is missing or damaged."""
+    path = run.folder / _PICTURES
+    try:
+        with np.load(path) as kept:
+            return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, KeyError, AttributeError, EOFError, BadZipFile, zlib.error) as error:
+        _LOG.warning("%s is damaged, other pictures are shown: %s", path, " ".join(str(error).split()))
+        return {}
 
 
 def provenance(runs: Sequence[Finished]) -> dict[str, str]:
@@ -158,21 +177,20 @@ def appendix(runs: Sequence[Finished]) -> dict[str, str]:
     texts = {"Packages": "\n".join(f"{k} {v}" for k, v in packages.items())} if packages else {}
     names: dict[str, list[str]] = {}
     for run in runs:
-        names.setdefault(_provenance(run, "uncommitted.diff"), []).append(run.name)
+        path = run.folder / "provenance" / _DIFF
+        diff = path.read_text("utf-8", "replace") if path.is_file() else ""
+        names.setdefault(diff, []).append(run.name)
     return {**texts, **{f"Uncommitted changes: {', '.join(of)}": diff for diff, of in names.items() if diff}}
 
 
 def _made_with(runs: Sequence[Finished]) -> dict[str, str]:
     """What the runs recorded in `made_with.json` when they were last started, by key."""
-    found = {run.name: _provenance(run, "made_with.json") for run in runs}
-    recorded = {name: json.loads(text) for name, text in found.items() if text}
+    recorded: dict[str, dict[str, Any]] = {}
+    for run in runs:
+        with suppress(OSError, ValueError):  # missing or damaged
+            recorded[run.name] = read_json(run.folder / "provenance" / _MADE_WITH)
     keys = dict.fromkeys(key for of_run in recorded.values() for key in of_run)
     return {key: _by_run({name: str(of_run.get(key, "")) for name, of_run in recorded.items()}) for key in keys}
-
-
-def _provenance(run: Finished, name: str) -> str:
-    path = run.folder / "provenance" / name
-    return path.read_text() if path.exists() else ""
 
 
 def _by_run(values: dict[str, str]) -> str:

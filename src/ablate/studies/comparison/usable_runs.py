@@ -1,18 +1,19 @@
 """Choose the runs of a study that can be compared with each other, and say which are left aside and why."""
 
-import json
 from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
 from ablate.analysis import REFERENCE, listed
-from ablate.metrics import METRICS_VERSION, choose_metrics
+from ablate.metrics import METRICS_VERSION
 from ablate.metrics.stored_names import SOURCES, STORED_COLUMNS
+from ablate.storage import read_json
+from ablate.studies.comparison.answers import components_of
 from ablate.studies.comparison.results import Finished
-from ablate.studies.identity import read_result, scored_by, shared_pairs
+from ablate.studies.identity import shared_pairs
+from ablate.studies.result_file import scored_by, unusable_keys
 
 
 @dataclass(frozen=True)
@@ -68,16 +69,13 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
                 f"{_runs(names)} on another anatomy than {chosen} {takes} part in effects and verdicts only: "
                 f"{listed(names)}."
             )
-    for name in dict.fromkeys(name for run in (*runs, *blocks) for name in run.result.get("metrics", ())):
-        with suppress(ValueError):  # imports a user's own metric for its label; one that is gone is shown by its name
-            choose_metrics([name])
     return UsableRuns(tuple(runs), tuple(blocks), tuple(notes))
 
 
 def _another_anatomy(run: Finished, other: Finished) -> bool:
     """Whether the pairs of two runs differ in the anatomy and in nothing else."""
-    here, there = (each.spec["semantic"].get("data") for each in (run, other))
-    return here is not None and there is not None and shared_pairs(here) == shared_pairs(there)
+    here, there = (shared_pairs(each.spec["semantic"]["data"]) for each in (run, other))
+    return here == there
 
 
 def _read(folder: Path) -> Finished | str:
@@ -86,19 +84,20 @@ def _read(folder: Path) -> Finished | str:
     if not path.exists():
         return ""
     try:
-        spec = json.loads(path.read_text())
+        spec = read_json(path)
         if not (folder / "result.json").exists():
             return "not finished"
-        result = read_result(folder, spec["hash"])
-        if result is None:
+        result = read_json(folder / "result.json")
+        if result.get("hash") != spec["hash"]:
             return "left aside, with a result of another configuration"
+        if wrong := unusable_keys(result):
+            return f"left aside, without a usable {', '.join(wrong)} in result.json: start it again"
         if (version := scored_by(result)) != METRICS_VERSION:
             return f"left aside, scored by version {version} of the metrics, not {METRICS_VERSION}: start it again"
         run = Finished(folder, spec, result)
-        if missing := {"label", "seed", "data", "scalars"} - result.keys():
-            return f"left aside, without {', '.join(sorted(missing))} in result.json"
+        components_of(run), shared_pairs(spec["semantic"]["data"])  # an error where these cannot be told
         frames = pd.read_parquet(folder / "per_image.parquet", columns=list(STORED_COLUMNS))
-    except (OSError, ValueError, KeyError, TypeError) as error:  # json and pyarrow raise children of ValueError
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:  # pyarrow's are ValueErrors
         return f"left aside, unreadable ({type(error).__name__})"
     if unknown := set(frames["source"]) - set(SOURCES):
         names = ", ".join(map(str, sorted(unknown)))

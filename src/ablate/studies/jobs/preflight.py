@@ -98,7 +98,7 @@ def _check_training(job: Job, seen: int, labels: set[str]) -> None:
             raise ConfigurationError(f"{key}.device={device}: allowed are cpu and cuda")
         if device.startswith("cuda") and not torch.cuda.is_available():
             raise ConfigurationError(f"{key}.device={device}: this machine has no usable GPU; allowed is cpu")
-    known = {*labels, *variant_names(), *(path.name for path in s.study_dir.glob("*"))}
+    known = {*labels, *variant_names(), *(path.parent.name for path in s.study_dir.glob("*/seed*"))}
     if s.reference not in known:
         raise ConfigurationError(f"reference={s.reference}: allowed are {', '.join(sorted(known))}")
     if not re.fullmatch(r"[\w.+ -]+", s.study):

@@ -3,7 +3,6 @@
 What needs a scene, and with it Embree and numba, is imported where a scene is used.
 """
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from ablate.anatomy import Tissue
 from ablate.config import SceneKind, StudySettings, build
 from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, open_pairs, remove_damaged, write_contact_sheet
 from ablate.networks import GeneratorSpec, conditions
-from ablate.storage import digest
+from ablate.storage import digest, read_json
 from ablate.studies.pairs.imported import about_imported, checked_folder, import_data
 from ablate.ultrasound import ConvexProbe
 
@@ -94,7 +93,7 @@ def made_data(settings: StudySettings, maps: frozenset[str]) -> Data | None:
 def open_data(folder: Path) -> Data:
     """A data set as it lies on disk; a FileNotFoundError when it has not been simulated."""
     pairs = open_pairs(folder)
-    about = json.loads((folder / "about.json").read_text())
+    about = read_json(folder / "about.json")
     if simulator := about.get("simulator"):
         pairs = replace(pairs, probe=build(ConvexProbe, about["probe"]), tgc_db_cm_mhz=simulator["tgc_db_cm_mhz"])
     return Data(pairs, tuple(build(Tissue, t) for t in about["tissues"]), tuple(about["left_out"]))

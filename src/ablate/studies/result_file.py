@@ -1,0 +1,42 @@
+"""`result.json`, which a run writes last: read as data, whoever wrote it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ablate.storage import read_json
+
+
+def read_result(folder: Path, expected_hash: str) -> dict[str, Any] | None:
+    """`result.json` of a run directory when its hash is the expected one, and it is whole."""
+    try:
+        result = read_json(folder / "result.json")
+    except (OSError, ValueError):
+        return None
+    return None if result.get("hash") != expected_hash or unusable_keys(result) else result
+
+
+def unusable_keys(result: Mapping[str, Any]) -> list[str]:
+    """The keys that are missing from a `result.json`, or hold what no run writes there."""
+    found = {"metrics": "all", "metrics_version": 1, "inception": None, "notes": [], **result}  # some came later
+    kinds: dict[str, Any] = {"label": str, "seed": int, "data": str, "mlflow_run_id": str, "metrics_version": int}
+    wrong = [key for key, kind in kinds.items() if not isinstance(found.get(key), kind)]
+    if not isinstance(found["inception"], str | None):
+        wrong.append("inception")
+    if not isinstance(found["metrics"], str) and not _is_list_of_text(found["metrics"]):
+        wrong.append("metrics")
+    if not _is_list_of_text(found["notes"]):
+        wrong.append("notes")
+    scalars = found.get("scalars")
+    if not isinstance(scalars, dict) or not all(isinstance(value, int | float) for value in scalars.values()):
+        wrong.append("scalars")
+    return wrong
+
+
+def _is_list_of_text(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(entry, str) for entry in value)
+
+
+def scored_by(result: Mapping[str, Any]) -> int:
+    """The `METRICS_VERSION` that a result was scored by; version 1 did not store it."""
+    return int(result.get("metrics_version", 1))
