@@ -62,7 +62,8 @@ def test_a_process_that_is_killed_takes_no_other_with_it(tmp_path: Path, capsys:
     command = composed("-m", "seed=0,1,2", "hydra/launcher=joblib", f"runs_dir={tmp_path / 'runs'}")
     command.launch(command.jobs, work)
     assert notes(tmp_path).keys() == {"1", "2"}
-    assert "seed=0: its process was ended by SIGKILL" in capsys.readouterr().err
+    (told,) = capsys.readouterr().err.splitlines()
+    assert told.startswith(f"seed=0 runs_dir={tmp_path / 'runs'}: its process was ended by SIGKILL")
 
 
 def test_after_ctrl_c_every_process_saves_what_it_is_at(tmp_path: Path) -> None:

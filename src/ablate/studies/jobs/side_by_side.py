@@ -56,7 +56,7 @@ class ProcessLauncher(Launcher):
                 while coming and len(running) < self.n_jobs:
                     number, overrides = coming.pop(0)
                     process = self._started(number, overrides)
-                    running[process.sentinel] = process, " ".join(overrides)
+                    running[process.sentinel] = process, " ".join(o for o in overrides if not o.startswith("hydra"))
                 for sentinel in wait(list(running)):
                     process, name = running.pop(int(sentinel))  # type: ignore[arg-type]
                     process.join()
