@@ -6,7 +6,7 @@ from enum import StrEnum
 
 import pytest
 
-from ablate.validation import check_count, check_number, coerce_enums
+from ablate.validation import check_count, check_name, check_number, coerce_enums, shown
 
 
 class Colour(StrEnum):
@@ -47,3 +47,31 @@ def test_counts_that_are_none(value: object) -> None:
 def test_values_within_their_range() -> None:
     check_number("share", 1, 0, 1)
     check_count("rays", 1, 1)
+
+
+@pytest.mark.parametrize(
+    "value", ["..", "", "a/b", "a\\b", "-m", "a\n", "a ", " a", "o'neill", "what?", "x" * 201, "\ud800"]
+)
+def test_what_names_no_folder(value: str) -> None:
+    with pytest.raises(ValueError, match=r"^study_name=.*: allowed are at most 200 letters") as refused:
+        check_name("study_name", value)
+    assert len(str(refused.value)) < 200
+
+
+@pytest.mark.parametrize("value", ["data", "Data", "data.old"])
+def test_names_that_are_taken(value: str) -> None:
+    with pytest.raises(ValueError, match=rf"^study_name={value}: the names data, more are taken"):
+        check_name("study_name", value, {"more", "data"})
+
+
+@pytest.mark.parametrize("value", ["a", "sa2h.depth-8", "Läufe 2", "_", "database", "x" * 200])
+def test_names(value: str) -> None:
+    check_name("study_name", value, {"data"})
+
+
+def test_a_value_is_shown_short() -> None:
+    bomb: list[object] = [0]
+    for _ in range(9):
+        bomb = [bomb] * 9
+    assert len(shown(bomb)) < 1000
+    assert shown({"unit": "mm"}) == "{'unit': 'mm'}"

@@ -21,8 +21,12 @@ from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
 from ablate.training.settings import TrainingSettings
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.validation import check_name
 
 T = TypeVar("T")
+#: What else lies in `runs_dir`; `mlflow` is the database and its journals.
+_BESIDE_STUDIES = frozenset({"artifacts", "data", "mlflow", "precision", "slurm", "stability"})
+_LONGEST_SCENE_NAME = 100
 
 
 class ConfigurationError(ValueError):
@@ -182,10 +186,15 @@ class StudySettings:
 
     def __post_init__(self) -> None:
         _at_least("", self, seed=0, encoding_seed=0)
+        check_name("study_name", self.study, _BESIDE_STUDIES)  # so it is a folder of its own directly below `runs`
 
     @property
     def scene_name(self) -> str:
-        return "fetal" if self.scene.kind is SceneKind.fetal else Path(self.scene.folder or "").resolve().name
+        """The name of the scene's folder, cut, and with `_` for what cannot stand in the name of a study."""
+        if self.scene.kind is SceneKind.fetal:
+            return "fetal"
+        name = re.sub(r"[^\w.+ -]", "_", Path(self.scene.folder or "").resolve().name)
+        return name.encode()[:_LONGEST_SCENE_NAME].decode(errors="ignore")
 
     @property
     def study(self) -> str:

@@ -1,9 +1,34 @@
 """Checks of values that the frozen settings of all rooms share."""
 
 import math
+import re
+import reprlib
+from collections.abc import Collection
 from enum import StrEnum
 from numbers import Integral, Real
 from typing import get_type_hints
+
+LONGEST_NAME = 200  # bytes; file systems take 255, and endings are added to names
+_REPR = reprlib.Repr()
+_REPR.maxstring = _REPR.maxother = 60
+_REPR.maxlevel = 2
+
+
+def shown(value: object) -> str:
+    """Represent a value in a message, shortened where it is long."""
+    return " ".join(_REPR.repr(value).split())
+
+
+def check_name(key: str, value: str, reserved: Collection[str] = ()) -> None:
+    """Raise ValueError unless `value` can name a folder and a run: letters, digits, blanks and `_.+-`.
+
+    The part before its first dot, whatever its case, must not be one of the lower-case names in `reserved`.
+    """
+    if not re.fullmatch(r"\w([\w.+ -]*[\w.+-])?", value) or len(value.encode(errors="replace")) > LONGEST_NAME:
+        allowed = f"at most {LONGEST_NAME} letters, digits, blanks and _.+-, the first a letter, a digit or _"
+        raise ValueError(f"{key}={shown(value)}: allowed are {allowed}")
+    if value.partition(".")[0].lower() in reserved:
+        raise ValueError(f"{key}={value}: the names {', '.join(sorted(reserved))} are taken by other folders")
 
 
 def coerce_enums(settings: object) -> None:

@@ -384,3 +384,11 @@ def test_a_damaged_spec_leaves_its_run_aside(study: Path, damage: str) -> None:
     (study / "sa2h" / "seed0" / "spec.json").write_text(damage)
     assert "1 run left aside" in compared(study)[2]
     assert len(finished_runs(study)) >= 11
+
+
+def test_a_metric_that_is_no_name_draws_no_figure_elsewhere(study: Path) -> None:
+    path = study / "nsa2h" / "seed0" / "per_image.parquet"
+    table = pd.read_parquet(path)
+    table.replace({"metric": {"mae": "x/../../../stolen"}}).to_parquet(path)
+    _, _, notes = compared(study)
+    assert "left aside, unreadable (ValueError): nsa2h/seed0" in notes

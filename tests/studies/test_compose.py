@@ -3,11 +3,12 @@
 import json
 import math
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ablate.config import ConfigurationError, Task
+from ablate.config import ConfigurationError, SceneKind, SceneSettings, StudySettings, Task
 from ablate.dataset import Encoding
 from ablate.networks import Family
 from ablate.studies.identity import semantic, shared
@@ -173,6 +174,28 @@ def test_a_folder_names_its_study() -> None:
 
 
 @pytest.mark.parametrize(
+    ("folder", "study"),
+    [("o'neill", "quick-o_neill"), ("what? 100%20", "quick-what_ 100_20"), (200 * "ø", "quick-" + 50 * "ø")],
+)
+def test_a_folder_of_any_name_gives_the_name_of_a_study(folder: str, study: str) -> None:
+    assert StudySettings(preset="quick", scene=SceneSettings(SceneKind.folder, f"some/{folder}")).study == study
+
+
+def test_a_users_variant_may_not_have_the_name_of_another_folder(tmp_path: Path) -> None:
+    (tmp_path / "variant").mkdir()
+    for file, variant in (("mine", "comparison"), ("other", "a/b"), ("good", "comparisons")):
+        text = f"# @package _global_\ndefaults:\n  - sa2h\nvariant: {variant}\n"
+        (tmp_path / "variant" / f"{file}.yaml").write_text(text)
+    path = f"hydra.searchpath=[file://{tmp_path}]"
+    for arguments in (["variant=mine"], ["variant=mine", "model.depth=8"]):
+        with pytest.raises(ConfigurationError, match=r"^variant=comparison.*: the names comparison are taken"):
+            jobs_of([path, *arguments])
+    with pytest.raises(ConfigurationError, match=r"^variant='a/b': allowed are at most 200 letters"):
+        jobs_of([path, "variant=other"])
+    assert jobs_of([path, "variant=good"])[0].label == "comparisons"
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["variant=sa3h"], r"variant=sa3h: allowed are lsa2h, nsa2h, sa2h, "),
@@ -198,6 +221,18 @@ def test_a_folder_names_its_study() -> None:
         (["variant=sa2h,nsa2h"], r"asks for several jobs: add -m"),
         (["-m", "training.steps=1,2"], r"share the place .*study_name"),
         (["variant="], r"variant"),
+        (["study_name=.."], r"study_name='\.\.': allowed are at most 200 letters, digits, blanks and _\.\+-"),
+        (["study_name=."], r"study_name='\.': allowed are"),
+        (["study_name=a/b"], r"study_name='a/b': allowed are"),
+        (['study_name="o\'neill"'], r"study_name=.*neill.*: allowed are"),
+        (["study_name='what?'"], r"study_name='what\?': allowed are"),
+        (["study_name=100%20"], r"study_name='100%20': allowed are"),
+        (["study_name='a '"], r"study_name='a ': allowed are"),
+        (["study_name=.hydra"], r"study_name='\.hydra': allowed are"),
+        ([f"study_name={300 * 'x'}"], r"study_name='x+\.\.\.x+': allowed are at most 200"),
+        (["study_name=data"], r"study_name=data: the names artifacts, data, .* are taken"),
+        (["study_name=Artifacts"], r"study_name=Artifacts: the names artifacts, data, .* are taken"),
+        (["study_name=mlflow.db-wal"], r"study_name=mlflow\.db-wal: the names"),
         (["variant=[sa2h"], r"."),
     ],
 )

@@ -3,6 +3,7 @@
 import json
 import os
 import runpy
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 from mlflow import MlflowClient
 
 from ablate import tasks
+from ablate.config import StudySettings
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.job import Job
 from ablate.studies.run import run_job
@@ -263,3 +265,27 @@ def test_a_run_killed_in_training_is_resumed(tmp_path: Path) -> None:
     done = subprocess.run(alone, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads((place / "result.json").read_text())["scalars"]["train/resumed_at"] >= 2
+
+
+def test_whatever_lies_beside_a_study_can_give_none_its_name(finished: Path) -> None:
+    beside = {path.name for path in finished.iterdir()} - {"tiny-fetal"}
+    assert {"data", "artifacts", "mlflow.db"} <= beside
+    for name in (*beside, "precision", "stability", "slurm", "mlflow.db-journal"):
+        with pytest.raises(ValueError, match=r"^study_name="):
+            StudySettings(study_name=name)
+    for folder in {path.parent.parent.name for path in finished.glob("tiny-fetal/*/*")} - {"sa2h", "sa2h-att"}:
+        if folder != "tiny-fetal":
+            with pytest.raises(ValueError, match=r"^variant="):
+                Job(StudySettings(), folder)
+
+
+@pytest.mark.parametrize("name", ["..", "comparison/.."])
+def test_a_comparison_replaces_nothing_outside_its_study(finished: Path, tmp_path: Path, name: str) -> None:
+    thesis = tmp_path / "comparison" / "thesis.txt"
+    thesis.parent.mkdir()
+    thesis.write_text("the only copy")
+    shutil.copytree(finished / "tiny-fetal" / "sa2h", tmp_path / "sa2h")
+    shutil.copytree(finished / "tiny-fetal" / "sa2h", tmp_path / "runs" / "comparison" / "sa2h")
+    with pytest.raises(ValueError, match=r"^study_name="):
+        run("task=compare", *TINY, f"runs_dir={tmp_path / 'runs'}", f"study_name={name}")
+    assert thesis.read_text() == "the only copy"

@@ -15,6 +15,7 @@ from ablate.metrics.mechanism.thin_structures import thin_contrast
 from ablate.metrics.metric import Direction, FeatureKind, Group, ImageMetric, Metric, Resimulation, SetDistance, Shown
 from ablate.metrics.pair import Pair
 from ablate.metrics.patch_histograms import patches_inside, rms
+from ablate.validation import check_name
 
 #: Raise it when a metric gives another value for the same images: kept scores, of runs and of re-simulation, are then
 #: made anew.
@@ -116,8 +117,9 @@ _OWN: dict[str, Metric] = {}  # of the user, since they were chosen
 def register(metric: Metric) -> Metric:
     """Make a user's metric known to tables, figures and statistics, in place of an earlier one of that name.
 
-    Raises ValueError when the package has a metric of that name.
+    Raises ValueError when the package has a metric of that name, or the name cannot be that of a file.
     """
+    check_name("name", metric.name)
     if metric.name in METRICS:
         raise ValueError(f"{metric.name} is the name of another metric")
     _OWN[metric.name] = metric

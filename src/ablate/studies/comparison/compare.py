@@ -17,6 +17,7 @@ from ablate.studies.comparison.answers import answers, components_of
 from ablate.studies.comparison.figures import Numbers, draw_figures, stored_pictures
 from ablate.studies.comparison.results import Finished, appendix, data_of, provenance, scored_frames
 from ablate.studies.comparison.usable_runs import UsableRuns, usable_runs
+from ablate.studies.jobs.job import COMPARISON
 from ablate.studies.tracked import describe_study, open_tracking, register_reference
 from ablate.tracking import RunLog, Status, default_uri
 
@@ -35,7 +36,7 @@ def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
 
 
 def _compare_study(settings: StudySettings, rebuild: bool) -> str:
-    folder, reference = settings.study_dir / "comparison", settings.reference
+    folder, reference = settings.study_dir / COMPARISON, settings.reference
     usable = usable_runs(settings.study_dir, reference)
     if not usable.runs:
         raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))

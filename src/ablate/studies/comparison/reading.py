@@ -15,6 +15,7 @@ from ablate.storage import read_json
 from ablate.studies.comparison.answers import Answers, answers
 from ablate.studies.comparison.results import Finished, data_of, pictures, scored_frames
 from ablate.studies.comparison.usable_runs import usable_runs
+from ablate.studies.jobs.job import COMPARISON
 from ablate.studies.pairs.data import Data
 
 SWEEP = ("runs/quick-fetal",)  # where `make sweep` leaves its study
@@ -64,7 +65,7 @@ def open_study(places: Sequence[str] = SWEEP, made_by: str = "make sweep") -> St
     for folder in folders:
         reference = StudySettings.reference
         with suppress(OSError, ValueError, KeyError):  # not compared yet, or a damaged file
-            reference = str(read_json(folder / "comparison" / "made_from.json")["reference"])
+            reference = str(read_json(folder / COMPARISON / "made_from.json")["reference"])
         usable = usable_runs(folder.resolve(), reference)
         if usable.runs:
             return Study(folder.resolve(), usable.runs, usable.blocks, reference, *scored_frames(usable.runs))

@@ -14,6 +14,7 @@ from ablate.studies.comparison.answers import components_of
 from ablate.studies.comparison.results import Finished
 from ablate.studies.identity import shared_pairs
 from ablate.studies.result_file import scored_by, unusable_keys
+from ablate.validation import check_name
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,8 @@ def _read(folder: Path) -> Finished | str:
         run = Finished(folder, spec, result)
         components_of(run), shared_pairs(spec["semantic"]["data"])  # an error where these cannot be told
         frames = pd.read_parquet(folder / "per_image.parquet", columns=list(STORED_COLUMNS))
+        for metric in set(frames["metric"]):
+            check_name("metric", str(metric))  # it becomes part of the name of a figure's file
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:  # pyarrow's are ValueErrors
         return f"left aside, unreadable ({type(error).__name__})"
     if unknown := set(frames["source"]) - set(SOURCES):

@@ -109,6 +109,7 @@ def _check_single(master: DictConfig, overrides: Sequence[Override]) -> None:
 def _composed_job(overrides: Sequence[str], config: DictConfig) -> ComposedJob:
     try:
         made = settings(config)
+        return ComposedJob(Job(made, label_of(made, overrides)), tuple(overrides), config)
     except MissingMandatoryValue as error:
         key = error.full_key or "a value"
         raise ConfigurationError(f"{key} must be given: {key}=...") from error
@@ -116,7 +117,6 @@ def _composed_job(overrides: Sequence[str], config: DictConfig) -> ComposedJob:
         raise ConfigurationError(f"{error.full_key}: {_one_line(error)}") from error
     except ValueError as error:
         raise ConfigurationError(_one_line(error)) from error
-    return ComposedJob(Job(made, label_of(made, overrides)), tuple(overrides), config)
 
 
 def _without_repetitions(made: Sequence[ComposedJob]) -> list[ComposedJob]:

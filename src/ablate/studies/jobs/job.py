@@ -11,6 +11,9 @@ from ablate.config import StudySettings, json_ready
 from ablate.studies.jobs.hydra_internals import Override, parse_overrides
 from ablate.studies.jobs.schema import configuration_dir
 from ablate.training.settings import TrainingSettings
+from ablate.validation import check_name
+
+COMPARISON = "comparison"  # folder beside those of the variants
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,9 @@ class Job:
 
     settings: StudySettings
     label: str
+
+    def __post_init__(self) -> None:
+        check_name("variant", self.label, {COMPARISON})
 
     @property
     def name(self) -> str:

@@ -1,7 +1,6 @@
 """Check jobs against the files, folders and devices that they need, before anything expensive starts."""
 
 import os
-import re
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,6 +26,8 @@ def check(jobs: Sequence[Job]) -> None:
         seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
         _check_training(job, seen, {other.label for other in jobs})
         _check_metrics(job.settings)
+    if odd := set(str(jobs[0].settings.runs)) & {"?", "%"}:  # they mean something else in the address of a database
+        raise ConfigurationError(f"runs_dir={jobs[0].settings.runs}: allowed is a path without {' and '.join(odd)}")
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
     if starts or jobs[0].settings.task in (*_NEED_SCENE, Task.stability):
         _check_writable(jobs[0].settings.runs)
@@ -101,8 +102,6 @@ def _check_training(job: Job, seen: int, labels: set[str]) -> None:
     known = {*labels, *variant_names(), *(path.parent.name for path in s.study_dir.glob("*/seed*"))}
     if s.reference not in known:
         raise ConfigurationError(f"reference={s.reference}: allowed are {', '.join(sorted(known))}")
-    if not re.fullmatch(r"[\w.+ -]+", s.study):
-        raise ConfigurationError(f"study_name={s.study}: letters, digits, '.', '_', '+', '-' and spaces only")
 
 
 def _check_metrics(s: StudySettings) -> None:
