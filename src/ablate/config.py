@@ -5,6 +5,7 @@ nothing of Hydra; `studies.jobs.schema` makes Hydra's schema from it.
 """
 
 import dataclasses
+import math
 import re
 import types
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from ablate.anatomy.fetal.resolution import FEWEST_TRIANGLES
+from ablate.anatomy.site_grid import MOST_POSES
 from ablate.dataset.encoding import Encoding
 from ablate.dataset.split import SplitBy
 from ablate.evaluation.settings import EvaluationSettings
@@ -106,6 +108,8 @@ class DatasetSettings:
         if self.grid is not None and (len(self.grid) != 4 or min(self.grid) < 1):
             given = f"dataset.grid={list(self.grid)}"
             raise ValueError(f"{given}: four counts of at least 1 (heights, angles, tilts, rolls)")
+        if self.grid is not None and math.prod(self.grid) > MOST_POSES:
+            raise ValueError(f"dataset.grid={list(self.grid)}: at most {MOST_POSES} poses in all")
         if not (self.validation > 0 and self.test > 0 and self.validation + self.test < 1):
             given = f"dataset.validation={self.validation}, dataset.test={self.test}"
             raise ValueError(f"{given}: each above 0, together below 1")

@@ -1,15 +1,20 @@
 """Scene folders: what is read, and one clear line for everything that is wrong."""
 
+import json
 import os
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 import yaml
 
-from ablate.anatomy import SiteGrid, load_scene, load_sites, load_tissues, validate_scene_folder
+from ablate.anatomy import SiteGrid, load_scene, load_sites, load_tissues, mesh_files, validate_scene_folder
 from ablate.anatomy.meshes.closing import odd_edges
+from ablate.anatomy.meshes.repair import load_mesh
+from ablate.anatomy.scene_folder import MESH_SUFFIXES
+from ablate.anatomy.site_grid import MOST_POSES
 
 CASES = Path(os.environ.get("ABLATE_CASES", Path(__file__).parents[2].parent / "shared" / "cases"))
 GOOD = {
@@ -79,7 +84,7 @@ def structure(**values: object) -> dict[str, object]:
         (structure(tissue="livr"), r"structures\[0\]\.tissue: unknown tissue 'livr' \(did you mean liver"),
         (structure(color="red"), r"structures\[0\]: unknown key 'color'"),
         (structure(mesh=3), r"structures\[0\]\.mesh: must be a file name, not 3"),
-        (structure(mesh="skin.txt"), r"structures\[0\]\.mesh: skin\.txt is not one of \.obj, \.stl"),
+        (structure(mesh="skin.txt"), r"structures\[0\]\.mesh: 'skin\.txt' is not one of \.obj, \.stl"),
         (structure(mesh="empty.obj"), r"structures\[0\]\.mesh: .*empty\.obj is empty"),
         ({"tissues": ["fat"]}, r"tissues: must be a mapping"),
         ({"tissues": {"fat": {"speed": 1}}}, r"tissues\.fat: unknown key 'speed' \(did you mean speed_m_s"),
@@ -165,3 +170,96 @@ def test_a_real_patient_is_closed_quickly() -> None:
     assert by_name["skin.obj"].extents == pytest.approx([339.4, 254.0, 210.6], abs=0.2)
     assert by_name["liver.obj"].centroid[0] < by_name["aorta.obj"].centroid[0]  # the liver is on the right
     assert load_sites(CASES / "ircad11").rolls_deg == (0, 90)
+
+
+BOMB = "a: &a [0]\n" + "".join(
+    f"{b}: &{b} [{','.join([f'*{a}'] * 9)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+)
+MERGES = "a: &a {x: 1}\n" + "".join(
+    f"{b}: &{b} {{<<: [{','.join([f'*{a}'] * 9)}]}}\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{BOMB}structures: *i\n",
+        f"{BOMB}unit: *i\n",
+        f"{MERGES}tissues: *i\n",
+        f"unit: {100_000 * 'm'}\n",
+        f"structures: {{x: [{','.join(10_000 * ['1'])}]}}\n",
+        f"structures: [{','.join(1_000_000 * ['1'])}]\n",
+        f"background: {'[' * 3000}",
+        f"sites: {{heights: [{5000 * '9'}]}}\n",
+        f"sites: {{heights: [0x{400 * 'f'}]}}\n",
+        f"structures: [{{mesh: {300 * 'x'}.obj, tissue: liver}}]\n",
+        "background: 2020-13-45\n",
+    ],
+    ids=["aliases", "an alias", "merges", "long", "list", "large", "deep", "digits", "infinite", "name", "date"],
+)
+def test_what_would_be_huge_is_refused_shortly(tmp_path: Path, text: str) -> None:
+    (tmp_path / "scene.yaml").write_text(text)
+    started = time.perf_counter()
+    with pytest.raises((ValueError, FileNotFoundError), match=r"scene\.yaml") as refused:
+        validate_scene_folder(tmp_path)
+    assert len(str(refused.value)) < 1000
+    assert "\n" not in str(refused.value)
+    assert time.perf_counter() - started < 20
+
+
+@pytest.mark.parametrize(
+    ("sites", "message"),
+    [
+        ({"heights": {"range": [0, 1], "count": 10_000_000}}, r"heights\.count: must be a whole number from 1 to"),
+        ({key: {"range": [0, 1], "count": 400} for key in ("heights", "angles")}, "at most 100000 poses, not 160000"),
+    ],
+)
+def test_more_poses_than_can_be_placed_are_refused(tmp_path: Path, sites: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        validate_scene_folder(write(tmp_path, sites=sites))
+    assert MOST_POSES == 100_000
+
+
+def write_mesh(folder: Path, suffix: str) -> Path:
+    """A ball of radius 30 in any format; glTF names the files of its buffers."""
+    made = trimesh.creation.icosphere(2, radius=30.0).export(None, file_type=suffix[1:])
+    path = folder / f"model{suffix}"
+    for name, content in made.items() if isinstance(made, dict) else [(path.name, made)]:
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@pytest.mark.parametrize("suffix", MESH_SUFFIXES)
+def test_every_format_that_is_offered_can_be_read(tmp_path: Path, suffix: str) -> None:
+    mesh = write_mesh(tmp_path, suffix)
+    (tmp_path / "scene.yaml").write_text(f"structures: [{{mesh: {mesh.name}, tissue: liver}}]\n")
+    (structure,) = load_scene(tmp_path).structures
+    assert structure.mesh.volume == pytest.approx(trimesh.creation.icosphere(2, radius=30.0).volume, rel=1e-4)
+
+
+def test_the_buffers_of_a_gltf_are_files_of_the_mesh(tmp_path: Path) -> None:
+    mesh = write_mesh(tmp_path, ".gltf")
+    buffers = sorted(tmp_path.glob("*.bin"))
+    assert sorted(mesh_files(mesh)) == sorted([mesh, *buffers])
+    assert mesh_files(write_mesh(tmp_path, ".glb")) == (tmp_path / "model.glb",)
+    buffers[0].rename(tmp_path.parent / buffers[0].name)
+    with pytest.raises(FileNotFoundError, match=rf"model\.gltf: buffer '{buffers[0].name}' is no file"):
+        mesh_files(mesh)
+    content = json.loads(mesh.read_text())
+    content["buffers"][0]["uri"] = f"../{buffers[0].name}"
+    mesh.write_text(json.dumps(content))
+    with pytest.raises(FileNotFoundError, match="is no file in the folder of the mesh"):
+        mesh_files(mesh)
+    for broken in ("[", "[]", '{"buffers": [1]}', '{"buffers": 3}', '{"buffers": [{"uri": 3}]}'):
+        mesh.write_text(broken)
+        with pytest.raises(ValueError, match=r"model\.gltf: not readable as glTF"):
+            mesh_files(mesh)
+
+
+def test_materials_and_textures_are_not_read(tmp_path: Path) -> None:
+    mesh = write_mesh(tmp_path, ".obj")
+    plain = load_mesh(mesh)[0]
+    mesh.write_text(f"mtllib a.mtl\nusemtl red\n{mesh.read_text()}")
+    (tmp_path / "a.mtl").write_text("newmtl red\nmap_Kd a.png\n")
+    os.mkfifo(tmp_path / "a.png")  # whoever opens it waits for ever
+    assert np.array_equal(load_mesh(mesh)[0].triangles, plain.triangles)

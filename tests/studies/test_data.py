@@ -45,6 +45,21 @@ def test_a_mesh_decides_and_what_lies_beside_it_does_not(folder: Path) -> None:
     assert hash_of(folder) != before
 
 
+def test_the_buffers_of_a_gltf_decide(folder: Path) -> None:
+    def export(radius: float) -> None:
+        for name, content in trimesh.creation.icosphere(2, radius=radius).export(None, file_type="gltf").items():
+            (folder / "organs" / name).write_bytes(content)
+
+    export(60)
+    described = (folder / "organs" / "model.gltf").read_bytes()
+    scene = (folder / "scene.yaml").read_text()
+    (folder / "scene.yaml").write_text(scene.replace("body.obj", "model.gltf"))
+    before = hash_of(folder)
+    export(30)
+    (folder / "organs" / "model.gltf").write_bytes(described)
+    assert hash_of(folder) != before
+
+
 def test_the_compensated_attenuation_is_made_from_the_stored_one() -> None:
     compensated = GeneratorSpec(attenuation="compensated")  # type: ignore[arg-type]
     assert maps_needed([compensated]) == maps_needed([GeneratorSpec()])

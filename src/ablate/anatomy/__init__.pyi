@@ -9,6 +9,7 @@ from .scene import bounds_mm as bounds_mm
 from .scene import content_hash as content_hash
 from .scene_folder import load_scene as load_scene
 from .scene_folder import load_sites as load_sites
+from .scene_folder import mesh_files as mesh_files
 from .scene_folder import validate_scene_folder as validate_scene_folder
 from .site_grid import SiteGrid as SiteGrid
 from .tissue import Tissue as Tissue

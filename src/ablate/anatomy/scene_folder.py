@@ -1,7 +1,9 @@
 """Scene folders: anybody's own anatomy as meshes beside a `scene.yaml`."""
 
 import difflib
+import json
 import math
+import os
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -10,10 +12,12 @@ from typing import Any
 import yaml
 
 from ablate.anatomy.scene import Scene, Structure
-from ablate.anatomy.site_grid import SiteGrid
+from ablate.anatomy.site_grid import MOST_POSES, SiteGrid
 from ablate.anatomy.tissue import Tissue, load_tissues
+from ablate.validation import shown
 
-MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", ".3mf")
+MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf")
+MOST_BYTES = 2**18  # of a scene.yaml: thousands of structures
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 SCENE_KEYS = ("unit", "background", "structures", "tissues", "sites")
 SITE_KEYS = ("axis", "front", "heights", "angles", "tilts", "rolls", "region")
@@ -47,18 +51,20 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     path = folder / "scene.yaml"
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: no scene.yaml in this folder")
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path}: has {path.stat().st_size} bytes; allowed are at most {MOST_BYTES}")
     try:
         content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # a number or a date may be a ValueError
         raise ValueError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from None
     content = _mapping(content, f"{path}", SCENE_KEYS)
     unit = content.get("unit", "mm")
     if not isinstance(unit, str) or unit not in UNITS_MM:
-        raise ValueError(f"{path}: unit: {unit!r} is not one of {', '.join(UNITS_MM)}")
+        raise ValueError(f"{path}: unit: {shown(unit)} is not one of {', '.join(UNITS_MM)}")
     tissues = _tissues(content.get("tissues") or {}, path)
     structures = content.get("structures") or []
     if not isinstance(structures, list):
-        raise ValueError(f"{path}: structures: must be a list of {{mesh, tissue}}, not {structures!r}")
+        raise ValueError(f"{path}: structures: must be a list of {{mesh, tissue}}, not {shown(structures)}")
     meshes = []
     for i, entry in enumerate(structures):
         where = f"{path}: structures[{i}]"
@@ -108,8 +114,47 @@ def load_sites(folder: str | Path) -> SiteGrid:
     return sites
 
 
+def mesh_files(path: Path) -> tuple[Path, ...]:
+    """The files that a mesh is read from: its own and, for glTF, those of the buffers that it names.
+
+    Materials and textures are not read.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        When a glTF is not readable, or a buffer is no file in its folder.
+    """
+    if path.suffix.lower() not in (".gltf", ".glb"):
+        return (path,)
+    names = []
+    try:
+        content = path.read_bytes()
+        if path.suffix.lower() == ".glb":  # magic, version, length; then length, type and content of the JSON chunk
+            content = content[20 : 20 + int.from_bytes(content[12:16], "little")]
+        for buffer in json.loads(content).get("buffers", []):
+            uri = buffer.get("uri", "data:")
+            if not uri.startswith("data:"):
+                names.append(uri)
+    except (ValueError, AttributeError, TypeError, RecursionError) as error:
+        raise ValueError(f"{path}: not readable as glTF ({type(error).__name__})") from error
+    found = [path.parent / name.strip() for name in names]
+    for file in found:
+        if not (os.path.isfile(file) and file.resolve().is_relative_to(path.parent.resolve())):  # noqa: PTH113
+            raise FileNotFoundError(f"{path}: buffer {shown(str(file.name))} is no file in the folder of the mesh")
+    return (path, *found)
+
+
 class _Loader(yaml.SafeLoader):
-    """YAML that refuses a key given twice; the plain loader would drop the first one without a word."""
+    """YAML that refuses what goes wrong without a word.
+
+    A key given twice would drop the first one; aliases can make a few hundred bytes stand for gigabytes.
+    """
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            event = self.get_event()
+            raise yaml.composer.ComposerError(None, None, "aliases (*) are not allowed", event.start_mark)
+        return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen = set()
@@ -139,21 +184,22 @@ def _check_unit(scene: Scene, mm_per_unit: float, where: str) -> None:
 def _mapping(value: Any, where: str, allowed: tuple[str, ...]) -> Mapping[str, Any]:
     """The value, if it is a mapping whose keys are all allowed."""
     if not isinstance(value, Mapping):
-        raise ValueError(f"{where}: must be a mapping of {', '.join(allowed)}, not {value!r}")
+        raise ValueError(f"{where}: must be a mapping of {', '.join(allowed)}, not {shown(value)}")
     for key in value:
         if key not in allowed:
-            raise ValueError(f"{where}: unknown key {key!r}{_closest(key, allowed)}; allowed: {', '.join(allowed)}")
+            hint = _closest(key, allowed)
+            raise ValueError(f"{where}: unknown key {shown(key)}{hint}; allowed: {', '.join(allowed)}")
     return value
 
 
 def _closest(name: object, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(str(name), list(known), n=3)
+    close = difflib.get_close_matches(name[:100], list(known), n=3) if isinstance(name, str) else ()
     return f" (did you mean {' or '.join(close)}?)" if close else ""
 
 
 def _tissue(name: Any, tissues: Mapping[str, Tissue], where: str) -> Tissue:
     if not isinstance(name, str) or name not in tissues:
-        raise ValueError(f"{where}: unknown tissue {name!r}{_closest(name, tissues)}; known: {', '.join(tissues)}")
+        raise ValueError(f"{where}: unknown tissue {shown(name)}{_closest(name, tissues)}; known: {', '.join(tissues)}")
     return tissues[name]
 
 
@@ -161,7 +207,7 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
     """The built-in table with the file's own tissues added or changed."""
     tissues = load_tissues()
     if not isinstance(content, Mapping):
-        raise ValueError(f"{path}: tissues: must be a mapping of names, not {content!r}")
+        raise ValueError(f"{path}: tissues: must be a mapping of names, not {shown(content)}")
     for name, values in content.items():
         changes: dict[str, Any] = {}
         for key, value in _mapping(values or {}, f"{path}: tissues.{name}", TISSUE_KEYS).items():
@@ -177,14 +223,15 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
 def _mesh_path(entry: Mapping[str, Any], folder: Path, where: str) -> Path:
     name = entry.get("mesh")
     if not isinstance(name, str) or not name:
-        raise ValueError(f"{where}.mesh: must be a file name, not {name!r}")
+        raise ValueError(f"{where}.mesh: must be a file name, not {shown(name)}")
     path = folder / name
     if path.suffix.lower() not in MESH_SUFFIXES:
-        raise ValueError(f"{where}.mesh: {name} is not one of {', '.join(MESH_SUFFIXES)}")
-    if not path.is_file():
-        raise FileNotFoundError(f"{where}.mesh: no file {path}")
+        raise ValueError(f"{where}.mesh: {shown(name)} is not one of {', '.join(MESH_SUFFIXES)}")
+    if not os.path.isfile(path):  # noqa: PTH113, it is False for a name that is too long
+        raise FileNotFoundError(f"{where}.mesh: no file {shown(name)} in {folder}")
     if path.stat().st_size == 0:
         raise ValueError(f"{where}.mesh: {path} is empty")
+    mesh_files(path)
     return path
 
 
@@ -212,7 +259,7 @@ def _region(value: Any, meshes: list[str], where: str) -> tuple[str, ...]:
     names = value if isinstance(value, list) else [value]
     for name in names:
         if name not in meshes:
-            raise ValueError(f"{where}: no mesh {name!r}{_closest(name, meshes)}; known: {', '.join(meshes)}")
+            raise ValueError(f"{where}: no mesh {shown(name)}{_closest(name, meshes)}; known: {', '.join(meshes)}")
     return tuple(names)
 
 
@@ -222,8 +269,8 @@ def _series(value: Any, where: str) -> tuple[float, ...]:
         value = _mapping(value, where, ("range", "count"))
         first, last = _numbers(value.get("range"), f"{where}.range", 2)
         count = value.get("count")
-        if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-            raise ValueError(f"{where}.count: must be a whole number of at least 1, not {count!r}")
+        if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_POSES:
+            raise ValueError(f"{where}.count: must be a whole number from 1 to {MOST_POSES}, not {shown(count)}")
         step = (last - first) / max(count - 1, 1)
         return tuple(first + i * step for i in range(count))
     return _numbers(value if isinstance(value, list) else [value], where)
@@ -232,11 +279,14 @@ def _series(value: Any, where: str) -> tuple[float, ...]:
 def _numbers(value: Any, where: str, count: int | None = None) -> tuple[float, ...]:
     if not isinstance(value, (list, tuple)) or (count is not None and len(value) != count):
         expected = "numbers" if count is None else f"{count} numbers"
-        raise ValueError(f"{where}: must be a list of {expected}, not {value!r}")
+        raise ValueError(f"{where}: must be a list of {expected}, not {shown(value)}")
     return tuple(_number(item, where) for item in value)
 
 
 def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"{where}: must be a finite number, not {value!r}")
-    return float(value)
+    try:
+        if not isinstance(value, bool) and isinstance(value, (int, float)) and math.isfinite(number := float(value)):
+            return number
+    except OverflowError:
+        pass
+    raise ValueError(f"{where}: must be a finite number, not {shown(value)}")

@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+MOST_POSES = 100_000  # of a grid; the paper has 6,669 frames
+
 
 @dataclass(frozen=True)
 class SiteGrid:
@@ -26,8 +28,8 @@ class SiteGrid:
     Raises
     ------
     ValueError
-        When a list is empty, a value is not finite, a tilt turns the probe away from the body, or axis and front do
-        not span a plane.
+        When a list is empty, a value is not finite, a tilt turns the probe away from the body, axis and front do not
+        span a plane, or there are more than `MOST_POSES` poses.
     """
 
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -45,6 +47,10 @@ class SiteGrid:
                 raise ValueError(f"site grid: {name} must be one or more finite numbers, not {values!r}")
             if name in ("axis", "front") and len(values) != 3:
                 raise ValueError(f"site grid: {name} must be 3 numbers, not {values!r}")
+        lengths = [len(values) for values in (self.heights_mm, self.angles_deg, self.tilts_deg, self.rolls_deg)]
+        if math.prod(lengths) > MOST_POSES:
+            counts = "heights x angles x tilts x rolls"
+            raise ValueError(f"site grid: {counts} must be at most {MOST_POSES} poses, not {math.prod(lengths)}")
         if not all(-90 < tilt < 90 for tilt in self.tilts_deg):
             raise ValueError(f"site grid: tilts_deg must lie between -90 and 90, not {self.tilts_deg!r}")
         (a, b, c), (d, e, f) = self.axis, self.front

@@ -35,12 +35,14 @@ class MeshReport:
 def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> tuple[trimesh.Trimesh, MeshReport]:
     """Read a mesh file of any format that trimesh knows, join its pieces, and make it usable, in mm.
 
+    Materials and textures are not read.
+
     `metadata["name"]` is the name of the file. Raises ValueError, which names the file, where it cannot be read and
     where `repair` does.
     """
     path = Path(path)
     try:
-        loaded = trimesh.load_mesh(path, process=False)
+        loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
     except Exception as error:  # every reader raises its own
         raise ValueError(f"{path}: not readable as a mesh: {' '.join(str(error).split())}") from error
     if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:

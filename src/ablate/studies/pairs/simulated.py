@@ -38,7 +38,8 @@ def _scene_identity(settings: StudySettings) -> dict[str, Any]:
         return {"kind": "fetal_abdomen", **shaped_by, "version": ANATOMY_VERSION}
     folder = Path(scene.folder or "")
     files = hashlib.sha256()
-    for path in (folder / "scene.yaml", *(mesh for mesh, _ in anatomy.validate_scene_folder(folder).meshes)):
+    meshes = anatomy.validate_scene_folder(folder).meshes
+    for path in (folder / "scene.yaml", *(file for mesh, _ in meshes for file in anatomy.mesh_files(mesh))):
         files.update(hashlib.sha256(path.read_bytes()).digest())
     return {"kind": "folder", "files": files.hexdigest(), "version": ANATOMY_VERSION}
 
