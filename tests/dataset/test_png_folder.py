@@ -214,3 +214,32 @@ def test_a_truncated_file_is_named(folder: Path) -> None:
     path.write_bytes(path.read_bytes()[:60])
     with pytest.raises(ValueError, match=r"b_1\.png: cannot be decoded"):
         read_fan(validate_png_folder(folder))
+
+
+def test_a_small_file_that_decodes_to_gigabytes_is_named(folder: Path) -> None:
+    header = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0)
+    for path in (folder / "image").glob("*.png"):
+        path.write_bytes(b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header)
+    with pytest.raises(ValueError, match=r"image/a_0\.png: is 60000 x 60000 px; allowed are 1 to 16777216 pixels"):
+        validate_png_folder(folder)
+
+
+def test_a_flipped_byte_is_named_or_changes_nothing_but_pixels(folder: Path) -> None:
+    path = folder / "segmentation" / "a_0.png"
+    good, rng = path.read_bytes(), np.random.default_rng(0)
+    said = []
+    for place in rng.integers(0, len(good), 300):
+        path.write_bytes(good[:place] + bytes([rng.integers(256)]) + good[place + 1 :])
+        try:
+            read_fan(validate_png_folder(folder))
+        except (ValueError, FileNotFoundError) as error:
+            said.append(str(error))
+    assert all("a_0.png" in message and "\n" not in message for message in said)
+    assert len(said) > 200
+
+
+@pytest.mark.parametrize("content", [b"name,site\na_0,\xe4\n", b"name,site\n" + b"x" * 200_000 + b",1\n"])
+def test_a_table_that_is_no_csv_in_utf_8_is_named(folder: Path, content: bytes) -> None:
+    (folder / "frames.csv").write_bytes(content)
+    with pytest.raises(ValueError, match=r"frames\.csv: not readable as CSV in UTF-8"):
+        validate_png_folder(folder)

@@ -22,6 +22,7 @@ from ablate.dataset.split import Part
 #: Folder of each map of a data set.
 FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}
 MOST_LABELS = 254
+MOST_PIXELS = 2**24  # 4096 x 4096; a PNG of a few bytes can decode to gigabytes
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOURS = {0: "grey", 2: "RGB", 3: "with a palette", 4: "grey with alpha", 6: "RGBA"}
 
@@ -164,6 +165,8 @@ def _header(path: Path) -> tuple[tuple[int, int], int, int]:
     if len(data) < 26 or data[:8] != _SIGNATURE or data[12:16] != b"IHDR":
         raise ValueError(f"{path}: not a PNG file")
     width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
+    if not 0 < width * height <= MOST_PIXELS:
+        raise ValueError(f"{path}: is {width} x {height} px; allowed are 1 to {MOST_PIXELS} pixels")
     return (height, width), bits, colour
 
 
@@ -226,6 +229,13 @@ def _tissues(path: Path) -> tuple[Tissue, ...] | None:
 
 def _table(path: Path, needed: Sequence[str], optional: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
     """Line numbers and rows of a CSV file with a header line, values without blanks around them."""
+    try:
+        return _rows(path, needed, optional)
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not readable as CSV in UTF-8 ({error})") from error
+
+
+def _rows(path: Path, needed: Sequence[str], optional: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
     with path.open(newline="", encoding="utf-8-sig") as stream:
         reader = csv.DictReader(stream, skipinitialspace=True)
         columns = [column.strip() for column in reader.fieldnames or ()]

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -83,8 +84,8 @@ def import_pairs(
 def _decoded(path: Path, shape: tuple[int, int]) -> np.ndarray:
     """The grey levels of a PNG, (H, W) uint8 or uint16."""
     try:
-        image: np.ndarray = imread(path)
-    except (OSError, ValueError, SyntaxError) as error:
+        image: np.ndarray = imread(BytesIO(path.read_bytes()))  # closed, whatever is raised
+    except Exception as error:  # every chunk of a PNG raises its own
         raise ValueError(f"{path}: cannot be decoded ({' '.join(str(error).split())})") from error
     if image.shape != shape:
         raise ValueError(f"{path}: is not plain grey (transparent pixels?)")
