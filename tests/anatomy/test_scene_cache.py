@@ -106,3 +106,18 @@ def test_fetal_abdomen_is_cached_only_where_asked(tmp_path: Path, monkeypatch: p
     for _ in range(2):
         assert content_hash(fetal_abdomen(4_000, seed=1, cache_dir=tmp_path / "kept")) == content_hash(built)
     assert len(list((tmp_path / "kept").iterdir())) == 1
+
+
+def test_a_file_with_any_bit_flipped_gives_the_scene_that_was_written(tmp_path: Path) -> None:
+    build = Builds()
+    cached_scene(tmp_path, build)
+    path = next(tmp_path.iterdir())
+    held = path.read_bytes()
+    header = 8 * held.index(b"PK\x01\x02")  # the directory of the archive, where zip's own fields are
+    rng = np.random.default_rng(0)
+    for bit in (*rng.integers(header, 8 * len(held), 150).tolist(), *rng.integers(0, 8 * len(held), 150).tolist()):
+        flipped = bytearray(held)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        assert content_hash(cached_scene(tmp_path, build)) == content_hash(small())
+    assert build.count > 50

@@ -228,6 +228,11 @@ def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, call
     assert first.scalars["test/floor_noise_sd"] > 0
     score(job(runs, "metrics=mae").settings, data)
     assert len(calls) == 10, "other metrics, other scores"
+    for kept in (data.pairs.folder / "resimulation").glob("*.json"):
+        kept.write_text("{")
+    third = score(settings, data)
+    assert len(calls) == 14, "damaged files are made again"
+    assert third.scalars == first.scalars
 
 
 def test_draws_are_rendered_once_for_all_metrics_and_scored_on_every_frame(runs: Path, data: Data) -> None:
