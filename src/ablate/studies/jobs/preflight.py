@@ -31,6 +31,9 @@ def check(jobs: Sequence[Job]) -> None:
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
     if starts or jobs[0].settings.task in (*_NEED_SCENE, Task.stability):
         _check_writable(jobs[0].settings.runs)
+    if starts or jobs[0].settings.task is Task.compare:
+        for folder in {f for job in jobs for f in (job.settings.runs, job.settings.study_dir) if f.exists()}:
+            _check_writable(folder)
     if starts or jobs[0].settings.task is Task.plan:
         for job in jobs:
             check_place(job)
@@ -121,9 +124,9 @@ def _check_metrics(s: StudySettings) -> None:
             inception_file(where)
 
 
-def _check_writable(runs: Path) -> None:
+def _check_writable(folder: Path) -> None:
     try:
-        runs.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=runs).close()
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise ConfigurationError(f"runs_dir={runs} cannot be written: {os.strerror(error.errno or 0)}") from error
+        raise ConfigurationError(f"runs_dir: {folder} cannot be written: {os.strerror(error.errno or 0)}") from error
