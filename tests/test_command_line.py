@@ -1,6 +1,8 @@
 """The program as its users start it: bad input is one line, an exit code, and nothing written."""
 
 import ast
+import errno
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -196,3 +198,24 @@ def test_a_password_in_the_tracking_uri_is_refused_and_not_shown(
 @pytest.mark.parametrize("uri", ["http://host:5000", "postgresql://anna@host/db", "sqlite:////a:b/c@d/mlflow.db"])
 def test_a_tracking_uri_without_a_password_is_taken(uri: str) -> None:
     assert TrackingSettings(uri=uri).uri == uri
+
+
+@pytest.mark.parametrize("task", ["study", "compare"])
+def test_a_folder_that_is_read_only_is_refused(
+    refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, task: str
+) -> None:
+    (tmp_path / "runs").mkdir()
+
+    def read_only(dir: Path) -> None:  # root may write anywhere, so a mode would not do
+        raise PermissionError(errno.EROFS, os.strerror(errno.EROFS), str(dir))
+
+    monkeypatch.setattr("tempfile.TemporaryFile", read_only)
+    assert refused(f"task={task}").endswith("runs cannot be written: Read-only file system")
+
+
+def test_a_screen_without_the_signs_of_a_table_is_written_to() -> None:
+    code = "import sys, ablate.__main__ as m; m.read_command_line = lambda _: None; m.main(); print('20.1 ± 0.3, χ²')"
+    ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=ascii_only, timeout=60)
+    assert (done.returncode, done.stdout) == (0, "20.1 \\xb1 0.3, \\u03c7\\xb2\n")

@@ -2,6 +2,7 @@
 
 import re
 import sys
+from io import TextIOWrapper
 
 from ablate.config import ConfigurationError
 from ablate.studies.jobs.compose import read_command_line
@@ -9,6 +10,9 @@ from ablate.studies.jobs.compose import read_command_line
 
 def main() -> None:
     """Compose and check the command line, then run its task. Bad input gives one line on stderr and exit code 2."""
+    for stream in (sys.stdout, sys.stderr):  # a locale may know no ± and no χ²
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         command = read_command_line(sys.argv[1:])
         if command is None:

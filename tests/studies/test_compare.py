@@ -392,3 +392,10 @@ def test_a_metric_that_is_no_name_draws_no_figure_elsewhere(study: Path) -> None
     table.replace({"metric": {"mae": "x/../../../stolen"}}).to_parquet(path)
     _, _, notes = compared(study)
     assert "left aside, unreadable (ValueError): nsa2h/seed0" in notes
+
+
+def test_an_uncommitted_change_that_is_not_utf_8_is_in_the_report(study: Path) -> None:
+    for folder in study.glob("*/seed*"):
+        (folder / "provenance").mkdir()
+        (folder / "provenance" / "uncommitted.diff").write_bytes(b"+gr\xf6sser\n")
+    assert "+gr\ufffdsser" in compared(study)[1]

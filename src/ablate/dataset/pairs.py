@@ -226,7 +226,7 @@ def create_pairs(
                 group.create_array(name, data=np.ascontiguousarray(data), compressors=[ZstdCodec(), Crc32cCodec()])
             group.attrs.update({"version": PAIRS_VERSION, "shard": shard, "tissues": list(tissues)})
             with written_whole(folder / "about.json") as partial:
-                partial.write_text(json.dumps(dict(about), indent=2, sort_keys=True, default=str))
+                partial.write_text(json.dumps(dict(about), indent=2, sort_keys=True, default=str), "utf-8")
     return open_pairs(folder)
 
 

@@ -36,5 +36,5 @@ class CsvTable:
         return pd.read_csv(self.path, dtype={"setting": str}, keep_default_na=False, na_values=["nan"])
 
     def _write(self, mode: str, row: object) -> None:
-        with self.path.open(mode, newline="") as file:
+        with self.path.open(mode, newline="", encoding="utf-8") as file:
             csv.writer(file).writerow(row)  # type: ignore[arg-type]

@@ -115,8 +115,9 @@ def write_comparison(
         notes=notes,
     )
     analysis.wide_table(table).to_csv(partial / "table.csv", index=False)
-    (partial / "table.tex").write_text(analysis.to_latex(table[table["metric"].isin(shown_in(Shown.table))], reference))
-    (partial / "table.md").write_text(_markdown(table))
+    of_the_paper = table[table["metric"].isin(shown_in(Shown.table))]
+    (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
+    (partial / "table.md").write_text(_markdown(table), "utf-8")
     tables = {"paired": paired, "claims": claims, "verdicts": found.verdicts, "runs": found.runs}
     tables |= {name: made for name, made in (("effects", found.effects), ("paper", found.paper)) if len(made)}
     for name, content in tables.items():
