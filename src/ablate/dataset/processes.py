@@ -17,7 +17,7 @@ def allotted_cores() -> int:
     """Cores that this process may use: of its job on a cluster, or of its container, not of the machine."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with suppress(OSError, ValueError):  # no container, or `max`, no limit
-        quota, period = map(int, _QUOTA.read_text().split())
+        quota, period = map(int, _QUOTA.read_text("utf-8").split())
         cores = min(cores, -(-quota // period))
     return cores
 
