@@ -110,6 +110,6 @@ def test_pairs_of_another_version_are_refused_in_words(empty: Pairs, tmp_path: P
         attributes = {k: v for k, v in group.attrs.items() if k != "version"}
         group.attrs.put(attributes if version is None else {**attributes, "version": version})
         stored = "2 or earlier" if version is None else str(version)
-        message = f"{older}: pairs stored in version {stored}, this program reads version 3; .*task=simulate"
+        message = f"{older}: pairs stored in version {stored}, this program reads version {PAIRS_VERSION}; .*=simulate"
         with pytest.raises(ValueError, match=message):
             open_pairs(older)

@@ -62,10 +62,10 @@ def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, plain_hash: str
         "scene.triangles=7000",
         "scene.anatomy_seed=3",
         "crops.flip=false",
-        "training.precision=fp32",
+        "training.precision=bf16",
         "training.loss=none",
-        "training.reconstruction=crps",
-        "training.schedule=linear",
+        "training.reconstruction=l1",
+        "training.schedule=constant",
         "evaluation.noise_draws=5",
     ],
 )
@@ -93,8 +93,8 @@ def test_a_study_is_one_configuration_but_for_what_its_labels_say(tmp_path: Path
     claim_place(job(tmp_path, "training.loss=minimax"))
     with pytest.raises(ConfigurationError, match=r"training\.steps: \d+ there, 7 here"):
         claim_place(job(tmp_path, "variant=lsa2h", "training.steps=7"))
-    with pytest.raises(ConfigurationError, match=r"training\.reconstruction: l1 there, crps here"):
-        claim_place(job(tmp_path, "variant=lsa2h", "training.reconstruction=crps"))
+    with pytest.raises(ConfigurationError, match=r"training\.reconstruction: crps there, l1 here"):
+        claim_place(job(tmp_path, "variant=lsa2h", "training.reconstruction=l1"))
     with pytest.raises(ConfigurationError, match=r"data\.dataset\.frames: \d+ there, 99 here"):
         claim_place(job(tmp_path, "variant=lsa2h", "dataset.frames=99"))
     with pytest.raises(ConfigurationError, match=r"model\.width: 0\.25 there, 0\.5 here"):

@@ -19,7 +19,7 @@ from ablate.studies.jobs.job import Job
 from ablate.studies.run import generated_images, run_job
 from ablate.studies.tracked import register_reference
 from ablate.tracking import default_uri
-from ablate.training import LAST, TrainingPrecision, load_generator
+from ablate.training import LAST, load_generator
 
 TINY = [
     "preset=tiny",
@@ -53,7 +53,7 @@ def test_it_renders_what_the_study_renders(registered: tuple[Path, Job], loaded:
     finished = finished_runs(job.settings.study_dir)
     data = data_of(finished)
     values = label_values(data.tissues, job.settings.encoding)
-    render = generated_images(load_generator(finished[0].folder / LAST), data, values, TrainingPrecision.auto)
+    render = generated_images(load_generator(finished[0].folder / LAST), data, values, job.settings.training.precision)
     frame = data.pairs.frames(Part.test)[:1]
     maps = {name: data.pairs.read(name, frame) for name in ("segmentation", "attenuation")}
     image = loaded.predict(maps, params={"seed": int(noise_seeds(frame, 0)[0])})
