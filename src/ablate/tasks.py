@@ -54,17 +54,18 @@ def study(jobs: Sequence[Job], launch: Callable[[Sequence[Job], Work], None], el
 @contextmanager
 def _parents_of(jobs: Sequence[Job]) -> Iterator[None]:
     """Create database, experiment and parent runs before any job starts; when all have ended, close the parent runs."""
-    from ablate.studies.tracked import open_tracking
-    from ablate.tracking import RunLog, Status
+    from ablate.studies.copied import mark_study
+    from ablate.tracking import Status
 
     studies = _studies(jobs)
-    parents = [RunLog(*open_tracking(settings)) for settings in studies]
+    for settings in studies:
+        mark_study(settings, Status.running)
     try:
         yield
     finally:
-        for settings, parent in zip(studies, parents, strict=True):
+        for settings in studies:
             of_study = [job for job in jobs if job.settings.study_dir == settings.study_dir]
-            parent.end(Status.failed if any(finished(job) is None for job in of_study) else Status.finished)
+            mark_study(settings, Status.failed if any(finished(job) is None for job in of_study) else Status.finished)
 
 
 def simulate(jobs: Sequence[Job], launch: Callable[[Sequence[Job], Work], None] | None = None) -> int:

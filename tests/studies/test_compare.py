@@ -60,7 +60,7 @@ def write_run(
     scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_lower": 2.0, "test/fd_speckle_upper": 5.0 + seed}
     scalars |= {"test/floor_fd_speckle": 0.1, "ms_per_frame": 30.0, "test/psnr": 20.0, "test/floor_psnr": 22.0}
     scalars |= {"parameters_generator": 1e6, "parameters_discriminator": 2e6}
-    result = {"hash": spec["hash"], "label": label, "seed": seed, "data": data, "mlflow_run_id": "none"}
+    result = {"hash": spec["hash"], "label": label, "seed": seed, "data": data}
     result["metrics_version"] = METRICS_VERSION
     notes = ["FID: no Inception weights were given."]
     (folder / "result.json").write_text(json.dumps({**result, "scalars": scalars, "notes": notes}))

@@ -14,6 +14,7 @@ from ablate.config import ConfigurationError
 from ablate.dataset import Part, label_values, noise_seeds
 from ablate.studies.comparison.compare import compare_study
 from ablate.studies.comparison.results import data_of, finished_runs
+from ablate.studies.copied import copy_study
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.job import Job
 from ablate.studies.run import generated_images, run_job
@@ -79,11 +80,12 @@ def test_its_signature_says_what_it_takes_and_refuses_the_rest(loaded: Any) -> N
 def test_it_is_registered_once_and_not_without_the_reference(registered: tuple[Path, Job]) -> None:
     runs, job = registered
     finished = finished_runs(job.settings.study_dir)
-    assert register_reference(job.settings, finished).startswith("models:/renderer of a fetus/1 ")
+    parent, ids = copy_study(job.settings)
+    assert register_reference(job.settings, finished, parent.store, ids).startswith("models:/renderer of a fetus/1 ")
     (version,) = mlflow.MlflowClient(default_uri(runs)).search_model_versions("name = 'renderer of a fetus'")
-    assert version.run_id == finished[0].result["mlflow_run_id"]
+    assert version.run_id == ids[finished[0].name]
     other = replace(job.settings, reference="nsa2h")
-    assert register_reference(other, finished) == "not registered: nsa2h has no finished run"
+    assert register_reference(other, finished, parent.store, ids) == "not registered: nsa2h has no finished run"
 
 
 def test_a_name_that_mlflow_would_refuse_is_refused_before_anything_starts() -> None:

@@ -19,7 +19,7 @@ def read_result(folder: Path, expected_hash: str) -> dict[str, Any] | None:
 def unusable_keys(result: Mapping[str, Any]) -> list[str]:
     """The keys that are missing from a `result.json`, or hold what no run writes there."""
     found = {"metrics": "all", "metrics_version": 1, "inception": None, "notes": [], **result}  # some came later
-    kinds: dict[str, Any] = {"label": str, "seed": int, "data": str, "mlflow_run_id": str, "metrics_version": int}
+    kinds: dict[str, Any] = {"label": str, "seed": int, "data": str, "metrics_version": int}
     wrong = [key for key, kind in kinds.items() if not isinstance(found.get(key), kind)]
     if not isinstance(found["inception"], str | None):
         wrong.append("inception")

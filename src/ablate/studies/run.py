@@ -15,13 +15,14 @@ from ablate.evaluation import ImageSource, Scorer, inception_for, score_run
 from ablate.metrics import METRICS_VERSION, choose_metrics
 from ablate.networks import Generator, conditions, draws_noise
 from ablate.storage import remove_partial, write_json, written_whole
+from ablate.studies.copied import copying
 from ablate.studies.identity import claim_place, config_hash, finished, with_earlier_metrics
 from ablate.studies.jobs.describe import parameters
 from ablate.studies.jobs.job import Job
 from ablate.studies.pairs.data import Data, dataset_folder, maps_needed, prepare_data
 from ablate.studies.result_file import read_result
-from ablate.studies.tracked import log_samples, logged, open_child, open_tracking
-from ablate.tracking import RunLog, Status
+from ablate.studies.tracked import log_samples, write_provenance
+from ablate.tracking import LocalLog
 from ablate.training import TrainingPrecision, Validation, chosen_device, generate, median_ms_per_frame, train
 
 _VALIDATION_FRAMES = 16
@@ -47,18 +48,17 @@ def _run(job: Job) -> None:
     logging.getLogger("ablate").setLevel(logging.INFO)
     claim_place(job)
     data = prepare_data(job.settings, maps_needed([job.settings.model]))
-    store, parent = open_tracking(job.settings)
-    run = open_child(job, store, parent, len(data.pairs))
+    write_provenance(job)
+    log = LocalLog(job.folder)
+    with copying(job.settings, job.folder, log):
+        _train_score_and_store(job, data, log)
+
+
+def _train_score_and_store(job: Job, data: Data, log: LocalLog) -> None:
     started = time.perf_counter()
     for left in ("per_image.parquet", "pictures.npz", "result.json"):
         remove_partial(job.folder / left)
-    try:
-        scalars, notes = _train_and_score(job, data, run)
-    except BaseException as error:
-        stopped = isinstance(error, KeyboardInterrupt | InterruptedError | SystemExit)
-        run.end(Status.killed if stopped else Status.failed)
-        raise
-    run.end(Status.finished)
+    scalars, notes = _train_and_score(job, data, log)
     before = read_result(job.folder, config_hash(job.settings))
     if before is not None:  # trained by an earlier call; now scored by more metrics, or by another version of them
         scores = {k: v for k, v in scalars.items() if k.startswith(("val/", "test/"))}
@@ -66,14 +66,14 @@ def _run(job: Job) -> None:
     elif scalars["train/resumed_at"] == 0:
         scalars["seconds"] = time.perf_counter() - started  # task=plan estimates the time of other jobs from it
     result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed}
-    where = {"data": dataset_folder(job.settings).name, "mlflow_run_id": run.run_id}
+    result["data"] = dataset_folder(job.settings).name
     asked = with_earlier_metrics(job)
     scored = {"metrics": asked.metrics, "metrics_version": METRICS_VERSION, "inception": asked.evaluation.inception}
     # Written last: a run with this file is finished.
-    write_json(job.folder / "result.json", {**result, **where, **scored, "notes": notes, "scalars": scalars})
+    write_json(job.folder / "result.json", {**result, **scored, "notes": notes, "scalars": scalars})
 
 
-def _train_and_score(job: Job, data: Data, run: RunLog) -> tuple[dict[str, float], tuple[str, ...]]:
+def _train_and_score(job: Job, data: Data, log: LocalLog) -> tuple[dict[str, float], tuple[str, ...]]:
     """Train and score a job, write and log the scores; returns its scalars and notes on what was left out."""
     s = job.settings
     started = time.perf_counter()
@@ -85,8 +85,8 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> tuple[dict[str, float
         s.training,
         lambda start, stop: CropLoader(crops, start, stop, s.crops.workers),
         job.folder,
-        sink=run.metrics,
-        validation=_validation(job, data, values, run),
+        sink=log.metrics,
+        validation=_validation(job, data, values, log),
         epoch=len(data.pairs.frames(Part.train)) // s.training.batch_size,
     )
     costs = {"train/resumed_at": float(trained.resumed_at)}
@@ -105,8 +105,6 @@ def _train_and_score(job: Job, data: Data, run: RunLog) -> tuple[dict[str, float
     images = render(shown, 0)
     with written_whole(job.folder / "pictures.npz") as partial:
         np.savez_compressed(partial, frames=shown, images=images)
-    run.metrics(logged(scalars))  # at step 0: MLflow draws bars, not curves
-    run.artifact(job.folder / "per_image.parquet")
     return scalars, scores.notes
 
 
@@ -118,7 +116,7 @@ def scorer(settings: StudySettings, data: Data) -> Scorer:
     return Scorer(data.pairs, data.tissues, settings.probe, settings.evaluation, metrics, inception)
 
 
-def _validation(job: Job, data: Data, values: np.ndarray, run: RunLog) -> Validation:
+def _validation(job: Job, data: Data, values: np.ndarray, log: LocalLog) -> Validation:
     """A function that scores a few validation frames and logs them as images: the curves of a training."""
     s = job.settings
     frames = dataset.equally_spaced(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
@@ -127,7 +125,7 @@ def _validation(job: Job, data: Data, values: np.ndarray, run: RunLog) -> Valida
 
     def validate(generator: Generator, images_seen: int) -> dict[str, float]:
         render = generated_images(generator, data, values, s.training.precision)
-        log_samples(run, frames, render(frames, 0), targets, images_seen)
+        log_samples(log, frames, render(frames, 0), targets, images_seen)
         found = of_curves.score(Part.validation, render, draws_noise(s.model), frames).scalars
         return {f"val/{name}_curve": found[name] for name in _CURVES if name in found}
 

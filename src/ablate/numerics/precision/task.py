@@ -17,7 +17,7 @@ from ablate.numerics.precision.summary import as_text, floors, orders, tables, t
 from ablate.storage import write_text
 from ablate.studies.comparison.results import Finished
 from ablate.studies.jobs.job import Job
-from ablate.tracking import RunLog, Status, git_state, hardware, open_store, task_run
+from ablate.tracking import Status, StoredRun, git_state, hardware, open_store, task_run
 from ablate.ultrasound.render_plan import plan_scene
 
 
@@ -35,7 +35,8 @@ def precision(jobs: Sequence[Job]) -> int:
     points = CsvTable(folder / "precision.csv", "series setting ms metric error")
     details = CsvTable(folder / "details.csv", "table series setting quantity value")
     store = open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
-    run = RunLog(store, task_run(store, "precision", settings.study))
+    run = StoredRun(store, task_run(store, "precision", settings.study))
+    run.mark(Status.running)
     status = Status.failed
     try:
         _measure(settings, bench, runs, points, details)
@@ -50,7 +51,7 @@ def precision(jobs: Sequence[Job]) -> int:
             run.artifact(kept.path)
         code = {k: v for k, v in git_state().items() if k != "git_diff"}
         run.tags({"hardware": hardware(), "scene": settings.scene_name, **code})
-        run.end(status)
+        run.mark(status)
     return 0
 
 
@@ -79,7 +80,7 @@ def _measure(settings: StudySettings, bench: Bench, runs: list[Finished], points
         measure_generators(bench, planned, settings, reference, points, details, bar.update)
 
 
-def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable, run: RunLog) -> list[Path]:
+def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable, run: StoredRun) -> list[Path]:
     """Print the tables, draw the figures, log both, and return the paths of the files except PDFs."""
     folder, errors, more = points.path.parent, points.table(), details.table()
     level = floors(errors, bench.simulator.rays)
@@ -95,7 +96,7 @@ def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable,
     run.artifact(summary)
     for figure in figures:
         run.artifact(figure, "vector" if figure.suffix == ".pdf" else None)
-    run.metrics({f"order/{row['metric']}": row["p"] for row in orders(errors).to_dict("records")})
+    run.scores({f"order/{row['metric']}": row["p"] for row in orders(errors).to_dict("records")})
     first = as_text(dict(list(shown.items())[:1]))  # the run's first page has room for one table
     run.describe("\n\n".join([*about, *head, f"```\n{first}\n```", "The rest: Artifacts, `summary.txt`."]))
     return [points.path, details.path, summary, *(f for f in figures if f.suffix == ".png")]

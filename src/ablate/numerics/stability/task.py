@@ -14,7 +14,7 @@ from ablate.numerics.stability import extremes, losses, maps, metrics, networks,
 from ablate.numerics.stability.checks import Case, Check
 from ablate.storage import write_text, written_whole
 from ablate.studies.jobs.job import Job
-from ablate.tracking import RunLog, Status, git_state, hardware, open_store, task_run
+from ablate.tracking import Status, StoredRun, git_state, hardware, open_store, task_run
 from ablate.training import chosen_device
 
 COLUMNS = ["case", "dtype", "quantity", "measured", "bound", "holds"]
@@ -35,7 +35,8 @@ def stability(jobs: Sequence[Job]) -> int:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # the arrays are too small for several
     store = open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
-    run = RunLog(store, task_run(store, "stability", settings.study))
+    run = StoredRun(store, task_run(store, "stability", settings.study))
+    run.mark(Status.running)
     status = Status.failed
     try:
         cases = all_cases()
@@ -48,7 +49,7 @@ def stability(jobs: Sequence[Job]) -> int:
             print(f"falls: {name}", file=sys.stderr)
         for path in files:
             run.artifact(path)
-        run.metrics({"cases": len(cases), "cases_that_hold": len(cases) - len(fallen)})
+        run.scores({"cases": len(cases), "cases_that_hold": len(cases) - len(fallen)})
         run.describe("\n\n".join([verdict, *(f"Falls: {name}" for name in fallen), "The table: Artifacts."]))
         status = Status.failed if fallen else Status.finished
     except KeyboardInterrupt:
@@ -57,7 +58,7 @@ def stability(jobs: Sequence[Job]) -> int:
     finally:
         code = {k: v for k, v in git_state().items() if k != "git_diff"}
         run.tags({"hardware": hardware(), **code})
-        run.end(status)
+        run.mark(status)
         torch.set_num_threads(threads)
     return int(bool(fallen))
 

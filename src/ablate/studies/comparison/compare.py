@@ -12,14 +12,15 @@ from ablate import analysis
 from ablate.analysis import REFERENCE, Spread
 from ablate.config import ConfigurationError, StudySettings
 from ablate.metrics import METRICS_VERSION, Shown, shown_in
-from ablate.storage import digest_of_files, read_json, write_json
+from ablate.storage import digest, digest_of_files, read_json, write_json
 from ablate.studies.comparison.answers import answers, components_of
 from ablate.studies.comparison.figures import Numbers, draw_figures, stored_pictures
 from ablate.studies.comparison.results import Finished, appendix, data_of, provenance, scored_frames
 from ablate.studies.comparison.usable_runs import UsableRuns, usable_runs
+from ablate.studies.copied import STATE, copy_study
 from ablate.studies.jobs.job import COMPARISON
-from ablate.studies.tracked import describe_study, open_tracking, register_reference
-from ablate.tracking import RunLog, Status, default_uri
+from ablate.studies.tracked import describe_study, register_reference
+from ablate.tracking import UNAVAILABLE, Status, default_uri
 
 
 def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
@@ -44,10 +45,11 @@ def _compare_study(settings: StudySettings, rebuild: bool) -> str:
     marker = folder / "made_from.json"
     per_image, scalars = scored_frames(usable.runs)
     table = analysis.comparison_table(per_image, scalars, reference)
-    if rebuild or not _says(marker, made_from):
-        files, notes = write_comparison(usable, folder, settings.study, reference)
-        _track(settings, usable.runs, table, files, notes)
-        write_json(marker, made_from)
+    said = None if rebuild else _kept(marker, made_from)
+    if said is None:
+        said = write_comparison(usable, folder, settings.study, reference)[1]
+        write_json(marker, {**made_from, "said": said})
+    tracked = _track(settings, usable.runs, table, folder, said)
     warnings = "\n".join(f"Note: {c}" for c in (*usable.notes, *analysis.cautions(per_image, reference)))
     uri = settings.tracking.uri or default_uri(settings.runs)
     pages = uri if uri.startswith("http") else f"make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
@@ -56,10 +58,8 @@ def _compare_study(settings: StudySettings, rebuild: bool) -> str:
         f"paired tests   {folder / 'paired.csv'}\n"
         f"verdicts       {folder / 'verdicts.csv'}{_said(folder / 'verdicts.csv')}\n"
         f"report         {folder / 'report.html'}\n"
-        f"MLflow         {pages}"
+        f"MLflow         {pages}{tracked}"
     )
-    if settings.tracking.register:
-        where += f"\nregistered     {register_reference(settings, list(usable.runs))}"
     return f"{analysis.to_text(table[table['metric'].isin(shown_in(Shown.screen))])}\n{warnings}\n\n{where}"
 
 
@@ -72,12 +72,14 @@ def _made_from(usable: UsableRuns, reference: str) -> dict[str, Any]:
     return {"runs": runs, "reference": reference, "notes": list(usable.notes), "metrics_version": METRICS_VERSION}
 
 
-def _says(marker: Path, made_from: Mapping[str, Any]) -> bool:
-    """Whether the comparison on disk was made from this."""
+def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
+    """What a reader of the comparison on disk must know; None where it was made from something else."""
     try:
-        return read_json(marker) == made_from
+        there = read_json(marker)
     except (OSError, ValueError):
-        return False
+        return None
+    said = there.pop("said", None)
+    return said if there == made_from and isinstance(said, list) else None
 
 
 def write_comparison(
@@ -129,16 +131,27 @@ def write_comparison(
 
 
 def _track(
-    settings: StudySettings, runs: Sequence[Finished], table: pd.DataFrame, files: Sequence[Path], notes: Sequence[str]
-) -> None:
-    """Log a comparison to the study's parent run."""
-    store, parent = open_tracking(settings)
-    run = RunLog(store, parent)
-    for path in files:
-        run.artifact(path, "vector" if path.suffix == ".pdf" else None)
-    run.tags(provenance(runs))
-    describe_study(run, runs, analysis.to_markdown(table[table["metric"].isin(shown_in(Shown.headline))]), notes)
-    run.end(Status.finished)
+    settings: StudySettings, runs: Sequence[Finished], table: pd.DataFrame, folder: Path, notes: Sequence[str]
+) -> str:
+    """Bring the store up to date with the runs of a study and their comparison; returns lines for the screen."""
+    try:
+        run, ids = copy_study(settings)
+        files = [path for path in sorted(folder.iterdir()) if path.is_file()]
+        state = digest([ids, {path.name: path.stat().st_mtime_ns for path in files}])
+        if run.tag(STATE) != state:
+            for path in files:
+                run.artifact(path, "vector" if path.suffix == ".pdf" else None)
+            run.tags(provenance(runs))
+            headline = table[table["metric"].isin(shown_in(Shown.headline))]
+            describe_study(run, runs, ids, analysis.to_markdown(headline), notes)
+            run.tags({STATE: state})
+        run.mark(Status.finished)
+        if settings.tracking.register:
+            return f"\nregistered     {register_reference(settings, runs, run.store, ids)}"
+    except UNAVAILABLE as error:
+        reason = " ".join(str(error).split())
+        return f"\nNote: not all is in MLflow yet ({reason:.200}); the same command logs the rest."
+    return ""
 
 
 def _said(verdicts: Path) -> str:

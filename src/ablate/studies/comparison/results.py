@@ -19,7 +19,7 @@ from ablate.storage import read_json
 from ablate.studies.pairs.data import Data, open_data
 from ablate.studies.result_file import read_result
 
-_ABOUT_CODE = ("git_commit", "git_dirty", "hardware")
+ABOUT_CODE = ("git_commit", "git_dirty", "hardware")
 _LOG = logging.getLogger(__name__)
 _PICTURES = "pictures.npz"
 _DIFF, _MADE_WITH = "uncommitted.diff", "made_with.json"
@@ -168,12 +168,12 @@ def _stored_pictures(run: Finished) -> dict[int, np.ndarray]:
 def provenance(runs: Sequence[Finished]) -> dict[str, str]:
     """Data sets, code and hardware of a study; where its runs differ, each value names its runs."""
     data = ", ".join(dict.fromkeys(str(run.result["data"]) for run in runs))
-    return {"data": data, **{k: v for k, v in _made_with(runs).items() if k in _ABOUT_CODE}}
+    return {"data": data, **{k: v for k, v in _made_with(runs).items() if k in ABOUT_CODE}}
 
 
 def appendix(runs: Sequence[Finished]) -> dict[str, str]:
     """Texts by title: the package versions of the runs, and the uncommitted changes of their code."""
-    packages = {k: v for k, v in _made_with(runs).items() if k not in _ABOUT_CODE}
+    packages = {k: v for k, v in _made_with(runs).items() if k not in ABOUT_CODE}
     texts = {"Packages": "\n".join(f"{k} {v}" for k, v in packages.items())} if packages else {}
     names: dict[str, list[str]] = {}
     for run in runs:

@@ -1,0 +1,104 @@
+"""One run of a store. What it has is left as it is, so whatever failed on the way may be done again."""
+
+import json
+import re
+import time
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from mlflow.entities import Dataset, DatasetInput, Metric, Param, RunTag
+from PIL import Image
+
+from ablate.tracking.local_log import Point, logged_images, points, read_log
+from ablate.tracking.store import Status, Store
+
+_BATCH = 500
+# MLflow writes an image and then a smaller copy; an image with both files is complete.
+_WHOLE_IMAGE = re.compile(r".+?\+step\+\d+\+(?=.*\+compressed\.webp$)")
+
+
+class StoredRun:
+    """Writes to one run. After an error, make another: it is then not known what has arrived."""
+
+    def __init__(self, store: Store, run_id: str) -> None:
+        self.store, self.run_id = store, run_id
+        self._client = store.client
+        self._read = 0  # bytes of the local log that have been copied
+
+    def copy_log(self, folder: Path) -> None:
+        """Copy what is new in the log of a run's folder: curves and images, each step once."""
+        lines, end = read_log(folder, self._read)
+        self.curves(points(lines))
+        for key, step, path in logged_images(folder):
+            name = f"{key.replace('/', '~')}+step+{step}+"
+            if name not in self._images:
+                with Image.open(path) as image:
+                    self._client.log_image(self.run_id, np.asarray(image), key=key, step=step)
+                self._images.add(name)
+        self._read = end
+
+    def curves(self, values: Sequence[Point]) -> None:
+        """Log the values whose key and step the run does not have."""
+        new = [point for point in values if (point.key, point.step) not in self._steps]
+        for k in range(0, len(new), _BATCH):
+            batch = new[k : k + _BATCH]
+            self._client.log_batch(self.run_id, metrics=[Metric(p.key, p.value, p.time_ms, p.step) for p in batch])
+            self._steps.update((point.key, point.step) for point in batch)
+
+    def scores(self, values: Mapping[str, float]) -> None:
+        """Log values that a run has one of, at step 0; NaN and infinite ones are left out."""
+        known = self._client.get_run(self.run_id).data.metrics
+        new = {k: float(v) for k, v in values.items() if abs(float(v)) < 1e300 and known.get(k) != float(v)}
+        now = int(time.time() * 1000)
+        for k in range(0, len(new), _BATCH):
+            batch = list(new.items())[k : k + _BATCH]
+            self._client.log_batch(self.run_id, metrics=[Metric(key, value, now, 0) for key, value in batch])
+
+    def parameters(self, values: Mapping[str, object]) -> None:
+        """Log parameters; those that the run already has are left as they are."""
+        known = self._client.get_run(self.run_id).data.params
+        new = [Param(k, str(v)) for k, v in values.items() if k not in known]
+        if new:
+            self._client.log_batch(self.run_id, params=new)
+
+    def tags(self, values: Mapping[str, object]) -> None:
+        self._client.log_batch(self.run_id, tags=[RunTag(k, str(v)) for k, v in values.items()])
+
+    def describe(self, markdown: str) -> None:
+        """Set the description on the run's first page."""
+        self.tags({"mlflow.note.content": markdown})
+
+    def artifact(self, path: Path, folder: str | None = None) -> None:
+        self._client.log_artifact(self.run_id, str(path), folder)
+
+    def dataset(self, name: str, digest: str, folder: Path, frames: int) -> None:
+        """Log the data set that the run is trained on; logging it again changes nothing."""
+        made = Dataset(name, digest, "local", str(folder), profile=json.dumps({"num_rows": frames}))
+        self._client.log_inputs(self.run_id, [DatasetInput(made)])
+
+    def tag(self, name: str) -> str | None:
+        """The value of a tag, None where the run has none."""
+        value = self._client.get_run(self.run_id).data.tags.get(name)
+        return None if value is None else str(value)
+
+    def mark(self, status: Status, time_ms: int | None = None) -> None:
+        """Open the run again, or close it; a run that is marked so already stays as it is."""
+        if self._client.get_run(self.run_id).info.status == status:
+            return
+        if status is Status.running:
+            self._client.update_run(self.run_id, status=str(status))
+        else:
+            self._client.set_terminated(self.run_id, str(status), time_ms)
+
+    @cached_property
+    def _steps(self) -> set[tuple[str, int]]:
+        """Key and step of each value that the run has."""
+        keys = self._client.get_run(self.run_id).data.metrics
+        return {(key, point.step) for key in keys for point in self._client.get_metric_history(self.run_id, key)}
+
+    @cached_property
+    def _images(self) -> set[str]:
+        there = self._client.list_artifacts(self.run_id, "images")
+        return {found[0] for a in there if (found := _WHOLE_IMAGE.match(Path(a.path).name))}
