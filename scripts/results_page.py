@@ -188,7 +188,7 @@ def beside_lines(found: Numbers) -> Iterator[str]:
 
 def design_lines(found: Numbers, design: Design) -> Iterator[str]:
     """The paper's differences, the interactions on primary metrics, and all effects."""
-    if table := paper_rows(found.answers.means, design):
+    if table := paper_rows(found.answers.paper):
         yield "### The differences that the paper reports"
         yield table
         yield (

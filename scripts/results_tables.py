@@ -2,27 +2,14 @@
 
 from collections.abc import Callable, Iterable, Sequence
 
-import numpy as np
 import pandas as pd
-from scipy import stats
 
-from ablate.analysis import RESIMULATION, Answer, Design, Verdict
-from ablate.analysis.statistics.effects import LinearModel, fit_effects
+from ablate.analysis import RESIMULATION, Answer, Verdict
 from ablate.analysis.statistics.verdicts import ALPHA
 from ablate.analysis.tables.formats import NOTHING, head
 from ablate.metrics import Direction, metric_of
 from ablate.networks import COMPONENTS
 
-# Zhang, Portenier and Goksel (2021), Table II: PSNR (dB), MAE (grey levels) and patch chi-square of SA2H, and of SA2H
-# without each component.
-PAPER_METRICS = ("psnr", "mae", "pchi2")
-PAPER_FULL = (28.19, 6.37, 0.1860)
-PAPER_WITHOUT = {
-    "att": (25.04, 8.75, 0.2940),
-    "concat": (26.23, 9.08, 0.2936),
-    "conv": (24.85, 8.87, 0.3270),
-    "noise": (26.45, 8.14, 0.2595),
-}
 # What the full model is to reach, from its mean and that of re-simulation.
 BARS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
     "pchi2_tissue": ("at most 2 times re-simulation", lambda value, level: value <= 2 * level),
@@ -108,43 +95,15 @@ def shortfalls(table: pd.DataFrame, labels: Sequence[str]) -> str:
     return pipe_table(("metric", "bar", "reached by", RESIMULATION, *titles), rows, 3)
 
 
-def models(means: pd.DataFrame, design: Design, metrics: Iterable[str]) -> dict[str, LinearModel]:
-    """The model of each metric, where the runs suffice for one; `means` is what `run_means` gives."""
-    found = {}
-    for metric in metrics:
-        try:
-            found[metric] = fit_effects(means[means["metric"] == metric], design.factors, block="data")
-        except ValueError:
-            continue
-    return found
-
-
-def effect_of(field: str, model: LinearModel, full: bool) -> tuple[float, float, float]:
-    """Mean with a component minus mean without it, and its 95 % interval; NaN where there is none.
-
-    Averaged over the design, or with `full` where all other components are on. The first level of a design's factors is
-    that of the full model.
-    """
-    weights = [-1.0 if term == (field,) else float(full and field in term) for term in model.terms]
-    estimate, error = model.contrast(np.array(weights))
-    reach = stats.t.ppf(1 - ALPHA / 2, model.dof) * error if model.dof > 0 else np.nan
-    return estimate, estimate - reach, estimate + reach
-
-
-def paper_rows(means: pd.DataFrame, design: Design) -> str:
-    """The differences that the paper reports, beside those of this study; a row a component and metric."""
+def paper_rows(paper: pd.DataFrame) -> str:
+    """What `paper_effects` gives: the paper's differences beside ours; a row a component and metric."""
     rows = []
-    fitted = models(means, design, PAPER_METRICS)
-    for component in COMPONENTS:
-        if component.name not in PAPER_WITHOUT or component.field not in design.factors:
-            continue
-        for metric, full, without in zip(PAPER_METRICS, PAPER_FULL, PAPER_WITHOUT[component.name], strict=True):
-            if metric in fitted:
-                ours = [effect_of(component.field, fitted[metric], at_full) for at_full in (False, True)]
-                decimals = metric_of(metric).decimals
-                cells = [with_interval(*effect, decimals) for effect in ours]
-                said = _excluded(full - without, metric_of(metric).better, *ours)
-                rows.append([component.name, head(metric), said, signed(full - without, decimals), *cells])
+    for _, row in paper.iterrows():
+        ours = [row[["averaged", "averaged_lower", "averaged_upper"]], row[["effect", "lower", "upper"]]]
+        metric = metric_of(row["metric"])
+        cells = [with_interval(*effect, metric.decimals) for effect in ours]
+        said = _excluded(row["paper"], metric.better, *ours)
+        rows.append([row["component"], head(metric.name), said, signed(row["paper"], metric.decimals), *cells])
     titles = ("paper", "here, averaged [95 %]", "here, at the full model [95 %]")
     return pipe_table(("component", "metric", "excluded", *titles), rows, 3) if rows else ""
 
@@ -154,8 +113,6 @@ def _excluded(paper: float, better: Direction, averaged: Sequence[float], full: 
     sign = 1 if better is Direction.higher else -1
     said = []
     for estimate, lower, upper in (averaged, full):
-        if np.isnan(lower):
-            return NOTHING
         less = sign * estimate < sign * paper
         said.append("no" if lower <= paper <= upper else "less here" if less else "more here")
     return said[0] if len(set(said)) == 1 else f"averaged: {said[0]}; full model: {said[1]}"

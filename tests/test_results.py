@@ -4,6 +4,7 @@ import importlib
 import json
 import shutil
 from collections.abc import Sequence
+from itertools import combinations
 from pathlib import Path
 from types import ModuleType
 
@@ -11,9 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from ablate.analysis import paper_effects
 from ablate.config import json_ready
 from ablate.metrics import METRICS, METRICS_VERSION
-from ablate.networks import COMPONENTS
+from ablate.networks import COMPONENTS, Component
 from ablate.studies.comparison.answers import components_of
 from ablate.studies.identity import config_hash, finished, semantic
 from ablate.studies.jobs.compose import jobs_of
@@ -199,28 +201,35 @@ def test_the_page_of_a_whole_study(study: Path, script: ModuleType, tmp_path: Pa
     assert {row[1] for name, row in runs.items() if name in PICTURED} == {"3"}
 
 
-def test_effects_at_the_full_model_are_those_of_the_cells_by_hand(whole: Path, script: ModuleType) -> None:
-    page = importlib.import_module("results_page")
-    tables = importlib.import_module("results_tables")
-    found = page.numbers_of(whole)
-    fitted = tables.models(found.answers.means, found.answers.design, ["mae_smooth", "shadow_contrast"])
-    for component in COMPONENTS:
-        if component.metric in fitted:
-            row = found.answers.verdicts.set_index("component").loc[component.name]
-            for full, part in ((False, ""), (True, "full_")):
-                names = (f"{part}effect", *(f"{part or ''}{side}" for side in ("lower", "upper")))
-                ours = tables.effect_of(component.field, fitted[component.metric], full)
-                assert ours == pytest.approx([row[name] for name in names])
-    estimate, lower, upper = tables.effect_of("attenuation", fitted["mae_smooth"], False)
-    assert lower < -EFFECT < upper
-    assert estimate == pytest.approx(-EFFECT, abs=0.2)
+def test_effects_are_those_of_least_squares_by_hand(whole: Path, script: ModuleType) -> None:
+    """One column for the mean, the anatomy, each component and each pair of components, +1 where it is on."""
+    found = importlib.import_module("results_page").numbers_of(whole)
     assert script is not None
+    verdicts = found.answers.verdicts.set_index("component")
+    for component in (c for c in COMPONENTS if c.metric in set(found.answers.means["metric"])):
+        runs = found.answers.means.query("metric == @component.metric")
+        on = {c.field: np.where(runs[c.field].astype(str) == level(c), 1.0, -1.0) for c in COMPONENTS}
+        names = [(name,) for name in on] + list(combinations(on, 2))
+        columns = [np.prod([on[name] for name in term], axis=0) / 2 for term in names]
+        block = (runs["data"] == runs["data"].iloc[0]).to_numpy(float)
+        found_by_hand = np.linalg.lstsq(np.column_stack([np.ones(len(runs)), block, *columns]), runs["value"])[0][2:]
+        of = {term: value for term, value in zip(names, found_by_hand, strict=True) if component.field in term}
+        row = verdicts.loc[component.name]
+        assert row["effect"] == pytest.approx(of[component.field,])
+        assert row["full_effect"] == pytest.approx(sum(of.values()))
+    att = verdicts.loc["att"]
+    assert att["lower"] < -EFFECT < att["upper"]
+
+
+def level(component: Component) -> str:
+    """The level of the full model in the miniature."""
+    return "2" if component.name == "depth" else str(component.on)
 
 
 def test_the_papers_differences_are_excluded_where_ours_are_far_from_them(whole: Path, script: ModuleType) -> None:
     page, tables = importlib.import_module("results_page"), importlib.import_module("results_tables")
     found = page.numbers_of(whole)
-    rows = rows_of(f"x\n{tables.paper_rows(found.answers.means, found.answers.design)}", "x")
+    rows = rows_of(f"x\n{tables.paper_rows(found.answers.paper)}", "x")
     assert len(rows) == 2 + 4 * 3
     by_cell = {(row[0], row[1].split()[0]): row for row in rows.values()}
     assert by_cell["att", "PSNR"][3] == "+3.15", "28.19 - 25.04 dB"
@@ -231,7 +240,7 @@ def test_the_papers_differences_are_excluded_where_ours_are_far_from_them(whole:
     shifted = found.answers.means.copy()
     on = (shifted["metric"] == "psnr") & (shifted["attenuation"] == "integral")
     shifted.loc[on, "value"] += EFFECT + 3.15
-    rows = rows_of(f"x\n{tables.paper_rows(shifted, found.answers.design)}", "x")
+    rows = rows_of(f"x\n{tables.paper_rows(paper_effects(shifted, found.answers.design))}", "x")
     assert next(row for row in rows.values() if row[:2] == ["att", "PSNR (dB) ↑"])[2] == "no"
     assert script is not None
 

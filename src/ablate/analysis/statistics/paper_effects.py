@@ -15,7 +15,10 @@ _WITHOUT: dict[str, dict[str, float]] = {
     "conv": {"psnr": 24.85, "mae": 8.87, "pchi2": 0.3270},
     "noise": {"psnr": 26.45, "mae": 8.14, "pchi2": 0.2595},
 }
-PAPER_COLUMNS = ("component", "metric", "paper", "effect", "lower", "upper", "excluded")
+PAPER_COLUMNS = (
+    *("component", "metric", "paper", "effect", "lower", "upper", "excluded"),
+    *("averaged", "averaged_lower", "averaged_upper"),
+)
 
 
 def paper_effects(means: pd.DataFrame, design: Design | None, level: float = 0.95) -> pd.DataFrame:
@@ -33,8 +36,8 @@ def paper_effects(means: pd.DataFrame, design: Design | None, level: float = 0.9
     -------
     DataFrame
         One row a component and metric of the paper that the runs can tell: columns component, metric, paper (SA2H minus
-        SA2H without the component), effect (the same of these runs, at the full model), lower, upper, and excluded,
-        whether the paper's effect lies outside the interval.
+        SA2H without the component), effect (the same of these runs, at the full model), lower, upper, excluded (whether
+        the paper's effect lies outside this interval), and the effect averaged over the design with its interval.
     """
     rows = []
     models = models_of(tuple(_FULL), means, design)
@@ -44,8 +47,16 @@ def paper_effects(means: pd.DataFrame, design: Design | None, level: float = 0.9
             if why_untold(component, design) or isinstance(model, str) or model.dof < 1:
                 continue
             claimed = _FULL[metric] - without
-            effect, error = model.contrast(of_component(component, model, full=True))
-            reach = float(stats.t.ppf((1 + level) / 2, model.dof)) * error
-            excluded = not effect - reach <= claimed <= effect + reach
-            rows.append((component.name, metric, claimed, effect, effect - reach, effect + reach, excluded))
+            (effect, lower, upper), averaged = (
+                _interval(*model.contrast(of_component(component, model, full=full)), model.dof, level)
+                for full in (True, False)
+            )
+            excluded = not lower <= claimed <= upper
+            rows.append((component.name, metric, claimed, effect, lower, upper, excluded, *averaged))
     return pd.DataFrame(rows, columns=list(PAPER_COLUMNS))
+
+
+def _interval(effect: float, error: float, dof: int, level: float) -> tuple[float, float, float]:
+    """An effect with the ends of its interval."""
+    reach = float(stats.t.ppf((1 + level) / 2, dof)) * error
+    return effect, effect - reach, effect + reach
