@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep answer test test-all check lint ui precision bench-simulator bench-bands bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start
+.PHONY: help sweep answer docs notebooks test test-all check lint ui precision bench-simulator bench-bands bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -27,6 +27,13 @@ answer: $(STAMP) ## which components earn their keep: 32 runs of a factorial in 
 	$(BIN)/python -m ablate +study=answer_beside hydra/launcher=joblib
 	$(BIN)/python scripts/results.py keep runs/answer
 	$(BIN)/python scripts/results.py table
+
+notebooks: $(STAMP) ## run the notebooks on the studies in runs/ and keep them with their figures, as notebooks/*.ipynb
+	$(BIN)/python scripts/notebooks.py $(ARGS)
+
+docs: $(STAMP) ## the documentation as a site in site/, with the notebooks and the API
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo "Open site/index.html, or: $(BIN)/mkdocs serve"
 
 test: $(STAMP) check ## style, types and tests
 	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow"

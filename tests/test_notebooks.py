@@ -1,5 +1,6 @@
 """Every notebook runs from top to bottom on a study on disk, and says what to run where there is none."""
 
+from contextlib import chdir
 from pathlib import Path
 
 import jupytext
@@ -32,7 +33,8 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     runs = tmp_path_factory.mktemp("runs")
-    assert run("-m", "preset=tiny", "variant=sa2h,sa2h-att", "training.steps=2", f"runs_dir={runs}") == 0
+    with chdir(runs.parent):  # a relative folder, as in a checkout; the notebooks run in another one
+        assert run("-m", "preset=tiny", "variant=sa2h,sa2h-att", "training.steps=2", f"runs_dir={runs.name}") == 0
     return runs / "tiny-fetal"
 
 
@@ -55,6 +57,13 @@ def test_it_runs_on_a_study(name: str, study: Path, monkeypatch: pytest.MonkeyPa
     outputs = [output for cell in execute(name).cells for output in cell.get("outputs", [])]
     assert sum("image/png" in output.get("data", {}) for output in outputs) == PICTURES[name]
     assert {path for path in study.parent.rglob("*") if path.is_file()} == before  # it reads, and writes nothing
+    assert not (FOLDER / "runs").exists()
+
+
+@pytest.mark.parametrize("kept", sorted(FOLDER.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_a_kept_notebook_is_the_last_run_of_its_source(kept: Path) -> None:
+    source, run_of_it = (jupytext.read(path).cells for path in (kept.with_suffix(".py"), kept))
+    assert [cell.source for cell in source] == [cell.source for cell in run_of_it], "run `make notebooks`"
 
 
 @pytest.mark.parametrize("name", PICTURES)

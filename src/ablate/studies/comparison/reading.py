@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -51,8 +51,8 @@ class Study:
 
     @property
     def settings(self) -> StudySettings:
-        """The settings of one of its runs; scene, probe and simulator are the same for all."""
-        return build(StudySettings, self.runs[0].spec["settings"])
+        """The settings of one of its runs, where they lie now; scene, probe and simulator are the same for all."""
+        return replace(build(StudySettings, self.runs[0].spec["settings"]), runs_dir=str(self.folder.parent))
 
 
 def open_study(places: Sequence[str] = SWEEP, made_by: str = "make sweep") -> Study:
