@@ -15,14 +15,15 @@ from mkdocs.structure.files import File, Files
 from nbconvert import MarkdownExporter
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("anatomy", "ultrasound", "networks", "metrics", "dataset", "training", "evaluation", "analysis")
+ROOMS = ("anatomy", "ultrasound", "networks", "metrics", "dataset", "training", "pretrained", "evaluation", "analysis")
 BESIDE_README = ("CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages; MkDocs calls this once it knows the files of docs/."""
     pages = {
-        "index.md": re.sub(r"\]\(docs/", "](", read("README.md")),
+        "index.md": re.sub(r"\]\((docs|src/ablate)/", "](", read("README.md")),
+        "pretrained/README.md": read("src/ablate/pretrained/README.md"),
         "command_line.md": command_line(),
         **{f"api/{room}.md": "\n".join(api(room)) for room in ROOMS},
     }

@@ -1,1 +1,5 @@
 """Ablation studies of ultrasound-rendering GANs on pairs from a Monte-Carlo ray-tracing simulator."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,45 @@
+"""Copy a trained generator into the package, where `ablate.load(name)` finds it.
+
+python scripts/ship.py runs/answer/sa2h/seed0 sa2h
+"""
+
+import argparse
+from pathlib import Path
+
+from ablate.config import StudySettings, build
+from ablate.dataset import label_values
+from ablate.pretrained import Renderer, save
+from ablate.storage import read_json
+from ablate.studies.comparison.results import Finished, data_of, provenance
+from ablate.training import LAST, load_generator
+
+SHIPPED = Path(__file__).parents[1] / "src/ablate/pretrained"
+
+
+def renderer_of(folder: Path) -> Renderer:
+    """The generator of a finished run, with the setting that it was trained in."""
+    run = Finished(folder, read_json(folder / "spec.json"), read_json(folder / "result.json"))
+    s = build(StudySettings, run.spec["settings"])
+    tissues = data_of([run]).tissues
+    values = label_values(tissues, s.encoding, s.encoding_seed)[1:].tolist()
+    made = {"study": s.study, "variant": run.label, "seed": str(run.seed), "hash": str(run.result["hash"])}
+    made |= {"commit": provenance([run]).get("git_commit", "")}
+    known = dict(zip((tissue.name for tissue in tissues), values, strict=True))
+    simulator = s.simulator
+    generator = load_generator(folder / LAST)
+    return Renderer(generator, known, s.probe, simulator.tgc_db_cm_mhz, simulator.image_shape, made)
+
+
+def main() -> None:
+    """Copy the generator that is named."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path, help="folder of a finished run")
+    parser.add_argument("name")
+    arguments = parser.parse_args()
+    path = SHIPPED / f"{arguments.name}.pt"
+    save(renderer_of(arguments.run.resolve()), path)
+    print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()

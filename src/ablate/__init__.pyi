@@ -1,0 +1,1 @@
+from .pretrained import load as load

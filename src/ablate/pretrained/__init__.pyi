@@ -1,0 +1,4 @@
+from .renderer import NAMES as NAMES
+from .renderer import Renderer as Renderer
+from .renderer import load as load
+from .renderer import save as save

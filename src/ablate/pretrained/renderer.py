@@ -1,0 +1,115 @@
+"""A trained generator with all that it needs to render a frame: its weights, its values of labels, and its setting."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ablate.anatomy import Tissue
+from ablate.dataset import network_inputs
+from ablate.networks import Generator, GeneratorSpec, conditions
+from ablate.storage import written_whole
+from ablate.training import TrainingPrecision, generate
+from ablate.training.settings import as_builtins
+from ablate.ultrasound import ConvexProbe, Frame, compensated_attenuation
+
+_FOLDER = Path(__file__).parent
+#: The generators that come with the package; the README.md beside them says how each was trained.
+NAMES = tuple(sorted(path.stem for path in _FOLDER.glob("*.pt")))
+
+
+@dataclass(frozen=True, eq=False)
+class Renderer:
+    """A trained generator and the setting that it was trained in.
+
+    Attributes
+    ----------
+    values : mapping of str to float
+        The value in [-1, 1] that the generator reads for each tissue.
+    probe, tgc_db_cm_mhz, image_shape
+        Of its training frames. Frames of another size in pixels or millimetres are rendered, but not well: the
+        generator has learnt the speckle of these.
+    made : mapping of str to str
+        Study, variant, seed and commit of the training.
+    """
+
+    generator: Generator
+    values: Mapping[str, float]
+    probe: ConvexProbe
+    tgc_db_cm_mhz: float
+    image_shape: tuple[int, int]
+    made: Mapping[str, str]
+
+    def render(self, frame: Frame, tissues: Sequence[Tissue], seed: int = 0) -> np.ndarray:
+        """Render a frame from its segmentation and its attenuation map; its image is not read.
+
+        Parameters
+        ----------
+        tissues : sequence of Tissue
+            Behind the labels 1, 2, ... of the frame's segmentation, as `Scene.tissues`.
+        seed : int
+            Of the noise: another seed gives other speckle.
+
+        Returns
+        -------
+        (H, W) uint8
+            Grey levels, 0 outside the fan.
+
+        Raises
+        ------
+        ValueError
+            For a tissue that the generator was not trained on.
+        """
+        unknown = [tissue.name for tissue in tissues if tissue.name not in self.values]
+        if unknown:
+            raise ValueError(f"tissue {unknown[0]!r}: the generator was trained on {', '.join(self.values)}")
+        values = np.asarray([-1.0, *(self.values[tissue.name] for tissue in tissues)], np.float32)
+        maps = {
+            "segmentation": frame.segmentation[None],
+            "attenuation": frame.attenuation[None],
+            "compensated": compensated_attenuation(frame.attenuation[None], self.probe, self.tgc_db_cm_mhz),
+        }
+        read = {name: maps[name] for name in conditions(self.generator.spec)}
+        inputs, mask = network_inputs(read, values, frame.mask), torch.from_numpy(frame.mask)
+        noise_seed = torch.tensor([seed], dtype=torch.int64)
+        image: np.ndarray = generate(self.generator, inputs, mask, noise_seed, TrainingPrecision.fp32)[0]
+        return image
+
+
+def load(name: str | Path) -> Renderer:
+    """Load a trained generator, on the CPU: one of `NAMES`, or a file that `save` wrote.
+
+    Raises
+    ------
+    ValueError
+        For another name, and where a file is not one of a trained generator.
+    """
+    path = _FOLDER / f"{name}.pt" if name in NAMES else Path(name)
+    if not path.is_file():
+        raise ValueError(f"{name}: no trained generator, allowed are {', '.join(NAMES)} and files that `save` wrote")
+    try:
+        content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        generator = Generator(GeneratorSpec(**content["spec"]))
+        generator.load_state_dict(content["weights"])
+        setting = (content["values"], ConvexProbe(**content["probe"]), content["tgc_db_cm_mhz"])
+        return Renderer(generator.eval(), *setting, tuple(content["image_shape"]), content["made"])
+    except Exception as error:
+        raise ValueError(f"{path}: not a file of a trained generator ({' '.join(str(error).split()):.200})") from error
+
+
+def save(renderer: Renderer, path: Path) -> None:
+    """Write a trained generator to a file that `load` reads; the file holds no code."""
+    content = {
+        "spec": as_builtins(renderer.generator.spec),
+        "weights": renderer.generator.state_dict(),
+        "values": dict(renderer.values),
+        "probe": asdict(renderer.probe),
+        "tgc_db_cm_mhz": renderer.tgc_db_cm_mhz,
+        "image_shape": list(renderer.image_shape),
+        "made": dict(renderer.made),
+    }
+    with written_whole(path) as partial:
+        torch.save(content, partial)

@@ -1,0 +1,105 @@
+"""Trained generators: what is loaded renders as the network does by hand, and files come back as they were."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import ablate
+from ablate.anatomy import Tissue, fetal_abdomen, fetal_planes, load_tissues
+from ablate.metrics import psnr
+from ablate.networks import Generator, GeneratorSpec
+from ablate.pretrained import NAMES, Renderer, load, save
+from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, compensated_attenuation, fan_mask
+
+SHAPE, SEED = (64, 88), 5
+PROBE = ConvexProbe()
+TISSUES = [load_tissues()[name] for name in ("soft_tissue", "bone", "blood")]
+
+
+@pytest.fixture
+def frame() -> Frame:
+    rng = np.random.default_rng(0)
+    mask = fan_mask(PROBE, SHAPE)
+    labels = (mask * rng.integers(1, 4, SHAPE)).astype(np.uint8)
+    nothing = np.zeros(SHAPE, np.uint8)
+    return Frame(labels, (mask * rng.random(SHAPE)).astype(np.float32), nothing, mask, np.zeros((4, 4), np.float32))
+
+
+def made(attenuation: str = "integral") -> Renderer:
+    torch.manual_seed(1)
+    generator = Generator(GeneratorSpec(attenuation=attenuation, depth=2, width=0.1)).eval()
+    for parameter in generator.parameters():
+        torch.nn.init.normal_(parameter, 0, 0.1)
+    values = {tissue.name: value for tissue, value in zip(TISSUES, (-0.25, 1.0, 0.125), strict=True)}
+    return Renderer(generator, values, PROBE, 0.4, SHAPE, {"study": "none"})
+
+
+def by_hand(renderer: Renderer, frame: Frame, tissues: list[Tissue], seed: int) -> np.ndarray:
+    """The same image pixel by pixel of labels, without the functions of the package that prepare and decode."""
+    read = np.full(SHAPE, -1, np.float32)
+    for place in zip(*frame.mask.nonzero(), strict=True):
+        read[place] = renderer.values[tissues[frame.segmentation[place] - 1].name]
+    attenuation = frame.attenuation
+    if renderer.generator.spec.attenuation == "compensated":
+        attenuation = compensated_attenuation(attenuation, PROBE, 0.4)
+    name = str(renderer.generator.spec.attenuation).replace("integral", "attenuation")
+    maps = {"segmentation": torch.tensor(read)[None, None], name: torch.tensor(attenuation)[None, None]}
+    with torch.no_grad():
+        image = renderer.generator(**maps, noise_seed=torch.tensor([seed]))[0, 0].numpy()
+    return np.where(frame.mask, np.clip(np.rint((image + 1) * 127.5), 0, 255), 0).astype(np.uint8)
+
+
+@pytest.mark.parametrize("attenuation", ["integral", "compensated"])
+def test_an_image_is_what_the_network_gives_by_hand(attenuation: str, frame: Frame) -> None:
+    renderer = made(attenuation)
+    image = renderer.render(frame, TISSUES, SEED)
+    difference = np.abs(image.astype(int) - by_hand(renderer, frame, TISSUES, SEED))
+    assert difference.max() <= 1  # fused sums may round the other way
+    assert (difference > 0).mean() < 0.01
+    assert image.std() > 1
+    assert not np.array_equal(image, renderer.render(frame, TISSUES, SEED + 1))
+
+
+def test_labels_are_read_by_the_names_of_their_tissues(frame: Frame) -> None:
+    """Another order of the labels with the tissues in that order is the same anatomy, so the same image."""
+    swapped = replace(frame, segmentation=np.array([0, 3, 1, 2], np.uint8)[frame.segmentation])
+    in_that_order = [TISSUES[1], TISSUES[2], TISSUES[0]]
+    np.testing.assert_array_equal(made().render(swapped, in_that_order), made().render(frame, TISSUES))
+
+
+def test_a_file_gives_back_the_same_renderer(frame: Frame, tmp_path: Path) -> None:
+    save(made(), tmp_path / "mine.pt")
+    back = load(tmp_path / "mine.pt")
+    np.testing.assert_array_equal(back.render(frame, TISSUES), made().render(frame, TISSUES))
+    assert (back.values, back.probe, back.tgc_db_cm_mhz, back.image_shape) == (made().values, PROBE, 0.4, SHAPE)
+
+
+def test_what_cannot_be_loaded_or_rendered_is_named(frame: Frame, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"sa3h: no trained generator, allowed are .*sa2h"):
+        ablate.load("sa3h")
+    (tmp_path / "damaged.pt").write_bytes(b"PK\x03\x04 and nothing else")
+    with pytest.raises(ValueError, match=r"damaged\.pt: not a file of a trained generator"):
+        load(tmp_path / "damaged.pt")
+    with pytest.raises(ValueError, match="tissue 'lung': the generator was trained on soft_tissue, bone, blood"):
+        made().render(frame, [*TISSUES[:2], load_tissues()["lung"]])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_generator_renders_the_built_in_anatomy(name: str) -> None:
+    """Its image is nearer to the target than with the labels of two tissues exchanged, and has other speckle a seed."""
+    renderer, scene = ablate.load(name), fetal_abdomen(160_000)
+    settings = SimulatorSettings(
+        image_shape=renderer.image_shape, scanlines=128, axial_samples=1024, rays=16, axial_fwhm_mm=1.2
+    )
+    frame = Simulator(scene, renderer.probe, settings).render(fetal_planes()["head"], seed=0)
+    image = renderer.render(frame, scene.tissues)
+    tissues = list(scene.tissues)
+    names = [tissue.name for tissue in tissues]
+    soft, fluid = names.index("soft_tissue"), names.index("amniotic_fluid")
+    tissues[soft], tissues[fluid] = tissues[fluid], tissues[soft]
+    assert psnr(image, frame.image, frame.mask) > 3 + psnr(renderer.render(frame, tissues), frame.image, frame.mask)
+    assert not np.array_equal(image, renderer.render(frame, scene.tissues, seed=1))
