@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import nibabel
+import numpy as np
 import pytest
 import trimesh
 import yaml
@@ -57,6 +59,17 @@ def test_the_buffers_of_a_gltf_decide(folder: Path) -> None:
     before = hash_of(folder)
     export(30)
     (folder / "organs" / "model.gltf").write_bytes(described)
+    assert hash_of(folder) != before
+
+
+def test_a_volume_of_labels_decides(folder: Path) -> None:
+    values = np.zeros((8, 8, 8), np.uint8)
+    values[2:5, 3:5, 3:5] = 1
+    nibabel.save(nibabel.Nifti1Image(values, np.eye(4)), folder / "labels.nii")
+    with (folder / "scene.yaml").open("a") as scene:
+        scene.write("labels: {file: labels.nii, tissues: {1: liver}}\n")
+    before = hash_of(folder)
+    nibabel.save(nibabel.Nifti1Image(values[::-1], np.eye(4)), folder / "labels.nii")
     assert hash_of(folder) != before
 
 

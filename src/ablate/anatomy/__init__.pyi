@@ -16,3 +16,4 @@ from .tissue import Tissue as Tissue
 from .tissue import TissueKind as TissueKind
 from .tissue import echogenicity_order as echogenicity_order
 from .tissue import load_tissues as load_tissues
+from .volumes.label_map import LABELS_VERSION as LABELS_VERSION

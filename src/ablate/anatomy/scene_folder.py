@@ -1,49 +1,57 @@
-"""Scene folders: anybody's own anatomy as meshes beside a `scene.yaml`."""
+"""Scene folders: anybody's own anatomy, as meshes or a volume of labels beside a `scene.yaml`."""
 
-import difflib
+from __future__ import annotations
+
 import json
-import math
 import os
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
-
-import yaml
+from typing import TYPE_CHECKING, Any
 
 from ablate.anatomy.scene import Scene, Structure
-from ablate.anatomy.site_grid import MOST_POSES, SiteGrid
+from ablate.anatomy.scene_values import closest, mapping, number, numbers, read_yaml, series, tissue_named
+from ablate.anatomy.site_grid import SiteGrid
 from ablate.anatomy.tissue import Tissue, load_tissues
 from ablate.validation import shown
 
+if TYPE_CHECKING:
+    from ablate.anatomy.volumes.label_map import LabelMap
+
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf")
-MOST_BYTES = 2**18  # of a scene.yaml: thousands of structures
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-SCENE_KEYS = ("unit", "background", "structures", "tissues", "sites")
+SCENE_KEYS = ("unit", "background", "labels", "structures", "tissues", "sites")
 SITE_KEYS = ("axis", "front", "heights", "angles", "tilts", "rolls", "region")
 TISSUE_KEYS = tuple(field.name for field in fields(Tissue) if field.name != "name")
 
 
 @dataclass(frozen=True)
 class SceneFolder:
-    """A checked `scene.yaml`, before any mesh is read."""
+    """A checked `scene.yaml`, before any mesh or voxel is read."""
 
     name: str
     mm_per_unit: float
     background: Tissue
     meshes: tuple[tuple[Path, Tissue], ...]  # of two meshes that overlap, the later one owns the place
     sites: SiteGrid | None
+    labels: LabelMap | None = None  # its structures come before the meshes
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file beside the `scene.yaml` that the scene is made from."""
+        meshes = tuple(file for mesh, _ in self.meshes for file in mesh_files(mesh))
+        return (*meshes, *(self.labels.files if self.labels else ()))
 
 
 def validate_scene_folder(folder: str | Path) -> SceneFolder:
-    """Check a scene folder without reading its meshes.
+    """Check a scene folder without reading its meshes, and of volumes only their headers.
 
     Raises
     ------
     FileNotFoundError
-        When the folder, its `scene.yaml` or a mesh is missing.
+        When the folder, its `scene.yaml`, a mesh or a volume is missing.
     ValueError
-        When a key, a unit, a tissue or a value is not as it should be; names file, key and what is allowed.
+        When a key, a unit, a tissue, a value or a volume is not as it should be; names file, key and what is allowed.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -51,13 +59,7 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     path = folder / "scene.yaml"
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: no scene.yaml in this folder")
-    if path.stat().st_size > MOST_BYTES:
-        raise ValueError(f"{path}: has {path.stat().st_size} bytes; allowed are at most {MOST_BYTES}")
-    try:
-        content = yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # a number or a date may be a ValueError
-        raise ValueError(f"{path}: not readable as YAML: {' '.join(str(error).split())}") from None
-    content = _mapping(content, f"{path}", SCENE_KEYS)
+    content = mapping(read_yaml(path), f"{path}", SCENE_KEYS)
     unit = content.get("unit", "mm")
     if not isinstance(unit, str) or unit not in UNITS_MM:
         raise ValueError(f"{path}: unit: {shown(unit)} is not one of {', '.join(UNITS_MM)}")
@@ -68,34 +70,48 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     meshes = []
     for i, entry in enumerate(structures):
         where = f"{path}: structures[{i}]"
-        entry = _mapping(entry, where, ("mesh", "tissue"))
-        meshes.append((_mesh_path(entry, folder, where), _tissue(entry.get("tissue"), tissues, f"{where}.tissue")))
-    background = _tissue(content.get("background", "coupling_gel"), tissues, f"{path}: background")
-    names = [mesh.name for mesh, _ in meshes]
+        entry = mapping(entry, where, ("mesh", "tissue"))
+        meshes.append((_mesh_path(entry, folder, where), tissue_named(entry.get("tissue"), tissues, f"{where}.tissue")))
+    background = tissue_named(content.get("background", "coupling_gel"), tissues, f"{path}: background")
+    labels = None
+    if content.get("labels"):
+        from ablate.anatomy.volumes.label_map import checked_labels  # here, because others need no volume
+
+        labels = checked_labels(content["labels"], folder, tissues, f"{path}: labels")
+    names = [name for name, _ in labels.structures] if labels else []
+    names += [mesh.name for mesh, _ in meshes]
     sites = _sites(content["sites"], f"{path}: sites", UNITS_MM[unit], names) if content.get("sites") else None
-    return SceneFolder(folder.resolve().name, UNITS_MM[unit], background, tuple(meshes), sites)
+    return SceneFolder(folder.resolve().name, UNITS_MM[unit], background, tuple(meshes), sites, labels)
 
 
-def load_scene(folder: str | Path) -> Scene:
-    """Read a scene folder: its meshes are repaired and closed, in mm.
+def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
+    """Read a scene folder: its meshes are repaired and closed, in mm; labels become surfaces, in mm of their affine.
 
-    The scene has the name of the folder, and `mesh.metadata["name"]` is the name of the mesh's file.
+    The scene has the name of the folder, and `mesh.metadata["name"]` is the name of the mesh's file or of the label.
+    Surfaces made from labels are kept in `cache_dir`, where it is given.
 
     Raises
     ------
     FileNotFoundError, ValueError
         As `validate_scene_folder`, before any mesh is read; and ValueError from `load_mesh` for a mesh that is
-        empty, not finite or cannot be closed, and when the unit makes the scene larger or smaller than any body.
+        empty, not finite or cannot be closed, from `labelled_structures`, and when the unit makes the meshes larger
+        or smaller than any body.
     """
     # here, because the check of a folder needs no mesh library
     from ablate.anatomy.meshes.check import warn_of_shared_walls
     from ablate.anatomy.meshes.repair import load_mesh
 
     checked = validate_scene_folder(folder)
-    structures = tuple(Structure(load_mesh(path, checked.mm_per_unit)[0], tissue) for path, tissue in checked.meshes)
+    path = Path(folder) / "scene.yaml"
+    structures = tuple(Structure(load_mesh(mesh, checked.mm_per_unit)[0], tissue) for mesh, tissue in checked.meshes)
     scene = Scene(structures, checked.background, checked.name)
     if structures:
-        _check_unit(scene, checked.mm_per_unit, f"{Path(folder) / 'scene.yaml'}: unit")
+        _check_unit(scene, checked.mm_per_unit, f"{path}: unit")
+    if checked.labels:
+        from ablate.anatomy.volumes.labelled_structures import labelled_structures
+
+        structures = (*labelled_structures(checked.labels, f"{path}: labels", cache_dir), *structures)
+        scene = Scene(structures, checked.background, checked.name)
     warn_of_shared_walls([structure.mesh for structure in structures])
     return scene
 
@@ -144,27 +160,6 @@ def mesh_files(path: Path) -> tuple[Path, ...]:
     return (path, *found)
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML that refuses what goes wrong without a word.
-
-    A key given twice would drop the first one; aliases can make a few hundred bytes stand for gigabytes.
-    """
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            event = self.get_event()
-            raise yaml.composer.ComposerError(None, None, "aliases (*) are not allowed", event.start_mark)
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen = set()
-        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
-            if key.value in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"{key.value!r} is given twice", key.start_mark)
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
 def _check_unit(scene: Scene, mm_per_unit: float, where: str) -> None:
     """Raise ValueError when a scene's largest extent is not that of a body."""
     from ablate.anatomy.meshes.check import BODY_MM, largest_extent_mm
@@ -181,28 +176,6 @@ def _check_unit(scene: Scene, mm_per_unit: float, where: str) -> None:
     )
 
 
-def _mapping(value: Any, where: str, allowed: tuple[str, ...]) -> Mapping[str, Any]:
-    """The value, if it is a mapping whose keys are all allowed."""
-    if not isinstance(value, Mapping):
-        raise ValueError(f"{where}: must be a mapping of {', '.join(allowed)}, not {shown(value)}")
-    for key in value:
-        if key not in allowed:
-            hint = _closest(key, allowed)
-            raise ValueError(f"{where}: unknown key {shown(key)}{hint}; allowed: {', '.join(allowed)}")
-    return value
-
-
-def _closest(name: object, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(name[:100], list(known), n=3) if isinstance(name, str) else ()
-    return f" (did you mean {' or '.join(close)}?)" if close else ""
-
-
-def _tissue(name: Any, tissues: Mapping[str, Tissue], where: str) -> Tissue:
-    if not isinstance(name, str) or name not in tissues:
-        raise ValueError(f"{where}: unknown tissue {shown(name)}{_closest(name, tissues)}; known: {', '.join(tissues)}")
-    return tissues[name]
-
-
 def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
     """The built-in table with the file's own tissues added or changed."""
     tissues = load_tissues()
@@ -210,9 +183,9 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
         raise ValueError(f"{path}: tissues: must be a mapping of names, not {shown(content)}")
     for name, values in content.items():
         changes: dict[str, Any] = {}
-        for key, value in _mapping(values or {}, f"{path}: tissues.{name}", TISSUE_KEYS).items():
+        for key, value in mapping(values or {}, f"{path}: tissues.{name}", TISSUE_KEYS).items():
             here = f"{path}: tissues.{name}.{key}"
-            changes[key] = _numbers(value, here, 3) if key == "texture_mm" else _number(value, here)
+            changes[key] = numbers(value, here, 3) if key == "texture_mm" else number(value, here)
         try:
             tissues[name] = replace(tissues[name], **changes) if name in tissues else Tissue(name, **changes)
         except ValueError as error:
@@ -236,57 +209,28 @@ def _mesh_path(entry: Mapping[str, Any], folder: Path, where: str) -> Path:
 
 
 def _sites(content: Any, where: str, mm_per_unit: float, meshes: list[str]) -> SiteGrid:
-    content = _mapping(content, where, SITE_KEYS)
+    content = mapping(content, where, SITE_KEYS)
     values: dict[str, Any] = {}
     for key, value in content.items():
         here = f"{where}.{key}"
         if key == "region":
             values[key] = _region(value, meshes, here)
         elif key in ("axis", "front"):
-            values[key] = _numbers(value, here, 3)
+            values[key] = numbers(value, here, 3)
         elif key == "heights":
-            values["heights_mm"] = tuple(mm_per_unit * height for height in _series(value, here))
+            values["heights_mm"] = tuple(mm_per_unit * height for height in series(value, here))
         else:
-            values[f"{key}_deg"] = _series(value, here)
+            values[f"{key}_deg"] = series(value, here)
     try:
         return SiteGrid(**values)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
 
 
-def _region(value: Any, meshes: list[str], where: str) -> tuple[str, ...]:
-    """A list of mesh file names of the scene."""
+def _region(value: Any, known: list[str], where: str) -> tuple[str, ...]:
+    """A list of names of structures: those of mesh files or labels."""
     names = value if isinstance(value, list) else [value]
     for name in names:
-        if name not in meshes:
-            raise ValueError(f"{where}: no mesh {shown(name)}{_closest(name, meshes)}; known: {', '.join(meshes)}")
+        if name not in known:
+            raise ValueError(f"{where}: no mesh {shown(name)}{closest(name, known)}; known: {', '.join(known)}")
     return tuple(names)
-
-
-def _series(value: Any, where: str) -> tuple[float, ...]:
-    """A list of numbers, one number, or {range: [first, last], count: n}."""
-    if isinstance(value, Mapping):
-        value = _mapping(value, where, ("range", "count"))
-        first, last = _numbers(value.get("range"), f"{where}.range", 2)
-        count = value.get("count")
-        if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_POSES:
-            raise ValueError(f"{where}.count: must be a whole number from 1 to {MOST_POSES}, not {shown(count)}")
-        step = (last - first) / max(count - 1, 1)
-        return tuple(first + i * step for i in range(count))
-    return _numbers(value if isinstance(value, list) else [value], where)
-
-
-def _numbers(value: Any, where: str, count: int | None = None) -> tuple[float, ...]:
-    if not isinstance(value, (list, tuple)) or (count is not None and len(value) != count):
-        expected = "numbers" if count is None else f"{count} numbers"
-        raise ValueError(f"{where}: must be a list of {expected}, not {shown(value)}")
-    return tuple(_number(item, where) for item in value)
-
-
-def _number(value: Any, where: str) -> float:
-    try:
-        if not isinstance(value, bool) and isinstance(value, (int, float)) and math.isfinite(number := float(value)):
-            return number
-    except OverflowError:
-        pass
-    raise ValueError(f"{where}: must be a finite number, not {shown(value)}")

@@ -10,7 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ablate import anatomy, dataset
-from ablate.anatomy import ANATOMY_VERSION, Scene, SiteGrid
+from ablate.anatomy import ANATOMY_VERSION, LABELS_VERSION, Scene, SiteGrid
 from ablate.config import SceneKind, StudySettings, json_ready
 from ablate.dataset import Pairs, Placement, Recipe
 from ablate.ultrasound import SIMULATOR_VERSION, fan_mask
@@ -38,10 +38,12 @@ def _scene_identity(settings: StudySettings) -> dict[str, Any]:
         return {"kind": "fetal_abdomen", **shaped_by, "version": ANATOMY_VERSION}
     folder = Path(scene.folder or "")
     files = hashlib.sha256()
-    meshes = anatomy.validate_scene_folder(folder).meshes
-    for path in (folder / "scene.yaml", *(file for mesh, _ in meshes for file in anatomy.mesh_files(mesh))):
-        files.update(hashlib.sha256(path.read_bytes()).digest())
-    return {"kind": "folder", "files": files.hexdigest(), "version": ANATOMY_VERSION}
+    checked = anatomy.validate_scene_folder(folder)
+    for path in (folder / "scene.yaml", *checked.files):
+        with path.open("rb") as file:
+            files.update(hashlib.file_digest(file, "sha256").digest())
+    identity = {"kind": "folder", "files": files.hexdigest(), "version": ANATOMY_VERSION}
+    return {**identity, "labels_version": LABELS_VERSION} if checked.labels else identity
 
 
 def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
@@ -54,7 +56,7 @@ def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
         made = anatomy.fetal_abdomen(triangles=scene.triangles, seed=scene.anatomy_seed, cache_dir=kept)
         return made, anatomy.fetal_sites()
     folder = Path(scene.folder or "")
-    return anatomy.load_scene(folder), anatomy.load_sites(folder)
+    return anatomy.load_scene(folder, settings.runs / "data" / "anatomy"), anatomy.load_sites(folder)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Label volumes, such as segmentations of CT, made into closed surfaces."""

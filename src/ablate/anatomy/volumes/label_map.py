@@ -1,0 +1,116 @@
+"""The `labels` of a scene.yaml, checked: a volume, the tissue of each of its labels, and the body around them."""
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ablate.anatomy.scene_values import mapping, number, tissue_named
+from ablate.anatomy.tissue import Tissue
+from ablate.anatomy.volumes.volume_file import SUFFIXES, VolumeFile, check_volume
+from ablate.validation import shown
+
+LABELS_VERSION = 1  # of the surfaces that are made from labels: raised when they change
+TABLE = "totalsegmentator"  # classes of its task `total`, version 2
+LARGEST_LABEL = 65_535
+MOST_STRUCTURES = 254  # they are counted in 8 bits, with the body
+
+
+@dataclass(frozen=True)
+class Label:
+    """A label of the volume; without a tissue it is left out."""
+
+    number: int
+    name: str
+    tissue: Tissue | None
+
+
+@dataclass(frozen=True)
+class Body:
+    """What is above a threshold in an image on the grid of the labels, with all that it encloses."""
+
+    image: VolumeFile
+    above: float
+    tissue: Tissue
+
+
+@dataclass(frozen=True)
+class LabelMap:
+    """A volume of labels, its structures in their order: of two that touch, the later one's wall is the visible one."""
+
+    volume: VolumeFile
+    labels: tuple[Label, ...]
+    complete: bool  # whether each label must be in the volume
+    body: Body | None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that the structures are made from."""
+        return (self.volume.path, *((self.body.image.path,) if self.body else ()))
+
+    @property
+    def structures(self) -> tuple[tuple[str, Tissue], ...]:
+        """Name and tissue of all that may become a structure, the body first."""
+        body = (("body", self.body.tissue),) if self.body else ()
+        return (*body, *((label.name, label.tissue) for label in self.labels if label.tissue))
+
+
+def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], where: str) -> LabelMap:
+    """Check `{file, tissues, body}`, and the headers of the files that it names.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        When a file is missing or cannot be used, or a key or value is not as it should be; `where` names the key.
+    """
+    content = mapping(content, where, ("file", "tissues", "body"))
+    volume = _volume(content.get("file"), folder, f"{where}.file")
+    named = content.get("tissues")
+    if named == TABLE:
+        labels = tuple(Label(n, name, tissue_named(t, tissues, where)) for n, name, t in _table())
+    else:
+        labels = _labels(named, tissues, f"{where}.tissues")
+    body = _body(content["body"], folder, tissues, volume, f"{where}.body") if content.get("body") else None
+    return LabelMap(volume, labels, named != TABLE, body)
+
+
+def _volume(name: Any, folder: Path, where: str) -> VolumeFile:
+    if not isinstance(name, str) or not name.lower().endswith(SUFFIXES):
+        raise ValueError(f"{where}: must be a file name that ends in {', '.join(SUFFIXES)}, not {shown(name)}")
+    path = folder / name
+    if not path.is_file():
+        raise FileNotFoundError(f"{where}: no file {shown(name)} in {folder}")
+    return check_volume(path, where)
+
+
+def _labels(named: Any, tissues: Mapping[str, Tissue], where: str) -> tuple[Label, ...]:
+    if not isinstance(named, Mapping) or not named:
+        raise ValueError(f"{where}: must be {TABLE}, or a mapping of labels to tissues, not {shown(named)}")
+    labels = []
+    for label, tissue in named.items():
+        if not isinstance(label, int) or isinstance(label, bool) or not 1 <= label <= LARGEST_LABEL:
+            raise ValueError(f"{where}: a label is a whole number from 1 to {LARGEST_LABEL}, not {shown(label)}")
+        found = None if tissue is None else tissue_named(tissue, tissues, f"{where}.{label}")
+        labels.append(Label(label, f"label {label}", found))
+    if sum(label.tissue is not None for label in labels) > MOST_STRUCTURES:
+        raise ValueError(f"{where}: {len(labels)} labels; allowed are at most {MOST_STRUCTURES}")
+    return tuple(labels)
+
+
+def _body(content: Any, folder: Path, tissues: Mapping[str, Tissue], labels: VolumeFile, where: str) -> Body:
+    content = mapping(content, where, ("file", "above", "tissue"))
+    image = _volume(content.get("file"), folder, f"{where}.file")
+    if image.shape != labels.shape or not np.allclose(image.affine, labels.affine, atol=1e-3):
+        raise ValueError(f"{where}.file: {image.path} has not the shape and the affine of {labels.path}")
+    tissue = tissue_named(content.get("tissue", "soft_tissue"), tissues, f"{where}.tissue")
+    return Body(image, number(content.get("above"), f"{where}.above"), tissue)
+
+
+def _table() -> list[tuple[int, str, str]]:
+    """Label, name and tissue of each class of `TABLE`."""
+    with files("ablate.anatomy.volumes").joinpath(f"{TABLE}.csv").open(encoding="utf-8") as stream:
+        return [(int(row["label"]), row["name"], row["tissue"]) for row in csv.DictReader(stream)]
