@@ -54,6 +54,22 @@ def test_a_run_has_its_data_set_once_and_the_experiment_is_one_of_models(runs: P
     assert store.client.get_experiment(store.experiment_id).tags["mlflow.experimentKind"] == "custom_model_development"
 
 
+def test_scores_of_a_call_that_was_given_up_and_arrived_all_the_same_are_stored_once(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = open_store(runs, None, "ablate")
+    run = StoredRun(store, parent_run(store, "study"))
+    before = store.client.get_run(run.run_id)
+    run.scores({"test/psnr": 17.5}, 1000)  # arrives after it is looked for
+    with monkeypatch.context() as patch:
+        patch.setattr(MlflowClient, "get_run", lambda *_: before)
+        run.scores({"test/psnr": 17.5}, 1000)
+    run.scores({"test/psnr": 18.0}, 2000)  # scored again
+    history = store.client.get_metric_history(run.run_id, "test/psnr")
+    assert [(point.value, point.timestamp) for point in history] == [(17.5, 1000), (18.0, 2000)]
+    assert store.client.get_run(run.run_id).data.metrics == {"test/psnr": 18.0}
+
+
 def _open(folder: Path) -> str:
     store = open_store(folder, None, "ablate")
     return child_run(store, parent_run(store, "study"), "sa2h/seed0", "abc", {"variant": "sa2h"})
@@ -64,3 +80,25 @@ def test_processes_that_start_together_share_one_database(tmp_path: Path) -> Non
     with multiprocessing.get_context("spawn").Pool(4) as pool:
         runs = pool.map(_open, [tmp_path] * 8)
     assert len(set(runs)) == 1
+
+
+def test_folders_of_runs_that_share_a_server_share_no_study(runs: Path, tmp_path: Path) -> None:
+    uri = default_uri(runs)
+    anna, ben = (open_store(tmp_path / name, uri, "ablate") for name in ("anna", "ben"))
+    assert anna.experiment_id == ben.experiment_id
+    studies = [parent_run(store, "quick-fetal") for store in (anna, ben)]
+    assert studies[0] != studies[1]
+    children = {child_run(anna, study, "sa2h/seed0", "abc", {}) for study in studies}
+    assert len(children) == 2
+    (tmp_path / "anna").rename(tmp_path / "moved")
+    assert parent_run(open_store(tmp_path / "moved", uri, "ablate"), "quick-fetal") == studies[0]
+
+
+def test_an_experiment_that_somebody_else_makes_in_the_same_moment_is_used(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = open_store(runs, None, "ablate").experiment_id
+    lookup = MlflowClient.get_experiment_by_name
+    answers = iter([lambda *_: None, lookup])
+    monkeypatch.setattr(MlflowClient, "get_experiment_by_name", lambda *a: next(answers)(*a))
+    assert open_store(runs, None, "ablate").experiment_id == there

@@ -96,15 +96,16 @@ class _Copy:
         """Copy the log and, where the run has ended, its scores and state; returns its id."""
         state = _state(self.folder)
         run = self.curves()
+        changes = [line for line in tracking.read_log(self.folder)[0] if "status" in line]
+        changed_ms = changes[-1]["time"] if changes else None
         result = read_result(self.folder, str(_read(self.folder / "spec.json").get("hash")))
         if result is not None:
-            run.scores(logged(result["scalars"]))
+            run.scores(logged(result["scalars"]), changed_ms)
             if (scores := self.folder / "per_image.parquet").exists():
                 run.artifact(scores)
-        changes = [line for line in tracking.read_log(self.folder)[0] if "status" in line]
         ended = Status(changes[-1]["status"]) if changes else Status.killed
         ended = Status.killed if ended is Status.running else ended  # the process itself was killed
-        run.mark(Status.finished if result is not None else ended, changes[-1]["time"] if changes else None)
+        run.mark(Status.finished if result is not None else ended, changed_ms)
         run.tags({STATE: state})
         return run.run_id
 

@@ -16,5 +16,6 @@ from .store import child_runs as child_runs
 from .store import comparison_page as comparison_page
 from .store import open_store as open_store
 from .store import parent_run as parent_run
+from .store import reason as reason
 from .store import task_run as task_run
 from .stored_run import StoredRun as StoredRun

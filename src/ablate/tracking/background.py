@@ -3,6 +3,9 @@
 import logging
 import threading
 from collections.abc import Callable
+from functools import cache
+
+from ablate.tracking.store import reason
 
 _LOG = logging.getLogger(__name__)
 _EVERY_S = 5.0
@@ -43,8 +46,13 @@ class Background:
             work()
         except Exception as error:  # the thread would end in silence
             if not self._failing:
-                reason = " ".join(str(error).split())
-                _LOG.warning("not tracked for now, work goes on (%s: %.200s)", type(error).__name__, reason)
+                _say(f"not tracked for now, work goes on ({reason(error)})")
             self._failing = True
         else:
             self._failing = False
+
+
+@cache
+def _say(message: str) -> None:
+    """Log a message that this process has not logged before: each job of a sweep would repeat it."""
+    _LOG.warning("%s", message)

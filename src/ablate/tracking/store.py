@@ -2,6 +2,7 @@
 
 import json
 import logging
+import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,10 +15,12 @@ from mlflow.entities import Run, ViewType
 from mlflow.exceptions import MlflowException
 from sqlalchemy.exc import SQLAlchemyError
 
+from ablate.storage import write_text
 from ablate.tracking.database import default_uri, make_database, move_artifacts
 
 _LOCK_S = 60.0
 _PARENT_TAG = "mlflow.parentRunId"
+_OWNER_TAG = "runs"
 # What is raised where a store does not answer, refuses or is full.
 UNAVAILABLE = (MlflowException, SQLAlchemyError, OSError)
 _ABOUT = (
@@ -28,6 +31,19 @@ _EXPERIMENT_TAGS = {
     "mlflow.experimentKind": "custom_model_development",  # the pages then show runs and models, not prompts and traces
     "mlflow.note.content": _ABOUT,
 }
+
+
+_REFUSED = {
+    "UNAUTHENTICATED": "the server takes another user or password than MLFLOW_TRACKING_USERNAME and "
+    "MLFLOW_TRACKING_PASSWORD hold",
+    "PERMISSION_DENIED": "your user may not write there; tracking.experiment=<name> makes an experiment of your own",
+}
+
+
+def reason(error: Exception) -> str:
+    """Why a store could not be used, in one line."""
+    said = " ".join(str(error).split())
+    return _REFUSED.get(getattr(error, "error_code", ""), f"{type(error).__name__}: {said:.200}")
 
 
 class Status(StrEnum):
@@ -46,6 +62,7 @@ class Store:
     uri: str
     experiment_id: str
     lock: Path  # taken around whatever looks a run up and then makes it
+    owner: str | None = None  # tells the folders of runs that share a server apart
 
     @property
     def client(self) -> MlflowClient:
@@ -57,7 +74,7 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
 
     Safe for several processes: concurrent first use of a fresh SQLite store fails otherwise. Artifacts go to
     `runs/artifacts` for the default store, also after `runs` was moved or copied; a server given by `uri` decides for
-    itself. A store that cannot be used is one of `UNAVAILABLE`.
+    itself, and other folders of runs may use it too. A store that cannot be used is one of `UNAVAILABLE`.
     """
     logging.getLogger("alembic").setLevel(logging.WARNING)
     logging.getLogger("mlflow").setLevel(logging.WARNING)
@@ -70,14 +87,32 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
         client = MlflowClient(uri or default_uri(runs))
         found = client.get_experiment_by_name(experiment)
         if found is None:
-            identity = str(client.create_experiment(experiment, location, _EXPERIMENT_TAGS))
+            identity = _new_experiment(client, experiment, location)
         else:
             identity = str(found.experiment_id)
             if found.lifecycle_stage == "deleted":
                 client.restore_experiment(identity)
             if location and _is_own(found.artifact_location) and found.artifact_location != location:
                 move_artifacts(runs, found.artifact_location, location)
-    return Store(uri or default_uri(runs), identity, lock)
+        return Store(uri or default_uri(runs), identity, lock, _owner(runs) if uri else None)
+
+
+def _new_experiment(client: MlflowClient, name: str, location: str | None) -> str:
+    """Id of a new experiment, or of the one that somebody else has just made."""
+    try:
+        return str(client.create_experiment(name, location, _EXPERIMENT_TAGS))
+    except MlflowException as error:
+        if error.error_code != "RESOURCE_ALREADY_EXISTS" or (found := client.get_experiment_by_name(name)) is None:
+            raise
+        return str(found.experiment_id)
+
+
+def _owner(runs: Path) -> str:
+    """The name by which a server knows this folder of runs, wherever it is moved."""
+    file = runs / ".owner"
+    if not file.exists():
+        write_text(file, uuid.uuid4().hex)
+    return file.read_text("utf-8")
 
 
 def _is_own(location: str) -> bool:
@@ -87,12 +122,17 @@ def _is_own(location: str) -> bool:
 
 def parent_run(store: Store, study: str) -> str:
     """Id of the study's parent run, which is created when there is none."""
-    return _run(store, study, {"study": study, "kind": "study"})
+    return _run_of_folder(store, study, {"study": study, "kind": "study"})
 
 
 def task_run(store: Store, task: str, study: str) -> str:
     """Id of the run of a task such as `precision`, named as the task and created when there is none."""
-    return _run(store, task, {"study": study, "kind": task})
+    return _run_of_folder(store, task, {"study": study, "kind": task})
+
+
+def _run_of_folder(store: Store, name: str, known_by: Mapping[str, str]) -> str:
+    """Id of a run that is known by its study: two people who share a server may give two studies one name."""
+    return _run(store, name, {**known_by, **({_OWNER_TAG: store.owner} if store.owner else {})})
 
 
 def child_run(

@@ -47,14 +47,17 @@ class StoredRun:
             self._client.log_batch(self.run_id, metrics=[Metric(p.key, p.value, p.time_ms, p.step) for p in batch])
             self._steps.update((point.key, point.step) for point in batch)
 
-    def scores(self, values: Mapping[str, float]) -> None:
-        """Log values that a run has one of, at step 0; NaN and infinite ones are left out."""
+    def scores(self, values: Mapping[str, float], time_ms: int | None = None) -> None:
+        """Log values that a run has one of, at step 0; NaN and infinite ones are left out.
+
+        The same values of the same time are stored once, also where a server takes a call that was given up.
+        """
         known = self._client.get_run(self.run_id).data.metrics
         new = {k: float(v) for k, v in values.items() if abs(float(v)) < 1e300 and known.get(k) != float(v)}
-        now = int(time.time() * 1000)
+        at = time_ms or int(time.time() * 1000)
         for k in range(0, len(new), _BATCH):
             batch = list(new.items())[k : k + _BATCH]
-            self._client.log_batch(self.run_id, metrics=[Metric(key, value, now, 0) for key, value in batch])
+            self._client.log_batch(self.run_id, metrics=[Metric(key, value, at, 0) for key, value in batch])
 
     def parameters(self, values: Mapping[str, object]) -> None:
         """Log parameters; those that the run already has are left as they are."""

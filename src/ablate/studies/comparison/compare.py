@@ -20,7 +20,7 @@ from ablate.studies.comparison.usable_runs import UsableRuns, usable_runs
 from ablate.studies.copied import STATE, copy_study
 from ablate.studies.jobs.job import COMPARISON
 from ablate.studies.tracked import describe_study, register_reference
-from ablate.tracking import UNAVAILABLE, Status, default_uri
+from ablate.tracking import UNAVAILABLE, Status, default_uri, reason
 
 
 def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
@@ -149,8 +149,7 @@ def _track(
         if settings.tracking.register:
             return f"\nregistered     {register_reference(settings, runs, run.store, ids)}"
     except UNAVAILABLE as error:
-        reason = " ".join(str(error).split())
-        return f"\nNote: not all is in MLflow yet ({reason:.200}); the same command logs the rest."
+        return f"\nNote: not all is in MLflow yet ({reason(error)}); the same command logs the rest."
     return ""
 
 
