@@ -140,6 +140,13 @@ def _has_secret(uri: str) -> bool:
     return bool(named or re.match(user, rest))
 
 
+class Provenance(StrEnum):
+    """What a run stores of what it was made with; `minimal` leaves out uncommitted changes and installed packages."""
+
+    full = "full"
+    minimal = "minimal"
+
+
 @dataclass(frozen=True)
 class TrackingSettings:
     """Where runs are tracked; `uri` null is the SQLite file `mlflow.db` in `runs_dir`.
@@ -151,6 +158,7 @@ class TrackingSettings:
     uri: str | None = None
     experiment: str = "ablate"
     register: str | None = None
+    provenance: Provenance = Provenance.full
 
     def __post_init__(self) -> None:
         if self.uri is not None and _has_secret(self.uri):

@@ -19,7 +19,7 @@ def run_task(command: CommandLine) -> int:
     """Check every job of a command line, do its task and return the exit code."""
     jobs, launch, task = command.jobs, command.launch, command.jobs[0].settings.task
     if task is not Task.describe:
-        check(jobs)
+        check(jobs, elsewhere=launch.cluster is not None)
     if task is Task.study:
         return study(jobs, launch, elsewhere=launch.cluster is not None)
     if task is Task.simulate:

@@ -1,5 +1,6 @@
 """Crops are windows of one frame that touch the fan, and depend on (seed, step, index) alone."""
 
+import hashlib
 import resource
 import sys
 import threading
@@ -232,3 +233,15 @@ def test_what_cannot_be_cropped_is_refused(pairs: Pairs) -> None:
         crops(pairs, batch_size=7)
     with pytest.raises(ValueError, match="numbered: no pixel of the frames lies in the fan"):
         crops(Numbered(np.zeros((4, 4), bool), 3))  # type: ignore[arg-type]
+
+
+def test_a_batch_is_what_it_was(pairs: Pairs) -> None:
+    """Crops are windows and quotients of whole numbers, so every processor gives the same bits."""
+    batch = Crops(
+        pairs, np.arange(FRAMES), frozenset({"attenuation"}), VALUES, CropSettings(size=16, batch_size=2, flip=True)
+    )[3]
+    found = hashlib.sha256(b"".join(name.encode() + batch[name].numpy().tobytes() for name in sorted(batch)))
+    assert found.hexdigest()[:16] == "8daa2bdb90360cb5", (
+        "the same settings now cut other crops: raise TRAINING_VERSION in ablate/training/settings.py, so that no "
+        "stored run goes on with this code, and pin this digest"
+    )

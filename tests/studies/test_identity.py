@@ -7,13 +7,18 @@ from typing import Any
 
 import pandas as pd
 import pytest
+import torch
 
 from ablate.config import ConfigurationError
 from ablate.metrics import METRICS_VERSION
-from ablate.storage import write_json
+from ablate.storage import read_json, write_json
+from ablate.studies import identity
 from ablate.studies.identity import check_place, claim_place, config_hash, finished, with_earlier_metrics
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.job import Job
+from ablate.studies.jobs.preflight import check
+from ablate.training import TRAINING_VERSION
+from support.studies import study_group
 
 
 def job(runs: Path, *arguments: str) -> Job:
@@ -71,6 +76,54 @@ def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, plain_hash: str
 )
 def test_what_decides_the_result_counts(tmp_path: Path, plain_hash: str, semantic: str) -> None:
     assert config_hash(job(tmp_path, semantic).settings) != plain_hash
+
+
+@pytest.mark.parametrize("fast", ["fp32", "bf16"])
+def test_automatic_precision_is_the_one_of_the_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fast: str
+) -> None:
+    """So that a run that began in one does not go on in the other."""
+    for probe in ("_is_avx512_bf16_supported", "_is_amx_tile_supported"):
+        monkeypatch.setattr(torch.cpu, probe, lambda: fast == "bf16", raising=False)
+    automatic, other = (
+        job(tmp_path, "training.device=cpu", f"training.precision={precision}")
+        for precision in ("auto", {"fp32": "bf16", "bf16": "fp32"}[fast])
+    )
+    named = job(tmp_path, "training.device=cpu", f"training.precision={fast}")
+    assert config_hash(automatic.settings) == config_hash(named.settings)
+    claim_place(automatic)
+    with pytest.raises(ConfigurationError, match=rf"training\.precision: {fast} there, "):
+        claim_place(other)
+
+
+def test_on_a_cluster_the_precision_is_named(tmp_path: Path) -> None:
+    automatic = [job(tmp_path, "training.precision=auto")]
+    check(automatic)
+    with pytest.raises(ConfigurationError, match=r"^training\.precision=auto: .*on a cluster are fp32 and bf16"):
+        check(automatic, elsewhere=True)
+    check([job(tmp_path)], elsewhere=True)
+
+
+def test_another_version_of_the_training_is_another_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mine, beside = job(tmp_path), job(tmp_path, "variant=nsa2h")
+    claim_place(mine)
+    monkeypatch.setattr(identity, "TRAINING_VERSION", TRAINING_VERSION + 1)
+    versions = f"training_version: {TRAINING_VERSION} there, {TRAINING_VERSION + 1} here"
+    for each in (mine, beside):
+        with pytest.raises(ConfigurationError, match=rf"\({versions}\).*study_name"):
+            claim_place(each)
+    there = json.loads((mine.folder / "spec.json").read_text())["hash"]
+    assert config_hash(mine.settings) != there
+
+
+def test_runs_stored_before_there_was_a_version_of_the_training_are_known_by_the_same_hash() -> None:
+    kept = Path(__file__).parents[2] / "docs" / "results" / "answer"
+    of_study = {job.name: job for name in ("answer", "answer_beside") for job in study_group(name)}
+    found = {f"{path.parts[-3]}/{path.parts[-2]}": read_json(path) for path in kept.glob("*/seed*/spec.json")}
+    assert found
+    for name, spec in found.items():
+        same = spec["semantic"].get("training_version", 1) == TRAINING_VERSION
+        assert (config_hash(of_study[name].settings) == spec["hash"]) == same
 
 
 def test_another_configuration_in_the_same_place_is_refused_with_the_difference(tmp_path: Path) -> None:

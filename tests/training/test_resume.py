@@ -18,7 +18,16 @@ import torch
 from torch import Tensor
 
 from ablate.networks import GeneratorSpec
-from ablate.training import LAST, Loader, Schedule, TrainingSettings, load_generator, read_checkpoint, train
+from ablate.training import (
+    LAST,
+    TRAINING_VERSION,
+    Loader,
+    Schedule,
+    TrainingSettings,
+    load_generator,
+    read_checkpoint,
+    train,
+)
 
 
 class Stopped(BaseException):
@@ -319,6 +328,42 @@ def test_another_run_in_the_same_place_is_refused_with_the_difference(
         train(spec, replace(settings, l1_weight=10.0), loader, tmp_path)
     with pytest.raises(ValueError, match="depth=2 there, 3 asked for"):
         train(replace(spec, depth=3), settings, loader, tmp_path)
+
+
+def test_a_checkpoint_of_another_version_of_the_training_is_refused(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, whole: Callable[[str], Path], tmp_path: Path
+) -> None:
+    checkpoint = read_checkpoint(whole("fp32") / LAST)
+    assert checkpoint.pop("training_version") == TRAINING_VERSION
+    for version in ({} if TRAINING_VERSION > 1 else {"training_version": 2}), {"training_version": 99}:
+        torch.save({**checkpoint, **version}, tmp_path / LAST)
+        with pytest.raises(ValueError, match=rf"this program has version {TRAINING_VERSION}; remove it to start again"):
+            train(spec, settings, loader, tmp_path)
+
+
+@pytest.mark.parametrize(("began", "goes_on"), [("bf16", "fp32"), ("fp32", "bf16")])
+def test_a_run_keeps_the_precision_that_automatic_stood_for(
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    loader: Loader,
+    whole: Callable[[str], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    began: str,
+    goes_on: str,
+) -> None:
+    def machine(precision: str) -> None:
+        for probe in ("_is_avx512_bf16_supported", "_is_amx_tile_supported"):
+            monkeypatch.setattr(torch.cpu, probe, lambda: precision == "bf16", raising=False)
+
+    automatic = replace(settings, precision="auto")
+    machine(began)
+    train(spec, replace(automatic, steps=3), loader, tmp_path)
+    machine(goes_on)
+    with pytest.raises(ValueError, match=rf"of another run \(precision={began} there, {goes_on} asked for\)"):
+        train(spec, automatic, loader, tmp_path)
+    train(spec, replace(settings, precision=began), loader, tmp_path)
+    assert_same_state(whole(began), tmp_path)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a checkpoint"])

@@ -15,14 +15,17 @@ from ablate.storage import digest, read_json, write_json
 from ablate.studies.jobs.job import Job
 from ablate.studies.pairs.data import about_data
 from ablate.studies.result_file import read_result, scored_by
+from ablate.training.settings import TRAINING_VERSION, TrainingPrecision, TrainingSettings
 
-# These settings say where a job runs and how often it saves or reports; they do not change its result.
+# These settings say where a job runs and how often it saves or reports. Another device or number of threads rounds
+# otherwise, as another processor does; `starts.json` of a run tells them.
 _INCIDENTAL_TRAINING = ("device", "threads", "checkpoint_every", "validate_every", "log_every")
 
 
 def semantic(settings: StudySettings) -> dict[str, Any]:
     """The settings that decide the trained network and its scores, as JSON values."""
     training = {k: v for k, v in json_ready(settings.training).items() if k not in _INCIDENTAL_TRAINING}
+    training["precision"] = precision_of(settings.training).name
     arbitrary = settings.encoding is Encoding.arbitrary
     encoding = {"order": settings.encoding.name} | ({"seed": settings.encoding_seed} if arbitrary else {})
     scored = {k: v for k, v in json_ready(settings.evaluation).items() if k not in ("pictures", "inception")}
@@ -34,7 +37,18 @@ def semantic(settings: StudySettings) -> dict[str, Any]:
         "evaluation": scored,
         "crops": {k: v for k, v in json_ready(settings.crops).items() if k != "workers"},
         "seed": settings.seed,
+        # Version 1 is left out, as it was before there was a version.
+        **({} if TRAINING_VERSION == 1 else {"training_version": TRAINING_VERSION}),
     }
+
+
+def precision_of(training: TrainingSettings) -> TrainingPrecision:
+    """The precision that a training has on this machine: `auto` depends on the device."""
+    if training.precision is not TrainingPrecision.auto:
+        return training.precision
+    from ablate.training import chosen_device, chosen_precision  # loads PyTorch
+
+    return chosen_precision(training.precision, chosen_device(training.device))
 
 
 def shared(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -54,6 +68,10 @@ def shared_pairs(data: Mapping[str, Any]) -> dict[str, Any]:
     return {**data, "scene": {k: v for k, v in data["scene"].items() if k != "seed"}}
 
 
+def _training_version(content: Mapping[str, Any]) -> dict[str, int]:
+    return {"training_version": content.get("training_version", 1)}
+
+
 def config_hash(settings: StudySettings) -> str:
     """First 16 hexadecimal digits of the SHA-256 of `semantic`."""
     return digest(semantic(settings))
@@ -69,6 +87,7 @@ def check_place(job: Job) -> None:
         try:
             there = read_json(spec)["semantic"]
             pair = (there, here) if spec.parent == job.folder else (shared(there), shared(here))
+            pair = pair[0] | _training_version(there), pair[1] | _training_version(here)
             differences = ", ".join(f"{k}: {a} there, {b} here" for k, a, b in _differences(*pair))
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             continue  # a damaged file tells nothing; comparisons leave its run aside

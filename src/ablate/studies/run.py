@@ -19,9 +19,10 @@ from ablate.studies.copied import copying
 from ablate.studies.identity import claim_place, config_hash, finished, with_earlier_metrics
 from ablate.studies.jobs.describe import parameters
 from ablate.studies.jobs.job import Job
+from ablate.studies.made_with import write_provenance
 from ablate.studies.pairs.data import Data, dataset_folder, maps_needed, prepare_data
 from ablate.studies.result_file import read_result
-from ablate.studies.tracked import log_samples, write_provenance
+from ablate.studies.tracked import log_samples
 from ablate.tracking import LocalLog
 from ablate.training import TrainingPrecision, Validation, chosen_device, generate, median_ms_per_frame, train
 

@@ -10,9 +10,7 @@ from ablate.config import SceneKind, StudySettings, build, json_ready
 from ablate.dataset import Part, label_values
 from ablate.metrics.stored_names import FLOOR_PREFIX, is_bound
 from ablate.networks import conditions
-from ablate.storage import write_json, write_text
 from ablate.studies.comparison.results import Finished, data_of
-from ablate.studies.jobs.job import Job
 from ablate.tracking import LocalLog, Store, StoredRun
 from ablate.training import LAST, load_generator
 
@@ -63,18 +61,6 @@ def about_run(label: str, seed: int, study: str) -> str:
         "**Artifacts**: every metric of every frame in `per_image.parquet`; configuration, code and environment in "
         "`provenance`."
     )
-
-
-def write_provenance(job: Job) -> None:
-    """Write configuration, code and environment into the folder of a run."""
-    code = tracking.git_state()
-    made_with = {k: v for k, v in code.items() if k != "git_diff"} | {"hardware": tracking.hardware()}
-    provenance = job.folder / "provenance"
-    provenance.mkdir(exist_ok=True)
-    write_json(provenance / "config.json", json_ready(job.settings))
-    write_json(provenance / "made_with.json", {**made_with, **tracking.packages()})
-    write_text(provenance / "environment.txt", tracking.environment())
-    write_text(provenance / "uncommitted.diff", code.get("git_diff", ""))
 
 
 def log_samples(log: LocalLog, frames: np.ndarray, images: np.ndarray, targets: np.ndarray, images_seen: int) -> None:

@@ -18,6 +18,7 @@ from .loop import train as train
 from .module import PairGAN as PairGAN
 from .reporting import MetricSink as MetricSink
 from .reporting import Validation as Validation
+from .settings import TRAINING_VERSION as TRAINING_VERSION
 from .settings import AdversarialLoss as AdversarialLoss
 from .settings import Reconstruction as Reconstruction
 from .settings import Schedule as Schedule

@@ -11,10 +11,11 @@ from ablate.storage import remove_partial, written_whole
 from ablate.training.divergence import DivergenceError
 from ablate.training.interruption import Interruption
 from ablate.training.module import PairGAN
-from ablate.training.settings import Schedule, as_builtins
+from ablate.training.settings import TRAINING_VERSION, Schedule, as_builtins
 
 LAST = "last.ckpt"
-# Settings that may differ between a run and its continuation: they do not change what is computed, but for how long.
+# Settings that may differ between a run and its continuation: they say how long is trained, and where. Another device
+# or number of threads adds numbers in another order, so weights differ by rounding.
 _FREE = frozenset({"steps", "device", "threads", "checkpoint_every", "validate_every", "log_every"})
 
 
@@ -63,6 +64,10 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 def resume(module: PairGAN, path: Path) -> None:
     """Continue from `path`; ValueError, which names what differs, if it holds another network or another training."""
     checkpoint = read_checkpoint(path)
+    version = checkpoint.get("training_version", 1)  # not stored at first
+    if version != TRAINING_VERSION:
+        trained = f"trained by version {version} of the training, this program has version {TRAINING_VERSION}"
+        raise ValueError(f"{path}: {trained}; remove it to start again")
     # A falling learning rate depends on the number of steps.
     free = _FREE if module.settings.schedule is Schedule.constant else _FREE - {"steps"}
     for part, wanted in (("spec", as_builtins(module.spec)), ("settings", as_builtins(module.settings))):

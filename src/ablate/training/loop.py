@@ -5,7 +5,7 @@ import signal
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +49,9 @@ def train(
     """Train a generator, or finish its training.
 
     A run that was stopped at any step and is called again with the same arguments ends with the weights of a run
-    that was not stopped: to the bit on the same CPU, and as far as the convolutions of cuDNN repeat themselves
-    on a GPU. After SIGTERM, SIGHUP, SIGUSR2 or Ctrl-C the current step is finished, a checkpoint is written, and the
-    signal is raised again.
+    that was not stopped: to the bit on the same CPU with the same number of threads, and as far as the convolutions of
+    cuDNN repeat themselves on a GPU. A run keeps the precision that `auto` stood for when it began. After SIGTERM,
+    SIGHUP, SIGUSR2 or Ctrl-C the current step is finished, a checkpoint is written, and the signal is raised again.
 
     Parameters
     ----------
@@ -81,6 +81,7 @@ def train(
     if settings.threads:
         torch.set_num_threads(settings.threads)
     device = chosen_device(settings.device)
+    settings = replace(settings, precision=chosen_precision(settings.precision, device))
     keep_freed_memory()
     module = PairGAN(spec, settings)
     run_dir.mkdir(parents=True, exist_ok=True)
@@ -119,7 +120,7 @@ def _fit(
             devices=1,
             # A SLURM allocation does not matter here: there is one process with one device.
             plugins=[LightningEnvironment()],
-            precision=_TRAINER_PRECISION[chosen_precision(module.settings.precision, device)],  # type: ignore[arg-type]
+            precision=_TRAINER_PRECISION[module.settings.precision],  # type: ignore[arg-type]
             max_epochs=1,
             callbacks=callbacks,
             benchmark=device.type == "cuda",

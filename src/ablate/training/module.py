@@ -20,7 +20,13 @@ from ablate.networks import (
     draws_noise,
 )
 from ablate.training.losses import crps_of_two_draws, mean_in_fan, second_seeds
-from ablate.training.settings import AdversarialLoss, Reconstruction, TrainingSettings, as_builtins
+from ablate.training.settings import (
+    TRAINING_VERSION,
+    AdversarialLoss,
+    Reconstruction,
+    TrainingSettings,
+    as_builtins,
+)
 
 # The running average follows faster at first: min(decay, (1 + t) / (10 + t)) at step t.
 _EMA_LAG = 10
@@ -139,8 +145,9 @@ class PairGAN(LightningModule):
         return bool(torch.stack([norm.float() for norm in norms]).isfinite().all())
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add the number of batches seen."""
+        """Add the number of batches seen, and the version of the code that saw them."""
         checkpoint["steps_done"] = self.steps_done
+        checkpoint["training_version"] = TRAINING_VERSION
 
     def restore(self, checkpoint: Mapping[str, Any]) -> None:
         """Continue from a checkpoint: weights and step now, optimisers when they are made."""

@@ -7,6 +7,8 @@ from typing import Any
 
 from ablate.validation import coerce_enums
 
+#: Part of every run's identity: raise it when the same settings and pairs train another network.
+TRAINING_VERSION = 1
 SMALLEST_CROP = 32
 
 
@@ -64,7 +66,8 @@ class TrainingSettings:
     device : str
         `auto` (a GPU if there is one), `cpu` or `cuda`.
     threads : int
-        Of torch on a CPU; 0 leaves torch's choice. Parallel jobs want 1.
+        Of torch on a CPU; 0 leaves torch's choice. Parallel jobs want 1. With another number, sums are rounded in
+        another order, and training makes such differences grow.
     seed : int
         Of the initial weights. Crops and noise come from the seed of the batches.
     checkpoint_every, validate_every, log_every : int

@@ -19,10 +19,10 @@ from ablate.storage import read_json
 from ablate.studies.pairs.data import Data, open_data
 from ablate.studies.result_file import read_result
 
-ABOUT_CODE = ("git_commit", "git_dirty", "hardware")
+ABOUT_CODE = ("git_commit", "git_dirty", "hardware", "threads")
 _LOG = logging.getLogger(__name__)
 _PICTURES = "pictures.npz"
-_DIFF, _MADE_WITH = "uncommitted.diff", "made_with.json"
+_DIFFS, _MADE_WITH = "uncommitted*.diff", "made_with.json"
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,13 @@ class Finished:
     def files(self) -> tuple[Path, ...]:
         """The files that a comparison reads of it; some may be missing."""
         own = ("spec.json", "result.json", "per_image.parquet", _PICTURES)
-        of_code = (self.folder / "provenance" / name for name in (_DIFF, _MADE_WITH))
-        return (*(self.folder / name for name in own), *of_code)
+        made_with = self.folder / "provenance" / _MADE_WITH
+        return (*(self.folder / name for name in own), made_with, *self.uncommitted)
+
+    @property
+    def uncommitted(self) -> list[Path]:
+        """The uncommitted changes of the code that it was made with."""
+        return sorted((self.folder / "provenance").glob(_DIFFS))
 
 
 def finished_runs(study_dir: Path) -> list[Finished]:
@@ -177,14 +182,13 @@ def appendix(runs: Sequence[Finished]) -> dict[str, str]:
     texts = {"Packages": "\n".join(f"{k} {v}" for k, v in packages.items())} if packages else {}
     names: dict[str, list[str]] = {}
     for run in runs:
-        path = run.folder / "provenance" / _DIFF
-        diff = path.read_text("utf-8", "replace") if path.is_file() else ""
+        diff = "\n".join(path.read_text("utf-8", "replace") for path in run.uncommitted if path.is_file())
         names.setdefault(diff, []).append(run.name)
     return {**texts, **{f"Uncommitted changes: {', '.join(of)}": diff for diff, of in names.items() if diff}}
 
 
 def _made_with(runs: Sequence[Finished]) -> dict[str, str]:
-    """What the runs recorded in `made_with.json` when they were last started, by key."""
+    """What the runs recorded in `made_with.json`, by key."""
     recorded: dict[str, dict[str, Any]] = {}
     for run in runs:
         with suppress(OSError, ValueError):  # missing or damaged

@@ -16,13 +16,20 @@ from ablate.studies.identity import check_place
 from ablate.studies.jobs.job import Job
 from ablate.studies.jobs.variants import variant_model, variant_names
 from ablate.studies.pairs.imported import checked_folder
+from ablate.training import TrainingPrecision
 
 _NEED_SCENE = (Task.preview, Task.precision)
 
 
-def check(jobs: Sequence[Job]) -> None:
-    """Check every job; a ConfigurationError is one line that names the key or file and what is allowed."""
+def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
+    """Check every job; a ConfigurationError is one line that names the key or file and what is allowed.
+
+    Jobs that run `elsewhere`, on the nodes of a cluster, must be known by the same hash here and there.
+    """
     for job in jobs:
+        if elsewhere and job.settings.task is Task.study and job.settings.training.precision is TrainingPrecision.auto:
+            differ = "it may be another on the node that runs the job than here"
+            raise ConfigurationError(f"training.precision=auto: {differ}; allowed on a cluster are fp32 and bf16")
         seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
         _check_training(job, seen, {other.label for other in jobs})
         _check_metrics(job.settings)

@@ -1,0 +1,127 @@
+"""What a run was made with is kept of every start, so that one that went on with other code can be told."""
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from ablate import tracking
+from ablate.storage import write_json
+from ablate.studies import made_with
+from ablate.studies.comparison.results import Finished, appendix, provenance
+from ablate.studies.identity import config_hash
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.job import Job
+from ablate.studies.made_with import write_provenance
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Job:
+    (made,) = jobs_of([f"runs_dir={tmp_path}", "training.threads=1"])
+    made.folder.mkdir(parents=True)
+    return made
+
+
+def code(monkeypatch: pytest.MonkeyPatch, commit: str, diff: str = "") -> None:
+    """The repository is at this commit, with these changes."""
+    state = {"git_commit": commit, "git_dirty": str(bool(diff)).lower(), "git_diff": diff}
+    monkeypatch.setattr(tracking, "git_state", lambda: dict(state))
+
+
+def stored(job: Job, name: str) -> Any:
+    return json.loads((job.folder / "provenance" / name).read_text())
+
+
+def stopped_at(job: Job, step: int) -> None:
+    torch.save({"steps_done": step}, job.folder / "last.ckpt")
+
+
+def test_every_start_is_listed_and_the_report_names_all_commits(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        code(monkeypatch, "aaa", "+one\n")
+        write_provenance(job)
+        stopped_at(job, 40)
+        write_provenance(job)
+        assert not caplog.messages, "the same code"
+        code(monkeypatch, "bbb")
+        (again,) = jobs_of([f"runs_dir={job.settings.runs}", "training.threads=2"])
+        stopped_at(job, 60)
+        write_provenance(again)
+    (said,) = caplog.messages
+    assert said.startswith("step 60: training goes on with other code or hardware (git_commit aaa, now bbb")
+    assert "threads 1, now 2" in said
+    starts = stored(job, "starts.json")["starts"]
+    assert [(s["git_commit"], s["step"], s["threads"]) for s in starts] == [
+        ("aaa", 0, 1),
+        ("aaa", 40, 1),
+        ("bbb", 60, 2),
+    ]
+    assert ["git_diff" in s for s in starts] == [True, True, False]
+    about = stored(job, "made_with.json")
+    assert (about["git_commit"], about["git_dirty"], about["threads"]) == ("aaa, bbb", "true", "1, 2")
+    assert about["torch"] == torch.__version__
+    run = Finished(job.folder, {}, {"label": "sa2h", "seed": 0, "data": "fetal-0"})
+    assert provenance([run])["git_commit"] == "aaa, bbb"
+    assert appendix([run])["Uncommitted changes: sa2h/seed0"] == "+one\n\n"
+
+
+def test_a_change_of_uncommitted_code_alone_is_told(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    for diff in ("+one\n", "+two\n"):
+        code(monkeypatch, "aaa", diff)
+        write_provenance(job)
+        stopped_at(job, 40)
+    assert "step 40: training goes on with other code or hardware (git_diff" in caplog.text
+    kept = sorted((job.folder / "provenance").glob("uncommitted*.diff"))
+    assert {path.read_text() for path in kept} == {"+one\n", "+two\n"}
+    assert (job.folder / "provenance" / "uncommitted.diff").read_text() == "+two\n"
+
+
+def test_a_finished_training_that_is_scored_again_goes_on_with_nothing(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    code(monkeypatch, "aaa")
+    write_provenance(job)
+    stopped_at(job, 60)
+    about = {"hash": config_hash(job.settings), "label": "sa2h", "seed": 0, "data": "fetal-0", "scalars": {}}
+    write_json(job.folder / "result.json", about)
+    code(monkeypatch, "bbb")
+    write_provenance(job)
+    assert not caplog.messages
+    assert stored(job, "made_with.json")["git_commit"] == "aaa, bbb"
+
+
+@pytest.mark.parametrize("listed", [None, "", '{"starts": 3}', '{"starts": [1]}'])
+def test_a_run_that_was_started_before_starts_were_listed_keeps_its_commit(
+    job: Job, monkeypatch: pytest.MonkeyPatch, listed: str | None
+) -> None:
+    folder = job.folder / "provenance"
+    folder.mkdir()
+    write_json(folder / "made_with.json", {"git_commit": "aaa", "git_dirty": "false", "hardware": "old"})
+    if listed is not None:
+        (folder / "starts.json").write_text(listed)
+    code(monkeypatch, "bbb")
+    write_provenance(job)
+    assert stored(job, "made_with.json")["git_commit"] == "aaa, bbb"
+    assert len(stored(job, "starts.json")["starts"]) == 2
+
+
+def test_minimal_provenance_has_no_changes_and_no_environment(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    (minimal,) = jobs_of([f"runs_dir={job.settings.runs}", "tracking.provenance=minimal"])
+    assert config_hash(minimal.settings) == config_hash(job.settings)
+    for diff in ("+canary one\n", "+canary two\n"):
+        code(monkeypatch, "aaa", diff)
+        write_provenance(job)
+    monkeypatch.setattr(tracking, "environment", lambda: "canary==1\n")
+    write_provenance(job)
+    write_provenance(minimal)
+    files = {path.name: path.read_text() for path in (job.folder / "provenance").iterdir()}
+    assert files.keys() == {"config.json", "made_with.json", "starts.json"}
+    assert not any("canary" in text for text in files.values())
+    assert made_with._earlier(job.folder / "provenance")[-1]["git_commit"] == "aaa"
