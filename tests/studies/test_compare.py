@@ -16,6 +16,7 @@ from ablate.analysis import RESIMULATION, find_design
 from ablate.config import ConfigurationError, StudySettings, json_ready
 from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
 from ablate.networks import COMPONENTS
+from ablate.storage import digest
 from ablate.studies.comparison.answers import FACTORS, components_of
 from ablate.studies.comparison.compare import compare_study, write_comparison
 from ablate.studies.comparison.results import Finished, finished_runs
@@ -55,7 +56,7 @@ def write_run(
     loss = "none" if label.startswith("sa2h-gan") else "nonsaturating"
     training = {"steps": 9, "seed": seed, "loss": loss}
     semantic = {"model": model, "encoding": encoding, "data": pairs, "training": training}
-    spec = {"label": label, "hash": f"{label}{seed}", "semantic": semantic}
+    spec = {"label": label, "hash": digest(semantic), "semantic": semantic}
     (folder / "spec.json").write_text(json.dumps({**spec, "settings": {"model": model}}))
     scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_lower": 2.0, "test/fd_speckle_upper": 5.0 + seed}
     scalars |= {"test/floor_fd_speckle": 0.1, "ms_per_frame": 30.0, "test/psnr": 20.0, "test/floor_psnr": 22.0}
@@ -384,6 +385,14 @@ def test_a_damaged_spec_leaves_its_run_aside(study: Path, damage: str) -> None:
     (study / "sa2h" / "seed0" / "spec.json").write_text(damage)
     assert "1 run left aside" in compared(study)[2]
     assert len(finished_runs(study)) >= 11
+
+
+def test_a_spec_that_is_not_what_its_hash_says_leaves_its_run_aside(study: Path) -> None:
+    path = study / "sa2h" / "seed0" / "spec.json"
+    spec = json.loads(path.read_text())
+    spec["semantic"]["model"]["depth"] = {"a": 3}  # which the search for a design cannot compare
+    path.write_text(json.dumps(spec))
+    assert "1 run left aside, with a spec.json that is not what its hash says: sa2h/seed0" in compared(study)[2]
 
 
 def test_a_metric_that_is_no_name_draws_no_figure_elsewhere(study: Path) -> None:

@@ -164,7 +164,8 @@ def whole_result(job: Job) -> dict[str, Any]:
         "data": "fetal-0",
         "mlflow_run_id": "none",
     }
-    return {**about, "scalars": {}, "metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
+    scored_by = {"metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
+    return {**about, **scored_by, "notes": [], "scalars": {}}
 
 
 def test_only_the_result_of_this_configuration_counts_as_finished(tmp_path: Path) -> None:
@@ -196,6 +197,16 @@ def test_a_damaged_result_is_not_finished_and_stops_nothing(tmp_path: Path, dama
     changed = json.dumps(whole_result(mine) | {key: json.loads(value)}) if value and key.isidentifier() else damage
     (mine.folder / "result.json").write_text(changed)
     assert finished(mine) is None
+    assert with_earlier_metrics(mine).metrics
+
+
+@pytest.mark.parametrize("key", ["metrics", "metrics_version", "inception", "notes"])
+def test_a_result_without_a_key_that_came_later_is_read(tmp_path: Path, key: str) -> None:
+    mine = job(tmp_path)
+    claim_place(mine)
+    kept = {name: value for name, value in whole_result(mine).items() if name != key}
+    write_json(mine.folder / "result.json", kept)
+    finished(mine)
     assert with_earlier_metrics(mine).metrics
 
 

@@ -6,11 +6,14 @@ from typing import Any
 
 from ablate.storage import read_json
 
+# Keys that came later, with what they were before.
+_CAME_LATER: Mapping[str, Any] = {"metrics": "all", "metrics_version": 1, "inception": None, "notes": []}
+
 
 def read_result(folder: Path, expected_hash: str) -> dict[str, Any] | None:
-    """`result.json` of a run directory when its hash is the expected one, and it is whole."""
+    """`result.json` of a run directory when its hash is the expected one, and it is whole; with all keys."""
     try:
-        result = read_json(folder / "result.json")
+        result = {**_CAME_LATER, **read_json(folder / "result.json")}
     except (OSError, ValueError):
         return None
     return None if result.get("hash") != expected_hash or unusable_keys(result) else result
@@ -18,7 +21,7 @@ def read_result(folder: Path, expected_hash: str) -> dict[str, Any] | None:
 
 def unusable_keys(result: Mapping[str, Any]) -> list[str]:
     """The keys that are missing from a `result.json`, or hold what no run writes there."""
-    found = {"metrics": "all", "metrics_version": 1, "inception": None, "notes": [], **result}  # some came later
+    found = {**_CAME_LATER, **result}
     kinds: dict[str, Any] = {"label": str, "seed": int, "data": str, "metrics_version": int}
     wrong = [key for key, kind in kinds.items() if not isinstance(found.get(key), kind)]
     if not isinstance(found["inception"], str | None):
@@ -39,4 +42,4 @@ def _is_list_of_text(value: object) -> bool:
 
 def scored_by(result: Mapping[str, Any]) -> int:
     """The `METRICS_VERSION` that a result was scored by; version 1 did not store it."""
-    return int(result.get("metrics_version", 1))
+    return int(result.get("metrics_version", _CAME_LATER["metrics_version"]))

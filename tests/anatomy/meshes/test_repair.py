@@ -202,6 +202,15 @@ def test_files_that_hold_no_mesh_are_refused_by_name(tmp_path: Path) -> None:
         load_mesh(missing)
     with pytest.raises(ValueError, match=r"missing: has triangles with vertices that are not among its 3"):
         repair(np.eye(3), np.array([(0, 1, 7)]), "missing")
+    flat = tmp_path / "flat.ply"
+    head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    body = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+    flat.write_text((head + body).replace("property float z", "property float w"))
+    with pytest.raises(ValueError, match=r"flat\.ply: ") as caught:
+        load_mesh(flat)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ValueError, match=r"plane: has vertices of 4 coordinates"):
+        repair(np.eye(4), np.array([(0, 1, 2)]), "plane")
     point = tmp_path / "point.obj"
     point.write_text("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n")
     with pytest.raises(ValueError, match=r"point\.obj: all its 1 triangles are degenerate"):

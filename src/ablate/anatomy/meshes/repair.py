@@ -93,6 +93,8 @@ def array_fault(vertices: np.ndarray, faces: np.ndarray) -> str | None:
     """Why vertices (n, 3), mm, and faces (m, 3) are no triangles; None where they are."""
     if len(faces) == 0:
         return "holds no triangles"
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
+        return f"has vertices of {vertices.shape[-1]} coordinates and faces of {faces.shape[-1]} corners, not 3 and 3"
     if faces.min() < 0 or faces.max() >= len(vertices):
         return f"has triangles with vertices that are not among its {len(vertices)}"
     if not _within_reach(vertices) and not _within_reach(vertices[np.unique(faces)]):

@@ -9,7 +9,7 @@ import pandas as pd
 from ablate.analysis import REFERENCE, listed
 from ablate.metrics import METRICS_VERSION
 from ablate.metrics.stored_names import SOURCES, STORED_COLUMNS
-from ablate.storage import read_json
+from ablate.storage import digest, read_json
 from ablate.studies.comparison.answers import components_of
 from ablate.studies.comparison.results import Finished
 from ablate.studies.identity import shared_pairs
@@ -86,6 +86,8 @@ def _read(folder: Path) -> Finished | str:
         return ""
     try:
         spec = read_json(path)
+        if digest(spec["semantic"]) != spec["hash"]:
+            return "left aside, with a spec.json that is not what its hash says"
         if not (folder / "result.json").exists():
             return "not finished"
         result = read_json(folder / "result.json")

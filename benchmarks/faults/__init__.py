@@ -1,0 +1,1 @@
+"""The faults of the campaign `benchmarks/chaos.py`, a file a theme."""

@@ -1,0 +1,126 @@
+"""The campaign of benchmarks/chaos.py: what judges a study, how it is counted, and a short one."""
+
+import importlib
+import json
+import os
+import random
+import shutil
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from support.studies import TinyStudy
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+
+@pytest.fixture
+def chaos(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    return importlib.import_module("chaos")
+
+
+def execute(runs: Path, statement: str) -> None:
+    with closing(sqlite3.connect(runs / "mlflow.db")) as connection, connection:
+        assert connection.execute(statement).rowcount > 0
+
+
+def result_of(runs: Path) -> Path:
+    return runs / "tiny-fetal" / "sa2h" / "seed0" / "result.json"
+
+
+def score_changed(runs: Path) -> None:
+    found = json.loads(result_of(runs).read_text())
+    found["scalars"]["test/psnr"] += 1e-12
+    result_of(runs).write_text(json.dumps(found))
+
+
+def value_logged_again(runs: Path) -> None:
+    execute(
+        runs,
+        "INSERT INTO metrics (key, value, timestamp, run_uuid, step, is_nan) "
+        "SELECT key, value, timestamp + 1, run_uuid, step, is_nan FROM metrics WHERE key = 'train/l1' LIMIT 1",
+    )
+
+
+FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "a lost result": (lambda runs: result_of(runs).unlink(), "sa2h/seed0: no result"),
+    "an empty result": (lambda runs: result_of(runs).write_text(""), "sa2h/seed0: no result"),
+    "another score": (score_changed, "other scores: test/psnr"),
+    "lost frames": (lambda runs: result_of(runs).with_name("per_image.parquet").write_bytes(b"PAR1"), "per_image"),
+    "a value twice": (value_logged_again, "1 values are logged twice"),
+    "a lost value": (lambda runs: execute(runs, "DELETE FROM metrics WHERE key = 'test/mae'"), "2 values are missing"),
+    "a run left open": (
+        lambda runs: execute(runs, "UPDATE runs SET status = 'RUNNING' WHERE name = 'sa2h/seed0'"),
+        "RUN",
+    ),
+    "a run too many": (lambda runs: execute(runs, "UPDATE runs SET name = 'sa2h/seed0'"), "the runs are"),
+    "no comparison": (lambda runs: shutil.rmtree(runs / "tiny-fetal" / "comparison"), "comparison: missing"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_judge_finds_what_is_lost_doubled_or_changed(
+    chaos: ModuleType, tiny_study: TinyStudy, tmp_path: Path, fault: str
+) -> None:
+    differences = importlib.import_module("faults.judge").differences
+    runs = tmp_path / "runs"
+    shutil.copytree(tiny_study.runs, runs, ignore=shutil.ignore_patterns("data", "artifacts"))
+    assert differences(runs, tiny_study.runs) == []
+    damage, said = FAULTS[fault]
+    damage(runs)
+    assert said in " ".join(differences(runs, tiny_study.runs))
+    assert chaos
+
+
+def test_rows_say_how_often_a_fault_was_tried_and_keep_what_others_found(
+    chaos: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = importlib.import_module("faults.bench")
+    monkeypatch.setattr(chaos, "PAGE", tmp_path / "page.md")
+    rounds = {"good": bench.Round([], 2, {"s": 1.0}), "bad": bench.Round(["all | is\nlost"]), "slow": bench.Round([])}
+    faults = tuple(bench.Fault(n, f"what {n}", "nothing", lambda *_, r=r: r, 4, 1) for n, r in rounds.items())
+    monkeypatch.setattr(chaos, "FAULTS", faults)
+    rows = [chaos.Row(fault, fault.wanted) for fault in faults]
+    unbroken = type("", (), {"unbroken": None})()
+    chaos.campaign(rows[:2], unbroken, 0, 60)
+    rows[2].done = rows[2].rounds = 3
+    chaos.PAGE.write_text(f"Before.\n{chaos.BEGIN}\n{chaos.END}\nAfter.\n")
+    chaos.write_page([row.cells("abc") for row in rows], "About.")
+    chaos.write_page([rows[1].cells("def")], "About.")
+    text = chaos.PAGE.read_text()
+    assert "| what good | 4 of 4 | nothing | 2 of 2 rounds as they must be; at most 1.0 s | holds | abc |" in text
+    assert "| what bad | 4 of 4 | nothing | 0 of 4 rounds as they must be; all / is lost | FAILED | def |" in text
+    assert "| what slow | 3 of 4 | nothing | 3 of 3 rounds as they must be | holds so far | abc |" in text
+    assert text.startswith("Before.\n")
+    assert text.endswith("\nAfter.\n")
+
+
+def test_damaged_inputs_are_those_of_their_seed(chaos: ModuleType) -> None:
+    mutations = importlib.import_module("faults.mutations")
+    tree = {"a": [1, {"b": "c"}], "d": 2}
+    for made in (
+        lambda rng: mutations.bytes_of(rng, b"unit: mm\n" * 9),
+        lambda rng: json.dumps(mutations.tree_of(rng, tree), sort_keys=True),
+        mutations.name,
+    ):
+        first, again = ([made(random.Random(seed)) for seed in range(50)] for _ in range(2))
+        assert first == again
+        assert len(set(first)) > 10
+    assert tree == {"a": [1, {"b": "c"}], "d": 2}
+    assert chaos
+
+
+@pytest.mark.slow
+def test_a_short_campaign_finds_nothing_wrong(tmp_path: Path) -> None:
+    command = [sys.executable, str(BENCHMARKS / "chaos.py"), "--short", "--minutes", "20", "--folder", str(tmp_path)]
+    environment = {key: value for key, value in os.environ.items() if key != "MLFLOW_TRACKING_URI"}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "holds" in done.stdout
