@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from ablate.config import StudySettings, Task, refusing
+from ablate.config import SceneKind, StudySettings, Task, refusing
 from ablate.studies.identity import claim_place, finished
 from ablate.studies.jobs.compose import CommandLine
 from ablate.studies.jobs.describe import description
@@ -119,7 +119,17 @@ def _studies(jobs: Sequence[Job]) -> list[StudySettings]:
 
 
 def describe(jobs: Sequence[Job]) -> int:
-    """Print what the variants are and how large they are, in full, whatever the width of the terminal."""
+    """Print what the variants are and how large they are, in full, whatever the width of the terminal.
+
+    For a folder of meshes without a scene.yaml, print a proposal of one instead.
+    """
+    folder = jobs[0].settings.scene.folder
+    if folder and jobs[0].settings.scene.kind is not SceneKind.pairs and not (Path(folder) / "scene.yaml").exists():
+        from ablate.anatomy import proposed_scene
+
+        with refusing():
+            print(proposed_scene(Path(folder)))
+        return 0
     print(description(jobs))
     read = maps_needed(job.settings.model for job in jobs)
     print(f"maps simulated for {', '.join(dict.fromkeys(j.label for j in jobs))}: {', '.join(sorted(read))}")

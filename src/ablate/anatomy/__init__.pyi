@@ -11,6 +11,7 @@ from .scene_folder import load_scene as load_scene
 from .scene_folder import load_sites as load_sites
 from .scene_folder import mesh_files as mesh_files
 from .scene_folder import validate_scene_folder as validate_scene_folder
+from .scene_proposal import proposed_scene as proposed_scene
 from .site_grid import SiteGrid as SiteGrid
 from .tissue import Tissue as Tissue
 from .tissue import TissueKind as TissueKind

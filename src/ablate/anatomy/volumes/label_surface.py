@@ -40,25 +40,23 @@ def label_surface(
     spacing_mm
         Sides of a voxel.
     """
+    blocks = _Blocks(order, number, box, spacing_mm)
     level = 0.0
     for sought in _LEVELS:
-        level = _level_of_volume(order, number, box, spacing_mm, level + max(spacing_mm) * sought)
+        level = _level_of_volume(blocks, level + max(spacing_mm) * sought, int((order[tuple(box)] == number).sum()))
     parts, corners, count = [], [], 0
-    for start, block in _blocks(order, number, box, spacing_mm):
-        vertices, faces = _triangles(_fields(block, number, spacing_mm)[0], level, start)
+    for start, field, _ in blocks.fields():
+        vertices, faces = _triangles(field, level, start)
         parts.append(vertices)
         corners.append(faces + count)
         count += len(vertices)
     return np.round(np.concatenate(parts) / _FRACTION) * _FRACTION, np.concatenate(corners)
 
 
-def _level_of_volume(
-    order: np.ndarray, number: int, box: Sequence[slice], spacing_mm: Sequence[float], levels: np.ndarray
-) -> float:
+def _level_of_volume(blocks: "_Blocks", levels: np.ndarray, voxels: int) -> float:
     """The level at which the volume that a structure owns is that of its voxels, from rising levels (n,), mm."""
-    volumes, voxels = np.zeros(len(levels)), int((order[tuple(box)] == number).sum())
-    for start, block in _blocks(order, number, box, spacing_mm):
-        field, later = _fields(block, number, spacing_mm)
+    volumes = np.zeros(len(levels))
+    for start, field, later in blocks.fields():
         for i, level in enumerate(levels):
             visible = field - level if later is None else np.minimum(field - level, -later)
             volumes[i] += _volume(*_triangles(visible, 0.0, start))
@@ -66,23 +64,33 @@ def _level_of_volume(
     return float(np.interp(np.cbrt(voxels), np.cbrt(np.abs(volumes[::-1])), levels[::-1]))
 
 
-def _blocks(
-    order: np.ndarray, number: int, box: Sequence[slice], spacing_mm: Sequence[float]
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """First voxel, (3,), and content of every block that the surface can pass, with a margin of `_margin` around it.
+class _Blocks:
+    """The blocks that a surface can pass, found once.
 
     A block has its last voxels in common with the next one, so that no cell lies between two blocks.
     """
-    margin = _margin(spacing_mm)
-    lower = np.array([side.start for side in box]) - margin
-    upper = np.array([side.stop for side in box]) + margin
-    counts = [range(int(a), int(b) - 1, BLOCK) for a, b in zip(lower, upper, strict=True)]
-    for start in np.stack(np.meshgrid(*counts, indexing="ij"), axis=-1).reshape(-1, 3):
-        stop = np.minimum(start + BLOCK + 1, upper)
-        block = _padded(order, start - margin, stop + margin)
-        own = block == number
-        if own.any() and not own.all():
-            yield start, block
+
+    def __init__(self, order: np.ndarray, number: int, box: Sequence[slice], spacing_mm: Sequence[float]) -> None:
+        self._order, self._number, self._spacing_mm = order, number, spacing_mm
+        self._margin = _margin(spacing_mm)
+        lower = np.array([side.start for side in box]) - self._margin
+        self._upper = np.array([side.stop for side in box]) + self._margin
+        places = [range(int(a), int(b) - 1, BLOCK) for a, b in zip(lower, self._upper, strict=True)]
+        starts = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 3)
+        self._starts = [start for start in starts if self._is_passed(start)]
+
+    def fields(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None]]:
+        """First voxel, (3,), of each block, and its fields."""
+        for start in self._starts:
+            yield start, *_fields(self._content(start), self._number, self._spacing_mm)
+
+    def _is_passed(self, start: np.ndarray) -> bool:
+        own = self._content(start) == self._number
+        return bool(own.any() and not own.all())
+
+    def _content(self, start: np.ndarray) -> np.ndarray:
+        stop = np.minimum(start + BLOCK + 1, self._upper)
+        return _padded(self._order, start - self._margin, stop + self._margin)
 
 
 def _margin(spacing_mm: Sequence[float]) -> np.ndarray:

@@ -1,0 +1,125 @@
+"""A scene.yaml proposed for a folder of meshes that has none: tissues from the names of files, the rest from sizes."""
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from ablate.anatomy.meshes.check import BODY_MM
+from ablate.anatomy.meshes.repair import load_mesh
+from ablate.anatomy.scene import bounds_mm
+from ablate.anatomy.scene_folder import MESH_SUFFIXES, UNITS_MM
+from ablate.anatomy.tissue import TissueKind, load_tissues
+
+_UNKNOWN = "soft_tissue"
+#: Beginnings of words in names, the first that fits decides; a name that is a tissue's is tried before.
+_TISSUE_OF_NAME = {
+    "gall|bile|choledoch": "bile",
+    "suprar|adren": "adrenal",
+    "kidney_cyst|renal_cyst|cyst": "urine",
+    "vessel_wall": "vessel_wall",
+    "fetal_bone": "fetal_bone",
+    "kidney|renal|ren_": "kidney",
+    "bladder|ureter|urin": "urine",
+    "amnio": "amniotic_fluid",
+    "ventricle|cerebrospinal": "csf",
+    "aort|cava|pulmonary|brachioceph|subclav|iliac|vein|vena|arter|vessel|porta|carotid|jugular|atri": "blood",
+    "cartilag": "cartilage",
+    "bone|spine|vertebra|rib|pelvis|sacr|hip|femur|humer|scapul|clavic|skull|crani|stern|tibia|fibula|mandib": "bone",
+    "lung|trachea|bronch|colon|air": "gas",
+    "stomach|bowel|intestin|duoden|jejun|ileum|gut|gastr": "stomach_wall",
+    "heart|cardi": "myocardium",
+    "hepat|spleen|splen": "liver",
+    "uter|myometr": "uterine_wall",
+    "glute|iliopsoas|psoas|autochthon|rectus|diaphragm|esophag|oesophag": "muscle",
+    "cord_vessel|wharton|umbil": "wharton_jelly",
+    "spinal|cerebr|cerebel": "brain",
+    "skin|body|torso|trunk|fetus|foetus|tumou?r|pancrea|thyroid": _UNKNOWN,
+}
+_MISLEADING = {"skin", "lung"}  # a closed skin is the whole body, and the lung of the table is a fetus's
+#: What is filled with something hard or empty cuts into what is soft, so it comes later.
+_ORDER = (TissueKind.soft, TissueKind.fluid, TissueKind.gas, TissueKind.bone)
+
+
+def proposed_scene(folder: Path) -> str:
+    """A scene.yaml as text, whose comments say what was guessed and why; meshes that cannot be used are comments.
+
+    Raises
+    ------
+    FileNotFoundError
+        When the folder is missing or has no mesh.
+    ValueError
+        When no mesh can be used; the message is that of the first.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"scene.folder: {folder} is not a folder")
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
+    if not paths:
+        raise FileNotFoundError(f"scene.folder: {folder} has no scene.yaml and no mesh; {', '.join(MESH_SUFFIXES)}")
+    meshes: dict[str, trimesh.Trimesh] = {}
+    unusable: dict[str, str] = {}
+    for path in paths:
+        try:
+            meshes[path.name] = load_mesh(path)[0]
+        except ValueError as error:
+            unusable[path.name] = str(error)
+    if not meshes:
+        raise ValueError(f"scene.folder: {next(iter(unusable.values()))}")
+    unit, why = _unit(bounds := bounds_mm(meshes.values()))
+    lines = [
+        "# A proposal: check what the comments call guessed.",
+        f"unit: {unit}   # guessed: {why}",
+        "background: coupling_gel   # guessed",
+        "structures:   # where they overlap, the later one owns the place: large before small, soft before hard",
+    ]
+    for name in _in_order(meshes):
+        tissue, reason = tissue_of_name(name)
+        lines.append(f"  - {{mesh: {_quoted(name)}, tissue: {tissue}}}   # guessed: {reason}")
+    lines += [f"  # left out: {error}" for error in unusable.values()]
+    lower, upper = bounds[0, 2] + 0.2 * np.ptp(bounds[:, 2]), bounds[1, 2] - 0.2 * np.ptp(bounds[:, 2])
+    lines += [
+        "sites:   # guessed: z is the long axis, and -y the front",
+        "  axis: [0, 0, 1]",
+        "  front: [0, -1, 0]",
+        f"  heights: {{range: [{lower:.6g}, {upper:.6g}], count: 6}}",
+        "  angles: {range: [-60, 60], count: 9}",
+        "  tilts: [-15, 0, 15]",
+        "  rolls: [0, 90]",
+    ]
+    return "\n".join(lines)
+
+
+def tissue_of_name(name: str) -> tuple[str, str]:
+    """The tissue that the name of a file points to, and why."""
+    stem = re.sub(r"[^a-z]+", "_", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", Path(name).stem).lower()).strip("_")
+    known = load_tissues().keys() - _MISLEADING
+    if stem in known:
+        return stem, "its name is that of a tissue"
+    for pattern, tissue in _TISSUE_OF_NAME.items():
+        if found := re.search(rf"(?:^|_)(?:{pattern})", stem):
+            return tissue, f"its name has {found.group().strip('_')}"
+    if within := [tissue for tissue in known if tissue in stem]:
+        longest = max(within, key=len)
+        return longest, f"its name has {longest}"
+    return _UNKNOWN, "its name says nothing"
+
+
+def _in_order(meshes: dict[str, trimesh.Trimesh]) -> Sequence[str]:
+    kinds, tissues = list(_ORDER), load_tissues()
+    return sorted(meshes, key=lambda n: (kinds.index(tissues[tissue_of_name(n)[0]].kind), -np.prod(meshes[n].extents)))
+
+
+def _unit(bounds: np.ndarray) -> tuple[str, str]:
+    """The largest unit that makes the scene no larger than a body, preferring mm."""
+    extent = float(np.ptp(bounds, axis=0).max())
+    fits = [unit for unit, factor in UNITS_MM.items() if 10 * BODY_MM[0] <= extent * factor <= BODY_MM[1]]
+    unit = fits[0] if fits else "mm"
+    return unit, f"the largest extent is {extent:.4g}, which is {extent * UNITS_MM[unit]:.4g} mm"
+
+
+def _quoted(name: str) -> str:
+    """A name as YAML."""
+    return name if re.fullmatch(r"[A-Za-z][\w.-]*", name, re.ASCII) else json.dumps(name, ensure_ascii=False)

@@ -1,0 +1,67 @@
+"""A proposed scene.yaml: it can be used as it is, and says what was guessed."""
+
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from ablate.anatomy import load_scene, load_sites, proposed_scene
+from ablate.anatomy.scene_proposal import tissue_of_name
+from ablate.anatomy.volumes.label_map import _table
+
+
+def folder_of(tmp_path: Path, scale: float = 1.0) -> Path:
+    sizes = {"Skin surface.stl": 150, "liver.ply": 60, "ribs-left.obj": 70, "left_kidney.stl": 30, "VenaCava.obj": 10}
+    for name, size in {**sizes, "thing.ply": 5}.items():
+        trimesh.creation.icosphere(1, radius=scale * size).export(tmp_path / name)
+    (tmp_path / "notes.txt").write_text("seen on Monday")
+    return tmp_path
+
+
+def test_a_proposal_is_a_scene_as_it_is(tmp_path: Path) -> None:
+    text = proposed_scene(folder_of(tmp_path))
+    (tmp_path / "scene.yaml").write_text(text)
+    found = {s.mesh.metadata["name"]: s.tissue.name for s in load_scene(tmp_path).structures}
+    assert list(found.items()) == [
+        ("Skin surface.stl", "soft_tissue"),
+        ("liver.ply", "liver"),
+        ("left_kidney.stl", "kidney"),
+        ("thing.ply", "soft_tissue"),
+        ("VenaCava.obj", "blood"),
+        ("ribs-left.obj", "bone"),
+    ]
+    assert "tissue: soft_tissue}   # guessed: its name says nothing" in text
+    assert "tissue: kidney}   # guessed: its name has kidney" in text
+    assert load_sites(tmp_path).heights_mm[0] == pytest.approx(-90)
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "mm"), (0.1, "cm"), (0.001, "m")])
+def test_the_unit_is_the_one_that_makes_a_body(tmp_path: Path, scale: float, unit: str) -> None:
+    text = proposed_scene(folder_of(tmp_path, scale))
+    assert f"\nunit: {unit}   # guessed: the largest extent is " in text
+    (tmp_path / "scene.yaml").write_text(text)
+    assert load_scene(tmp_path).structures[0].mesh.extents.max() == pytest.approx(300, rel=0.05)
+
+
+def test_a_mesh_that_cannot_be_used_is_named_in_a_comment(tmp_path: Path) -> None:
+    (folder_of(tmp_path) / "torn.ply").write_text("not a mesh")
+    text = proposed_scene(tmp_path)
+    (comment,) = [line for line in text.splitlines() if "torn" in line]
+    assert comment.startswith("  # left out: ")
+    (tmp_path / "scene.yaml").write_text(text)
+    assert len(load_scene(tmp_path).structures) == 6
+
+
+def test_a_folder_without_meshes_is_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"scene\.folder: .* has no scene\.yaml and no mesh; \.obj, \.stl"):
+        proposed_scene(tmp_path)
+    (tmp_path / "empty.obj").write_text("")
+    with pytest.raises(ValueError, match=r"scene\.folder: .*empty\.obj"):
+        proposed_scene(tmp_path)
+
+
+def test_names_of_totalsegmentator_point_to_the_tissues_of_its_table() -> None:
+    """The table was written without the patterns; where a name says nothing, it is soft tissue."""
+    wrong = {name: (tissue_of_name(name)[0], tissue) for _, name, tissue in _table()}
+    wrong = {name: pair for name, pair in wrong.items() if pair[0] != pair[1]}
+    assert set(wrong) <= {"prostate"}
