@@ -18,6 +18,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 from ablate.anatomy.fetal.resolution import FEWEST_TRIANGLES
 from ablate.anatomy.site_grid import MOST_POSES
 from ablate.dataset.encoding import Encoding
+from ablate.dataset.own_poses import Sweep
 from ablate.dataset.split import SplitBy
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
@@ -91,6 +92,7 @@ class DatasetSettings:
     There are fewer `frames` where the probe sites offer fewer usable poses. `grid` replaces the counts of the scene's
     heights, angles, tilts and rolls; `validation` and `test` are shares of the sites (`split=site`) or frames;
     `press_mm` is how far the probe is pressed in; `workers` 0 is one a core.
+    `poses` is a file of your own poses instead of the scene's grid; of a `sweep` it holds the first and the last.
     """
 
     frames: int = 6669
@@ -102,6 +104,8 @@ class DatasetSettings:
     press_mm: float = 8.0
     shard: int = 16
     workers: int = 0
+    poses: str | None = None
+    sweep: Sweep | None = None
 
     def __post_init__(self) -> None:
         _at_least("dataset.", self, frames=1, seed=0, shard=1, workers=0)
@@ -110,6 +114,8 @@ class DatasetSettings:
             raise ValueError(f"{given}: four counts of at least 1 (heights, angles, tilts, rolls)")
         if self.grid is not None and math.prod(self.grid) > MOST_POSES:
             raise ValueError(f"dataset.grid={list(self.grid)}: at most {MOST_POSES} poses in all")
+        if self.sweep is not None and self.poses is None:
+            raise ValueError(f"dataset.sweep={self.sweep}: needs dataset.poses, a file of the first and the last pose")
         if not (self.validation > 0 and self.test > 0 and self.validation + self.test < 1):
             given = f"dataset.validation={self.validation}, dataset.test={self.test}"
             raise ValueError(f"{given}: each above 0, together below 1")

@@ -79,14 +79,22 @@ def _check_scene(s: StudySettings) -> int:
             raise ConfigurationError("scene=folder needs scene.folder=path/to/folder")
         with refusing():
             sites = validate_scene_folder(Path(s.scene.folder)).sites
-        if sites is None:
+        if sites is None and not s.dataset.poses:
             raise ConfigurationError(f"{s.scene.folder}/scene.yaml has no `sites`: where to put the probe")
+    if s.dataset.poses:
+        from ablate.studies.pairs.simulated import own_poses  # here, because it needs Embree and numba
+
+        with refusing():
+            poses, _ = own_poses(s)
+        if s.dataset.frames > len(poses):
+            raise ConfigurationError(f"dataset.frames={s.dataset.frames}: at most {len(poses)}, the poses of the file")
+        return _training_frames(s, s.dataset.frames)
     assert sites is not None
     grid = resample_grid(sites, s.dataset.grid)
-    poses = len(grid.heights_mm) * len(grid.angles_deg) * len(grid.tilts_deg) * len(grid.rolls_deg)
-    if s.dataset.frames > poses:
+    offered = len(grid.heights_mm) * len(grid.angles_deg) * len(grid.tilts_deg) * len(grid.rolls_deg)
+    if s.dataset.frames > offered:
         raise ConfigurationError(
-            f"dataset.frames={s.dataset.frames}: at most {poses}, the poses of the probe sites; "
+            f"dataset.frames={s.dataset.frames}: at most {offered}, the poses of the probe sites; "
             "more of them: dataset.grid=[heights,angles,tilts,rolls]"
         )
     return _training_frames(s, s.dataset.frames)

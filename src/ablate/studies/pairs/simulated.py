@@ -12,22 +12,26 @@ from tqdm import tqdm
 from ablate import anatomy, dataset
 from ablate.anatomy import ANATOMY_VERSION, LABELS_VERSION, Scene, SiteGrid
 from ablate.config import SceneKind, StudySettings, json_ready
-from ablate.dataset import Pairs, Placement, Recipe
+from ablate.dataset import Dropped, Pairs, Placement, Pose, Recipe
 from ablate.ultrasound import SIMULATOR_VERSION, fan_mask
 from ablate.ultrasound.render_plan import plan_scene
 
 _INCIDENTAL_SIMULATOR = ("device", "plan")
+_INCIDENTAL_DATASET = ("workers", "shard", "poses", "sweep")  # of poses, what they are counts, not where they lie
 
 
 def about_simulated(settings: StudySettings) -> dict[str, Any]:
     """What every pair of the data set is made from, JSON-ready."""
-    chosen = json_ready(settings.dataset)
+    chosen = {k: v for k, v in json_ready(settings.dataset).items() if k not in _INCIDENTAL_DATASET}
+    if settings.dataset.poses:
+        poses, sites = own_poses(settings)
+        chosen["poses"] = hashlib.sha256(poses.tobytes() + sites.tobytes()).hexdigest()[:16]
     return {
         "scene": _scene_identity(settings),
         "probe": json_ready(settings.probe),
         "simulator": {k: v for k, v in json_ready(settings.simulator).items() if k not in _INCIDENTAL_SIMULATOR},
         "simulator_version": SIMULATOR_VERSION,
-        "dataset": {k: v for k, v in chosen.items() if k not in ("workers", "shard")},
+        "dataset": chosen,
     }
 
 
@@ -56,7 +60,26 @@ def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
         made = anatomy.fetal_abdomen(triangles=scene.triangles, seed=scene.anatomy_seed, cache_dir=kept)
         return made, anatomy.fetal_sites()
     folder = Path(scene.folder or "")
-    return anatomy.load_scene(folder, settings.runs / "data" / "anatomy"), anatomy.load_sites(folder)
+    loaded = anatomy.load_scene(folder, settings.runs / "data" / "anatomy")
+    if settings.dataset.poses:  # then the folder may do without sites
+        return loaded, anatomy.validate_scene_folder(folder).sites or SiteGrid()
+    return loaded, anatomy.load_sites(folder)
+
+
+def own_poses(settings: StudySettings) -> tuple[np.ndarray, np.ndarray]:
+    """The user's poses, (n, 4, 4), and their sites, (n,): those of `dataset.poses`, or the sweep between its two.
+
+    A ValueError or FileNotFoundError when the file or the sweep is not as it should be.
+    """
+    chosen = settings.dataset
+    poses, sites = dataset.read_poses(Path(chosen.poses or ""))
+    if chosen.sweep is None:
+        return poses, sites
+    if len(poses) != 2:
+        raise ValueError(
+            f"dataset.poses={chosen.poses}: a sweep needs 2 poses, the first and the last, not {len(poses)}"
+        )
+    return dataset.sweep(poses[0], poses[1], chosen.sweep, chosen.frames), np.arange(chosen.frames)
 
 
 @dataclass(frozen=True)
@@ -78,7 +101,12 @@ def lay_out(settings: StudySettings, scene: Scene, grid: SiteGrid) -> Layout:
     No usable pose, or too few sites to be split, is a ValueError.
     """
     chosen = settings.dataset
-    placement = dataset.place_probe(scene, dataset.resample_grid(grid, chosen.grid), chosen.press_mm, settings.probe)
+    if chosen.poses:
+        own = tuple(Pose(pose, int(site)) for pose, site in zip(*own_poses(settings), strict=True))
+        placement = Placement(own, dict.fromkeys(Dropped, 0))
+    else:
+        resampled = dataset.resample_grid(grid, chosen.grid)
+        placement = dataset.place_probe(scene, resampled, chosen.press_mm, settings.probe)
     poses = placement.poses
     picked = dataset.choose_frames([p.site for p in poses], min(chosen.frames, len(poses)), chosen.seed)
     sites = np.array([poses[i].site for i in picked])

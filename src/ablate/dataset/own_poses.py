@@ -1,0 +1,137 @@
+"""Probe poses of the user's own: read from a file, or swept between two of them."""
+
+import csv
+import math
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+
+from ablate.ultrasound.probe import check_pose
+
+COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
+_SAME_MM, _SAME_RAD = 1e-3, 1e-4
+
+
+class Sweep(StrEnum):
+    """How the probe moves from the first pose to the second.
+
+    `linear`: the middle of the face on a straight line, turned evenly. `fan`: about the one fixed axis that takes the
+    first pose to the second. `rotation`: about the probe's own z.
+    """
+
+    linear = "linear"
+    fan = "fan"
+    rotation = "rotation"
+
+
+def read_poses(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Poses, (n, 4, 4) float64, probe to world, mm, and the site of each, (n,) int64, of a .npy or .csv file.
+
+    A .npy file holds (n, 4, 4), and every pose is a site of its own. A .csv file has the columns x, y, z of the middle
+    of the face, mm, and qw, qx, qy, qz, a unit quaternion; a column `site` is optional.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        When the file is missing or holds something else, or a pose is not rigid; names file and row.
+    """
+    where = f"dataset.poses={path}"
+    if path.suffix.lower() not in (".npy", ".csv"):
+        raise ValueError(f"{where}: allowed are .npy and .csv")
+    if not path.is_file():
+        raise FileNotFoundError(f"{where}: no such file")
+    if path.suffix.lower() == ".csv":
+        poses, sites = _of_csv(path, where)
+    else:
+        try:
+            poses = np.load(path, allow_pickle=False)
+        except (ValueError, OSError, EOFError) as error:
+            raise ValueError(f"{where}: not readable as .npy: {' '.join(str(error).split())}") from None
+        sites = np.arange(len(poses) if poses.ndim else 0, dtype=np.int64)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) == 0 or poses.dtype.kind not in "fiu":
+        raise ValueError(f"{where}: must hold poses of shape (n, 4, 4), not {poses.dtype} of {poses.shape}")
+    for i, pose in enumerate(poses):
+        try:
+            check_pose(pose)
+        except ValueError as error:
+            raise ValueError(f"{where}: pose {i}: {error}") from None
+    return poses.astype(np.float64), sites
+
+
+def sweep(first: np.ndarray, last: np.ndarray, kind: Sweep, count: int) -> np.ndarray:
+    """Poses, (count, 4, 4), at equal steps from the first to the last, both (4, 4) and among them.
+
+    Raises
+    ------
+    ValueError
+        When a fan has no angle, or a rotation does anything but turn about the probe's z.
+    """
+    turn = last[:3, :3] @ first[:3, :3].T
+    axis, angle = _axis_angle(turn)
+    moved = last[:3, 3] - first[:3, 3]
+    if kind is Sweep.rotation:
+        tilted = math.acos(np.clip(first[:3, 2] @ last[:3, 2], -1, 1))
+        if np.linalg.norm(moved) > _SAME_MM or tilted > _SAME_RAD:
+            raise ValueError(
+                "dataset.sweep=rotation: the two poses must have one place and one z, but differ by "
+                f"{np.linalg.norm(moved):.3g} mm and {math.degrees(tilted):.3g} degrees"
+            )
+    if kind is not Sweep.linear and angle < _SAME_RAD:
+        raise ValueError(f"dataset.sweep={kind}: the two poses do not differ by an angle; allowed is linear")
+    poses = np.tile(first, (count, 1, 1))
+    for pose, part in zip(poses, np.linspace(0, 1, count), strict=True):
+        partial = _rotation(axis, part * angle)
+        pose[:3, :3] = partial @ first[:3, :3]
+        if kind is Sweep.linear:
+            pose[:3, 3] = first[:3, 3] + part * moved
+        else:  # about the axis of the screw that takes the first to the last (Chasles)
+            shift = last[:3, 3] - turn @ first[:3, 3]
+            along = axis * (axis @ shift)
+            centre = (shift - along + np.cross(axis, shift) / math.tan(angle / 2)) / 2
+            pose[:3, 3] = centre + partial @ (first[:3, 3] - centre) + part * along
+    return poses
+
+
+def _of_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
+    with path.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    if missing := [name for name in COLUMNS if rows and name not in rows[0]] or ([] if rows else list(COLUMNS)):
+        raise ValueError(f"{where}: no column {missing[0]} or no row; allowed are {', '.join(COLUMNS)} and site")
+    poses, sites = np.tile(np.eye(4), (len(rows), 1, 1)), np.arange(len(rows), dtype=np.int64)
+    for i, row in enumerate(rows):
+        try:
+            x, y, z, *quaternion = (float(row[name]) for name in COLUMNS)
+            if row.get("site") is not None:
+                sites[i] = int(row["site"])
+        except (TypeError, ValueError):
+            raise ValueError(f"{where}: row {i} holds what is no number: {row}") from None
+        length = math.hypot(*quaternion)
+        if not abs(length - 1) < 1e-3:
+            raise ValueError(f"{where}: row {i}: the quaternion must have length 1, not {length:.4g}")
+        w, *vector = (part / length for part in quaternion)
+        half = math.atan2(math.hypot(*vector), w)
+        poses[i, :3, :3] = _rotation(np.array(vector) / (math.hypot(*vector) or 1.0), 2 * half)
+        poses[i, :3, 3] = x, y, z
+    return poses, sites
+
+
+def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Rodrigues' formula, (3, 3)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+
+
+def _axis_angle(rotation: np.ndarray) -> tuple[np.ndarray, float]:
+    """Unit axis, (3,), and angle in [0, pi] of a rotation; at pi the axis is a column of R + 1."""
+    doubled = np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    angle = math.atan2(float(np.linalg.norm(doubled)), float(np.trace(rotation)) - 1)
+    if angle > math.pi - 1e-6:
+        columns = rotation + np.eye(3)
+        axis = columns[:, np.argmax(np.linalg.norm(columns, axis=0))]
+    else:
+        axis = doubled if angle > 0 else np.array([0.0, 0.0, 1.0])
+    return axis / (np.linalg.norm(axis) or 1.0), angle

@@ -1,0 +1,116 @@
+"""Poses of the user's own, and sweeps between two of them, against SciPy's rotations."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from nibabel.affines import from_matvec
+from scipy.linalg import expm, logm
+from scipy.spatial.transform import Rotation, Slerp
+
+from ablate.dataset.own_poses import Sweep, read_poses, sweep
+
+
+def poses(count: int, seed: int = 0) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    turns = Rotation.random(count, rng=random).as_matrix()
+    return np.stack([from_matvec(turn, random.normal(size=3) * 50) for turn in turns])
+
+
+def test_npy_and_csv_hold_the_same_poses(tmp_path: Path) -> None:
+    np.save(tmp_path / "p.npy", expected := poses(7))
+    quaternions = Rotation.from_matrix(expected[:, :3, :3]).as_quat()  # x, y, z, w
+    rows = [f"{p[0, 3]},{p[1, 3]},{p[2, 3]},{q[3]},{q[0]},{q[1]},{q[2]},{i // 2}"
+            for i, (p, q) in enumerate(zip(expected, quaternions, strict=True))]  # fmt: skip
+    (tmp_path / "p.csv").write_text("\n".join(["x,y,z,qw,qx,qy,qz,site", *rows]))
+    found, sites = read_poses(tmp_path / "p.npy")
+    assert np.array_equal(found, expected)
+    assert sites.tolist() == list(range(7))
+    found, sites = read_poses(tmp_path / "p.csv")
+    assert found == pytest.approx(expected, abs=1e-9)
+    assert sites.tolist() == [0, 0, 1, 1, 2, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (np.diag([1.0, 1, 2, 1])[None], r"pose 0: pose must be rigid: the columns"),
+        (np.stack([np.eye(4), np.diag([1.0, 1, -1, 1])]), "pose 1: pose must be rigid: .* a mirror image"),
+        (np.full((1, 4, 4), np.nan), "pose 0: pose must be finite"),
+        (np.eye(4), r"must hold poses of shape \(n, 4, 4\), not float64 of \(4, 4\)"),
+        (np.zeros((0, 4, 4)), "must hold poses of shape"),
+        (np.array([["a"]]), "must hold poses of shape"),
+    ],
+)
+def test_poses_that_are_not_rigid_are_named(tmp_path: Path, values: np.ndarray, message: str) -> None:
+    np.save(tmp_path / "p.npy", values)
+    with pytest.raises(ValueError, match=rf"dataset\.poses=.*p\.npy: {message}") as caught:
+        read_poses(tmp_path / "p.npy")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no column x or no row"),
+        ("x,y,z,qw,qx,qy\n0,0,0,1,0,0\n", "no column qz"),
+        ("x,y,z,qw,qx,qy,qz\n0,0,0,1,1,0,0\n", "row 0: the quaternion must have length 1, not 1.414"),
+        ("x,y,z,qw,qx,qy,qz\n0,0,0,1,0,0,0\n0,0,far,1,0,0,0\n", "row 1 holds what is no number"),
+        ("x,y,z,qw,qx,qy,qz\n0,0,nan,1,0,0,0\n", "pose 0: pose must be finite"),
+    ],
+)
+def test_a_table_that_is_wrong_is_named(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "p.csv").write_text(text)
+    with pytest.raises(ValueError, match=rf"dataset\.poses=.*p\.csv: {message}") as caught:
+        read_poses(tmp_path / "p.csv")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_absent_or_of_another_kind_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        read_poses(tmp_path / "p.npy")
+    with pytest.raises(ValueError, match=r"allowed are \.npy and \.csv"):
+        read_poses(tmp_path / "p.mat")
+
+
+@pytest.mark.parametrize("kind", list(Sweep))
+def test_a_sweep_goes_from_the_first_to_the_last(kind: Sweep) -> None:
+    first, last = poses(2, 3)
+    if kind is Sweep.rotation:
+        last = first @ from_matvec(Rotation.from_euler("z", 70, degrees=True).as_matrix(), [0, 0, 0])
+    found = sweep(first, last, kind, 9)
+    assert found[[0, -1]] == pytest.approx(np.stack([first, last]), abs=1e-9)
+    assert found[:, :3, :3] @ found[:, :3, :3].transpose(0, 2, 1) == pytest.approx(
+        np.tile(np.eye(3), (9, 1, 1)), abs=1e-9
+    )
+
+
+def test_a_linear_sweep_is_straight_and_turns_evenly() -> None:
+    first, last = poses(2, 4)
+    found = sweep(first, last, Sweep.linear, 5)
+    parts = np.linspace(0, 1, 5)
+    assert found[:, :3, 3] == pytest.approx(first[:3, 3] + parts[:, None] * (last - first)[:3, 3])
+    turned = Slerp([0, 1], Rotation.from_matrix([first[:3, :3], last[:3, :3]]))(parts).as_matrix()
+    assert found[:, :3, :3] == pytest.approx(turned, abs=1e-9)
+
+
+def test_a_fan_is_the_motion_of_constant_twist() -> None:
+    first, last = poses(2, 5)
+    twist = np.real(logm(last @ np.linalg.inv(first)))
+    expected = np.stack([expm(part * twist) @ first for part in np.linspace(0, 1, 6)])
+    assert sweep(first, last, Sweep.fan, 6) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_half_turn_is_swept() -> None:
+    last = from_matvec(Rotation.from_euler("y", 180, degrees=True).as_matrix(), [0, 0, 20])
+    middle = sweep(np.eye(4), last, Sweep.fan, 3)[1]
+    assert abs(middle[0, 3]) == pytest.approx(10)
+    assert middle[2, 3] == pytest.approx(10)
+
+
+def test_a_sweep_that_the_poses_do_not_make_is_refused() -> None:
+    shifted = from_matvec(np.eye(3), [0, 0, 5])
+    with pytest.raises(ValueError, match=r"dataset\.sweep=fan: the two poses do not differ by an angle"):
+        sweep(np.eye(4), shifted, Sweep.fan, 3)
+    with pytest.raises(ValueError, match=r"dataset\.sweep=rotation: .* differ by 5 mm and 0 degrees"):
+        sweep(np.eye(4), shifted, Sweep.rotation, 3)

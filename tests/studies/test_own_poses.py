@@ -1,0 +1,64 @@
+"""A data set at poses of the user's own: which frames it has, what it is known by, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from ablate.config import ConfigurationError
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.preflight import check
+from ablate.studies.pairs.data import dataset_hash
+from ablate.studies.pairs.simulated import build_scene, lay_out
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A scene without probe sites, and two poses above it, which differ by 20 mm along x."""
+    trimesh.creation.icosphere(2, radius=60).export(tmp_path / "body.obj")
+    (tmp_path / "scene.yaml").write_text("structures: [{mesh: body.obj, tissue: liver}]\n")
+    first = np.diag([1.0, -1.0, -1.0, 1.0])
+    first[2, 3] = 58
+    last = first.copy()
+    last[0, 3] = 20
+    np.save(tmp_path / "poses.npy", np.stack([first, last]))
+    return tmp_path
+
+
+def arguments(folder: Path, *more: str) -> list[str]:
+    own = f"dataset.poses={folder / 'poses.npy'}"
+    return ["preset=tiny", "scene=folder", f"scene.folder={folder}", f"runs_dir={folder / 'runs'}", own, *more]
+
+
+def test_a_sweep_has_as_many_frames_as_asked_for_and_needs_no_sites(folder: Path) -> None:
+    jobs = jobs_of(arguments(folder, "dataset.sweep=linear", "dataset.frames=11"))
+    check(jobs)
+    layout = lay_out(jobs[0].settings, *build_scene(jobs[0].settings))
+    assert sorted(layout.poses[:, 0, 3]) == pytest.approx(np.linspace(0, 20, 11))
+    assert sorted(layout.sites) == list(range(11))
+
+
+def test_poses_decide_and_where_they_lie_does_not(folder: Path) -> None:
+    plain = dataset_hash(jobs_of(arguments(folder)[:-1])[0].settings)
+    own = dataset_hash(jobs_of(arguments(folder))[0].settings)
+    (folder / "poses.npy").rename(folder / "moved.npy")
+    moved = jobs_of([*arguments(folder)[:-1], f"dataset.poses={folder / 'moved.npy'}"])[0].settings
+    assert dataset_hash(moved) == own != plain
+    np.save(folder / "moved.npy", np.load(folder / "moved.npy")[::-1])
+    assert dataset_hash(moved) != own
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ([], "dataset.frames=12: at most 2, the poses of the file"),
+        (["dataset.sweep=fan"], "dataset.sweep=fan: the two poses do not differ by an angle"),
+        (["dataset.poses=nowhere.npy"], "dataset.poses=nowhere.npy: no such file"),
+    ],
+)
+def test_poses_that_do_not_do_are_one_line(folder: Path, more: list[str], message: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        check(jobs_of(arguments(folder, *more)))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
