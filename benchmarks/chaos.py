@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +25,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 
 from faults import at_once, canaries, changes, disks, inputs, kills, servers, stops
-from faults.bench import Bench, Fault
+from faults.bench import Bench, Fault, Round
 from faults.commands import none_left_behind
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -81,7 +82,7 @@ def campaign(rows: Sequence[Row], bench: Bench, seed: int, seconds: float, most:
         row = min(waiting, key=lambda row: row.seconds)
         bench.unbroken  # noqa: B018  # made before a clock runs
         began = time.monotonic()
-        found = row.fault.round(bench, random.Random(f"{seed} {row.fault.name} {row.rounds}"), row.rounds)
+        found = _round(row, bench, random.Random(f"{seed} {row.fault.name} {row.rounds}"))
         row.seconds += time.monotonic() - began
         row.rounds, row.done = row.rounds + 1, row.done + found.count
         row.is_over = found.is_last
@@ -91,6 +92,15 @@ def campaign(rows: Sequence[Row], bench: Bench, seed: int, seconds: float, most:
             row.largest[name] = max(value, row.largest.get(name, value))
         took = f"{time.monotonic() - began:.0f} s"
         print(f"{row.fault.name} {row.rounds}: {'; '.join(found.wrong) or 'as it must be'} ({took})", flush=True)
+
+
+def _round(row: Row, bench: Bench, rng: random.Random) -> Round:
+    """The next round of a row; one that fails itself is told as a fault that was not withstood."""
+    try:
+        return row.fault.round(bench, rng, row.rounds)
+    except Exception as error:
+        traceback.print_exc()
+        return Round([f"{type(error).__name__}: {error}"])
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:

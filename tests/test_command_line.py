@@ -3,6 +3,7 @@
 import ast
 import errno
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -173,6 +174,53 @@ def test_a_job_that_fails_is_shown_where_it_happened_and_the_next_one_runs(
     assert shown.count("in broken") == 2
     assert "sa2h/seed0: the loss is not finite" in shown
     assert "nsa2h/seed0: the loss is not finite" in shown
+
+
+FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "last.ckpt")
+
+
+def test_a_full_disk_is_one_line_for_a_job_and_for_the_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise FULL
+
+    def study(jobs: list[Job], launch: Launch, elsewhere: bool) -> int:  # noqa: ARG001
+        launch(jobs, full)
+        raise FULL
+
+    monkeypatch.setattr("ablate.tasks.study", study)
+    monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path}"])
+    with pytest.raises(SystemExit, match=r"^ablate: \[Errno 28\] .*'last\.ckpt'; the same command continues"):
+        main()
+    assert capsys.readouterr().err == "sa2h/seed0: [Errno 28] No space left on device: 'last.ckpt'\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_ends_the_program_is_said_and_what_is_open_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: signal.Signals
+) -> None:
+    closed = []
+
+    def signalled(_: object) -> None:
+        try:
+            os.kill(os.getpid(), number)
+        finally:
+            closed.append(number)
+
+    monkeypatch.setattr("ablate.tasks.run_task", signalled)
+    monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path}"])
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert signal.getsignal(number) is signal.SIG_DFL
+    finally:
+        signal.signal(number, before)
+    assert end.value.code == 128 + number
+    told = f"ablate: stopped by {number.name}; the same command continues where it stopped\n"
+    assert capsys.readouterr().err == told
+    assert closed == [number]
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def secrets(bench: Bench, rng: random.Random, number: int) -> Round:
         wrong.append("the secret is on the screen")
     wrong += [f"the secret is in {path.relative_to(runs)}" for path in _holding(runs, secret.encode())]
     changes = (runs / STUDY / "sa2h" / "seed0" / "provenance" / "uncommitted.diff").read_bytes()
-    if is_own != (b"\xe9" in changes):
+    if is_own != (b"caf" in changes):
         wrong.append(f"the uncommitted change of the {'own' if is_own else 'other'} repository: {changes[:80]!r}")
     return Round([*wrong, *differences(runs, bench.unbroken)])
 

@@ -48,8 +48,8 @@ def changed(bench: Bench, rng: random.Random, number: int) -> Round:
     words = [word for word in SWEEP if word != "-m" and not word.startswith("variant=")]
     line = [*words, f"variant={_VARIANT}", "training.threads=1", "training.precision=fp32", f"runs_dir={runs}"]
     folder = runs / STUDY / _VARIANT / "seed0"
-    command = ablate(line, runs.parent, Start.cold, environment)
-    command.wait_until(lambda: last_step(folder) >= rng.randrange(2, 30))
+    command, at = ablate(line, runs.parent, Start.cold, environment), rng.randrange(2, 30)
+    command.wait_until(lambda: last_step(folder) >= at)
     command.signal(signal.SIGTERM)
     command.wait()
     before = last_step(folder)

@@ -73,8 +73,8 @@ def outage(how: Callable[[Server], None], seconds: float, bench: Bench, rng: ran
         steps = _steps(bench, 2 * seconds + 20)
         line = [*_STUDY, f"training.steps={steps}", f"runs_dir={runs}", f"tracking.uri={server.uri}"]
         folder = runs / STUDY / _VARIANT / "seed0"
-        command = ablate(line, runs.parent)
-        command.wait_until(lambda: last_step(folder) >= steps * rng.uniform(0.05, 0.2))
+        command, begin = ablate(line, runs.parent), steps * rng.uniform(0.05, 0.2)
+        command.wait_until(lambda: last_step(folder) >= begin)
         how(server)
         ended = command.wait()
         if server.process.poll() is not None:

@@ -30,7 +30,8 @@ def stop(how: str, bench: Bench, rng: random.Random, number: int) -> Round:
     finished = result_files(runs)
     others = [v for v in VARIANTS if v != victim and is_sudden and launcher == "joblib"]
     wrong = [f"{v} did not finish" for v in others if f"{v}/seed0" not in finished]
-    if not (how == "SIGKILL" and launcher == "basic") and len(finished) < len(VARIANTS):
+    was_ended = is_sudden and ended.code < 0  # by the system; it could say nothing
+    if len(finished) < len(VARIANTS) and not was_ended:
         if "the same command" not in ended.said:
             wrong.append(f"{launcher}: it ended without a word on what is missing: ...{ended.said[-200:]}")
         if ended.code == 0:

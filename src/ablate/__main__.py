@@ -1,11 +1,22 @@
 """Entry point of `python -m ablate` and of the console script `ablate`."""
 
 import re
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import TextIOWrapper
 
 from ablate.config import ConfigurationError
 from ablate.studies.jobs.compose import read_command_line
+
+
+class _Stopped(KeyboardInterrupt):
+    """A signal that asks the process to end; it is treated as Ctrl-C is."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(f"stopped by {signal.Signals(number).name}")
+        self.number = number
 
 
 def main() -> None:
@@ -19,14 +30,39 @@ def main() -> None:
             return
         from ablate.tasks import run_task  # heavy imports only after the command line is known to compose
 
-        code = run_task(command)
+        with _stopping_at_signals():
+            code = run_task(command)
     except ConfigurationError as error:
         said = re.sub(r"://[^\s@]*@", "://...@", str(error))  # no password on the screen
         print(f"ablate: {said}", file=sys.stderr)
         sys.exit(2)
+    except OSError as error:  # such as a full disk; what the system did not raise has no number
+        if error.errno is None:
+            raise
+        sys.exit(f"ablate: {error}; the same command continues where it stopped")
+    except _Stopped as stopped:
+        print(f"ablate: {stopped}; the same command continues where it stopped", file=sys.stderr)
+        sys.exit(128 + stopped.number)
     except KeyboardInterrupt:
         sys.exit("ablate: interrupted; the same command continues where it stopped")
     sys.exit(code)
+
+
+@contextmanager
+def _stopping_at_signals() -> Iterator[None]:
+    """Raise `_Stopped` at SIGTERM, and at SIGHUP, which closes a terminal; a signal that is ignored stays ignored."""
+
+    def stop(number: int, _: object) -> None:
+        raise _Stopped(number)
+
+    watched = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
+    for number in watched:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number in watched:
+            signal.signal(number, signal.SIG_DFL)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """A run stopped anywhere and continued equals the run that was not stopped, in every weight."""
 
+import errno
 import itertools
 import json
 import os
@@ -7,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from functools import cache
@@ -306,6 +308,21 @@ def test_the_folder_holds_the_checkpoint_and_nothing_else(
 ) -> None:
     trained = train(spec, settings, loader, tmp_path)
     assert list(tmp_path.rglob("*")) == [trained.checkpoint] == [tmp_path / LAST]
+
+
+def test_a_checkpoint_needs_no_folder_for_temporary_files(
+    spec: GeneratorSpec,
+    settings: TrainingSettings,
+    loader: Loader,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "mkstemp", full)
+    train(spec, replace(settings, steps=2), loader, tmp_path)
+    assert read_checkpoint(tmp_path / LAST)["steps_done"] == 2
 
 
 def test_the_generator_to_evaluate_is_the_average(

@@ -1,10 +1,12 @@
 """`last.ckpt`: written whole or not at all, loaded without running code, resumed exactly."""
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
+from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from ablate.networks import Generator
 from ablate.storage import remove_partial, written_whole
@@ -17,6 +19,16 @@ LAST = "last.ckpt"
 # Settings that may differ between a run and its continuation: they say how long is trained, and where. Another device
 # or number of threads adds numbers in another order, so weights differ by rounding.
 _FREE = frozenset({"steps", "device", "threads", "checkpoint_every", "validate_every", "log_every"})
+
+
+class PlainFile(TorchCheckpointIO):
+    """Writes a checkpoint to its file. Lightning's own way goes through the system's folder for temporary files."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any = None) -> None:  # noqa: ARG002, Lightning gives it
+        """Write the content; a full disk is an OSError."""
+        content = BytesIO()
+        torch.save(checkpoint, content)
+        Path(path).write_bytes(content.getbuffer())
 
 
 class LastCheckpoint(Callback):

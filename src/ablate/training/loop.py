@@ -15,7 +15,7 @@ from lightning.pytorch.plugins.environments import LightningEnvironment
 from torch import Tensor
 
 from ablate.networks import Generator, GeneratorSpec
-from ablate.training.checkpoints import LAST, LastCheckpoint, resume
+from ablate.training.checkpoints import LAST, LastCheckpoint, PlainFile, resume
 from ablate.training.divergence import DivergenceGuard
 from ablate.training.hardware import chosen_device, chosen_precision, keep_freed_memory
 from ablate.training.interruption import Interruption
@@ -119,7 +119,7 @@ def _fit(
             accelerator="gpu" if device.type == "cuda" else "cpu",
             devices=1,
             # A SLURM allocation does not matter here: there is one process with one device.
-            plugins=[LightningEnvironment()],
+            plugins=[LightningEnvironment(), PlainFile()],
             precision=_TRAINER_PRECISION[module.settings.precision],  # type: ignore[arg-type]
             max_epochs=1,
             callbacks=callbacks,

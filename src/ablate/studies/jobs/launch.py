@@ -63,7 +63,9 @@ class _Task:
         number = HydraConfig.get().job.num if len(self.jobs) > 1 else 0  # Hydra numbers the jobs of sweeps only
         try:
             self.work(self.jobs[number])
-        except ConfigurationError as error:
-            print(f"{self.jobs[number].name}: {error}", file=sys.stderr)
-        except Exception:
-            traceback.print_exc()
+        except Exception as error:
+            is_the_systems = isinstance(error, OSError) and error.errno is not None  # such as a full disk
+            if isinstance(error, ConfigurationError) or is_the_systems:
+                print(f"{self.jobs[number].name}: {error}", file=sys.stderr)
+            else:
+                traceback.print_exc()
