@@ -5,7 +5,7 @@ python scripts/results.py restore             # put it back into runs/: the same
 python scripts/results.py table               # write the tables of docs/results.md and its figures
 
 `keep` adds what has finished since, on whichever machine. A run is kept with its configuration, its scalars, its values
-a frame and what it was made with; not with its weights. Of the variants with a name of their own the first training
+a frame, its time a frame and what it was made with; not with its weights. Of the variants with a name of their own the first training
 keeps one picture. Prose in docs/results.md stays as it is: only what stands between the two markers is written.
 """
 
@@ -21,6 +21,7 @@ import pandas as pd
 
 from ablate.analysis import RESIMULATION
 from ablate.storage import write_json
+from ablate.studies.comparison.frame_times import TIMES
 from ablate.studies.comparison.results import Finished, pictures
 from ablate.studies.comparison.usable_runs import usable_runs
 from ablate.studies.identity import scored_by
@@ -77,6 +78,8 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
             shutil.copyfile(run.folder / MADE_WITH, folder / MADE_WITH)
         write_json(there, run.result)  # last: a run that has it is whole
         said.append(f"kept {run.name}")
+    if (study / TIMES).exists():
+        shutil.copyfile(study / TIMES, target / TIMES)
     if not (target / FRAME).exists():
         said += keep_frame(named(usable.runs), target / FRAME)
     return said
@@ -149,6 +152,9 @@ def restore(kept: Path = KEPT, runs_dir: Path = Path("runs")) -> list[str]:
         shutil.copytree(result.parent, target, dirs_exist_ok=True, ignore=whole)
         shutil.copyfile(result, target / "result.json")
         said.append(f"restored {name}")
+    for times in kept.glob(f"*/{TIMES}"):
+        if not (there := runs_dir / times.relative_to(kept)).exists():
+            shutil.copyfile(times, there)
     return said
 
 

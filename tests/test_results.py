@@ -75,7 +75,7 @@ def pretend(job: Job) -> None:
     ]
     pd.DataFrame(rows).assign(variant=job.label, seed=s.seed).to_parquet(job.folder / "per_image.parquet")
     np.savez(job.folder / "pictures.npz", frames=[300, 310], images=[IMAGE, IMAGE // 2])
-    scalars = {"parameters_generator": 1e6, "parameters_discriminator": 2e6, "ms_per_frame": 30.0}
+    scalars = {"parameters_generator": 1e6, "parameters_discriminator": 2e6, "seconds": 30.0}
     scalars |= {f"test/{name}": 0.5 + 0.01 * mean for name in SCALARS}
     scalars |= {f"test/floor_{name}": 0.1 for name in SCALARS}
     result = {"hash": spec["hash"], "label": job.label, "seed": s.seed, "data": f"fetal-{anatomy}"}

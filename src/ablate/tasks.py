@@ -30,7 +30,8 @@ def run_task(command: CommandLine) -> int:
 def study(jobs: Sequence[Job], launch: Callable[[Sequence[Job], Work], None], elsewhere: bool = False) -> int:
     """Simulate what is missing, run every job that is not finished, compare.
 
-    Jobs that run elsewhere simulate their own pairs, because a cluster's login node is not for computing.
+    Jobs that run elsewhere simulate their own pairs, because a cluster's login node is not for computing. Nor is it for
+    timing: `task=compare` on another node does that.
     """
     from ablate.studies.comparison.compare import compare_study
     from ablate.studies.run import run_job
@@ -44,7 +45,7 @@ def study(jobs: Sequence[Job], launch: Callable[[Sequence[Job], Work], None], el
         if waiting:
             launch(waiting, run_job)
         for settings in _studies([job for job in jobs if finished(job) is not None]):
-            print(compare_study(settings))
+            print(compare_study(settings, time_here=not elsewhere))
     if failed := [job for job in jobs if finished(job) is None]:
         names = ", ".join(job.name for job in failed)
         print(f"not finished: {names}; the same command takes them up again", file=sys.stderr)

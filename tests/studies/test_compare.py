@@ -19,7 +19,8 @@ from ablate.networks import COMPONENTS
 from ablate.storage import digest
 from ablate.studies.comparison.answers import FACTORS, components_of
 from ablate.studies.comparison.compare import compare_study, write_comparison
-from ablate.studies.comparison.results import Finished, finished_runs
+from ablate.studies.comparison.frame_times import FrameTime, write_times
+from ablate.studies.comparison.results import Finished, finished_runs, labelled_networks
 from ablate.studies.comparison.usable_runs import usable_runs
 from support.studies import study_group
 
@@ -59,7 +60,7 @@ def write_run(
     spec = {"label": label, "hash": digest(semantic), "semantic": semantic}
     (folder / "spec.json").write_text(json.dumps({**spec, "settings": {"model": model}}))
     scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_lower": 2.0, "test/fd_speckle_upper": 5.0 + seed}
-    scalars |= {"test/floor_fd_speckle": 0.1, "ms_per_frame": 30.0, "test/psnr": 20.0, "test/floor_psnr": 22.0}
+    scalars |= {"test/floor_fd_speckle": 0.1, "test/psnr": 20.0, "test/floor_psnr": 22.0}
     scalars |= {"parameters_generator": 1e6, "parameters_discriminator": 2e6}
     result = {"hash": spec["hash"], "label": label, "seed": seed, "data": data}
     result["metrics_version"] = METRICS_VERSION
@@ -88,6 +89,9 @@ def study(tmp_path: Path) -> Path:
     for label in VARIANTS:
         for seed in (0, 1, 2):
             write_run(folder, label, seed)
+    networks = labelled_networks(finished_runs(folder))
+    times = {networks[label]: FrameTime({"network": [k + 9.0, k + 10.0, k + 11.0]}) for k, label in enumerate(VARIANTS)}
+    write_times(folder, {"a machine": times})
     return folder
 
 
@@ -125,6 +129,12 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     assert table.loc["sa2h", "fd_speckle_mean"] == 4.0
     assert (table.loc["sa2h", "fd_speckle_lower"], table.loc["sa2h", "fd_speckle_upper"]) == (2.0, 6.0)
     assert "fd_speckle_lower_mean" not in table, "a bound is no metric"
+    runs = pd.read_csv(folder / "runs.csv").set_index("variant")
+    for name in (*(f"ms_per_frame_{side}" for side in ("lower", "upper")), "ms_per_frame"):
+        expected = 10.0 + {"ms_per_frame": 0.0, "ms_per_frame_lower": -0.5, "ms_per_frame_upper": 0.5}[name]
+        assert set(runs.loc["sa2h", name]) == {expected}
+    assert table.loc["sa2h", "ms_per_frame_sd"] == 0.5
+    assert list(pd.read_csv(folder / "times.csv")["machine"].unique()) == ["a machine"]
     assert set(pd.read_csv(folder / "effects.csv")["effect"]) == {"attenuation", "upsampling"}
     claims = pd.read_csv(folder / "claims.csv")
     assert set(claims["metric"]) == {*METRICS, "fd_speckle"}

@@ -71,12 +71,14 @@ def test_the_parent_run_carries_the_comparison(finished: Path) -> None:
         "qualitative_0.png",
         "error_vs_runtime.png",
     }
+    times = pd.read_csv(finished / "tiny-fetal" / "comparison" / "times.csv").set_index("variant")
     for child in children:
         metrics, tags = child.data.metrics, child.data.tags
         for name in ("psnr", "mae", "pchi2", "psnr_fan", "mae_smooth", "nyquist_excess", "fd_speckle", "noise_sd"):
             assert f"test/{name}" in metrics
             assert f"test/floor_{name}" in metrics
         assert {"ms_per_frame", "train/l1", "val/psnr"} <= metrics.keys()
+        assert metrics["ms_per_frame"] == times.loc[child.data.tags["variant"], "ms"]
         assert {"variant", "seed", "study", "config_hash", "data_hash"} <= tags.keys()
         assert {a.path for a in client.list_artifacts(child.info.run_id, "provenance")} >= {
             "provenance/config.json",

@@ -6,6 +6,7 @@ STORED_COLUMNS = (*SCORE_COLUMNS, "source", "split", "variant", "seed")  # `per_
 PER_IMAGE_COLUMNS = ("variant", "seed", *SCORE_COLUMNS)  # of compared runs; the re-simulation is one of the variants
 SCALAR_COLUMNS = ("variant", "seed", "metric", "value")  # one row a metric of a run; `BOUNDS` may follow
 BOUNDS = ("lower", "upper")  # ends of an interval: columns of tables, and suffixes as in `test/fd_speckle_lower`
+FRAME_TIME = "ms_per_frame"  # of a network, timed beside the others of its study; its bounds are quartiles
 FLOOR_PREFIX = "floor_"  # of a scalar of the re-simulation, as `test/floor_psnr`
 
 

@@ -24,7 +24,7 @@ from ablate.studies.pairs.data import Data, dataset_folder, maps_needed, prepare
 from ablate.studies.result_file import read_result
 from ablate.studies.tracked import log_samples
 from ablate.tracking import LocalLog
-from ablate.training import TrainingPrecision, Validation, chosen_device, generate, median_ms_per_frame, train
+from ablate.training import TrainingPrecision, Validation, chosen_device, generate, train
 
 _VALIDATION_FRAMES = 16
 # Metrics of the validation curves; MLflow's comparison of runs shows the first.
@@ -95,11 +95,9 @@ def _train_and_score(job: Job, data: Data, log: LocalLog) -> tuple[dict[str, flo
         costs["train/seconds"] = time.perf_counter() - started
     render = generated_images(trained.generator, data, values, s.training.precision)
     scores = score_run(scorer(with_earlier_metrics(job), data), render, draws_noise(s.model))
-    maps = _inputs(trained.generator, data, data.pairs.frames(Part.test)[:1], values)
-    milliseconds = median_ms_per_frame(trained.generator, maps, s.training.precision, s.evaluation.timed_frames)
     generator, discriminator = parameters(s)
     sizes = {"parameters_generator": float(generator), "parameters_discriminator": float(discriminator)}
-    scalars = {**costs, "ms_per_frame": milliseconds, **scores.scalars, **sizes}
+    scalars = {**costs, **scores.scalars, **sizes}
     with written_whole(job.folder / "per_image.parquet") as partial:
         scores.per_image.assign(variant=job.label, seed=s.seed).to_parquet(partial)
     shown = dataset.equally_spaced(data.pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant

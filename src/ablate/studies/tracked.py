@@ -8,7 +8,7 @@ import numpy as np
 from ablate import tracking
 from ablate.config import SceneKind, StudySettings, build, json_ready
 from ablate.dataset import Part, label_values
-from ablate.metrics.stored_names import FLOOR_PREFIX, is_bound
+from ablate.metrics.stored_names import FLOOR_PREFIX, FRAME_TIME, is_bound
 from ablate.networks import conditions
 from ablate.studies.comparison.results import Finished, data_of
 from ablate.tracking import LocalLog, Store, StoredRun
@@ -98,8 +98,12 @@ def describe_study(
 
 
 def logged(scalars: Mapping[str, float]) -> dict[str, float]:
-    """The scalars that a run's page shows: not the bounds of intervals, nor the re-simulation on validation frames."""
-    return {k: v for k, v in scalars.items() if not k.startswith(f"val/{FLOOR_PREFIX}") and not is_bound(k)}
+    """The scalars that a run's page shows: not the bounds of intervals, nor the re-simulation on validation frames.
+
+    Runs of earlier versions stored a time a frame that was measured beside other work; that of the comparison is shown.
+    """
+    hidden = f"val/{FLOOR_PREFIX}"
+    return {k: v for k, v in scalars.items() if not k.startswith(hidden) and not is_bound(k) and k != FRAME_TIME}
 
 
 def register_reference(settings: StudySettings, runs: Sequence[Finished], store: Store, ids: Mapping[str, str]) -> str:

@@ -80,6 +80,8 @@ def effects_caption(design: Design, effects: pd.DataFrame, gap_to: str | None = 
 def runtime_caption(metrics: Sequence[str]) -> str:
     """Caption of `error_vs_runtime`."""
     return (
-        "Error on the test frames against the median time per frame on this machine, with the Pareto front. The paper "
-        f"does not name the GPU of its times. {resimulation_note(list(metrics))}"
+        "Error on the test frames against the median time per frame, with the maps that the network reads, on the "
+        "machine that the figure names. Bars are quartiles over rounds in which all networks took turns. The grey line "
+        f"is the Pareto front; no point is on it for a time that differs by less than the bars. The paper does "
+        f"not name the GPU of its times. {resimulation_note(list(metrics))}"
     )

@@ -16,6 +16,7 @@ from ablate.analysis.figures.metric_panels import legend_entries, resimulation_w
 from ablate.analysis.figures.style import FLOOR_COLOUR, PAGE_IN, colour_of, house_style, new_figure, save_figure
 from ablate.analysis.statistics.work_precision import pareto_front
 from ablate.metrics import Direction, metric_of
+from ablate.metrics.stored_names import BOUNDS
 
 COLUMNS = ("series", "setting", "ms", "metric", "error")
 PAPER_ANCHORS_MS = {"simulated": 75.0, "generated": 40.0}
@@ -61,7 +62,8 @@ def error_vs_runtime(
     ----------
     points : DataFrame
         Columns series, setting, ms, metric, error (as `precision.csv`). The keys of `SIMULATOR` are the simulator's
-        series, all others are trained runs.
+        series, all others are trained runs. Columns lower and upper, where they are, are the spread of the times, and
+        a difference within it puts no point on the front.
     floors : mapping of str to float, optional
         Re-simulation's value by metric.
     hardware : str
@@ -141,6 +143,9 @@ def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None,
         for point in points[points["series"] == name].to_dict("records"):
             engine = next((e for e in _ENGINE_FILL if e in str(point["setting"])), "exported")
             style = _marker(colour_of(name, runs), _RUN_MARKERS[k % len(_RUN_MARKERS)], engine)
+            if "lower" in point:
+                span = [[point["ms"] - point["lower"]], [point["upper"] - point["ms"]]]
+                axes.errorbar(point["ms"], point["error"], xerr=span, color=style["color"], lw=0.8, capsize=1.5)
             axes.plot(point["ms"], point["error"], ls="none", label=shown_name(name), **style)
     error = points["error"].to_numpy(dtype=np.float64)
     positive = error[error > 0]
@@ -155,7 +160,8 @@ def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None,
 def _background(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None) -> None:
     """Draw the Pareto front of these points, re-simulation, the paper's times, and the axes' names."""
     ms, error = points["ms"].to_numpy(dtype=np.float64), points["error"].to_numpy(dtype=np.float64)
-    front = pareto_front(ms, -error if metric_of(metric).better is Direction.higher else error)
+    spread = [points[side].to_numpy(dtype=np.float64) for side in BOUNDS if side in points]
+    front = pareto_front(ms, -error if metric_of(metric).better is Direction.higher else error, *spread)
     axes.step(ms[front], error[front], where="post", color="#BBBBBB", lw=3, zorder=0, label="Pareto front")
     if floor is not None:
         label = f"re-simulation ({resimulation_word(metric)})"

@@ -14,6 +14,7 @@ from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.effects import LinearModel
 from ablate.analysis.statistics.paired import holm_where_known
 from ablate.metrics import Direction, metric_of
+from ablate.metrics.stored_names import FRAME_TIME
 from ablate.networks import COMPONENTS, Component
 
 ALPHA = 0.05
@@ -33,7 +34,7 @@ VERDICT_COLUMNS = (
     *("better", "p_band_holm", "dof", "distance", "full_effect", "full_lower", "full_upper"),
     *("ms_per_frame", "parameters", "why"),
 )
-COSTS = ("ms_per_frame", "parameters")
+COSTS = (FRAME_TIME, "parameters")
 JUDGED_BY = (*dict.fromkeys(str(component.metric) for component in COMPONENTS), *COSTS)
 
 
@@ -64,6 +65,7 @@ def verdict_table(
     distances: Mapping[str, float] | None = None,
     bands: Mapping[str, float] = BANDS,
     level: float = 1 - ALPHA,
+    spreads: Mapping[str, float] | None = None,
 ) -> pd.DataFrame:
     """Judge every component on its primary metric, from one mean a run.
 
@@ -82,6 +84,8 @@ def verdict_table(
         By component, in units of its metric, above 0.
     level : float
         Coverage of the intervals.
+    spreads : mapping of str to float, optional
+        By cost, the spread of what was measured of a run: a component that adds no more adds none, 0.
 
     Returns
     -------
@@ -94,7 +98,7 @@ def verdict_table(
         undecided. What the runs cannot tell is missing.
     """
     models = models_of(JUDGED_BY, means, design)
-    table = pd.DataFrame([_row(c, models, design, bands[c.name], level) for c in COMPONENTS])
+    table = pd.DataFrame([_row(c, models, design, bands[c.name], level, spreads or {}) for c in COMPONENTS])
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in COMPONENTS]
     table["distance"] = [(distances or {}).get(str(c.metric), np.nan) for c in COMPONENTS]
     for name in ("p", "p_band"):
@@ -179,7 +183,12 @@ def interactions(means: pd.DataFrame, design: Design | None) -> pd.DataFrame:
 
 
 def _row(
-    component: Component, models: Mapping[str, LinearModel | str], design: Design | None, band: float, level: float
+    component: Component,
+    models: Mapping[str, LinearModel | str],
+    design: Design | None,
+    band: float,
+    level: float,
+    spreads: Mapping[str, float],
 ) -> dict[str, object]:
     row: dict[str, object] = dict.fromkeys((*VERDICT_COLUMNS, "improvement", "p", "p_band"))
     row |= {"component": component.name, "metric": component.metric, "band": band}
@@ -188,7 +197,9 @@ def _row(
         return row | {"why": model}
     for cost in COSTS:
         priced = models[cost]
-        row[cost] = None if isinstance(priced, str) else priced.contrast(of_component(component, priced))[0]
+        if not isinstance(priced, str):
+            added = priced.contrast(of_component(component, priced))[0]
+            row[cost] = added if abs(added) > spreads.get(cost, 0.0) else 0.0
     effect, error = model.contrast(of_component(component, model))
     full, full_error = model.contrast(of_component(component, model, full=True))
     off, on = (int(n) for n in model.runs[model.terms.index((component.field,))])

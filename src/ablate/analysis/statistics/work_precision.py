@@ -44,22 +44,29 @@ def observed_order(n: np.ndarray, error: np.ndarray, metric: str = "") -> Order 
     return Order(-slope, float(np.sqrt(residual @ residual / free / spread)) if free else float("nan"))
 
 
-def pareto_front(ms: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Find the points that no other point beats in both time and error.
+def pareto_front(
+    ms: np.ndarray, error: np.ndarray, lower: np.ndarray | None = None, upper: np.ndarray | None = None
+) -> np.ndarray:
+    """Find the points that no other point beats: with a smaller error in no more time, or equal in less.
 
     Parameters
     ----------
     ms, error : (n,) float
         Smaller is better in both.
+    lower, upper : (n,) float, optional
+        The spread of the times. Another point takes no more time unless its lower bound is above this one's upper.
 
     Returns
     -------
     (k,) int
         Indices of the front, by increasing time; of equal points the first.
     """
+    lower, upper = ms if lower is None else lower, ms if upper is None else upper
     order = np.lexsort((error, ms))
-    best = np.minimum.accumulate(error[order])
-    return order[np.concatenate(([True], best[1:] < best[:-1]))] if len(order) else order
+    place = np.argsort(order)
+    better = (error[None] < error[:, None]) & (lower[None] <= upper[:, None])
+    earlier = (error[None] == error[:, None]) & (place[None] < place[:, None])
+    return order[~(better | earlier).any(axis=1)[order]]
 
 
 def best_within(points: pd.DataFrame, metric: str, budget_ms: float) -> pd.Series | None:

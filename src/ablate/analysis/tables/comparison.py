@@ -6,7 +6,7 @@ import pandas as pd
 from ablate.analysis.order import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
 from ablate.analysis.values import require_columns
 from ablate.metrics import metric_of
-from ablate.metrics.stored_names import BOUNDS, PER_IMAGE_COLUMNS, SCALAR_COLUMNS
+from ablate.metrics.stored_names import BOUNDS, FRAME_TIME, PER_IMAGE_COLUMNS, SCALAR_COLUMNS
 
 
 def comparison_table(
@@ -28,9 +28,10 @@ def comparison_table(
     -------
     DataFrame
         One row a variant and metric: columns variant, metric, mean (NaN without one finite value), sd (over frames, as
-        the paper has it; over seeds for scalars), seed_sd (of the seeds' means; None with one seed), seeds, n, dropped
-        (values left out: infinite ones, of identical images, and NaN), lower, upper (where runs carry an interval of
-        their own: the mean of its bounds), best (of the networks; the re-simulation does not compete).
+        the paper has it; over seeds for scalars; half of upper minus lower for times), seed_sd (of the seeds' means;
+        None with one seed, and for times), seeds, n, dropped (values left out: infinite ones, of identical images, and
+        NaN), lower, upper (where runs carry an interval of their own: the mean of its bounds), best (of the networks;
+        the re-simulation does not compete; all times that the fastest one's spread reaches are best).
 
     Raises
     ------
@@ -47,6 +48,7 @@ def comparison_table(
     for (variant, metric), cell in values.groupby(["variant", "metric"], sort=False):
         finite = cell[np.isfinite(cell["value"])]
         seed_means = finite.groupby("seed")["value"].mean()
+        lower, upper = (_mean_bound(cell, side) for side in BOUNDS)
         rows.append(
             {
                 "variant": variant,
@@ -57,16 +59,22 @@ def comparison_table(
                 "seeds": int(cell["seed"].nunique()),
                 "n": len(finite),
                 "dropped": len(cell) - len(finite),
-                **{side: _mean_bound(cell, side) for side in BOUNDS},
+                "lower": lower,
+                "upper": upper,
             }
         )
+        if metric == FRAME_TIME and lower is not None and upper is not None:
+            rows[-1] |= {"sd": (upper - lower) / 2, "seed_sd": None}
     columns = ["variant", "metric", "mean", "sd", "seed_sd", "seeds", "n", "dropped", *BOUNDS]
     table = pd.DataFrame(rows, columns=columns)
     table["best"] = False
     for metric, group in table[table["variant"] != RESIMULATION].groupby("metric"):
         scores = group["mean"].map(lambda value, metric=metric: metric_of(str(metric)).badness(value))
         if scores.notna().any() and len(group) > 1:
-            table.loc[scores.index[scores == scores.min()], "best"] = True
+            best = scores == scores.min()
+            if metric == FRAME_TIME:
+                best |= group["lower"].astype(float) <= group.loc[best, "upper"].astype(float).max()
+            table.loc[scores.index[best], "best"] = True
     variants = {name: k for k, name in enumerate(ordered_variants(list(table["variant"]), reference))}
     metrics = {name: k for k, name in enumerate(ordered_metrics(list(table["metric"])))}
     keys = table["variant"].map(variants) * (len(metrics) + 1) + table["metric"].map(metrics)

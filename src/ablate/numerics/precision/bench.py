@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
@@ -13,11 +13,11 @@ from ablate.dataset import Part, equally_spaced
 from ablate.numerics.precision.errors import Frames
 from ablate.studies.pairs.data import dataset_folder, open_data
 from ablate.studies.pairs.simulated import build_scene, lay_out
-from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, compensated_attenuation, fan_mask
+from ablate.studies.pairs.timed_maps import TimedMaps, nudged
+from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.stages import Stage, stage_times
 
 _TURN = 2  # poses of one setting before the next setting
-_NUDGE_MM = 1e-3  # makes another pose, because a simulator keeps the results of its last one
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def render_all(
     for begin in range(0, len(bench.poses), _TURN):
         for k in turns:
             simulator = simulators[k]
-            simulator.render(_nudged(bench.poses[begin]), seeds[0])
+            simulator.render(nudged(bench.poses[begin]), seeds[0])
             for pose in bench.poses[begin : begin + _TURN]:
                 simulator.maps(pose)
                 start = time.perf_counter()
@@ -89,7 +89,7 @@ def _shown(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
 def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[], object]) -> dict[str, float]:
     """Measure the median milliseconds of each stage of an image, in order; the rest is `everything else`."""
     simulator = Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
-    simulator.render(_nudged(bench.poses[0]), bench.seed)
+    simulator.render(nudged(bench.poses[0]), bench.seed)
     whole, each = [], []
     for pose in bench.poses:
         simulator.maps(pose)
@@ -105,38 +105,14 @@ def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[],
 
 
 def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
-    """Make the inputs of generators, (n, H, W) each, and measure the median milliseconds of each.
-
-    They are `segmentation`, uint8, `attenuation` and `compensated`, float32 in [0, 1], and `low`, uint8. The first two
-    come from one call of `Simulator.maps`, whose part for the attenuation counts for `compensated` too. For a generator
-    that reads no attenuation only the labels of the pixels count.
-    """
-    maps = Simulator(bench.scene, bench.probe, bench.simulator, poses=bench.poses)
-    low = Simulator(bench.scene, bench.probe, replace(bench.simulator, rays=1, layers=1), poses=bench.poses)
-    maps.maps(_nudged(bench.poses[0]))
-    low.render(_nudged(bench.poses[0]), bench.seed)
-    rows, made = [], []
+    """Make the inputs of generators, (n, H, W) each, and measure the median milliseconds of each, as `TimedMaps`."""
+    make = TimedMaps(bench.scene, bench.probe, bench.simulator, bench.poses, low=True)
+    make(nudged(bench.poses[0]), bench.seed)
+    made, times = [], []
     for pose in bench.poses:
-        with stage_times() as taken:
-            start = time.perf_counter()
-            segmentation, attenuation = maps.maps(pose)
-            both = 1e3 * (time.perf_counter() - start)
-        labels = sum(taken[Stage.pixel_labels])
-        start = time.perf_counter()
-        compensated = compensated_attenuation(attenuation, bench.probe, bench.simulator.tgc_db_cm_mhz)
-        more = 1e3 * (time.perf_counter() - start)
-        low.maps(pose)  # is now kept: the following time is of the image only
-        start = time.perf_counter()
-        image = low.render(pose, bench.seed).image
-        rows.append((labels, both - labels, both - labels + more, 1e3 * (time.perf_counter() - start)))
-        made.append((segmentation, attenuation, compensated, image))
+        maps, taken = make(pose, bench.seed)
+        made.append(maps)
+        times.append(taken)
         advance()
-    names = ("segmentation", "attenuation", "compensated", "low")
-    arrays = {name: np.stack(c) for name, c in zip(names, zip(*made, strict=True), strict=True)}
-    return arrays, {name: median(c) for name, c in zip(names, zip(*rows, strict=True), strict=True)}
-
-
-def _nudged(pose: np.ndarray) -> np.ndarray:
-    moved = pose.copy()
-    moved[2, 3] += _NUDGE_MM
-    return moved
+    arrays = {name: np.stack([maps[name] for maps in made]) for name in made[0]}
+    return arrays, {name: median(taken[name] for taken in times) for name in times[0]}

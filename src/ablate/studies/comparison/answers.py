@@ -7,6 +7,7 @@ import pandas as pd
 
 from ablate import analysis
 from ablate.analysis import REFERENCE, Design
+from ablate.metrics.stored_names import BOUNDS, FRAME_TIME
 from ablate.networks import COMPONENTS
 from ablate.studies.comparison.results import Finished, scored_frames
 
@@ -24,7 +25,8 @@ class Answers:
     means : DataFrame
         One row a metric of a run of the design.
     runs : DataFrame
-        One row a run of the study: variant, seed, data, its components, and its mean of every metric.
+        One row a run of the study: variant, seed, data, its components, its mean of every metric, and the quartiles of
+        its time a frame.
     paper : DataFrame
         The paper's effects beside those of the study.
     """
@@ -47,14 +49,19 @@ def answers(runs: Sequence[Finished], table: pd.DataFrame, reference: str = REFE
     design = analysis.find_design(made, FACTORS, reference)
     means = analysis.run_means(per_image, scalars, design)
     everything = analysis.run_means(per_image, scalars)
-    wide = everything.pivot(index=["variant", "seed", "data"], columns="metric", values="value").reset_index()
+    run = ["variant", "seed", "data"]
+    wide = everything.pivot(index=run, columns="metric", values="value").reset_index()
+    if len(times := scalars[scalars["metric"] == FRAME_TIME]):
+        bounds = times.set_index(run)[list(BOUNDS)].add_prefix(f"{FRAME_TIME}_")
+        wide = wide.join(bounds.astype("float64"), on=run)
     for place, factor in enumerate(FACTORS, start=3):
         wide.insert(place, factor, [made[label].get(factor) for label in wide["variant"]])
+    spreads = {FRAME_TIME: float((times["upper"] - times["lower"]).mean() / 2)} if len(times) else {}
     return Answers(
         design,
         means,
         pd.DataFrame() if design is None else analysis.effects_table(per_image, design, scalars),
-        analysis.verdict_table(means, design, analysis.distances_to_resimulation(table, reference)),
+        analysis.verdict_table(means, design, analysis.distances_to_resimulation(table, reference), spreads=spreads),
         wide,
         analysis.paper_effects(means, design),
     )

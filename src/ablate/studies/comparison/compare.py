@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,36 +13,52 @@ from ablate import analysis
 from ablate.analysis import REFERENCE, Spread
 from ablate.config import ConfigurationError, StudySettings
 from ablate.metrics import METRICS_VERSION, Shown, shown_in
+from ablate.metrics.stored_names import FRAME_TIME
 from ablate.storage import digest, digest_of_files, read_json, write_json
 from ablate.studies.comparison.answers import answers, components_of
 from ablate.studies.comparison.figures import Numbers, draw_figures, stored_pictures
-from ablate.studies.comparison.results import Finished, appendix, data_of, provenance, scored_frames
+from ablate.studies.comparison.frame_times import TIMES, all_times, untimed
+from ablate.studies.comparison.results import (
+    Finished,
+    appendix,
+    data_of,
+    frame_times,
+    labelled_networks,
+    provenance,
+    scored_frames,
+    timed_on,
+)
+from ablate.studies.comparison.timing import time_networks
 from ablate.studies.comparison.usable_runs import UsableRuns, usable_runs
 from ablate.studies.copied import STATE, copy_study
 from ablate.studies.jobs.job import COMPARISON
 from ablate.studies.tracked import describe_study, register_reference
-from ablate.tracking import UNAVAILABLE, Status, default_uri, reason
+from ablate.tracking import UNAVAILABLE, Status, StoredRun, default_uri, reason
 
 
-def compare_study(settings: StudySettings, rebuild: bool = False) -> str:
+def compare_study(settings: StudySettings, rebuild: bool = False, time_here: bool = True) -> str:
     """Compare the finished runs of a study, on disk and on the parent run; returns what the screen shows of it.
 
-    A comparison of the same runs that is there already is kept, unless `rebuild` asks for it anew. Of several processes
-    one compares and the others wait, and then keep what it made. No finished run that can be used is a
+    A comparison of the same runs that is there already is kept, unless `rebuild` asks for it anew. With `time_here`
+    networks that this machine has not timed are timed first. Of several processes one compares and the others wait, and
+    then keep what it made. No finished run that can be used is a
     ConfigurationError.
     """
     if not settings.study_dir.is_dir():
         raise ConfigurationError(f"{settings.study_dir} holds no finished run to compare.")
     with FileLock(settings.study_dir / ".comparison.lock"):
-        return _compare_study(settings, rebuild)
+        return _compare_study(settings, rebuild, time_here)
 
 
-def _compare_study(settings: StudySettings, rebuild: bool) -> str:
+def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> str:
     folder, reference = settings.study_dir / COMPARISON, settings.reference
     usable = usable_runs(settings.study_dir, reference)
     if not usable.runs:
         raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))
-    made_from = _made_from(usable, reference)
+    failed = time_networks(settings.study_dir, usable.all) if time_here else ""
+    said_of_times = [*([failed] if failed else []), *untimed(settings.study_dir, labelled_networks(usable.all))]
+    usable = replace(usable, notes=(*usable.notes, *said_of_times))
+    made_from = _made_from(usable, reference, settings.study_dir / TIMES)
     marker = folder / "made_from.json"
     per_image, scalars = scored_frames(usable.runs)
     table = analysis.comparison_table(per_image, scalars, reference)
@@ -63,13 +80,14 @@ def _compare_study(settings: StudySettings, rebuild: bool) -> str:
     return f"{analysis.to_text(table[table['metric'].isin(shown_in(Shown.screen))])}\n{warnings}\n\n{where}"
 
 
-def _made_from(usable: UsableRuns, reference: str) -> dict[str, Any]:
-    """What decides a comparison: the files that it reads of its runs, the reference, and what was left aside.
+def _made_from(usable: UsableRuns, reference: str, times: Path) -> dict[str, Any]:
+    """What decides a comparison: the files that it reads of its runs and of times, the reference, what was left aside.
 
     A run that was deleted and trained again has the same configuration and other files.
     """
     runs = {f"{run.name} of {run.result['data']}": digest_of_files(run.files) for run in usable.all}
-    return {"runs": runs, "reference": reference, "notes": list(usable.notes), "metrics_version": METRICS_VERSION}
+    chosen = {"reference": reference, "notes": list(usable.notes), "metrics_version": METRICS_VERSION}
+    return {"runs": runs, "times": digest_of_files([times]), **chosen}
 
 
 def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
@@ -99,7 +117,8 @@ def write_comparison(
     found = answers(usable.all, table, reference)
     claims = analysis.seed_claims(per_image, scalars, reference)
     frames, missing = stored_pictures(runs, reference)
-    figures = draw_figures(Numbers(reference, per_image, scalars, table, paired, found), frames, partial)
+    numbers = Numbers(reference, per_image, scalars, table, paired, found, timed_on(usable.all))
+    figures = draw_figures(numbers, frames, partial)
     notes = [*usable.notes, *([missing] if missing else [])]
     report = analysis.write_report(
         partial / "report.html",
@@ -121,7 +140,9 @@ def write_comparison(
     (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
     (partial / "table.md").write_text(_markdown(table), "utf-8")
     tables = {"paired": paired, "claims": claims, "verdicts": found.verdicts, "runs": found.runs}
-    tables |= {name: made for name, made in (("effects", found.effects), ("paper", found.paper)) if len(made)}
+    times = all_times(folder.parent, labelled_networks(usable.all))
+    more = (("effects", found.effects), ("paper", found.paper), ("times", times))
+    tables |= {name: made for name, made in more if len(made)}
     for name, content in tables.items():
         content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
@@ -142,6 +163,9 @@ def _track(
             for path in files:
                 run.artifact(path, "vector" if path.suffix == ".pdf" else None)
             run.tags(provenance(runs))
+            for row in frame_times(runs).to_dict("records"):
+                if (run_id := ids.get(f"{row['variant']}/seed{row['seed']}")) is not None:
+                    StoredRun(run.store, run_id).scores({FRAME_TIME: row["value"]})
             headline = table[table["metric"].isin(shown_in(Shown.headline))]
             describe_study(run, runs, ids, analysis.to_markdown(headline), notes)
             run.tags({STATE: state})

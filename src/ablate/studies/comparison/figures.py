@@ -11,7 +11,6 @@ from ablate.analysis import RESIMULATION, FramePictures
 from ablate.metrics import Shown, shown_in
 from ablate.studies.comparison.answers import Answers
 from ablate.studies.comparison.results import Finished, pictures, runtime_points
-from ablate.tracking import hardware
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +23,7 @@ class Numbers:
     table: pd.DataFrame
     paired: pd.DataFrame
     answers: Answers
+    timed_on: str  # the machine
 
 
 def stored_pictures(runs: Sequence[Finished], reference: str) -> tuple[list[FramePictures], str]:
@@ -66,7 +66,7 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
         add(analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}"), analysis.chi2_caption(frame.name))
     points, floors = runtime_points(numbers.table)
     if len(points):
-        paths = analysis.error_vs_runtime(points, folder / "error_vs_runtime", floors, hardware())
+        paths = analysis.error_vs_runtime(points, folder / "error_vs_runtime", floors, numbers.timed_on)
         add(paths, analysis.runtime_caption(list(dict.fromkeys(points["metric"]))))
     for metric, paths in analysis.paired_boxplots(per_image, folder, reference, numbers.paired).items():
         add(paths, analysis.boxplot_caption([metric], reference))

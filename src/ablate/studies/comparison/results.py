@@ -14,8 +14,9 @@ import pandas as pd
 
 from ablate.analysis import REFERENCE, RESIMULATION, FramePictures, ordered_variants
 from ablate.metrics import Shown, shown_in
-from ablate.metrics.stored_names import BOUNDS, FLOOR_PREFIX, MODEL, RESIMULATED, is_bound
+from ablate.metrics.stored_names import BOUNDS, FLOOR_PREFIX, FRAME_TIME, MODEL, RESIMULATED, is_bound
 from ablate.storage import read_json
+from ablate.studies.comparison.frame_times import network_of, read_times, shown_machine, time_rows
 from ablate.studies.pairs.data import Data, open_data
 from ablate.studies.result_file import read_result
 
@@ -99,24 +100,42 @@ def scored_frames(runs: Sequence[Finished]) -> tuple[pd.DataFrame, pd.DataFrame]
                 of = own | ({"variant": RESIMULATION} if is_floor else {})
                 bounds = {side: values.get(f"{name}_{side}") for side in BOUNDS}
                 scalars.append({**of, "metric": metric, "value": value, **bounds})
-            elif name == "ms_per_frame":
-                scalars.append({**own, "metric": name, "value": value})
         parameters = values["parameters_generator"] + values["parameters_discriminator"]
         scalars.append({**own, "metric": "parameters", "value": parameters})
-    return pd.concat(frames, ignore_index=True), pd.DataFrame(scalars)
+    table = pd.DataFrame(scalars)
+    times = frame_times(runs)
+    return pd.concat(frames, ignore_index=True), pd.concat([table, times], ignore_index=True) if len(times) else table
+
+
+def frame_times(runs: Sequence[Finished]) -> pd.DataFrame:
+    """Times a frame, all of one machine, as `time_rows` gives them; what a run itself stored of times is not read."""
+    networks = {(r.label, r.seed, str(r.result["data"])): network_of(r.spec["semantic"]) for r in runs}
+    return time_rows(runs[0].folder.parents[1], networks)
+
+
+def labelled_networks(runs: Sequence[Finished]) -> dict[str, str]:
+    """The network that each variant is timed by."""
+    return {run.label: network_of(run.spec["semantic"]) for run in runs}
+
+
+def timed_on(runs: Sequence[Finished]) -> str:
+    """The machine that the times in tables and figures are from; empty where there are none."""
+    return shown_machine(read_times(runs[0].folder.parents[1]), labelled_networks(runs).values()) or ""
 
 
 def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]:
     """Error of every variant against its milliseconds a frame, and the re-simulation's value by metric.
 
-    `table` is what `comparison_table` gives.
+    `table` is what `comparison_table` gives. Columns are those of `error_vs_runtime`, with the spread of the times.
     """
     means = table.pivot(index="variant", columns="metric", values="mean")
+    times = table[table["metric"] == FRAME_TIME].set_index("variant")[["mean", *BOUNDS]].rename(columns={"mean": "ms"})
+    times = times.astype("float64")
     networks = means.drop(index=RESIMULATION, errors="ignore")
     metrics = [m for m in shown_in(Shown.headline) if m in means.columns]
     rows = [
-        {"series": v, "setting": "", "ms": networks.loc[v, "ms_per_frame"], "metric": m, "error": networks.loc[v, m]}
-        for v in networks.index
+        {"series": v, "setting": "", **times.loc[v].to_dict(), "metric": m, "error": networks.loc[v, m]}
+        for v in networks.index.intersection(times.index)
         for m in metrics
     ]
     floors = {m: float(means[m].to_dict()[RESIMULATION]) for m in metrics} if RESIMULATION in means.index else {}

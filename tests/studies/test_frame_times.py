@@ -1,0 +1,181 @@
+"""Times a frame: of one moment and one machine in a column, and a difference within their spread is none."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ablate.analysis import comparison_table, pareto_front
+from ablate.storage import write_json
+from ablate.studies.comparison import timing
+from ablate.studies.comparison.frame_times import FrameTime, network_of, read_times, write_times
+from ablate.studies.comparison.results import Finished, finished_runs, scored_frames, timed_on
+from ablate.studies.comparison.timing import time_networks
+
+
+def timed(*whole: float) -> FrameTime:
+    """Rounds of a map of 1 ms and the rest in the network."""
+    return FrameTime({"segmentation": [1.0] * len(whole), "network": [ms - 1 for ms in whole]})
+
+
+def semantic(width: float, seed: int = 0, anatomy: int = 0) -> dict[str, object]:
+    training = {"precision": "fp32", "seed": seed, "steps": 9 + seed}
+    return {"model": {"width": width}, "training": training, "data": {"scene": {"seed": anatomy}, "frames": 3}}
+
+
+def write_run(study: Path, label: str, width: float, seed: int = 0, checkpoint: bool = True) -> None:
+    """A finished run whose own file has a time that nobody should believe."""
+    folder = study / label / f"seed{seed}"
+    folder.mkdir(parents=True)
+    rows = [{"frame": k, "site": k, "metric": "mae", "value": 9.0, "source": "model", "split": "test"} for k in (0, 1)]
+    pd.DataFrame(rows).assign(variant=label, seed=seed).to_parquet(folder / "per_image.parquet")
+    spec = {"label": label, "hash": f"{label}{seed}", "semantic": semantic(width, seed), "settings": {}}
+    write_json(folder / "spec.json", spec)
+    scalars = {"ms_per_frame": 666.0, "parameters_generator": 1.0, "parameters_discriminator": 1.0}
+    write_json(
+        folder / "result.json", {"hash": spec["hash"], "label": label, "seed": seed, "data": "d", "scalars": scalars}
+    )
+    if checkpoint:
+        (folder / "last.ckpt").write_text("weights")
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    folder = tmp_path / "a_study"
+    for label, width in (("sa2h", 1.0), ("nsa2h", 2.0)):
+        for seed in (0, 1):
+            write_run(folder, label, width, seed)
+    return folder
+
+
+def times_of(study: Path) -> dict[str, float]:
+    _, scalars = scored_frames(finished_runs(study))
+    rows = scalars[scalars["metric"] == "ms_per_frame"]
+    return {f"{r['variant']}/seed{r['seed']}": r["value"] for r in rows.to_dict("records")}
+
+
+def test_seeds_and_anatomies_share_a_network_and_widths_do_not() -> None:
+    assert network_of(semantic(1.0)) == network_of(semantic(1.0, seed=4, anatomy=2))
+    assert network_of(semantic(1.0)) != network_of(semantic(2.0))
+    bf16 = semantic(1.0) | {"training": {"precision": "bf16"}}
+    assert network_of(semantic(1.0)) != network_of(bf16)
+
+
+def test_a_time_that_a_run_took_by_itself_is_not_shown(study: Path) -> None:
+    assert times_of(study) == {}
+
+
+def test_all_seeds_have_the_median_of_their_network(study: Path) -> None:
+    write_times(
+        study, {"a machine": {network_of(semantic(1.0)): timed(9, 10, 30), network_of(semantic(2.0)): timed(5)}}
+    )
+    assert times_of(study) == {"sa2h/seed0": 10, "sa2h/seed1": 10, "nsa2h/seed0": 5, "nsa2h/seed1": 5}
+
+
+def test_times_of_two_machines_are_never_in_one_column(study: Path) -> None:
+    write_run(study, "lsa2h", 3.0)
+    first, second, third = (network_of(semantic(width)) for width in (1.0, 2.0, 3.0))
+    write_times(study, {"old": {first: timed(1), third: timed(3)}, "new": {first: timed(10), second: timed(20)}})
+    assert timed_on(finished_runs(study)) == "new"
+    assert times_of(study) == {"sa2h/seed0": 10, "sa2h/seed1": 10, "nsa2h/seed0": 20, "nsa2h/seed1": 20}
+
+
+@pytest.mark.parametrize("damage", ["", '{"machines": 3}', '{"machines": [{"name": "a", "networks": {"n": {}}}]}'])
+def test_a_damaged_file_is_no_times(study: Path, damage: str) -> None:
+    (study / "times.json").write_text(damage)
+    assert times_of(study) == {}
+
+
+@pytest.fixture
+def measured(monkeypatch: pytest.MonkeyPatch) -> list[set[str]]:
+    """Which runs were timed at each call, in place of timing them."""
+    calls: list[set[str]] = []
+
+    def in_turns(runs: dict[str, Finished], *_: object) -> dict[str, FrameTime]:
+        calls.append({run.name for run in runs.values()})
+        return {network: timed(10.0 * len(calls)) for network in runs}
+
+    class Settings:
+        class training:
+            device, threads = "cpu", 1
+
+    monkeypatch.setattr(timing, "_in_turns", in_turns)
+    monkeypatch.setattr(timing, "_settings_of", lambda _: Settings)
+    return calls
+
+
+def test_what_is_unchanged_is_not_timed_again(study: Path, measured: list[set[str]]) -> None:
+    for _ in range(2):
+        assert time_networks(study, finished_runs(study)) == ""
+    assert measured == [{"sa2h/seed0", "nsa2h/seed0"}], "one run a network, once"
+
+
+def test_a_new_network_is_timed_together_with_all_others(study: Path, measured: list[set[str]]) -> None:
+    time_networks(study, finished_runs(study))
+    write_run(study, "lsa2h", 3.0)
+    time_networks(study, finished_runs(study))
+    assert measured[1] == {"sa2h/seed0", "nsa2h/seed0", "lsa2h/seed0"}
+    assert set(times_of(study).values()) == {20.0}
+
+
+def test_another_machine_is_timed_anew_and_the_old_one_kept(
+    study: Path, measured: list[set[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    time_networks(study, finished_runs(study))
+    monkeypatch.setattr(timing, "hardware", lambda: "another machine")
+    time_networks(study, finished_runs(study))
+    assert len(measured) == 2
+    assert len(read_times(study)) == 2
+    assert "another machine" in timed_on(finished_runs(study))
+    assert set(times_of(study).values()) == {20.0}
+
+
+def test_a_run_whose_checkpoint_is_gone_keeps_its_time_and_gets_none(study: Path, measured: list[set[str]]) -> None:
+    time_networks(study, finished_runs(study))
+    for path in study.glob("nsa2h/*/last.ckpt"):
+        path.unlink()
+    write_run(study, "lsa2h", 3.0, checkpoint=False)
+    time_networks(study, finished_runs(study))
+    assert len(measured) == 1
+    assert set(times_of(study)) == {"sa2h/seed0", "sa2h/seed1", "nsa2h/seed0", "nsa2h/seed1"}
+
+
+def test_what_cannot_be_timed_is_said(study: Path) -> None:
+    said = time_networks(study, finished_runs(study))
+    assert said.startswith("Times were not measured: ")
+    assert not (study / "times.json").exists()
+
+
+def test_times_within_their_spread_share_the_star() -> None:
+    values = [("a", 10.0, 9.0, 12.0), ("b", 12.5, 11.5, 14.0), ("c", 15.0, 14.5, 16.0)]
+    scalars = pd.DataFrame(values, columns=["variant", "value", "lower", "upper"]).assign(seed=0, metric="ms_per_frame")
+    per_image = pd.DataFrame({"variant": ["a"], "seed": 0, "frame": 0, "site": 0, "metric": "mae", "value": 1.0})
+    table = comparison_table(per_image, scalars).set_index(["variant", "metric"]).xs("ms_per_frame", level="metric")
+    assert table["best"].to_dict() == {"a": True, "b": True, "c": False}
+    assert table["sd"].to_dict() == {"a": 1.5, "b": 1.25, "c": 0.75}
+
+
+def test_a_front_is_not_made_by_a_difference_in_time_that_is_none() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        ms, error, half = rng.uniform(1, 9, 8), rng.integers(1, 6, 8).astype(float), rng.uniform(0, 2, 8)
+        lower, upper = ms - half, ms + half
+        kept = [
+            i
+            for i in range(8)
+            if not any(error[j] < error[i] and lower[j] <= upper[i] for j in range(8))
+            and not any(error[j] == error[i] and ms[j] < ms[i] for j in range(8))
+        ]
+        front = pareto_front(ms, error, lower, upper)
+        assert sorted(front) == kept
+        assert (np.diff(ms[front]) > 0).all()
+        assert (np.diff(error[front]) < 0).all()
+        assert list(pareto_front(ms, error, ms, ms)) == list(pareto_front(ms, error))
+
+
+def test_kept_times_are_plain_numbers(study: Path) -> None:
+    write_times(study, {"a machine": {"n": timed(9, 10)}})
+    (machine,) = json.loads((study / "times.json").read_text())["machines"]
+    assert machine == {"name": "a machine", "networks": {"n": {"segmentation": [1, 1], "network": [8, 9]}}}
