@@ -34,7 +34,8 @@ points, level = runtime_points(study.table)
 #
 # The figure shows the error on the test frames against the median time per frame, with the maps that the network reads.
 # All networks were timed together, in turns, and the bars are quartiles. No other network is both better and as fast as
-# a network on the grey line, where a difference in time within the bars is none. The paper reports 75 ms for its simulator and 40 ms for its networks, on a GPU that it does not name.
+# a network on the grey line, where a difference in time within the bars is none. The paper reports 75 ms for its
+# simulator and 40 ms for its networks, on a GPU that it does not name.
 
 # %%
 png, pdf = error_vs_runtime(points, folder / "error_vs_runtime", level, timed_on(study.runs))

@@ -5,8 +5,9 @@ python scripts/results.py restore             # put it back into runs/: the same
 python scripts/results.py table               # write the tables of docs/results.md and its figures
 
 `keep` adds what has finished since, on whichever machine. A run is kept with its configuration, its scalars, its values
-a frame, its time a frame and what it was made with; not with its weights. Of the variants with a name of their own the first training
-keeps one picture. Prose in docs/results.md stays as it is: only what stands between the two markers is written.
+a frame and what it was made with; not with its weights. Times a frame are kept, too. Of the variants with a name of
+their own the first training keeps one picture. Prose in docs/results.md stays as it is: only what stands between the
+two markers is written.
 """
 
 import argparse
