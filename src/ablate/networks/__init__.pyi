@@ -1,3 +1,5 @@
+from .custom import check_custom as check_custom
+from .custom import custom_source as custom_source
 from .discriminator import PatchDiscriminator as PatchDiscriminator
 from .discriminator import discriminator_channels as discriminator_channels
 from .export import export_onnx as export_onnx

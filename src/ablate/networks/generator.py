@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ablate.networks.custom import CustomNetwork
 from ablate.networks.gaussian_fields import gaussian_field
 from ablate.networks.layers import draw_initial_weights, laid_out
 from ablate.networks.local import LocalNetwork
@@ -27,7 +28,10 @@ class Generator(nn.Module):
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.network: LocalNetwork | UNetwork
+        self.network: LocalNetwork | UNetwork | CustomNetwork
+        if spec.family is Family.custom:
+            self.network = CustomNetwork(spec)
+            return
         self.network = LocalNetwork(spec) if spec.family is Family.local else UNetwork(spec)
         draw_initial_weights(self)
 

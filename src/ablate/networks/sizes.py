@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import torch
 from torch import nn
 
+from ablate.networks.custom import CustomNetwork
 from ablate.networks.discriminator import PatchDiscriminator, discriminator_channels
 from ablate.networks.generator import Generator
 from ablate.networks.layers import Convolution, ResizedConvolution, Stages, convolutions
@@ -31,15 +32,18 @@ def count_parameters(network: nn.Module) -> int:
     return sum(parameter.numel() for parameter in network.parameters())
 
 
-def receptive_field(spec: GeneratorSpec) -> int:
-    """Compute the side of the generator's receptive field, px.
+def receptive_field(spec: GeneratorSpec) -> int | None:
+    """Compute the side of the generator's receptive field, px; None for a custom network, whose layers are not known.
 
     Intervals of pixels are followed from the output back to the input, through every skip connection and every resized
     map. The result depends by a few pixels on the position relative to the strides; the largest is returned. The
     statistics of instance norm, which are global, and the border of the image are not counted.
     """
     with torch.device("meta"):
-        stages = Generator(spec).network.stages()
+        network = Generator(spec).network
+    if isinstance(network, CustomNetwork):
+        return None
+    stages = network.stages()
     period = 2**spec.depth
     feeds_maps = spec.concat is Concat.every_level
     extents = (_pixels_reached(stages, period * 64 + phase, feeds_maps) for phase in range(period))

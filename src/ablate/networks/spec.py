@@ -11,10 +11,11 @@ DEPTHS = range(1, 9)
 
 
 class Family(StrEnum):
-    """The paper's local generator (SA2H), or the U-Net of pix2pix (LSA2H, NSA2H)."""
+    """The paper's local generator (SA2H), the U-Net of pix2pix (LSA2H, NSA2H), or a network of the user's."""
 
     local = "local"
     unet = "unet"
+    custom = "custom"
 
 
 class Attenuation(StrEnum):
@@ -63,8 +64,8 @@ class ExtraInput(StrEnum):
 class GeneratorSpec:
     """A generator, named by its components; the defaults are the paper's full model SA2H.
 
-    Enums may be given as plain strings. The U-Net allows only `concat=input`, `upsampling=transposed` and noise that is
-    not injected, so that no two specifications name the same network.
+    Enums may be given as plain strings. The U-Net and a custom network allow only `concat=input`,
+    `upsampling=transposed` and noise that is not injected, so that no two specifications name the same network.
 
     Attributes
     ----------
@@ -74,6 +75,9 @@ class GeneratorSpec:
         Multiplier of every channel count; 1 is the paper's.
     noise_start : float
         Initial weight of injected noise in every channel; the paper starts at zero.
+    target : str or None
+        With `family=custom`, the dotted path of the class of the network, as `my_package.MyGenerator`. Its images have
+        sides that are multiples of 2^depth; `width` is not passed on.
 
     Raises
     ------
@@ -90,6 +94,7 @@ class GeneratorSpec:
     extra_input: ExtraInput = ExtraInput.none
     width: float = 1.0
     noise_start: float = 0.0
+    target: str | None = None
 
     def __post_init__(self) -> None:
         coerce_enums(self)
@@ -102,15 +107,19 @@ class GeneratorSpec:
             raise ValueError(f"width={self.width!r}: allowed are finite numbers above 0")
         if not math.isfinite(self.noise_start):
             raise ValueError(f"noise_start={self.noise_start!r}: allowed are finite numbers")
-        if self.family is Family.unet:
-            if self.depth < 2:
-                raise ValueError(f"depth={self.depth} with family=unet: allowed are 2 to {DEPTHS[-1]}")
+        if self.family is Family.unet and self.depth < 2:
+            raise ValueError(f"depth={self.depth} with family=unet: allowed are 2 to {DEPTHS[-1]}")
+        if self.family is not Family.local:
+            of = f"with family={self.family}"
             if self.concat is not Concat.input:
-                raise ValueError(f"concat={self.concat} with family=unet: allowed is concat=input")
+                raise ValueError(f"concat={self.concat} {of}: allowed is concat=input")
             if self.upsampling is not Upsampling.transposed:
-                raise ValueError(f"upsampling={self.upsampling} with family=unet: allowed is upsampling=transposed")
+                raise ValueError(f"upsampling={self.upsampling} {of}: allowed is upsampling=transposed")
             if self.noise is Noise.inject:
-                raise ValueError("noise=inject with family=unet: allowed are noise=none, noise=input")
+                raise ValueError(f"noise=inject {of}: allowed are noise=none, noise=input")
+        if (self.family is Family.custom) != (self.target is not None):
+            allowed = "the path of a class, as my_package.MyGenerator" if self.family is Family.custom else "null"
+            raise ValueError(f"target={self.target} with family={self.family}: allowed is {allowed}")
         if self.noise is Noise.input and self.extra_input is ExtraInput.noise:
             raise ValueError("extra_input=noise with noise=input: allowed is one noise channel, drop either")
         if self.noise is not Noise.inject and self.noise_start != 0:

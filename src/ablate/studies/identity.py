@@ -11,6 +11,7 @@ from pyarrow.parquet import read_schema
 from ablate.config import ConfigurationError, StudySettings, json_ready
 from ablate.dataset import Encoding
 from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, choose_metrics, needs_inception
+from ablate.networks import GeneratorSpec, custom_source
 from ablate.storage import digest, read_json, write_json
 from ablate.studies.jobs.job import Job
 from ablate.studies.pairs.data import about_data
@@ -32,7 +33,7 @@ def semantic(settings: StudySettings) -> dict[str, Any]:
     return {
         "data": about_data(settings),
         "encoding": encoding,
-        "model": json_ready(settings.model),
+        "model": _model(settings.model),
         "training": training,
         "evaluation": scored,
         "crops": {k: v for k, v in json_ready(settings.crops).items() if k != "workers"},
@@ -49,6 +50,13 @@ def precision_of(training: TrainingSettings) -> TrainingPrecision:
     from ablate.training import chosen_device, chosen_precision  # loads PyTorch
 
     return chosen_precision(training.precision, chosen_device(training.device))
+
+
+def _model(spec: GeneratorSpec) -> dict[str, Any]:
+    """The values of a generator; of a user's network the code too, and of others no target, as before it existed."""
+    values: dict[str, Any] = json_ready(spec)
+    target = values.pop("target")
+    return values if target is None else {**values, "target": target, "source": custom_source(target)}
 
 
 def shared(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -100,6 +100,8 @@ def _row(settings: StudySettings) -> dict[str, object]:
 
 def _field(spec: GeneratorSpec, name: str, rows: int, height_mm: float) -> dict[str, object]:
     px = networks.receptive_field(spec)
+    if px is None:
+        return dict.fromkeys((f"{name}_px", f"{name}_mm", f"{name}_percent"))
     return {f"{name}_px": px, f"{name}_mm": px * height_mm / rows, f"{name}_percent": 100 * px / rows}
 
 

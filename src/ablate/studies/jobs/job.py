@@ -14,6 +14,7 @@ from ablate.training.settings import TrainingSettings
 from ablate.validation import check_name
 
 COMPARISON = "comparison"  # folder beside those of the variants
+CUSTOM = "custom"  # the variant that a user's network takes the place of
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,18 @@ def label_of(settings: StudySettings, overrides: Sequence[str]) -> str:
     """A run's label from its settings and the overrides that they were composed with.
 
     It names the components, and the adversarial loss, that an override sets to another value than the variant's at this
-    frame size. The width is a size of the whole study, like the number of steps, and no part of it.
+    frame size. The width is a size of the whole study, like the number of steps, and no part of it. A network of the
+    user's has the name of its class.
     """
     values = {**json_ready(settings.model), "encoding": settings.encoding.name, "loss": settings.training.loss.name}
     own = {"encoding": "echogenicity", "loss": TrainingSettings.loss.name, **_own_values(settings)}
     changed = {name for override in parse_overrides(overrides) for name in _components(override)}
+    variant = settings.variant
+    if variant == CUSTOM:
+        variant = str(settings.model.target).rpartition(".")[2]
+        changed -= {"target"}
     named = [f"{name}-{values[name]}" for name in sorted(changed) if str(own.get(name)) != str(values[name])]
-    return ".".join([settings.variant, *(re.sub(r"[^A-Za-z0-9.+_-]", "_", name) for name in named)])
+    return ".".join([variant, *(re.sub(r"[^A-Za-z0-9.+_-]", "_", name) for name in named)])
 
 
 def _components(override: Override) -> Iterator[str]:

@@ -11,7 +11,7 @@ from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
 from ablate.config import ConfigurationError, SceneKind, StudySettings, Task, refusing
 from ablate.dataset import Part, resample_grid
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
-from ablate.networks import Attenuation, conditions
+from ablate.networks import Attenuation, Family, check_custom, conditions
 from ablate.studies.identity import check_place
 from ablate.studies.jobs.job import Job
 from ablate.studies.jobs.variants import variant_model, variant_names
@@ -110,6 +110,9 @@ def _check_training(job: Job, seen: int, labels: set[str]) -> None:
     if s.training.crop < stride:
         smallest = f"2^model.depth = {stride} for variant {job.label}"
         raise ConfigurationError(f"training.crop={s.training.crop}: at least {smallest}")
+    if s.model.family is Family.custom:
+        with refusing("model."):
+            check_custom(s.model, s.training.crop)
     if s.training.batch_size > seen:
         raise ConfigurationError(f"training.batch_size={s.training.batch_size}: more than the {seen} training frames")
     for key, device in (("training", s.training.device), ("simulator", s.simulator.device)):

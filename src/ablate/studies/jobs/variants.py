@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from ablate.networks import COMPONENTS, GeneratorSpec
 from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.job import CUSTOM
 from ablate.studies.jobs.schema import configuration_dir
 
 #: The components that a generator is made of; the others are options of the data set.
@@ -16,8 +17,8 @@ def leave_one_out(full: GeneratorSpec) -> dict[str, GeneratorSpec]:
 
 
 def variant_names() -> tuple[str, ...]:
-    """Every file of conf/variant, in the order of the paper's Table II, others after."""
-    found = {path.stem for path in (configuration_dir() / "variant").glob("*.yaml")}
+    """Every network of conf/variant, in the order of the paper's Table II, others after; `custom` names none."""
+    found = {path.stem for path in (configuration_dir() / "variant").glob("*.yaml")} - {CUSTOM}
     order = ("lsa2h", "nsa2h", "sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h", "sa2h-depth")
     return (*[n for n in order if n in found], *sorted(found - set(order)))
 

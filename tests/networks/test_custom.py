@@ -1,0 +1,114 @@
+"""A user's network in place of the generator: it renders what its class renders, and what is wrong is named."""
+
+import hashlib
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from ablate.networks import Generator, GeneratorSpec, check_custom, count_generator, custom_source, receptive_field
+
+NETWORKS = """
+import torch
+from torch import nn
+
+class Sum(nn.Module):
+    def __init__(self, channels):
+        super().__init__()
+        self.weights = nn.Parameter(torch.arange(1.0, channels + 1)[:, None, None])
+    def forward(self, maps):
+        return (self.weights * maps).sum(1, keepdim=True)
+
+class Smaller(Sum):
+    def forward(self, maps):
+        return super().forward(maps)[..., 1:]
+
+class Whole(Sum):
+    def forward(self, maps):
+        return super().forward(maps).long()
+
+class Fails(Sum):
+    def forward(self, maps):
+        raise RuntimeError("no such thing")
+
+class Fixed(nn.Module):
+    def __init__(self, channels):
+        super().__init__()
+    def forward(self, maps):
+        return maps[:, :1]
+
+class NoChannels(nn.Module):
+    def __init__(self):
+        super().__init__()
+
+number = 3
+"""
+
+
+@pytest.fixture(autouse=True)
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "networks_of_a_user.py"
+    path.write_text(NETWORKS)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, path.stem, raising=False)
+
+
+def spec(name: str, **changes: object) -> GeneratorSpec:
+    plain = {"concat": "input", "upsampling": "transposed", "noise": "none"}
+    return GeneratorSpec(family="custom", target=f"networks_of_a_user.{name}", **{**plain, **changes})
+
+
+def test_it_reads_the_conditions_in_order_and_is_cropped_to_the_frame() -> None:
+    """`Sum` weighs its channels by 1, 2, 3: the image can be computed without it."""
+    maps = {name: torch.rand(2, 1, 30, 21) for name in ("segmentation", "attenuation")}
+    image = Generator(spec("Sum", depth=3))(**maps)
+    torch.testing.assert_close(image, maps["segmentation"] + 2 * maps["attenuation"])
+    without = Generator(spec("Sum", depth=3, attenuation="none"))(maps["segmentation"])
+    torch.testing.assert_close(without, maps["segmentation"])
+
+
+def test_a_channel_of_noise_is_its_last_input() -> None:
+    maps = {name: torch.zeros(1, 1, 16, 16) for name in ("segmentation", "attenuation")}
+    generator = Generator(spec("Sum", depth=3, noise="input"))
+    first, second = (generator(**maps, noise_seed=torch.tensor([seed])) for seed in (0, 1))
+    assert first.std() > 1  # three times standard normal noise
+    assert not torch.equal(first, second)
+
+
+def test_its_sizes() -> None:
+    assert count_generator(spec("Sum")) == 2
+    assert receptive_field(spec("Sum")) is None
+
+
+def test_a_run_is_known_by_the_file_of_the_class() -> None:
+    assert custom_source("networks_of_a_user.Sum") == hashlib.sha256(NETWORKS.encode()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("Smaller", r"returns \(1, 1, 32, 31\) for \(1, 2, 32, 32\), allowed is \(1, 1, 32, 32\)"),
+        ("Whole", "returns torch.int64, allowed are floating-point numbers"),
+        ("Fails", "an image of 32 x 32 px fails: RuntimeError: no such thing"),
+        ("Fixed", "has no parameter to train"),
+        ("NoChannels", r"networks_of_a_user.NoChannels\(2\) fails: TypeError"),
+        ("number", "is no class of torch.nn.Module"),
+        ("Missing", "AttributeError.*allowed is the path of a class"),
+    ],
+)
+def test_what_is_wrong_with_a_class_is_named(name: str, said: str) -> None:
+    with pytest.raises(ValueError, match=f"^target=networks_of_a_user.{name}: {said}"):
+        check_custom(spec(name), 32)
+    check_custom(spec("Sum"), 32)
+
+
+def test_a_target_belongs_to_a_custom_network() -> None:
+    with pytest.raises(ValueError, match="target=None with family=custom: allowed is the path of a class"):
+        GeneratorSpec(family="custom", concat="input", upsampling="transposed", noise="none")
+    with pytest.raises(ValueError, match=r"target=a\.B with family=local: allowed is null"):
+        GeneratorSpec(target="a.B")
+    with pytest.raises(ValueError, match="target=Toy: allowed is the path of a class"):
+        check_custom(
+            GeneratorSpec(family="custom", target="Toy", concat="input", upsampling="transposed", noise="none"), 32
+        )

@@ -1,0 +1,60 @@
+"""A class of the user's is trained, scored and compared as a variant, by one command."""
+
+import re
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from ablate.config import ConfigurationError
+from ablate.storage import read_json
+from support.studies import run
+
+TOY = """
+from torch import nn
+
+class Toy(nn.Sequential):
+    def __init__(self, channels):
+        super().__init__(nn.Conv2d(channels, 8, 3, padding=1), nn.ReLU(), nn.Conv2d(8, 1, 3, padding=1), nn.Tanh())
+"""
+
+
+def test_a_network_of_the_user_is_a_variant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = tmp_path / "toy_networks.py"
+    module.write_text(TOY)
+    monkeypatch.syspath_prepend(tmp_path)
+    sizes = ["preset=tiny", "training.steps=2", f"runs_dir={tmp_path / 'runs'}"]
+    assert run(*sizes, "variant=sa2h") == 0
+    assert run(*sizes, "variant=custom", "model.target=toy_networks.Toy") == 0
+    study = tmp_path / "runs/tiny-fetal"
+    known = read_json(study / "Toy/seed0/spec.json")["semantic"]["model"]
+    assert known["target"] == "toy_networks.Toy"
+    assert len(known["source"]) == 64
+    # weights and biases of its two convolutions: S and A in
+    assert read_json(study / "Toy/seed0/result.json")["scalars"]["parameters_generator"] == 2 * 8 * 9 + 8 + 8 * 9 + 1
+    assert set(pd.read_csv(study / "comparison/table.csv")["variant"]) >= {"sa2h", "Toy"}
+
+    module.write_text(
+        TOY.replace("Conv2d(8, 1, 3", "Conv2d(8, 1, 5").replace("padding=1), nn.Tanh", "padding=2), nn.Tanh")
+    )
+    monkeypatch.delitem(sys.modules, "toy_networks")
+    with pytest.raises(ConfigurationError, match=r"holds another configuration \(model.source: "):
+        run(*sizes, "variant=custom", "model.target=toy_networks.Toy")
+
+
+def test_a_class_that_does_not_work_is_refused_before_anything_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "toy_smaller.py").write_text(TOY.replace("8, 1, 3, padding=1", "8, 1, 3"))
+    monkeypatch.syspath_prepend(tmp_path)
+    runs = tmp_path / "runs"
+    for target, said in {
+        "toy_smaller.Toy": "model.target=toy_smaller.Toy: returns (1, 1, ",
+        "nowhere.Toy": "model.target=nowhere.Toy: ModuleNotFoundError",
+    }.items():
+        with pytest.raises(ConfigurationError, match=f"^{re.escape(said)}"):
+            run("preset=tiny", "variant=custom", f"model.target={target}", f"runs_dir={runs}")
+    with pytest.raises(ConfigurationError, match="target=None with family=custom"):
+        run("preset=tiny", "variant=custom", f"runs_dir={runs}")
+    assert not list(runs.rglob("*.json"))
