@@ -28,7 +28,7 @@ from ablate.validation import check_name
 
 T = TypeVar("T")
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
-_BESIDE_STUDIES = frozenset({"artifacts", "data", "mlflow", "precision", "slurm", "stability"})
+_BESIDE_STUDIES = frozenset({"artifacts", "data", "mlflow", "precision", "render", "slurm", "stability"})
 _LONGEST_SCENE_NAME = 100
 
 
@@ -54,6 +54,7 @@ class Task(StrEnum):
     plan = "plan"
     compare = "compare"
     preview = "preview"
+    render = "render"
     precision = "precision"
     stability = "stability"
 
@@ -178,7 +179,8 @@ class TrackingSettings:
 class StudySettings:
     """A whole job, as the rooms take it. `model` is the composed generator; see conf/ for every value.
 
-    `metrics` is a name or a list of names, see `metrics.choose_metrics`; `frame` is the one that `task=preview` shows.
+    `metrics` is a name or a list of names, see `metrics.choose_metrics`; `frame` is the one that `task=preview`
+    shows. `task=render` shows the poses of the file `pose`, the standard `plane`, or else `frame`.
     """
 
     task: Task = Task.study
@@ -201,9 +203,13 @@ class StudySettings:
     study_name: str | None = None
     runs_dir: str = "runs"
     frame: int = 0
+    pose: str | None = None
+    plane: str | None = None
 
     def __post_init__(self) -> None:
         _at_least("", self, seed=0, encoding_seed=0)
+        if (self.pose or self.plane) and (self.task is not Task.render or (self.pose and self.plane)):
+            raise ValueError(f"pose={self.pose}, plane={self.plane}: allowed is one of them, with task=render")
         check_name("study_name", self.study, _BESIDE_STUDIES)  # so it is a folder of its own directly below `runs`
 
     @property

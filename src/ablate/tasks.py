@@ -157,6 +157,10 @@ def _look(task: Task, jobs: Sequence[Job]) -> int:
         from ablate.studies.preview import preview
 
         return preview(jobs)
+    if task is Task.render:
+        from ablate.studies.render import render
+
+        return render(jobs)
     if task is Task.precision:
         from ablate.numerics.precision import precision
 

@@ -25,18 +25,19 @@ class Sweep(StrEnum):
     rotation = "rotation"
 
 
-def read_poses(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def read_poses(path: Path, key: str = "dataset.poses") -> tuple[np.ndarray, np.ndarray]:
     """Poses, (n, 4, 4) float64, probe to world, mm, and the site of each, (n,) int64, of a .npy or .csv file.
 
     A .npy file holds (n, 4, 4), and every pose is a site of its own. A .csv file has the columns x, y, z of the middle
     of the face, mm, and qw, qx, qy, qz, a unit quaternion; a column `site` is optional.
+    `key` stands in messages.
 
     Raises
     ------
     FileNotFoundError, ValueError
         When the file is missing or holds something else, or a pose is not rigid; names file and row.
     """
-    where = f"dataset.poses={path}"
+    where = f"{key}={path}"
     if path.suffix.lower() not in (".npy", ".csv"):
         raise ValueError(f"{where}: allowed are .npy and .csv")
     if not path.is_file():

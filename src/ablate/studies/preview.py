@@ -24,10 +24,10 @@ def preview(jobs: Sequence[Job]) -> int:
 def _draw(settings: StudySettings) -> Path:
     folder, frame = dataset_folder(settings), settings.frame
     pairs = open_data(folder).pairs if (folder / "about.json").exists() else None
-    _check_frame(frame, settings.dataset.frames if pairs is None else len(pairs))
+    check_frame(frame, settings.dataset.frames if pairs is None else len(pairs))
     scene, grid = build_scene(settings)
     frames: Pairs | Layout = lay_out(settings, scene, grid) if pairs is None else pairs
-    _check_frame(frame, len(frames))
+    check_frame(frame, len(frames))
     if pairs is not None and frame // pairs.shard not in pairs.missing(_SHOWN):
         image, segmentation = (pairs.read(name, [frame])[0] for name in ("target", "segmentation"))
     else:
@@ -40,6 +40,7 @@ def _draw(settings: StudySettings) -> Path:
     return preview_figure(scene, settings.probe, shown, folder / f"preview_{frame}.png")
 
 
-def _check_frame(frame: int, frames: int) -> None:
+def check_frame(frame: int, frames: int) -> None:
+    """Refuse the number of a frame that a data set has not."""
     if not 0 <= frame < frames:
         raise ConfigurationError(f"frame={frame}: allowed are 0 to {frames - 1}")

@@ -18,7 +18,7 @@ from ablate.studies.jobs.variants import variant_model, variant_names
 from ablate.studies.pairs.imported import checked_folder
 from ablate.training import TrainingPrecision
 
-_NEED_SCENE = (Task.preview, Task.precision)
+_NEED_SCENE = (Task.preview, Task.render, Task.precision)
 
 
 def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
@@ -74,13 +74,16 @@ def _check_pairs(job: Job) -> int:
 def _check_scene(s: StudySettings) -> int:
     """Check that the grid has as many poses as frames are asked for; returns the number of training frames."""
     sites: SiteGrid | None = fetal_sites()
+    of_render = s.pose or s.plane  # then the grid and its frames do not matter
     if s.scene.kind is SceneKind.folder:
         if not s.scene.folder:
             raise ConfigurationError("scene=folder needs scene.folder=path/to/folder")
         with refusing():
             sites = validate_scene_folder(Path(s.scene.folder)).sites
-        if sites is None and not s.dataset.poses:
+        if sites is None and not (s.dataset.poses or of_render):
             raise ConfigurationError(f"{s.scene.folder}/scene.yaml has no `sites`: where to put the probe")
+    if of_render:
+        return _training_frames(s, s.dataset.frames)
     if s.dataset.poses:
         from ablate.studies.pairs.simulated import own_poses  # here, because it needs Embree and numba
 

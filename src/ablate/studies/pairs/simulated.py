@@ -61,7 +61,7 @@ def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
         return made, anatomy.fetal_sites()
     folder = Path(scene.folder or "")
     loaded = anatomy.load_scene(folder, settings.runs / "data" / "anatomy")
-    if settings.dataset.poses:  # then the folder may do without sites
+    if settings.dataset.poses or settings.pose:  # then the folder may do without sites
         return loaded, anatomy.validate_scene_folder(folder).sites or SiteGrid()
     return loaded, anatomy.load_sites(folder)
 

@@ -1,0 +1,111 @@
+"""Frames as files: what a data set holds at the same pose, bit for bit, and what they were made with."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from PIL import Image, ImageSequence
+
+from ablate.config import ConfigurationError, build
+from ablate.dataset import open_pairs
+from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
+from support.studies import run
+
+
+@pytest.fixture
+def arguments(tmp_path: Path) -> list[str]:
+    """A small scene, and five poses that slide over it."""
+    folder = tmp_path / "ball"
+    folder.mkdir()
+    trimesh.creation.icosphere(3, radius=60).export(folder / "body.obj")
+    sites = {"heights": [-15, 0, 15], "angles": [-40, -10, 10, 40], "axis": [0, 0, 1]}
+    scene = {"structures": [{"mesh": "body.obj", "tissue": "liver"}], "sites": sites}
+    (folder / "scene.yaml").write_text(yaml.safe_dump(scene))
+    poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (5, 1, 1))
+    poses[:, 2, 3], poses[:, 0, 3] = 55, np.linspace(-10, 10, 5)
+    np.save(tmp_path / "slide.npy", poses)
+    where = ["scene=folder", f"scene.folder={folder}", f"runs_dir={tmp_path / 'runs'}", "dataset.grid=null"]
+    return ["preset=tiny", "simulator.image_shape=[64,89]", *where]
+
+
+def test_a_frame_is_the_one_of_the_data_set(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("task=render", "frame=7", *arguments) == 0
+    folder = Path(capsys.readouterr().out.strip())
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert sorted(before) == ["attenuation.png", "frame.npz", "image.png", "segmentation.png", "settings.json"]
+    run("task=simulate", *arguments)
+    pairs = open_pairs(next((tmp_path / "runs" / "data").glob("ball-*")))
+    for name, stored in (("image", "target"), ("segmentation", "segmentation")):
+        assert np.array_equal(np.array(Image.open(folder / f"{name}.png")), pairs.read(stored, [7])[0])
+    attenuation = np.array(Image.open(folder / "attenuation.png"))
+    assert attenuation.dtype == np.uint16
+    assert attenuation / 65535 == pytest.approx(pairs.read("attenuation", [7])[0], rel=0.004, abs=1e-4)
+    capsys.readouterr()
+    assert run("task=render", "frame=7", *arguments) == 0
+    assert (folder / "image.png").read_bytes() == before["image.png"]
+
+
+def test_what_is_written_is_enough_to_make_the_frame_again(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.save(tmp_path / "one.npy", np.load(tmp_path / "slide.npy")[:1])
+    run("task=render", f"pose={tmp_path / 'one.npy'}", *arguments)
+    folder = Path(capsys.readouterr().out.strip())
+    assert folder == tmp_path / "runs" / "render" / "ball-one"
+    said = json.loads((folder / "settings.json").read_text())
+    from ablate.anatomy import load_scene
+
+    scene = load_scene(said["scene"]["folder"])
+    simulator = Simulator(scene, build(ConvexProbe, said["probe"]), build(SimulatorSettings, said["simulator"]))
+    frame = simulator.render(np.array(said["poses"][0]), seed=said["seed"])
+    with np.load(folder / "frame.npz") as held:
+        assert np.array_equal(held["envelope"], frame.envelope)
+        assert np.array_equal(held["image"], frame.image)
+    assert said["labels"] == {"0": "outside the fan", "1": "coupling_gel", "2": "liver"}
+    probe = build(ConvexProbe, said["probe"])
+    width = 2 * (probe.radius_mm + probe.depth_mm) * np.sin(np.deg2rad(probe.fov_deg) / 2)
+    assert 89 * said["pixel_mm"]["width"] == pytest.approx(width)
+
+
+def test_several_poses_are_a_cine(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("task=render", f"pose={tmp_path / 'slide.npy'}", *arguments)
+    folder = Path(capsys.readouterr().out.strip())
+    with Image.open(folder / "cine.gif") as cine:
+        shown = [np.array(frame.convert("L")) for frame in ImageSequence.Iterator(cine)]
+    assert len(shown) == 5
+    for i, image in enumerate(shown):
+        assert np.array_equal(image, np.array(Image.open(folder / f"image_{i:04d}.png")))
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["plane=head"], "plane=head: planes are those of scene=fetal; allowed are pose and frame"),
+        (["plane=hed", "scene=fetal"], "plane=hed: allowed are head, abdomen"),
+        (["plane=head", "pose=p.npy"], "pose=p.npy, plane=head: allowed is one of them, with task=render"),
+        (["pose=p.npy", "task=preview"], "pose=p.npy, plane=None: allowed is one of them, with task=render"),
+        (["pose=nowhere.npy"], "pose=nowhere.npy: no such file"),
+        (["frame=100"], "frame=100: allowed are 0 to 11"),
+    ],
+)
+def test_what_cannot_be_rendered_is_one_line(arguments: list[str], more: list[str], message: str) -> None:
+    if "scene=fetal" in more:
+        arguments = ["preset=tiny", arguments[-2], "scene.triangles=4000"]
+    with pytest.raises(ConfigurationError) as caught:
+        run("task=render", *arguments, *more)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_plane_of_the_built_in_anatomy_shows_the_head(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    size = "simulator.image_shape=[64,89]"
+    run("task=render", "plane=head", "preset=tiny", size, f"runs_dir={tmp_path / 'runs'}", "scene.triangles=6000")
+    folder = Path(capsys.readouterr().out.strip())
+    labels = json.loads((folder / "settings.json").read_text())["labels"]
+    shown = np.unique(np.array(Image.open(folder / "segmentation.png")))
+    assert "brain" in {labels[str(label)] for label in shown}
