@@ -76,7 +76,7 @@ bench-metrics: $(STAMP) ## what scoring costs: each metric, and an evaluation of
 	$(BIN)/python benchmarks/metrics.py $(FRAMES)
 
 bench-training: $(STAMP) ## images a second of a training against a plain loop; ARGS="--variants sa2h --threads 1 --rounds 10"
-	$(BIN)/python benchmarks/training.py $(ARGS)
+	PYTHONPATH=tests $(BIN)/python benchmarks/training.py $(ARGS)
 
 bench-start: $(STAMP) ## seconds until a mistyped key is answered, against the import of Hydra
 	$(BIN)/python benchmarks/start.py $(ARGS)

@@ -23,6 +23,8 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from yardstick import Yardstick
+
 FLUIDS = ("amniotic_fluid", "urine")
 BRIGHTER, SHARE = 15, 0.01
 SIDE = 7  # px
@@ -118,9 +120,11 @@ def main() -> None:
     chosen = {"this checkout": HERE} | ({"the other": args.against} if args.against else {})
     numbers = "--preset", args.preset, "--frames", str(args.frames), "--many", str(args.many)
     found: dict[str, list[Any]] = {name: [] for name in chosen}
+    yardstick = Yardstick()
     with ExitStack() as stack:
         running = {name: stack.enter_context(opened(path.resolve(), *numbers)) for name, path in chosen.items()}
         for frame in range(min(each.frames for each in running.values())):
+            yardstick.tick()
             for name, each in running.items():
                 image, fluid, taken = each.render("few", frame)
                 if fluid.sum() >= LEAST_FLUID:
@@ -132,6 +136,7 @@ def main() -> None:
         bright, dark, mean, taken = np.array(rows).T
         cells = f"{len(rows)}", f"{(bright > SHARE).sum()}", f"{100 * bright.mean():.2f}", f"{100 * dark.mean():.2f}"
         print(f"| {name} | {' | '.join(cells)} | {mean.mean():.2f} | {np.median(taken):.0f} |")
+    print(f"\n{yardstick.line()}")
 
 
 if __name__ == "__main__":

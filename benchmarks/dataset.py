@@ -27,6 +27,7 @@ from ablate.studies.pairs.data import Data, maps_needed, prepare_data
 from ablate.studies.pairs.simulated import build_scene
 from ablate.tracking import hardware
 from ablate.ultrasound import Simulator
+from yardstick import Yardstick
 
 FRAMES, LEAST_FRAMES, SHARD, WORKERS = 96, 32, 4, 2
 PAPER = DatasetSettings().frames
@@ -157,9 +158,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as runs:
         changed = [f"dataset.frames={frames}", f"dataset.shard={SHARD}", f"dataset.workers={WORKERS}"]
         (job,) = jobs_of(["preset=paper", f"runs_dir={runs}", *changed])
+        yardstick = Yardstick()
+        yardstick.tick()
         data = simulated(job)
+        yardstick.tick()
         codecs(job, data.pairs)
+        yardstick.tick()
         reading(data)
+        print(yardstick.line())
 
 
 if __name__ == "__main__":

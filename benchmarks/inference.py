@@ -16,6 +16,8 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
+from typing import Any
 
 import numpy as np
 import torch
@@ -33,8 +35,19 @@ from ablate.training import (
     open_engine,
     open_exported,
 )
+from yardstick import ABOUT, Yardstick
 
-HEAD = ("width", "parameters", "  engine", "precision", "ms per frame", "ready, s", "peak, GiB", "grey levels apart")
+HEAD = (
+    "width",
+    "parameters",
+    "  engine",
+    "precision",
+    "ms per frame",
+    "ready, s",
+    "peak, GiB",
+    "grey levels apart",
+    "yardstick",
+)
 
 
 def line(cells: tuple[str, ...]) -> None:
@@ -42,14 +55,14 @@ def line(cells: tuple[str, ...]) -> None:
     print("| " + " | ".join(cell.rjust(len(name)) for cell, name in zip(cells, HEAD, strict=True)) + " |", flush=True)
 
 
-def child(arguments: argparse.Namespace, *more: str) -> dict[str, float]:
+def child(arguments: argparse.Namespace, *more: str) -> dict[str, Any]:
     """Run this file once more for one row, or one file, and return what it measured."""
     own = ("--variant", arguments.variant, "--size", *map(str, arguments.size), "--repeats", str(arguments.repeats))
     command = [sys.executable, __file__, *own, "--device", arguments.device, *more]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(f"{' '.join(command)}\n{done.stderr}")
-    measured: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    measured: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return measured
 
 
@@ -91,8 +104,14 @@ def measure(arguments: argparse.Namespace) -> None:
     image = render(maps, torch.tensor([1], device=device)).float().cpu()
     ready = time.perf_counter() - started
     np.save(arguments.image, image.numpy())
-    milliseconds = median_ms(render, maps, arguments.repeats, warmup=1)
-    print(json.dumps({"ms": milliseconds, "ready": ready, "peak": peak_gib(device), "before": before}))
+    peak = peak_gib(device)
+    yardstick, times = Yardstick(), []
+    median_ms(render, maps, 1, warmup=0)  # does not count
+    for _ in range(arguments.repeats):
+        times.append(median_ms(render, maps, 1, warmup=0))
+        yardstick.tick()
+    found = {"ms": median(times), "ready": ready, "peak": peak, "before": before, "yardstick": yardstick.text(times)}
+    print(json.dumps(found))
 
 
 def table(arguments: argparse.Namespace, folder: Path) -> None:
@@ -126,6 +145,7 @@ def table(arguments: argparse.Namespace, folder: Path) -> None:
                         f"{found['ready']:.1f}",
                         f"{found['peak']:.2f}",
                         f"{apart.max():.2g} at most, {apart.mean():.2g} in the mean",
+                        found["yardstick"],
                     )
                 )
     where = (
@@ -134,6 +154,7 @@ def table(arguments: argparse.Namespace, folder: Path) -> None:
         else f"{before:.2f} GiB of it Python, torch and this project"
     )
     print(f"\nPeak: {where}. Ready: until the first frame, compiling included, exporting not.")
+    print(ABOUT)
 
 
 def main() -> None:

@@ -26,6 +26,7 @@ from ablate.studies.pairs.data import Data, maps_needed, prepare_data
 from ablate.tracking import hardware
 from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
+from yardstick import Yardstick
 
 SIMULATED, SITES = 16, 30
 PAPER_FRAMES, PAPER_SECONDS, THREADS = 669, 60, 2
@@ -96,10 +97,15 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         data = simulated(folder)
         torch.set_num_threads(1)
+        yardstick = Yardstick()
+        yardstick.tick()
         rows = one_frame(data)
+        yardstick.tick()
         print(f"\nOne frame of {data.pairs.shape[0]} x {data.pairs.shape[1]}, one thread      ms")
         for name, cost in (*rows, ("together, patch maps counted once", _together(rows))):
             print(f"{name:40} {cost:8.1f}")
+
+        print(yardstick.line())
 
         torch.set_num_threads(THREADS)
         fields = {f.name: getattr(data.pairs, f.name) for f in dataclasses.fields(Pairs)}

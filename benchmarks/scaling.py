@@ -33,6 +33,7 @@ from ablate.networks import Generator, GeneratorSpec, conditions
 from ablate.tracking import hardware
 from ablate.training import Engine, TrainingPrecision, TrainingSettings, chosen_device, median_ms, open_engine, train
 from ablate.ultrasound import Simulator, SimulatorSettings
+from yardstick import Yardstick
 
 REPEATS = 3
 BUDGETS_GIB = (4.0, 24.0)
@@ -293,6 +294,8 @@ def main() -> None:
     print(f"{hardware()}, torch {torch.__version__}. Where another size grows: {usual}.\n")
     row("work", "size", "value", "peak, GiB", "ms")
     row(*["---"] * 5)
+    yardstick = Yardstick()
+    yardstick.tick()
     facts = [grow(what, name, args.doublings, args.check) for what in args.work for name in FIRST[what]]
     print()
     head = ("work", "as it grows", "memory", "time ~ n^", "fits in 4 GiB", "fits in 24 GiB", "that for 4 GiB, run")
@@ -300,6 +303,7 @@ def main() -> None:
     row(*["---"] * len(head))
     for fact in facts:
         row(*fact)
+    yardstick.tick()
     print("\nAt the paper's sizes:\n")
     row("work", "sizes", "peak, GiB", "ms")
     row(*["---"] * 4)
@@ -308,6 +312,8 @@ def main() -> None:
         found = cost(what, **sizes)
         named = ", ".join(f"{k} {shown(v)}" for k, v in (USUAL[what] | sizes).items())
         row(what, named, *((f"{found.peak_gib:.2f}", f"{found.ms:.0f}") if found else ("more than there is", "")))
+    yardstick.tick()
+    print(f"\n{yardstick.line()}")
 
 
 if __name__ == "__main__":

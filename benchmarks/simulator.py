@@ -11,9 +11,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
-from itertools import count
+from itertools import count, product
 from pathlib import Path
 from statistics import median
 
@@ -26,6 +27,7 @@ from ablate.dataset import probe_poses
 from ablate.tracking import hardware
 from ablate.ultrasound import ConvexProbe, PlanMode, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
+from yardstick import ABOUT, Yardstick, busy_core
 
 POSES = 12
 REPEATS = 3
@@ -33,12 +35,21 @@ REPEATS = 3
 
 def milliseconds(call: Callable[[np.ndarray], object], poses: list[np.ndarray]) -> float:
     """Median over the poses, after one that does not count."""
+    return median(each_time(call, poses))
+
+
+def each_time(
+    call: Callable[[np.ndarray], object], poses: list[np.ndarray], yardstick: Yardstick | None = None
+) -> list[float]:
+    """Milliseconds of each pose, after one that does not count, in turns with the yardstick."""
     times = []
     for pose in (poses[-1], *poses):
         start = time.perf_counter()
         call(pose)
         times.append(1e3 * (time.perf_counter() - start))
-    return median(times[1:])
+        if yardstick is not None and len(times) > 1:
+            yardstick.tick()
+    return times[1:]
 
 
 def table(title: str, head: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
@@ -54,22 +65,29 @@ def some(poses: list[np.ndarray], count: int = POSES) -> list[np.ndarray]:
 
 
 def totals(scene: Scene, poses: list[np.ndarray]) -> None:
-    """H, L, S and A at the paper's size, with one thread and with all."""
+    """H, L, S and A at the paper's size, with one thread and with all, idle and beside a process that uses a core."""
     rows = []
-    for threads in sorted({1, torch.get_num_threads()}):
+    idle: dict[int, float] = {}
+    for threads, beside in product(sorted({1, torch.get_num_threads()}), (nullcontext, busy_core)):
         torch.set_num_threads(threads)
-        high, maps = Simulator(scene), Simulator(scene)
-        low = Simulator(scene, settings=SimulatorSettings.low_quality())
-        whole = milliseconds(high.render, poses)
-        seeds = count(1)
-        again = median(milliseconds(partial(_other_speckle, high, seeds), [pose]) for pose in poses[:4])
-        s_and_a = milliseconds(maps.maps, poses)
-        with_low = milliseconds(low.render, poses)
+        yardstick = Yardstick()
+        with beside():
+            high, maps = Simulator(scene), Simulator(scene)
+            low = Simulator(scene, settings=SimulatorSettings.low_quality())
+            frames = each_time(high.render, poses, yardstick)
+            seeds = count(1)
+            again = median(milliseconds(partial(_other_speckle, high, seeds), [pose]) for pose in poses[:4])
+            s_and_a = milliseconds(maps.maps, poses)
+            with_low = milliseconds(low.render, poses)
+        whole = median(frames)
         cells = (s_and_a, whole, whole - s_and_a, again, with_low, with_low - s_and_a)
-        rows.append((str(threads), *(f"{t:.0f}" for t in cells)))
+        word = "idle" if beside is nullcontext else f"busy, {whole / idle[threads]:.1f} times idle"
+        idle.setdefault(threads, whole)
+        rows.append((str(threads), word, *(f"{t:.0f}" for t in cells), yardstick.text(frames)))
     table(
-        "**Totals**, ms. H and L are the frame less its maps; H again is the same pose with other scatterers.",
-        ("threads", "S and A", "S, A and H", "H", "H again", "S, A and L", "L"),
+        "**Totals**, ms. H and L are the frame less its maps; H again is the same pose with other scatterers. Busy: "
+        f"beside a process that keeps a core busy. The last column is of S, A and H; {ABOUT}",
+        ("threads", "machine", "S and A", "S, A and H", "H", "H again", "S, A and L", "L", "yardstick"),
         rows,
     )
 

@@ -9,6 +9,8 @@ import subprocess
 import sys
 import time
 
+from yardstick import ABOUT, Yardstick
+
 COMMANDS = {
     "python -c 'import hydra'": ["-c", "import hydra"],
     "python -m ablate trainin.steps=3": ["-m", "ablate", "trainin.steps=3"],
@@ -31,13 +33,18 @@ def main() -> None:
     for arguments in COMMANDS.values():
         seconds(arguments)  # compiles what is not compiled yet, and fills the disk cache
     times: dict[str, list[float]] = {name: [] for name in COMMANDS}
+    yardstick = Yardstick()
     for _ in range(rounds):
+        yardstick.tick()
         for name, arguments in COMMANDS.items():
             times[name].append(seconds(arguments))
     medians = {name: statistics.median(values) for name, values in times.items()}
     hydra = next(iter(medians.values()))
     for name, median in medians.items():
-        print(f"{name:40s} {median:6.2f} s   {median - hydra:+.2f} s")
+        print(
+            f"{name:40s} {median:6.2f} s   {median - hydra:+.2f} s   {yardstick.text([1e3 * t for t in times[name]])}"
+        )
+    print(ABOUT)
 
 
 if __name__ == "__main__":

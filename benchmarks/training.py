@@ -38,6 +38,7 @@ from ablate.tracking import hardware
 from ablate.training import TrainingPrecision, chosen_device, chosen_precision, train
 from support.plain_gan import PlainGAN
 from support.training_parts import COMPILED, PARTS, TRIED
+from yardstick import ABOUT, Yardstick
 
 Times = list[list[float]]
 FRAMES, WARM_UP = 16, 3
@@ -110,8 +111,14 @@ def take_steps(arguments: argparse.Namespace) -> None:
             gan.step(batch, arguments.forwards)
 
 
-def in_processes(arguments: argparse.Namespace, variant: str, threads: int, sides: Sequence[Sequence[str]]) -> Times:
-    """Milliseconds of the steps of several sides, taken in turns, the warm-up apart."""
+def in_processes(
+    arguments: argparse.Namespace,
+    variant: str,
+    threads: int,
+    sides: Sequence[Sequence[str]],
+    yardstick: Yardstick | None = None,
+) -> Times:
+    """Milliseconds of the steps of several sides, taken in turns with the yardstick, the warm-up apart."""
     command = [sys.executable, __file__, *sys.argv[1:], "--folder", str(arguments.folder), "--variants", variant]
     processes = [
         subprocess.Popen([*command, "--threads", str(threads), *side], stdin=PIPE, stdout=PIPE, text=True)
@@ -127,8 +134,12 @@ def in_processes(arguments: argparse.Namespace, variant: str, threads: int, side
             if not answer:
                 raise SystemExit(f"{' '.join(map(str, process.args))}: ended early")
             times.append(float(answer))
+        if yardstick is not None:
+            yardstick.tick()
     for process in processes:
         process.communicate()
+    if yardstick is not None:
+        del yardstick.convolutions[:WARM_UP], yardstick.loops[:WARM_UP]
     return [times[WARM_UP:] for times in taken]
 
 
@@ -139,12 +150,15 @@ def ratio(numerator: Sequence[float], denominator: Sequence[float]) -> float:
 
 def compare(arguments: argparse.Namespace, batch: int) -> None:
     """Print the table of both loops."""
-    print("| variant | threads | ours, images/s | plain, images/s | ratio |")
-    print("|:--------|--------:|---------------:|----------------:|------:|")
+    print("| variant | threads | ours, images/s | plain, images/s | ratio | a step of ours        |")
+    print("|:--------|--------:|---------------:|----------------:|------:|:----------------------|")
     for threads, variant in product(arguments.threads, arguments.variants):
-        both = in_processes(arguments, variant, threads, [["--side", "ours"], ["--side", "plain"]])
+        yardstick = Yardstick()
+        both = in_processes(arguments, variant, threads, [["--side", "ours"], ["--side", "plain"]], yardstick)
         ours, plain = (f"{1e3 * batch / median(times):.2f}" for times in both)
-        print(f"| {variant:7} | {threads:7} | {ours:>14} | {plain:>15} | {ratio(both[1], both[0]):5.2f} |", flush=True)
+        cells = f"{variant:7} | {threads:7} | {ours:>14} | {plain:>15} | {ratio(both[1], both[0]):5.2f}"
+        print(f"| {cells} | {yardstick.text(both[0]):21} |", flush=True)
+    print(f"\n{ABOUT}")
 
 
 def compare_parts(arguments: argparse.Namespace) -> None:

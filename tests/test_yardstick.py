@@ -1,0 +1,69 @@
+"""The fixed work that benchmarks are compared by."""
+
+import importlib.util
+import subprocess
+import time
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import torch
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+
+
+@pytest.fixture
+def yardstick() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("yardstick", BENCHMARKS / "yardstick.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_ratios_are_taken_round_by_round(yardstick: ModuleType) -> None:
+    fixed = yardstick.Yardstick()
+    fixed.convolutions, fixed.loops = [10.0, 20.0, 40.0], [1.0, 1.0, 2.0]
+    assert fixed.ratios([20.0, 40.0, 80.0]) == (2.0, 40.0)
+    with pytest.raises(ValueError, match="argument"):
+        fixed.ratios([20.0])
+    torch.set_num_threads(2)
+    try:
+        fixed.tick()
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(1)
+    assert len(fixed.convolutions) == len(fixed.loops) == 4
+    assert min(fixed.convolutions[-1], fixed.loops[-1]) > 0
+
+
+def test_the_busy_process_works_and_ends_with_the_block(yardstick: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+
+    class Watched(subprocess.Popen[bytes]):
+        def __init__(self, *arguments: object, **more: object) -> None:
+            super().__init__(*arguments, **more)
+            started.append(self)
+
+    monkeypatch.setattr(yardstick.subprocess, "Popen", Watched)
+    with yardstick.busy_core():
+        (process,) = started
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and cpu_ticks(process.pid) < 5:
+            time.sleep(0.05)
+        assert cpu_ticks(process.pid) >= 5
+    assert process.poll() is not None
+
+
+def cpu_ticks(pid: int) -> int:
+    """Of computing that a process has had, in hundredths of a second; Linux."""
+    return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[11])
+
+
+@pytest.mark.parametrize("script", sorted(path.stem for path in BENCHMARKS.glob("*.py") if path.stem != "yardstick"))
+def test_every_benchmark_uses_it_and_finds_what_it_imports(script: str) -> None:
+    text = (BENCHMARKS / f"{script}.py").read_text()
+    assert "from yardstick import" in text
+    if "from support" in text:  # which lies in tests/
+        assert f"PYTHONPATH=tests $(BIN)/python benchmarks/{script}.py" in (BENCHMARKS.parent / "Makefile").read_text()
