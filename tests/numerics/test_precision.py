@@ -88,6 +88,9 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     assert set(scanlines[scanlines["metric"] == "envelope_rms"]["setting"]) == {"24"}, "one grid has the reference's"
     full = points[points["series"] == "simulator, rays, plan=full"]
     assert np.array_equal(full["error"], rays["error"]), "what the plan leaves out changes nothing"
+    adaptive = points[points["series"] == "simulator, tolerance"]
+    assert set(adaptive["metric"]) == set(rays["metric"])
+    assert [float(t) for t in dict.fromkeys(adaptive["setting"])] == list(simulated.TOLERANCES)
     network = points[points["series"] == "sa2h"]
     assert "width 0.05, fp32, eager, seed 0" in set(network["setting"])
     assert "envelope_rms" not in set(network["metric"])

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ from ablate.studies.identity import check_place, claim_place, config_hash, finis
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.job import Job
 from ablate.studies.jobs.preflight import check
+from ablate.studies.pairs.data import about_data
 from ablate.training import TRAINING_VERSION
+from ablate.ultrasound import SimulatorSettings
 from support.studies import study_group
 
 
@@ -53,6 +56,12 @@ def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, plain_hash: str
     assert config_hash(job(tmp_path, incidental).settings) == plain_hash
 
 
+def test_a_setting_that_came_later_and_is_off_does_not_count(tmp_path: Path) -> None:
+    """Else every data set from before it would be simulated again."""
+    about = about_data(job(tmp_path).settings)["simulator"]
+    assert about.keys() == {field.name for field in fields(SimulatorSettings)} - {"device", "plan", "tolerance"}
+
+
 @pytest.mark.parametrize(
     "semantic",
     [
@@ -61,6 +70,7 @@ def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, plain_hash: str
         "model.depth=5",
         "encoding=arbitrary",
         "simulator.rays=3",
+        "simulator.tolerance=0.1",
         "dataset.frames=7",
         "dataset.seed=2",
         "probe.depth_mm=100",

@@ -12,6 +12,7 @@ from ablate.ultrasound.transport.draws import (
     SURVIVAL,
     THICKNESS,
     Draws,
+    progressive,
     stratified,
     unstratified,
 )
@@ -44,6 +45,18 @@ def test_draws_are_stratified_and_repeat() -> None:
     assert (a == b).all()
     assert abs(np.corrcoef(a[0, :, CHOICE], a[1, :, CHOICE])[0, 1]) < 0.4
     assert (a[9] != other[9]).any()
+
+
+def test_any_first_rays_are_stratified_uniform_and_unrelated_where_not_all_are_traced() -> None:
+    u = progressive(np.random.default_rng(0), 400, 50, 2)
+    assert u.shape == (2, 400, 50)
+    for n in (1, 2, 4, 8, 16, 32):
+        assert (np.sort(np.floor(u[..., :n] * n), axis=-1) == np.arange(n)).all()
+    for ray in (0, 1, 5, 31, 40, 49):
+        assert kstest(u[:, :, ray].ravel(), "uniform").pvalue > 1e-3
+    both = np.floor(4 * u).astype(int)
+    counts = np.bincount((4 * both[0] + both[1]).ravel(), minlength=16)  # all squares, not those of a diagonal
+    assert np.abs(counts / counts.mean() - 1).max() < 0.1
 
 
 def test_draws_made_one_by_one_are_those_made_at_once() -> None:

@@ -78,7 +78,7 @@ def test_echo_amplitude_is_reflection_times_loss(gel, slab, probe, one_line) -> 
 def test_a_loss_of_thousands_of_decibels_leaves_no_sound(gel, slab, probe, one_line) -> None:
     stiff = Tissue("stiff", 1540, 1.5, 1e4, roughness=0.0)
     _, nodes = follow(Scene((slab(stiff, 50.0, 300.0),), gel, "s"), probe, one_line)
-    level = mean_level_db(nodes, 64, Across(np.ones((1, 1, 1)), "cpu", torch.float64)).numpy()
+    level = mean_level_db(nodes, np.array([64]), Across(np.ones((1, 1, 1)), "cpu", torch.float64)).numpy()
     assert level[0, 49] == pytest.approx(0, abs=1e-4)
     assert level[0, -1] == NO_SOUND_DB
     assert np.isfinite(level).all()

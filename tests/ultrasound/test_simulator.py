@@ -8,6 +8,7 @@ import torch
 
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import PlanMode, Simulator, SimulatorPrecision, SimulatorSettings
+from ablate.ultrasound.stages import Stage, observe_stages
 
 BODY = Tissue("body", 1540, 1.6, 0.5, 0.6, 0.0, 0.8, texture_contrast_db=2.0)
 BONE = Tissue("bone", 2600, 4.2, 5.0, 0.6, 0.0, 0.2, roughness=0.05, thickness_mm=0.1)
@@ -33,6 +34,23 @@ def test_same_seeds_same_frame(scene, probe, small, ahead) -> None:
     simulator.render(moved)
     assert images_equal(first, simulator.render(ahead, seed=3))
     assert images_equal(first, Simulator(scene, probe, small).render(ahead, seed=3))
+
+
+def test_an_image_alone_is_that_of_the_frame_and_makes_no_maps(scene, probe, small, ahead) -> None:
+    taken: list[str] = []
+
+    def observer(which, function, args):
+        taken.append(which)
+        return function(*args)
+
+    simulator = Simulator(scene, probe, small)
+    with observe_stages(observer):
+        image = simulator.image(ahead, seed=3)
+    assert not {Stage.pixel_labels, Stage.attenuation_labels, Stage.attenuation_sum} & set(taken)
+    assert Stage.tracing in taken
+    assert (image == Simulator(scene, probe, small).render(ahead, seed=3).image).all()
+    with pytest.raises(ValueError, match="seed"):
+        simulator.image(ahead, seed=-1)
 
 
 def test_turned_by_180_degrees_bone_and_its_shadow_are_mirrored(gel, slab, ball, probe, small, ahead) -> None:
@@ -121,15 +139,33 @@ def test_the_plan_changes_nothing_of_random_surfaces(slab, ball, probe, small, a
 def test_threads_do_not_change_the_frame(scene, probe, small, ahead) -> None:
     frames = []
     try:
-        for threads in (1, 2):
+        for threads in (1, 3):
             torch.set_num_threads(threads)
             frames.append(Simulator(scene, probe, small).render(ahead))
+            assert torch.get_num_threads() == threads
     finally:
         torch.set_num_threads(1)
-    first, second = frames
-    assert (first.segmentation == second.segmentation).all()
-    np.testing.assert_allclose(first.envelope, second.envelope, atol=1e-6 * first.envelope.max())
-    assert np.abs(first.image.astype(int) - second.image).max() <= 1
+    assert images_equal(*frames)
+    assert (frames[0].envelope == frames[1].envelope).all()
+
+
+def test_no_operation_of_a_frame_is_given_to_a_team_of_threads(scene, probe, small, ahead) -> None:
+    """Its members would spin while one of them waits for a core that another program uses."""
+    threads: set[int] = set()
+
+    def observer(_, function, args):
+        threads.add(torch.get_num_threads())
+        return function(*args)
+
+    try:
+        torch.set_num_threads(2)
+        with observe_stages(observer):
+            simulator = Simulator(scene, probe, small)
+            simulator.maps(ahead)
+            simulator.render(ahead)
+    finally:
+        torch.set_num_threads(1)
+    assert threads == {1}
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")

@@ -61,9 +61,9 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
             elif maps & {"segmentation", "attenuation"}:
                 made["segmentation"], made["attenuation"] = simulator(of_target).maps(pose)
             if "resimulation" in maps and pairs.split[frame] != Part.train:
-                made["resimulation"] = simulator(again).render(pose, seed=resimulation_seed(recipe.seed)).image
+                made["resimulation"] = simulator(again).image(pose, seed=resimulation_seed(recipe.seed))
             if "low" in maps:
-                made["low"] = simulator(of_low).render(pose, seed=recipe.seed).image
+                made["low"] = simulator(of_low).image(pose, seed=recipe.seed)
             for name in made.keys() & maps:
                 out[name][k] = made[name]
         return out

@@ -1,5 +1,6 @@
 """Full frames from a trained generator, and how long one takes."""
 
+import math
 import time
 from collections.abc import Mapping
 from statistics import median
@@ -10,12 +11,16 @@ from torch import Tensor
 
 from ablate.dataset import decode_grey_levels
 from ablate.networks import Generator, conditions
+from ablate.threads import in_parts, without_teams
 from ablate.training.engines import Engine, OpenEngine, open_engine
 from ablate.training.hardware import autocast
 from ablate.training.settings import TrainingPrecision
 
+# Frames of at most so many pixels are rendered side by side. Larger ones would take too much memory, and a team of
+# threads has enough to do with each of them.
+_SMALL_FRAME_PX = 1 << 18
 
-@torch.inference_mode()
+
 def generate(
     generator: Generator,
     maps: Mapping[str, Tensor],
@@ -23,7 +28,7 @@ def generate(
     noise_seed: Tensor | None,
     precision: TrainingPrecision = TrainingPrecision.auto,
 ) -> np.ndarray:
-    """Render full frames, one at a time, on the generator's device.
+    """Render full frames on the generator's device: one at a time, or small ones on a CPU one a thread, side by side.
 
     Parameters
     ----------
@@ -45,14 +50,20 @@ def generate(
     """
     device = next(generator.parameters()).device
     given = {name: maps[name] for name in conditions(generator.spec)}
-    frames = []
-    with autocast(precision, device):
-        for index in range(len(given["segmentation"])):
-            frame = {name: value[index : index + 1].to(device) for name, value in given.items()}
-            seed = None if noise_seed is None else noise_seed[index : index + 1].to(device)
+
+    def render(index: int, end: int) -> np.ndarray:
+        with torch.inference_mode(), autocast(precision, device):  # both are of the thread that renders
+            frame = {name: value[index:end].to(device) for name, value in given.items()}
+            seed = None if noise_seed is None else noise_seed[index:end].to(device)
             fan = (mask if mask.ndim == 2 else mask[index, 0]).to(device)
-            frames.append(decode_grey_levels(generator(**frame, noise_seed=seed)[0, 0], fan).cpu())
-    return torch.stack(frames).numpy()
+            levels: np.ndarray = decode_grey_levels(generator(**frame, noise_seed=seed)[0, 0], fan).cpu().numpy()
+            return levels
+
+    count, pixels = len(given["segmentation"]), math.prod(given["segmentation"].shape[-2:])
+    if device.type == "cpu" and count > 1 and pixels <= _SMALL_FRAME_PX:
+        with without_teams():
+            return np.stack(in_parts(render, count, 1))
+    return np.stack([render(index, index + 1) for index in range(count)])
 
 
 def median_ms_per_frame(

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from ablate.anatomy import Scene, bounds_mm, check_scene
+from ablate.threads import without_teams
 from ablate.ultrasound.imaging.bmode import ScanConverter, grey_levels, receiver_noise, time_gain
 from ablate.ultrasound.imaging.point_spread import blur, layer_weights, point_spread
 from ablate.ultrasound.imaging.speckle import InsonifiedLines, Speckle
@@ -20,9 +21,10 @@ from ablate.ultrasound.probe import check_pose
 from ablate.ultrasound.render_plan import plan_scene
 from ablate.ultrasound.settings import ConvexProbe, Frame, SimulatorSettings
 from ablate.ultrasound.surfaces.embree import Geometry
-from ablate.ultrasound.transport.draws import Draws
+from ablate.ultrasound.transport.adaptive import Shown, trace_to_tolerance
+from ablate.ultrasound.transport.draws import Draws, progressive, stratified
 from ablate.ultrasound.transport.echoes import clutter_lines, surface_lines
-from ablate.ultrasound.transport.illumination import empty_nodes, mean_level_db, transmit_beam
+from ablate.ultrasound.transport.illumination import Nodes, empty_nodes, mean_level_db, transmit_beam
 from ablate.ultrasound.transport.rays import View, leave_probe, probe_rays
 from ablate.ultrasound.transport.tracing import trace
 
@@ -85,7 +87,8 @@ class Simulator:
         grid_mm = 10 ** math.ceil(math.log10(extent + float(np.linalg.norm(bounds[1] - bounds[0]))))
         self._origin_mm = grid_mm * np.rint(bounds.mean(axis=0) / grid_mm)
         self._geometry = Geometry(self._plan.structures, bounds, self._origin_mm, extent)
-        self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
+        spread = stratified if settings.tolerance is None else progressive
+        self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays, spread)
         self._rays = probe_rays(probe, settings, self._draws)
         self._convert = ScanConverter(probe, settings, self._dtype)
         self._beam = transmit_beam(probe, settings)
@@ -116,24 +119,33 @@ class Simulator:
         ValueError
             When the pose is not rigid or the seed negative.
         """
+        image, envelope = self._image(pose, seed)
+        segmentation, attenuation = self.maps(pose)
+        return Frame(
+            segmentation=segmentation,
+            attenuation=attenuation,
+            image=image,
+            mask=self.mask,
+            envelope=envelope.T.to("cpu", torch.float32).contiguous().numpy(),
+        )
+
+    def image(self, pose: np.ndarray, seed: int = 0) -> np.ndarray:
+        """The image of `render`, (H, W) uint8, alone: the maps are not made."""
+        return self._image(pose, seed)[0]
+
+    def _image(self, pose: np.ndarray, seed: int) -> tuple[np.ndarray, torch.Tensor]:
+        """The image, (H, W) uint8, and its envelope, (scanlines, samples)."""
         if seed < 0:
             raise ValueError(f"seed must be at least 0, not {seed}")
         pose = check_pose(pose)
-        segmentation, attenuation = self.maps(pose)
-        with torch.inference_mode():
+        with without_teams(), torch.inference_mode():
             noise = self._noise_at(pose, seed)
             signal = torch.zeros_like(noise) if self._plan.anechoic else self._signal(pose, seed, noise)
             envelope = signal.square().sum(dim=0).sqrt_()
             floor = self.settings.reference_level * 10 ** (self.settings.noise_floor_db / 20)  # root mean square
             shown = signal.mul_(self._gain).add_(noise, alpha=floor)
             image = self._convert(grey_levels(shown, self.settings))
-        return Frame(
-            segmentation=segmentation,
-            attenuation=attenuation,
-            image=np.rint(image).astype(np.uint8),
-            mask=self.mask,
-            envelope=envelope.T.to("cpu", torch.float32).contiguous().numpy(),
-        )
+        return np.rint(image).astype(np.uint8), envelope
 
     def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Segmentation (H, W) uint8 and attenuation (H, W) float32 of a pose, without casting echo rays.
@@ -145,17 +157,18 @@ class Simulator:
         """
         pose = check_pose(pose)
         if self._maps is None or self._maps[0] != pose.tobytes():
-            local = self._local(pose)
-            tissue_of_owner, media = self._plan.tissue_of_owner, self._plan.media
-            labels = segment(self._geometry, tissue_of_owner, self.probe, self.settings.image_shape, local)
-            labels = np.where(self._convert.mask, labels + np.uint8(1), np.uint8(0))
-            polar = plane_labels(self._geometry, tissue_of_owner, self.probe, self.settings, local)
-            spacing = self.probe.depth_mm / self.settings.axial_samples
-            lines = integral_attenuation(polar, media.loss_db_mm, spacing)
-            with torch.inference_mode():
-                attenuation = self._convert(self._tensor(lines)).clip(0, 1)
-            self._maps = pose.tobytes(), labels, attenuation
+            with without_teams(), torch.inference_mode():
+                self._maps = pose.tobytes(), *self._maps_at(pose)
         return self._maps[1].copy(), self._maps[2].copy()
+
+    def _maps_at(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        local = self._local(pose)
+        tissue_of_owner, media = self._plan.tissue_of_owner, self._plan.media
+        labels = segment(self._geometry, tissue_of_owner, self.probe, self.settings.image_shape, local)
+        labels = np.where(self._convert.mask, labels + np.uint8(1), np.uint8(0))
+        polar = plane_labels(self._geometry, tissue_of_owner, self.probe, self.settings, local)
+        lines = integral_attenuation(polar, media.loss_db_mm, self.probe.depth_mm / self.settings.axial_samples)
+        return labels, self._convert(self._tensor(lines)).clip(0, 1)
 
     def _signal(self, pose: np.ndarray, seed: int, noise: torch.Tensor) -> torch.Tensor:
         """The signal received, (2, scanlines, samples): real and imaginary part."""
@@ -191,15 +204,32 @@ class Simulator:
             self._warned.add(words)
             warnings.warn(words, stacklevel=3)
         nodes = empty_nodes(plan.media.anechoic[labels], probe.depth_mm)
-        echoes = trace(self._geometry, view, self._draws, bundle, inside, nodes)
-        where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
+        order = self._geometry, view, self._draws, bundle, inside, nodes
+        if settings.tolerance is None:
+            echoes, counts = trace(*order), np.full(len(bundle.starts), settings.rays)
+        else:
+            echoes, counts = trace_to_tolerance(*order, self._shown(labels, nodes), settings.tolerance)
+        weights = layer_weights(probe, settings)[1]
+        where = weights, counts, probe.depth_mm, shape
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
-        level = mean_level_db(nodes, settings.rays, self._beam)
+        level = mean_level_db(nodes, counts, self._beam)
         insonified = self._speckle.insonify(bundle.starts + self._origin_mm, bundle.directions, labels, ranges, level)
         clutter_t = None if clutter is None else self._tensor(clutter) * self._spread.axial.sum()
         traced = Traced(insonified, self._tensor(surfaces), clutter_t)
         self._traced = pose.tobytes(), traced
         return traced
+
+    def _shown(self, labels: np.ndarray, nodes: Nodes) -> Shown:
+        """What is seen of rays at the nodes of each group, from the tissues that its samples display."""
+        settings, tissues = self.settings, self.scene.tissues
+        lines, count = settings.scanlines, nodes.amplitude.shape[1]
+        at_nodes = np.rint(np.linspace(0, settings.axial_samples - 1, count)).astype(int)
+        seen = self._gain[at_nodes].double().cpu().numpy() * layer_weights(self.probe, settings)[1][:, at_nodes]
+        echo = np.repeat(seen, lines, axis=0)
+        strength = np.sqrt([tissue.scatter_power for tissue in tissues]) * 10 ** (settings.scatterer_level_db / 20)
+        overlap = float(self._spread.scatterer_scale.square().reciprocal().mean() / self._spread.axial.square().sum())
+        floor = settings.reference_level * 10 ** (settings.noise_floor_db / 20)
+        return Shown(echo, echo * strength[labels[:, at_nodes]], floor, overlap, lines)
 
     def _tensor(self, values: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(values).to(self.settings.device, self._dtype)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
@@ -40,13 +40,15 @@ class Bench:
 def bench_of(settings: StudySettings) -> Bench:
     """Choose `evaluation.timed_frames` test frames of the study's data set, which need not be simulated yet.
 
-    It raises ValueError when a mesh or all poses cannot be used.
+    The settings are those of the data set with a fixed number of rays. It raises ValueError when a mesh or all poses
+    cannot be used.
     """
     scene, grid = build_scene(settings)
     folder = dataset_folder(settings)
     known = open_data(folder).pairs if (folder / "about.json").exists() else lay_out(settings, scene, grid)
     frames = equally_spaced(np.flatnonzero(known.split == Part.test), settings.evaluation.timed_frames)
-    return Bench(scene, settings.probe, settings.simulator, frames, known.poses[frames], settings.dataset.seed)
+    fixed = replace(settings.simulator, tolerance=None)
+    return Bench(scene, settings.probe, fixed, frames, known.poses[frames], settings.dataset.seed)
 
 
 def render_all(

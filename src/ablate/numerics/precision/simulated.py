@@ -13,6 +13,7 @@ from ablate.ultrasound import PlanMode, SimulatorPrecision, SimulatorSettings
 
 RAYS = (1, 2, 4, 8, 16, 32, 64, 128)
 LAYERS = (1, 3, 5)
+TOLERANCES = (0.8, 0.4, 0.2, 0.1, 0.05)  # with the most of RAYS at most
 _FRACTIONS = (0.25, 0.5, 1, 2)  # of the data set's scanlines and axial samples
 REFERENCE_RAYS = 4096
 _FINEST_LAYERS = 8  # even, so that only its two outermost planes are also planes of the ladder
@@ -20,6 +21,7 @@ _FINER = 4  # times as many scanlines or axial samples, and rays, so that Monte-
 _GRIDS = ("layers", "scanlines", "axial_samples")
 RAYS_SERIES = "simulator, rays"
 FULL_SERIES = "simulator, rays, plan=full"
+TOLERANCE_SERIES = "simulator, tolerance"
 OTHER_SERIES = "simulator, other scatterers"
 
 
@@ -46,7 +48,7 @@ def work(base: SimulatorSettings, frames: int) -> int:
     all_ladders = ladders(base)
     settings = sum(map(len, all_ladders.values()))
     on_grids = sum(1 + len(all_ladders[name]) for name in _GRIDS)
-    return frames * (2 + settings + len(all_ladders["rays"]) + on_grids + 1 + len(_staged(base)))
+    return frames * (2 + settings + len(all_ladders["rays"]) + len(TOLERANCES) + on_grids + 1 + len(_staged(base)))
 
 
 def _staged(base: SimulatorSettings) -> list[int]:
@@ -69,7 +71,9 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
     for name, ladder in ladders(base).items():
         planned = list(ladder.values())
         full = [replace(settings, plan=PlanMode.full) for settings in planned] if name == "rays" else []
-        found = render_all(bench, planned + full, seeds, advance)
+        most = planned[-1].rays
+        adaptive = [replace(base, rays=most, tolerance=t) for t in TOLERANCES] if name == "rays" else []
+        found = render_all(bench, planned + full + adaptive, seeds, advance)
         for value, settings, ((rendered, other), ms) in zip(ladder, planned, found, strict=False):
             errors = mean_errors(rendered, reference, bench.probe)
             points.add_each(series_name(name), value, ms, values=errors)
@@ -80,6 +84,8 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
                 to_half = mean_errors(rendered, half, bench.probe)
                 changes = {metric: relative_change(metric, errors[metric], to_half[metric]) for metric in errors}
                 details.add_each("reference", RAYS_SERIES, value, values=changes)
+        for tolerance, ((rendered, _), ms) in zip(TOLERANCES, found[len(planned) + len(full) :], strict=False):
+            points.add_each(TOLERANCE_SERIES, tolerance, ms, values=mean_errors(rendered, reference, bench.probe))
         for value, ((rendered, _), ms), ((as_planned, _), _) in zip(ladder, found[len(planned) :], found, strict=False):
             points.add_each(FULL_SERIES, value, ms, values=mean_errors(rendered, reference, bench.probe))
             apart = np.abs(rendered.images.astype(np.int16) - as_planned.images).max()

@@ -20,6 +20,7 @@ from ablate.studies.pairs.data import Data, open_data
 from ablate.tracking import hardware
 from ablate.training import LAST, chosen_device, generate, load_generator
 
+_FEWEST_ROUNDS = 8  # quartiles of fewer say nothing
 Maps = tuple[dict[str, np.ndarray], dict[str, float]]  # (H, W) each, and the milliseconds that each took
 
 
@@ -43,7 +44,7 @@ def time_networks(study_dir: Path, runs: Sequence[Finished]) -> str:
             if found.keys() <= before.keys():
                 return ""
             measured = _in_turns(found, settings, device)
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
+    except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:  # no pairs, no GPU, no Embree, ...
         return f"Times were not measured: {' '.join(str(error).split())}."
     write_times(study_dir, {**times, machine: {**before, **measured}})
     return ""
@@ -69,7 +70,7 @@ def _threads(count: int) -> Iterator[int]:
 def _in_turns(
     runs: Mapping[str, Finished], settings: Mapping[str, StudySettings], device: torch.device
 ) -> dict[str, FrameTime]:
-    """Times of each network, `evaluation.timed_frames` rounds after one that does not count.
+    """Times of each network, `evaluation.timed_frames` rounds or `_FEWEST_ROUNDS` after one that does not count.
 
     A round makes the maps of one frame once, for all networks, and then renders it with each of them; the next round
     takes them in the opposite order.
@@ -79,7 +80,7 @@ def _in_turns(
     generators = {network: load_generator(run.folder / LAST).to(device) for network, run in runs.items()}
     read = {network: conditions(generator.spec) for network, generator in generators.items()}
     values = {k: dataset.label_values(data.tissues, s.encoding, s.encoding_seed) for k, s in settings.items()}
-    rounds = settings[first].evaluation.timed_frames
+    rounds = max(settings[first].evaluation.timed_frames, _FEWEST_ROUNDS)
     make = _map_maker(settings[first], data, {name for names in read.values() for name in names})
     mask = data.pairs.mask()
     frames = equally_spaced(data.pairs.frames(Part.test), rounds)

@@ -26,10 +26,13 @@ def about_simulated(settings: StudySettings) -> dict[str, Any]:
     if settings.dataset.poses:
         poses, sites = own_poses(settings)
         chosen["poses"] = hashlib.sha256(poses.tobytes() + sites.tobytes()).hexdigest()[:16]
+    simulator = json_ready(settings.simulator)
+    # What is off by default and came later is left out, so that data sets from before it keep their hash.
+    unset = {"tolerance"} if simulator["tolerance"] is None else set[str]()
     return {
         "scene": _scene_identity(settings),
         "probe": json_ready(settings.probe),
-        "simulator": {k: v for k, v in json_ready(settings.simulator).items() if k not in _INCIDENTAL_SIMULATOR},
+        "simulator": {k: v for k, v in simulator.items() if k not in {*_INCIDENTAL_SIMULATOR, *unset}},
         "simulator_version": SIMULATOR_VERSION,
         "dataset": chosen,
     }

@@ -42,9 +42,8 @@ class TimedMaps:
         made = {"segmentation": segmentation, "attenuation": attenuation, "compensated": compensated}
         times = {"segmentation": labels, "attenuation": both - labels, "compensated": both - labels + more}
         if self._low is not None:
-            self._low.maps(pose)  # is now kept: the following time is of the image only
             start = time.perf_counter()
-            made["low"] = self._low.render(pose, seed).image
+            made["low"] = self._low.image(pose, seed)
             times["low"] = _milliseconds_since(start)
         return made, times
 

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
+from ablate.threads import in_parts
 from ablate.ultrasound.imaging.point_spread import along_lines
 from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, pixel_polar, sample_depths_mm
@@ -13,6 +14,7 @@ from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
+_PIXELS_OF_A_PART = 1 << 16
 _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
 
 
@@ -63,9 +65,14 @@ class ScanConverter:
     @stage(Stage.scan_conversion)
     def __call__(self, lines: torch.Tensor) -> np.ndarray:
         """A polar image (scanlines, samples) in the fan; 0 outside, (H, W) float32."""
-        pixels = F.grid_sample(
-            lines[None, None], self._grid, mode="bilinear", padding_mode="border", align_corners=True
-        )
-        image = np.zeros(self.mask.shape, np.float32)
-        image[self.mask] = pixels.flatten().cpu().numpy()
+        image, given = np.zeros(self.mask.shape, np.float32), lines[None, None]
+
+        def of_pixels(begin: int, end: int) -> np.ndarray:
+            grid = self._grid[:, :, begin:end]
+            pixels = F.grid_sample(given, grid, mode="bilinear", padding_mode="border", align_corners=True)
+            return pixels.flatten().cpu().numpy()
+
+        count = self._grid.shape[2]
+        parts = in_parts(of_pixels, count, _PIXELS_OF_A_PART if lines.device.type == "cpu" else max(count, 1))
+        image[self.mask] = np.concatenate(parts) if parts else 0
         return image

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
+from ablate.threads import in_parts
 from ablate.ultrasound.probe import layer_offsets_mm, sample_depths_mm
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
@@ -15,6 +16,8 @@ FWHM_PER_SIGMA = 2 * math.sqrt(2 * math.log(2))
 _BLOCKS = 64  # of depth, within which the lateral kernel is taken as constant
 _LINES_AT_ONCE = 32  # rows of a window of the lateral kernels
 _LOWEST_EXPONENT = -12.0  # of the lateral kernel's last entry
+_BLOCKS_OF_A_PART = 8  # that a thread takes at a time
+LINES_OF_A_PART = 32
 _TAIL = 4.0  # standard deviations kept of the axial kernel
 _WINDOW = 64  # samples that one product of `along_lines` makes
 
@@ -79,12 +82,13 @@ class Across:
         windows = padded[:, rows[:, :, None], columns[:, None, :]].reshape(-1, _LINES_AT_ONCE, self._window)
         self._windows = torch.from_numpy(windows).to(device, dtype)
 
-    def __call__(self, values: torch.Tensor) -> torch.Tensor:
-        """Apply to (blocks, scanlines, n) values."""
+    def __call__(self, values: torch.Tensor, first: int = 0) -> torch.Tensor:
+        """Apply to (k, scanlines, n) values of the blocks from `first` on."""
         more = self._groups * _LINES_AT_ONCE - self.lines
         padded = F.pad(values, (0, 0, self._half, self._half + more))
         windows = padded.unfold(1, self._window, _LINES_AT_ONCE).flatten(0, 1).transpose(1, 2)
-        return torch.bmm(self._windows, windows).reshape(self.blocks, -1, values.shape[-1])[:, : self.lines]
+        own = self._windows[first * self._groups : (first + len(values)) * self._groups]
+        return torch.bmm(own, windows).reshape(len(values), -1, values.shape[-1])[:, : self.lines]
 
 
 @dataclass(frozen=True)
@@ -123,12 +127,23 @@ def blur(scatterers: torch.Tensor, surfaces: torch.Tensor, spread: PointSpread) 
     blocks = spread.lateral.blocks
     stacked = torch.cat([scatterers, surfaces[None]])
     stacked = F.pad(stacked, (0, blocks * spread.block - samples)).reshape(3, lines, blocks, spread.block)
-    by_block = stacked.permute(2, 1, 0, 3).reshape(blocks, lines, 3 * spread.block)
-    spread_out = spread.lateral(by_block).reshape(blocks, lines, 3, spread.block)
-    total = spread_out[:, :, :2] * spread.scatterer_scale.T[:, :, None, None]
-    total[:, :, 0] += spread_out[:, :, 2]
-    total = total.permute(2, 1, 0, 3).reshape(2, lines, -1)[..., :samples]
-    return along_lines(total, spread.axial)
+    total = stacked.new_empty(2, lines, blocks, spread.block)
+    result = stacked.new_empty(2, lines, samples)
+
+    def across(begin: int, end: int) -> None:
+        by_block = stacked[:, :, begin:end].permute(2, 1, 0, 3).reshape(end - begin, lines, 3 * spread.block)
+        spread_out = spread.lateral(by_block, begin).reshape(end - begin, lines, 3, spread.block)
+        both = spread_out[:, :, :2] * spread.scatterer_scale.T[begin:end, :, None, None]
+        both[:, :, 0] += spread_out[:, :, 2]
+        total[:, :, begin:end] = both.permute(2, 1, 0, 3)
+
+    def along(begin: int, end: int) -> None:
+        result[:, begin:end] = along_lines(total[:, begin:end].flatten(2)[..., :samples], spread.axial)
+
+    on_cpu = stacked.device.type == "cpu"
+    in_parts(across, blocks, _BLOCKS_OF_A_PART if on_cpu else blocks)
+    in_parts(along, lines, LINES_OF_A_PART if on_cpu else lines)
+    return result
 
 
 def along_lines(lines: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:

@@ -9,7 +9,8 @@ import torch
 from torch.nn import functional as F
 
 from ablate.anatomy import Tissue
-from ablate.ultrasound.imaging.point_spread import axial_kernel, layer_weights
+from ablate.threads import in_parts
+from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, axial_kernel, layer_weights
 from ablate.ultrasound.imaging.scatterers import (
     TABLE_SIZE,
     cell_hash,
@@ -90,11 +91,19 @@ class Speckle:
 
         ends = tensor(starts, *shape[:2], 3), tensor(directions, *shape[:2], 3)
         ranges = tensor(ranges_mm, *((shape[2],) if ranges_mm.ndim == 1 else shape))
-        if self._contrasts[np.bincount(labels.ravel(), minlength=1).nonzero()].any():
-            texture = self._texture_db(*ends, ranges, label)
-            level = _interpolated(level, texture.shape[-1]) + texture
-        level = _interpolated(level.mul_(_DB_TO_NEPER), shape[2])
-        amplitude = level.to(self._dtype).exp_()
+        textured = self._contrasts[np.bincount(labels.ravel(), minlength=1).nonzero()].any()
+        amplitude = torch.empty(shape, dtype=self._dtype, device=settings.device)
+
+        def of_lines(begin: int, end: int) -> None:
+            some = slice(begin, end)
+            part = level[:, some]
+            if textured:
+                along = ranges if ranges.ndim == 1 else ranges[:, some]
+                texture = self._texture_db(ends[0][:, some], ends[1][:, some], along, label[:, some])
+                part = _interpolated(part, texture.shape[-1]) + texture
+            torch.exp(_interpolated(part * _DB_TO_NEPER, shape[2]).to(self._dtype), out=amplitude[:, some])
+
+        in_parts(of_lines, shape[1], LINES_OF_A_PART if settings.device == "cpu" else shape[1])
         anchor = lattice_anchor(starts, self._pitch_mm)
         from_anchor = tensor(starts - anchor * self._pitch_mm, *shape[:2], 3)
         return InsonifiedLines(from_anchor, ends[1], anchor, ranges, label.to(torch.int32) * TABLE_SIZE, amplitude)
@@ -102,16 +111,23 @@ class Speckle:
     @stage(Stage.scatterers)
     def __call__(self, lines: InsonifiedLines, seed: int) -> torch.Tensor:
         """Sum over layers of amplitude x scatterer, (2, scanlines, samples) tensor: real and imaginary part."""
-        total = torch.zeros((*lines.amplitude.shape[1:], 2), dtype=self._dtype, device=lines.amplitude.device)
-        for layer, amplitude in enumerate(lines.amplitude):
-            along = lines.ranges_mm if lines.ranges_mm.ndim == 1 else lines.ranges_mm[layer]
-            points = [
-                lines.starts[layer, :, axis, None] + lines.directions[layer, :, axis, None] * along for axis in range(3)
-            ]
-            entry = cell_hash(points, self._pitch_mm, seed, lines.anchor).add_(lines.table_offset[layer])
-            strength = self._tables.index_select(0, entry.flatten()).view_as(total)
-            total.addcmul_(strength, amplitude[..., None])
-        return total.permute(2, 0, 1).contiguous()
+        _, scanlines, samples = lines.amplitude.shape
+        summed = torch.empty((2, scanlines, samples), dtype=self._dtype, device=lines.amplitude.device)
+
+        def of_lines(begin: int, end: int) -> None:
+            some = slice(begin, end)
+            total = torch.zeros((end - begin, samples, 2), dtype=self._dtype, device=summed.device)
+            for layer, amplitude in enumerate(lines.amplitude[:, some]):
+                along = lines.ranges_mm if lines.ranges_mm.ndim == 1 else lines.ranges_mm[layer, some]
+                starts, directions = lines.starts[layer, some], lines.directions[layer, some]
+                points = [starts[:, axis, None] + directions[:, axis, None] * along for axis in range(3)]
+                entry = cell_hash(points, self._pitch_mm, seed, lines.anchor).add_(lines.table_offset[layer, some])
+                strength = self._tables.index_select(0, entry.flatten()).view_as(total)
+                total.addcmul_(strength, amplitude[..., None])
+            summed[:, some] = total.permute(2, 0, 1)
+
+        in_parts(of_lines, scanlines, LINES_OF_A_PART if summed.device.type == "cpu" else scanlines)
+        return summed
 
     def _texture_db(
         self, starts: torch.Tensor, directions: torch.Tensor, ranges_mm: torch.Tensor, label: torch.Tensor

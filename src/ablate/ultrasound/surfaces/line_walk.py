@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.surfaces.embree import Geometry, Hits
 from ablate.ultrasound.surfaces.ownership import next_step, owner, toggle
-from ablate.ultrasound.threads import in_parts
 
 _ROWS_OF_A_PART = 256
 

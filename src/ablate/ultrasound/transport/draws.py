@@ -8,6 +8,7 @@ each number is a hash of the same three; strata are of no use where no two rays 
 """
 
 import math
+from collections.abc import Callable
 from threading import Lock
 
 import numpy as np
@@ -29,6 +30,24 @@ def stratified(generator: np.random.Generator, groups: int, rays: int, dimension
     order = np.argsort(generator.random(shape, np.float32), axis=-1).astype(np.float32)
     within = generator.random(shape, np.float32)
     return np.minimum((order + within) / np.float32(rays), np.float32(1 - 2**-24))
+
+
+def progressive(generator: np.random.Generator, groups: int, rays: int, dimensions: int) -> np.ndarray:
+    """The same for groups of which only the first rays may be traced: any first 2^m of them are stratified, too.
+
+    From 2^m rays to twice as many, each of the 2^m intervals is halved, and the new rays fill the empty halves in a
+    random order. Every single number is uniform, so the mean over the first rays is unbiased, however many they are.
+    """
+    cells = np.zeros((dimensions, groups, 1), np.int64)
+    found = generator.random((dimensions, groups, 1), np.float32)
+    while found.shape[-1] < rays:
+        n = found.shape[-1]
+        cells = np.minimum((found * (2 * n)).astype(np.int64), 2 * n - 1)
+        order = np.argsort(generator.random(cells.shape, np.float32), axis=-1)
+        empty = np.take_along_axis(cells ^ 1, order, axis=-1)
+        new = (empty + generator.random(cells.shape, np.float32)) / np.float32(2 * n)
+        found = np.concatenate([found, new.astype(np.float32)], axis=-1)
+    return np.minimum(found[..., :rays], np.float32(1 - 2**-24))
 
 
 @compiled
@@ -55,10 +74,17 @@ def unstratified(path_seed: np.uint64, interfaces: int, number: int, row: np.nda
     return row
 
 
-class Draws:
-    """Draws for all rays of a simulator, made as they are needed and kept; a group is one scanline of one layer."""
+Spread = Callable[[np.random.Generator, int, int, int], np.ndarray]
 
-    def __init__(self, path_seed: int, groups: int, rays: int) -> None:
+
+class Draws:
+    """Draws for all rays of a simulator, made as they are needed and kept; a group is one scanline of one layer.
+
+    `spread` makes the stratified numbers: `stratified`, or `progressive` where not all rays of a group are traced.
+    """
+
+    def __init__(self, path_seed: int, groups: int, rays: int, spread: Spread = stratified) -> None:
+        self._spread = spread
         self.seed, self._groups, self._rays = np.uint64(path_seed % 2**64), groups, rays
         self._table = np.empty((MAX_ROWS, groups * rays, COLUMNS), np.float32)
         self._made = 0
@@ -66,7 +92,7 @@ class Draws:
 
     def aperture(self) -> np.ndarray:
         """Where in the aperture each ray starts, (2, groups, rays) float32 in [0, 1)."""
-        return stratified(self._generator(0), self._groups, self._rays, 2)
+        return self._spread(self._generator(0), self._groups, self._rays, 2)
 
     def table(self, interfaces: int) -> np.ndarray:
         """Draws of all rays, (MAX_ROWS, groups * rays, COLUMNS) float32; the rows for so many interfaces are filled.
@@ -81,7 +107,7 @@ class Draws:
 
     def _row(self, number: int) -> np.ndarray:
         generator = self._generator(number + 1)
-        u = stratified(generator, self._groups, self._rays, 3).reshape(3, -1)
+        u = self._spread(generator, self._groups, self._rays, 3).reshape(3, -1)
         row = np.empty((u.shape[1], COLUMNS), np.float32)
         angle = np.float32(2 * np.pi) * u[2]
         row[:, CHOICE] = u[0]

@@ -47,19 +47,20 @@ def splat(line: np.ndarray, position: np.ndarray, amplitude: np.ndarray, shape: 
 
 @stage(Stage.surface_echoes)
 def surface_lines(
-    echoes: np.ndarray, weights: np.ndarray, rays: int, depth_mm: float, shape: tuple[int, int]
+    echoes: np.ndarray, weights: np.ndarray, rays: np.ndarray, depth_mm: float, shape: tuple[int, int]
 ) -> np.ndarray:
     """Amplitude that surfaces send back to rays never reflected before, (scanlines, samples) float64.
 
-    It is the mean over rays and the sum over layers of the echoes, (n,) ECHO, with elevational weights, (layers,
-    samples), that sum to 1 over layers. It is real and positive, so its estimate converges with the number of rays.
+    It is the mean over the `rays` of each group, (groups,), and the sum over layers of the echoes, (n,) ECHO, with
+    elevational weights, (layers, samples), that sum to 1 over layers. It is real and positive, so its estimate
+    converges with the number of rays.
     """
     return splat(*_placed(echoes, ~echoes["reflected"], weights, rays, depth_mm, shape), shape)
 
 
 @stage(Stage.clutter)
 def clutter_lines(
-    echoes: np.ndarray, weights: np.ndarray, rays: int, depth_mm: float, shape: tuple[int, int]
+    echoes: np.ndarray, weights: np.ndarray, rays: np.ndarray, depth_mm: float, shape: tuple[int, int]
 ) -> np.ndarray | None:
     """The same for reflected rays: few and out of focus, they are spread along and across the lines.
 
@@ -88,14 +89,19 @@ def clutter_lines(
 
 
 def _placed(
-    echoes: np.ndarray, chosen: np.ndarray, weights: np.ndarray, rays: int, depth_mm: float, shape: tuple[int, int]
+    echoes: np.ndarray,
+    chosen: np.ndarray,
+    weights: np.ndarray,
+    rays: np.ndarray,
+    depth_mm: float,
+    shape: tuple[int, int],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Line, position in samples, and amplitude with its elevational weight, of some echoes."""
     lines, samples = shape
     layer, line = np.divmod(echoes["group"][chosen], lines)
     position = echoes["depth_mm"][chosen] * (samples / depth_mm) - 0.5
     nearest = np.clip(position, 0, samples - 1).astype(np.int64)
-    return line, position, echoes["amplitude"][chosen] * weights[layer, nearest] / rays
+    return line, position, echoes["amplitude"][chosen] * weights[layer, nearest] / rays[echoes["group"][chosen]]
 
 
 @cache

@@ -89,12 +89,15 @@ def transmit_beam(probe: ConvexProbe, settings: SimulatorSettings) -> Across:
 
 
 @stage(Stage.illumination)
-def mean_level_db(nodes: Nodes, rays: int, beam: Across) -> torch.Tensor:
-    """Level in dB of the mean over rays and, as the beam overlaps, over scanlines, (groups, nodes) float32 tensor."""
+def mean_level_db(nodes: Nodes, rays: np.ndarray, beam: Across) -> torch.Tensor:
+    """Level in dB of the mean over rays and, as the beam overlaps, over scanlines, (groups, nodes) float32 tensor.
+
+    `rays`, (groups,), is how many rays of each group were accumulated.
+    """
     blocks, lines = beam.blocks, beam.lines
     groups, count = nodes.amplitude.shape
     part = -(-count // blocks)
-    mean = F.pad(torch.from_numpy(nodes.amplitude / rays), (0, blocks * part - count))
+    mean = F.pad(torch.from_numpy(nodes.amplitude / rays[:, None]), (0, blocks * part - count))
     by_block = mean.reshape(-1, lines, blocks, part).permute(2, 1, 0, 3).reshape(blocks, lines, -1)
     overlapping = beam(by_block).reshape(blocks, lines, -1, part).permute(2, 1, 0, 3)
     level = 20 * torch.log10(overlapping.reshape(groups, -1)[:, :count])

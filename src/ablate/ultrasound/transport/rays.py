@@ -105,11 +105,11 @@ def leave_probe(geometry: Geometry, rays: Bundle, pose: np.ndarray) -> tuple[Bun
     return Bundle(starts, directions, origins.astype(np.float32), ray_directions.astype(np.float32)), inside
 
 
-def start_rays(bundle: Bundle, inside: np.ndarray, chosen: slice, view: View) -> np.ndarray:
-    """Some rays of a frame, at the probe, (n,) RAY."""
+def start_rays(bundle: Bundle, inside: np.ndarray, chosen: slice | np.ndarray, view: View) -> np.ndarray:
+    """Some rays of a frame, by their numbers, at the probe, (n,) RAY."""
     medium = view.tissue_of_owner[owners(inside[chosen])]
     rays = np.zeros(len(medium), RAY)
-    rays["number"] = np.arange(chosen.start, chosen.stop)
+    rays["number"] = np.arange(chosen.start, chosen.stop) if isinstance(chosen, slice) else chosen
     rays["origin"], rays["direction"] = bundle.origins[chosen], bundle.ray_directions[chosen]
     rays["medium"], rays["weight"], rays["growth"] = medium, 1.0, 1.0
     rays["structure"] = rays["triangle"] = -1

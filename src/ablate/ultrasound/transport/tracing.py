@@ -19,11 +19,11 @@ import math
 
 import numpy as np
 
+from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Geometry, Hits
 from ablate.ultrasound.surfaces.ownership import next_step, owner, toggle
-from ablate.ultrasound.threads import in_parts
 from ablate.ultrasound.transport.bounce import (
     connect,
     cross_thickness,
@@ -47,12 +47,29 @@ _GROUPS_OF_A_PART = 96
 
 
 @stage(Stage.tracing)
-def trace(geometry: Geometry, view: View, draws: Draws, bundle: Bundle, inside: np.ndarray, nodes: Nodes) -> np.ndarray:
-    """The echoes, (n,) ECHO, of all rays of a frame until they are deeper than the image; `nodes` are accumulated."""
+def trace(
+    geometry: Geometry,
+    view: View,
+    draws: Draws,
+    bundle: Bundle,
+    inside: np.ndarray,
+    nodes: Nodes,
+    first: int = 0,
+    last: np.ndarray | None = None,
+) -> np.ndarray:
+    """The echoes, (n,) ECHO, of the rays of a frame until they are deeper than the image; `nodes` are accumulated.
+
+    Of each group's rays those from number `first` on are traced, to one before `last`, (groups,), or all of them. What
+    becomes of a ray does not depend on which others are traced.
+    """
 
     def part(begin: int, end: int) -> np.ndarray:
-        rays, sets = start_rays(bundle, inside, slice(begin, end), view), inside[begin:end].copy()
-        n, received = end - begin, []
+        chosen: slice | np.ndarray = slice(begin * view.rays, end * view.rays)
+        if last is not None:
+            number = np.arange(view.rays)
+            chosen = begin * view.rays + np.flatnonzero((number >= first) & (number < last[begin:end, None]))
+        rays, sets = start_rays(bundle, inside, chosen, view), inside[chosen].copy()
+        n, received = len(rays), [np.empty(0, ECHO)]
         while n:
             rays, sets = _with_room(rays, 2 * n), _with_room(sets, 2 * n)
             origins, directions = (np.ascontiguousarray(rays[column][:n]) for column in ("origin", "direction"))
@@ -63,7 +80,7 @@ def trace(geometry: Geometry, view: View, draws: Draws, bundle: Bundle, inside: 
             received.append(echoes[:count].copy())
         return np.concatenate(received)
 
-    return np.concatenate(in_parts(part, len(bundle.origins), _GROUPS_OF_A_PART * view.rays))
+    return np.concatenate(in_parts(part, len(bundle.starts), _GROUPS_OF_A_PART))
 
 
 def _with_room(rows: np.ndarray, count: int) -> np.ndarray:

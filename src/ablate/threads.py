@@ -1,0 +1,66 @@
+"""Work split among threads that do not wait for each other.
+
+Torch splits each of its operations among a team of OpenMP threads, and the whole team waits until its last member has
+finished. Where another program uses a core, one member waits for the scheduler, some milliseconds, and all others spin
+meanwhile, once for each of the hundreds of short operations of a frame. Here a thread takes the next part of the work
+when it has finished its own, so one that has to wait delays its own part alone.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TypeVar
+
+import torch
+
+Result = TypeVar("Result")
+_own: ContextVar[int | None] = ContextVar("own threads", default=None)
+
+
+@contextmanager
+def without_teams() -> Iterator[int]:
+    """Within, torch computes on the thread that calls it, and `in_parts` uses as many threads as torch had before.
+
+    Gives the number of these threads. It may be nested.
+    """
+    already = _own.get()
+    if already is not None:
+        yield already
+        return
+    threads = torch.get_num_threads()
+    token = _own.set(threads)
+    torch.set_num_threads(1)  # of this thread, and of the threads that are started meanwhile
+    try:
+        yield threads
+    finally:
+        torch.set_num_threads(threads)
+        _own.reset(token)
+
+
+def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[Result]:
+    """Results of `work(begin, end)` for consecutive parts of `part` rows, in order.
+
+    The parts do not depend on the number of threads, so neither does what is computed. Embree, compiled code and torch
+    let go of Python's lock.
+    """
+    begins = range(0, rows, part)
+    threads = min(_own.get() or torch.get_num_threads(), len(begins))
+    results: dict[int, Result] = {}
+    left = iter(begins)
+    inference = torch.is_inference_mode_enabled()  # torch keeps it by thread
+
+    def take_parts() -> None:
+        with torch.inference_mode(inference):
+            for begin in left:
+                results[begin] = work(begin, min(begin + part, rows))
+
+    if threads <= 1:
+        take_parts()
+    else:
+        with ThreadPoolExecutor(threads - 1) as pool:
+            others = [pool.submit(take_parts) for _ in range(threads - 1)]
+            take_parts()
+            for other in others:
+                other.result()
+    return [results[begin] for begin in begins]

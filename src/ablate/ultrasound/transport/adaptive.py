@@ -1,0 +1,103 @@
+"""Rays where they are needed: a few for every scanline and layer, and more where the image would be wrong without them.
+
+Two halves of a few rays each are traced for every group. How far they differ tells how much one ray varies, and from
+that follows how many rays each group gets, so that the whole frame is as exact as `SimulatorSettings.tolerance` asks
+with as few rays as possible (Neyman's allocation: in proportion to the standard deviation; cf. Mattausch and Goksel,
+"Monte-Carlo ray-tracing for realistic interactive ultrasound simulation", 2016). The same seed gives the same rays.
+
+A number of rays that depended on the group's own first rays would bias it: a group that happens to miss a bright echo
+would look as if it needed no more (Kirk and Arvo, "Unbiased sampling techniques for image synthesis", 1991). So a group
+is judged by its neighbours, whose draws are independent of its own. Echoes and illumination are then unbiased. The
+power of reverberation, which is a product of two groups' rays, keeps a bias of second order in the error of the first
+rays. One scanline in one layer has no neighbour, and gets all rays.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.transport.draws import Draws
+from ablate.ultrasound.transport.illumination import Nodes
+from ablate.ultrasound.transport.rays import Bundle, View
+from ablate.ultrasound.transport.tracing import trace
+
+#: Rays of each of the two halves that are traced first.
+HALF = 2
+_NEIGHBOUR_LINES = 3  # to either side, in all layers
+_LEVEL_NODES = 9  # over which the level shown is averaged
+
+
+class Shown(NamedTuple):
+    """What is seen of rays at the nodes of each group, as amplitude after the time gain, and in how many lines."""
+
+    echo: np.ndarray  # (groups, nodes): of an echo of amplitude 1
+    scatterers: np.ndarray  # (groups, nodes): of scatterers under an illumination of 1
+    floor: float  # what disappears in the noise of the display
+    overlap: float  # sum of squares of the shares that one scanline has in those around it
+    scanlines: int
+
+
+def trace_to_tolerance(
+    geometry: Geometry,
+    view: View,
+    draws: Draws,
+    bundle: Bundle,
+    inside: np.ndarray,
+    nodes: Nodes,
+    shown: Shown,
+    tolerance: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The echoes of as many rays as each group needs, (n,) ECHO, and these numbers, (groups,); accumulates `nodes`."""
+    groups = len(bundle.starts)
+    if groups == 1 or view.rays <= 2 * HALF:
+        return trace(geometry, view, draws, bundle, inside, nodes), np.full(groups, view.rays)
+    halves = []
+    for first in (0, HALF):
+        own = nodes._replace(amplitude=np.zeros_like(nodes.amplitude))
+        echoes = trace(geometry, view, draws, bundle, inside, own, first, np.full(groups, first + HALF))
+        nodes.amplitude[:] += own.amplitude
+        halves.append((echoes, _amplitude(echoes, own, shown)))
+    counts = rays_needed(halves[0][1], halves[1][1], shown, tolerance, view.rays)
+    more = trace(geometry, view, draws, bundle, inside, nodes, 2 * HALF, counts)
+    return np.concatenate([halves[0][0], halves[1][0], more]), counts
+
+
+def _amplitude(echoes: np.ndarray, nodes: Nodes, shown: Shown) -> np.ndarray:
+    """What is seen of `HALF` rays a group, (groups, nodes); reverberation is spread too wide to be seen by group."""
+    groups, count = nodes.amplitude.shape
+    direct = echoes[~echoes["reflected"]]
+    node = np.rint((direct["depth_mm"] - nodes.first_mm) / nodes.spacing_mm).astype(np.int64)
+    place = direct["group"].astype(np.int64) * count + np.clip(node, 0, count - 1)
+    received = np.bincount(place, direct["amplitude"], minlength=groups * count).reshape(groups, count)
+    return (received * shown.echo + nodes.amplitude * shown.scatterers) / HALF
+
+
+def rays_needed(a: np.ndarray, b: np.ndarray, shown: Shown, tolerance: float, most: int) -> np.ndarray:
+    """How many rays each group gets, (groups,) int, from what is seen of the halves of its first rays, (groups, nodes).
+
+    The error of a sample is relative to what is shown there, all layers together, and to the noise of the display; it
+    counts as ln(1 + error). With s_g what one ray of group g adds to it, root mean square over depth, a frame of L
+    scanlines has the error sqrt(o / L sum s_g^2 / n_g), o the overlap of scanlines. The sum of n_g is smallest at this
+    tolerance t for n_g = s_g o (sum s) / (L t^2).
+    """
+    lines = shown.scanlines
+    level = (a + b).reshape(-1, lines, a.shape[-1]).sum(axis=0) / 2
+    level = uniform_filter(level, (2 * _NEIGHBOUR_LINES + 1, _LEVEL_NODES), mode="nearest") + shown.floor
+    relative = np.abs(a - b).reshape(-1, lines, a.shape[-1]) / level  # its mean square is 2 s^2 / HALF
+    shown_error = np.log1p(relative)  # the display is logarithmic; else one bright echo in the dark takes all rays
+    variance = HALF / 2 * np.square(shown_error).mean(axis=-1)
+    deviation = np.sqrt(_of_neighbours(variance))
+    wanted = deviation * deviation.sum() * shown.overlap / (lines * tolerance**2)
+    return np.clip(np.ceil(wanted), 2 * HALF, most).astype(np.int64).ravel()
+
+
+def _of_neighbours(values: np.ndarray) -> np.ndarray:
+    """Mean of the groups around each one, itself left out, (layers, scanlines)."""
+    layers, lines = values.shape
+    reach = np.arange(lines)
+    first, last = np.maximum(reach - _NEIGHBOUR_LINES, 0), np.minimum(reach + _NEIGHBOUR_LINES + 1, lines)
+    summed = np.concatenate([[0.0], np.cumsum(values.sum(axis=0))])
+    around = (summed[last] - summed[first])[None] - values
+    return np.maximum(around, 0.0) / (layers * (last - first) - 1)

@@ -1,0 +1,72 @@
+"""Work in parts: any number of threads, none of torch's teams, and nothing lost when a part fails."""
+
+import threading
+import time
+
+import pytest
+import torch
+
+from ablate.threads import in_parts, without_teams
+
+
+@pytest.fixture(autouse=True)
+def three_threads() -> object:
+    torch.set_num_threads(3)
+    yield
+    torch.set_num_threads(1)
+
+
+@pytest.mark.parametrize(("rows", "part"), [(0, 4), (1, 4), (7, 3), (12, 4)])
+def test_parts_cover_all_rows_once_and_in_order(rows: int, part: int) -> None:
+    spans = in_parts(lambda begin, end: (begin, end), rows, part)
+    assert [row for begin, end in spans for row in range(begin, end)] == list(range(rows))
+    assert all(end - begin <= part for begin, end in spans)
+
+
+def test_torch_starts_no_team_in_any_thread_and_has_its_threads_back() -> None:
+    everybody = threading.Barrier(3, timeout=30)
+
+    def work(*_: int) -> int:
+        everybody.wait()  # so that no thread takes two parts
+        return torch.get_num_threads()
+
+    with without_teams() as threads:
+        assert threads == 3
+        assert torch.get_num_threads() == 1
+        with without_teams() as nested:
+            assert nested == 3
+        assert in_parts(work, 3, 1) == [1, 1, 1]
+    assert torch.get_num_threads() == 3
+
+
+def test_threads_are_given_back_when_the_work_fails() -> None:
+    def fail(begin: int, _: int) -> None:
+        if begin == 2:
+            raise KeyError("part 2")
+
+    with pytest.raises(KeyError, match="part 2"), without_teams():
+        in_parts(fail, 4, 1)
+    assert torch.get_num_threads() == 3
+
+
+def test_a_thread_that_waits_for_the_scheduler_delays_its_own_part_alone() -> None:
+    """What a team of OpenMP threads cannot do: the others take the rest of the work meanwhile."""
+    taken: dict[int, list[int]] = {}
+    slow: list[int] = []
+
+    def work(begin: int, _: int) -> None:
+        me = threading.get_ident()
+        if not slow:
+            slow.append(me)
+        taken.setdefault(me, []).append(begin)
+        time.sleep(0.5 if me == slow[0] else 0.001)
+
+    in_parts(work, 40, 1)
+    assert len(taken[slow[0]]) < 10
+    assert sum(map(len, taken.values())) == 40
+
+
+def test_inference_mode_is_that_of_the_caller() -> None:
+    for mode in (True, False):
+        with torch.inference_mode(mode):
+            assert set(in_parts(lambda *_: torch.is_inference_mode_enabled(), 6, 1)) == {mode}
