@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from ablate.dataset import Pairs, Part, Recipe, simulate_pairs
 from ablate.dataset.seeds import resimulation_seed
@@ -63,13 +64,13 @@ def test_only_what_is_missing_is_rendered(
     simulate_pairs(recipe, pairs, MAPS, 1)
     before = contents(pairs.folder)
     rendered: list[tuple[int, int]] = []
-    render = Simulator.render
+    render = Simulator._image
 
-    def watched(self: Simulator, pose: np.ndarray, seed: int = 0) -> object:
+    def watched(self: Simulator, pose: np.ndarray, seed: int) -> tuple[np.ndarray, torch.Tensor]:
         rendered.append((self.settings.rays, seed))
         return render(self, pose, seed)
 
-    monkeypatch.setattr(Simulator, "render", watched)
+    monkeypatch.setattr(Simulator, "_image", watched)
     simulate_pairs(recipe, pairs, MAPS, 1)
     assert rendered == []
     pairs.shard_file("segmentation", 1).unlink()
