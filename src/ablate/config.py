@@ -24,7 +24,7 @@ from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
 from ablate.training.settings import TrainingSettings
 from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
-from ablate.validation import check_name
+from ablate.validation import LONGEST_NAME, check_name, shown
 
 T = TypeVar("T")
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
@@ -171,6 +171,9 @@ class TrackingSettings:
         if self.uri is not None and _has_secret(self.uri):
             where = "MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or PGPASSWORD for a database"
             raise ValueError(f"tracking.uri: holds a user or a password; allowed is a URI without, and {where}")
+        if not re.fullmatch(r"[\w/]([\w.+@/ -]*[\w.+@-])?", self.experiment) or len(self.experiment) > LONGEST_NAME:
+            allowed = f"at most {LONGEST_NAME} letters, digits, blanks and _.+-@/, the first a letter, a digit, _ or /"
+            raise ValueError(f"tracking.experiment={shown(self.experiment)}: allowed are {allowed}")
         if self.register is not None and not re.fullmatch(r"\w[\w.+ -]*", self.register):
             raise ValueError(f"tracking.register={self.register}: allowed are letters, digits, blanks and _.+-")
 

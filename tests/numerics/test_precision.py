@@ -296,6 +296,25 @@ def test_a_table_grows_on_disk(tmp_path: Path) -> None:
         table.add("a", "b")
 
 
+def test_a_kill_while_a_row_is_written_leaves_the_rows_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.csv"
+    table = CsvTable(path, "series value")
+    table.add("a", 1)
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", killed)
+        patch.setattr(Path, "unlink", killed)  # nothing is tidied up
+        with pytest.raises(KeyboardInterrupt):
+            table.add("b", 2)
+    assert path.read_text() == "series,value\na,1\n"
+    assert len(list(tmp_path.iterdir())) == 2
+    CsvTable(path, "series value")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
+
+
 @pytest.mark.parametrize("device", ["cpu"])
 def test_bf16_only_where_it_is_multiplied(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
     (job,) = jobs_of(TINY)

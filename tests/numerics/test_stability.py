@@ -142,6 +142,12 @@ def test_an_exception_is_the_fall_of_its_case_alone(
     assert set(table.loc[table["holds"], "case"]) == set(CHEAP)
 
 
+@pytest.mark.usefixtures("cheap")
+def test_a_server_that_is_gone_stops_nothing(tmp_path: Path) -> None:
+    assert run_command("task=stability", f"runs_dir={tmp_path}", "tracking.uri=http://127.0.0.1:9") == 0
+    assert set(pd.read_csv(tmp_path / "stability" / "stability.csv")["case"]) == set(CHEAP)
+
+
 def test_what_is_not_a_number_does_not_hold() -> None:
     assert not Check("float32", "q", float("nan"), 1.0, "").holds
     assert Check("float32", "q", 1.0, 1.0, "").holds

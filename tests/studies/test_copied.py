@@ -15,6 +15,7 @@ from mlflow.entities import Run
 from mlflow.tracking._tracking_service import utils
 
 from ablate.config import TrackingSettings
+from ablate.studies.comparison import compare
 from ablate.studies.comparison.compare import compare_study
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.job import Job
@@ -124,6 +125,14 @@ def test_the_same_command_writes_nothing_twice(made: Job) -> None:
     before = state()
     compare_study(made.settings)
     assert state() == before
+
+
+def test_a_store_that_answers_too_slowly_is_not_waited_for(made: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compare, "_TRACKING_S", 0.2)
+    monkeypatch.setattr(compare, "copy_study", lambda _: time.sleep(60))
+    started = time.perf_counter()
+    assert "Note: not all is in MLflow yet (TimeoutError: no end after 0.2 s)" in compare_study(made.settings)
+    assert time.perf_counter() - started < 50
 
 
 @pytest.mark.parametrize("server", ["dead", "frozen"])

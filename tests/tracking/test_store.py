@@ -2,7 +2,8 @@
 
 import json
 import math
-import multiprocessing
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -70,16 +71,24 @@ def test_scores_of_a_call_that_was_given_up_and_arrived_all_the_same_are_stored_
     assert store.client.get_run(run.run_id).data.metrics == {"test/psnr": 18.0}
 
 
-def _open(folder: Path) -> str:
-    store = open_store(folder, None, "ablate")
-    return child_run(store, parent_run(store, "study"), "sa2h/seed0", "abc", {"variant": "sa2h"})
+_OPEN = """
+import sys
+from pathlib import Path
+from ablate.tracking import child_run, open_store, parent_run
+
+store = open_store(Path(sys.argv[1]), None, "ablate")
+print(child_run(store, parent_run(store, "study"), "sa2h/seed0", "abc", {"variant": "sa2h"}))
+"""
 
 
 @pytest.mark.slow
 def test_processes_that_start_together_share_one_database(tmp_path: Path) -> None:
-    with multiprocessing.get_context("spawn").Pool(4) as pool:
-        runs = pool.map(_open, [tmp_path] * 8)
-    assert len(set(runs)) == 1
+    command = [sys.executable, "-c", _OPEN, str(tmp_path)]
+    started = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    said = [process.communicate(timeout=600)[0] for process in started]
+    assert [process.returncode for process in started] == [0] * 4
+    assert len(set(said)) == 1
+    assert len(said[0].strip()) == 32
 
 
 def test_folders_of_runs_that_share_a_server_share_no_study(runs: Path, tmp_path: Path) -> None:

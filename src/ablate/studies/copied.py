@@ -15,16 +15,20 @@ from ablate.studies.comparison.results import ABOUT_CODE
 from ablate.studies.pairs.data import open_data
 from ablate.studies.result_file import read_result
 from ablate.studies.tracked import about_run, logged, own_parameters, shared_parameters
-from ablate.tracking import LocalLog, Status, StoredRun
+from ablate.tracking import STATE, LocalLog, Status, Store, StoredRun
 
 _LOG = logging.getLogger(__name__)
-STATE = "copied"  # a tag: the digest of what the folder held when all of it had been copied
 _LOCK_S = 30.0
+
+
+def open_store(settings: StudySettings) -> Store:
+    """The tracking store that the settings name."""
+    return tracking.open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
 
 
 def open_tracking(settings: StudySettings) -> StoredRun:
     """The study's parent run; it and the store are created when they are missing."""
-    store = tracking.open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
+    store = open_store(settings)
     run = StoredRun(store, tracking.parent_run(store, settings.study))
     run.parameters(shared_parameters(settings))
     return run
@@ -54,7 +58,7 @@ def copying(settings: StudySettings, folder: Path, log: LocalLog) -> Iterator[No
 
 
 def copy_study(settings: StudySettings) -> tuple[StoredRun, dict[str, str]]:
-    """Copy what the store lacks of all runs of a study; gives its parent run, and their ids by name.
+    """Copy what the store lacks of all runs and tasks of a study; gives its parent run, and the runs' ids by name.
 
     A run that another process trains is left to that process. A store that cannot be used is one of
     `tracking.UNAVAILABLE`.
@@ -73,6 +77,7 @@ def copy_study(settings: StudySettings) -> tuple[StoredRun, dict[str, str]]:
                 _LOG.warning("%s: not copied to the tracking store, %s is not as runs are now", path, error)
         if run_id:
             ids[name] = run_id
+    tracking.copy_tasks(parent.store, settings.runs, settings.study)
     return parent, ids
 
 

@@ -1,4 +1,5 @@
 from .background import Background as Background
+from .background import within as within
 from .database import default_uri as default_uri
 from .local_log import LocalLog as LocalLog
 from .local_log import logged_images as logged_images
@@ -17,5 +18,8 @@ from .store import comparison_page as comparison_page
 from .store import open_store as open_store
 from .store import parent_run as parent_run
 from .store import reason as reason
-from .store import task_run as task_run
+from .stored_run import STATE as STATE
 from .stored_run import StoredRun as StoredRun
+from .task_record import TaskRecord as TaskRecord
+from .task_record import copy_tasks as copy_tasks
+from .task_record import recorded_task as recorded_task

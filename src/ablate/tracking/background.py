@@ -3,10 +3,13 @@
 import logging
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from functools import cache
+from typing import TypeVar
 
 from ablate.tracking.store import reason
 
+T = TypeVar("T")
 _LOG = logging.getLogger(__name__)
 _EVERY_S = 5.0
 _WAIT_S = 5.0
@@ -15,28 +18,33 @@ _WAIT_S = 5.0
 class Background:
     """Calls `work` now and every few seconds. What it raises is logged once and not raised: it is tried again."""
 
-    def __init__(self, work: Callable[[], object]) -> None:
-        self._work = work
+    def __init__(self, work: Callable[[], object], every_s: float = _EVERY_S) -> None:
+        self._work, self._every_s = work, every_s
         self._last: Callable[[], object] | None = None
-        self._closed = threading.Event()
+        self._closed, self._once = threading.Event(), threading.Event()
         self._failing = False
         self._thread = threading.Thread(target=self._run, name="tracking", daemon=True)
         self._thread.start()
 
-    def close(self, last: Callable[[], object] | None = None) -> bool:
-        """Let the work end and do `last`; True if it has been done within five seconds.
+    def wait_once(self) -> None:
+        """Wait until the work has been tried once, at most five seconds."""
+        self._once.wait(_WAIT_S)
+
+    def close(self, last: Callable[[], object] | None = None, wait_s: float = _WAIT_S) -> bool:
+        """Let the work end and do `last`; True if it has been done within five seconds, or within `wait_s`.
 
         Otherwise the thread goes on for as long as the process does.
         """
         self._last = last
         self._closed.set()
-        self._thread.join(_WAIT_S)
+        self._thread.join(wait_s)
         return not self._thread.is_alive() and not self._failing
 
     def _run(self) -> None:
         while True:
             self._try(self._work)
-            if self._closed.wait(_EVERY_S):
+            self._once.set()
+            if self._closed.wait(self._every_s):
                 break
         if self._last is not None:
             self._try(self._last)
@@ -50,6 +58,23 @@ class Background:
             self._failing = True
         else:
             self._failing = False
+
+
+def within(seconds: float, work: Callable[[], T]) -> T:
+    """What `work` returns or raises; a TimeoutError where it takes longer, and then it goes on in its thread."""
+    outcome: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            outcome.set_result(work())
+        except BaseException as error:
+            outcome.set_exception(error)
+
+    threading.Thread(target=run, name="tracking", daemon=True).start()
+    try:
+        return outcome.result(seconds)
+    except TimeoutError as error:
+        raise error if outcome.done() else TimeoutError(f"no end after {seconds:g} s") from None
 
 
 @cache

@@ -14,6 +14,7 @@ from PIL import Image
 from ablate.tracking.local_log import Point, logged_images, points, read_log
 from ablate.tracking.store import Status, Store
 
+STATE = "copied"  # a tag: the digest of what was on disk when all of it had been copied
 _BATCH = 500
 # MLflow writes an image and then a smaller copy; an image with both files is complete.
 _WHOLE_IMAGE = re.compile(r".+?\+step\+\d+\+(?=.*\+compressed\.webp$)")

@@ -16,8 +16,9 @@ from ablate.numerics.precision.simulated import RAYS_SERIES, ladders, measure_si
 from ablate.numerics.precision.summary import as_text, floors, orders, tables, time_of_parts, verdict
 from ablate.storage import write_text
 from ablate.studies.comparison.results import Finished
+from ablate.studies.copied import open_store
 from ablate.studies.jobs.job import Job
-from ablate.tracking import Status, StoredRun, git_state, hardware, open_store, task_run
+from ablate.tracking import TaskRecord, git_state, hardware, recorded_task
 from ablate.ultrasound.render_plan import plan_scene
 
 
@@ -34,24 +35,16 @@ def precision(jobs: Sequence[Job]) -> int:
     folder = settings.runs / "precision"
     points = CsvTable(folder / "precision.csv", "series setting ms metric error")
     details = CsvTable(folder / "details.csv", "table series setting quantity value")
-    store = open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
-    run = StoredRun(store, task_run(store, "precision", settings.study))
-    run.mark(Status.running)
-    status = Status.failed
+    code = {k: v for k, v in git_state().items() if k != "git_diff"}
     try:
-        _measure(settings, bench, runs, points, details)
-        for path in _report(bench, about, points, details, run):
-            print(path)
-        status = Status.finished
+        with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
+            record.files += [points.path, details.path]
+            record.tags |= {"hardware": hardware(), "scene": settings.scene_name, **code}
+            _measure(settings, bench, runs, points, details)
+            for path in _report(bench, about, points, details, record):
+                print(path)
     except KeyboardInterrupt:
-        status = Status.killed
         sys.exit(f"ablate: interrupted; what was measured is in {folder}, the same command measures it again")
-    finally:
-        for kept in (points, details):
-            run.artifact(kept.path)
-        code = {k: v for k, v in git_state().items() if k != "git_diff"}
-        run.tags({"hardware": hardware(), "scene": settings.scene_name, **code})
-        run.mark(status)
     return 0
 
 
@@ -80,8 +73,8 @@ def _measure(settings: StudySettings, bench: Bench, runs: list[Finished], points
         measure_generators(bench, planned, settings, reference, points, details, bar.update)
 
 
-def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable, run: StoredRun) -> list[Path]:
-    """Print the tables, draw the figures, log both, and return the paths of the files except PDFs."""
+def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable, record: TaskRecord) -> list[Path]:
+    """Print the tables, draw the figures, record both, and return the paths of the files except PDFs."""
     folder, errors, more = points.path.parent, points.table(), details.table()
     level = floors(errors, bench.simulator.rays)
     figures = error_vs_runtime(errors, folder / "precision", level, hardware(), time_of_parts(more))
@@ -93,10 +86,8 @@ def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable,
     print("\n".join([*head, "", as_text(shown), ""]))
     summary = folder / "summary.txt"
     write_text(summary, "\n".join([*about, *head, "", as_text(shown), ""]))
-    run.artifact(summary)
-    for figure in figures:
-        run.artifact(figure, "vector" if figure.suffix == ".pdf" else None)
-    run.scores({f"order/{row['metric']}": row["p"] for row in orders(errors).to_dict("records")})
+    record.files += [summary, *figures]
+    record.scores |= {f"order/{row['metric']}": row["p"] for row in orders(errors).to_dict("records")}
     first = as_text(dict(list(shown.items())[:1]))  # the run's first page has room for one table
-    run.describe("\n\n".join([*about, *head, f"```\n{first}\n```", "The rest: Artifacts, `summary.txt`."]))
+    record.description = "\n\n".join([*about, *head, f"```\n{first}\n```", "The rest: Artifacts, `summary.txt`."])
     return [points.path, details.path, summary, *(f for f in figures if f.suffix == ".png")]

@@ -13,8 +13,9 @@ from tqdm import tqdm
 from ablate.numerics.stability import extremes, losses, maps, metrics, networks, shapes, sound, statistics
 from ablate.numerics.stability.checks import Case, Check
 from ablate.storage import write_text, written_whole
+from ablate.studies.copied import open_store
 from ablate.studies.jobs.job import Job
-from ablate.tracking import Status, StoredRun, git_state, hardware, open_store, task_run
+from ablate.tracking import Status, git_state, hardware, recorded_task
 from ablate.training import chosen_device
 
 COLUMNS = ["case", "dtype", "quantity", "measured", "bound", "holds"]
@@ -32,13 +33,9 @@ def stability(jobs: Sequence[Job]) -> int:
     """Run every case; return 1 if one fails, and name it on stderr."""
     settings = jobs[0].settings
     folder = settings.runs / "stability"
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # the arrays are too small for several
-    store = open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
-    run = StoredRun(store, task_run(store, "stability", settings.study))
-    run.mark(Status.running)
-    status = Status.failed
-    try:
+    code = {k: v for k, v in git_state().items() if k != "git_diff"}
+    with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
+        record.tags |= {"hardware": hardware(), **code}
         cases = all_cases()
         table = _tried(cases, str(chosen_device(settings.training.device)))
         files = _written(table, cases, folder)
@@ -47,29 +44,23 @@ def stability(jobs: Sequence[Job]) -> int:
         print(f"{_shown(table)}\n\n{verdict}\n", *files, sep="\n")
         for name in fallen:
             print(f"falls: {name}", file=sys.stderr)
-        for path in files:
-            run.artifact(path)
-        run.scores({"cases": len(cases), "cases_that_hold": len(cases) - len(fallen)})
-        run.describe("\n\n".join([verdict, *(f"Falls: {name}" for name in fallen), "The table: Artifacts."]))
-        status = Status.failed if fallen else Status.finished
-    except KeyboardInterrupt:
-        status = Status.killed
-        raise
-    finally:
-        code = {k: v for k, v in git_state().items() if k != "git_diff"}
-        run.tags({"hardware": hardware(), **code})
-        run.mark(status)
-        torch.set_num_threads(threads)
+        record.files += files
+        record.scores |= {"cases": len(cases), "cases_that_hold": len(cases) - len(fallen)}
+        record.description = "\n\n".join([verdict, *(f"Falls: {name}" for name in fallen), "The table: Artifacts."])
+        record.status = Status.failed if fallen else Status.finished
     return int(bool(fallen))
 
 
 def _tried(cases: Sequence[Case], device: str) -> pd.DataFrame:
     """Make the table of all errors, with the reasons of their bounds."""
     rows = []
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # the arrays are too small for several
     with tqdm(cases, unit="case", desc="stability") as bar:
         for case in bar:
             bar.set_postfix_str(case.name)
             rows += [{"case": case.name, **vars(c), "holds": c.holds} for c in _checks(case, device)]
+    torch.set_num_threads(threads)
     return pd.DataFrame(rows, columns=[*COLUMNS, "why"])
 
 

@@ -30,10 +30,12 @@ from ablate.studies.comparison.results import (
 )
 from ablate.studies.comparison.timing import time_networks
 from ablate.studies.comparison.usable_runs import UsableRuns, usable_runs
-from ablate.studies.copied import STATE, copy_study
+from ablate.studies.copied import copy_study
 from ablate.studies.jobs.job import COMPARISON
 from ablate.studies.tracked import describe_study, register_reference
-from ablate.tracking import UNAVAILABLE, Status, StoredRun, default_uri, reason
+from ablate.tracking import STATE, UNAVAILABLE, Status, StoredRun, default_uri, reason, within
+
+_TRACKING_S = 120.0  # a server that answers slowly or not at all is not waited for longer
 
 
 def compare_study(settings: StudySettings, rebuild: bool = False, time_here: bool = True) -> str:
@@ -66,7 +68,10 @@ def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> s
     if said is None:
         said = write_comparison(usable, folder, settings.study, reference)[1]
         write_json(marker, {**made_from, "said": said})
-    tracked = _track(settings, usable.runs, table, folder, said)
+    try:
+        tracked = within(_TRACKING_S, lambda: _track(settings, usable.runs, table, folder, said))
+    except UNAVAILABLE as error:
+        tracked = f"\nNote: not all is in MLflow yet ({reason(error)}); the same command logs the rest."
     warnings = "\n".join(f"Note: {c}" for c in (*usable.notes, *analysis.cautions(per_image, reference)))
     uri = settings.tracking.uri or default_uri(settings.runs)
     pages = uri if uri.startswith("http") else f"make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
@@ -155,25 +160,22 @@ def _track(
     settings: StudySettings, runs: Sequence[Finished], table: pd.DataFrame, folder: Path, notes: Sequence[str]
 ) -> str:
     """Bring the store up to date with the runs of a study and their comparison; returns lines for the screen."""
-    try:
-        run, ids = copy_study(settings)
-        files = [path for path in sorted(folder.iterdir()) if path.is_file()]
-        state = digest([ids, {path.name: path.stat().st_mtime_ns for path in files}])
-        if run.tag(STATE) != state:
-            for path in files:
-                run.artifact(path, "vector" if path.suffix == ".pdf" else None)
-            run.tags(provenance(runs))
-            for row in frame_times(runs).to_dict("records"):
-                if (run_id := ids.get(f"{row['variant']}/seed{row['seed']}")) is not None:
-                    StoredRun(run.store, run_id).scores({FRAME_TIME: row["value"]})
-            headline = table[table["metric"].isin(shown_in(Shown.headline))]
-            describe_study(run, runs, ids, analysis.to_markdown(headline), notes)
-            run.tags({STATE: state})
-        run.mark(Status.finished)
-        if settings.tracking.register:
-            return f"\nregistered     {register_reference(settings, runs, run.store, ids)}"
-    except UNAVAILABLE as error:
-        return f"\nNote: not all is in MLflow yet ({reason(error)}); the same command logs the rest."
+    run, ids = copy_study(settings)
+    files = [path for path in sorted(folder.iterdir()) if path.is_file()]
+    state = digest([ids, {path.name: path.stat().st_mtime_ns for path in files}])
+    if run.tag(STATE) != state:
+        for path in files:
+            run.artifact(path, "vector" if path.suffix == ".pdf" else None)
+        run.tags(provenance(runs))
+        for row in frame_times(runs).to_dict("records"):
+            if (run_id := ids.get(f"{row['variant']}/seed{row['seed']}")) is not None:
+                StoredRun(run.store, run_id).scores({FRAME_TIME: row["value"]})
+        headline = table[table["metric"].isin(shown_in(Shown.headline))]
+        describe_study(run, runs, ids, analysis.to_markdown(headline), notes)
+        run.tags({STATE: state})
+    run.mark(Status.finished)
+    if settings.tracking.register:
+        return f"\nregistered     {register_reference(settings, runs, run.store, ids)}"
     return ""
 
 
