@@ -301,7 +301,7 @@ def test_a_kill_while_a_row_is_written_leaves_the_rows_before(tmp_path: Path, mo
     table = CsvTable(path, "series value")
     table.add("a", 1)
 
-    def killed(*_: object) -> None:
+    def killed(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:

@@ -154,6 +154,13 @@ def _compose(overrides: Sequence[str]) -> DictConfig:
         return hydra_internals.composed(overrides)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigurationError(_explain(error)) from error
+    except (TypeError, ValueError) as error:  # Hydra's, where a file of conf/ is named by something that is no text
+        for override in hydra_internals.parse_overrides(overrides):
+            group = override.key_or_group
+            if (configuration_dir() / group).is_dir() and not isinstance(override.value(), str):
+                names = ", ".join(sorted(path.stem for path in (configuration_dir() / group).glob("*.yaml")))
+                raise ConfigurationError(f"{override.input_line}: allowed are {names}") from error
+        raise
 
 
 def _explain(error: Exception) -> str:

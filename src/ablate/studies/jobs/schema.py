@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 import ablate
 from ablate.config import StudySettings, build
 from ablate.studies.jobs.scale import register_resolvers
+from ablate.validation import shown
 
 
 def configuration_dir() -> Path:
@@ -54,4 +55,14 @@ def settings(config: DictConfig) -> StudySettings:
     own = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
     values = OmegaConf.to_container(own, resolve=True, throw_on_missing=True)
     assert isinstance(values, dict)
+    _check_size(values)
     return build(StudySettings, {str(k): v for k, v in values.items()})
+
+
+def _check_size(values: dict[Any, Any], prefix: str = "") -> None:
+    """Raise ValueError for whole numbers that neither torch nor NumPy takes."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            _check_size(value, f"{prefix}{key}.")
+        elif any(isinstance(v, int) and abs(v) >= 2**63 for v in (value if isinstance(value, list) else [value])):
+            raise ValueError(f"{prefix}{key}={shown(value)}: allowed are whole numbers below 2^63")

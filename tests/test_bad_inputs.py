@@ -1,0 +1,319 @@
+"""What cannot be run is refused in one line that says what is wrong, before anything starts; no file is left behind."""
+
+import dataclasses
+import errno
+import math
+import os
+import re
+from collections.abc import Callable, Iterator
+from enum import Enum
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ablate.__main__ import main
+from ablate.config import ConfigurationError, StudySettings, build, json_ready
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.launch import Launch
+
+Refused = Callable[..., str]
+
+
+@pytest.fixture
+def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Refused:
+    """Calls the program with arguments that it refuses; gives the line that it prints."""
+
+    def files() -> set[Path]:
+        return {path for path in tmp_path.rglob("*") if path.is_file()}
+
+    def starts(*_: object) -> None:
+        raise AssertionError("a job was started")
+
+    def call(*arguments: str) -> str:
+        before = files()
+        monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path / 'runs'}", *arguments])
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert end.value.code == 2
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert files() == before
+        line, newline, rest = printed.err.partition("\n")
+        assert (line[:8], newline, rest) == ("ablate: ", "\n", ""), printed.err
+        return line[8:]
+
+    monkeypatch.setattr(Launch, "__call__", starts)
+    monkeypatch.chdir(tmp_path)
+    return call
+
+
+SITES = {
+    "axis": [0, 0, 1],
+    "front": [0, -1, 0],
+    "heights": {"range": [-10, 10], "count": 8},
+    "angles": {"range": [-20, 20], "count": 8},
+    "tilts": [0],
+    "rolls": [0],
+}
+SCENE = {
+    "unit": "mm",
+    "background": "coupling_gel",
+    "structures": [{"mesh": "body.obj", "tissue": "soft_tissue"}],
+    "sites": SITES,
+}
+
+
+def scene_folder(folder: Path, **changes: object) -> None:
+    """A folder with good and bad meshes, and a scene.yaml with some keys changed."""
+    folder.mkdir()
+    body = trimesh.creation.icosphere(3, radius=60)
+    body.export(folder / "body.obj")
+    wave = np.sin(2 * np.arctan2(body.triangles_center[:, 1], body.triangles_center[:, 0]))
+    torn = body.faces[body.triangles_center[:, 2] < 12.0 * wave]
+    trimesh.Trimesh(body.vertices, torn, process=False).export(folder / "torn.obj")
+    (folder / "garbage.ply").write_bytes(b"not a mesh")
+    (folder / "nan.obj").write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")
+    (folder / "empty.obj").write_text("")
+    (folder / "scene.yaml").write_text(yaml.safe_dump({**SCENE, **changes}))
+
+
+# Each with the words of the answer, as a regular expression.
+COMMAND_LINES: list[tuple[list[str], str]] = [
+    # What is not there.
+    (["variant=sa3h"], r"variant=sa3h: allowed are lsa2h, nsa2h, sa2h, "),
+    (["-m", "variant=sa2h,sa3h"], r"variant=sa3h: allowed are"),
+    (["preset=huge"], r"preset=huge: allowed are laptop, paper, quick"),
+    (["scene=mars"], r"scene=mars: allowed are fetal, folder, pairs"),
+    (["+study=everything"], r"study=everything: allowed are add_one_in, answer"),
+    (["varian=sa2h"], r"unknown key 'varian'; did you mean 'variant'\?"),
+    (["trainin.steps=3"], r"unknown key 'trainin.*did you mean 'training'"),
+    (["training.stepz=3"], r"unknown key 'training.stepz'; did you mean 'steps'\? allowed in training: "),
+    (["+colour=blue"], r"unknown key 'colour'"),
+    (["task=dream"], r"task=dream: .*study, simulate, describe, plan, compare"),
+    (["model.depth=${level:4}"], r"model.depth: Unsupported interpolation type level"),
+    (["reference=sa9h"], r"reference=sa9h: allowed are .*sa2h"),
+    (["metrics=[beauty]"], r"beauty"),
+    (["metrics=[psnr,fid]"], r"metrics=fid: needs evaluation.inception="),
+    (["metrics=fid"], r"metrics=fid: name one that every image has too"),
+    (["evaluation.inception=nowhere.pt"], r"nowhere\.pt"),
+    (["--config-name", "mine"], r"--config-name: not taken"),
+    # Text in place of a name, or a name in place of text.
+    (["preset=null"], r"preset=null: allowed are laptop, paper, quick"),
+    (["variant=[1,2]"], r"variant=\[1,2\]: allowed are .*sa2h"),
+    (["variant=1.5"], r"variant=1\.5: allowed are .*sa2h"),
+    (["variant="], r"variant"),
+    (["variant=[sa2h"], r"."),
+    # Out of range, or not together.
+    (["seed=-1"], r"seed=-1: allowed are 0 and more"),
+    (["-m", "seed=0,-1"], r"seed=-1: allowed are 0 and more"),
+    (["seed=99999999999999999999"], r"seed=99999999999999999999: allowed are whole numbers below 2\^63"),
+    (["model.depth=9"], r"depth=9: allowed are 1 to 8"),
+    (["simulator.image_shape=[]"], r"image_shape"),
+    (["variant=sa2h-gan", "training.l1_weight=0"], r"l1_weight=0 with loss=none"),
+    (["training.batch_size=1000"], r"training\.batch_size=1000: more than the \d+ training frames"),
+    (["dataset.frames=99999999"], r"dataset\.frames=99999999: at most \d+, the poses"),
+    (["dataset.grid=[1,2]"], r"dataset\.grid=\[1, 2\]: four counts"),
+    (["training.device=tpu"], r"device='tpu': allowed are auto, cpu, cuda"),
+    (["model.noise_start=0.1", "model.noise=none"], r"noise_start=0.1 with noise=none: allowed is 0"),
+    # Jobs.
+    (["variant=sa2h,nsa2h"], r"asks for several jobs: add -m"),
+    (["-m", "training.steps=1,2"], r"share the place .*study_name"),
+    (["hydra/launcher=joblib"], r"hydra/launcher=joblib starts the jobs of a sweep: add -m"),
+    (["-m", "hydra/sweeper=mine", "seed=0,1"], r"hydra/sweeper=mine"),
+    # Names and folders.
+    (["study_name=.."], r"study_name='\.\.': allowed are at most 200 letters, digits, blanks and _\.\+-"),
+    (["study_name=a/b"], r"study_name='a/b': allowed are"),
+    (['study_name="o\'neill"'], r"study_name=.*neill.*: allowed are"),
+    (["study_name='what?'"], r"study_name='what\?': allowed are"),
+    (["study_name=100%20"], r"study_name='100%20': allowed are"),
+    (["study_name='a '"], r"study_name='a ': allowed are"),
+    (["study_name=.hydra"], r"study_name='\.hydra': allowed are"),
+    ([f"study_name={300 * 'x'}"], r"study_name='x+\.\.\.x+': allowed are at most 200"),
+    (["study_name=data"], r"study_name=data: the names artifacts, data, .* are taken"),
+    (["study_name=mlflow.db-wal"], r"study_name=mlflow\.db-wal: the names"),
+    (["tracking.experiment="], r"tracking\.experiment='': allowed are at most 200 letters"),
+    (['tracking.experiment="a\nb"'], r"tracking\.experiment='a\\+nb': allowed are"),
+    ([f"tracking.experiment={300 * 'x'}"], r"tracking\.experiment='x+\.\.\.x+': allowed are"),
+    (["tracking.register=a/b"], r"tracking\.register=a/b: allowed are"),
+    (["runs_dir=file/runs"], r"file/runs"),
+    (["runs_dir='100%/runs'"], r"100%/runs: allowed is a path without %"),
+    (["task=compare"], r"runs/quick-fetal holds no finished run to compare"),
+    # Scenes and pairs.
+    (["scene=folder"], r"scene\.folder"),
+    (["scene=folder", "scene.folder=nowhere"], r"nowhere"),
+    (["scene=pairs"], r"scene\.folder"),
+    (["scene=pairs", "scene.folder=empty"], r"empty"),
+    (["task=preview", "scene=pairs", "scene.folder=empty"], r"task=preview: pairs made elsewhere have no scene"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), COMMAND_LINES, ids=[" ".join(a)[:40] for a, _ in COMMAND_LINES])
+def test_a_command_line_that_cannot_be_run(refused: Refused, tmp_path: Path, arguments: list[str], words: str) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "empty").mkdir()
+    assert re.search(words, refused(*arguments))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"structures": [{"mesh": "body.obj", "tissue": "unobtainium"}]}, "unobtainium"),
+        ({"structures": [{"mesh": "absent.obj", "tissue": "liver"}]}, "absent.obj"),
+        ({"structures": [{"mesh": "empty.obj", "tissue": "liver"}]}, "empty.obj"),
+        ({"structures": [{"mesh": "torn.obj", "tissue": "liver"}]}, "torn.obj: cannot be closed: a hole of 1"),
+        ({"structures": [{"mesh": "garbage.ply", "tissue": "liver"}]}, "garbage.ply: not readable as a mesh"),
+        ({"structures": [{"mesh": "nan.obj", "tissue": "liver"}]}, "nan.obj: has vertices that are not finite"),
+        ({"unit": "m"}, "scene.yaml: unit: m makes the scene's largest extent 1.2e+05 mm"),
+        (
+            {"sites": {"heights": {"range": [500, 600], "count": 4}, "tilts": [-5, 0, 5]}},
+            "12 the direction misses",
+        ),
+        ({"sites": {"heights": {"range": [0, 1]}}}, "sites.heights.count"),
+        ({"sites": None}, "no `sites`"),
+    ],
+)
+def test_a_scene_that_cannot_be_used(refused: Refused, tmp_path: Path, changes: dict[str, object], words: str) -> None:
+    scene_folder(tmp_path / "scene", **changes)
+    assert words in refused("scene=folder", f"scene.folder={tmp_path / 'scene'}", "dataset.frames=12")
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "http://anna:canary@host:5000",
+        "https://canary@host",
+        "'postgresql+psycopg2://anna:can/canary#@host/db'",
+        "'mysql://host/db?password=canary'",
+        "http://anna:can,canary@host",
+        "${oc.env:TRACKING}",
+    ],
+)
+def test_a_password_in_the_tracking_uri_is_refused_and_not_shown(
+    refused: Refused, monkeypatch: pytest.MonkeyPatch, uri: str
+) -> None:
+    monkeypatch.setenv("TRACKING", "http://anna:canary@host:5000")
+    said = refused(f"tracking.uri={uri}")
+    assert "canary" not in said
+    assert "," in uri or "tracking.uri: holds a user or a password" in said
+
+
+@pytest.mark.parametrize("task", ["study", "compare"])
+def test_a_folder_that_is_read_only_is_refused(
+    refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, task: str
+) -> None:
+    (tmp_path / "runs").mkdir()
+
+    def read_only(dir: Path) -> None:  # root may write anywhere, so a mode would not do
+        raise PermissionError(errno.EROFS, os.strerror(errno.EROFS), str(dir))
+
+    monkeypatch.setattr("tempfile.TemporaryFile", read_only)
+    assert refused(f"task={task}").endswith("runs cannot be written: Read-only file system")
+
+
+def keys(cls: type = StudySettings, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Every key of the configuration, with its type."""
+    for name, kind in get_type_hints(cls).items():
+        if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+            yield from keys(kind, f"{prefix}{name}.")
+        else:
+            yield prefix + name, kind
+
+
+KEYS = dict(keys())
+# A whole number may stand for text, and any text for a path; what `metrics` holds is told by its names.
+TAKES_ANY_TEXT = {"metrics"}
+
+
+def of_wrong_type(kind: Any) -> str:
+    return "[a,b]" if kind is str or str in getattr(kind, "__args__", ()) else "wrong"
+
+
+@pytest.mark.parametrize("key", sorted(KEYS.keys() - TAKES_ANY_TEXT))
+def test_a_value_of_a_wrong_type(key: str) -> None:
+    with pytest.raises(ConfigurationError, match=re.escape(key.rpartition(".")[2])) as error:
+        jobs_of([f"{key}={of_wrong_type(KEYS[key])}"])
+    assert "\n" not in str(error.value)
+
+
+# The least and the largest value that are allowed, and an open end where a bound itself is refused.
+LEAST: dict[str, float] = {
+    **dict.fromkeys(("seed", "encoding_seed", "scene.anatomy_seed", "dataset.seed", "simulator.path_seed"), 0),
+    **dict.fromkeys(("dataset.frames", "dataset.shard", "training.steps", "training.batch_size"), 1),
+    **dict.fromkeys(("training.log_every", "evaluation.pictures", "evaluation.timed_frames"), 1),
+    **dict.fromkeys(("simulator.rays", "simulator.layers", "simulator.scanlines", "simulator.axial_samples"), 1),
+    **dict.fromkeys(("training.threads", "training.checkpoint_every", "training.validate_every"), 0),
+    **dict.fromkeys(("dataset.workers", "crops.workers", "training.l1_weight", "training.ema_decay"), 0),
+    **dict.fromkeys(("training.beta1", "training.beta2", "simulator.tgc_db_cm_mhz", "simulator.aperture_mm"), 0),
+    **{"training.crop": 32, "evaluation.noise_draws": 2, "model.depth": 1, "simulator.dynamic_range_db": 1},
+    **{"simulator.noise_floor_db": -1000, "simulator.scatterer_level_db": -300, "probe.fov_deg": 1e-3},
+}
+LARGEST: dict[str, float] = {
+    **{"model.depth": 8, "probe.fov_deg": 179, "probe.frequency_mhz": 1000, "probe.radius_mm": 1e6},
+    **{"simulator.noise_floor_db": 0, "simulator.dynamic_range_db": 1000, "simulator.scatterer_level_db": 100},
+}
+ABOVE_0 = ("training.learning_rate", "model.width", "dataset.validation", "dataset.test", "probe.depth_mm")
+BELOW_1 = ("training.beta1", "training.beta2", "training.ema_decay", "dataset.test")
+DEFAULTS = json_ready(StudySettings())
+
+
+def with_value(key: str, value: float) -> dict[str, Any]:
+    """The paper's settings as plain values, with one of them changed."""
+    group, _, name = key.rpartition(".")
+    return {**DEFAULTS, group: {**DEFAULTS[group], name: value}} if group else {**DEFAULTS, name: value}
+
+
+def just_outside() -> Iterator[tuple[str, float]]:
+    for bounds, sign, closed in ((LEAST, -1, 1), (LARGEST, 1, 1), (dict.fromkeys(ABOVE_0, 0.0), -1, 0)):
+        for key, bound in bounds.items():
+            beyond = bound + sign if KEYS[key] is int else math.nextafter(bound, sign * math.inf) if closed else bound
+            yield key, beyond
+    yield from ((key, 1.0) for key in BELOW_1)
+
+
+def test_a_bound_itself_is_allowed() -> None:
+    for key, bound in (*LEAST.items(), *LARGEST.items()):
+        if key != "training.l1_weight":  # 0 has a condition
+            build(StudySettings, with_value(key, int(bound) if KEYS[key] is int else float(bound)))
+
+
+@pytest.mark.parametrize(("key", "value"), sorted(just_outside()))
+def test_a_value_just_outside_its_range(key: str, value: float) -> None:
+    with pytest.raises(ValueError, match=re.escape(key.rpartition(".")[2])) as error:
+        build(StudySettings, with_value(key, value))
+    assert "\n" not in str(error.value)
+
+
+NUMBERS = sorted(key for key, kind in KEYS.items() if kind in (int, float))
+
+
+@settings(max_examples=300, deadline=None)
+@given(key=st.sampled_from(NUMBERS), data=st.data())
+def test_any_number_is_taken_or_refused_in_one_line(key: str, data: st.DataObject) -> None:
+    numbers = st.integers(-(2**63) + 1, 2**63 - 1) if KEYS[key] is int else st.floats()
+    value = data.draw(numbers)
+    said = refusal(key, value)
+    assert said is not None or math.isfinite(value)
+    assert said is None or (key.rpartition(".")[2] in said and "\n" not in said)
+
+
+def refusal(key: str, value: float) -> str | None:
+    """What the settings say of a value; None where they take it."""
+    try:
+        build(StudySettings, with_value(key, value))
+    except ValueError as error:
+        return str(error)
+    return None
+
+
+def test_every_choice_is_named_by_its_refusal() -> None:
+    for key, kind in KEYS.items():
+        if isinstance(kind, type) and issubclass(kind, Enum):
+            with pytest.raises(ConfigurationError) as error:
+                jobs_of([f"{key}=wrong"])
+            assert all(member.name in str(error.value) for member in kind), key

@@ -1,0 +1,34 @@
+"""The pinned set of packages can be installed where the project says that it runs."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CONSTRAINTS = Path(__file__).parents[1] / "constraints.txt"
+
+
+def pins() -> dict[str, str]:
+    lines = [line for line in CONSTRAINTS.read_text().splitlines() if line and not line.startswith("#")]
+    return {name.lower().replace("_", "-"): version for name, version in (line.split("==") for line in lines)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("python", ["3.11", "3.12", "3.13"])
+def test_every_pin_is_there_for_a_supported_python(tmp_path: Path, python: str) -> None:
+    """Each release takes this Python, and has a wheel for it or its source."""
+    asked = ["--dry-run", "--ignore-installed", "--no-deps", "--python-version", python, "--target", str(tmp_path)]
+    command = [sys.executable, "-m", "pip", "install", *asked, "-r", str(CONSTRAINTS)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=1200)
+    if done.returncode and not index_is_there(tmp_path):
+        pytest.skip("no package index can be reached")
+    assert done.returncode == 0, done.stderr[-2000:]
+    (found,) = [line for line in done.stdout.splitlines() if line.startswith("Would install ")]
+    installed = dict(name.rsplit("-", 1) for name in found.removeprefix("Would install ").split())
+    assert {name.lower().replace("_", "-"): version for name, version in installed.items()} == pins()
+
+
+def index_is_there(folder: Path) -> bool:
+    command = [sys.executable, "-m", "pip", "download", "--no-deps", "--dest", str(folder), f"zipp=={pins()['zipp']}"]
+    return subprocess.run(command, capture_output=True, check=False, timeout=600).returncode == 0
