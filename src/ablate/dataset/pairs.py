@@ -1,7 +1,7 @@
 """Pairs on disk: one Zarr v3 group, what it holds, and how its frames are read."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -79,6 +79,10 @@ class Pairs:
     def maps(self) -> frozenset[str]:
         """Names of the maps that are laid out; which shards of them are made tells `missing`."""
         return frozenset(m for m in FORMATS if (self.folder / "pairs.zarr" / m / "zarr.json").exists())
+
+    def dtypes(self, of: Collection[str]) -> dict[str, str]:
+        """What those of the maps that are laid out are stored as, in the order of their names."""
+        return {name: FORMATS[name].dtype for name in sorted(self.maps.intersection(of))}
 
     def frames(self, part: Part) -> np.ndarray:
         """Indices of the frames of one part, increasing."""

@@ -19,6 +19,7 @@ from ablate.tracking import STATE, LocalLog, Status, Store, StoredRun
 
 _LOG = logging.getLogger(__name__)
 _LOCK_S = 30.0
+_DRAWN = frozenset({"target", "resimulation"})  # the other maps of a data set are what networks read
 
 
 def open_store(settings: StudySettings) -> Store:
@@ -105,7 +106,7 @@ class _Copy:
         changed_ms = changes[-1]["time"] if changes else None
         result = read_result(self.folder, str(_read(self.folder / "spec.json").get("hash")))
         if result is not None:
-            run.scores(logged(result["scalars"]), changed_ms)
+            run.scores(logged(result["scalars"]), changed_ms, run.model(str(result["label"])))
             if (scores := self.folder / "per_image.parquet").exists():
                 run.artifact(scores)
         ended = Status(changes[-1]["status"]) if changes else Status.killed
@@ -132,7 +133,9 @@ def _opened(settings: StudySettings, folder: Path) -> StoredRun:
     run.parameters(own_parameters(label, of_run))
     for pairs in (settings.runs / "data").glob(f"*-{data}"):
         with suppress(OSError, ValueError, KeyError):  # pairs that are being made again
-            run.dataset(pairs.name, data, pairs, len(open_data(pairs).pairs))
+            of = open_data(pairs).pairs
+            read, drawn = of.dtypes(of.maps - _DRAWN), of.dtypes(_DRAWN)
+            run.dataset(pairs.name, data, pairs, len(of), read, drawn)
     for path in _provenance(folder):
         run.artifact(path, "provenance")
     return run

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from mlflow.entities import Dataset, DatasetInput, Metric, Param, RunTag
+from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelOutput, Metric, Param, RunTag
 from PIL import Image
 
 from ablate.tracking.local_log import Point, logged_images, points, read_log
@@ -48,17 +48,32 @@ class StoredRun:
             self._client.log_batch(self.run_id, metrics=[Metric(p.key, p.value, p.time_ms, p.step) for p in batch])
             self._steps.update((point.key, point.step) for point in batch)
 
-    def scores(self, values: Mapping[str, float], time_ms: int | None = None) -> None:
+    def scores(self, values: Mapping[str, float], time_ms: int | None = None, model: str | None = None) -> None:
         """Log values that a run has one of, at step 0; NaN and infinite ones are left out.
 
-        The same values of the same time are stored once, also where a server takes a call that was given up.
+        The same values of the same time are stored once, also where a server takes a call that was given up. With the
+        id of a model they are that model's too, on the data set of the run.
         """
-        known = self._client.get_run(self.run_id).data.metrics
+        run = self._client.get_run(self.run_id)
+        known, used = run.data.metrics, run.inputs.dataset_inputs if model else []
         new = {k: float(v) for k, v in values.items() if abs(float(v)) < 1e300 and known.get(k) != float(v)}
         at = time_ms or int(time.time() * 1000)
+        of = (model, used[0].dataset.name, used[0].dataset.digest) if used else (model,)
         for k in range(0, len(new), _BATCH):
             batch = list(new.items())[k : k + _BATCH]
-            self._client.log_batch(self.run_id, metrics=[Metric(key, value, at, 0) for key, value in batch])
+            self._client.log_batch(self.run_id, metrics=[Metric(key, value, at, 0, *of) for key, value in batch])
+
+    def model(self, name: str) -> str:
+        """Id of the model that the run has made, for MLflow's page of models; it is created when there is none."""
+        run = self._client.get_run(self.run_id)
+        made = [output.model_id for output in run.outputs.model_outputs] if run.outputs else []
+        if made:
+            return str(made[0])
+        valid = re.sub(r"[/:.%\"']", "-", name)
+        model = self._client.create_logged_model(self.store.experiment_id, valid, self.run_id)
+        self._client.finalize_logged_model(model.model_id, "READY")
+        self._client.log_outputs(self.run_id, [LoggedModelOutput(model.model_id, 0)])
+        return str(model.model_id)
 
     def parameters(self, values: Mapping[str, object]) -> None:
         """Log parameters; those that the run already has are left as they are."""
@@ -77,10 +92,24 @@ class StoredRun:
     def artifact(self, path: Path, folder: str | None = None) -> None:
         self._client.log_artifact(self.run_id, str(path), folder)
 
-    def dataset(self, name: str, digest: str, folder: Path, frames: int) -> None:
-        """Log the data set that the run is trained on; logging it again changes nothing."""
-        made = Dataset(name, digest, "local", str(folder), profile=json.dumps({"num_rows": frames}))
-        self._client.log_inputs(self.run_id, [DatasetInput(made)])
+    def dataset(
+        self, name: str, digest: str, folder: Path, frames: int, read: Mapping[str, str], drawn: Mapping[str, str]
+    ) -> None:
+        """Log the data set that the run is trained on; logging it again changes nothing.
+
+        `read` and `drawn` are the types of the maps that networks read and of the images that they are to render, each
+        (frames, H, W), by name.
+        """
+        from mlflow.data.schema import TensorDatasetSchema  # its import takes a second
+        from mlflow.types import Schema, TensorSpec
+
+        def schema(maps: Mapping[str, str]) -> Schema:
+            return Schema([TensorSpec(np.dtype(dtype), (-1, -1, -1), of) for of, dtype in maps.items()])
+
+        source, profile = json.dumps({"uri": str(folder)}), json.dumps({"num_rows": frames})
+        tensors = json.dumps(TensorDatasetSchema(schema(read), schema(drawn)).to_dict())
+        made = Dataset(name, digest, "local", source, tensors, profile)
+        self._client.log_inputs(self.run_id, [DatasetInput(made, [InputTag("mlflow.data.context", "training")])])
 
     def tag(self, name: str) -> str | None:
         """The value of a tag, None where the run has none."""
