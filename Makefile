@@ -13,7 +13,7 @@ help: ## this list
 
 $(STAMP): pyproject.toml constraints.txt
 	@echo "Creating the environment in $(VENV) (about 2.5 GB, one to three minutes) ..."
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "ablate needs Python 3.11 or newer; make PYTHON=python3.12 ...")'
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14) and "ablate needs Python 3.11, 3.12 or 3.13; make PYTHON=python3.12 ...")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@

@@ -1,6 +1,7 @@
 """What each task needs: simulation runs without the trainer and its tracking, training without the simulator."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -51,6 +52,33 @@ def test_training_and_evaluation_on_pairs_made_elsewhere_need_neither_numba_nor_
     assert done.returncode == 0, done.stderr
     (result,) = (tmp_path / "runs").glob("tiny-mine/sa2h/seed0/result.json")
     assert '"test/psnr"' in result.read_text()
+
+
+WITHOUT_LINUX = """
+import os, signal
+for name in ("SIGHUP", "SIGQUIT", "SIGUSR2", "SIGALRM", "pthread_sigmask", "sigwait"):
+    delattr(signal, name)
+for name in ("sched_getaffinity", "geteuid", "fork"):
+    delattr(os, name)
+from ablate.__main__ import main
+main()
+"""
+
+
+def test_a_study_needs_nothing_of_the_system_that_windows_lacks(tmp_path: Path) -> None:
+    size = ("preset=tiny", "simulator.image_shape=[96,134]", "dataset.frames=10", "training.steps=2")
+    command = [sys.executable, "-c", WITHOUT_LINUX, *size, "dataset.workers=2", f"runs_dir={tmp_path}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "tiny-fetal" / "comparison" / "report.html").exists()
+
+
+def test_no_signal_is_named_that_windows_lacks() -> None:
+    """Lightning asks for SIGKILL wherever it is not on Windows, so the study above cannot go without."""
+    source = Path(__file__).resolve().parents[1] / "src"
+    named = {name for path in source.rglob("*.py") for name in re.findall(r"signal\.(SIG\w+)", path.read_text("utf-8"))}
+    assert "SIGTERM" in named
+    assert named <= {"SIGTERM", "SIGINT", "SIG_IGN", "SIG_DFL", "SIG_BLOCK", "SIG_SETMASK"}
 
 
 def test_the_settings_of_a_run_load_no_numerical_library() -> None:

@@ -65,7 +65,7 @@ def test_scores_are_those_of_the_runs_one_model_on_its_data_set(runs: Path) -> N
     store = open_store(runs, None, "ablate")
     for _ in range(2):
         run = StoredRun(store, parent_run(store, "study"))
-        run.dataset("fetal-abc", "abc", runs / "data", 240, {}, {"target": "uint8"})
+        run.dataset("fetal-abc", "abc", runs / "data", 240, {"segmentation": "uint8"}, {"target": "uint8"})
         run.scores({"test/psnr": 17.5}, 1000, run.model("sa2h.depth-8"))
     (model,) = store.client.search_logged_models([store.experiment_id])
     assert (model.name, model.source_run_id, model.status) == ("sa2h-depth-8", run.run_id, "READY")

@@ -54,7 +54,10 @@ def work_for_parent(content: bytes) -> None:
 
 @contextmanager
 def interrupts_blocked() -> Iterator[None]:
-    """Hold back SIGINT; processes that are started meanwhile never see it."""
+    """Hold back SIGINT; processes that are started meanwhile never see it. Windows cannot, and they do see it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -6,8 +6,9 @@ from typing import Any
 
 from lightning.pytorch import Callback
 
-# SIGHUP: the terminal is closed; SIGUSR2: submitit's notice that a job's time is up
-_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR2)
+# SIGHUP: the terminal is closed; SIGUSR2: submitit's notice that a job's time is up. Windows has neither.
+_NAMES = ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2")
+_SIGNALS = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 
 
 class Interruption(Callback):

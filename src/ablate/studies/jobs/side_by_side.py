@@ -87,9 +87,9 @@ def wait_for_all(processes: Sequence[SpawnProcess]) -> None:
 
 def _tell(code: int, name: str) -> None:
     if code < 0:
-        killed = f"{name}: its process was ended by {signal.Signals(-code).name}"
+        by = signal.Signals(-code).name
         why = "; SIGKILL is often the system's, out of memory: try fewer hydra.launcher.n_jobs"
-        print(f"{killed}{why if -code == signal.SIGKILL else ''}", file=sys.stderr)
+        print(f"{name}: its process was ended by {by}{why if by == 'SIGKILL' else ''}", file=sys.stderr)
 
 
 @contextmanager
