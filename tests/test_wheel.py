@@ -32,7 +32,7 @@ def test_an_installed_wheel_describes_the_variants_from_anywhere(tmp_path: Path)
         ROOT,
         cwd=tmp_path,
     )
-    (wheel,) = tmp_path.glob("ablate-*.whl")
+    (wheel,) = tmp_path.glob("ablate_ultrasound-*.whl")
     venv.create(tmp_path / "env", with_pip=False)
     python = tmp_path / "env" / "bin" / "python"
     site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=tmp_path).strip())

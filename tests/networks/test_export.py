@@ -102,7 +102,8 @@ def test_a_missing_package_is_named_with_what_installs_it(
     package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(ImportError, match=rf"export needs the package {package}: pip install 'ablate\[export\]'"):
+    command = r"pip install 'ablate-ultrasound\[export\]'"
+    with pytest.raises(ImportError, match=rf"export needs the package {package}: {command}"):
         export_onnx(drawn("sa2h"), tmp_path / "model.onnx", *SIZE)
 
 

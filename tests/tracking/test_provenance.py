@@ -27,7 +27,7 @@ def repository(root: Path, place: str, name: str) -> Path:
 
 
 def test_git_state_tells_commit_and_diff(tmp_path: Path) -> None:
-    package = repository(tmp_path, "src", "ablate")
+    package = repository(tmp_path, "src", "ablate-ultrasound")
     assert git_state(package) == {}, "without a commit"
     (package / "a").write_text("one\n")
     git(tmp_path, "add", ".")
@@ -44,9 +44,10 @@ def test_git_state_tells_commit_and_diff(tmp_path: Path) -> None:
     ("place", "name", "committed"),
     [
         (".venv/lib/python3.11/site-packages", "thesis", False),
-        (".venv/lib/python3.11/site-packages", "ablate", True),
+        (".venv/lib/python3.11/site-packages", "ablate-ultrasound", True),
         ("src", "thesis", True),
-        ("src", "ablate", False),
+        ("src", "ablate-ultrasound", False),
+        ("src", "ablate", True),
     ],
 )
 def test_another_repository_tells_nothing(tmp_path: Path, place: str, name: str, committed: bool) -> None:
@@ -65,7 +66,7 @@ def test_environment_names_versions() -> None:
 def test_packages_are_those_that_the_project_names() -> None:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
     found = packages()
-    assert list(found)[:2] == ["python", "ablate"]
+    assert list(found)[:2] == ["python", project["name"]]
     assert len(found) == 2 + len(project["dependencies"])
     assert found["numpy"] == np.__version__
 

@@ -103,5 +103,5 @@ def test_what_an_engine_lacks_is_said_before_it_is_used(
     monkeypatch.setattr(
         "ablate.training.engines.find_spec", lambda name: None if name == "openvino" else find_spec(name)
     )
-    with pytest.raises(RuntimeError, match=r"engine=exported: needs the package openvino: pip install 'ablate\[exp"):
+    with pytest.raises(RuntimeError, match=r"engine=exported: needs the package openvino: pip install 'ablate-ul"):
         open_engine(drawn(spec), 8, 8, engine=Engine.exported)

@@ -47,7 +47,7 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int) -> No
         import onnx
         import onnxscript  # noqa: F401 (torch's exporter is written in it)
     except ImportError as error:
-        raise ImportError(f"export needs the package {error.name}: pip install 'ablate[export]'") from error
+        raise ImportError(f"export needs the package {error.name}: pip install 'ablate-ultrasound[export]'") from error
     device = next(generator.parameters()).device
     frame = _Frame(generator, height, width)
     sizes = [(height, width)] * len(frame.maps) + list(frame.sizes.values())

@@ -13,6 +13,7 @@ import torch
 import ablate
 
 _PACKAGE = Path(ablate.__file__).parent
+_DISTRIBUTION = "ablate-ultrasound"  # what an installer calls this package
 
 
 def git_state(package: Path = _PACKAGE) -> dict[str, str]:
@@ -28,7 +29,7 @@ def git_state(package: Path = _PACKAGE) -> dict[str, str]:
         return subprocess.run(command, capture_output=True, text=True, errors="replace", check=True).stdout
 
     try:
-        if tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["project"]["name"] != "ablate":
+        if tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["project"]["name"] != _DISTRIBUTION:
             return {}
         if Path(git("rev-parse", "--show-toplevel").rstrip("\n")).resolve() != root.resolve():
             return {}
@@ -48,11 +49,13 @@ def environment() -> str:
 
 
 def packages() -> dict[str, str]:
-    """Versions of Python, of this package and of its direct dependencies."""
-    required = [re.split(r"[ ;<>=~!\[]", r)[0] for r in metadata.requires("ablate") or () if "extra ==" not in r]
-    return {"python": platform.python_version()} | {
-        name: metadata.version(name) for name in ("ablate", *sorted(required))
-    }
+    """Versions of Python and, where it is installed, of this package and of its direct dependencies."""
+    try:
+        required = metadata.requires(_DISTRIBUTION) or ()
+    except metadata.PackageNotFoundError:
+        return {"python": platform.python_version()}
+    direct = sorted(re.split(r"[ ;<>=~!\[]", line)[0] for line in required if "extra ==" not in line)
+    return {"python": platform.python_version()} | {name: metadata.version(name) for name in (_DISTRIBUTION, *direct)}
 
 
 def hardware() -> str:

@@ -1,0 +1,60 @@
+"""What an installer is told: the name on the package index, where `ablate` is another project, and the Pythons."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.specifiers import SpecifierSet
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+KINDS = (".py", ".pyi", ".md", ".yaml", ".yml", ".toml", ".cff", ".ipynb", ".txt")
+PLACES = ("src", "docs", "conf", "notebooks", "scripts", "benchmarks", "tests")
+# The old name as an installer takes it: after `install`, with options, or with extras or a version.
+OLD = re.compile(r"install (-\S+ )*['\"]?ablate(?![\w./-])|(?<![\w./-])ablate(\[[a-z]|[=<>~]=)")
+WITH_EXTRAS = re.compile(r"ablate-ultrasound\[([a-z, ]+)\]")
+
+
+def texts() -> dict[Path, str]:
+    """Every text of the project, but this one and the built site."""
+    found = [path for place in PLACES for path in (ROOT / place).rglob("*") if path.suffix in KINDS]
+    at_root = [path for path in ROOT.iterdir() if path.suffix in KINDS or path.name == "Makefile"]
+    return {path: path.read_text("utf-8", "replace") for path in [*found, *at_root] if path != Path(__file__).resolve()}
+
+
+@pytest.mark.parametrize(
+    ("text", "is_old"),
+    [
+        ("pip install ablate", True),
+        ("pip install 'ablate[export]'", True),
+        ("pip install -q ablate==0.1.0", True),
+        ('"ablate[dev]",', True),
+        ("pip install ablate-ultrasound", False),
+        ("pip install 'ablate-ultrasound[export]'", False),
+        ("python -m ablate -m variant=sa2h", False),
+        ("import ablate", False),
+    ],
+)
+def test_the_old_name_is_known_when_it_is_seen(text: str, is_old: bool) -> None:
+    assert bool(OLD.search(text)) == is_old
+
+
+def test_nobody_is_told_to_install_the_other_project() -> None:
+    told = {path: found[0] for path, text in texts().items() if (found := OLD.search(text))}
+    assert told == {}
+
+
+def test_extras_that_are_named_exist() -> None:
+    extras = PROJECT["optional-dependencies"]
+    named = {e.strip() for text in texts().values() for m in WITH_EXTRAS.finditer(text) for e in m[1].split(",")}
+    assert "export" in named
+    assert named <= extras.keys()
+
+
+def test_the_pythons_that_are_classified_are_those_that_are_admitted() -> None:
+    admitted = SpecifierSet(PROJECT["requires-python"])
+    versions = [f"3.{minor}" for minor in range(8, 20) if f"3.{minor}.5" in admitted]
+    assert versions == ["3.11", "3.12", "3.13"]
+    classified = [c.rpartition(" ")[2] for c in PROJECT["classifiers"] if "Python ::" in c]
+    assert classified == versions
