@@ -1,3 +1,4 @@
+from .imaging.display import Display as Display
 from .maps.attenuation import compensated_attenuation as compensated_attenuation
 from .probe import fan_mask as fan_mask
 from .settings import SIMULATOR_VERSION as SIMULATOR_VERSION

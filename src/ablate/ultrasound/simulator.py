@@ -12,12 +12,13 @@ import torch
 from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import without_teams
 from ablate.ultrasound.imaging.bmode import ScanConverter, grey_levels, receiver_noise, time_gain
+from ablate.ultrasound.imaging.display import Display
 from ablate.ultrasound.imaging.point_spread import blur, layer_weights, point_spread
 from ablate.ultrasound.imaging.speckle import InsonifiedLines, Speckle
 from ablate.ultrasound.maps.attenuation import integral_attenuation
 from ablate.ultrasound.maps.contact import contact_warning
 from ablate.ultrasound.maps.slices import plane_labels, scanline_labels, segment
-from ablate.ultrasound.probe import check_pose
+from ablate.ultrasound.probe import check_pose, sample_depths_mm
 from ablate.ultrasound.render_plan import plan_scene
 from ablate.ultrasound.settings import ConvexProbe, Frame, SimulatorSettings
 from ablate.ultrasound.surfaces.embree import Geometry
@@ -53,6 +54,9 @@ class Simulator:
     ----------
     poses : iterable of (4, 4) float, optional
         Poses of the probe that will be rendered; structures out of reach from all of them are left out.
+    beside : Simulator, optional
+        Another simulator of the same scene. Its meshes are not checked again, and its triangles are used again where
+        both leave out the same structures. The frames are the same without it.
 
     Attributes
     ----------
@@ -73,10 +77,14 @@ class Simulator:
         probe: ConvexProbe | None = None,
         settings: SimulatorSettings | None = None,
         poses: Iterable[np.ndarray] | None = None,
+        beside: "Simulator | None" = None,
     ) -> None:
         self.scene = scene
         self.probe = probe = probe or ConvexProbe()
-        check_scene(scene, probe.depth_mm)
+        if beside is None:
+            check_scene(scene, probe.depth_mm)
+        elif beside.scene is not scene:
+            raise ValueError(f"beside: a simulator of scene {beside.scene.name!r}, allowed is one of the same scene")
         self.settings = settings = settings or SimulatorSettings()
         self._dtype = getattr(torch, settings.precision.value)
         self._plan = plan_scene(scene, probe, settings, poses)
@@ -86,7 +94,7 @@ class Simulator:
         # Zero for every scene about the world's origin; float32 then serves scenes that are far from it.
         grid_mm = 10 ** math.ceil(math.log10(extent + float(np.linalg.norm(bounds[1] - bounds[0]))))
         self._origin_mm = grid_mm * np.rint(bounds.mean(axis=0) / grid_mm)
-        self._geometry = Geometry(self._plan.structures, bounds, self._origin_mm, extent)
+        self._geometry = self._triangles(beside, bounds, extent)
         spread = stratified if settings.tolerance is None else progressive
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays, spread)
         self._rays = probe_rays(probe, settings, self._draws)
@@ -100,11 +108,19 @@ class Simulator:
         self._traced: tuple[bytes, Traced] | None = None
         self._warned: set[str] = set()
 
+    def _triangles(self, beside: "Simulator | None", bounds: np.ndarray, extent_mm: float) -> Geometry:
+        """The plan's structures, ready to be hit; those of another simulator where they are the same."""
+        if beside is not None and np.array_equal(beside._origin_mm, self._origin_mm):
+            theirs, own = beside._plan.structures, self._plan.structures
+            if len(theirs) == len(own) and all(a is b for a, b in zip(theirs, own, strict=True)):
+                return beside._geometry.reaching(extent_mm)
+        return Geometry(self._plan.structures, bounds, self._origin_mm, extent_mm)
+
     @property
     def mask(self) -> np.ndarray:
         return self._convert.mask.copy()
 
-    def render(self, pose: np.ndarray, seed: int = 0) -> Frame:
+    def render(self, pose: np.ndarray, seed: int = 0, display: Display | None = None) -> Frame:
         """One frame.
 
         Parameters
@@ -113,13 +129,15 @@ class Simulator:
             Rigid transform from probe to world, mm.
         seed : int
             Of the scatterers and the display's noise; the paths follow `settings.path_seed`.
+        display : Display, optional
+            What an operator sets of the picture; without it the picture follows the settings alone.
 
         Raises
         ------
         ValueError
             When the pose is not rigid or the seed negative.
         """
-        image, envelope = self._image(pose, seed)
+        image, envelope = self._image(pose, seed, display)
         segmentation, attenuation = self.maps(pose)
         return Frame(
             segmentation=segmentation,
@@ -129,11 +147,11 @@ class Simulator:
             envelope=envelope.T.to("cpu", torch.float32).contiguous().numpy(),
         )
 
-    def image(self, pose: np.ndarray, seed: int = 0) -> np.ndarray:
+    def image(self, pose: np.ndarray, seed: int = 0, display: Display | None = None) -> np.ndarray:
         """The image of `render`, (H, W) uint8, alone: the maps are not made."""
-        return self._image(pose, seed)[0]
+        return self._image(pose, seed, display)[0]
 
-    def _image(self, pose: np.ndarray, seed: int) -> tuple[np.ndarray, torch.Tensor]:
+    def _image(self, pose: np.ndarray, seed: int, display: Display | None) -> tuple[np.ndarray, torch.Tensor]:
         """The image, (H, W) uint8, and its envelope, (scanlines, samples)."""
         if seed < 0:
             raise ValueError(f"seed must be at least 0, not {seed}")
@@ -144,7 +162,7 @@ class Simulator:
             envelope = signal.square().sum(dim=0).sqrt_()
             floor = self.settings.reference_level * 10 ** (self.settings.noise_floor_db / 20)  # root mean square
             shown = signal.mul_(self._gain).add_(noise, alpha=floor)
-            image = self._convert(grey_levels(shown, self.settings))
+            image = self._convert(self._grey(shown, display))
         return np.rint(image).astype(np.uint8), envelope
 
     def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -177,6 +195,14 @@ class Simulator:
         if traced.clutter is not None:  # received from all sides, hence with random phases
             signal.addcmul_(traced.clutter, noise.roll(_CLUTTER_ROLL, dims=(1, 2)))
         return signal
+
+    def _grey(self, shown: torch.Tensor, display: Display | None) -> torch.Tensor:
+        """Grey levels of the signal with its noise, (scanlines, samples); the operator's gain amplifies both."""
+        if display is None:
+            return grey_levels(shown, self.settings)
+        depth_mm = sample_depths_mm(self.probe, self.settings.axial_samples)
+        gain = 10 ** (display.gain_at(depth_mm / self.probe.depth_mm) / 20)
+        return grey_levels(shown.mul_(self._tensor(gain)), display.applied_to(self.settings))
 
     def _trace(self, pose: np.ndarray) -> Traced:
         """Cast the rays of a pose, unless they were the last ones cast."""

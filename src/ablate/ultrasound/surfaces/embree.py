@@ -1,7 +1,8 @@
 """Closest hits of rays with a scene's triangles, by Embree."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from copy import copy
+from typing import NamedTuple, Self
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -41,7 +42,16 @@ class Geometry:
             self._meshes.append(TriangleMesh(self._scene, vertices.astype(np.float32), faces))
         self._centre_mm = np.mean(bounds_mm, axis=0) - origin_mm
         self._radius_mm = float(np.linalg.norm(bounds_mm[1] - bounds_mm[0])) / 2
-        self.step_mm = 2e-7 * max(2 * self._radius_mm, extent_mm)
+        self.step_mm = self._step_for(extent_mm)
+
+    def _step_for(self, extent_mm: float) -> float:
+        return 2e-7 * max(2 * self._radius_mm, extent_mm)
+
+    def reaching(self, extent_mm: float) -> Self:
+        """The same triangles for rays of another `extent_mm`; Embree does not sort them again."""
+        other = copy(self)
+        other.step_mm = self._step_for(extent_mm)
+        return other
 
     def closest(self, origins: np.ndarray, directions: np.ndarray, reach_mm: np.ndarray) -> Hits:
         """The first surface within `reach_mm`, (n,), of rays: origins and unit directions, (n, 3), all float32.

@@ -1,0 +1,133 @@
+"""From a state to its views: the simulator, then the generators, one after the other."""
+
+import time
+import warnings
+from collections.abc import Callable, Hashable
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from ablate.anatomy import Scene
+from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings
+from ablate.ultrasound.probe import pixel_polar
+from ablate.viewer.generators import Trained, open_generator
+from ablate.viewer.state import Quality, State, Views
+
+T = TypeVar("T")
+
+_COARSE_RAYS = 4
+_KEPT_SIMULATORS = 6  # full, coarse and low quality, of this probe and the one before
+_KEPT_GENERATORS = 4
+
+
+def coarse(settings: SimulatorSettings) -> SimulatorSettings:
+    """Settings for a moving probe: one layer and few rays, so the speckle is that of the image at rest."""
+    return replace(settings, rays=min(settings.rays, _COARSE_RAYS), layers=1)
+
+
+class Engine:
+    """Renders the views of a scene. The triangles are given to Embree once, whatever the probe.
+
+    It is used by one thread at a time.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._first: Simulator | None = None
+        self._simulators: dict[Hashable, Simulator] = {}
+        self._generators: dict[Path, Trained] = {}
+        self._took: dict[str, tuple[Hashable, float]] = {}
+        self._images: dict[Path, tuple[Hashable, np.ndarray, float]] = {}
+
+    def render(self, state: State, quality: Quality) -> Views:
+        """All views of a state.
+
+        At full quality the target is that of `Simulator.render`, bit for bit. What goes wrong with a run is said in
+        the notes.
+
+        Raises
+        ------
+        ValueError
+            When the pose is not rigid, or a value is outside its range.
+        """
+        ms: dict[str, float] = {}
+        notes: dict[str, str] = {}
+        full = self._simulator(state.probe, state.simulator)
+        place = (state.pose.tobytes(), state.probe, state.simulator)
+        segmentation, attenuation = self._timed(ms, "maps", place, lambda: full.maps(state.pose))
+        images = []
+        for number, folder in enumerate(state.runs):
+            name = f"generated {number}"
+            try:
+                image, ms[name], notes[name] = self._generated(folder, state, segmentation, attenuation)
+            except (OSError, ValueError, KeyError) as error:
+                image, notes[name] = None, " ".join(str(error).split())
+            images.append(image)
+        settings = state.simulator if quality is Quality.full else coarse(state.simulator)
+        used = self._simulator(state.probe, settings)
+        picture = (state.pose.tobytes(), state.probe, settings, state.seed, state.display)
+        frame = self._timed(ms, "target", picture, lambda: _quietly(used, state))
+        return Views(
+            target=frame.image,
+            segmentation=segmentation,
+            attenuation=attenuation,
+            mask=frame.mask,
+            generated=tuple(images),
+            ms=ms,
+            notes={name: words for name, words in notes.items() if words},
+            quality=quality,
+        )
+
+    def _timed(self, ms: dict[str, float], name: str, key: Hashable, work: Callable[[], T]) -> T:
+        """Do some work and note its milliseconds; those of the first time where the same was asked for again."""
+        begun = time.perf_counter()
+        result = work()
+        if name not in self._took or self._took[name][0] != key:
+            self._took[name] = key, 1e3 * (time.perf_counter() - begun)
+        ms[name] = self._took[name][1]
+        return result
+
+    def _simulator(self, probe: ConvexProbe, settings: SimulatorSettings) -> Simulator:
+        """The simulator of a probe and settings; the last few are kept."""
+        key = (probe, settings)
+        if key not in self._simulators:
+            while len(self._simulators) >= _KEPT_SIMULATORS:
+                self._simulators.pop(next(iter(self._simulators)))
+            self._simulators[key] = Simulator(self.scene, probe, settings, beside=self._first)
+            self._first = self._first or self._simulators[key]
+        self._simulators[key] = self._simulators.pop(key)  # the last one used is dropped last
+        return self._simulators[key]
+
+    def _generated(
+        self, folder: Path, state: State, segmentation: np.ndarray, attenuation: np.ndarray
+    ) -> tuple[np.ndarray, float, str]:
+        """Image of a run, its milliseconds and a reservation. A state at rest has the image that it had moving."""
+        if folder not in self._generators:
+            while len(self._generators) >= _KEPT_GENERATORS:
+                self._generators.pop(next(iter(self._generators)))
+            self._generators[folder] = open_generator(folder, self.scene.tissues)
+        run = self._generators[folder]
+        key = (state.pose.tobytes(), state.probe, state.simulator, state.seed)
+        if folder not in self._images or self._images[folder][0] != key:
+            maps = {"segmentation": segmentation, "attenuation": attenuation}
+            if run.reads_low:
+                low = replace(state.simulator, rays=1, layers=1)
+                maps["low"] = _quietly(self._simulator(state.probe, low), replace(state, display=None)).image
+            begun = time.perf_counter()
+            image = run.render(maps, state.probe, state.seed)
+            self._images = {kept: v for kept, v in self._images.items() if kept in state.runs}
+            self._images[folder] = key, image, 1e3 * (time.perf_counter() - begun)
+        _, image, ms = self._images[folder]
+        if state.display is not None:
+            depth = pixel_polar(state.probe, state.simulator.image_shape)[0] / state.probe.depth_mm
+            image = state.display.shown(image, depth, state.simulator)
+        return image, ms, run.reservation(state)
+
+
+def _quietly(simulator: Simulator, state: State) -> Frame:
+    """A frame without the warning of a probe that touches nothing: the viewer says it in its own words."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return simulator.render(state.pose, state.seed, state.display)

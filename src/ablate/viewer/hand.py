@@ -1,0 +1,141 @@
+"""How the probe is held: five degrees of freedom on the skin, and the pose that they give."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ablate.anatomy import Scene, bounds_mm
+from ablate.dataset.contact import Skin, press
+from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound.probe import face_points, to_world
+
+_SEARCHES = 6  # for the hold of a pose: each takes most of what is left of the distance
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Where the probe stands and how it is turned against the skin there.
+
+    `height_mm` is along the body's axis and `angle_deg` about it, from the front. `roll_deg` turns the probe about its
+    own axis (0 transverse, 90 sagittal), `rock_deg` within its image plane, `tilt_deg` out of it.
+    """
+
+    height_mm: float
+    angle_deg: float
+    roll_deg: float = 0.0
+    rock_deg: float = 0.0
+    tilt_deg: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A pose, (4, 4) float64, mm, and what is wrong with it in words; empty where the face touches the skin."""
+
+    pose: np.ndarray
+    words: str = ""
+
+
+class Hand:
+    """Holds the probe on the skin of a scene.
+
+    Parameters
+    ----------
+    axis, front
+        Long axis of the body, and the side that angle 0 looks at.
+    press_mm : float
+        How far the deepest part of the face is pressed into the skin.
+
+    Raises
+    ------
+    ValueError
+        When the scene has no structure.
+    """
+
+    def __init__(
+        self, scene: Scene, axis: tuple[float, ...], front: tuple[float, ...], press_mm: float, probe: ConvexProbe
+    ) -> None:
+        if not scene.structures:
+            raise ValueError(f"scene '{scene.name}' has no structure to put a probe on")
+        self._skin, self._press_mm, self._probe = Skin(scene), press_mm, probe
+        self.axis = _unit(np.asarray(axis, float))
+        across = np.asarray(front, float)
+        self.front = _unit(across - self.axis * (across @ self.axis))
+        self._side = np.cross(self.axis, self.front)
+        corners = bounds_mm(s.mesh for s in scene.structures)
+        along = np.stack(np.meshgrid(*corners.T), axis=-1).reshape(-1, 3) @ self.axis
+        self.heights_mm = float(along.min()), float(along.max())
+
+    def place(self, hold: Hold) -> Held | None:
+        """Press the probe on the skin; None where the body has no skin at that height and angle."""
+        found = self._contact(hold.height_mm, hold.angle_deg)
+        if found is None:
+            return None
+        point, inward = found
+        turned = Rotation.from_euler("ZYX", (hold.roll_deg, hold.rock_deg, hold.tilt_deg), degrees=True)
+        pose = np.eye(4)
+        pose[:3, :3] = self._frame(inward) @ turned.as_matrix()
+        pose[:3, 3] = point
+        pressed = press(self._skin, self._probe, pose[None], inward[None], self._press_mm)
+        return Held(pressed.poses[0], _words(bool(pressed.on_body[0]), bool(pressed.hard[0])))
+
+    def judge(self, pose: np.ndarray) -> str:
+        """What is wrong with the contact of a pose that was not pressed, in words."""
+        face = to_world(pose, face_points(self._probe))
+        inwards = np.tile(pose[:3, 2], (len(face), 1))
+        depth = self._skin.depth(face, inwards)
+        hard = bool(self._skin.hard_at(face, inwards).any())
+        return _words(bool(np.isfinite(depth).all() and depth.max() > 0), hard)
+
+    def hold_of(self, pose: np.ndarray) -> Hold:
+        """The hold whose pose comes nearest to a pose: the same turn, the face as near as pressing allows."""
+        target = pose[:3, 3]
+        aim = target.copy()
+        for _ in range(_SEARCHES):
+            height, angle = self.site_of(aim)
+            found = self._contact(height, angle)
+            if found is None:
+                return Hold(height, angle)
+            inward = found[1]
+            hold = self._hold(height, angle, inward, pose[:3, :3])
+            held = self.place(hold)
+            assert held is not None
+            off = target - held.pose[:3, 3]
+            aim = aim + off - inward * (off @ inward)
+        return hold
+
+    def turned(self, hold: Hold, rotation: np.ndarray) -> Hold:
+        """The hold at the same place whose pose has a rotation, (3, 3), from probe to world."""
+        found = self._contact(hold.height_mm, hold.angle_deg)
+        return hold if found is None else self._hold(hold.height_mm, hold.angle_deg, found[1], rotation)
+
+    def site_of(self, point: np.ndarray) -> tuple[float, float]:
+        """Height, mm, and angle, degrees, under which a point is seen from the axis."""
+        off = point - self._skin.centre
+        return float(point @ self.axis), float(np.rad2deg(np.arctan2(off @ self._side, off @ self.front)))
+
+    def _contact(self, height_mm: float, angle_deg: float) -> tuple[np.ndarray, np.ndarray] | None:
+        centre, angle = self._skin.centre, np.deg2rad(angle_deg)
+        middle = centre + self.axis * (height_mm - centre @ self.axis)
+        return self._skin.contact(middle, np.cos(angle) * self.front + np.sin(angle) * self._side, self.axis)
+
+    def _hold(self, height_mm: float, angle_deg: float, inward: np.ndarray, rotation: np.ndarray) -> Hold:
+        turn = Rotation.from_matrix(self._frame(inward).T @ rotation)
+        roll, rock, tilt = turn.as_euler("ZYX", degrees=True)
+        return Hold(height_mm, angle_deg, float(roll), float(rock), float(tilt))
+
+    def _frame(self, inward: np.ndarray) -> np.ndarray:
+        """Axes of a probe that is not turned, as columns: x across the body, z into it."""
+        x = _unit(np.cross(inward, self.axis))
+        return np.stack([x, np.cross(inward, x), inward], axis=1)
+
+
+def _words(on_body: bool, hard: bool) -> str:
+    if not on_body:
+        return "off the body: part of the face has no skin under it"
+    return "in bone or gas: the face lies in what lets hardly any sound out" if hard else ""
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    length: float = float(np.linalg.norm(v))
+    return v / length

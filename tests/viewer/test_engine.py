@@ -1,0 +1,153 @@
+"""Views against the simulator itself; one set of triangles for every probe."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import ablate
+from ablate.anatomy import Scene, Structure, Tissue, load_tissues
+from ablate.ultrasound import ConvexProbe, Display, Simulator
+from ablate.ultrasound.probe import pixel_polar
+from ablate.ultrasound.surfaces import embree
+from ablate.viewer.engine import Engine, coarse
+from ablate.viewer.generators import pickable
+from ablate.viewer.state import Quality, State
+
+
+def test_at_rest_it_is_the_simulators_frame_bit_for_bit(body: Scene, state: State) -> None:
+    views = Engine(body).render(state, Quality.full)
+    frame = Simulator(body, state.probe, state.simulator).render(state.pose, state.seed)
+    np.testing.assert_array_equal(views.target, frame.image)
+    np.testing.assert_array_equal(views.segmentation, frame.segmentation)
+    np.testing.assert_array_equal(views.attenuation, frame.attenuation)
+    np.testing.assert_array_equal(views.mask, frame.mask)
+    assert {"target", "maps"} == views.ms.keys()
+
+
+def test_moving_it_has_the_same_maps_and_a_coarser_image(body: Scene, state: State) -> None:
+    engine = Engine(body)
+    moving, rest = engine.render(state, Quality.coarse), engine.render(state, Quality.full)
+    np.testing.assert_array_equal(moving.segmentation, rest.segmentation)
+    np.testing.assert_array_equal(moving.attenuation, rest.attenuation)
+    frame = Simulator(body, state.probe, coarse(state.simulator)).render(state.pose, state.seed)
+    np.testing.assert_array_equal(moving.target, frame.image)
+    assert (moving.target != rest.target).any()
+
+
+def test_depth_and_frequency_change_without_building_embree_again(
+    body: Scene, state: State, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built, build = [], embree.EmbreeScene
+
+    def counted() -> embree.EmbreeScene:
+        built.append(1)
+        return build()
+
+    engine = Engine(body)
+    monkeypatch.setattr(embree, "EmbreeScene", counted)
+    engine.render(state, Quality.full)
+    for probe in (replace(state.probe, depth_mm=90.0), replace(state.probe, frequency_mhz=5.0)):
+        views = engine.render(replace(state, probe=probe), Quality.full)
+        alone = Simulator(body, probe, state.simulator).render(state.pose, state.seed)
+        np.testing.assert_array_equal(views.target, alone.image)
+        np.testing.assert_array_equal(views.attenuation, alone.attenuation)
+    assert len(built) == 3  # of the engine one, of the two simulators beside it one each
+
+
+def test_triangles_of_another_scene_are_refused(body: Scene) -> None:
+    other = Scene(body.structures, Tissue("gel"), "other")
+    with pytest.raises(ValueError, match="beside: a simulator of scene 'other'"):
+        Simulator(body, beside=Simulator(other))
+
+
+def test_the_default_controls_change_nothing(body: Scene, state: State) -> None:
+    engine = Engine(body)
+    plain, shown = (engine.render(replace(state, display=d), Quality.full).target for d in (None, Display()))
+    np.testing.assert_array_equal(plain, shown)
+
+
+def test_gain_is_added_to_echoes_and_noise_alike(body: Scene, state: State) -> None:
+    """10 dB more are 12.75 grey levels more of a display of 200 dB, on which nothing is black or white."""
+    engine, plain, louder = Engine(body), Display(dynamic_range_db=200.0), Display(10.0, dynamic_range_db=200.0)
+    frames = [engine.render(replace(state, display=d), Quality.full) for d in (plain, louder)]
+    mask = frames[0].mask
+    before, after = (frame.target[mask].astype(float) for frame in frames)
+    assert before.min() > 0
+    assert after.max() < 255
+    np.testing.assert_allclose(after - before, 12.75, atol=1)  # both are rounded
+
+
+def test_tgc_sliders_brighten_their_depth_alone(body: Scene, state: State) -> None:
+    engine = Engine(body)
+    shown = [engine.render(replace(state, display=Display(tgc_db=(0, 0, db))), Quality.full).target for db in (0, 20)]
+    depth = pixel_polar(state.probe, state.simulator.image_shape)[0] / state.probe.depth_mm
+    plain, deep = (image.astype(float) for image in shown)
+    np.testing.assert_array_equal(plain[depth < 0.45], deep[depth < 0.45])
+    assert (deep - plain)[(depth > 0.95) & (depth < 1) & (plain > 0)].mean() > 40  # 20 dB of 60 are 85 of 255
+
+
+def test_controls_of_a_finished_image_are_those_of_the_simulator() -> None:
+    image = np.array([[0, 60, 120, 180]], np.uint8)
+    settings = State(np.eye(4)).simulator
+    shown = Display(gain_db=6.0, dynamic_range_db=40.0).shown(image, np.zeros(image.shape), settings)
+    level_db = (image[0] / 255 - 1) * 60 + 6
+    expected = np.clip(255 * (level_db / 40 + 1), 0, 255)
+    np.testing.assert_allclose(shown[0, 1:], expected[1:], atol=0.5)
+    assert shown[0, 0] == 0
+
+
+@pytest.mark.parametrize("values", [{"gain_db": np.nan}, {"gain_db": 1e4}, {"tgc_db": (0.0, np.inf)}])
+def test_controls_that_no_scanner_has_are_refused(values: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(values))):
+        Display(**values)
+
+
+def test_a_run_that_is_gone_is_said_in_a_note(body: Scene, state: State, tmp_path: Path) -> None:
+    views = Engine(body).render(replace(state, runs=(tmp_path / "gone",)), Quality.full)
+    assert views.generated == (None,)
+    assert "this run is gone" in views.notes["generated 0"]
+    assert views.target.any()
+
+
+def test_a_probe_in_the_air_is_rendered_without_a_warning(body: Scene, state: State) -> None:
+    away = state.pose.copy()
+    away[1, 3] -= 500
+    views = Engine(body).render(replace(state, pose=away), Quality.full)
+    assert set(np.unique(views.segmentation)) == {0, 1}
+
+
+def test_many_probes_do_not_pile_up(body: Scene, state: State) -> None:
+    engine = Engine(body)
+    for depth in range(50, 62):
+        engine.render(replace(state, probe=ConvexProbe(depth_mm=float(depth))), Quality.full)
+    assert len(engine._simulators) <= 6
+
+
+def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not_know(
+    body: Scene, state: State
+) -> None:
+    picked = pickable(Path("nowhere"))
+    assert list(picked) == ["comes with ablate: sa2h"]
+    views = Engine(body).render(replace(state, runs=tuple(picked.values())), Quality.full)
+    (image,) = views.generated
+    assert image is not None
+    assert image.shape == state.simulator.image_shape
+    assert (image[~views.mask] == 0).all()
+    assert image[views.mask].std() > 5
+    assert "not trained on gel" in views.notes["generated 0"]
+    assert "trained with pixels of 0.61 mm" in views.notes["generated 0"]
+    assert "MHz" not in views.notes["generated 0"]
+
+
+def test_the_image_of_a_network_is_that_of_ablate_load(state: State) -> None:
+    """With tissues that it knows, against the library's own way to render."""
+    renderer, table = ablate.load("sa2h"), load_tissues()
+    fluid, tissue = (table[name] for name in list(renderer.values)[:2])
+    known = Scene((Structure(trimesh.creation.cylinder(radius=100, height=200), tissue),), fluid, "known")
+    (picked,) = pickable(Path("nowhere")).values()
+    views = Engine(known).render(replace(state, runs=(picked,), seed=3), Quality.coarse)
+    frame = Simulator(known, state.probe, state.simulator).render(state.pose)
+    np.testing.assert_array_equal(views.generated[0], renderer.render(frame, known.tissues, seed=3))

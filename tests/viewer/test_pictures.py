@@ -1,0 +1,76 @@
+"""Where marks and colours are drawn, against the probe's own geometry."""
+
+import numpy as np
+import pytest
+
+from ablate.ultrasound import ConvexProbe, fan_mask
+from ablate.viewer.pictures import (
+    difference_picture,
+    empty_picture,
+    grey_picture,
+    label_at,
+    label_picture,
+    marked,
+    on_fan,
+    share_picture,
+)
+
+PROBE = ConvexProbe()
+SHAPE = (384, 532)
+MASK = fan_mask(PROBE, SHAPE)
+
+
+def middle(picture: np.ndarray) -> tuple[int, ...]:
+    return tuple(int(c) for c in picture[len(picture) // 2, picture.shape[1] // 2])
+
+
+def test_grey_levels_and_colours_are_those_of_the_maps() -> None:
+    assert middle(grey_picture(np.full(SHAPE, 90, np.uint8), MASK, PROBE)) == (90, 90, 90)
+    labels = np.where(MASK, np.uint8(2), np.uint8(0))
+    assert middle(label_picture(labels, [(0, 0, 0), (1.0, 0.2, 0.0)], PROBE)) == (255, 51, 0)
+    bright, dark = (np.sum(middle(share_picture(np.full(SHAPE, v), MASK, PROBE))) for v in (1.0, 0.05))
+    assert bright > dark
+
+
+def test_a_difference_is_red_where_the_first_is_brighter_and_blue_where_the_second_is() -> None:
+    low, high = np.full(SHAPE, 20, np.uint8), np.full(SHAPE, 200, np.uint8)
+    red, _, blue = middle(difference_picture(high, low, MASK, PROBE))
+    assert red > blue
+    red, _, blue = middle(difference_picture(low, high, MASK, PROBE))
+    assert red < blue
+    assert middle(difference_picture(low, low, MASK, PROBE)) == (245, 245, 245)
+
+
+def test_ticks_of_the_scale_lie_ten_millimetres_apart() -> None:
+    picture = grey_picture(np.zeros(SHAPE, np.uint8), MASK, PROBE)
+    rows = np.flatnonzero(picture[:, 2].any(axis=-1))
+    assert len(rows) == 16  # 0 to 150 mm
+    assert np.diff(rows).mean() == pytest.approx(10 * SHAPE[0] / 157.23, rel=0.02)
+    assert rows[0] == pytest.approx(7.23 / 157.23 * SHAPE[0], abs=1)
+
+
+def test_a_cross_lies_where_the_label_of_its_point_is_read() -> None:
+    """A labelled pixel is marked at its centre; the yellow of the cross is on the same pixel."""
+    labels = np.zeros(SHAPE, np.uint8)
+    row, column = 250, 300
+    labels[row, column] = 7
+    x = (column + 0.5) * 217.96 / SHAPE[1] - 217.96 / 2
+    z = (row + 0.5) * 157.23 / SHAPE[0] - 7.23
+    assert label_at(labels, (x, z), PROBE) == 7
+    assert label_at(labels, (1e4, z), PROBE) == 0
+    picture = marked(np.zeros((*SHAPE, 3), np.uint8), [(x, z)], PROBE)
+    yellow = np.argwhere(picture.any(axis=-1)).mean(axis=0)
+    np.testing.assert_allclose(yellow, (row, column), atol=1.5)
+
+
+def test_outside_the_fan_the_picture_in_space_is_transparent() -> None:
+    seen = on_fan(np.full(SHAPE, 90, np.uint8), MASK, rows=100)
+    assert seen.shape == (100, 139, 4)
+    assert seen[0, 0, 3] == 0
+    assert seen[50, 69].tolist() == [90, 90, 90, 255]
+
+
+def test_words_stand_in_for_a_picture_of_the_same_size() -> None:
+    words = empty_picture("no trained network yet\nmake sweep", SHAPE)
+    assert words.shape == grey_picture(np.zeros(SHAPE, np.uint8), MASK, PROBE).shape
+    assert words.max() > 100

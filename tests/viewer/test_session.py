@@ -1,0 +1,120 @@
+"""What is set is what is asked of the worker; what cannot be is said."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ablate.anatomy import Scene
+from ablate.ultrasound.probe import pixel_size_mm
+from ablate.viewer.hand import Hand, Hold
+from ablate.viewer.session import OFF_BODY, Session
+from ablate.viewer.state import State
+
+Start = Callable[[], tuple[Session, list[State]]]
+
+
+@pytest.fixture
+def start(body: Scene, state: State) -> Start:
+    """A new session with two presets, and the states that it asks for."""
+
+    def make() -> tuple[Session, list[State]]:
+        hand = Hand(body, (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), 5.0, state.probe)
+        places = {name: hand.place(hold) for name, hold in (("front", Hold(0, 0)), ("side", Hold(20, 60, 90, 5)))}
+        asked: list[State] = []
+        return Session(hand, state, {n: h.pose for n, h in places.items() if h is not None}, asked.append), asked
+
+    return make
+
+
+def test_it_starts_at_the_first_preset(start: Start) -> None:
+    session, asked = start()
+    np.testing.assert_array_equal(asked[-1].pose, session.presets["front"])
+    assert session.words == ""
+
+
+def test_a_preset_is_the_exact_pose_and_the_next_step_goes_on_from_there(start: Start) -> None:
+    session, asked = start()
+    session.to_preset("side")
+    np.testing.assert_array_equal(asked[-1].pose, session.presets["side"])
+    session.nudge(height_mm=4.0)
+    moved = asked[-1].pose[:3, 3] - session.presets["side"][:3, 3]
+    np.testing.assert_allclose(moved, [0, 0, 4], atol=0.2)
+    np.testing.assert_allclose(asked[-1].pose[:3, :3], session.presets["side"][:3, :3], atol=1e-2)
+
+
+def test_beyond_the_body_the_probe_stays_and_it_is_said(start: Start) -> None:
+    session, asked = start()
+    before, told = len(asked), []
+    session.listeners.append(lambda: told.append(session.words))
+    session.move(height_mm=900.0)
+    assert told == [OFF_BODY]
+    assert len(asked) == before
+    session.move(height_mm=10.0)
+    assert told[-1] == ""
+
+
+def test_a_turn_keeps_the_place(start: Start) -> None:
+    session, asked = start()
+    turned = asked[-1].pose[:3, :3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    session.turn_to(turned)
+    np.testing.assert_allclose(asked[-1].pose[:3, :3], turned, atol=1e-9)
+    assert session.hold.roll_deg == pytest.approx(90, abs=1e-6)
+    assert (session.hold.height_mm, session.hold.angle_deg) == pytest.approx((0, 0), abs=1)
+
+
+def test_a_frozen_picture_follows_nothing_until_it_is_released(start: Start) -> None:
+    session, asked = start()
+    session.freeze(True)
+    before = len(asked)
+    session.nudge(angle_deg=5.0)
+    session.new_speckle()
+    assert len(asked) == before
+    session.freeze(False)
+    assert asked[-1].seed == 1
+    assert asked[-1].pose is session.state.pose
+
+
+def test_pixels_stay_square_whatever_the_depth(start: Start) -> None:
+    session, asked = start()
+    own = asked[-1].simulator.image_shape
+    before = pixel_size_mm(asked[-1].probe, own)
+    session.scan(depth_mm=80.0)
+    height, width = pixel_size_mm(asked[-1].probe, asked[-1].simulator.image_shape)
+    assert height / width == pytest.approx(before[0] / before[1], rel=0.02)
+    session.scan(depth_mm=150.0)
+    assert asked[-1].simulator.image_shape == own
+
+
+def test_reset_is_the_beginning_with_the_runs_that_are_picked(start: Start, state: State, tmp_path: Path) -> None:
+    session, asked = start()
+    session.scan(depth_mm=80.0)
+    session.show(runs=(tmp_path,))
+    session.new_speckle()
+    session.to_preset("side")
+    session.reset()
+    assert asked[-1].probe == state.probe
+    assert asked[-1].simulator == state.simulator
+    assert (asked[-1].seed, asked[-1].runs) == (0, (tmp_path,))
+    np.testing.assert_array_equal(asked[-1].pose, session.presets["front"])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_hold_that_is_no_number_is_refused(start: Start, value: float) -> None:
+    session, asked = start()
+    before = len(asked)
+    with pytest.raises(ValueError, match="finite"):
+        session.move(height_mm=value)
+    assert len(asked) == before
+
+
+def test_settings_that_no_scanner_has_change_nothing(start: Start) -> None:
+    session, asked = start()
+    before = session.state
+    with pytest.raises(ValueError, match="depth_mm"):
+        session.scan(depth_mm=-5.0)
+    with pytest.raises(ValueError, match="rays"):
+        session.simulate(rays=0)
+    assert session.state is before
+    assert asked[-1] is before
