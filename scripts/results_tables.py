@@ -88,7 +88,9 @@ def shortfalls(table: pd.DataFrame, labels: Sequence[str]) -> str:
         if name in means.index:
             level, decimals = float(means.at[name, RESIMULATION]), metric_of(name).decimals
             values = {label: float(means.at[name, label]) for label in labels}
-            cells = [cell for v in values.values() for cell in (f"{v:.{decimals}f}", f"{v / level:.2f}")]
+            is_relative = RESIMULATION in bar
+            ratios = {label: f"{value / level:.2f}" if is_relative else NOTHING for label, value in values.items()}
+            cells = [cell for label, v in values.items() for cell in (f"{v:.{decimals}f}", ratios[label])]
             met = [label for label, value in values.items() if reached(value, level)]
             rows.append([head(name), bar, ", ".join(met) or "none", f"{level:.{decimals}f}", *cells])
     titles = [title for label in labels for title in (label, "ratio")]
