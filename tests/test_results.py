@@ -16,6 +16,7 @@ from ablate.analysis import paper_effects
 from ablate.config import json_ready
 from ablate.metrics import METRICS, METRICS_VERSION
 from ablate.networks import COMPONENTS, Component
+from ablate.storage import digest
 from ablate.studies.comparison.answers import components_of
 from ablate.studies.identity import config_hash, finished, semantic
 from ablate.studies.jobs.compose import jobs_of
@@ -309,8 +310,11 @@ def test_what_cannot_be_kept_or_shown_is_refused(study: Path, script: ModuleType
     (tmp_path / "page.md").write_text("No markers.")
     with pytest.raises(ValueError, match="lacks the markers"):
         script.write_page(tmp_path / "kept", tmp_path / "page.md")
-    for name in ("spec.json", "result.json"):
-        path = study / "sa2h" / "seed0" / name
-        path.write_text(json.dumps(json.loads(path.read_text()) | {"hash": "another"}))
+    folder = study / "sa2h" / "seed0"
+    spec, result = (json.loads((folder / name).read_text()) for name in ("spec.json", "result.json"))
+    spec["semantic"]["training"]["steps"] += 1
+    spec["hash"] = result["hash"] = digest(spec["semantic"])
+    (folder / "spec.json").write_text(json.dumps(spec))
+    (folder / "result.json").write_text(json.dumps(result))
     with pytest.raises(ValueError, match=r"another configuration of sa2h/seed0"):
         script.keep(study, tmp_path / "kept")
