@@ -28,7 +28,7 @@ from ablate.validation import LONGEST_NAME, check_name, shown
 
 T = TypeVar("T")
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
-_BESIDE_STUDIES = frozenset({"artifacts", "data", "mlflow", "precision", "render", "slurm", "stability"})
+_BESIDE_STUDIES = frozenset({"artifacts", "data", "export", "mlflow", "precision", "render", "slurm", "stability"})
 _LONGEST_SCENE_NAME = 100
 
 
@@ -55,6 +55,7 @@ class Task(StrEnum):
     compare = "compare"
     preview = "preview"
     render = "render"
+    export = "export"
     precision = "precision"
     stability = "stability"
 
@@ -65,6 +66,14 @@ class SceneKind(StrEnum):
     fetal = "fetal"
     folder = "folder"
     pairs = "pairs"
+
+
+class ExportFormat(StrEnum):
+    """`png`: what `scene=pairs` reads; `nnunet`: the raw data of nnU-Net 2; `dicom`: one ultrasound image a frame."""
+
+    png = "png"
+    nnunet = "nnunet"
+    dicom = "dicom"
 
 
 def _at_least(prefix: str, values: object, **lowest: int) -> None:
@@ -94,6 +103,7 @@ class DatasetSettings:
     heights, angles, tilts and rolls; `validation` and `test` are shares of the sites (`split=site`) or frames;
     `press_mm` is how far the probe is pressed in; `workers` 0 is one a core.
     `poses` is a file of your own poses instead of the scene's grid; of a `sweep` it holds the first and the last.
+    `format` is what `task=export` writes.
     """
 
     frames: int = 6669
@@ -107,6 +117,7 @@ class DatasetSettings:
     workers: int = 0
     poses: str | None = None
     sweep: Sweep | None = None
+    format: ExportFormat = ExportFormat.png
 
     def __post_init__(self) -> None:
         _at_least("dataset.", self, frames=1, seed=0, shard=1, workers=0)

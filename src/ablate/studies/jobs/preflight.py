@@ -36,7 +36,7 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
     if odd := set(str(jobs[0].settings.runs)) & {"?", "%"}:  # they mean something else in the address of a database
         raise ConfigurationError(f"runs_dir={jobs[0].settings.runs}: allowed is a path without {' and '.join(odd)}")
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
-    if starts or jobs[0].settings.task in (*_NEED_SCENE, Task.stability):
+    if starts or jobs[0].settings.task in (*_NEED_SCENE, Task.export, Task.stability):
         _check_writable(jobs[0].settings.runs)
     if starts or jobs[0].settings.task is Task.compare:
         for folder in {f for job in jobs for f in (job.settings.runs, job.settings.study_dir) if f.exists()}:

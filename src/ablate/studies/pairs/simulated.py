@@ -17,7 +17,13 @@ from ablate.ultrasound import SIMULATOR_VERSION, fan_mask
 from ablate.ultrasound.render_plan import plan_scene
 
 _INCIDENTAL_SIMULATOR = ("device", "plan")
-_INCIDENTAL_DATASET = ("workers", "shard", "poses", "sweep")  # of poses, what they are counts, not where they lie
+_INCIDENTAL_DATASET = (
+    "workers",
+    "shard",
+    "poses",
+    "sweep",
+    "format",
+)  # of poses, what they are counts, not where they lie
 
 
 def about_simulated(settings: StudySettings) -> dict[str, Any]:

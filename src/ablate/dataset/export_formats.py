@@ -1,0 +1,121 @@
+"""Pairs written in other people's formats: PNGs that `scene=pairs` reads, the folder of nnU-Net, DICOM."""
+
+import csv
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ablate.anatomy import load_tissues
+from ablate.dataset.pairs import Pairs
+from ablate.dataset.png_folder import FOLDERS
+from ablate.dataset.split import Part
+from ablate.storage import write_json, write_text
+from ablate.ultrasound import SIMULATOR_VERSION
+
+
+def write_png(pairs: Pairs, folder: Path) -> None:
+    """A folder that `scene=pairs` reads back bit for bit, with sites, parts and, where all are built in, tissues."""
+    for name in sorted(pairs.maps & FOLDERS.keys()):
+        (folder / FOLDERS[name]).mkdir(parents=True, exist_ok=True)
+        for frame in range(len(pairs)):
+            _save(pairs.stored(name, frame), folder / FOLDERS[name] / f"{_name(frame)}.png")
+    parts = [Part(part).name for part in pairs.split]
+    rows = [
+        (_name(frame), f"site{site}", part) for frame, (site, part) in enumerate(zip(pairs.sites, parts, strict=True))
+    ]
+    _write_table(folder / "frames.csv", ("name", "site", "part"), rows)
+    if set(pairs.tissues) <= load_tissues().keys():
+        _write_table(folder / "labels.csv", ("label", "tissue"), list(enumerate(pairs.tissues, start=1)))
+
+
+def write_nnunet(pairs: Pairs, folder: Path) -> None:
+    """Images and segmentations: test frames in imagesTs and labelsTs, all others in imagesTr and labelsTr.
+
+    `splits_final.json` holds one fold, the validation frames of the study; nnU-Net reads it in its folder of
+    preprocessed data.
+    """
+    for frame in range(len(pairs)):
+        end = "Ts" if pairs.split[frame] == Part.test else "Tr"
+        for kind, name, suffix in (("images", "target", "_0000"), ("labels", "segmentation", "")):
+            (folder / f"{kind}{end}").mkdir(parents=True, exist_ok=True)
+            _save(pairs.stored(name, frame), folder / f"{kind}{end}" / f"{_name(frame)}{suffix}.png")
+    write_json(
+        folder / "dataset.json",
+        {
+            "channel_names": {"0": "ultrasound"},
+            "labels": {"background": 0} | {name: i for i, name in enumerate(pairs.tissues, start=1)},
+            "numTraining": int((pairs.split != Part.test).sum()),
+            "file_ending": ".png",
+        },
+    )
+    train, validation = ([_name(int(i)) for i in pairs.frames(part)] for part in (Part.train, Part.validation))
+    write_text(folder / "splits_final.json", json.dumps([{"train": train, "val": validation}], indent=2))
+
+
+def write_dicom(pairs: Pairs, folder: Path, pixel_mm: tuple[float, float]) -> None:
+    """One DICOM file a frame, Ultrasound Image Storage, its region calibrated; `pixel_mm` is height and width.
+
+    UIDs are numbers from the name of the data set, which has its hash, and the frame: they stay the same.
+    """
+    import pydicom
+    from pydicom.dataset import Dataset, FileMetaDataset
+    from pydicom.uid import ExplicitVRLittleEndian, UltrasoundImageStorage, generate_uid
+
+    rows, columns = pairs.shape
+    known_by = pairs.folder.name  # has the hash of the data set
+    inside = np.argwhere(pairs.mask())
+    folder.mkdir(parents=True, exist_ok=True)
+    for frame in range(len(pairs)):
+        data = Dataset()
+        data.SOPClassUID = UltrasoundImageStorage
+        data.SOPInstanceUID = generate_uid(entropy_srcs=[known_by, str(frame)])
+        data.StudyInstanceUID = generate_uid(entropy_srcs=[known_by, "study"])
+        data.SeriesInstanceUID = generate_uid(entropy_srcs=[known_by, "series"])
+        data.PatientName, data.PatientID = "Simulated^Phantom", known_by[:64]
+        data.PatientBirthDate = data.PatientSex = data.StudyDate = data.StudyTime = data.StudyID = ""
+        data.AccessionNumber = data.ReferringPhysicianName = data.Laterality = ""
+        data.Modality, data.Manufacturer = "US", "ablate"
+        data.SeriesDescription, data.SoftwareVersions = known_by[:64], f"simulator {SIMULATOR_VERSION}"
+        data.SeriesNumber, data.InstanceNumber = 1, frame + 1
+        data.PatientOrientation = []
+        data.ImageType = ["DERIVED", "PRIMARY"]
+        data.DerivationDescription = "Simulated, no patient"
+        data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
+        data.Rows, data.Columns = rows, columns
+        data.BitsAllocated = data.BitsStored = 8
+        data.HighBit, data.PixelRepresentation = 7, 0
+        region = Dataset()
+        region.RegionSpatialFormat, region.RegionDataType, region.RegionFlags = 1, 1, 0  # 2-D, tissue
+        (top, left), (bottom, right) = inside.min(axis=0).tolist(), inside.max(axis=0).tolist()
+        region.RegionLocationMinX0, region.RegionLocationMinY0 = left, top
+        region.RegionLocationMaxX1, region.RegionLocationMaxY1 = right, bottom
+        region.PhysicalUnitsXDirection = region.PhysicalUnitsYDirection = 3  # cm
+        region.PhysicalDeltaX, region.PhysicalDeltaY = pixel_mm[1] / 10, pixel_mm[0] / 10
+        data.SequenceOfUltrasoundRegions = [region]
+        pixels = pairs.stored("target", frame).tobytes()
+        data.PixelData = pixels + bytes(len(pixels) % 2)  # of even length (PS3.5, 8.1.1)
+        data.file_meta = FileMetaDataset()
+        data.file_meta.MediaStorageSOPClassUID, data.file_meta.MediaStorageSOPInstanceUID = (
+            UltrasoundImageStorage,
+            data.SOPInstanceUID,
+        )
+        data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+        pydicom.dcmwrite(folder / f"{_name(frame)}.dcm", data, enforce_file_format=True)
+
+
+def _name(frame: int) -> str:
+    return f"frame{frame:05d}"
+
+
+def _save(values: np.ndarray, path: Path) -> None:
+    Image.fromarray(values).save(path)
+
+
+def _write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(header)
+        writer.writerows(rows)

@@ -1,0 +1,116 @@
+"""Exported data sets: what is read back is what was stored, by the readers of each format."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pydicom
+import pytest
+import trimesh
+import yaml
+from PIL import Image
+
+from ablate.config import ConfigurationError
+from ablate.dataset import Pairs, Part, open_pairs
+from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.pairs.data import dataset_hash
+from support.studies import run
+
+
+@pytest.fixture(scope="module")
+def arguments(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """A small scene, whose data set has been simulated."""
+    folder = tmp_path_factory.mktemp("ball")
+    trimesh.creation.icosphere(3, radius=60).export(folder / "body.obj")
+    sites = {"heights": [-15, 0, 15], "angles": [-40, -10, 10, 40], "axis": [0, 0, 1]}
+    scene = {"structures": [{"mesh": "body.obj", "tissue": "liver"}], "sites": sites}
+    (folder / "scene.yaml").write_text(yaml.safe_dump(scene))
+    where = ["scene=folder", f"scene.folder={folder}", f"runs_dir={folder / 'runs'}", "dataset.grid=null"]
+    made = ["preset=tiny", "simulator.image_shape=[129,179]", *where]
+    run("task=simulate", *made)
+    return made
+
+
+def exported(arguments: list[str], form: str, capsys: pytest.CaptureFixture[str]) -> tuple[Path, Pairs]:
+    """The folder that was written, and the pairs that it was written from."""
+    capsys.readouterr()
+    assert run("task=export", f"dataset.format={form}", *arguments) == 0
+    folder = Path(capsys.readouterr().out.strip().splitlines()[-1])
+    (source,) = (folder.parents[1] / "data").glob("*/about.json")
+    card = (folder / "README.md").read_text()
+    assert source.parent.name in card
+    assert "1 is coupling_gel, 2 is liver" in card
+    return folder, open_pairs(source.parent)
+
+
+def test_pngs_are_read_back_bit_for_bit(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, pairs = exported(arguments, "png", capsys)
+    where = ["scene=pairs", f"scene.folder={folder}", f"runs_dir={tmp_path}", "preset=tiny"]
+    assert run("task=simulate", *where) == 0
+    again = open_pairs(next((tmp_path / "data").glob("*/about.json")).parent)
+    assert len(again) == len(pairs)
+    assert again.tissues == pairs.tissues
+    assert np.array_equal(again.split, pairs.split)
+    for name in ("segmentation", "target", "attenuation"):
+        for frame in range(len(pairs)):
+            assert np.array_equal(again.stored(name, frame), pairs.stored(name, frame))
+    rows = list(csv.DictReader((folder / "frames.csv").read_text().splitlines()))
+    assert [row["part"] for row in rows] == [Part(part).name for part in pairs.split]
+
+
+def test_nnunet_finds_what_its_description_promises(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    folder, pairs = exported(arguments, "nnunet", capsys)
+    (raw,) = (path for path in folder.iterdir() if path.is_dir())
+    said = json.loads((raw / "dataset.json").read_text())
+    assert raw.name.startswith("Dataset001_")
+    assert said["file_ending"] == ".png"
+    assert said["labels"] == {"background": 0, "coupling_gel": 1, "liver": 2}
+    images, labels = ({p.name for p in (raw / d).iterdir()} for d in ("imagesTr", "labelsTr"))
+    assert len(labels) == said["numTraining"] == int((pairs.split != Part.test).sum())
+    assert images == {name.replace(".png", "_0000.png") for name in labels}
+    (fold,) = json.loads((raw / "splits_final.json").read_text())
+    assert sorted(fold["train"] + fold["val"]) == sorted(name.removesuffix(".png") for name in labels)
+    frame = int(pairs.frames(Part.test)[0])
+    held = np.array(Image.open(raw / "labelsTs" / f"frame{frame:05d}.png"))
+    assert np.array_equal(held, pairs.stored("segmentation", frame))
+
+
+def test_dicom_is_valid_and_calibrated(
+    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, pairs = exported(arguments, "dicom", capsys)
+    files = sorted(folder.glob("*.dcm"))
+    assert len(files) == len(pairs)
+    monkeypatch.setattr(pydicom.config.settings, "reading_validation_mode", pydicom.config.RAISE)
+    uids = set()
+    for frame, file in enumerate(files):
+        held = pydicom.dcmread(file)
+        assert str(held)  # every value is converted, and checked
+        assert np.array_equal(held.pixel_array, pairs.stored("target", frame))
+        uids.add(held.SOPInstanceUID)
+    assert len(uids) == len(pairs)
+    probe = pairs.probe or jobs_of(arguments)[0].settings.probe
+    region = held.SequenceOfUltrasoundRegions[0]
+    half = np.deg2rad(probe.fov_deg) / 2
+    width_cm = 2 * (probe.radius_mm + probe.depth_mm) * np.sin(half) / 10
+    height_cm = (probe.radius_mm + probe.depth_mm - probe.radius_mm * np.cos(half)) / 10
+    assert region.PhysicalDeltaX * held.Columns == pytest.approx(width_cm)
+    assert region.PhysicalDeltaY * held.Rows == pytest.approx(height_cm)
+    assert region.PhysicalUnitsXDirection == 3
+    inside = np.argwhere(pairs.mask())
+    corners = (region.RegionLocationMinY0, region.RegionLocationMinX0, region.RegionLocationMaxY1)
+    assert corners == (inside[:, 0].min(), inside[:, 1].min(), inside[:, 0].max())
+
+
+def test_the_format_does_not_decide_the_data_set(arguments: list[str]) -> None:
+    plain, dicom = (dataset_hash(jobs_of([*arguments, *more])[0].settings) for more in ([], ["dataset.format=dicom"]))
+    assert plain == dicom
+
+
+def test_what_cannot_be_exported_is_one_line(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "pydicom", None)
+    with pytest.raises(ConfigurationError, match=r"dataset\.format=dicom: needs the package pydicom"):
+        run("task=export", "dataset.format=dicom", *arguments)
