@@ -167,6 +167,7 @@ def test_surfaces_are_kept_and_follow_the_labels_but_not_the_values_of_tissues(
         ({"tissues": {"liver": 2}}, "labels.tissues: a label is a whole number from 1 to 65535, not 'liver'"),
         ({"tissues": {0: "liver"}}, "labels.tissues: a label is a whole number from 1 to 65535, not 0"),
         ({"tissues": {1: 2}}, "labels.tissues.1: unknown tissue 2"),
+        ({"tissues": dict.fromkeys(TISSUES)}, "labels.tissues: every label is null; allowed is at least one"),
         ({"tissues": None}, "labels.tissues: must be totalsegmentator, or a mapping"),
         (
             {"tissues": "monai"},

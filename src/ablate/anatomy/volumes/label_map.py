@@ -75,6 +75,8 @@ def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], wh
     else:
         labels = _labels(named, tissues, f"{where}.tissues")
     body = _body(content["body"], folder, tissues, volume, f"{where}.body") if content.get("body") else None
+    if body is None and not any(label.tissue for label in labels):
+        raise ValueError(f"{where}.tissues: every label is null; allowed is at least one with a tissue, or a body")
     return LabelMap(volume, labels, named != TABLE, body)
 
 
