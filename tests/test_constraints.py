@@ -2,9 +2,12 @@
 
 import subprocess
 import sys
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 CONSTRAINTS = Path(__file__).parents[1] / "constraints.txt"
 
@@ -12,6 +15,29 @@ CONSTRAINTS = Path(__file__).parents[1] / "constraints.txt"
 def pins() -> dict[str, str]:
     lines = [line for line in CONSTRAINTS.read_text().splitlines() if line and not line.startswith("#")]
     return {name.lower().replace("_", "-"): version for name, version in (line.split("==") for line in lines)}
+
+
+@pytest.mark.parametrize("python", ["3.11", "3.12", "3.13"])
+def test_the_pins_hold_all_that_is_required_and_agree_with_each_other(python: str) -> None:
+    """From the project with its extra `dev` along the metadata of each package, as another Python would read it."""
+    pinned = {canonicalize_name(name): version for name, version in pins().items()}
+    waiting, seen, wrong = [("ablate-ultrasound", "dev")], set(), []
+    while waiting:
+        package, extra = waiting.pop()
+        if (package, extra) in seen:
+            continue
+        seen.add((package, extra))
+        surroundings = {"python_version": python, "python_full_version": f"{python}.9", "extra": extra}
+        for line in distribution(package).requires or []:
+            asked = Requirement(line)
+            if asked.marker and not asked.marker.evaluate(surroundings):
+                continue
+            name = canonicalize_name(asked.name)
+            if name != "ablate-ultrasound" and not asked.specifier.contains(pinned.get(name, ""), prereleases=True):
+                wrong.append(f"{package} requires {asked}, pinned is {pinned.get(name, 'nothing')}")
+            else:
+                waiting += [(name, extra) for extra in ("", *asked.extras)]
+    assert not wrong
 
 
 @pytest.mark.slow
