@@ -132,14 +132,20 @@ def test_another_machine_is_timed_anew_and_the_old_one_kept(
     assert set(times_of(study).values()) == {20.0}
 
 
-def test_a_run_whose_checkpoint_is_gone_keeps_its_time_and_gets_none(study: Path, measured: list[set[str]]) -> None:
-    time_networks(study, finished_runs(study))
-    for path in study.glob("nsa2h/*/last.ckpt"):
-        path.unlink()
+def test_without_a_checkpoint_a_network_is_timed_as_a_training_starts_it(study: Path, measured: list[set[str]]) -> None:
     write_run(study, "lsa2h", 3.0, checkpoint=False)
+    assert time_networks(study, finished_runs(study)) == ""
+    assert measured == [{"sa2h/seed0", "nsa2h/seed0", "lsa2h/seed0"}]
+
+
+def test_a_custom_network_is_timed_with_its_weights_only(study: Path, measured: list[set[str]]) -> None:
+    for label, checkpoint in (("theirs", True), ("lost", False)):
+        write_run(study, label, 3.0 + checkpoint, checkpoint=checkpoint)
+        spec = json.loads((study / label / "seed0" / "spec.json").read_text())
+        spec["semantic"]["model"]["family"] = "custom"
+        write_json(study / label / "seed0" / "spec.json", spec)
     time_networks(study, finished_runs(study))
-    assert len(measured) == 1
-    assert set(times_of(study)) == {"sa2h/seed0", "sa2h/seed1", "nsa2h/seed0", "nsa2h/seed1"}
+    assert measured == [{"sa2h/seed0", "nsa2h/seed0", "theirs/seed0"}]
 
 
 def test_what_cannot_be_timed_is_said(study: Path) -> None:

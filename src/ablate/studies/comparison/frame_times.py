@@ -122,6 +122,6 @@ def untimed(study_dir: Path, labels: Mapping[str, str]) -> list[str]:
             missing.setdefault(elsewhere[-1] if elsewhere else "", []).append(variant)
     return [
         f"Times are those of {shown}; none from there: {', '.join(names)} "
-        f"({f'timed on {machine}, see times.csv' if machine else 'no checkpoint to time'})."
+        f"({f'timed on {machine}, see times.csv' if machine else 'not timed'})."
         for machine, names in missing.items()
     ]

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from ablate import dataset
 from ablate.config import SceneKind, StudySettings, build
 from ablate.dataset import Part, equally_spaced
-from ablate.networks import conditions
+from ablate.networks import Family, Generator, conditions
 from ablate.studies.comparison.frame_times import NETWORK, FrameTime, network_of, read_times, write_times
 from ablate.studies.comparison.results import Finished
 from ablate.studies.pairs.data import Data, open_data
@@ -25,12 +25,13 @@ Maps = tuple[dict[str, np.ndarray], dict[str, float]]  # (H, W) each, and the mi
 
 
 def time_networks(study_dir: Path, runs: Sequence[Finished]) -> str:
-    """Time the networks of the runs whose checkpoint is there, unless this machine has timed all of them before.
+    """Time the networks of the runs, unless this machine has timed all of them before.
 
-    Times of different moments do not compare well, so where one is missing all are measured again. Returns why nothing
-    could be measured, a sentence, or an empty string.
+    Times of different moments do not compare well, so where one is missing all are measured again. Without a checkpoint
+    a network is timed with the weights that it starts with, which takes as long; a custom one is not, because how long
+    it takes may depend on them. Returns why nothing could be measured, a sentence, or an empty string.
     """
-    found = {network_of(run.spec["semantic"]): run for run in reversed(runs) if (run.folder / LAST).is_file()}
+    found = {network_of(run.spec["semantic"]): run for run in reversed(runs) if _is_there(run)}
     if not found:
         return ""
     try:
@@ -48,6 +49,17 @@ def time_networks(study_dir: Path, runs: Sequence[Finished]) -> str:
         return f"Times were not measured: {' '.join(str(error).split())}."
     write_times(study_dir, {**times, machine: {**before, **measured}})
     return ""
+
+
+def _is_there(run: Finished) -> bool:
+    """Whether the run's network can be had: custom ones need their checkpoint."""
+    return (run.folder / LAST).is_file() or run.spec["semantic"]["model"].get("family") != Family.custom.value
+
+
+def _generator(run: Finished, settings: StudySettings) -> Generator:
+    """The trained network, or the same with the weights that a training starts with."""
+    checkpoint = run.folder / LAST
+    return load_generator(checkpoint) if checkpoint.is_file() else Generator(settings.model).eval()
 
 
 def _settings_of(run: Finished) -> StudySettings:
@@ -77,7 +89,7 @@ def _in_turns(
     """
     first = next(iter(settings))
     data = open_data(settings[first].runs / "data" / str(runs[first].result["data"]))
-    generators = {network: load_generator(run.folder / LAST).to(device) for network, run in runs.items()}
+    generators = {network: _generator(run, settings[network]).to(device) for network, run in runs.items()}
     read = {network: conditions(generator.spec) for network, generator in generators.items()}
     values = {k: dataset.label_values(data.tissues, s.encoding, s.encoding_seed) for k, s in settings.items()}
     rounds = max(settings[first].evaluation.timed_frames, _FEWEST_ROUNDS)
