@@ -10,7 +10,7 @@ import torch
 
 from ablate.dataset import Pairs, Part, Recipe, simulate_pairs
 from ablate.dataset.seeds import resimulation_seed
-from ablate.ultrasound import Simulator
+from ablate.ultrasound import Display, Simulator
 
 Blank = Callable[..., Pairs]
 Contents = Callable[[Path], dict[str, bytes]]
@@ -66,9 +66,11 @@ def test_only_what_is_missing_is_rendered(
     rendered: list[tuple[int, int]] = []
     render = Simulator._image
 
-    def watched(self: Simulator, pose: np.ndarray, seed: int) -> tuple[np.ndarray, torch.Tensor]:
+    def watched(
+        self: Simulator, pose: np.ndarray, seed: int, display: Display | None
+    ) -> tuple[np.ndarray, torch.Tensor]:
         rendered.append((self.settings.rays, seed))
-        return render(self, pose, seed)
+        return render(self, pose, seed, display)
 
     monkeypatch.setattr(Simulator, "_image", watched)
     simulate_pairs(recipe, pairs, MAPS, 1)

@@ -187,7 +187,8 @@ def test_an_interruption_leaves_what_was_measured_and_the_same_command_measures_
         with pytest.raises(SystemExit, match="interrupted; what was measured is in"):
             run(*arguments)
     points = pd.read_csv(tmp_path / "precision" / "precision.csv")
-    ladders = {f"simulator, {name}" for name in ("rays", "rays, plan=full", "layers", "scanlines", "axial samples")}
+    names = ("rays", "rays, plan=full", "tolerance", "layers", "scanlines", "axial samples")
+    ladders = {f"simulator, {name}" for name in names}
     assert set(points["series"]) == {*ladders, "simulator, other scatterers"}
     client = MlflowClient(default_uri(tmp_path))
     (found,) = client.search_runs(["1"], "attributes.run_name = 'precision'")
