@@ -1,7 +1,11 @@
 """Times a frame: of one moment and one machine in a column, and a difference within their spread is none."""
 
+from __future__ import annotations
+
 import json
+import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -13,6 +17,9 @@ from ablate.studies.comparison import timing
 from ablate.studies.comparison.frame_times import FrameTime, network_of, read_times, write_times
 from ablate.studies.comparison.results import Finished, finished_runs, scored_frames, timed_on
 from ablate.studies.comparison.timing import time_networks
+
+if TYPE_CHECKING:
+    from support.studies import TinyStudy
 
 
 def timed(*whole: float) -> FrameTime:
@@ -136,6 +143,16 @@ def test_without_a_checkpoint_a_network_is_timed_as_a_training_starts_it(study: 
     write_run(study, "lsa2h", 3.0, checkpoint=False)
     assert time_networks(study, finished_runs(study)) == ""
     assert measured == [{"sa2h/seed0", "nsa2h/seed0", "lsa2h/seed0"}]
+
+
+def test_kept_results_are_timed_where_their_pairs_are_made_again(tiny_study: TinyStudy, tmp_path: Path) -> None:
+    folder = tmp_path / "tiny-fetal"
+    shutil.copytree(tiny_study.runs / folder.name, folder, ignore=shutil.ignore_patterns("*.ckpt", "times.json"))
+    assert "Times were not measured" in time_networks(folder, finished_runs(folder))
+    (tmp_path / "data").symlink_to(tiny_study.runs / "data")
+    assert time_networks(folder, finished_runs(folder)) == ""
+    here, there = read_times(folder), read_times(tiny_study.runs / folder.name)
+    assert {machine: set(of) for machine, of in here.items()} == {machine: set(of) for machine, of in there.items()}
 
 
 def test_a_custom_network_is_timed_with_its_weights_only(study: Path, measured: list[set[str]]) -> None:

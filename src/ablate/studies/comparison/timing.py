@@ -85,10 +85,11 @@ def _in_turns(
     """Times of each network, `evaluation.timed_frames` rounds or `_FEWEST_ROUNDS` after one that does not count.
 
     A round makes the maps of one frame once, for all networks, and then renders it with each of them; the next round
-    takes them in the opposite order.
+    takes them in the opposite order. The frames are those of the first anatomy whose pairs are here.
     """
-    first = next(iter(settings))
-    data = open_data(settings[first].runs / "data" / str(runs[first].result["data"]))
+    folders = {network: settings[network].runs / "data" / str(run.result["data"]) for network, run in runs.items()}
+    first = next((network for network, folder in folders.items() if folder.is_dir()), next(iter(folders)))
+    data = open_data(folders[first])
     generators = {network: _generator(run, settings[network]).to(device) for network, run in runs.items()}
     read = {network: conditions(generator.spec) for network, generator in generators.items()}
     values = {k: dataset.label_values(data.tissues, s.encoding, s.encoding_seed) for k, s in settings.items()}
