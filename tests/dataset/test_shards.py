@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ablate.dataset import DamagedShardError, Pairs, Part, create_pairs, fill_pairs, remove_damaged
-from ablate.dataset.pairs import FORMATS, decode_attenuation, encode_attenuation
+from ablate.dataset.attenuation_bits import decode_attenuation, encode_attenuation
+from ablate.dataset.pairs import FORMATS
 from ablate.dataset.shards import frame_array, write_shard
 
 SHAPE, SLOTS = (21, 13), 4

@@ -46,6 +46,7 @@ def test_a_single_pixel_is_enough() -> None:
     assert gaussian_field(torch.tensor([5]), 0, 1, 1).isfinite().all()
 
 
+@pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 def test_a_gpu_draws_the_same_field() -> None:
     seeds = torch.arange(3)

@@ -170,6 +170,7 @@ def test_a_loader_that_ends_early_is_an_error(
         train(spec, settings, lambda start, stop: loader(start, stop - 1), tmp_path)
 
 
+@pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 def test_a_gpu_trains_the_same_network(

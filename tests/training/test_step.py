@@ -143,6 +143,7 @@ def forbidden_to_wait() -> Iterator[None]:
         torch.cuda.set_sync_debug_mode("default")
 
 
+@pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 @pytest.mark.parametrize("precision", [TrainingPrecision.fp32, TrainingPrecision.bf16])
 def test_nothing_waits_for_a_gpu(

@@ -168,6 +168,7 @@ def test_no_operation_of_a_frame_is_given_to_a_team_of_threads(scene, probe, sma
     assert threads == {1}
 
 
+@pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
 def test_a_gpu_draws_the_same_image(scene, probe, small, ahead) -> None:
     here, there = (Simulator(scene, probe, replace(small, device=device)).render(ahead) for device in ("cpu", "cuda"))

@@ -1,16 +1,22 @@
 """Batches for training: random crops that depend on nothing but (seed, step, index in the batch)."""
 
+from __future__ import annotations
+
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
+from ablate.dataset.attenuation_bits import decode_attenuation
 from ablate.dataset.encoding import encode_grey_levels
-from ablate.dataset.pairs import Pairs, decode_attenuation
 from ablate.dataset.seeds import crop_generator
+
+if TYPE_CHECKING:
+    from ablate.dataset.pairs import Pairs  # only here: frames that are read otherwise need no Zarr
 
 _TRIES = 50
 _AHEAD = 2  # batches a worker prepares before the first of them is taken

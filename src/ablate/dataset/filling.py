@@ -7,7 +7,8 @@ import numpy as np
 import zarr
 from filelock import FileLock, Timeout
 
-from ablate.dataset.pairs import FORMATS, DamagedShardError, Pairs, encode_attenuation
+from ablate.dataset.attenuation_bits import encode_attenuation
+from ablate.dataset.pairs import FORMATS, DamagedShardError, Pairs
 from ablate.dataset.shards import frame_array, write_shard
 
 #: Makes the wanted maps of some frames.

@@ -11,6 +11,7 @@ import zarr
 from filelock import FileLock
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
+from ablate.dataset.attenuation_bits import ATTENUATION_SCALE, decode_attenuation
 from ablate.dataset.shards import FrameFormat, absent_frames, read_frame
 from ablate.dataset.split import Part
 from ablate.storage import written_whole
@@ -28,8 +29,6 @@ FORMATS = {
 }
 #: What is not stored but made from a stored map when it is read, by the name of that map.
 DERIVED = {"compensated": "attenuation"}
-_ATTENUATION_SCALE = np.float32(65535)
-_ATTENUATION_BITS = 9
 _MEND = "`python -m ablate task=simulate` with the same settings"
 
 
@@ -143,7 +142,7 @@ class Pairs:
             raise ValueError(f"{self.folder}: compensated attenuation needs the probe and the TGC of the simulation")
         attenuation = decode_attenuation(self.stored(DERIVED["compensated"], frame))
         shares = compensated_attenuation(attenuation, self.probe, self.tgc_db_cm_mhz)
-        return np.rint(shares * _ATTENUATION_SCALE).astype(np.uint16)
+        return np.rint(shares * ATTENUATION_SCALE).astype(np.uint16)
 
     def _stored(self, name: str, first: int, stop: int) -> np.ndarray:
         """Frames `first` to `stop` - 1, all of one shard, (k, H, W)."""
@@ -180,27 +179,6 @@ class Pairs:
     def mask(self) -> np.ndarray:
         """The fan, (H, W) bool."""
         return _read_whole(self.folder, "mask")
-
-
-def encode_attenuation(values: np.ndarray) -> np.ndarray:
-    """Attenuation in [0, 1] as uint16, of which the 9 leading bits are kept: within 0.2 % or half a step of 65535.
-
-    The bits below are noise to zstd and to nobody else; without them a frame of attenuation takes about half the
-    space (`make bench-dataset`), and small values are as fine as before.
-    """
-    scaled = np.multiply(np.clip(values, 0, 1), _ATTENUATION_SCALE, dtype=np.float32)
-    bits = scaled.view(np.uint32)
-    dropped = np.uint32(24 - _ATTENUATION_BITS)  # of the 24 significant bits of a float32
-    bits += np.uint32(1) << (dropped - np.uint32(1))
-    bits >>= dropped
-    bits <<= dropped
-    np.minimum(scaled, _ATTENUATION_SCALE, out=scaled)
-    return np.rint(scaled, out=scaled).astype(np.uint16)
-
-
-def decode_attenuation(stored: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-    """The inverse of `encode_attenuation`, float32."""
-    return np.divide(stored, _ATTENUATION_SCALE, out=out, dtype=np.float32)
 
 
 def create_pairs(

@@ -1,18 +1,24 @@
 """The scores of a run: of its generator, and of re-simulation, the same frames with other scatterers and paths."""
 
+from __future__ import annotations
+
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from filelock import FileLock
 
-from ablate.dataset import Pairs, Part
+from ablate.dataset import Part
 from ablate.evaluation.scorer import ImageSource, Scorer, Scores
 from ablate.metrics import METRICS, METRICS_VERSION
 from ablate.metrics.stored_names import FLOOR_PREFIX, MODEL, RESIMULATED
 from ablate.storage import digest, read_json, write_json
+
+if TYPE_CHECKING:
+    from ablate.dataset import Pairs  # only here: frames that are read otherwise need no Zarr
 
 
 def resimulation_images(pairs: Pairs) -> ImageSource:

@@ -1,10 +1,13 @@
 """Scores of images of the frames of a data set, such as those of a trained generator."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -12,7 +15,7 @@ import torch
 from tqdm import tqdm
 
 from ablate.anatomy import Tissue, TissueKind
-from ablate.dataset import Pairs, Part
+from ablate.dataset import Part
 from ablate.evaluation.set_scores import distances, not_computed
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.metrics import (
@@ -27,6 +30,9 @@ from ablate.metrics import (
 from ablate.metrics.stored_names import SCORE_COLUMNS
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
+
+if TYPE_CHECKING:
+    from ablate.dataset import Pairs  # only here: frames that are read otherwise need no Zarr
 
 #: What gives images for frames: (numbers of the frames (k,), number of the noise draw) -> (k, H, W) uint8.
 ImageSource = Callable[[np.ndarray, int], np.ndarray]

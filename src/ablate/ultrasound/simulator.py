@@ -2,23 +2,20 @@
 
 import math
 import warnings
-import zlib
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import without_teams
-from ablate.ultrasound.imaging.bmode import ScanConverter, grey_levels, receiver_noise, time_gain
 from ablate.ultrasound.imaging.display import Display
-from ablate.ultrasound.imaging.point_spread import blur, layer_weights, point_spread
-from ablate.ultrasound.imaging.speckle import InsonifiedLines, Speckle
+from ablate.ultrasound.imaging.point_spread import layer_weights
+from ablate.ultrasound.imaging.signal_chain import Prepared, Received, SignalChain
 from ablate.ultrasound.maps.attenuation import integral_attenuation
 from ablate.ultrasound.maps.contact import contact_warning
 from ablate.ultrasound.maps.slices import plane_labels, scanline_labels, segment
-from ablate.ultrasound.probe import check_pose, sample_depths_mm
+from ablate.ultrasound.probe import check_pose
 from ablate.ultrasound.render_plan import plan_scene
 from ablate.ultrasound.settings import ConvexProbe, Frame, SimulatorSettings
 from ablate.ultrasound.surfaces.embree import Geometry
@@ -29,20 +26,9 @@ from ablate.ultrasound.transport.illumination import Nodes, empty_nodes, mean_le
 from ablate.ultrasound.transport.rays import View, leave_probe, probe_rays
 from ablate.ultrasound.transport.tracing import trace
 
-_CLUTTER_ROLL = (61, 1021)  # lines and samples between the noise of the display and that of clutter
-
 #: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
 #: rays in 3 layers, spread over its surroundings, an echo of this level is 61 dB under white.
 _ROULETTE_DB = 8.0
-
-
-@dataclass(frozen=True)
-class Traced:
-    """What the rays of one pose bring back; it does not depend on the scatterers' seed."""
-
-    insonified: InsonifiedLines
-    surfaces: torch.Tensor  # (scanlines, samples)
-    clutter: torch.Tensor | None  # (scanlines, samples), amplitude at the receiver
 
 
 class Simulator:
@@ -86,7 +72,6 @@ class Simulator:
         elif beside.scene is not scene:
             raise ValueError(f"beside: a simulator of scene {beside.scene.name!r}, allowed is one of the same scene")
         self.settings = settings = settings or SimulatorSettings()
-        self._dtype = getattr(torch, settings.precision.value)
         self._plan = plan_scene(scene, probe, settings, poses)
         self.left_out = self._plan.left_out
         bounds = bounds_mm(s.mesh for s in scene.structures)
@@ -98,14 +83,10 @@ class Simulator:
         spread = stratified if settings.tolerance is None else progressive
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays, spread)
         self._rays = probe_rays(probe, settings, self._draws)
-        self._convert = ScanConverter(probe, settings, self._dtype)
         self._beam = transmit_beam(probe, settings)
-        self._spread = point_spread(probe, settings, self._dtype)
-        self._speckle = Speckle(scene.tissues, probe, settings, self._dtype)
-        self._gain = torch.from_numpy(time_gain(probe, settings)).to(settings.device, self._dtype)
-        self._noise: tuple[int, torch.Tensor] | None = None
+        self._chain = SignalChain(scene.tissues, probe, settings)
         self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None
-        self._traced: tuple[bytes, Traced] | None = None
+        self._prepared: tuple[bytes, Prepared] | None = None
         self._warned: set[str] = set()
 
     def _triangles(self, beside: "Simulator | None", bounds: np.ndarray, extent_mm: float) -> Geometry:
@@ -118,7 +99,7 @@ class Simulator:
 
     @property
     def mask(self) -> np.ndarray:
-        return self._convert.mask.copy()
+        return self._chain.convert.mask.copy()
 
     def render(self, pose: np.ndarray, seed: int = 0, display: Display | None = None) -> Frame:
         """One frame.
@@ -157,13 +138,13 @@ class Simulator:
             raise ValueError(f"seed must be at least 0, not {seed}")
         pose = check_pose(pose)
         with without_teams(), torch.inference_mode():
-            noise = self._noise_at(pose, seed)
-            signal = torch.zeros_like(noise) if self._plan.anechoic else self._signal(pose, seed, noise)
+            noise = self._chain.noise(pose, seed)
+            if self._plan.anechoic:
+                signal = torch.zeros_like(noise)
+            else:
+                signal = self._chain.signal(self._prepare(pose), seed, noise)
             envelope = signal.square().sum(dim=0).sqrt_()
-            floor = self.settings.reference_level * 10 ** (self.settings.noise_floor_db / 20)  # root mean square
-            shown = signal.mul_(self._gain).add_(noise, alpha=floor)
-            image = self._convert(self._grey(shown, display))
-        return np.rint(image).astype(np.uint8), envelope
+            return self._chain.image(signal, noise, display), envelope
 
     def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Segmentation (H, W) uint8 and attenuation (H, W) float32 of a pose, without casting echo rays.
@@ -183,35 +164,34 @@ class Simulator:
         local = self._local(pose)
         tissue_of_owner, media = self._plan.tissue_of_owner, self._plan.media
         labels = segment(self._geometry, tissue_of_owner, self.probe, self.settings.image_shape, local)
-        labels = np.where(self._convert.mask, labels + np.uint8(1), np.uint8(0))
+        labels = np.where(self._chain.convert.mask, labels + np.uint8(1), np.uint8(0))
         polar = plane_labels(self._geometry, tissue_of_owner, self.probe, self.settings, local)
         lines = integral_attenuation(polar, media.loss_db_mm, self.probe.depth_mm / self.settings.axial_samples)
-        return labels, self._convert(self._tensor(lines)).clip(0, 1)
+        return labels, self._chain.convert(self._chain.tensor(lines)).clip(0, 1)
 
-    def _signal(self, pose: np.ndarray, seed: int, noise: torch.Tensor) -> torch.Tensor:
-        """The signal received, (2, scanlines, samples): real and imaginary part."""
-        traced = self._trace(pose)
-        signal = blur(self._speckle(traced.insonified, seed), traced.surfaces, self._spread)
-        if traced.clutter is not None:  # received from all sides, hence with random phases
-            signal.addcmul_(traced.clutter, noise.roll(_CLUTTER_ROLL, dims=(1, 2)))
-        return signal
+    def _prepare(self, pose: np.ndarray) -> Prepared:
+        """What the signal chain needs of a pose, unless it was the last one."""
+        if self._prepared is None or self._prepared[0] != pose.tobytes():
+            self._prepared = pose.tobytes(), self._chain.prepare(self._cast(pose))
+        return self._prepared[1]
 
-    def _grey(self, shown: torch.Tensor, display: Display | None) -> torch.Tensor:
-        """Grey levels of the signal with its noise, (scanlines, samples); the operator's gain amplifies both."""
-        if display is None:
-            return grey_levels(shown, self.settings)
-        depth_mm = sample_depths_mm(self.probe, self.settings.axial_samples)
-        gain = 10 ** (display.gain_at(depth_mm / self.probe.depth_mm) / 20)
-        return grey_levels(shown.mul_(self._tensor(gain)), display.applied_to(self.settings))
+    def received(self, pose: np.ndarray) -> Received:
+        """What the rays of a pose bring back: `SignalChain` makes images of it, on another machine too.
 
-    def _trace(self, pose: np.ndarray) -> Traced:
-        """Cast the rays of a pose, unless they were the last ones cast."""
-        if self._traced is not None and self._traced[0] == pose.tobytes():
-            return self._traced[1]
+        Raises
+        ------
+        ValueError
+            When the pose is not rigid.
+        """
+        pose = check_pose(pose)
+        with without_teams(), torch.inference_mode():
+            return self._cast(pose)
+
+    def _cast(self, pose: np.ndarray) -> Received:
         probe, settings, plan = self.probe, self.settings, self._plan
         shape = settings.scanlines, settings.axial_samples
         bundle, inside = leave_probe(self._geometry, self._rays, self._local(pose))
-        largest_gain_db = 20 * math.log10(float(self._gain[-1]))
+        largest_gain_db = 20 * math.log10(float(self._chain.gain[-1]))
         view = View(
             media=plan.media,
             tissue_of_owner=plan.tissue_of_owner,
@@ -238,36 +218,24 @@ class Simulator:
         weights = layer_weights(probe, settings)[1]
         where = weights, counts, probe.depth_mm, shape
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
-        level = mean_level_db(nodes, counts, self._beam)
-        insonified = self._speckle.insonify(bundle.starts + self._origin_mm, bundle.directions, labels, ranges, level)
-        clutter_t = None if clutter is None else self._tensor(clutter) * self._spread.axial.sum()
-        traced = Traced(insonified, self._tensor(surfaces), clutter_t)
-        self._traced = pose.tobytes(), traced
-        return traced
+        level = mean_level_db(nodes, counts, self._beam).numpy()
+        return Received(bundle.starts + self._origin_mm, bundle.directions, labels, ranges, level, surfaces, clutter)
 
     def _shown(self, labels: np.ndarray, nodes: Nodes) -> Shown:
         """What is seen of rays at the nodes of each group, from the tissues that its samples display."""
         settings, tissues = self.settings, self.scene.tissues
         lines, count = settings.scanlines, nodes.amplitude.shape[1]
         at_nodes = np.rint(np.linspace(0, settings.axial_samples - 1, count)).astype(int)
-        seen = self._gain[at_nodes].double().cpu().numpy() * layer_weights(self.probe, settings)[1][:, at_nodes]
+        seen = self._chain.gain[at_nodes].double().cpu().numpy() * layer_weights(self.probe, settings)[1][:, at_nodes]
         echo = np.repeat(seen, lines, axis=0)
         strength = np.sqrt([tissue.scatter_power for tissue in tissues]) * 10 ** (settings.scatterer_level_db / 20)
-        overlap = float(self._spread.scatterer_scale.square().reciprocal().mean() / self._spread.axial.square().sum())
+        overlap = float(
+            self._chain.spread.scatterer_scale.square().reciprocal().mean() / self._chain.spread.axial.square().sum()
+        )
         floor = settings.reference_level * 10 ** (settings.noise_floor_db / 20)
         return Shown(echo, echo * strength[labels[:, at_nodes]], floor, overlap, lines)
-
-    def _tensor(self, values: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(values).to(self.settings.device, self._dtype)
 
     def _local(self, pose: np.ndarray) -> np.ndarray:
         local = pose.copy()
         local[:3, 3] -= self._origin_mm
         return local
-
-    def _noise_at(self, pose: np.ndarray, seed: int) -> torch.Tensor:
-        """The seed's noise, rolled by a hash of the pose: two frames do not share a pattern."""
-        if self._noise is None or self._noise[0] != seed:
-            self._noise = seed, receiver_noise(self.settings, self._spread.axial, seed)
-        key = zlib.crc32(pose.tobytes())
-        return self._noise[1].roll((key % 65521, key // 7), dims=(1, 2))
