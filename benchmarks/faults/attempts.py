@@ -78,18 +78,24 @@ def _meshes(_: Path, place: Path) -> Attempt:
 
 
 def _write_meshes(folder: Path) -> None:
-    import trimesh
-
     from ablate.anatomy.scene_folder import MESH_SUFFIXES
 
     for number, suffix in enumerate(MESH_SUFFIXES):
-        mesh = trimesh.creation.box((60 + number, 60, 60)) if number % 2 else trimesh.creation.icosphere(1, 40)
-        made = mesh.export(file_type=suffix[1:])
-        if isinstance(made, dict):  # glTF beside its buffers
-            for file, content in made.items():
-                (folder / (f"{number}.gltf" if file.endswith(".gltf") else file)).write_bytes(content)
-        else:
-            (folder / f"{number}{suffix}").write_bytes(made.encode() if isinstance(made, str) else made)
+        write_mesh(folder, number, suffix)
+
+
+def write_mesh(folder: Path, number: int, suffix: str) -> str:
+    """Write a box or a sphere in a format, named by its number; a glTF has its buffers beside it. Returns its name."""
+    import trimesh
+
+    mesh = trimesh.creation.box((60 + number, 60, 60)) if number % 2 else trimesh.creation.icosphere(1, 40)
+    made, name = mesh.export(file_type=suffix[1:]), f"{number}{suffix}"
+    if isinstance(made, dict):  # glTF beside its buffers
+        for file, content in made.items():
+            (folder / (name if file.endswith(".gltf") else file)).write_bytes(content)
+    else:
+        (folder / name).write_bytes(made.encode() if isinstance(made, str) else made)
+    return name
 
 
 def _load_scene(job: "Job", rng: random.Random) -> None:

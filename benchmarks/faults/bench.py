@@ -17,7 +17,7 @@ STUDY = "tiny-fetal"
 SWEEP = (
     *("-m", f"variant={','.join(VARIANTS)}", "preset=tiny", "simulator.image_shape=[96,134]", "dataset.frames=10"),
     *(f"training.steps={STEPS}", "training.checkpoint_every=5", "training.validate_every=20", "training.log_every=1"),
-    "evaluation.pictures=1",
+    *("evaluation.pictures=1", "evaluation.timed_frames=1", "metrics=[psnr,mae]"),
 )
 LAUNCHERS = {"basic": (), "joblib": ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")}
 

@@ -1,4 +1,4 @@
-"""A training that is stopped, and goes on with other code, another precision or another number of threads."""
+"""A byte of a scene is changed; of a training that was stopped the code, the precision or the number of threads is."""
 
 import json
 import random
@@ -6,12 +6,13 @@ import re
 import shutil
 import signal
 import subprocess
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from faults.bench import STUDY, SWEEP, Bench, Fault, Round
 from faults.canaries import repository
-from faults.commands import Start, ablate
+from faults.commands import Start, ablate, start
 from faults.judge import last_step, result_files
 
 _VARIANT = "sa2h"
@@ -82,7 +83,52 @@ def _edit(source: Path, change: Change, rng: random.Random) -> str:
     return str(path.relative_to(source))
 
 
+def scene_bytes(bench: Bench, _: random.Random, number: int) -> Round:
+    """Change each byte of a scene folder with one mesh in turn; its pairs must be known by another hash."""
+    place = bench.place()
+    ended = start(_change_bytes, (place, number), place).wait()
+    if ended.code:
+        return Round([f"the process ended with {ended.code}: {ended.said[-300:]}"])
+    found = json.loads((place / "found.json").read_text("utf-8"))
+    return Round(found["wrong"], found["count"], is_last=found["is_last"])
+
+
+def _change_bytes(place: Path, number: int) -> None:
+    from ablate.anatomy.scene_folder import MESH_SUFFIXES
+    from ablate.config import ConfigurationError, refusing
+    from ablate.studies.jobs.compose import jobs_of
+    from ablate.studies.pairs.data import dataset_hash
+    from faults.attempts import write_mesh
+
+    folder, suffix = place / "in", MESH_SUFFIXES[number]
+    folder.mkdir()
+    mesh = write_mesh(folder, number, suffix)
+    about = f"structures: [{{mesh: {mesh}, tissue: fat}}]\nsites: {{heights: [0, 10], angles: [0, 20]}}\n"
+    (folder / "scene.yaml").write_text(about)
+    (job,) = jobs_of(["scene=folder", f"scene.folder={folder}", f"runs_dir={place / 'runs'}"])
+    before, wrong, count = dataset_hash(job.settings), [], 0
+    for path in sorted(folder.iterdir()):
+        content = path.read_bytes()
+        count += len(content)
+        for at in range(len(content)):
+            path.write_bytes(content[:at] + bytes([content[at] ^ 1 << at % 8]) + content[at + 1 :])
+            with suppress(ConfigurationError), refusing():
+                if dataset_hash(job.settings) == before:
+                    wrong.append(f"{path.name}: byte {at} may be another")
+        path.write_bytes(content)
+    found = {"wrong": wrong, "count": count, "is_last": number + 1 == len(MESH_SUFFIXES)}
+    (place / "found.json").write_text(json.dumps(found))
+
+
 FAULTS = (
+    Fault(
+        "bytes",
+        "each byte of a scene folder changed, with a mesh of each format",
+        "the pairs have another hash, or the folder is refused",
+        scene_bytes,
+        10**6,
+        1,
+    ),
     Fault(
         "code",
         "a training stopped and repeated with another loss, metric, source line, precision, threads, learning rate",

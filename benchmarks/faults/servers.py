@@ -24,7 +24,7 @@ _UP_S = 600.0
 _TIMED_STEPS = 200
 _VARIANT = "sa2h"
 _STUDY = (f"variant={_VARIANT}", "preset=tiny", "simulator.image_shape=[96,134]", "dataset.frames=10")
-_STUDY = (*_STUDY, "training.log_every=5", "training.validate_every=0", "evaluation.pictures=1")
+_STUDY = (*_STUDY, "training.log_every=1", "training.validate_every=0", "evaluation.pictures=1")
 
 
 class Server:
@@ -102,14 +102,14 @@ def _steps(bench: Bench, seconds: float) -> int:
         _step_seconds[bench] = (time.monotonic() - began) / (_TIMED_STEPS - 5)
         command.signal(signal.SIGKILL)
         command.wait()
-    return 5 * max(8, round(seconds / _step_seconds[bench] / 5))
+    return max(_TIMED_STEPS, round(seconds / _step_seconds[bench]))
 
 
 _step_seconds: dict[Bench, float] = {}
 
 
 def _stall(folder: Path) -> float:
-    """The longest time between two reports of the training, s; there is one every few steps."""
+    """The longest time between two steps of the training, s; each is reported."""
     lines = [json.loads(line) for line in (folder / "log.jsonl").read_text("utf-8").splitlines()]
     times = [line["time"] for line in lines if "train/l1" in line.get("metrics", {})]
     return max((b - a for a, b in pairwise(times)), default=0) / 1000
@@ -121,8 +121,8 @@ def _missing(folder: Path, steps: int, database: Path) -> list[str]:
         wrong.append(f"training stood still for {_stall(folder):.1f} s")
     here, there = logged_points(folder), tracked(database)
     reported = sum(key == "train/l1" for key, _ in here)
-    if last_step(folder) != steps or reported != steps // 5:
-        wrong.append(f"{reported} reports up to step {last_step(folder)}, not {steps // 5} up to {steps}")
+    if last_step(folder) != steps or reported != steps:
+        wrong.append(f"{reported} reports up to step {last_step(folder)}, not of {steps} steps")
     twice = [key for key, count in Counter(point[:3] for point in there.points).items() if count > 1]
     if twice:
         wrong.append(f"{len(twice)} values are logged twice, as {twice[0]}")
