@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "reliability.md"
 BEGIN, END = "<!-- written by benchmarks/chaos.py: begin -->", "<!-- written by benchmarks/chaos.py: end -->"
 HEAD = ("fault", "done", "must reach", "reached", "verdict", "commit")
-_THEMES = (at_once, kills, servers, stops, changes, disks, inputs, canaries)
+_THEMES = (kills, changes, disks, inputs, canaries, stops, servers, at_once)
 FAULTS: tuple[Fault, ...] = tuple(fault for theme in _THEMES for fault in theme.FAULTS)
 
 
