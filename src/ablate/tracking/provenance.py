@@ -44,7 +44,8 @@ def git_state(package: Path = _PACKAGE) -> dict[str, str]:
 
 def environment() -> str:
     """Installed distributions as `name==version` lines, sorted."""
-    lines = {f"{d.metadata['Name']}=={d.version}" for d in metadata.distributions() if d.metadata["Name"]}
+    read = [found.metadata for found in metadata.distributions()]  # a property that parses a file each time
+    lines = {f"{about['Name']}=={about['Version']}" for about in read if about["Name"]}
     return "\n".join(["# Python " + platform.python_version(), *sorted(lines, key=str.lower)]) + "\n"
 
 
