@@ -54,7 +54,7 @@ def repository(root: Path, secret: str, is_own: bool) -> Path:
     """A repository with the package in it and an uncommitted change in Latin-1; returns what PYTHONPATH must name."""
     site = root / ("src" if is_own else "site")
     shutil.copytree(_SOURCE, site / "ablate", ignore=shutil.ignore_patterns("__pycache__"))
-    name = "ablate" if is_own else "another"
+    name = "ablate-ultrasound" if is_own else "another"
     (root / "pyproject.toml").write_text(f'[project]\nname = "{name}"\nversion = "1"\n')
     conf = root / "conf" if is_own else site / "ablate" / "conf"
     shutil.copytree(_SOURCE.parents[1] / "conf", conf)

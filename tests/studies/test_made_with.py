@@ -2,6 +2,7 @@
 
 import json
 import logging
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,21 @@ def test_a_change_of_uncommitted_code_alone_is_told(
     kept = sorted((job.folder / "provenance").glob("uncommitted*.diff"))
     assert {path.read_text() for path in kept} == {"+one\n", "+two\n"}
     assert (job.folder / "provenance" / "uncommitted.diff").read_text() == "+two\n"
+
+
+def test_changed_code_is_told_where_the_package_lies_in_no_repository(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    package = tmp_path / "site-packages" / "ablate"
+    (package / "training").mkdir(parents=True)
+    monkeypatch.setattr(tracking, "git_state", lambda: {})
+    monkeypatch.setattr(tracking, "source_digest", partial(tracking.source_digest, package))
+    for line in ("LOSS = 1\n", "LOSS = 1\n", "LOSS = 2\n"):
+        assert not caplog.messages
+        (package / "training" / "module.py").write_text(line)
+        write_provenance(job)
+        stopped_at(job, 40)
+    assert "step 40: training goes on with other code or hardware (source " in caplog.text
 
 
 def test_a_finished_training_that_is_scored_again_goes_on_with_nothing(

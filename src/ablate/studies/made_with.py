@@ -20,7 +20,7 @@ from ablate.training import LAST, chosen_device, read_checkpoint
 _LOG = logging.getLogger(__name__)
 _ENVIRONMENT, _DIFF = "environment.txt", "uncommitted.diff"
 _STARTS, _MADE_WITH = "starts.json", "made_with.json"
-_OF_ONE_START = ("time", "step", "device", "precision", "git_diff")  # not in `made_with.json`
+_OF_ONE_START = ("time", "step", "device", "precision", "git_diff", "source")  # not in `made_with.json`
 
 
 def write_provenance(job: Job) -> None:
@@ -35,7 +35,8 @@ def write_provenance(job: Job) -> None:
     write_json(folder / "config.json", json_ready(job.settings))
     code = tracking.git_state()
     diff = code.pop("git_diff", "")
-    now = {**code, **({"git_diff": digest(diff)} if diff else {}), **_machine(job), **tracking.packages()}
+    now = {**code, **({"git_diff": digest(diff)} if diff else {}), "source": tracking.source_digest()}
+    now |= {**_machine(job), **tracking.packages()}
     starts = [*_earlier(folder), {"time": datetime.now(UTC).isoformat(timespec="seconds"), **now}]
     if len(starts) > 1:
         _tell_changes(job, starts[-2], now)

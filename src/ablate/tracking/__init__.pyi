@@ -8,6 +8,7 @@ from .provenance import environment as environment
 from .provenance import git_state as git_state
 from .provenance import hardware as hardware
 from .provenance import packages as packages
+from .provenance import source_digest as source_digest
 from .store import UNAVAILABLE as UNAVAILABLE
 from .store import Status as Status
 from .store import Store as Store

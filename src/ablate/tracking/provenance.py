@@ -11,6 +11,7 @@ from pathlib import Path
 import torch
 
 import ablate
+from ablate.storage import digest_of_files
 
 _PACKAGE = Path(ablate.__file__).parent
 _DISTRIBUTION = "ablate-ultrasound"  # what an installer calls this package
@@ -40,6 +41,11 @@ def git_state(package: Path = _PACKAGE) -> dict[str, str]:
     except (OSError, ValueError, KeyError, subprocess.CalledProcessError):
         return {}
     return {"git_commit": commit, "git_dirty": str(bool(diff or untracked)).lower(), "git_diff": diff}
+
+
+def source_digest(package: Path = _PACKAGE) -> str:
+    """Digest of the names and contents of the package's source files, which may lie in no repository."""
+    return digest_of_files(sorted(package.rglob("*.py")))
 
 
 def environment() -> str:
