@@ -2,14 +2,17 @@
 
 import json
 import math
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import mlflow.data
 import pytest
 from mlflow import MlflowClient
 from mlflow.data.schema import TensorDatasetSchema
+from mlflow.exceptions import MlflowException
 
 from ablate.tracking import Status, StoredRun, child_run, default_uri, open_store, parent_run
 
@@ -130,3 +133,15 @@ def test_an_experiment_that_somebody_else_makes_in_the_same_moment_is_used(
     answers = iter([lambda *_: None, lookup])
     monkeypatch.setattr(MlflowClient, "get_experiment_by_name", lambda *a: next(answers)(*a))
     assert open_store(runs, None, "ablate").experiment_id == there
+
+
+def test_what_a_database_refuses_is_raised_and_not_printed_with_a_traceback(
+    runs: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    store = open_store(runs, None, "ablate")
+    run = parent_run(store, "study")
+    with closing(sqlite3.connect(runs / "mlflow.db")) as connection, connection:
+        connection.execute("ALTER TABLE runs RENAME TO elsewhere")  # an OperationalError, as a full disk is
+    with pytest.raises(MlflowException, match="no such table"):
+        StoredRun(store, run).mark(Status.finished)
+    assert "Traceback" not in capfd.readouterr().err

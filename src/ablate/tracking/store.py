@@ -78,6 +78,7 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
     """
     logging.getLogger("alembic").setLevel(logging.WARNING)
     logging.getLogger("mlflow").setLevel(logging.WARNING)
+    logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
     runs.mkdir(parents=True, exist_ok=True)
     lock = runs / ".mlflow.lock"
     location = None if uri else (runs / "artifacts").as_uri()
