@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep answer docs notebooks test test-all check lint ui precision bench-simulator bench-bands bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start chaos
+.PHONY: help sweep answer docs notebooks test test-all check lint ui precision bench-simulator bench-bands bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start view chaos
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -53,6 +53,9 @@ lint: $(STAMP) ## mend what the linter can mend
 
 ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
 	$(BIN)/mlflow ui --backend-store-uri sqlite:///runs/mlflow.db --host 127.0.0.1 --port 5000 --workers 1
+
+view: $(STAMP) ## the probe in your hand, on http://127.0.0.1:8090; ARGS="scene=folder scene.folder=path runs=runs/quick-fetal"
+	$(BIN)/python -m ablate task=view $(ARGS)
 
 bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size; SCENE=folder adds one to the table of plans
 	$(BIN)/python benchmarks/simulator.py $(if $(SCENE),--scene $(SCENE))

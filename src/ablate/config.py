@@ -28,7 +28,9 @@ from ablate.validation import LONGEST_NAME, check_name, shown
 
 T = TypeVar("T")
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
-_BESIDE_STUDIES = frozenset({"artifacts", "data", "export", "mlflow", "precision", "render", "slurm", "stability"})
+_BESIDE_STUDIES = frozenset(
+    {"artifacts", "data", "export", "mlflow", "precision", "render", "slurm", "stability", "view"}
+)
 _LONGEST_SCENE_NAME = 100
 
 
@@ -55,6 +57,7 @@ class Task(StrEnum):
     compare = "compare"
     preview = "preview"
     render = "render"
+    view = "view"
     export = "export"
     precision = "precision"
     stability = "stability"
@@ -190,11 +193,24 @@ class TrackingSettings:
 
 
 @dataclass(frozen=True)
+class ViewerSettings:
+    """Where `task=view` shows its page, always on this machine alone; `open` starts a browser."""
+
+    port: int = 8090
+    open: bool = True
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.port <= 65535:
+            raise ValueError(f"viewer.port={self.port}: allowed are 1 to 65535")
+
+
+@dataclass(frozen=True)
 class StudySettings:
     """A whole job, as the rooms take it. `model` is the composed generator; see conf/ for every value.
 
     `metrics` is a name or a list of names, see `metrics.choose_metrics`; `frame` is the one that `task=preview`
-    shows. `task=render` shows the poses of the file `pose`, the standard `plane`, or else `frame`.
+    shows. `task=render` shows the poses of the file `pose`, the standard `plane`, or else `frame`; `task=view` starts
+    at the first of `pose`, or at `plane`. `runs` has the generators that it offers: a run, a study or studies.
     """
 
     task: Task = Task.study
@@ -219,11 +235,16 @@ class StudySettings:
     frame: int = 0
     pose: str | None = None
     plane: str | None = None
+    runs: str | None = None
+    viewer: ViewerSettings = ViewerSettings()
 
     def __post_init__(self) -> None:
         _at_least("", self, seed=0, encoding_seed=0)
-        if (self.pose or self.plane) and (self.task is not Task.render or (self.pose and self.plane)):
-            raise ValueError(f"pose={self.pose}, plane={self.plane}: allowed is one of them, with task=render")
+        shown_at = self.task in (Task.render, Task.view)
+        if (self.pose or self.plane) and (not shown_at or (self.pose and self.plane)):
+            raise ValueError(f"pose={self.pose}, plane={self.plane}: allowed is one of them, with task=render or view")
+        if self.runs and self.task is not Task.view:
+            raise ValueError(f"runs={self.runs}: allowed with task=view; where results lie is runs_dir")
         check_name("study_name", self.study, _BESIDE_STUDIES)  # so it is a folder of its own directly below `runs`
 
     @property
@@ -239,12 +260,12 @@ class StudySettings:
         return self.study_name or f"{self.preset}-{self.scene_name}"
 
     @property
-    def runs(self) -> Path:
+    def results(self) -> Path:
         return Path(self.runs_dir).resolve()
 
     @property
     def study_dir(self) -> Path:
-        return self.runs / self.study
+        return self.results / self.study
 
 
 def build(cls: type[T], values: dict[str, Any]) -> T:

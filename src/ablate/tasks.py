@@ -161,6 +161,10 @@ def _look(task: Task, jobs: Sequence[Job]) -> int:
         from ablate.studies.render import render
 
         return render(jobs)
+    if task is Task.view:
+        from ablate.viewer.task import view
+
+        return view(jobs)
     if task is Task.export:
         from ablate.studies.export import export
 

@@ -54,7 +54,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, empty_database: Path) -> Job:
 
 def moved(made: Job, to: Path) -> Job:
     """The same study in a copy of its folder of runs."""
-    shutil.copytree(made.settings.runs, to)
+    shutil.copytree(made.settings.results, to)
     utils._artifact_repos_cache.clear()  # as in another process: MLflow remembers the place of a run's artifacts
     return job_in(to)
 
@@ -88,7 +88,7 @@ def content(runs: Path) -> dict[str, Any]:
 
 
 def test_a_removed_database_is_filled_again_from_disk(made: Job, tmp_path: Path, empty_database: Path) -> None:
-    before = content(made.settings.runs)
+    before = content(made.settings.results)
     assert before["points"].keys() >= {("train/l1", 4), ("val/psnr_fan_curve", 8), ("test/psnr", 0)}
     assert before["states"] == {"job": "FINISHED", "study": "FINISHED"}
     job = moved(made, tmp_path / "runs")
@@ -108,19 +108,19 @@ def test_an_experiment_that_was_deleted_is_there_again(made: Job, tmp_path: Path
 
 
 def test_a_copy_of_the_runs_leaves_the_artifacts_of_the_original_alone(made: Job, tmp_path: Path) -> None:
-    original = made.settings.runs / "artifacts"
+    original = made.settings.results / "artifacts"
     before = {path: path.stat().st_mtime_ns for path in original.rglob("*")}
     job = moved(made, tmp_path / "runs")
     compare_study(job.settings, rebuild=True)
-    assert content(tmp_path / "runs")["files"] == content(made.settings.runs)["files"]
+    assert content(tmp_path / "runs")["files"] == content(made.settings.results)["files"]
     assert {path: path.stat().st_mtime_ns for path in original.rglob("*")} == before
 
 
 def test_the_same_command_writes_nothing_twice(made: Job) -> None:
     def state() -> tuple[Any, list[int], int]:
-        found = stored(made.settings.runs)
-        files = [path.stat().st_mtime_ns for path in sorted((made.settings.runs / "artifacts").rglob("*"))]
-        return content(made.settings.runs), files, found["study"].info.end_time
+        found = stored(made.settings.results)
+        files = [path.stat().st_mtime_ns for path in sorted((made.settings.results / "artifacts").rglob("*"))]
+        return content(made.settings.results), files, found["study"].info.end_time
 
     before = state()
     compare_study(made.settings)
@@ -140,14 +140,14 @@ def test_training_goes_on_without_a_server_and_is_logged_later_once(
     made: Job, runs: Path, frozen: str, monkeypatch: pytest.MonkeyPatch, server: str
 ) -> None:
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_TIMEOUT", "3")
-    shutil.copytree(made.settings.runs / "data", runs / "data")
+    shutil.copytree(made.settings.results / "data", runs / "data")
     uri = frozen if server == "frozen" else "http://127.0.0.1:9"
     job = job_in(runs, f"tracking.uri={uri}")
     told = compared_without_a_store(job)
     assert "not all is in MLflow yet" in told
     later = replace(job.settings, tracking=TrackingSettings())
     assert "not all" not in compare_study(later)
-    there, whole = content(runs), content(made.settings.runs)
+    there, whole = content(runs), content(made.settings.results)
     assert there["points"].keys() == whole["points"].keys()
     assert {k: v for k, v in there.items() if k != "points"}.keys() == {k for k in whole if k != "points"}
     assert there["files"] == whole["files"]

@@ -50,7 +50,7 @@ def test_every_start_is_listed_and_the_report_names_all_commits(
         write_provenance(job)
         assert not caplog.messages, "the same code"
         code(monkeypatch, "bbb")
-        (again,) = jobs_of([f"runs_dir={job.settings.runs}", "training.threads=2"])
+        (again,) = jobs_of([f"runs_dir={job.settings.results}", "training.threads=2"])
         stopped_at(job, 60)
         write_provenance(again)
     (said,) = caplog.messages
@@ -129,7 +129,7 @@ def test_a_run_that_was_started_before_starts_were_listed_keeps_its_commit(
 
 
 def test_minimal_provenance_has_no_changes_and_no_environment(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
-    (minimal,) = jobs_of([f"runs_dir={job.settings.runs}", "tracking.provenance=minimal"])
+    (minimal,) = jobs_of([f"runs_dir={job.settings.results}", "tracking.provenance=minimal"])
     assert config_hash(minimal.settings) == config_hash(job.settings)
     for diff in ("+canary one\n", "+canary two\n"):
         code(monkeypatch, "aaa", diff)

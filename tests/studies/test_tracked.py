@@ -51,7 +51,7 @@ def stopped_once(tmp_path_factory: pytest.TempPathFactory, empty_database: Path)
 
 def runs_of(job: Job) -> tuple[MlflowClient, Run, Run]:
     """The client, the study's run and its only child."""
-    client = MlflowClient(default_uri(job.settings.runs))
+    client = MlflowClient(default_uri(job.settings.results))
     found = {run.data.tags["kind"]: run for run in client.search_runs(["1"])}
     assert sorted(found) == ["job", "study"]
     return client, found["study"], found["job"]

@@ -24,7 +24,7 @@ _DRAWN = frozenset({"target", "resimulation"})  # the other maps of a data set a
 
 def open_store(settings: StudySettings) -> Store:
     """The tracking store that the settings name."""
-    return tracking.open_store(settings.runs, settings.tracking.uri, settings.tracking.experiment)
+    return tracking.open_store(settings.results, settings.tracking.uri, settings.tracking.experiment)
 
 
 def open_tracking(settings: StudySettings) -> StoredRun:
@@ -78,7 +78,7 @@ def copy_study(settings: StudySettings) -> tuple[StoredRun, dict[str, str]]:
                 _LOG.warning("%s: not copied to the tracking store, %s is not as runs are now", path, error)
         if run_id:
             ids[name] = run_id
-    tracking.copy_tasks(parent.store, settings.runs, settings.study)
+    tracking.copy_tasks(parent.store, settings.results, settings.study)
     return parent, ids
 
 
@@ -131,7 +131,7 @@ def _opened(settings: StudySettings, folder: Path) -> StoredRun:
     run.tags({k: v for k, v in made_with.items() if k in ABOUT_CODE})
     run.describe(about_run(label, of_run["seed"], settings.study))
     run.parameters(own_parameters(label, of_run))
-    for pairs in (settings.runs / "data").glob(f"*-{data}"):
+    for pairs in (settings.results / "data").glob(f"*-{data}"):
         with suppress(OSError, ValueError, KeyError):  # pairs that are being made again
             of = open_data(pairs).pairs
             read, drawn = of.dtypes(of.maps - _DRAWN), of.dtypes(_DRAWN)

@@ -28,7 +28,7 @@ def _exported(jobs: Sequence[Job]) -> Path:
     if chosen is ExportFormat.dicom:
         _check_dicom(settings)
     pairs = prepare_data(settings, maps_needed(job.settings.model for job in jobs)).pairs
-    folder = settings.runs / "export" / f"{source.name}-{chosen}"
+    folder = settings.results / "export" / f"{source.name}-{chosen}"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "README.md").unlink(missing_ok=True)  # written last: a folder without it is not finished
     if chosen is ExportFormat.png:

@@ -31,7 +31,7 @@ def render(jobs: Sequence[Job]) -> int:
 def _rendered(settings: StudySettings) -> Path:
     scene, grid = build_scene(settings)
     name, poses = _poses(settings, scene, grid)
-    folder = settings.runs / "render" / f"{settings.scene_name}-{name}"
+    folder = settings.results / "render" / f"{settings.scene_name}-{name}"
     folder.mkdir(parents=True, exist_ok=True)
     simulator = Simulator(scene, settings.probe, settings.simulator, poses=poses)
     images = []

@@ -10,10 +10,10 @@ from typing import TypeVar
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings
+from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_polar
 from ablate.viewer.generators import Trained, open_generator
-from ablate.viewer.state import Quality, State, Views
+from ablate.viewer.state import Moving, Quality, State, Views
 
 T = TypeVar("T")
 
@@ -65,15 +65,17 @@ class Engine:
             except (OSError, ValueError, KeyError) as error:
                 image, notes[name] = None, " ".join(str(error).split())
             images.append(image)
-        settings = state.simulator if quality is Quality.full else coarse(state.simulator)
-        used = self._simulator(state.probe, settings)
-        picture = (state.pose.tobytes(), state.probe, settings, state.seed, state.display)
-        frame = self._timed(ms, "target", picture, lambda: _quietly(used, state))
+        target = None
+        if quality is Quality.full or state.moving is Moving.both or not state.runs:
+            settings = state.simulator if quality is Quality.full else coarse(state.simulator)
+            used = self._simulator(state.probe, settings)
+            picture = (state.pose.tobytes(), state.probe, settings, state.seed, state.display)
+            target = self._timed(ms, "target", picture, lambda: _quietly(used, state)).image
         return Views(
-            target=frame.image,
+            target=target,
             segmentation=segmentation,
             attenuation=attenuation,
-            mask=frame.mask,
+            mask=fan_mask(state.probe, state.simulator.image_shape),
             generated=tuple(images),
             ms=ms,
             notes={name: words for name, words in notes.items() if words},

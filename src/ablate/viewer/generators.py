@@ -22,12 +22,17 @@ from ablate.viewer.state import State
 _SHIPPED = Path("pretrained")
 
 
-def pickable(runs_dir: Path) -> dict[str, Path]:
-    """What `open_generator` opens, by name: runs of all studies in a folder of results, then those of the package."""
-    studies = sorted({path.parents[2] for path in runs_dir.glob("*/*/seed*/result.json")})
-    runs = [run for study in studies for run in finished_runs(study)]
-    found = {f"{run.folder.parents[1].name}: {run.name}": run.folder for run in runs if (run.folder / LAST).exists()}
-    return found | {f"comes with ablate: {name}": _SHIPPED / name for name in pretrained.NAMES}
+def pickable(folder: Path) -> dict[str, Path]:
+    """What `open_generator` opens, by name: the runs of a folder, then those of the package.
+
+    A run is named by its study, variant and seed; the folder may be a run, a study or a folder of studies.
+    """
+    depths = ("*/*/seed*", "*/seed*", ".")
+    found = sorted({path.parent.resolve() for depth in depths for path in folder.glob(f"{depth}/result.json")})
+    studies = dict.fromkeys(path.parents[1] for path in found)
+    runs = [run for study in studies for run in finished_runs(study) if run.folder.resolve() in found]
+    named = {f"{run.folder.parents[1].name}: {run.name}": run.folder for run in runs if (run.folder / LAST).exists()}
+    return named | {f"comes with ablate: {name}": _SHIPPED / name for name in pretrained.NAMES}
 
 
 def is_shipped(picked: Path) -> bool:

@@ -60,7 +60,10 @@ class Sweep:
 
     def add(self, state: State, views: Views) -> None:
         """Record a frame; at rest its full quality replaces the coarse one."""
-        picture = grey_picture(views.target, views.mask, state.probe)
+        image = views.target if views.target is not None else views.generated[0]
+        if image is None:
+            return
+        picture = grey_picture(image, views.mask, state.probe)
         if self.poses and np.array_equal(self.poses[-1], state.pose):
             self.pictures[-1] = picture
         elif len(self.poses) < _MOST_POSES:
@@ -94,17 +97,28 @@ class Sweep:
 def save_frame(folder: Path, state: State, views: Views) -> Path:
     """Write the frame as `simulated.png`, `segmentation.png`, `attenuation.png` (65535 is 1) and `generated_<k>.png`.
 
-    `frame.json` beside them has pose, probe, settings, display, seed and runs. The folder is made, and returned.
+    `frame.json` beside them has pose, probe, settings, display, seed and runs, and `pose.npy` the pose alone. The
+    folder is made, and returned.
     """
     folder.mkdir(parents=True, exist_ok=True)
     maps = {"simulated": views.target, "segmentation": views.segmentation}
     maps["attenuation"] = np.rint(65535 * views.attenuation).astype(np.uint16)
-    maps |= {f"generated_{k}": image for k, image in enumerate(views.generated) if image is not None}
-    for name, image in maps.items():
+    maps |= {f"generated_{k}": image for k, image in enumerate(views.generated)}
+    for name, image in ((name, image) for name, image in maps.items() if image is not None):
         with written_whole(folder / f"{name}.png") as partial:
             Image.fromarray(image).save(partial, "PNG")
+    with written_whole(folder / "pose.npy") as partial, partial.open("wb") as file:
+        np.save(file, state.pose)
     with written_whole(folder / "frame.json") as partial:
         partial.write_text(json.dumps(described(state) | {"quality": views.quality.value}, indent=2), "utf-8")
+    return folder
+
+
+def next_folder(parent: Path, name: str) -> Path:
+    """The first of `name_1`, `name_2`, ... that there is not yet."""
+    number = 1
+    while (folder := parent / f"{name}_{number}").exists():
+        number += 1
     return folder
 
 
@@ -112,17 +126,13 @@ def described(state: State) -> dict[str, object]:
     """Everything that decides a frame but the scene, JSON-ready."""
     return {
         "pose": state.pose.tolist(),
+        "hold": json_ready(state.hold),
         "probe": json_ready(state.probe),
         "simulator": json_ready(state.simulator),
         "display": json_ready(state.display),
         "seed": state.seed,
         "runs": [str(folder) for folder in state.runs],
     }
-
-
-def pose_override(pose: np.ndarray) -> str:
-    """The pose as a key of the command line, in quotes for a shell."""
-    return f"'viewer.pose=[{','.join(repr(float(value)) for value in pose.ravel())}]'"
 
 
 def _bytes(views: Views) -> int:

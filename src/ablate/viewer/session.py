@@ -39,7 +39,7 @@ class Session:
         self._lock = threading.RLock()
         self._shape = state.simulator.image_shape
         self._own_probe = state.probe
-        self.state = self._start = state
+        self.state = self.start = state
         self.frozen = False
         self.words = ""
         self.hold = Hold(0.0, 0.0)
@@ -72,7 +72,7 @@ class Session:
                 self._tell()
                 return
             self.hold, self.words = hold, held.words
-            self._become(replace(self.state, pose=held.pose))
+            self._become(replace(self.state, pose=held.pose, hold=hold))
 
     def to_preset(self, name: str) -> None:
         """Hold the probe as a preset does, exactly."""
@@ -82,7 +82,7 @@ class Session:
         """Hold the probe at a pose, (4, 4), mm; the hold is the one that comes nearest."""
         with self._lock:
             self.hold, self.words = self.hand.hold_of(pose), self.hand.judge(pose)
-            self._become(replace(self.state, pose=pose))
+            self._become(replace(self.state, pose=pose, hold=self.hold))
 
     def scan(self, **changes: float) -> None:
         """Change the probe: keys are those of `ConvexProbe`. Pixels stay square, and there are as many rows."""
@@ -115,7 +115,7 @@ class Session:
     def reset(self) -> None:
         """Back to the scanner's settings, the seed and the place of the beginning; runs stay picked."""
         with self._lock:
-            self.state = replace(self._start, runs=self.state.runs)
+            self.state = replace(self.start, runs=self.state.runs)
             self.to_preset(next(iter(self.presets)))
 
     def _shape_for(self, probe: ConvexProbe) -> tuple[int, int]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ablate.ultrasound import ConvexProbe, Display, SimulatorSettings
+from ablate.viewer.hand import Hold
 
 
 class Quality(StrEnum):
@@ -14,6 +15,13 @@ class Quality(StrEnum):
 
     coarse = "coarse"
     full = "full"
+
+
+class Moving(StrEnum):
+    """What is rendered while the probe moves: a coarse simulation and the generators, or the generators `alone`."""
+
+    both = "both"
+    alone = "alone"
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +38,9 @@ class State:
         Of the scatterers, and of a generator's noise.
     runs : tuple of Path
         Folders of finished runs, whose generators render the same frame.
+    moving : Moving
+    hold : Hold or None
+        How the probe is held at this pose, where that is known.
     """
 
     pose: np.ndarray
@@ -38,6 +49,8 @@ class State:
     display: Display | None = Display()
     seed: int = 0
     runs: tuple[Path, ...] = ()
+    moving: Moving = Moving.both
+    hold: Hold | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +59,8 @@ class Views:
 
     Attributes
     ----------
-    target : (H, W) uint8
-        The simulated B-mode image.
+    target : (H, W) uint8 or None
+        The simulated B-mode image; None while the probe moves, where the generators render alone.
     segmentation : (H, W) uint8
     attenuation : (H, W) float32
     mask : (H, W) bool
@@ -60,7 +73,7 @@ class Views:
         Sentences about what could not be shown or is shown with a reservation, by the same names.
     """
 
-    target: np.ndarray
+    target: np.ndarray | None
     segmentation: np.ndarray
     attenuation: np.ndarray
     mask: np.ndarray

@@ -48,10 +48,10 @@ def comparable_runs(settings: StudySettings) -> tuple[list[Finished], str]:
     checkpoint cannot be executed.
     """
     about = about_data(settings)
-    studies = sorted({path.parents[2] for path in settings.runs.glob("*/*/seed*/result.json")})
+    studies = sorted({path.parents[2] for path in settings.results.glob("*/*/seed*/result.json")})
     runs = [run for study in studies for run in finished_runs(study)]
     if not runs:
-        return [], f"no trained run in {settings.runs}: the simulator alone"
+        return [], f"no trained run in {settings.results}: the simulator alone"
     same = [run for run in runs if run.spec["semantic"]["data"] == about]
     fit = [run for run in same if (run.folder / LAST).exists()]
     said = f"{len(fit)} trained runs"

@@ -32,7 +32,7 @@ def precision(jobs: Sequence[Job]) -> int:
         raise ConfigurationError(str(error)) from error
     about = _about(settings, bench, found, executions(settings)[1] if runs else ())
     print("\n".join(about), flush=True)
-    folder = settings.runs / "precision"
+    folder = settings.results / "precision"
     points = CsvTable(folder / "precision.csv", "series setting ms metric error")
     details = CsvTable(folder / "details.csv", "table series setting quantity value")
     code = {k: v for k, v in git_state().items() if k != "git_diff"}

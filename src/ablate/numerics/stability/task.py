@@ -32,7 +32,7 @@ def all_cases() -> tuple[Case, ...]:
 def stability(jobs: Sequence[Job]) -> int:
     """Run every case; return 1 if one fails, and name it on stderr."""
     settings = jobs[0].settings
-    folder = settings.runs / "stability"
+    folder = settings.results / "stability"
     code = {k: v for k, v in git_state().items() if k != "git_diff"}
     with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
         record.tags |= {"hardware": hardware(), **code}

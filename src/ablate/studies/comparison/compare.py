@@ -73,7 +73,7 @@ def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> s
     except UNAVAILABLE as error:
         tracked = f"\nNote: not all is in MLflow yet ({reason(error)}); the same command logs the rest."
     warnings = "\n".join(f"Note: {c}" for c in (*usable.notes, *analysis.cautions(per_image, reference)))
-    uri = settings.tracking.uri or default_uri(settings.runs)
+    uri = settings.tracking.uri or default_uri(settings.results)
     pages = uri if uri.startswith("http") else f"make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
     where = (
         f"all metrics    {folder / 'table.csv'}\n"

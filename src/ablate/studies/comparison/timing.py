@@ -87,7 +87,7 @@ def _in_turns(
     A round makes the maps of one frame once, for all networks, and then renders it with each of them; the next round
     takes them in the opposite order. The frames are those of the first anatomy whose pairs are here.
     """
-    folders = {network: settings[network].runs / "data" / str(run.result["data"]) for network, run in runs.items()}
+    folders = {network: settings[network].results / "data" / str(run.result["data"]) for network, run in runs.items()}
     first = next((network for network, folder in folders.items() if folder.is_dir()), next(iter(folders)))
     data = open_data(folders[first])
     generators = {network: _generator(run, settings[network]).to(device) for network, run in runs.items()}

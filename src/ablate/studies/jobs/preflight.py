@@ -18,7 +18,7 @@ from ablate.studies.jobs.variants import variant_model, variant_names
 from ablate.studies.pairs.imported import checked_folder
 from ablate.training import TrainingPrecision
 
-_NEED_SCENE = (Task.preview, Task.render, Task.precision)
+_NEED_SCENE = (Task.preview, Task.render, Task.view, Task.precision)
 
 
 def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
@@ -33,13 +33,13 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
         seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
         _check_training(job, seen, {other.label for other in jobs})
         _check_metrics(job.settings)
-    if odd := set(str(jobs[0].settings.runs)) & {"?", "%"}:  # they mean something else in the address of a database
-        raise ConfigurationError(f"runs_dir={jobs[0].settings.runs}: allowed is a path without {' and '.join(odd)}")
+    if odd := set(str(jobs[0].settings.results)) & {"?", "%"}:  # they mean something else in the address of a database
+        raise ConfigurationError(f"runs_dir={jobs[0].settings.results}: allowed is a path without {' and '.join(odd)}")
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
     if starts or jobs[0].settings.task in (*_NEED_SCENE, Task.export, Task.stability):
-        _check_writable(jobs[0].settings.runs)
+        _check_writable(jobs[0].settings.results)
     if starts or jobs[0].settings.task is Task.compare:
-        for folder in {f for job in jobs for f in (job.settings.runs, job.settings.study_dir) if f.exists()}:
+        for folder in {f for job in jobs for f in (job.settings.results, job.settings.study_dir) if f.exists()}:
             _check_writable(folder)
     if starts or jobs[0].settings.task is Task.plan:
         for job in jobs:
@@ -74,7 +74,7 @@ def _check_pairs(job: Job) -> int:
 def _check_scene(s: StudySettings) -> int:
     """Check that the grid has as many poses as frames are asked for; returns the number of training frames."""
     sites: SiteGrid | None = fetal_sites()
-    of_render = s.pose or s.plane  # then the grid and its frames do not matter
+    of_render = s.pose or s.plane  # then the folder may do without sites
     if s.scene.kind is SceneKind.folder:
         if not s.scene.folder:
             raise ConfigurationError("scene=folder needs scene.folder=path/to/folder")
@@ -82,7 +82,7 @@ def _check_scene(s: StudySettings) -> int:
             sites = validate_scene_folder(Path(s.scene.folder)).sites
         if sites is None and not (s.dataset.poses or of_render):
             raise ConfigurationError(f"{s.scene.folder}/scene.yaml has no `sites`: where to put the probe")
-    if of_render:
+    if of_render or s.task is Task.view:  # the grid and its frames do not matter
         return _training_frames(s, s.dataset.frames)
     if s.dataset.poses:
         from ablate.studies.pairs.simulated import own_poses  # here, because it needs Embree and numba

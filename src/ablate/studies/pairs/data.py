@@ -40,7 +40,7 @@ def dataset_hash(settings: StudySettings) -> str:
 
 
 def dataset_folder(settings: StudySettings) -> Path:
-    return settings.runs / "data" / f"{settings.scene_name}-{dataset_hash(settings)}"
+    return settings.results / "data" / f"{settings.scene_name}-{dataset_hash(settings)}"
 
 
 def about_data(settings: StudySettings) -> dict[str, Any]:

@@ -65,11 +65,11 @@ def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
     if scene.kind is SceneKind.pairs:
         raise ValueError("scene=pairs: pairs made elsewhere have no scene; allowed are scene=fetal and scene=folder")
     if scene.kind is SceneKind.fetal:
-        kept = settings.runs / "data" / "anatomy"
+        kept = settings.results / "data" / "anatomy"
         made = anatomy.fetal_abdomen(triangles=scene.triangles, seed=scene.anatomy_seed, cache_dir=kept)
         return made, anatomy.fetal_sites()
     folder = Path(scene.folder or "")
-    loaded = anatomy.load_scene(folder, settings.runs / "data" / "anatomy")
+    loaded = anatomy.load_scene(folder, settings.results / "data" / "anatomy")
     if settings.dataset.poses or settings.pose:  # then the folder may do without sites
         return loaded, anatomy.validate_scene_folder(folder).sites or SiteGrid()
     return loaded, anatomy.load_sites(folder)

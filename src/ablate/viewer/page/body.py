@@ -1,0 +1,179 @@
+"""The body in 3-D with the probe on it, its fan, and the ways to take the probe by hand."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from ablate.analysis.figures import probe_model
+from ablate.analysis.figures.tissue_colours import Colour
+from ablate.anatomy import Scene, TissueKind, bounds_mm
+from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound.probe import face_sag_mm, fan_outline, fan_size_mm
+from ablate.viewer.page.coarser import fewer_triangles
+from ablate.viewer.pictures import on_fan
+from ablate.viewer.state import Quality, State, Views
+
+_UNIT_MM = 100.0  # of the page's 3-D space, whose near and far planes suit metres
+_TRIANGLES = 60_000  # of all structures together: a browser without a graphics card draws them too
+_FEWEST = 200  # of one structure
+_LARGE = 0.03  # of the scene's bounds: what fills more of them surrounds the rest
+_ENVELOPE = 0.12  # opacity of what surrounds the rest; organs and bones are opaque
+_HOUSING, _FACE, _MARK, _OUTLINE = (69, 77, 92), (204, 212, 222), (44, 160, 44), (255, 176, 0)
+#: Turns viser's plane of an image, whose rows run along y, to that of the fan, where they run along z.
+_UPRIGHT = Rotation.from_euler("X", 90, degrees=True)
+_FAN_ROWS = {Quality.coarse: 128, Quality.full: 256}
+
+
+class Body:
+    """The 3-D part of the page."""
+
+    def __init__(self, server: Any, scene: Scene, colours: Sequence[Colour], axis: np.ndarray, front: np.ndarray):
+        self._server, self._axis, self._front = server, axis, front
+        self._bounds = bounds_mm(s.mesh for s in scene.structures)
+        self._probe: ConvexProbe | None = None
+        self._turning = False
+        server.scene.configure_environment_map(None)  # costs seconds without a graphics card
+        server.scene.configure_default_lights(cast_shadow=False)
+        server.scene.add_light_ambient("/light", intensity=1.5)
+        _add_structures(server, scene, colours)
+        self._frame = server.scene.add_frame("/probe", show_axes=False)
+        self.rings = server.scene.add_transform_controls(
+            "/rings", scale=0.55, disable_axes=True, disable_sliders=True, depth_test=False
+        )
+        self._look_from_front()
+
+    def hold(self, state: State) -> None:
+        """Put the probe where it is held, before there is an image of it."""
+        if state.probe != self._probe:
+            self._add_probe(state.probe)
+        position = state.pose[:3, 3] / _UNIT_MM
+        turn = _wxyz(Rotation.from_matrix(state.pose[:3, :3]))
+        self._frame.position, self._frame.wxyz = position, turn
+        if not self._turning:
+            self.rings.position, self.rings.wxyz = position, turn
+
+    def show(self, state: State, views: Views) -> None:
+        """Lay the simulated image, or the generated one, on the fan."""
+        image = views.target if views.target is not None else next((i for i in views.generated if i is not None), None)
+        if image is not None and state.probe == self._probe:
+            self.fan.image = on_fan(image, views.mask, _FAN_ROWS[views.quality])
+
+    def on_turn(self, turned: Callable[[np.ndarray], object]) -> None:
+        """Call with a rotation (3, 3), probe to world, when the rings are turned."""
+
+        async def update(event: Any) -> None:  # async: phases stay in order
+            self._turning = event.phase != "end"
+            turned(Rotation.from_quat(self.rings.wxyz, scalar_first=True).as_matrix())
+
+        self.rings.on_update(update)
+
+    def on_grab(self, grabbed: Callable[[str, np.ndarray], object]) -> None:
+        """Call with the phase of a drag of the probe and the point where the pointer is, mm."""
+        self._grabbed = grabbed
+
+    def on_fan_click(self, clicked: Callable[[np.ndarray, np.ndarray], object]) -> None:
+        """Call with origin and direction, mm, of the line of sight of a click on the fan."""
+        self._clicked = clicked
+
+    def face(self, client: Any, pose: np.ndarray) -> None:
+        """Turn a browser's camera so that the fan is seen as the image is."""
+        depth = self._probe.depth_mm if self._probe is not None else 150.0
+        middle = pose[:3, 3] + 0.5 * depth * pose[:3, 2]
+        with client.atomic():
+            client.camera.up_direction = -pose[:3, 2]
+            client.camera.look_at = middle / _UNIT_MM
+            client.camera.position = (middle + 1.6 * depth * pose[:3, 1]) / _UNIT_MM
+
+    def face_body(self, client: Any) -> None:
+        """Turn a browser's camera back to the body's front."""
+        position, look_at = self._front_view()
+        with client.atomic():
+            client.camera.up_direction = self._axis
+            client.camera.look_at, client.camera.position = look_at, position
+
+    def _look_from_front(self) -> None:
+        self._server.scene.set_up_direction(tuple(self._axis))
+        camera = self._server.initial_camera
+        camera.position, camera.look_at = self._front_view()
+        camera.up = tuple(self._axis)
+        camera.fov = np.deg2rad(40.0)
+
+    def _front_view(self) -> tuple[np.ndarray, np.ndarray]:
+        middle, size = self._bounds.mean(axis=0), float(np.linalg.norm(np.ptp(self._bounds, axis=0)))
+        side = np.cross(self._axis, self._front)
+        away = self._front + 0.55 * side + 0.35 * self._axis
+        return (middle + 1.35 * size * away / np.linalg.norm(away)) / _UNIT_MM, middle / _UNIT_MM
+
+    def _add_probe(self, probe: ConvexProbe) -> None:
+        self._probe = probe
+        scene, own = self._server.scene, np.eye(4)
+        body = _add(scene, "/probe/housing", probe_model.probe_body(probe, own), _HOUSING)
+        _add(scene, "/probe/face", probe_model.probe_face(probe, own), _FACE)
+        _add(scene, "/probe/mark", probe_model.first_column_mark(probe, own), _MARK)
+        outline = fan_outline(probe) / _UNIT_MM
+        points = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
+        scene.add_line_segments("/probe/outline", points, _OUTLINE, thickness=2.0, thickness_units="screen")
+        height, width = fan_size_mm(probe)
+        self.fan = scene.add_image(
+            "/probe/fan",
+            np.zeros((2, 2, 4), np.uint8),
+            width / _UNIT_MM,
+            height / _UNIT_MM,
+            format="png",
+            wxyz=_wxyz(_UPRIGHT),
+            position=(0.0, 0.0, (height / 2 - face_sag_mm(probe)) / _UNIT_MM),
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+        async def grab(event: Any) -> None:  # async: phases stay in order
+            self._grabbed(event.phase, np.array(event.end_position) * _UNIT_MM)
+
+        async def click(event: Any) -> None:
+            self._clicked(np.array(event.ray_origin) * _UNIT_MM, np.array(event.ray_direction))
+
+        body.on_drag(grab)
+        self.fan.on_click(click)
+
+
+def _add_structures(server: Any, scene: Scene, colours: Sequence[Colour]) -> None:
+    """All structures as meshes, one for each tissue and opacity, the largest first.
+
+    Their far walls alone are drawn, as of something cut open: so the fan is seen, and what lies in them.
+    """
+    whole = np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).prod()
+    share = min(1.0, _TRIANGLES / max(1, sum(len(s.mesh.faces) for s in scene.structures)))
+    parts: dict[tuple[int, float], list[trimesh.Trimesh]] = {}
+    pairs = zip(scene.structures, scene.structure_tissues, strict=True)
+    for structure, tissue in sorted(pairs, key=lambda pair: -pair[0].mesh.extents.prod()):
+        large = structure.mesh.extents.prod() > _LARGE * whole and structure.tissue.kind is not TissueKind.bone
+        opacity = _ENVELOPE if large else 1.0
+        mesh = fewer_triangles(structure.mesh, max(_FEWEST, int(share * len(structure.mesh.faces))))
+        parts.setdefault((tissue, opacity), []).append(mesh)
+    for (tissue, opacity), meshes in parts.items():
+        colour = tuple(round(255 * c) for c in colours[tissue])
+        mesh = trimesh.util.concatenate(meshes)
+        name = f"/body/{tissue}_{round(100 * opacity)}"
+        _add(server.scene, name, mesh, colour, opacity if opacity < 1 else None, side="back")
+
+
+def _add(
+    scene: Any, name: str, mesh: trimesh.Trimesh, colour: Any, opacity: float | None = None, side: str = "double"
+) -> Any:
+    return scene.add_mesh_simple(
+        name,
+        np.asarray(mesh.vertices, np.float32) / _UNIT_MM,
+        mesh.faces,
+        color=colour,
+        opacity=opacity,
+        side=side,
+        cast_shadow=False,
+        receive_shadow=False,
+    )
+
+
+def _wxyz(rotation: Rotation) -> np.ndarray:
+    return np.asarray(rotation.as_quat(scalar_first=True))

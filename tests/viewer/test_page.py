@@ -1,0 +1,246 @@
+"""The page without a browser: what is sent to it, what it answers, and what it says when it cannot."""
+
+import json
+import shlex
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from PIL import Image
+
+pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultrasound[view]'")
+
+from ablate.config import ConfigurationError, Task
+from ablate.studies.jobs.compose import jobs_of
+from ablate.ultrasound import Simulator
+from ablate.viewer.page.server import HOST, open_server
+from ablate.viewer.task import Viewer
+from ablate.viewer.worker import REST_S
+from support.viewer_client import Client, ConnectionClosed
+
+# Threads of viser's server end a moment after it has been told to stop.
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+
+
+@pytest.fixture(scope="module")
+def arguments(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """A body with a bone, as a scene folder."""
+    folder = tmp_path_factory.mktemp("scenes") / "ball"
+    folder.mkdir()
+    trimesh.creation.icosphere(3, radius=60).export(folder / "body.obj")
+    trimesh.creation.icosphere(2, radius=15).export(folder / "bone.obj")
+    structures = [{"mesh": "body.obj", "tissue": "liver"}, {"mesh": "bone.obj", "tissue": "bone"}]
+    sites = {"heights": [-15, 0, 15], "angles": [-40, 0, 40], "axis": [0, 0, 1], "front": [0, -1, 0]}
+    (folder / "scene.yaml").write_text(yaml.safe_dump({"structures": structures, "sites": sites}))
+    runs = tmp_path_factory.mktemp("runs")
+    return ["task=view", "preset=tiny", "scene=folder", f"scene.folder={folder}", f"runs_dir={runs}"]
+
+
+@pytest.fixture(scope="module")
+def viewer(arguments: list[str]) -> Iterator[Viewer]:
+    with socket.socket() as trial:
+        trial.bind((HOST, 0))
+        port = trial.getsockname()[1]
+    (job,) = jobs_of([*arguments, f"viewer.port={port}"])
+    made = Viewer(job.settings)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def client(viewer: Viewer) -> Iterator[Client]:
+    with Client(viewer.page.settings.viewer.port) as made:
+        made.until(lambda: "Judge the probe" in made.labels and made.captions())
+        viewer.session.reset()
+        settle(made, viewer)
+        yield made
+        viewer.session.freeze(False)
+
+
+def settle(client: Client, viewer: Viewer) -> None:
+    """Wait until the probe has rested and its image has come."""
+    time.sleep(2 * REST_S)
+    client.until(lambda: viewer.worker.idle)
+    time.sleep(0.1)
+
+
+def test_a_slider_moves_the_probe_and_a_picture_of_it_comes(client: Client, viewer: Viewer) -> None:
+    before = len(client.images())
+    client.set("Around (°)", 20.0)
+    client.until(lambda: viewer.session.hold.angle_deg == 20.0)
+    client.until(lambda: "around 20.0°" in str(client.captions()[-1].values) and len(client.images()) > before)
+    position = np.array(client.nodes["/probe"]["position"])
+    np.testing.assert_allclose(100 * position, viewer.session.state.pose[:3, 3], atol=0.01)
+
+
+def test_at_rest_the_page_has_the_simulators_frame(client: Client, viewer: Viewer) -> None:
+    client.press("Probe: towards the head")
+    client.until(lambda: viewer.session.hold.height_mm != 0.0)
+    settle(client, viewer)
+    assert viewer.page.shown is not None
+    state, views = viewer.page.shown.state, viewer.page.shown.views
+    frame = Simulator(viewer.page.scene, state.probe, state.simulator).render(state.pose, state.seed)
+    np.testing.assert_array_equal(views.target, frame.image)
+
+
+def test_a_preset_is_gone_to_and_forgotten_at_the_next_step(client: Client, viewer: Viewer) -> None:
+    name = list(viewer.session.presets)[2]
+    client.set("Plane", name)
+    client.until(lambda: np.array_equal(viewer.session.state.pose, viewer.session.presets[name]))
+    client.press("Probe: turn clockwise")
+    client.until(lambda: "plane" in client.values[client.labels["Plane"]]["value"])
+
+
+def test_freeze_holds_the_picture(client: Client, viewer: Viewer) -> None:
+    client.press("Freeze, or let the picture move")
+    client.until(lambda: viewer.session.frozen)
+    settle(client, viewer)
+    before = len(client.images())
+    client.set("Around (°)", -10.0)
+    client.until(lambda: viewer.session.hold.angle_deg == -10.0)
+    settle(client, viewer)
+    assert len(client.images()) == before
+    assert "frozen" in client.texts()
+
+
+def test_off_the_body_is_said(client: Client, viewer: Viewer) -> None:
+    pose = viewer.session.state.pose
+    viewer.session.move(height_mm=1000.0)
+    client.until(lambda: "off the body" in client.texts())
+    np.testing.assert_array_equal(viewer.session.state.pose, pose)
+
+
+@pytest.mark.parametrize("value", [1e9, float("nan"), float("-inf")])
+def test_what_no_slider_can_send_changes_nothing_and_is_said(client: Client, viewer: Viewer, value: float) -> None:
+    before = viewer.session.state
+    client.set("Depth (mm)" if value > 0 else "Gain (dB)", value)
+    client.until(lambda: "allowed are" in client.texts() or "cannot convert" in client.texts(), within_s=10.0)
+    assert viewer.session.state is before
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff" * 40, b"\x81\xa4type\xa4What"])
+def test_nonsense_closes_its_connection_and_the_viewer_lives_on(viewer: Viewer, content: bytes) -> None:
+    with Client(viewer.page.settings.viewer.port) as odd:
+        odd.until(lambda: odd.labels)
+        odd.send_raw(content)
+        odd.send({"type": "GuiUpdateMessage", "uuid": "no such part", "updates": {"value": 3}})
+    with Client(viewer.page.settings.viewer.port) as next_one:
+        next_one.until(lambda: next_one.captions())
+
+
+def test_a_page_of_another_site_is_refused(viewer: Viewer) -> None:
+    port = viewer.page.settings.viewer.port
+    with Client(port, origin=f"http://127.0.0.1:{port}") as own:
+        own.until(lambda: own.labels)
+    other = Client(port, origin="http://example.org")
+    with pytest.raises(ConnectionClosed, match="another site"), other:
+        other.until(lambda: other.closed) or other.send({})
+    assert not other.labels
+
+
+def test_nobody_can_ask_for_a_tunnel(client: Client, viewer: Viewer) -> None:
+    asked: list[int] = []
+    viewer.server.request_share_url = lambda: asked.append(1)
+    client.send({"type": "ShareUrlRequest"})
+    client.press("Probe: turn clockwise")
+    client.until(lambda: viewer.session.hold.roll_deg == pytest.approx(5.0, abs=0.1))
+    assert not asked
+
+
+def test_it_listens_on_this_machine_alone(viewer: Viewer) -> None:
+    assert viewer.server.get_host() == "127.0.0.1"
+
+
+def test_a_port_in_use_is_one_sentence(viewer: Viewer) -> None:
+    port = viewer.page.settings.viewer.port
+    with pytest.raises(
+        ConfigurationError, match=rf"^viewer.port={port}: in use; give another one, such as {port + 1}$"
+    ):
+        open_server(port)
+
+
+def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ablate.viewer.page.server.find_spec", lambda _: None)
+    with pytest.raises(ConfigurationError, match=r"pip install 'ablate-ultrasound\[view\]'"):
+        open_server(8090)
+
+
+def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer: Viewer) -> None:
+    client.set("Depth (mm)", 100)
+    client.until(lambda: viewer.session.state.probe.depth_mm == 100)
+    settle(client, viewer)
+    client.press("Save the frame")
+    client.until(lambda: "frame.json" in client.texts() and list(viewer.page.folder.glob("ball_*/frame.json")))
+    (folder,) = viewer.page.folder.glob("ball_*")
+    told = json.loads((folder / "frame.json").read_text())
+    np.testing.assert_array_equal(told["pose"], viewer.session.state.pose)
+    client.press("Pose as a command line")
+    command = client.labels["Command"]
+    client.until(lambda: "task=render" in str(client.values[command].get("value")))
+    words = shlex.split(client.values[command]["value"])
+    assert words[:3] == ["python", "-m", "ablate"]
+    (job,) = jobs_of(words[3:])
+    assert job.settings.task is Task.render
+    assert job.settings.probe == viewer.session.state.probe
+    assert job.settings.simulator == viewer.session.state.simulator
+    np.testing.assert_array_equal(np.load(str(job.settings.pose)), viewer.session.state.pose)
+    assert viewer.page.shown is not None
+    np.testing.assert_array_equal(np.array(Image.open(folder / "simulated.png")), viewer.page.shown.views.target)
+
+
+def test_a_sweep_is_recorded(client: Client, viewer: Viewer) -> None:
+    client.set("Record a sweep", True)
+    client.until(lambda: viewer.page.sweep is not None)
+    for angle in (5.0, 10.0, 15.0):
+        client.set("Around (°)", angle)
+        client.until(lambda angle=angle: viewer.session.hold.angle_deg == angle)
+        settle(client, viewer)
+    client.set("Record a sweep", False)
+    client.until(lambda: list(viewer.page.folder.glob("sweep_*/sweep.gif")))
+    (folder,) = viewer.page.folder.glob("sweep_*")
+    assert len(np.load(folder / "poses.npy")) >= 3
+    client.until(lambda: "dataset.poses" in str(client.values[client.labels["Command"]].get("value")))
+
+
+def test_a_run_that_is_gone_is_said_in_the_picture(client: Client, viewer: Viewer, tmp_path: Path) -> None:
+    viewer.session.show(runs=(tmp_path / "gone",))
+    settle(client, viewer)
+    assert viewer.page.shown is not None
+    assert "this run is gone" in viewer.page.shown.views.notes["generated 0"]
+    client.press("Probe: turn clockwise")
+    client.until(lambda: viewer.session.hold.roll_deg == pytest.approx(5.0, abs=0.1))
+
+
+def test_with_the_last_page_closed_nothing_is_computed(viewer: Viewer) -> None:
+    with Client(viewer.page.settings.viewer.port) as only:
+        only.until(lambda: only.captions() and not viewer.worker.paused)
+    end = time.monotonic() + 20
+    while not viewer.worker.paused:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    time.sleep(0.5)
+    before = sum(viewer.worker.computed.values())
+    viewer.session.move(angle_deg=3.0)
+    time.sleep(3 * REST_S)
+    assert sum(viewer.worker.computed.values()) == before
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (["viewer.port=0"], "viewer.port=0: allowed are 1 to 65535"),
+        (["runs=no/such/folder"], "runs=no/such/folder: no such folder"),
+        (["plane=nothing"], "plane=nothing: allowed are"),
+        (["pose=none.npy"], "none.npy"),
+    ],
+)
+def test_what_cannot_be_started_is_refused_in_a_sentence(
+    arguments: list[str], free_port: int, given: list[str], says: str
+) -> None:
+    with pytest.raises((ConfigurationError, ValueError, OSError), match=says.replace(".", r"\.")):
+        Viewer(jobs_of([*arguments, f"viewer.port={free_port}", *given])[0].settings)
