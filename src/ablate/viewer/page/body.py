@@ -82,17 +82,12 @@ class Body:
         """Turn a browser's camera so that the fan is seen as the image is."""
         depth = self._probe.depth_mm if self._probe is not None else 150.0
         middle = pose[:3, 3] + 0.5 * depth * pose[:3, 2]
-        with client.atomic():
-            client.camera.up_direction = -pose[:3, 2]
-            client.camera.look_at = middle / _UNIT_MM
-            client.camera.position = (middle + 1.6 * depth * pose[:3, 1]) / _UNIT_MM
+        _look(client, middle + 1.6 * depth * pose[:3, 1], middle, -pose[:3, 2])
 
     def face_body(self, client: Any) -> None:
         """Turn a browser's camera back to the body's front."""
         position, look_at = self._front_view()
-        with client.atomic():
-            client.camera.up_direction = self._axis
-            client.camera.look_at, client.camera.position = look_at, position
+        _look(client, position * _UNIT_MM, look_at * _UNIT_MM, self._axis)
 
     def _look_from_front(self) -> None:
         self._server.scene.set_up_direction(tuple(self._axis))
@@ -137,6 +132,13 @@ class Body:
 
         body.on_drag(grab)
         self.fan.on_click(click)
+
+
+def _look(client: Any, position: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> None:
+    with client.atomic():
+        client.camera.position = position / _UNIT_MM  # takes look_at with it, which is set after it therefore
+        client.camera.look_at = look_at / _UNIT_MM
+        client.camera.up_direction = up
 
 
 def _add_structures(server: Any, scene: Scene, colours: Sequence[Colour]) -> None:
