@@ -107,6 +107,7 @@ def test_a_ray_along_a_surface_takes_few_steps(gel, tissue, probe, one_line, mon
         met.append(np.count_nonzero(hits.structure >= 0))
         return hits
 
+    monkeypatch.setattr("ablate.ultrasound.surfaces.embree.available", False)  # compiled code asks without `closest`
     monkeypatch.setattr(Geometry, "closest", counted)
     follow(Scene((Structure(mesh, replace(tissue, impedance_mrayl=3.0)),), gel, "s"), probe, one_line)
     assert sum(met) > 3 * one_line.rays

@@ -9,6 +9,8 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from ablate.anatomy import Structure
+from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.surfaces.embree_library import Triangles, asked_ray, available, closest_of, normal_in
 
 
 class Hits(NamedTuple):
@@ -34,12 +36,14 @@ class Geometry:
         self, structures: Sequence[Structure], bounds_mm: np.ndarray, origin_mm: np.ndarray, extent_mm: float
     ) -> None:
         self.structures = len(structures)
-        self._scene = EmbreeScene() if structures else None
-        self._meshes = []  # keeps the buffers that Embree reads
-        for structure in structures:
-            vertices = np.asarray(structure.mesh.vertices, np.float64) - origin_mm
-            faces = np.ascontiguousarray(structure.mesh.faces, np.int32)
-            self._meshes.append(TriangleMesh(self._scene, vertices.astype(np.float32), faces))
+        meshes = [(np.asarray(s.mesh.vertices, np.float64) - origin_mm, s.mesh.faces) for s in structures]
+        self._triangles = Triangles(meshes) if meshes and available else None
+        self._scene = EmbreeScene() if meshes and not available else None
+        self._meshes = []  # keeps the buffers that embreex reads
+        if self._scene is not None:
+            for vertices, faces in meshes:
+                corners = np.ascontiguousarray(faces, np.int32)
+                self._meshes.append(TriangleMesh(self._scene, vertices.astype(np.float32), corners))
         self._centre_mm = np.mean(bounds_mm, axis=0) - origin_mm
         self._radius_mm = float(np.linalg.norm(bounds_mm[1] - bounds_mm[0])) / 2
         self.step_mm = self._step_for(extent_mm)
@@ -59,11 +63,20 @@ class Geometry:
         Origins are relative to the geometry's origin.
         """
         n = len(origins)
+        if self._triangles is not None:
+            hits = empty_hits(n)
+            _closest_of_all(self._triangles.address, origins, directions, reach_mm, hits)
+            return hits
         if self._scene is None or n == 0:
             nothing = np.full(n, -1, np.int32)
             return Hits(reach_mm, nothing, nothing, np.zeros((n, 3), np.float32))
         found = self._scene.run(origins, directions, dists=np.maximum(reach_mm, 0), query="INTERSECT", output=True)
         return Hits(found["tfar"], found["geomID"], found["primID"], found["Ng"])
+
+    @property
+    def address(self) -> int:
+        """What compiled code hands to `closest_of`; 0 where it cannot ask Embree, or there is nothing to hit."""
+        return 0 if self._triangles is None else self._triangles.address
 
     def through(self, points: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far back and how far ahead along lines everything ends, twice (n,) float64 in mm, at least 0.
@@ -78,3 +91,22 @@ class Geometry:
         meets = chord > 0
         back, ahead = towards + chord + self.step_mm, chord - towards + self.step_mm
         return np.where(meets, np.maximum(back, 0), 0.0), np.where(meets, np.maximum(ahead, 0), 0.0)
+
+
+@compiled
+def empty_hits(n: int) -> Hits:
+    """Room for the hits of n rays."""
+    return Hits(np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 3), np.float32))
+
+
+@compiled
+def _closest_of_all(
+    address: int, origins: np.ndarray, directions: np.ndarray, reach_mm: np.ndarray, hits: Hits
+) -> None:
+    asked = asked_ray()
+    for i in range(len(origins)):
+        reach = max(reach_mm[i], np.float32(0))
+        hits.distance_mm[i], hits.structure[i], hits.triangle[i] = closest_of(
+            address, asked, origins[i], directions[i], reach
+        )
+        hits.normal[i] = normal_in(asked)

@@ -121,7 +121,10 @@ def connect(ray: Ray, point: Vector, medium: Medium, thickness_mm: float, elemen
 @compiled
 def echo(ray: Ray, scattering: Scattering, link: Connection, specularity: float) -> float:
     """Amplitude that the element receives: weight |R_p| cos^n, less the loss of both ways."""
-    lobe = max(dot(scattering.reflected, link.to_element) / link.distance_mm, 0.0) ** specularity
+    towards = dot(scattering.reflected, link.to_element) / link.distance_mm
+    if towards <= 0 and specularity > 0:  # 0 below, too, which takes a power and an exponential
+        return 0.0
+    lobe = max(towards, 0.0) ** specularity
     amplitude = ray.weight * abs(scattering.pressure) * lobe
     return amplitude * link.received * math.exp(-link.two_way_db * _NEPER_PER_DB)
 
@@ -170,6 +173,8 @@ def reflection_probability(reflection: float) -> float:
 def _surviving(weight: float, luck: float, faint_db: float, roulette_db: float, often_reflected: bool) -> float:
     """Weight after Russian roulette: it grows by the inverse of the probability to survive, without bias, or is 0."""
     level_db = 20 * math.log10(max(weight, 1e-30)) - faint_db
+    if level_db >= roulette_db and not often_reflected:  # survives for certain: spares the power below
+        return weight
     survival = min(0.5 if often_reflected else 1.0, 10 ** ((level_db - roulette_db) / 20))
     return weight / survival if luck < survival else 0.0
 

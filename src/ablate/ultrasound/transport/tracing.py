@@ -22,7 +22,8 @@ import numpy as np
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.stages import Stage, stage
-from ablate.ultrasound.surfaces.embree import Geometry, Hits
+from ablate.ultrasound.surfaces.embree import Geometry, Hits, empty_hits
+from ablate.ultrasound.surfaces.embree_library import asked_ray, closest_of, normal_in
 from ablate.ultrasound.surfaces.ownership import next_step, owner, toggle
 from ablate.ultrasound.transport.bounce import (
     connect,
@@ -70,6 +71,8 @@ def trace(
             chosen = begin * view.rays + np.flatnonzero((number >= first) & (number < last[begin:end, None]))
         rays, sets = start_rays(bundle, inside, chosen, view), inside[chosen].copy()
         n, received = len(rays), [np.empty(0, ECHO)]
+        if geometry.address:
+            return _to_the_end(geometry.address, rays, sets, view, draws, nodes)
         while n:
             rays, sets = _with_room(rays, 2 * n), _with_room(sets, 2 * n)
             origins, directions = (np.ascontiguousarray(rays[column][:n]) for column in ("origin", "direction"))
@@ -83,9 +86,68 @@ def trace(
     return np.concatenate(in_parts(part, len(bundle.starts), _GROUPS_OF_A_PART))
 
 
+def _to_the_end(address: int, rays: np.ndarray, sets: np.ndarray, view: View, draws: Draws, nodes: Nodes) -> np.ndarray:
+    """The echoes of rays, asking Embree from compiled code; it comes back for more of the table of draws."""
+    n, rows, count, echoes = len(rays), 0, 0, np.empty(4 * len(rays), ECHO)
+    while n:
+        rows += 1
+        table = draws.table(rows)
+        rays, sets, n, echoes, count = _bounces(address, rays, sets, n, view, table, rows, nodes, echoes, count)
+    return echoes[:count]
+
+
 def _with_room(rows: np.ndarray, count: int) -> np.ndarray:
     """The same rows, with at least `count` of them; those added are not initialised."""
     return rows if len(rows) >= count else np.concatenate([rows, np.empty((count, *rows.shape[1:]), rows.dtype)])
+
+
+@compiled
+def _bounces(
+    address: int,
+    rays: np.ndarray,
+    inside: np.ndarray,
+    n: int,
+    view: View,
+    table: np.ndarray,
+    rows: int,
+    nodes: Nodes,
+    echoes: np.ndarray,
+    received: int,
+) -> tuple[np.ndarray, np.ndarray, int, np.ndarray, int]:
+    """Advance rays until none is left, or until one has met as many interfaces as the table has `rows`.
+
+    Returns the arrays, which grow where they are too small, with the numbers of rays and of echoes.
+    """
+    asked, hits = asked_ray(), empty_hits(2 * n)
+    while n > 0:
+        if rows < MAX_ROWS:
+            for i in range(n):
+                if rays[i].interfaces >= rows:
+                    return rays, inside, n, echoes, received
+        rays, inside, echoes = _grown(rays, 2 * n), _grown(inside, 2 * n), _grown(echoes, received + n)
+        if len(hits.structure) < n:
+            hits = empty_hits(2 * n)
+        for i in range(n):
+            ray = rays[i]
+            reach = max(ray.reach_mm, np.float32(0))
+            hits.distance_mm[i], hits.structure[i], hits.triangle[i] = closest_of(
+                address, asked, ray.origin, ray.direction, reach
+            )
+            hits.normal[i] = normal_in(asked)
+        some = Hits(hits.distance_mm[:n], hits.structure[:n], hits.triangle[:n], hits.normal[:n])
+        n, count = _advance(rays, inside, some, view, table, nodes, echoes[received:])
+        received += count
+    return rays, inside, n, echoes, received
+
+
+@compiled
+def _grown(rows: np.ndarray, count: int) -> np.ndarray:
+    """The same rows, with at least `count` of them and then twice as many; those added are not initialised."""
+    if len(rows) >= count:
+        return rows
+    more = np.empty((2 * count, *rows.shape[1:]), rows.dtype)
+    more[: len(rows)] = rows
+    return more
 
 
 @compiled
@@ -147,7 +209,9 @@ def _advance(
                 energy = scattering.pressure * scattering.pressure
                 accumulate(nodes, group, segment_ahead(ray, medium, nodes.spacing_mm), weight * energy)
             pressure, choice, luck = scattering.pressure, drawn[CHOICE], drawn[SURVIVAL]
-            faint_db = faintness_db(link, view.gain_db_mm, view.depth_mm)
+            faint_db = 0.0  # not read where a direct ray is transmitted alone
+            if not direct or probability > 0:
+                faint_db = faintness_db(link, view.gain_db_mm, view.depth_mm)
             back_weight, weight = go_on(ray, pressure, probability, choice, luck, faint_db, view.roulette_db)
             if back_weight > 0:
                 rays[reflected], inside[reflected] = ray, inside[i]
