@@ -36,7 +36,7 @@ from ablate.studies.pairs.simulated import build_scene
 from ablate.ultrasound import Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.imaging.point_spread import blur
 from ablate.ultrasound.maps.slices import sample_lines
-from ablate.ultrasound.probe import fan_size_mm, sample_depths_mm, scanline_angles, scanlines_in_plane, to_world
+from ablate.ultrasound.probe import fan_size_mm, sample_depths_mm, scanline_positions, scanlines_in_plane, to_world
 from ablate.ultrasound.stages import Stage, observe_stages
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples
@@ -80,7 +80,7 @@ height, width = fan_size_mm(probe)
 top = probe.depth_mm - height
 extent = (-width / 2, width / 2, probe.depth_mm, top)
 to_fan = noted[Stage.scan_conversion].arguments[0]  # from (scanlines, samples) to the image of the fan
-angles, depths = scanline_angles(probe, settings.scanlines), sample_depths_mm(probe, settings.axial_samples)
+angles, depths = scanline_positions(probe, settings.scanlines), sample_depths_mm(probe, settings.axial_samples)
 
 
 def show(axes, picture, title, **how):

@@ -23,7 +23,8 @@ from ablate.dataset.split import SplitBy
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
 from ablate.training.settings import TrainingSettings
-from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.probe_kinds import ConvexProbe, Probe, probe_from, probe_values
+from ablate.ultrasound.settings import SimulatorSettings
 from ablate.validation import LONGEST_NAME, check_name, shown
 
 T = TypeVar("T")
@@ -221,7 +222,7 @@ class StudySettings:
     encoding_seed: int = 0
     reference: str = "sa2h"
     scene: SceneSettings = SceneSettings()
-    probe: ConvexProbe = ConvexProbe()
+    probe: Probe = ConvexProbe()
     simulator: SimulatorSettings = SimulatorSettings()
     dataset: DatasetSettings = DatasetSettings()
     model: GeneratorSpec = GeneratorSpec()
@@ -278,6 +279,8 @@ def build(cls: type[T], values: dict[str, Any]) -> T:
 
 
 def _convert(hint: Any, value: Any) -> Any:
+    if hint == Probe:
+        return probe_from(value) if isinstance(value, dict) else value
     if get_origin(hint) in (Union, types.UnionType):
         if value is None:
             return None
@@ -293,6 +296,8 @@ def _convert(hint: Any, value: Any) -> Any:
 
 def json_ready(value: Any) -> Any:
     """The inverse of `build`, as JSON can hold it: dataclasses as dicts, tuples as lists, enums by name."""
+    if isinstance(value, Probe):
+        return probe_values(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: json_ready(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Enum):

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ablate.anatomy import Scene, TissueKind, bounds_mm
-from ablate.ultrasound import ConvexProbe
-from ablate.ultrasound.probe import face_arc, face_points
+from ablate.ultrasound import Probe
+from ablate.ultrasound.probe import face_points, fan_lines
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.line_walk import inside_at
 from ablate.ultrasound.surfaces.ownership import owners
@@ -81,7 +81,7 @@ class Pressed:
     hard: np.ndarray
 
 
-def press(skin: Skin, probe: ConvexProbe, poses: np.ndarray, approaches: np.ndarray, press_mm: float) -> Pressed:
+def press(skin: Skin, probe: Probe, poses: np.ndarray, approaches: np.ndarray, press_mm: float) -> Pressed:
     """Move probes, (n, 4, 4), mm, along their approach until the deepest point of each face is `press_mm` in the skin.
 
     `approaches`, (n, 3), are unit vectors into the body; a probe's own z may be tilted against its approach.
@@ -98,9 +98,9 @@ def press(skin: Skin, probe: ConvexProbe, poses: np.ndarray, approaches: np.ndar
     return Pressed(pressed, on_body, np.asarray(hard.any(axis=1)))
 
 
-def meets(region: Skin, probe: ConvexProbe, poses: np.ndarray) -> np.ndarray:
+def meets(region: Skin, probe: Probe, poses: np.ndarray) -> np.ndarray:
     """Whether at least a tenth of a fan's lines meet a region within the imaging depth, (n,) bool."""
-    starts, directions = face_arc(probe, _LINES)
+    starts, directions = fan_lines(probe, _LINES)
     rays = np.einsum("nij,kj->nki", poses[:, :3, :3], directions).reshape(-1, 3)
     met = region.within(_in_world(poses, starts), rays, probe.depth_mm).reshape(len(poses), _LINES)
     return met.mean(axis=1) >= _LEAST_SHARE

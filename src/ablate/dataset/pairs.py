@@ -15,7 +15,7 @@ from ablate.dataset.attenuation_bits import ATTENUATION_SCALE, decode_attenuatio
 from ablate.dataset.shards import FrameFormat, absent_frames, read_frame
 from ablate.dataset.split import Part
 from ablate.storage import written_whole
-from ablate.ultrasound import ConvexProbe, compensated_attenuation
+from ablate.ultrasound import Probe, compensated_attenuation
 
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
 PAIRS_VERSION = 4
@@ -64,7 +64,7 @@ class Pairs:
     shape: tuple[int, int]
     shard: int
     tissues: tuple[str, ...]
-    probe: ConvexProbe | None = None
+    probe: Probe | None = None
     tgc_db_cm_mhz: float | None = None
 
     def __len__(self) -> int:

@@ -20,7 +20,7 @@ from ablate.dataset.pairs import Pairs
 from ablate.dataset.processes import allotted_cores, end_with_parent, interrupts_blocked
 from ablate.dataset.seeds import resimulation_seed
 from ablate.dataset.split import Part
-from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
+from ablate.ultrasound import Probe, Simulator, SimulatorSettings
 
 Progress = Callable[[int], object]
 _WAIT_S = 1.0
@@ -35,7 +35,7 @@ class Recipe:
     """
 
     scene: Scene
-    probe: ConvexProbe
+    probe: Probe
     settings: SimulatorSettings
     seed: int = 0
 

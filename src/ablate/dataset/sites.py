@@ -7,7 +7,7 @@ import numpy as np
 
 from ablate.anatomy import Scene, SiteGrid
 from ablate.dataset.contact import Skin, meets, press
-from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound import ConvexProbe, Probe
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Placement:
         return f"{len(self.poses)} probe poses at {sites} sites{said}"
 
 
-def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: ConvexProbe | None = None) -> Placement:
+def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | None = None) -> Placement:
     """Press the probe on the skin at every pose of a grid.
 
     The probe comes from outside along the mean inward normal of the skin around the point where a ray towards the

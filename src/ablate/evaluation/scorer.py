@@ -28,7 +28,7 @@ from ablate.metrics import (
     speckle_features,
 )
 from ablate.metrics.stored_names import SCORE_COLUMNS
-from ablate.ultrasound import ConvexProbe, fan_mask
+from ablate.ultrasound import Probe, fan_mask
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def tissue_labels(
     return np.asarray(found, np.uint8)
 
 
-def describes_fan(probe: ConvexProbe, mask: np.ndarray) -> bool:
+def describes_fan(probe: Probe, mask: np.ndarray) -> bool:
     """Whether a fan is that of a probe, up to a few pixels; only then are the depths of the pixels known."""
     expected = fan_mask(probe, (mask.shape[0], mask.shape[1]))
     return bool((expected & mask).sum() >= _SAME_FAN * (expected | mask).sum())
@@ -93,7 +93,7 @@ class Scorer:
 
     pairs: Pairs
     tissues: tuple[Tissue, ...]
-    probe: ConvexProbe
+    probe: Probe
     settings: EvaluationSettings = EvaluationSettings()
     metrics: Mapping[str, Metric] = field(default_factory=choose_metrics)
     inception: InceptionFeatures | None = None

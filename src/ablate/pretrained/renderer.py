@@ -1,7 +1,7 @@
 """A trained generator with all that it needs to render a frame: its weights, its values of labels, and its setting."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,8 @@ from ablate.networks import Generator, GeneratorSpec, conditions
 from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
 from ablate.training.settings import as_builtins
-from ablate.ultrasound import ConvexProbe, Frame, compensated_attenuation
+from ablate.ultrasound import Frame, Probe, compensated_attenuation
+from ablate.ultrasound.probe_kinds import probe_from, probe_values
 
 _FOLDER = Path(__file__).parent
 #: The generators that come with the package; the README.md beside them says how each was trained.
@@ -38,7 +39,7 @@ class Renderer:
 
     generator: Generator
     values: Mapping[str, float]
-    probe: ConvexProbe
+    probe: Probe
     tgc_db_cm_mhz: float
     image_shape: tuple[int, int]
     made: Mapping[str, str]
@@ -94,7 +95,7 @@ def load(name: str | Path) -> Renderer:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         generator = Generator(GeneratorSpec(**content["spec"]))
         generator.load_state_dict(content["weights"])
-        setting = (content["values"], ConvexProbe(**content["probe"]), content["tgc_db_cm_mhz"])
+        setting = (content["values"], probe_from(content["probe"]), content["tgc_db_cm_mhz"])
         return Renderer(generator.eval(), *setting, tuple(content["image_shape"]), content["made"])
     except Exception as error:
         raise ValueError(f"{path}: not a file of a trained generator ({' '.join(str(error).split()):.200})") from error
@@ -106,7 +107,7 @@ def save(renderer: Renderer, path: Path) -> None:
         "spec": as_builtins(renderer.generator.spec),
         "weights": renderer.generator.state_dict(),
         "values": dict(renderer.values),
-        "probe": asdict(renderer.probe),
+        "probe": probe_values(renderer.probe),
         "tgc_db_cm_mhz": renderer.tgc_db_cm_mhz,
         "image_shape": list(renderer.image_shape),
         "made": dict(renderer.made),

@@ -1,8 +1,11 @@
 from .imaging.display import Display as Display
 from .maps.attenuation import compensated_attenuation as compensated_attenuation
 from .probe import fan_mask as fan_mask
+from .probe_kinds import ConvexProbe as ConvexProbe
+from .probe_kinds import LinearProbe as LinearProbe
+from .probe_kinds import PhasedProbe as PhasedProbe
+from .probe_kinds import Probe as Probe
 from .settings import SIMULATOR_VERSION as SIMULATOR_VERSION
-from .settings import ConvexProbe as ConvexProbe
 from .settings import DepthMode as DepthMode
 from .settings import Frame as Frame
 from .settings import PlanMode as PlanMode

@@ -1,17 +1,25 @@
-"""Where a convex probe's scanlines, samples, elevational layers and pixels lie.
+"""Where a probe's scanlines, samples, elevational layers and pixels lie.
 
-Probe axes: x lateral, z depth, y = z cross x elevational; the origin is the middle of the face and the centre of
-curvature lies at z = -radius. Lengths are mm, angles rad.
+Probe axes: x lateral, z depth, y = z cross x elevational; the origin is the middle of the face. The scanlines of a
+convex probe leave its face at right angles, so the centre of curvature, at z = -radius, is where they meet. Those of a
+phased one meet in the origin: its fan is that of a radius of 0. Those of a linear one are parallel. Lengths are mm,
+angles rad.
 """
 
 import math
 
 import numpy as np
 
-from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.probe_kinds import ConvexProbe, LinearProbe, PhasedProbe, Probe
+from ablate.ultrasound.settings import SimulatorSettings
 
 #: Of the face, across the image plane (assumed).
 FACE_HALF_WIDTH_MM = 6.0
+
+
+def _radius_mm(probe: ConvexProbe | PhasedProbe) -> float:
+    """Distance from the point where all scanlines meet to where they start."""
+    return probe.radius_mm if isinstance(probe, ConvexProbe) else 0.0
 
 
 def check_pose(pose: np.ndarray) -> np.ndarray:
@@ -31,25 +39,42 @@ def check_pose(pose: np.ndarray) -> np.ndarray:
     return pose
 
 
-def fan_size_mm(probe: ConvexProbe) -> tuple[float, float]:
+def fan_size_mm(probe: Probe) -> tuple[float, float]:
     """Height and width of the fan's bounding box, mm."""
+    if isinstance(probe, LinearProbe):
+        return probe.depth_mm, probe.width_mm
     half = math.radians(probe.fov_deg) / 2
-    outer = probe.radius_mm + probe.depth_mm
-    return outer - probe.radius_mm * math.cos(half), 2 * outer * math.sin(half)
+    outer = _radius_mm(probe) + probe.depth_mm
+    return outer - _radius_mm(probe) * math.cos(half), 2 * outer * math.sin(half)
 
 
-def pixel_size_mm(probe: ConvexProbe, shape: tuple[int, int]) -> tuple[float, float]:
+def pixel_size_mm(probe: Probe, shape: tuple[int, int]) -> tuple[float, float]:
     """Height and width, mm, of a pixel of an image of the fan's bounding box; the two axes scale independently."""
     height, width = fan_size_mm(probe)
     return height / shape[0], width / shape[1]
 
 
-def face_sag_mm(probe: ConvexProbe) -> float:
-    """Distance along z from the middle of the face to its edges, mm."""
-    return probe.radius_mm * (1 - math.cos(math.radians(probe.fov_deg) / 2))
+def square_pixels(probe: Probe, rows: int) -> tuple[int, int]:
+    """The shape of an image of so many rows whose pixels are as wide as they are high, to half a pixel."""
+    height, width = fan_size_mm(probe)
+    return rows, max(1, round(rows * width / height))
 
 
-def pixel_coordinates_mm(probe: ConvexProbe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def face_sag_mm(probe: Probe) -> float:
+    """Distance along z from the middle of the face to its edges, mm; 0 for a flat face."""
+    if isinstance(probe, LinearProbe):
+        return 0.0
+    return _radius_mm(probe) * (1 - math.cos(math.radians(probe.fov_deg) / 2))
+
+
+def reach_mm(probe: Probe) -> float:
+    """The distance from where the scanlines meet to the deepest sample, mm; of parallel ones no smaller than to any."""
+    if isinstance(probe, LinearProbe):
+        return probe.width_mm + probe.depth_mm
+    return _radius_mm(probe) + probe.depth_mm
+
+
+def pixel_coordinates_mm(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Centres x, (W,), and z, (H,), float64 in mm, of the pixels of an image of the fan's bounding box.
 
     The image begins `face_sag_mm` above the middle of the face.
@@ -61,29 +86,49 @@ def pixel_coordinates_mm(probe: ConvexProbe, shape: tuple[int, int]) -> tuple[np
     return x, z
 
 
-def pixel_polar(probe: ConvexProbe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Depth below the face (H, W) float64, mm, and angle (H, W) float64, rad, of every pixel's centre."""
+def pixel_polar(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Depth along its scanline and position of that scanline, twice (H, W) float64, of every pixel's centre.
+
+    Depths are mm below the face. Positions are those of `scanline_positions`: angles, or mm for parallel scanlines.
+    """
     x, z = pixel_coordinates_mm(probe, shape)
-    from_centre = z[:, None] + probe.radius_mm
-    return np.hypot(x, from_centre) - probe.radius_mm, np.arctan2(x, from_centre)
+    if isinstance(probe, LinearProbe):
+        depth, position = np.broadcast_arrays(z[:, None], x)
+        return depth.copy(), position.copy()
+    from_centre = z[:, None] + _radius_mm(probe)
+    return np.hypot(x, from_centre) - _radius_mm(probe), np.arctan2(x, from_centre)
 
 
-def fan_mask(probe: ConvexProbe, shape: tuple[int, int]) -> np.ndarray:
+def fan_mask(probe: Probe, shape: tuple[int, int]) -> np.ndarray:
     """Pixels whose centre lies in the fan, (H, W) bool."""
-    depth, angle = pixel_polar(probe, shape)
-    half = math.radians(probe.fov_deg) / 2
-    return (depth >= 0) & (depth <= probe.depth_mm) & (np.abs(angle) <= half)
+    depth, position = pixel_polar(probe, shape)
+    return (depth >= 0) & (depth <= probe.depth_mm) & (np.abs(position) <= outer_position(probe))
 
 
-def scanline_angles(probe: ConvexProbe, scanlines: int) -> np.ndarray:
-    """Angles of the scanlines, (scanlines,) float64, rad, growing with x; the outer ones bound the fan."""
+def outer_position(probe: Probe) -> float:
+    """Position of the last scanline: half of the opening angle, rad, or half of a linear array's width, mm."""
+    return probe.width_mm / 2 if isinstance(probe, LinearProbe) else math.radians(probe.fov_deg) / 2
+
+
+def scanline_positions(probe: Probe, scanlines: int) -> np.ndarray:
+    """Positions of the scanlines, (scanlines,) float64, growing with x; the outer ones bound the fan.
+
+    They are angles, rad; for the parallel scanlines of a linear array they are x, mm.
+    """
     if scanlines == 1:
         return np.zeros(1)
-    half = math.radians(probe.fov_deg) / 2
-    return np.linspace(-half, half, scanlines)
+    last = outer_position(probe)
+    return np.linspace(-last, last, scanlines)
 
 
-def sample_depths_mm(probe: ConvexProbe, samples: int) -> np.ndarray:
+def scanline_spacing_mm(probe: Probe, scanlines: int, depth_mm: np.ndarray) -> np.ndarray:
+    """Distance of neighbouring scanlines at some depths, (depths,) float64, mm; that of one scanline is the fan's."""
+    if isinstance(probe, LinearProbe):
+        return np.full(np.shape(depth_mm), probe.width_mm / max(scanlines - 1, 1))
+    return (_radius_mm(probe) + depth_mm) * math.radians(probe.fov_deg) / max(scanlines - 1, 1)
+
+
+def sample_depths_mm(probe: Probe, samples: int) -> np.ndarray:
     """Depths of the axial samples, (samples,) float64, mm: the middles of equal parts of the depth."""
     return (np.arange(samples) + 0.5) * (probe.depth_mm / samples)
 
@@ -95,35 +140,49 @@ def layer_offsets_mm(settings: SimulatorSettings) -> np.ndarray:
     return np.linspace(-settings.layer_extent_mm, settings.layer_extent_mm, settings.layers)
 
 
-def on_face(probe: ConvexProbe, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points of the face in the image plane, (n, 3) float64, mm, and its outward unit normals there, (n, 3)."""
-    normals = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=-1)
-    return probe.radius_mm * normals - (0.0, 0.0, probe.radius_mm), normals
+def _at_positions(probe: Probe, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Starts in the image plane, (n, 3) float64, mm, and unit directions, (n, 3), of scanlines at positions."""
+    zero = np.zeros_like(positions)
+    if isinstance(probe, LinearProbe):
+        return np.stack([positions, zero, zero], axis=-1), np.stack([zero, zero, zero + 1], axis=-1)
+    directions = np.stack([np.sin(positions), zero, np.cos(positions)], axis=-1)
+    return _radius_mm(probe) * directions - (0.0, 0.0, _radius_mm(probe)), directions
 
 
-def face_arc(probe: ConvexProbe, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """`on_face` at equal angles from edge to edge, however many scanlines there are."""
-    return on_face(probe, np.linspace(-0.5, 0.5, count) * math.radians(probe.fov_deg))
+def fan_lines(probe: Probe, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Starts, (count, 3) float64, mm, and unit directions at equal steps from edge to edge of the fan.
+
+    They do not depend on how many scanlines there are.
+    """
+    return _at_positions(probe, np.linspace(-0.5, 0.5, count) * (2 * outer_position(probe)))
 
 
-def face_points(probe: ConvexProbe, along: int = 29, across: int = 3) -> np.ndarray:
+def face_arc(probe: Probe, count: int) -> np.ndarray:
+    """Points of the face in the image plane from edge to edge, (count, 3) float64, mm: an arc, or a straight line."""
+    if isinstance(probe, PhasedProbe):
+        return np.linspace(-0.5, 0.5, count)[:, None] * (probe.aperture_mm, 0.0, 0.0)
+    return fan_lines(probe, count)[0]
+
+
+def face_points(probe: Probe, along: int = 29, across: int = 3) -> np.ndarray:
     """Points all over the face, (along * across, 3) float64, mm."""
-    arc, _ = face_arc(probe, along)
+    arc = face_arc(probe, along)
     offsets = np.linspace(-FACE_HALF_WIDTH_MM, FACE_HALF_WIDTH_MM, across)
     return np.concatenate([arc + np.array([0.0, offset, 0.0]) for offset in offsets])
 
 
-def fan_outline(probe: ConvexProbe, points: int = 41) -> np.ndarray:
+def fan_outline(probe: Probe, points: int = 41) -> np.ndarray:
     """The fan's closed border in the image plane, (2 points + 1, 3) float64, mm."""
-    face, normals = face_arc(probe, points)
-    deepest = face + probe.depth_mm * normals
-    return np.concatenate([face, deepest[::-1], face[:1]])
+    starts, directions = fan_lines(probe, points)
+    deepest = starts + probe.depth_mm * directions
+    return np.concatenate([starts, deepest[::-1], starts[:1]])
 
 
-def scanlines_in_plane(probe: ConvexProbe, scanlines: int, offsets_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def scanlines_in_plane(probe: Probe, scanlines: int, offsets_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Starts and unit directions, (planes, scanlines, 3) float64, mm, of the scanlines of planes at offsets along y."""
     planes = len(offsets_mm)
-    starts, directions = (np.tile(part, (planes, 1, 1)) for part in on_face(probe, scanline_angles(probe, scanlines)))
+    line = _at_positions(probe, scanline_positions(probe, scanlines))
+    starts, directions = (np.tile(part, (planes, 1, 1)) for part in line)
     starts[..., 1] += np.asarray(offsets_mm)[:, None]
     return starts, directions
 

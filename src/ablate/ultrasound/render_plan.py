@@ -1,6 +1,5 @@
 """What the simulator renders of a scene: what a scene does not need is found once and left out."""
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -8,8 +7,9 @@ import numpy as np
 
 from ablate.anatomy import Scene, Structure
 from ablate.ultrasound.media import DISPLAY_SPEED_M_S, Media, tabulate
-from ablate.ultrasound.probe import check_pose, face_sag_mm
-from ablate.ultrasound.settings import ConvexProbe, DepthMode, PlanMode, SimulatorSettings
+from ablate.ultrasound.probe import check_pose, fan_lines
+from ablate.ultrasound.probe_kinds import Probe
+from ablate.ultrasound.settings import DepthMode, PlanMode, SimulatorSettings
 
 _MAX_TISSUES = 254  # 0 is outside the fan
 
@@ -26,7 +26,7 @@ class RenderPlan:
 
 
 def plan_scene(
-    scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, poses: Iterable[np.ndarray] | None
+    scene: Scene, probe: Probe, settings: SimulatorSettings, poses: Iterable[np.ndarray] | None
 ) -> RenderPlan:
     """Leave out what cannot change an image seen from `poses`; no structure is left out when they are not known.
 
@@ -51,14 +51,13 @@ def plan_scene(
     return RenderPlan(tuple(scene.structures[i] for i in kept), tissue_of_owner, media, anechoic, tuple(notes))
 
 
-def _within_reach(scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, poses: list[np.ndarray]) -> np.ndarray:
+def _within_reach(scene: Scene, probe: Probe, settings: SimulatorSettings, poses: list[np.ndarray]) -> np.ndarray:
     """Structures whose bounding box is nearer to some probe than any echo in the image can come from.
 
     An echo's depth is half its whole path, so a point farther than the depth from every start is never seen,
     however often a ray was reflected.
     """
-    half = math.radians(probe.fov_deg) / 2
-    face = math.hypot(probe.radius_mm * math.sin(half), face_sag_mm(probe))
+    face = float(np.linalg.norm(fan_lines(probe, 2)[0][0]))  # to where the outer scanlines start
     off_plane = settings.layer_extent_mm + settings.aperture_mm + settings.elevational_aperture_mm
     fastest = 1.0
     if settings.depth_mode is DepthMode.time_of_flight:

@@ -1,4 +1,4 @@
-"""What a frame is made with: the probe, the simulator's settings, and the frame itself."""
+"""What a frame is made with besides the probe: the simulator's settings; and the frame itself."""
 
 from __future__ import annotations
 
@@ -32,31 +32,6 @@ class SimulatorPrecision(StrEnum):
 
     float32 = "float32"
     float64 = "float64"
-
-
-@dataclass(frozen=True)
-class ConvexProbe:
-    """A curved array; with these defaults the fan's bounding box is 217.96 x 157.23 mm.
-
-    `radius_mm` is the face's radius of curvature, `fov_deg` the opening angle of the fan, `depth_mm` the imaging depth
-    from the face, and `frequency_mhz` the frequency that attenuation is computed at.
-
-    Raises
-    ------
-    ValueError
-        When a value is not finite or outside its range; the message names it.
-    """
-
-    radius_mm: float = 40.0
-    fov_deg: float = 70.0
-    depth_mm: float = 150.0
-    frequency_mhz: float = 8.0
-
-    def __post_init__(self) -> None:
-        check_number("radius_mm", self.radius_mm, 1e-6, 1e6)
-        check_number("fov_deg", self.fov_deg, 1e-3, 179.0)
-        check_number("depth_mm", self.depth_mm, 1e-6, 1e6)
-        check_number("frequency_mhz", self.frequency_mhz, 1e-6, 1e3)
 
 
 @dataclass(frozen=True)

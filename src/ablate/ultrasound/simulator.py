@@ -15,9 +15,10 @@ from ablate.ultrasound.imaging.signal_chain import Prepared, Received, SignalCha
 from ablate.ultrasound.maps.attenuation import integral_attenuation
 from ablate.ultrasound.maps.contact import contact_warning
 from ablate.ultrasound.maps.slices import plane_labels, scanline_labels, segment
-from ablate.ultrasound.probe import check_pose
+from ablate.ultrasound.probe import check_pose, reach_mm
+from ablate.ultrasound.probe_kinds import ConvexProbe, Probe
 from ablate.ultrasound.render_plan import plan_scene
-from ablate.ultrasound.settings import ConvexProbe, Frame, SimulatorSettings
+from ablate.ultrasound.settings import Frame, SimulatorSettings
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.transport.adaptive import Shown, trace_to_tolerance
 from ablate.ultrasound.transport.draws import Draws, progressive, stratified
@@ -32,7 +33,7 @@ _ROULETTE_DB = 8.0
 
 
 class Simulator:
-    """Renders a scene as a convex probe sees it.
+    """Renders a scene as a probe sees it.
 
     Rays and labels of the last pose are kept, so the same pose with another scatterer seed needs the signal chain only.
 
@@ -60,7 +61,7 @@ class Simulator:
     def __init__(
         self,
         scene: Scene,
-        probe: ConvexProbe | None = None,
+        probe: Probe | None = None,
         settings: SimulatorSettings | None = None,
         poses: Iterable[np.ndarray] | None = None,
         beside: "Simulator | None" = None,
@@ -75,7 +76,7 @@ class Simulator:
         self._plan = plan_scene(scene, probe, settings, poses)
         self.left_out = self._plan.left_out
         bounds = bounds_mm(s.mesh for s in scene.structures)
-        extent = probe.radius_mm + probe.depth_mm
+        extent = reach_mm(probe)
         # Zero for every scene about the world's origin; float32 then serves scenes that are far from it.
         grid_mm = 10 ** math.ceil(math.log10(extent + float(np.linalg.norm(bounds[1] - bounds[0]))))
         self._origin_mm = grid_mm * np.rint(bounds.mean(axis=0) / grid_mm)

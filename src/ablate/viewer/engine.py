@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, fan_mask
+from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_polar
 from ablate.viewer.generators import Trained, open_generator
 from ablate.viewer.state import Moving, Quality, State, Views
@@ -91,7 +91,7 @@ class Engine:
         ms[name] = self._took[name][1]
         return result
 
-    def _simulator(self, probe: ConvexProbe, settings: SimulatorSettings) -> Simulator:
+    def _simulator(self, probe: Probe, settings: SimulatorSettings) -> Simulator:
         """The simulator of a probe and settings; the last few are kept."""
         key = (probe, settings)
         if key not in self._simulators:

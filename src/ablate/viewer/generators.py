@@ -15,7 +15,7 @@ from ablate.networks import Generator, conditions
 from ablate.storage import read_json
 from ablate.studies.comparison.results import finished_runs
 from ablate.training import LAST, TrainingPrecision, generate, load_generator
-from ablate.ultrasound import ConvexProbe, compensated_attenuation, fan_mask
+from ablate.ultrasound import Probe, compensated_attenuation, fan_mask
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.viewer.state import State
 
@@ -49,7 +49,7 @@ class Trained:
     """
 
     generator: Generator
-    probe: ConvexProbe
+    probe: Probe
     tgc_db_cm_mhz: float
     image_shape: tuple[int, int]
     values: np.ndarray
@@ -59,7 +59,7 @@ class Trained:
     def reads_low(self) -> bool:
         return "low" in conditions(self.generator.spec)
 
-    def render(self, maps: Mapping[str, np.ndarray], probe: ConvexProbe, seed: int) -> np.ndarray:
+    def render(self, maps: Mapping[str, np.ndarray], probe: Probe, seed: int) -> np.ndarray:
         """The image, (H, W) uint8, from `segmentation`, `attenuation` and, where it reads it, `low`, (H, W) each."""
         read = {name: value[None] for name, value in maps.items()}
         if "compensated" in conditions(self.generator.spec):

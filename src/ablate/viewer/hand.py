@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from ablate.anatomy import Scene, bounds_mm
 from ablate.dataset.contact import Skin, press
-from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_points, to_world
 
 _SEARCHES = 6  # for the hold of a pose: each takes most of what is left of the distance
@@ -53,7 +53,7 @@ class Hand:
     """
 
     def __init__(
-        self, scene: Scene, axis: tuple[float, ...], front: tuple[float, ...], press_mm: float, probe: ConvexProbe
+        self, scene: Scene, axis: tuple[float, ...], front: tuple[float, ...], press_mm: float, probe: Probe
     ) -> None:
         if not scene.structures:
             raise ValueError(f"scene '{scene.name}' has no structure to put a probe on")

@@ -8,7 +8,7 @@ from matplotlib import colormaps
 from PIL import Image, ImageDraw, ImageFont
 
 from ablate.analysis.figures.tissue_colours import Colour
-from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_sag_mm, pixel_coordinates_mm, pixel_size_mm
 
 _HEIGHT_PX = 384  # a picture has at least so many rows, for its letters, and at most twice as many
@@ -19,24 +19,24 @@ _PAPER = (16, 18, 22)
 _MOST_DIFFERENCE = 128.0  # grey levels, fully red or blue
 
 
-def grey_picture(image: np.ndarray, mask: np.ndarray, probe: ConvexProbe) -> np.ndarray:
+def grey_picture(image: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
     """A B-mode image, (H, W) uint8, with its scale, (h, w, 3) uint8."""
     return _framed(np.repeat(image[..., None], 3, axis=-1), mask, probe)
 
 
-def label_picture(labels: np.ndarray, colours: Sequence[Colour], probe: ConvexProbe) -> np.ndarray:
+def label_picture(labels: np.ndarray, colours: Sequence[Colour], probe: Probe) -> np.ndarray:
     """A segmentation, (H, W) uint8, each tissue in its colour."""
     table = (255 * np.array([(0.0, 0.0, 0.0), *colours])).astype(np.uint8)
     return _framed(table[labels], labels > 0, probe)
 
 
-def share_picture(shares: np.ndarray, mask: np.ndarray, probe: ConvexProbe) -> np.ndarray:
+def share_picture(shares: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
     """A map of shares in [0, 1], (H, W), from dark violet (0) to yellow (1)."""
     table = (255 * colormaps["inferno"](np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
     return _framed(table[(255 * np.clip(shares, 0, 1)).astype(np.uint8)], mask, probe)
 
 
-def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: ConvexProbe) -> np.ndarray:
+def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
     """a - b of two images, (H, W) uint8 each: red where a is brighter, blue where b is, white where they agree."""
     share = np.clip((a.astype(np.float32) - b) / _MOST_DIFFERENCE, -1, 1)[..., None]
     red, blue = np.array([178, 24, 43]), np.array([33, 102, 172])
@@ -63,7 +63,7 @@ def empty_picture(words: str, shape: tuple[int, int]) -> np.ndarray:
     return np.asarray(canvas)
 
 
-def marked(picture: np.ndarray, points: Sequence[tuple[float, float]], probe: ConvexProbe) -> np.ndarray:
+def marked(picture: np.ndarray, points: Sequence[tuple[float, float]], probe: Probe) -> np.ndarray:
     """A picture with crosses at points of the image plane, x and z in mm, and lines between pairs of them."""
     if not points:
         return picture
@@ -79,7 +79,7 @@ def marked(picture: np.ndarray, points: Sequence[tuple[float, float]], probe: Co
     return np.asarray(canvas)
 
 
-def label_at(labels: np.ndarray, point: tuple[float, float], probe: ConvexProbe) -> int:
+def label_at(labels: np.ndarray, point: tuple[float, float], probe: Probe) -> int:
     """Label of a point of the image plane, x and z in mm, in a segmentation, (H, W); 0 outside the picture."""
     tall, wide = pixel_size_mm(probe, labels.shape)
     row = int(np.floor((point[1] + face_sag_mm(probe)) / tall))
@@ -95,7 +95,7 @@ def _size(shape: tuple[int, int]) -> tuple[int, int]:
     return max(1, round(shape[1] * rows / shape[0])), rows
 
 
-def _framed(colours: np.ndarray, mask: np.ndarray, probe: ConvexProbe) -> np.ndarray:
+def _framed(colours: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
     """Pixels in the fan on dark paper, with the scale of depth and the mark of the probe's first side."""
     size = _size(mask.shape)
     scale, ink = _scale(probe, size)
@@ -106,7 +106,7 @@ def _framed(colours: np.ndarray, mask: np.ndarray, probe: ConvexProbe) -> np.nda
 
 
 @lru_cache(maxsize=8)
-def _scale(probe: ConvexProbe, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def _scale(probe: Probe, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """A picture of the scale alone, (h, w, 3) uint8, and where it is drawn, (h, w) bool."""
     canvas = Image.new("RGB", size)
     draw, font = ImageDraw.Draw(canvas), _font(size[1])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ablate.ultrasound import ConvexProbe, SimulatorSettings
+from ablate.ultrasound import Probe, SimulatorSettings
 from ablate.ultrasound.probe import fan_size_mm
 from ablate.viewer.hand import Hand, Hold
 from ablate.viewer.state import State
@@ -85,7 +85,7 @@ class Session:
             self._become(replace(self.state, pose=pose, hold=self.hold))
 
     def scan(self, **changes: float) -> None:
-        """Change the probe: keys are those of `ConvexProbe`. Pixels stay square, and there are as many rows."""
+        """Change the probe: keys are those of its kind. Pixels stay square, and there are as many rows."""
         with self._lock:
             probe = replace(self.state.probe, **changes)
             settings = replace(self.state.simulator, image_shape=self._shape_for(probe))
@@ -118,7 +118,7 @@ class Session:
             self.state = replace(self.start, runs=self.state.runs)
             self.to_preset(next(iter(self.presets)))
 
-    def _shape_for(self, probe: ConvexProbe) -> tuple[int, int]:
+    def _shape_for(self, probe: Probe) -> tuple[int, int]:
         if probe == self._own_probe:
             return self._shape
         height, width = fan_size_mm(probe)
@@ -137,6 +137,6 @@ class Session:
             listener()
 
 
-def first_state(probe: ConvexProbe, simulator: SimulatorSettings, seed: int, runs: tuple[Path, ...]) -> State:
+def first_state(probe: Probe, simulator: SimulatorSettings, seed: int, runs: tuple[Path, ...]) -> State:
     """The state before the probe is put anywhere."""
     return State(np.eye(4), probe, simulator, seed=seed, runs=runs)

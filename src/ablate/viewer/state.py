@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ablate.ultrasound import ConvexProbe, Display, SimulatorSettings
+from ablate.ultrasound import ConvexProbe, Display, Probe, SimulatorSettings
 from ablate.viewer.hand import Hold
 
 
@@ -44,7 +44,7 @@ class State:
     """
 
     pose: np.ndarray
-    probe: ConvexProbe = ConvexProbe()
+    probe: Probe = ConvexProbe()
     simulator: SimulatorSettings = SimulatorSettings()
     display: Display | None = Display()
     seed: int = 0

@@ -14,7 +14,7 @@ from ablate.analysis.figures import probe_model
 from ablate.analysis.figures.tissue_colours import tissue_colours
 from ablate.analysis.figures.translucent import Surface, look_through
 from ablate.anatomy import Scene, TissueKind, bounds_mm
-from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_sag_mm, fan_outline, fan_size_mm, to_world
 
 Axes3D = Any  # mpl_toolkits carries no types
@@ -35,7 +35,7 @@ _MARGIN_MM = 2.0
 def draw_body(
     space: Axes3D,
     scene: Scene,
-    probe: ConvexProbe,
+    probe: Probe,
     pose: np.ndarray,
     image: np.ndarray,
     fan: np.ndarray,
@@ -129,9 +129,7 @@ def _picture(
     return picture
 
 
-def _surfaces(
-    scene: Scene, probe: ConvexProbe, pose: np.ndarray, paint: Callable[[np.ndarray], np.ndarray]
-) -> list[Surface]:
+def _surfaces(scene: Scene, probe: Probe, pose: np.ndarray, paint: Callable[[np.ndarray], np.ndarray]) -> list[Surface]:
     """The scene's structures, the image on its plane, and the probe."""
     colours = tissue_colours(scene.tissues)
     whole = np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).prod()
@@ -148,7 +146,7 @@ def _surfaces(
 
 
 def _image_on_fan(
-    probe: ConvexProbe, pose: np.ndarray, image: np.ndarray, fan: np.ndarray
+    probe: Probe, pose: np.ndarray, image: np.ndarray, fan: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
     """The image's grey at points of its plane, transparent outside the fan."""
     fewer = min(1.0, _TEXTURE_PX / image.shape[0])

@@ -16,7 +16,7 @@ from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.analysis.figures.tissue_colours import Colour, tissue_colours
 from ablate.anatomy import Scene
 from ablate.storage import written_whole
-from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_sag_mm, fan_size_mm
 
 _HEIGHT = 0.64  # of the figure, over its width
@@ -44,7 +44,7 @@ class Preview:
     front: tuple[float, float, float]
 
 
-def preview_figure(scene: Scene, probe: ConvexProbe, shown: Preview, path: Path) -> Path:
+def preview_figure(scene: Scene, probe: Probe, shown: Preview, path: Path) -> Path:
     """Draw body, probe and fan in 3-D, and beside them the frame's image and segmentation in the same colours.
 
     The image lies on the fan where it was taken; a green ball marks the side of the probe that is left in it. The scene
@@ -70,7 +70,7 @@ def preview_figure(scene: Scene, probe: ConvexProbe, shown: Preview, path: Path)
     return path
 
 
-def _draw_image(axes: Axes, probe: ConvexProbe, image: np.ndarray, title: str) -> None:
+def _draw_image(axes: Axes, probe: Probe, image: np.ndarray, title: str) -> None:
     height, width = fan_size_mm(probe)
     top = -face_sag_mm(probe)
     extent = (-width / 2, width / 2, top + height, top)

@@ -1,9 +1,9 @@
-"""A convex probe and its fan as meshes in world coordinates, to be drawn."""
+"""A probe and its fan as meshes in world coordinates, to be drawn."""
 
 import numpy as np
 import trimesh
 
-from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_arc, face_sag_mm, fan_size_mm, to_world
 
 _HALF_WIDTH_MM = 7.0
@@ -11,7 +11,7 @@ _BODY_MM = ((1.0, 14.0), (0.5, 36.0), (0.42, 85.0))  # share of the face's width
 _FACE_MM = 0.5  # in front of the body, so that it is seen
 
 
-def probe_body(probe: ConvexProbe, pose: np.ndarray) -> trimesh.Trimesh:
+def probe_body(probe: Probe, pose: np.ndarray) -> trimesh.Trimesh:
     """The housing: as wide as the face, tapering to a handle; a closed prism. `pose` is probe to world, (4, 4), mm."""
     arc = _arc(probe)
     edge, height = arc[-1]
@@ -27,8 +27,8 @@ def probe_body(probe: ConvexProbe, pose: np.ndarray) -> trimesh.Trimesh:
     return trimesh.Trimesh(to_world(pose, points), np.concatenate([cap, cap + n + 1, *walls]), process=False)
 
 
-def probe_face(probe: ConvexProbe, pose: np.ndarray) -> trimesh.Trimesh:
-    """The curved face, an open strip."""
+def probe_face(probe: Probe, pose: np.ndarray) -> trimesh.Trimesh:
+    """The face, an open strip."""
     arc = _arc(probe) + np.array([0.0, _FACE_MM])
     i = np.arange(len(arc) - 1)
     n = len(arc)
@@ -36,7 +36,7 @@ def probe_face(probe: ConvexProbe, pose: np.ndarray) -> trimesh.Trimesh:
     return trimesh.Trimesh(to_world(pose, _both_sides(arc)), faces, process=False)
 
 
-def first_column_mark(probe: ConvexProbe, pose: np.ndarray, radius_mm: float = 4.0) -> trimesh.Trimesh:
+def first_column_mark(probe: Probe, pose: np.ndarray, radius_mm: float = 4.0) -> trimesh.Trimesh:
     """A ball on the housing's side that the image's first column shows."""
     edge, height = _arc(probe)[0]
     ball = trimesh.creation.icosphere(2, radius=radius_mm)
@@ -44,7 +44,7 @@ def first_column_mark(probe: ConvexProbe, pose: np.ndarray, radius_mm: float = 4
     return ball
 
 
-def fan_plane(probe: ConvexProbe, pose: np.ndarray) -> trimesh.Trimesh:
+def fan_plane(probe: Probe, pose: np.ndarray) -> trimesh.Trimesh:
     """The rectangle that the image fills, as two triangles."""
     height, width = fan_size_mm(probe)
     top = -face_sag_mm(probe)
@@ -52,9 +52,9 @@ def fan_plane(probe: ConvexProbe, pose: np.ndarray) -> trimesh.Trimesh:
     return trimesh.Trimesh(to_world(pose, corners), [[0, 1, 2], [1, 3, 2]], process=False)
 
 
-def _arc(probe: ConvexProbe) -> np.ndarray:
+def _arc(probe: Probe) -> np.ndarray:
     """The face in the image plane from the first column's side, (41, 2): x and z, mm."""
-    return face_arc(probe, 41)[0][:, [0, 2]]
+    return face_arc(probe, 41)[:, [0, 2]]
 
 
 def _both_sides(flat: np.ndarray) -> np.ndarray:

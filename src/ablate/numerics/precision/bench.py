@@ -14,7 +14,7 @@ from ablate.numerics.precision.errors import Frames
 from ablate.studies.pairs.data import dataset_folder, open_data
 from ablate.studies.pairs.simulated import build_scene, lay_out
 from ablate.studies.pairs.timed_maps import TimedMaps, nudged
-from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, fan_mask
+from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.stages import Stage, stage_times
 
 _TURN = 2  # poses of one setting before the next setting
@@ -25,7 +25,7 @@ class Bench:
     """Some test frames of a data set: their numbers, (n,), their poses, (n, 4, 4) in mm, and the seed of scatterers."""
 
     scene: Scene
-    probe: ConvexProbe
+    probe: Probe
     simulator: SimulatorSettings
     frames: np.ndarray
     poses: np.ndarray

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ablate.metrics import METRICS, Pair, evaluate_image
-from ablate.ultrasound import ConvexProbe, fan_mask
+from ablate.ultrasound import Probe, fan_mask
 from ablate.ultrasound.probe import pixel_size_mm
 
 ENVELOPE = "envelope_rms"
@@ -38,7 +38,7 @@ def envelope_rms(envelope: np.ndarray, reference: np.ndarray) -> float:
 IMAGE_ERRORS = tuple(METRICS[name] for name in ("mae", "psnr", "pchi2", "mae_smooth"))
 
 
-def mean_errors(rendered: Frames, reference: Frames, probe: ConvexProbe) -> dict[str, float]:
+def mean_errors(rendered: Frames, reference: Frames, probe: Probe) -> dict[str, float]:
     """Average each error over the frames of the same poses; an error that cannot be computed is left out.
 
     `envelope_rms` is left out where there are no envelopes or their grids differ: images are compared on the same

@@ -16,10 +16,12 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from ablate.config import ConfigurationError, StudySettings, Task
 from ablate.studies.jobs import hydra_internals
+from ablate.studies.jobs.conf_folder import configuration_dir
 from ablate.studies.jobs.hydra_internals import Override
 from ablate.studies.jobs.job import Job, label_of
 from ablate.studies.jobs.launch import ComposedJob, Launch
-from ablate.studies.jobs.schema import configuration_dir, register, settings
+from ablate.studies.jobs.schema import register, settings
+from ablate.ultrasound.probe_kinds import PROBE_KEYS, Probe
 
 _CELLS = "cells"
 _SLURM = "ablate.studies.jobs.slurm.QueueLauncher"
@@ -186,6 +188,8 @@ def _keys(group: str) -> list[str]:
     cls: type = StudySettings
     for name in group.split(".") if group else ():
         cls = get_type_hints(cls).get(name, object)
+    if cls == Probe:
+        return sorted(["kind", *PROBE_KEYS])
     return sorted(f.name for f in dataclasses.fields(cls)) if dataclasses.is_dataclass(cls) else []
 
 

@@ -13,7 +13,7 @@ from ablate.studies.jobs.job import Job
 from ablate.studies.jobs.scale import PAPER_CROP, PAPER_ROWS, paper_levels
 from ablate.studies.jobs.variants import OF_THE_NETWORK, variant_names
 from ablate.ultrasound.probe import fan_size_mm
-from ablate.ultrasound.settings import ConvexProbe
+from ablate.ultrasound.probe_kinds import ConvexProbe
 
 _UNKNOWN = "-"
 _PAPER_MM = fan_size_mm(ConvexProbe())[0]

@@ -8,8 +8,8 @@ from pathlib import Path
 from omegaconf import OmegaConf
 
 from ablate.config import StudySettings, json_ready
+from ablate.studies.jobs.conf_folder import configuration_dir
 from ablate.studies.jobs.hydra_internals import Override, parse_overrides
-from ablate.studies.jobs.schema import configuration_dir
 from ablate.training.settings import TrainingSettings
 from ablate.validation import check_name
 

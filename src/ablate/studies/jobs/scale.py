@@ -1,7 +1,8 @@
 """Miniatures to scale: the levels and the crop that keep the paper's millimetres in a frame of fewer pixels.
 
 The configuration reaches both as OmegaConf resolvers, which read the frame's rows from the job's own
-`simulator.image_shape`: `${levels:4}` and `${crop:}`. For pairs made elsewhere it is `${png_shape:}`.
+`simulator.image_shape`: `${levels:4}` and `${crop:}`. For pairs made elsewhere it is `${png_shape:}`, and for another
+probe than the paper's `${fan_shape:}`, whose pulse is no finer than the frame can show: `${two_pixels:0.3}`.
 """
 
 import math
@@ -10,7 +11,10 @@ from contextlib import suppress
 from omegaconf import DictConfig, OmegaConf
 
 from ablate.networks.spec import COMPONENTS, DEPTHS
+from ablate.studies.jobs.conf_folder import configuration_dir
 from ablate.training.settings import SMALLEST_CROP, TrainingSettings
+from ablate.ultrasound.probe import fan_size_mm, square_pixels
+from ablate.ultrasound.probe_kinds import ConvexProbe, Probe, probe_from
 from ablate.ultrasound.settings import SimulatorSettings
 
 PAPER_SHAPE = SimulatorSettings().image_shape
@@ -50,10 +54,38 @@ def crop(rows: int) -> int:
 
 
 def register_resolvers() -> None:
-    """Make `${levels:n}`, `${crop:}` and `${png_shape:}` known to OmegaConf."""
+    """Make the names that conf/ uses between `${` and `}` known to OmegaConf."""
     OmegaConf.register_new_resolver("levels", lambda n, *, _root_: levels(int(n), _rows(_root_)), replace=True)
     OmegaConf.register_new_resolver("crop", lambda *, _root_: crop(_rows(_root_)), replace=True)
     OmegaConf.register_new_resolver("png_shape", _png_shape, replace=True)
+    OmegaConf.register_new_resolver("fan_shape", _fan_shape, replace=True)
+    OmegaConf.register_new_resolver("two_pixels", _two_pixels, replace=True)
+
+
+def _fan_shape(*, _root_: DictConfig) -> list[int]:
+    """An image of the probe's fan with square pixels and the rows that the preset has."""
+    return list(square_pixels(_probe(_root_), _preset_rows(str(_root_.preset))))
+
+
+def _two_pixels(length_mm: float, *, _root_: DictConfig) -> float:
+    """A length, or that of two rows of the image where this is more."""
+    return max(float(length_mm), round(2 * fan_size_mm(_probe(_root_))[0] / max(_rows(_root_), 1), 3))
+
+
+def _probe(root: DictConfig) -> Probe:
+    """The probe of a configuration; where it is refused, which happens later and in one line, some other."""
+    with suppress(ValueError):
+        return probe_from({str(name): value for name, value in root.probe.items()})
+    return ConvexProbe()
+
+
+def _preset_rows(preset: str) -> int:
+    """The rows of the frames of a preset; the paper's where neither it nor what it builds on says so."""
+    path = configuration_dir() / "preset" / f"{preset}.yaml"
+    own = OmegaConf.load(path) if path.exists() else OmegaConf.create()
+    if shape := OmegaConf.select(own, "simulator.image_shape"):
+        return int(shape[0])
+    return next((_preset_rows(str(parent)) for parent in own.get("defaults", [])), PAPER_ROWS)
 
 
 def _png_shape(*, _root_: DictConfig) -> list[int]:

@@ -1,24 +1,16 @@
-"""The folder conf/, and the frozen settings of `ablate.config` as the typed schema that Hydra composes it into."""
+"""The frozen settings of `ablate.config` as the typed schema that Hydra composes it into."""
 
 import dataclasses
 from dataclasses import MISSING, field
-from pathlib import Path
 from typing import Any, get_type_hints
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
-import ablate
 from ablate.config import StudySettings, build
 from ablate.studies.jobs.scale import register_resolvers
+from ablate.ultrasound.probe_kinds import PROBE_KEYS, Probe, ProbeKind
 from ablate.validation import shown
-
-
-def configuration_dir() -> Path:
-    """The folder conf/: inside the installed package, or beside src/ in a checkout."""
-    package = Path(ablate.__file__).parent
-    inside = package / "conf"
-    return inside if inside.is_dir() else package.parents[1] / "conf"
 
 
 def register() -> None:
@@ -33,14 +25,20 @@ def _schema(cls: type) -> type:
     fields: list[tuple[str, Any, Any]] = []
     for f in dataclasses.fields(cls):
         hint = hints[f.name]
-        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-            made = _schema(hint)
+        if hint == Probe or (dataclasses.is_dataclass(hint) and isinstance(hint, type)):
+            made = _probe_schema() if hint == Probe else _schema(hint)
             fields.append((f.name, made, field(default_factory=made)))
         elif f.default is not MISSING:
             fields.append((f.name, hint, field(default_factory=_constant(f.default))))
         else:
             fields.append((f.name, hint, field(default="???")))
     return dataclasses.make_dataclass(cls.__name__, fields)
+
+
+def _probe_schema() -> type:
+    """A mutable dataclass with the values of all kinds of probe; null where a kind has none."""
+    own = [(name, float | None if default is None else float, field(default=default)) for name, default in PROBE_KEYS.items()]
+    return dataclasses.make_dataclass("Probe", [("kind", ProbeKind, field(default=ProbeKind.convex)), *own])
 
 
 def _constant(value: Any) -> Any:

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from ablate.networks import COMPONENTS, GeneratorSpec
 from ablate.studies.jobs.compose import jobs_of
+from ablate.studies.jobs.conf_folder import configuration_dir
 from ablate.studies.jobs.job import CUSTOM
-from ablate.studies.jobs.schema import configuration_dir
 
 #: The components that a generator is made of; the others are options of the data set.
 OF_THE_NETWORK = tuple(component for component in COMPONENTS if hasattr(GeneratorSpec, component.field))

@@ -16,7 +16,7 @@ from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, open_pairs, remove_dam
 from ablate.networks import GeneratorSpec, conditions
 from ablate.storage import digest, read_json
 from ablate.studies.pairs.imported import about_imported, checked_folder, import_data
-from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound.probe_kinds import probe_from
 
 
 @dataclass(frozen=True)
@@ -95,5 +95,5 @@ def open_data(folder: Path) -> Data:
     pairs = open_pairs(folder)
     about = read_json(folder / "about.json")
     if simulator := about.get("simulator"):
-        pairs = replace(pairs, probe=build(ConvexProbe, about["probe"]), tgc_db_cm_mhz=simulator["tgc_db_cm_mhz"])
+        pairs = replace(pairs, probe=probe_from(about["probe"]), tgc_db_cm_mhz=simulator["tgc_db_cm_mhz"])
     return Data(pairs, tuple(build(Tissue, t) for t in about["tissues"]), tuple(about["left_out"]))

@@ -1,5 +1,6 @@
 """Pairs made elsewhere as the data set of a study: what it is known by, and how it is made."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -82,11 +83,10 @@ def _left_out(settings: StudySettings, checked: PngFolder, mask: np.ndarray) -> 
     if "attenuation" not in checked.maps:
         said.append("shadow_contrast and variants that read A: there is no folder attenuation")
     elif not describes_fan(settings.probe, mask):
-        probe = settings.probe
+        probe = ", ".join(f"{k}={v:g}" for k, v in asdict(settings.probe).items() if k != "frequency_mhz")
         said.append(
-            "shadow_contrast and thin_contrast: the fan of the images is not that of probe.radius_mm="
-            f"{probe.radius_mm:g}, fov_deg={probe.fov_deg:g}, depth_mm={probe.depth_mm:g}, so depths are not known "
-            "and the Gaussian of mae_smooth is in px"
+            f"shadow_contrast and thin_contrast: the fan of the images is not that of probe.{probe}, so depths are not "
+            "known and the Gaussian of mae_smooth is in px"
         )
     if checked.tissues is None:
         said.append("tissues: without labels.csv the labels are ordered by number, and all count as solid tissue")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, compensated_attenuation
+from ablate.ultrasound import Probe, Simulator, SimulatorSettings, compensated_attenuation
 from ablate.ultrasound.stages import Stage, stage_times
 
 _NUDGE_MM = 1e-3
@@ -22,7 +22,7 @@ class TimedMaps:
     """
 
     def __init__(
-        self, scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, poses: Iterable[np.ndarray], low: bool
+        self, scene: Scene, probe: Probe, settings: SimulatorSettings, poses: Iterable[np.ndarray], low: bool
     ) -> None:
         poses = list(poses)
         self._probe, self._settings = probe, settings

@@ -1,7 +1,5 @@
 """From complex lines to the B-mode image: time-gain compensation, noise floor, logarithm, 8 bits, scan conversion."""
 
-import math
-
 import numpy as np
 import torch
 from torch.nn import functional as F
@@ -9,8 +7,9 @@ from torch.nn import functional as F
 from ablate.threads import in_parts
 from ablate.ultrasound.imaging.point_spread import along_lines
 from ablate.ultrasound.media import time_gain_db
-from ablate.ultrasound.probe import fan_mask, pixel_polar, sample_depths_mm
-from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.probe import fan_mask, outer_position, pixel_polar, sample_depths_mm
+from ablate.ultrasound.probe_kinds import Probe
+from ablate.ultrasound.settings import SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
@@ -18,7 +17,7 @@ _PIXELS_OF_A_PART = 1 << 16
 _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
 
 
-def time_gain(probe: ConvexProbe, settings: SimulatorSettings) -> np.ndarray:
+def time_gain(probe: Probe, settings: SimulatorSettings) -> np.ndarray:
     """Two-way gain of each sample by `tgc_db_cm_mhz`, (samples,) float64."""
     depth_mm = sample_depths_mm(probe, settings.axial_samples)
     gain_db = time_gain_db(depth_mm, probe.frequency_mhz, settings.tgc_db_cm_mhz)
@@ -52,13 +51,13 @@ def grey_levels(signal: torch.Tensor, settings: SimulatorSettings) -> torch.Tens
 class ScanConverter:
     """Bilinear interpolation from scanlines to pixels of the fan; the sampling positions are computed once."""
 
-    def __init__(self, probe: ConvexProbe, settings: SimulatorSettings, dtype: torch.dtype) -> None:
+    def __init__(self, probe: Probe, settings: SimulatorSettings, dtype: torch.dtype) -> None:
         self.mask = fan_mask(probe, settings.image_shape)
-        depth, angle = (polar[self.mask] for polar in pixel_polar(probe, settings.image_shape))
+        depth, position = (polar[self.mask] for polar in pixel_polar(probe, settings.image_shape))
         lines, samples = settings.scanlines, settings.axial_samples
         sample = depth * (samples / probe.depth_mm) - 0.5
         along = 2 * sample / max(samples - 1, 1) - 1
-        across = angle / (math.radians(probe.fov_deg) / 2) if lines > 1 else np.zeros_like(angle)
+        across = position / outer_position(probe) if lines > 1 else np.zeros_like(position)
         grid = torch.from_numpy(np.stack([along, across], axis=-1))
         self._grid = grid.to(settings.device, dtype)[None, None]
 

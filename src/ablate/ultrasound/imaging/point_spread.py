@@ -8,8 +8,9 @@ import torch
 from torch.nn import functional as F
 
 from ablate.threads import in_parts
-from ablate.ultrasound.probe import layer_offsets_mm, sample_depths_mm
-from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.probe import layer_offsets_mm, sample_depths_mm, scanline_positions, scanline_spacing_mm
+from ablate.ultrasound.probe_kinds import ConvexProbe, LinearProbe, Probe
+from ablate.ultrasound.settings import SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 FWHM_PER_SIGMA = 2 * math.sqrt(2 * math.log(2))
@@ -27,14 +28,35 @@ def beam_widening(settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarr
     return np.sqrt(1 + ((depth_mm - settings.focus_mm) / settings.focal_range_mm) ** 2)
 
 
-def axial_kernel(probe: ConvexProbe, settings: SimulatorSettings) -> np.ndarray:
+def lateral_widening(probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarray:
+    """Lateral width of the beam over `lateral_fwhm_mm`, (depths, scanlines or 1) float64.
+
+    A convex probe's is `beam_widening`. That of the other two follows from their apertures, see `LinearProbe` and
+    `PhasedProbe`, and is 1 straight ahead in `focus_mm`.
+    """
+    if isinstance(probe, ConvexProbe):
+        return beam_widening(settings, depth_mm)[:, None]
+    if isinstance(probe, LinearProbe):
+        return np.ones((len(depth_mm), 1))
+    far = np.maximum(depth_mm, probe.aperture_mm) / max(settings.focus_mm, probe.aperture_mm)
+    return far[:, None] / np.cos(scanline_positions(probe, settings.scanlines))
+
+
+def lateral_sigma(probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarray, widen: float = 1.0) -> np.ndarray:
+    """Standard deviation of the beam times `widen`, in scanlines, (depths, scanlines or 1) float64."""
+    spacing = scanline_spacing_mm(probe, settings.scanlines, depth_mm)[:, None]
+    widening = lateral_widening(probe, settings, depth_mm)
+    return widen * settings.lateral_fwhm_mm / FWHM_PER_SIGMA * widening / spacing
+
+
+def axial_kernel(probe: Probe, settings: SimulatorSettings) -> np.ndarray:
     """The pulse's envelope at the spacing of the samples, peak 1, (odd length,) float64."""
     sigma = settings.axial_fwhm_mm / FWHM_PER_SIGMA / (probe.depth_mm / settings.axial_samples)
     half = min(math.ceil(_TAIL * sigma), settings.axial_samples - 1)
     return np.exp(-0.5 * (np.arange(-half, half + 1) / sigma) ** 2)
 
 
-def layer_weights(probe: ConvexProbe, settings: SimulatorSettings) -> tuple[np.ndarray, np.ndarray]:
+def layer_weights(probe: Probe, settings: SimulatorSettings) -> tuple[np.ndarray, np.ndarray]:
     """Elevational weights of the layers at each sample, twice (layers, samples) float64: of scatterers and of surfaces.
 
     The squares of the former sum to 1, so independent scatterers keep their power. The latter sum to 1, so an echo that
@@ -47,18 +69,15 @@ def layer_weights(probe: ConvexProbe, settings: SimulatorSettings) -> tuple[np.n
     return weights / np.sqrt((weights**2).sum(axis=0)), weights / weights.sum(axis=0)
 
 
-def lateral_kernels(
-    probe: ConvexProbe, settings: SimulatorSettings, depth_mm: np.ndarray, widen: float = 1.0
-) -> np.ndarray:
+def lateral_kernels(probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarray, widen: float = 1.0) -> np.ndarray:
     """What each scanline gets of each other one at some depths, (depths, scanlines, scanlines) float64.
 
-    The width in scanlines is sigma(z) / ((R + z) d theta), times `widen`. Rows sum to 1; far from the diagonal they
+    The width in scanlines is sigma(z) over their distance, times `widen`. Rows sum to 1; far from the diagonal they
     are zero.
     """
-    spacing = (probe.radius_mm + depth_mm) * math.radians(probe.fov_deg) / max(settings.scanlines - 1, 1)
-    sigma = widen * settings.lateral_fwhm_mm / FWHM_PER_SIGMA * beam_widening(settings, depth_mm) / spacing
+    sigma = lateral_sigma(probe, settings, depth_mm, widen)
     apart = np.arange(settings.scanlines)[:, None] - np.arange(settings.scanlines)
-    exponent = -0.5 * (apart / np.maximum(sigma, 1e-3)[:, None, None]) ** 2
+    exponent = -0.5 * (apart / np.maximum(sigma, 1e-3)[:, :, None]) ** 2
     lateral = np.where(exponent > _LOWEST_EXPONENT, np.exp(np.maximum(exponent, _LOWEST_EXPONENT)), 0.0)
     return lateral / lateral.sum(axis=-1, keepdims=True)
 
@@ -101,7 +120,7 @@ class PointSpread:
     block: int  # samples that share a lateral kernel
 
 
-def point_spread(probe: ConvexProbe, settings: SimulatorSettings, dtype: torch.dtype) -> PointSpread:
+def point_spread(probe: Probe, settings: SimulatorSettings, dtype: torch.dtype) -> PointSpread:
     """Kernels for `blur`."""
     samples = settings.axial_samples
     block = -(-samples // _BLOCKS)

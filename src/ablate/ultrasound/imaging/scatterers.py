@@ -118,6 +118,24 @@ def shared_cell_gain(
     return (shared * kernel_correlation * twice).sum(axis=-1)
 
 
+def shared_cell_gain_across(steps_mm: np.ndarray, sigma: np.ndarray, pitch_mm: float) -> np.ndarray:
+    """The same for neighbouring scanlines, which meet in the face of a phased array, (scanlines, depths), at least 1.
+
+    `steps_mm`, (scanlines, depths, 3), lead from a sample to that of the next scanline in world coordinates; `sigma`,
+    (scanlines or 1, depths), is the standard deviation of the beam in scanlines. The autocorrelation of a Gaussian of
+    sigma is one of sqrt(2) sigma.
+    """
+    gain = np.ones(steps_mm.shape[:2])
+    near = (np.abs(steps_mm) < pitch_mm).all(axis=-1)
+    apart, width = np.abs(steps_mm[near]) / pitch_mm, np.broadcast_to(sigma, gain.shape)[near]
+    for lag in range(1, len(steps_mm)):
+        shared = np.maximum(0, 1 - lag * apart).prod(axis=-1)
+        if not shared.any():
+            break
+        gain[near] += 2 * shared * np.exp(-((lag / (2 * width)) ** 2))
+    return gain
+
+
 @cache
 def _texture_volume() -> torch.Tensor:
     """Periodic Gaussian noise, of unit variance when interpolated, (1, 1, side + 1, ...).

@@ -10,16 +10,19 @@ from torch.nn import functional as F
 
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
-from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, axial_kernel, layer_weights
+from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, axial_kernel, lateral_sigma, layer_weights
 from ablate.ultrasound.imaging.scatterers import (
     TABLE_SIZE,
     cell_hash,
     lattice_anchor,
     scatterer_tables,
     shared_cell_gain,
+    shared_cell_gain_across,
     texture_gain_db,
 )
-from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.probe import reach_mm
+from ablate.ultrasound.probe_kinds import ConvexProbe, Probe
+from ablate.ultrasound.settings import SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 _DB_TO_NEPER = math.log(10) / 20
@@ -43,12 +46,11 @@ class Speckle:
     """Scatterers of a scene's tissues on the scanlines of a probe; `dtype` is the signal's, positions stay float32."""
 
     def __init__(
-        self, tissues: Sequence[Tissue], probe: ConvexProbe, settings: SimulatorSettings, dtype: torch.dtype
+        self, tissues: Sequence[Tissue], probe: Probe, settings: SimulatorSettings, dtype: torch.dtype
     ) -> None:
-        self._settings, self._dtype = settings, dtype
+        self._probe, self._settings, self._dtype = probe, settings, dtype
         self._spacing_mm = probe.depth_mm / settings.axial_samples
-        reach_mm = probe.radius_mm + probe.depth_mm
-        self._pitch_mm = max(settings.scatterer_pitch_mm, reach_mm / _MOST_CELLS)
+        self._pitch_mm = max(settings.scatterer_pitch_mm, reach_mm(probe) / _MOST_CELLS)
         tables = torch.from_numpy(scatterer_tables(tissues)).to(settings.device)
         self._tables = torch.view_as_real(tables).flatten(0, 1).to(dtype)
         textures = np.array([[*(1 / mm for mm in t.texture_mm), t.texture_contrast_db] for t in tissues], np.float32)
@@ -80,9 +82,11 @@ class Speckle:
         line_db = settings.scatterer_level_db - 10 * np.log10(gain)
         nodes = level_db.shape[-1]
         at_nodes = np.rint(np.linspace(0, shape[2] - 1, nodes)).astype(int)
-        level = level_db.reshape(*shape[:2], nodes) + torch.from_numpy(
-            (line_db.reshape(*shape[:2], 1) + self._weights_db[:, None, at_nodes]).astype(np.float32)
-        )
+        own_db = line_db.reshape(*shape[:2], 1) + self._weights_db[:, None, at_nodes]
+        if not isinstance(self._probe, ConvexProbe):  # of a convex one scanlines are farther apart than cells
+            first_layer = slice(0, shape[1])
+            own_db = own_db - self._across_db(starts[first_layer], directions[first_layer], at_nodes)
+        level = level_db.reshape(*shape[:2], nodes) + torch.from_numpy(own_db.astype(np.float32))
         level = level.to(settings.device)
         label = torch.from_numpy(labels).to(settings.device).reshape(shape)
 
@@ -128,6 +132,15 @@ class Speckle:
 
         in_parts(of_lines, scanlines, LINES_OF_A_PART if summed.device.type == "cpu" else scanlines)
         return summed
+
+    def _across_db(self, starts: np.ndarray, directions: np.ndarray, samples: np.ndarray) -> np.ndarray:
+        """What neighbouring scanlines of a layer add because they share lattice cells, (scanlines, depths), dB."""
+        if len(starts) == 1:
+            return np.zeros((1, len(samples)))
+        depth_mm = (samples + 0.5) * self._spacing_mm
+        steps = np.gradient(starts, axis=0)[:, None] + depth_mm[:, None] * np.gradient(directions, axis=0)[:, None]
+        sigma = lateral_sigma(self._probe, self._settings, depth_mm).T
+        return 10 * np.log10(shared_cell_gain_across(steps, sigma, self._pitch_mm))
 
     def _texture_db(
         self, starts: torch.Tensor, directions: torch.Tensor, ranges_mm: torch.Tensor, label: torch.Tensor

@@ -7,7 +7,7 @@ import numpy as np
 
 from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, pixel_polar
-from ablate.ultrasound.settings import ConvexProbe
+from ablate.ultrasound.probe_kinds import Probe
 from ablate.ultrasound.stages import Stage, stage
 
 DB_PER_NEPER = 20 / math.log(10)  # 8.686
@@ -40,7 +40,7 @@ def _percentile_of_decay(total: np.ndarray, percent: float) -> float:
     return a - math.log1p((position - below) * math.expm1(a - b))
 
 
-def compensated_attenuation(attenuation: np.ndarray, probe: ConvexProbe, tgc_db_cm_mhz: float) -> np.ndarray:
+def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc_db_cm_mhz: float) -> np.ndarray:
     """The map A as the image has it: in decibels, two ways, plus the gain of the TGC at the depth of each pixel.
 
     It is (40 log10(max(A, 1e-4)) + 2 tgc f z + 36) / 72 with the depth z in cm, clipped to [0, 1]. At 0.5 (0 dB) the
@@ -65,7 +65,7 @@ def compensated_attenuation(attenuation: np.ndarray, probe: ConvexProbe, tgc_db_
 
 
 @lru_cache(maxsize=4)
-def _gain_db(probe: ConvexProbe, tgc_db_cm_mhz: float, shape: tuple[int, int]) -> np.ndarray:
+def _gain_db(probe: Probe, tgc_db_cm_mhz: float, shape: tuple[int, int]) -> np.ndarray:
     """Gain of the TGC at every pixel, (H, W) float32; minus infinity outside the fan, where the image is black."""
     depth_mm, _ = pixel_polar(probe, shape)
     gain = time_gain_db(depth_mm, probe.frequency_mhz, tgc_db_cm_mhz)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ablate.anatomy import Tissue
 from ablate.ultrasound.media import loss_db_mm
-from ablate.ultrasound.settings import ConvexProbe
+from ablate.ultrasound.probe_kinds import Probe
 
 FACE_MRAYL = 1.5  # of the last of a probe's matching layers: as water and soft tissue
 NEAR_PART = 0.1  # of the imaging depth: sound must leave this part ...
@@ -15,7 +15,7 @@ NEAR_PART = 0.1  # of the imaging depth: sound must leave this part ...
 BLOCKED_FROM_DB = 40.0
 
 
-def contact_warning(labels: np.ndarray, tissues: Sequence[Tissue], probe: ConvexProbe) -> str | None:
+def contact_warning(labels: np.ndarray, tissues: Sequence[Tissue], probe: Probe) -> str | None:
     """What keeps the probe from seeing the scene; its image is right all the same, but dark or empty.
 
     Either more than half of the scanlines start in a tissue that lets hardly any sound out, as bone and gas do; or all

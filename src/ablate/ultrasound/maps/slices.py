@@ -4,7 +4,8 @@ import numpy as np
 
 from ablate.ultrasound.media import Media
 from ablate.ultrasound.probe import pixel_coordinates_mm, sample_depths_mm, scanlines_in_plane, to_world
-from ablate.ultrasound.settings import ConvexProbe, DepthMode, SimulatorSettings
+from ablate.ultrasound.probe_kinds import Probe
+from ablate.ultrasound.settings import DepthMode, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples, walk
@@ -39,7 +40,7 @@ def sample_lines(
 
 @stage(Stage.pixel_labels)
 def segment(
-    geometry: Geometry, tissue_of_owner: np.ndarray, probe: ConvexProbe, shape: tuple[int, int], pose: np.ndarray
+    geometry: Geometry, tissue_of_owner: np.ndarray, probe: Probe, shape: tuple[int, int], pose: np.ndarray
 ) -> np.ndarray:
     """The tissue that owns each pixel's centre, in and outside the fan, (H, W) uint8; one ray a pixel column, along z.
 
@@ -56,7 +57,7 @@ def segment(
 
 @stage(Stage.attenuation_labels)
 def plane_labels(
-    geometry: Geometry, tissue_of_owner: np.ndarray, probe: ConvexProbe, settings: SimulatorSettings, pose: np.ndarray
+    geometry: Geometry, tissue_of_owner: np.ndarray, probe: Probe, settings: SimulatorSettings, pose: np.ndarray
 ) -> np.ndarray:
     """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8."""
     starts, directions = (part[0] for part in scanlines_in_plane(probe, settings.scanlines, np.zeros(1)))
@@ -72,7 +73,7 @@ def scanline_labels(
     tissue_of_owner: np.ndarray,
     media: Media,
     bundle: Bundle,
-    probe: ConvexProbe,
+    probe: Probe,
     settings: SimulatorSettings,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tissue that each sample of each scanline and layer displays, (groups, samples) uint8.

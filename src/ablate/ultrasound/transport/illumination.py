@@ -9,7 +9,8 @@ from torch.nn import functional as F
 
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.imaging.point_spread import Across, lateral_kernels
-from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.probe_kinds import Probe
+from ablate.ultrasound.settings import SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 #: Depths at which the rays' mean is taken; between them it is interpolated in dB.
@@ -77,7 +78,7 @@ def accumulate(nodes: Nodes, group: int, segment: Segment, weight: float) -> Non
         level *= factor
 
 
-def transmit_beam(probe: ConvexProbe, settings: SimulatorSettings) -> Across:
+def transmit_beam(probe: Probe, settings: SimulatorSettings) -> Across:
     """How the sound of neighbouring scanlines overlaps.
 
     The point spread function is that of both ways; one way of two equal Gaussians is wider by sqrt(2).

@@ -7,7 +7,8 @@ import numpy as np
 
 from ablate.ultrasound.media import Media
 from ablate.ultrasound.probe import layer_offsets_mm, scanlines_in_plane, to_world
-from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.probe_kinds import Probe
+from ablate.ultrasound.settings import SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.line_walk import inside_at
@@ -65,7 +66,7 @@ class Bundle:
     ray_directions: np.ndarray  # (groups * rays, 3), float32 at a pose
 
 
-def probe_rays(probe: ConvexProbe, settings: SimulatorSettings, draws: Draws) -> Bundle:
+def probe_rays(probe: Probe, settings: SimulatorSettings, draws: Draws) -> Bundle:
     """Rays spread over the aperture, all at `focus_mm` from the focal point of their scanline and layer.
 
     Because path lengths to the focus agree, a point at the focus stays a point.
