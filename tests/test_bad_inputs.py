@@ -21,6 +21,7 @@ from ablate.__main__ import main
 from ablate.config import ConfigurationError, StudySettings, build, json_ready
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.launch import Launch
+from ablate.ultrasound.probe_kinds import PROBE_KEYS, Probe, ProbeKind
 
 Refused = Callable[..., str]
 
@@ -121,6 +122,11 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["dataset.grid=[1,2]"], r"dataset\.grid=\[1, 2\]: four counts"),
     (["training.device=tpu"], r"device='tpu': allowed are auto, cpu, cuda"),
     (["model.noise_start=0.1", "model.noise=none"], r"noise_start=0.1 with noise=none: allowed is 0"),
+    (["probe=matrix"], r"probe=matrix: allowed are c5-2v, convex, l11-5v, linear, p4-2v, phased"),
+    (["probe=linear", "probe.radius_mm=50"], r"probe\.radius_mm=50\.0: a linear probe has width_mm, depth_mm"),
+    (["probe=linear", "probe.width=50"], r"unknown key 'probe\.width'; did you mean 'width_mm'\? allowed in probe: "),
+    (["probe=phased", "probe.fov_deg=180"], r"fov_deg must be between 0\.001 and 170, not 180"),
+    (["probe=l11-5v", "probe.depth_mm=0"], r"depth_mm must be between 1e-06 and 1e\+06, not 0"),
     # Jobs.
     (["variant=sa2h,nsa2h"], r"asks for several jobs: add -m"),
     (["-m", "training.steps=1,2"], r"share the place .*study_name"),
@@ -219,7 +225,10 @@ def test_a_folder_that_is_read_only_is_refused(
 def keys(cls: type = StudySettings, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Every key of the configuration, with its type."""
     for name, kind in get_type_hints(cls).items():
-        if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        if kind == Probe:
+            yield from ((f"{prefix}{name}.{key}", float) for key in PROBE_KEYS)
+            yield f"{prefix}{name}.kind", ProbeKind
+        elif dataclasses.is_dataclass(kind) and isinstance(kind, type):
             yield from keys(kind, f"{prefix}{name}.")
         else:
             yield prefix + name, kind

@@ -9,9 +9,9 @@ from hydra import compose
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
+from ablate.studies.jobs.conf_folder import configuration_dir
 from ablate.studies.jobs.hydra_internals import ComposedConfigLoader, composing, parse_arguments, product, search_path
 from ablate.studies.jobs.hydra_internals import parse_overrides as parse
-from ablate.studies.jobs.conf_folder import configuration_dir
 from ablate.studies.jobs.schema import register
 
 # Parameters of each, in their order.

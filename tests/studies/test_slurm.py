@@ -11,8 +11,8 @@ from hydra.utils import instantiate
 from ablate import tasks
 from ablate.config import ConfigurationError
 from ablate.studies.jobs.compose import jobs_of, read_command_line
-from ablate.studies.jobs.job import Job
 from ablate.studies.jobs.conf_folder import configuration_dir
+from ablate.studies.jobs.job import Job
 from ablate.studies.jobs.schema import register
 from ablate.studies.jobs.slurm import QueueLauncher, queued, wait_for
 from ablate.studies.pairs.data import dataset_folder

@@ -87,7 +87,7 @@ class Session:
     def scan(self, **changes: float) -> None:
         """Change the probe: keys are those of its kind. Pixels stay square, and there are as many rows."""
         with self._lock:
-            probe = replace(self.state.probe, **changes)
+            probe: Probe = replace(self.state.probe, **changes)  # type: ignore[arg-type]  # the keys are those of its kind
             settings = replace(self.state.simulator, image_shape=self._shape_for(probe))
             self._become(replace(self.state, probe=probe, simulator=settings))
 

@@ -26,6 +26,7 @@ GAP = 1e-5  # of a structure's largest extent: vertices nearer than this count a
 #: Largest extent of a body: from a superficial gland to more than a whole adult. An abdomen whose metres are read as mm
 #: is 0.3 mm large, one in micrometres 300 m. A factor of ten too small is not noticed: 34 mm may be an organ.
 BODY_MM = (5.0, 2250.0)
+_SHALLOW_MM = 10.0  # no transducer images less
 _BODY_DEPTH_MM = 150.0  # the imaging depth for these extents: a scene may be scaled together with its probe
 _CHUNK = 256
 
@@ -44,7 +45,8 @@ def check_scene(scene: Scene, depth_mm: float) -> None:
     Warns
     -----
     UserWarning
-        When the scene's largest extent is not that of a body (`BODY_MM`, for a depth of 150 mm).
+        When the scene's largest extent is not that of a body (`BODY_MM`, for a depth of 150 mm; a probe for what lies
+        near the skin, of 10 mm and more, may be put on a whole body all the same).
     """
     for number, structure in enumerate(scene.structures):
         if problem := _problem(structure):
@@ -53,7 +55,7 @@ def check_scene(scene: Scene, depth_mm: float) -> None:
         return
     size_mm, scale = largest_extent_mm(scene), depth_mm / _BODY_DEPTH_MM
     small = size_mm < BODY_MM[0] * scale and len(scene.structures) > 1  # a lone one may be a point target
-    if small or size_mm > BODY_MM[1] * scale:
+    if small or size_mm > BODY_MM[1] * (max(scale, 1.0) if depth_mm >= _SHALLOW_MM else scale):
         warnings.warn(
             f"scene {scene.name!r}: its largest extent is {size_mm:.3g} mm and the probe images {depth_mm:.3g} mm "
             "deep; are the vertices in mm?",

@@ -85,7 +85,8 @@ def _preset_rows(preset: str) -> int:
     own = OmegaConf.load(path) if path.exists() else OmegaConf.create()
     if shape := OmegaConf.select(own, "simulator.image_shape"):
         return int(shape[0])
-    return next((_preset_rows(str(parent)) for parent in own.get("defaults", [])), PAPER_ROWS)
+    parents = OmegaConf.select(own, "defaults") or []
+    return next((_preset_rows(str(parent)) for parent in parents), PAPER_ROWS)
 
 
 def _png_shape(*, _root_: DictConfig) -> list[int]:

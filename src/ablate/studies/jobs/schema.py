@@ -37,7 +37,10 @@ def _schema(cls: type) -> type:
 
 def _probe_schema() -> type:
     """A mutable dataclass with the values of all kinds of probe; null where a kind has none."""
-    own = [(name, float | None if default is None else float, field(default=default)) for name, default in PROBE_KEYS.items()]
+    own: list[tuple[str, Any, Any]] = [
+        (name, float | None if default is None else float, field(default=default))
+        for name, default in PROBE_KEYS.items()
+    ]
     return dataclasses.make_dataclass("Probe", [("kind", ProbeKind, field(default=ProbeKind.convex)), *own])
 
 
