@@ -74,7 +74,8 @@ def test_real_probes_have_the_values_of_their_data_sheets(probe: str, active: fl
         assert s.probe.fov_deg == pytest.approx(degrees(between * (sheet["Nelements"] - 1)), abs=0.01)
     else:
         assert sheet["radius"] == float("inf")
-        assert getattr(s.probe, "width_mm", None) or getattr(s.probe, "aperture_mm", 0) == pytest.approx(span_mm)
+        own_span_mm = s.probe.width_mm if isinstance(s.probe, LinearProbe) else s.probe.aperture_mm
+        assert own_span_mm == pytest.approx(span_mm)
     own: SimulatorSettings = s.simulator
     wavelength_mm, focus_mm = SPEED_MM_US / frequency_mhz, sheet["focus"] * 1e3
     height_mm = sheet["height"] * 1e3
