@@ -13,7 +13,8 @@ from ablate.ultrasound.imaging.display import Display
 from ablate.ultrasound.imaging.point_spread import blur, point_spread
 from ablate.ultrasound.imaging.speckle import InsonifiedLines, Speckle
 from ablate.ultrasound.probe import sample_depths_mm
-from ablate.ultrasound.settings import ConvexProbe, SimulatorSettings
+from ablate.ultrasound.probe_kinds import Probe
+from ablate.ultrasound.settings import SimulatorSettings
 
 _CLUTTER_ROLL = (61, 1021)  # lines and samples between the noise of the display and that of clutter
 
@@ -43,7 +44,7 @@ class Prepared:
 class SignalChain:
     """Makes images of what rays bring back, for one probe and one set of settings, on `settings.device`."""
 
-    def __init__(self, tissues: Sequence[Tissue], probe: ConvexProbe, settings: SimulatorSettings) -> None:
+    def __init__(self, tissues: Sequence[Tissue], probe: Probe, settings: SimulatorSettings) -> None:
         self.probe, self.settings = probe, settings
         dtype = getattr(torch, settings.precision.value)
         self.convert = ScanConverter(probe, settings, dtype)
