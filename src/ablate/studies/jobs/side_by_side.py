@@ -4,7 +4,7 @@ import multiprocessing
 import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import wait
 from multiprocessing.context import SpawnProcess
@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 
 from ablate.config import ConfigurationError
 from ablate.dataset.processes import allotted_cores, work_for_parent
+from ablate.studies.jobs.devices import VISIBLE, devices_to_share, least_busy
 from ablate.studies.jobs.hydra_internals import (
     HydraContext,
     JobReturn,
@@ -35,42 +36,51 @@ class ProcessLauncher(Launcher):
 
     After Ctrl-C it waits until every process has saved the step that it is at. Processes whose launcher was killed end
     by themselves. Each has its share of the cores as threads, unless `OMP_NUM_THREADS` and the like say otherwise.
+    Where the machine has several GPUs, each process sees one of them only, the one that fewest others have; then there
+    are no more processes than GPUs, unless `n_jobs` says so.
     """
 
     def __init__(self, n_jobs: int = -1) -> None:
         if n_jobs == 0:
             raise ConfigurationError("hydra.launcher.n_jobs=0: allowed are 1 and more, or -1 for the number of cores")
-        self.n_jobs = n_jobs if n_jobs > 0 else max(1, allotted_cores() + 1 + n_jobs)
+        self._asked, self.n_jobs = n_jobs, n_jobs if n_jobs > 0 else max(1, allotted_cores() + 1 + n_jobs)
+        self.devices: tuple[str, ...] = ()
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Keep what every job is run with; Hydra calls this."""
         self.context, self.task, self.config = hydra_context, task_function, config
+        self.devices = devices_to_share(config)
+        if self.devices and self._asked < 0:
+            self.n_jobs = min(self.n_jobs, len(self.devices))
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> list[JobReturn]:
         """Run the jobs; return when all processes have ended, however they did."""
         Path(str(self.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
         coming = list(enumerate(job_overrides, initial_job_idx))
-        running: dict[int, tuple[SpawnProcess, str]] = {}
+        running: dict[int, tuple[SpawnProcess, str, str | None]] = {}
         try:
             while coming or running:
                 while coming and len(running) < self.n_jobs:
                     number, overrides = coming.pop(0)
-                    process = self._started(number, overrides)
-                    running[process.sentinel] = process, " ".join(o for o in overrides if not o.startswith("hydra"))
+                    device = least_busy(self.devices, [taken for _, _, taken in running.values()])
+                    process = self._started(number, overrides, device)
+                    name = " ".join(o for o in overrides if not o.startswith("hydra"))
+                    running[process.sentinel] = process, name, device
                 for sentinel in wait(list(running)):
-                    process, name = running.pop(int(sentinel))  # type: ignore[arg-type]
+                    process, name, _ = running.pop(int(sentinel))  # type: ignore[arg-type]
                     process.join()
                     _tell(process.exitcode or 0, name)
         except KeyboardInterrupt:
-            wait_for_all([process for process, _ in running.values()])
+            wait_for_all([process for process, _, _ in running.values()])
             raise
         return [JobReturn(status=JobStatus.COMPLETED) for _ in job_overrides]
 
-    def _started(self, number: int, overrides: Sequence[str]) -> SpawnProcess:
+    def _started(self, number: int, overrides: Sequence[str], device: str | None) -> SpawnProcess:
         arguments = self.context, self.config, self.task, list(overrides), number, Singleton.get_state()
         content = cloudpickle.dumps((run_sweep_job, arguments))
         process = multiprocessing.get_context("spawn").Process(target=work_for_parent, args=(content,))
-        with _share_of_threads(max(1, allotted_cores() // self.n_jobs)):
+        own = {f"{library}_NUM_THREADS": str(max(1, allotted_cores() // self.n_jobs)) for library in _THREADS}
+        with _environment({name: own[name] for name in own.keys() - os.environ.keys()} | _only(device)):
             process.start()
         return process
 
@@ -92,14 +102,20 @@ def _tell(code: int, name: str) -> None:
         print(f"{name}: its process was ended by {by}{why if by == 'SIGKILL' else ''}", file=sys.stderr)
 
 
+def _only(device: str | None) -> dict[str, str]:
+    return {} if device is None else {VISIBLE: device}
+
+
 @contextmanager
-def _share_of_threads(threads: int) -> Iterator[None]:
-    """Processes that are started meanwhile compute with so many threads, unless the environment says otherwise."""
-    own = {f"{library}_NUM_THREADS": str(threads) for library in _THREADS}
-    added = own.keys() - os.environ.keys()
-    os.environ.update({name: own[name] for name in added})
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Processes that are started meanwhile have these variables."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
     try:
         yield
     finally:
-        for name in added:
-            del os.environ[name]
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
