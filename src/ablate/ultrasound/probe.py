@@ -92,10 +92,15 @@ def pixel_polar(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.nd
     Depths are mm below the face. Positions are those of `scanline_positions`: angles, or mm for parallel scanlines.
     """
     x, z = pixel_coordinates_mm(probe, shape)
+    return point_polar(probe, x, z[:, None])
+
+
+def point_polar(probe: Probe, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same of points of the image plane, mm; `x` and `z` are broadcast."""
     if isinstance(probe, LinearProbe):
-        depth, position = np.broadcast_arrays(z[:, None], x)
+        position, depth = np.broadcast_arrays(x, z)
         return depth.copy(), position.copy()
-    from_centre = z[:, None] + _radius_mm(probe)
+    from_centre = z + _radius_mm(probe)
     return np.hypot(x, from_centre) - _radius_mm(probe), np.arctan2(x, from_centre)
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ablate.analysis.figures import probe_model
 from ablate.analysis.figures.tissue_colours import Colour
 from ablate.anatomy import Scene, TissueKind, bounds_mm
-from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_sag_mm, fan_outline, fan_size_mm
 from ablate.viewer.page.coarser import fewer_triangles
 from ablate.viewer.pictures import on_fan
@@ -33,7 +33,7 @@ class Body:
     def __init__(self, server: Any, scene: Scene, colours: Sequence[Colour], axis: np.ndarray, front: np.ndarray):
         self._server, self._axis, self._front = server, axis, front
         self._bounds = bounds_mm(s.mesh for s in scene.structures)
-        self._probe: ConvexProbe | None = None
+        self._probe: Probe | None = None
         self._turning = False
         server.scene.configure_environment_map(None)  # costs seconds without a graphics card
         server.scene.configure_default_lights(cast_shadow=False)
@@ -102,7 +102,7 @@ class Body:
         away = self._front + 0.55 * side + 0.35 * self._axis
         return (middle + 1.35 * size * away / np.linalg.norm(away)) / _UNIT_MM, middle / _UNIT_MM
 
-    def _add_probe(self, probe: ConvexProbe) -> None:
+    def _add_probe(self, probe: Probe) -> None:
         self._probe = probe
         scene, own = self._server.scene, np.eye(4)
         body = _add(scene, "/probe/housing", probe_model.probe_body(probe, own), _HOUSING)

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from ablate.metrics import patch_chi2, psnr, rms
-from ablate.ultrasound import ConvexProbe
+from ablate.ultrasound import Probe
+from ablate.ultrasound.probe import point_polar
 from ablate.viewer.generators import is_shipped, pickable
 from ablate.viewer.page.controls import add_button
 from ablate.viewer.page.page import Page
@@ -122,9 +123,9 @@ def on_plane(pose: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tup
     return float(x), float(z)
 
 
-def depth_mm(point: tuple[float, float], probe: ConvexProbe) -> float:
+def depth_mm(point: tuple[float, float], probe: Probe) -> float:
     """How deep a point of the image plane is along its scanline, mm."""
-    return float(np.hypot(point[0], point[1] + probe.radius_mm) - probe.radius_mm)
+    return float(point_polar(probe, np.asarray(point[0]), np.asarray(point[1]))[0])
 
 
 def _told(page: Page, state: State, views: Views, points: tuple[tuple[float, float], ...]) -> list[str]:
