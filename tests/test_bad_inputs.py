@@ -87,7 +87,7 @@ def scene_folder(folder: Path, **changes: object) -> None:
 # Each with the words of the answer, as a regular expression.
 COMMAND_LINES: list[tuple[list[str], str]] = [
     # What is not there.
-    (["variant=sa3h"], r"variant=sa3h: allowed are lsa2h, nsa2h, sa2h, "),
+    (["variant=sa3h"], r"variant=sa3h: allowed are custom, lsa2h, nsa2h, sa2h, "),
     (["-m", "variant=sa2h,sa3h"], r"variant=sa3h: allowed are"),
     (["preset=huge"], r"preset=huge: allowed are laptop, paper, quick"),
     (["scene=mars"], r"scene=mars: allowed are fetal, folder, pairs"),
