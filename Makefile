@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep answer docs notebooks test test-all check lint ui precision bench-simulator bench-bands bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start view chaos
+.PHONY: help sweep answer docs notebooks test test-all check lint ui precision bench-simulator bench-bands bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start bench-viewer view chaos
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -83,6 +83,9 @@ bench-training: $(STAMP) ## images a second of a training against a plain loop; 
 
 bench-start: $(STAMP) ## seconds until a mistyped key is answered, against the import of Hydra
 	$(BIN)/python benchmarks/start.py $(ARGS)
+
+bench-viewer: $(STAMP) ## the viewer's frames a second, motion to picture and memory; ARGS="--frames 10000 preset=tiny"
+	PYTHONPATH=tests $(BIN)/python benchmarks/viewer.py $(ARGS)
 
 chaos: $(STAMP) ## small studies under faults, for docs/reliability.md; ARGS="--minutes 60 --keep", or --only kill,disk
 	$(BIN)/python benchmarks/chaos.py $(ARGS)

@@ -80,9 +80,11 @@ class Body:
 
     def face(self, client: Any, pose: np.ndarray) -> None:
         """Turn a browser's camera so that the fan is seen as the image is."""
-        depth = self._probe.depth_mm if self._probe is not None else 150.0
-        middle = pose[:3, 3] + 0.5 * depth * pose[:3, 2]
-        _look(client, middle + 1.6 * depth * pose[:3, 1], middle, -pose[:3, 2])
+        height, width = fan_size_mm(self._probe or ConvexProbe())
+        middle = pose[:3, 3] + 0.45 * height * pose[:3, 2]
+        share = 2 * np.tan(client.camera.fov / 2)  # of the distance, that is seen
+        away = 1.1 * max(height / share, width / (share * max(client.camera.aspect, 0.1)))
+        _look(client, middle + away * pose[:3, 1], middle, -pose[:3, 2])
 
     def face_body(self, client: Any) -> None:
         """Turn a browser's camera back to the body's front."""

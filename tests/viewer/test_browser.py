@@ -1,0 +1,200 @@
+"""The page in a real browser, drawn without a graphics card: `apt install chromium chromium-driver`."""
+
+import base64
+import shutil
+import socket
+import time
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+_CHROMIUM, _DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+if _CHROMIUM is None or _DRIVER is None:
+    pytest.skip("needs a browser: apt install chromium chromium-driver", allow_module_level=True)
+pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultrasound[view]'")
+webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium, of the extra `dev`")
+
+from ablate.studies.jobs.compose import jobs_of  # noqa: E402
+from ablate.viewer.page.server import HOST  # noqa: E402
+from ablate.viewer.task import Viewer  # noqa: E402
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")]
+_FLAGS = ("--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+_SIZE = "--window-size=1366,768"
+_PATIENCE_S = 240.0
+
+
+@pytest.fixture(scope="module")
+def viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Viewer]:
+    with socket.socket() as trial:
+        trial.bind((HOST, 0))
+        port = trial.getsockname()[1]
+    words = ["task=view", "preset=tiny", "scene.triangles=20000", f"runs_dir={tmp_path_factory.mktemp('runs')}"]
+    (job,) = jobs_of([*words, f"viewer.port={port}"])
+    made = Viewer(job.settings)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def browser(viewer: Viewer) -> Iterator[Any]:
+    """A browser with the page open and its first picture shown."""
+    options = webdriver.ChromeOptions()
+    options.binary_location = _CHROMIUM
+    options.page_load_strategy = "none"
+    for flag in (*_FLAGS, _SIZE, "--disable-dev-shm-usage"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(_DRIVER))
+    driver.get(_address(viewer))
+    until(lambda: viewer.page.shown is not None and shown(driver) is not None)
+    settle(viewer)
+    yield driver
+    driver.quit()
+
+
+def _address(viewer: Viewer) -> str:
+    return f"http://{HOST}:{viewer.page.settings.viewer.port}"
+
+
+def until(holds: Callable[[], object], within_s: float = _PATIENCE_S) -> None:
+    end = time.monotonic() + within_s
+    while not holds():
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.1)
+
+
+def settle(viewer: Viewer) -> None:
+    """Wait until the probe has rested and its image is shown."""
+    time.sleep(0.5)
+    until(lambda: viewer.worker.idle)
+    time.sleep(1.0)
+
+
+def shown(driver: Any) -> str | None:
+    """The address of the picture of all images, another one for each picture."""
+    found: str | None = driver.execute_script(
+        "const i = [...document.images].find(i => i.src.startsWith('blob:') && i.naturalWidth > 400);"
+        "return i ? i.src : null"
+    )
+    return found
+
+
+def press(driver: Any, key: str) -> None:
+    code = f"Digit{key}" if key.isdigit() else f"Key{key.upper()}"
+    script = "for (const t of ['keydown', 'keyup']) document.documentElement.dispatchEvent(new KeyboardEvent(t, {"
+    driver.execute_script(script + "key: arguments[0], code: arguments[1], bubbles: true}))", key, code)
+
+
+def screenshot(driver: Any) -> np.ndarray:
+    """The page as it is drawn, (h, w, 3) uint8."""
+    taken = driver.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})
+    return np.array(Image.open(BytesIO(base64.b64decode(taken["data"]))).convert("RGB"))
+
+
+def test_the_page_loads_without_errors_and_its_3d_view_is_not_blank(browser: Any) -> None:
+    until(lambda: browser.execute_script("return document.querySelectorAll('canvas').length") >= 1)
+    left, top, width, height = browser.execute_script(
+        "const c = [...document.querySelectorAll('canvas')].map(c => c.getBoundingClientRect())"
+        ".sort((a, b) => b.width * b.height - a.width * a.height)[0];"
+        "return [c.left, c.top, c.width, c.height]"
+    )
+    until(lambda: np.ptp(_part(screenshot(browser), left, top, width, height)) > 100)
+    errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
+    assert [entry for entry in errors if "favicon" not in entry["message"]] == []
+
+
+def _part(picture: np.ndarray, left: float, top: float, width: float, height: float) -> np.ndarray:
+    """The middle of the lower half of a rectangle, which nothing lies over, as grey levels."""
+    rows = slice(int(top + 0.55 * height), int(top + 0.9 * height))
+    middle: np.ndarray = picture[rows, int(left + 0.4 * width) : int(left + 0.6 * width)].mean(axis=-1)
+    return middle
+
+
+def test_a_key_moves_the_probe_and_changes_the_image(browser: Any, viewer: Viewer) -> None:
+    before, angle = shown(browser), viewer.session.hold.angle_deg
+    press(browser, "l")
+    until(lambda: viewer.session.hold.angle_deg == pytest.approx(angle + 3.0))
+    until(lambda: shown(browser) not in (before, None))
+
+
+def test_freeze_holds_the_image(browser: Any, viewer: Viewer) -> None:
+    settle(viewer)
+    press(browser, "f")
+    until(lambda: viewer.session.frozen)
+    settle(viewer)
+    before, angle = shown(browser), viewer.session.hold.angle_deg
+    press(browser, "l")
+    until(lambda: viewer.session.hold.angle_deg != angle)
+    settle(viewer)
+    assert shown(browser) == before
+    press(browser, "f")
+    until(lambda: not viewer.session.frozen and shown(browser) != before)
+
+
+def test_a_preset_shows_the_head(browser: Any, viewer: Viewer) -> None:
+    names = [tissue.name for tissue in viewer.page.scene.tissues]
+    press(browser, "l")
+    press(browser, str(list(viewer.session.presets).index("head") + 1))
+    until(lambda: np.array_equal(viewer.session.state.pose, viewer.session.presets["head"]))
+    settle(viewer)
+    assert viewer.page.shown is not None
+    seen = viewer.page.shown.views.segmentation
+    assert (seen == names.index("brain") + 1).mean() > 0.02
+
+
+def test_the_run_picker_changes_the_generated_image(browser: Any, viewer: Viewer) -> None:
+    settle(viewer)
+    before, runs = shown(browser), viewer.session.state.runs
+    assert runs, "the generator that comes with the package is picked at the start"
+    browser.execute_script(_CLICK_TAB, "Compare")
+    until(lambda: browser.execute_script(_OPEN_PICKER, "comes with ablate: sa2h"))
+    until(lambda: browser.execute_script(_CLICK_OPTION, "none"))
+    until(lambda: viewer.session.state.runs == ())
+    until(lambda: shown(browser) not in (before, None))
+
+
+_EVENTS = "const all = ['pointerdown', 'mousedown', 'pointerup', 'mouseup', 'click'];"
+_CLICK_TAB = (
+    _EVENTS + "for (const b of document.querySelectorAll('[role=tab], [class*=tab], [class*=Tab]'))"
+    " if (b.textContent.trim() === arguments[0]) {"
+    "const r = b.getBoundingClientRect();"
+    "all.forEach(e => b.dispatchEvent(new PointerEvent(e, {bubbles: true, button: 0, isPrimary: true,"
+    " clientX: r.x + 5, clientY: r.y + 5})))}"
+)
+_OPEN_PICKER = (
+    "const i = [...document.querySelectorAll('input')].find(i => i.value === arguments[0] && i.offsetParent);"
+    "if (!i) return false; i.focus(); i.click(); return true"
+)
+_CLICK_OPTION = (
+    "const o = [...document.querySelectorAll('[role=option]')].find(o => o.textContent.trim() === arguments[0]"
+    " && o.offsetParent); if (!o) return false; o.click(); return true"
+)
+
+
+def test_a_second_tab_sees_the_same_probe_and_closing_frees_the_worker(browser: Any, viewer: Viewer) -> None:
+    first = browser.current_window_handle
+    browser.switch_to.new_window("tab")
+    browser.get(_address(viewer))
+    until(lambda: len(viewer.server.get_clients()) == 2 and shown(browser) is not None)
+    height = str(round(viewer.session.hold.height_mm))
+    until(lambda: height in browser.execute_script("return [...document.querySelectorAll('input')].map(i => i.value)"))
+    browser.close()
+    until(lambda: len(viewer.server.get_clients()) == 1)
+    assert not viewer.worker.paused
+    browser.switch_to.window(first)
+    browser.switch_to.new_window("tab")
+    last = browser.current_window_handle
+    browser.switch_to.window(first)
+    browser.close()
+    browser.switch_to.window(last)
+    until(lambda: viewer.worker.paused)
+    settle(viewer)
+    before = sum(viewer.worker.computed.values())
+    viewer.session.move(angle_deg=2.0)
+    settle(viewer)
+    assert sum(viewer.worker.computed.values()) == before
