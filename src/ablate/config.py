@@ -29,9 +29,7 @@ from ablate.validation import LONGEST_NAME, check_name, shown
 
 T = TypeVar("T")
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
-_BESIDE_STUDIES = frozenset(
-    {"artifacts", "data", "export", "mlflow", "precision", "render", "slurm", "stability", "view"}
-)
+_BESIDE_STUDIES = frozenset("artifacts data export mlflow precision render slurm stability view".split())
 _LONGEST_SCENE_NAME = 100
 
 

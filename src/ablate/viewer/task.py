@@ -77,6 +77,7 @@ class Viewer:
         self.worker.pause()
         self.worker.start(self.page.show, self.page.fail)
         self.server.on_client_connect(self._follow_pages)
+        self.server.on_client_connect(self.page.fit)
         self.server.on_client_disconnect(self._follow_pages)
 
     def close(self) -> None:

@@ -21,6 +21,8 @@ from ablate.viewer.state import State, Views
 from ablate.viewer.worker import Worker
 
 _JPEG_QUALITY = 88
+IMAGES_PX = 640  # width of the images in a window of 1366 px
+_BODY_PX, _MOST_SPARE_PX = 430, 400
 _FIRST = "The first picture is on its way:\nthe simulator is being compiled,\nwhich takes up to a minute."
 
 
@@ -46,6 +48,7 @@ class Page:
     painters: list[Callable[[State, Views], object]] = field(default_factory=list)
     lock: threading.RLock = field(default_factory=threading.RLock)
     _words: str = ""
+    _fitted: bool = False
 
     def __post_init__(self) -> None:
         self.colours = tissue_colours(self.scene.tissues)
@@ -64,6 +67,14 @@ class Page:
             first = np.tile(empty_picture(_FIRST, shape), (2, 2, 1))
             self._screen = self.server.gui.add_image(first, format="jpeg", jpeg_quality=_JPEG_QUALITY)
             self._caption = self.server.gui.add_html("")
+
+    def fit(self, client: Any) -> None:
+        """Make the images larger where the first window that is opened has room for them."""
+        if not self._fitted:
+            self._fitted = True
+            spare = client.camera.image_width - _BODY_PX
+            if spare > 0:
+                self.images.set_width(IMAGES_PX + min(0.6 * spare, _MOST_SPARE_PX))
 
     def add_status(self) -> None:
         """The place of words: how the probe lies, and what could not be done."""

@@ -11,13 +11,13 @@ from ablate.viewer.page.compare_tab import add_compare_tab
 from ablate.viewer.page.keep_tab import add_keep_tab
 from ablate.viewer.page.learn_tab import add_learn_tab
 from ablate.viewer.page.move_tab import add_hands, add_keys, add_move_tab
-from ablate.viewer.page.page import Page
+from ablate.viewer.page.page import IMAGES_PX, Page
 from ablate.viewer.page.scan_tab import add_scan_row, add_scan_tab
 from ablate.viewer.session import Session
 from ablate.viewer.state import State, Views
 from ablate.viewer.worker import Worker
 
-_CONTROLS_PX, _IMAGES_PX = 290, 640
+_CONTROLS_PX = 290
 
 
 def build_page(
@@ -53,6 +53,6 @@ def build_page(
     gui.main_panel.dock_left()
     gui.main_panel.set_width(_CONTROLS_PX)
     page.images.dock_right()
-    page.images.set_width(_IMAGES_PX)
+    page.images.set_width(IMAGES_PX)
     page.refresh()
     return page
