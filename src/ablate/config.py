@@ -29,7 +29,7 @@ from ablate.validation import LONGEST_NAME, check_name, shown
 
 T = TypeVar("T")
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
-_BESIDE_STUDIES = frozenset("artifacts data export mlflow precision render slurm stability view".split())
+_NO_STUDIES = frozenset({"artifacts", "data", "export", "mlflow", "precision", "render", "slurm", "stability", "view"})
 _LONGEST_SCENE_NAME = 100
 
 
@@ -244,7 +244,7 @@ class StudySettings:
             raise ValueError(f"pose={self.pose}, plane={self.plane}: allowed is one of them, with task=render or view")
         if self.runs and self.task is not Task.view:
             raise ValueError(f"runs={self.runs}: allowed with task=view; where results lie is runs_dir")
-        check_name("study_name", self.study, _BESIDE_STUDIES)  # so it is a folder of its own directly below `runs`
+        check_name("study_name", self.study, _NO_STUDIES)  # so it is a folder of its own directly below `runs`
 
     @property
     def scene_name(self) -> str:
