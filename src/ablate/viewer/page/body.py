@@ -80,7 +80,9 @@ class Body:
 
     def face(self, client: Any, pose: np.ndarray) -> None:
         """Turn a browser's camera so that the fan is seen as the image is."""
-        height, width = fan_size_mm(self._probe or ConvexProbe())
+        if self._probe is None:
+            return
+        height, width = fan_size_mm(self._probe)
         middle = pose[:3, 3] + 0.45 * height * pose[:3, 2]
         share = 2 * np.tan(client.camera.fov / 2)  # of the distance, that is seen
         away = 1.1 * max(height / share, width / (share * max(client.camera.aspect, 0.1)))
