@@ -55,7 +55,8 @@ def _stopping_at_signals() -> Iterator[None]:
     def stop(number: int, _: object) -> None:
         raise _Stopped(number)
 
-    watched = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
+    there = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has one
+    watched = [number for number in there if signal.getsignal(number) is signal.SIG_DFL]
     for number in watched:
         signal.signal(number, stop)
     try:

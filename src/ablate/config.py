@@ -25,7 +25,7 @@ from ablate.networks.spec import GeneratorSpec
 from ablate.training.settings import TrainingSettings
 from ablate.ultrasound.probe_kinds import ConvexProbe, Probe, probe_from, probe_values
 from ablate.ultrasound.settings import SimulatorSettings
-from ablate.validation import LONGEST_NAME, check_name, shown
+from ablate.validation import LONGEST_NAME, check_name, check_number, shown
 
 T = TypeVar("T")
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
@@ -148,6 +148,7 @@ class CropChoice:
 
     def __post_init__(self) -> None:
         _at_least("crops.", self, workers=0)
+        check_number("crops.fan_fraction", self.fan_fraction, 0, 1)
 
 
 def _has_secret(uri: str) -> bool:

@@ -54,7 +54,7 @@ def study(jobs: Sequence[Job], launch: Callable[[Sequence[Job], Work], None], el
 
 @contextmanager
 def _parents_of(jobs: Sequence[Job]) -> Iterator[None]:
-    """Create database, experiment and parent runs before any job starts; when all have ended, close the parent runs."""
+    """Say in the store that the studies run, before any job starts, and how they have ended when all have."""
     from ablate.studies.copied import mark_study
     from ablate.tracking import Status
 

@@ -4,7 +4,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -66,6 +66,15 @@ def test_a_process_that_is_killed_takes_no_other_with_it(tmp_path: Path, capsys:
     assert told.startswith(f"seed=0 runs_dir={tmp_path / 'runs'}: its process was ended by SIGKILL")
 
 
+@pytest.fixture
+def heard() -> Iterator[None]:
+    """Python raises KeyboardInterrupt, which it does not where the tests were started in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heard")
 def test_after_ctrl_c_every_process_saves_what_it_is_at(tmp_path: Path) -> None:
     """The launcher is interrupted alone: its processes are told by SIGTERM, and it waits for them."""
     folder = str(tmp_path)

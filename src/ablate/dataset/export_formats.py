@@ -12,7 +12,7 @@ from ablate.anatomy import load_tissues
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.png_folder import FOLDERS
 from ablate.dataset.split import Part
-from ablate.storage import write_json, write_text
+from ablate.storage import write_json, write_text, written_whole
 from ablate.ultrasound import SIMULATOR_VERSION
 
 
@@ -111,7 +111,8 @@ def _name(frame: int) -> str:
 
 
 def _save(values: np.ndarray, path: Path) -> None:
-    Image.fromarray(values).save(path)
+    with written_whole(path) as partial:
+        Image.fromarray(values).save(partial)
 
 
 def _write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

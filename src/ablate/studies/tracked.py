@@ -42,7 +42,7 @@ def own_parameters(label: str, settings: Mapping[str, Any]) -> dict[str, object]
     comparison draws the first three by name.
     """
     model = settings["model"].items()
-    components = {f"model.{k}": v for k, v in model if k != "width" and (k != "noise_start" or v)}
+    components = {f"model.{k}": v for k, v in model if k != "width" and (k not in ("noise_start", "target") or v)}
     own = {"encoding": settings["encoding"], "training.loss": settings["training"]["loss"], "seed": settings["seed"]}
     return {"model": label, **components, **own}
 

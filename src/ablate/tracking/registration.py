@@ -33,7 +33,8 @@ def write_generator(path: Path, generator: Generator, values: np.ndarray, precis
 
     `values`, (labels,) float32 from `label_values`, tell how the labels of S are read.
     """
-    spec = {k: v if isinstance(v, int | float) else str(v) for k, v in vars(generator.spec).items()}
+    given = {k: v for k, v in vars(generator.spec).items() if v is not None}
+    spec = {k: v if isinstance(v, int | float) else str(v) for k, v in given.items()}
     kept = {"spec": spec, "values": torch.from_numpy(values), "precision": str(precision)}
     torch.save({**kept, "weights": generator.state_dict()}, path)
 

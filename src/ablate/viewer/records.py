@@ -84,8 +84,8 @@ class Sweep:
         if not self.poses:
             raise ValueError("nothing was recorded: move the probe while recording")
         folder.mkdir(parents=True, exist_ok=True)
-        with written_whole(folder / "poses.npy") as partial, partial.open("wb") as file:
-            np.save(file, np.stack(self.poses))
+        with written_whole(folder / "poses.npy") as partial, partial.open("wb") as partial_file:
+            np.save(partial_file, np.stack(self.poses))
         height, width = self.pictures[0].shape[:2]  # another depth may have another width
         images = [Image.fromarray(picture).resize((width, height)) for picture in self.pictures]
         spans_ms = [max(20, round(1e3 * span)) for span in (*np.diff(self.times_s), 0.5)]
