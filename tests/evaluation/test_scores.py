@@ -121,6 +121,14 @@ def test_values_are_those_of_each_frame_alone_however_many_threads(runs: Path, d
     assert found.scalars["fd_speckle_lower"] < found.scalars["fd_speckle"] < found.scalars["fd_speckle_upper"]
 
 
+def test_where_torch_has_one_thread_frames_are_scored_in_it(
+    runs: Path, data: Data, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ablate.evaluation.scorer.ThreadPoolExecutor", None)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
+    assert scored(data, job(runs), resimulation_images(data.pairs)).scalars["psnr"] > 0
+
+
 def test_identical_pictures_are_counted_and_left_out_of_the_mean(runs: Path, data: Data) -> None:
     first = int(data.pairs.frames(Part.test)[0])
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,14 +41,14 @@ def test_moving_it_has_the_same_maps_and_a_coarser_image(body: Scene, state: Sta
 def test_depth_and_frequency_change_without_building_embree_again(
     body: Scene, state: State, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    built, build = [], embree.EmbreeScene
+    built, build = [], embree.Geometry.__init__
 
-    def counted() -> embree.EmbreeScene:
+    def counted(geometry: embree.Geometry, *given: Any) -> None:
         built.append(1)
-        return build()
+        build(geometry, *given)
 
     engine = Engine(body)
-    monkeypatch.setattr(embree, "EmbreeScene", counted)
+    monkeypatch.setattr(embree.Geometry, "__init__", counted)
     engine.render(state, Quality.full)
     for probe in (replace(state.probe, depth_mm=90.0), replace(state.probe, frequency_mhz=5.0)):
         views = engine.render(replace(state, probe=probe), Quality.full)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
@@ -140,14 +141,16 @@ class Scorer:
 
         scored: list[tuple[dict[str, float], Features]] = []
         of_inception: list[Features] = []
+        threads = torch.get_num_threads()
         with (
-            ThreadPoolExecutor(torch.get_num_threads()) as pool,
+            # Without memory the start of a thread never returns (CPython 3.11), so there is none that is not needed.
+            ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool,
             tqdm(total=len(frames), desc=f"evaluate {part.name}", leave=False, mininterval=1.0, disable=None) as bar,
         ):
             for start in range(0, len(frames), _BATCH):
                 batch = frames[start : start + _BATCH]
                 images = images_of(batch, 0)
-                scored += pool.map(score_frame, batch, draws_of(batch, images))
+                scored += (pool.map if pool else map)(score_frame, batch, draws_of(batch, images))
                 if fid and self.inception is not None:
                     of_inception.append((self.inception(images), self.inception(self.pairs.read("target", batch))))
                 bar.update(len(batch))
