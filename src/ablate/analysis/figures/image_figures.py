@@ -108,7 +108,9 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path
     """
     names = ["target", *_columns(frames)]
     blocks = min(max(-(-len(names) // MOST_DOWN), ACROSS // len(frames)), len(names))
-    down, across = -(-len(names) // blocks), blocks * len(frames)
+    down = -(-len(names) // blocks)
+    blocks = -(-len(names) // down)  # no column is left empty
+    across = blocks * len(frames)
     height, width = frames[0].target.shape
     page = PAGE_IN * max(across / ACROSS, 1.0) if across > 1 else PAGE_IN / 2
     picture = (page - NAME_IN * blocks) / max(across, 2)
