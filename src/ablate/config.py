@@ -25,7 +25,7 @@ from ablate.networks.spec import GeneratorSpec
 from ablate.training.settings import TrainingSettings
 from ablate.ultrasound.probe_kinds import ConvexProbe, Probe, probe_from, probe_values
 from ablate.ultrasound.settings import SimulatorSettings
-from ablate.validation import LONGEST_NAME, check_name, check_number, shown
+from ablate.validation import LONGEST_NAME, check_name, check_number, has_secret, shown
 
 T = TypeVar("T")
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
@@ -151,16 +151,6 @@ class CropChoice:
         check_number("crops.fan_fraction", self.fan_fraction, 0, 1)
 
 
-def _has_secret(uri: str) -> bool:
-    """Whether a tracking URI names a password, or any user of a web server, whose name may be a token."""
-    scheme, _, rest = uri.partition("://")
-    if scheme.startswith(("sqlite", "file")):
-        return False
-    named = re.search(r"[?&;](\w*passw\w*|pwd|\w*token|\w*secret)=", rest, re.IGNORECASE)
-    user = r".*@" if scheme.startswith("http") else r"[^@]*:.*@"
-    return bool(named or re.match(user, rest))
-
-
 class Provenance(StrEnum):
     """What a run stores of what it was made with; `minimal` leaves out uncommitted changes and installed packages."""
 
@@ -182,7 +172,7 @@ class TrackingSettings:
     provenance: Provenance = Provenance.full
 
     def __post_init__(self) -> None:
-        if self.uri is not None and _has_secret(self.uri):
+        if self.uri is not None and has_secret(self.uri):
             where = "MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or PGPASSWORD for a database"
             raise ValueError(f"tracking.uri: holds a user or a password; allowed is a URI without, and {where}")
         if not re.fullmatch(r"[\w/]([\w.+@/ -]*[\w.+@-])?", self.experiment) or len(self.experiment) > LONGEST_NAME:

@@ -56,3 +56,13 @@ def check_count(name: str, value: object, lower: int) -> None:
     """Raise ValueError unless `value` is a whole number of at least `lower`."""
     if not isinstance(value, Integral) or isinstance(value, bool) or value < lower:
         raise ValueError(f"{name} must be a whole number of at least {lower}, not {value!r}")
+
+
+def has_secret(uri: str) -> bool:
+    """Whether a tracking URI names a password, or any user of a web server, whose name may be a token."""
+    scheme, _, rest = uri.partition("://")
+    if scheme.startswith(("sqlite", "file")):
+        return False
+    named = re.search(r"[?&;](\w*passw\w*|pwd|\w*token|\w*secret)=", rest, re.IGNORECASE)
+    user = r".*@" if scheme.startswith("http") else r"[^@]*:.*@"
+    return bool(named or re.match(user, rest))

@@ -137,7 +137,7 @@ def test_energy_never_grows(scene: Scene, path_seed: int) -> None:
         replace(s, tissue=replace(s.tissue, thickness_mm=0.0, texture_contrast_db=0.0)) for s in scene.structures
     )
     one = Simulator(Scene(flat, background, "flat"), PENCIL, replace(AXIAL, path_seed=path_seed))
-    traced = one._trace(np.eye(4))
+    traced = one._prepare(np.eye(4))
     assert (traced.surfaces.square().sum(dim=1) <= 1 + 1e-5).all()
     illumination = traced.insonified.amplitude[0].double()
     assert (illumination.diff(dim=1) <= 1e-6 * illumination[:, :1]).all()

@@ -107,8 +107,8 @@ def save_frame(folder: Path, state: State, views: Views) -> Path:
     for name, image in ((name, image) for name, image in maps.items() if image is not None):
         with written_whole(folder / f"{name}.png") as partial:
             Image.fromarray(image).save(partial, "PNG")
-    with written_whole(folder / "pose.npy") as partial, partial.open("wb") as file:
-        np.save(file, state.pose)
+    with written_whole(folder / "pose.npy") as partial, partial.open("wb") as partial_file:
+        np.save(partial_file, state.pose)
     with written_whole(folder / "frame.json") as partial:
         partial.write_text(json.dumps(described(state) | {"quality": views.quality.value}, indent=2), "utf-8")
     return folder

@@ -43,8 +43,8 @@ def _save(page: Page, said: Any) -> None:
 def _command(page: Page, command: Any) -> None:
     folder = next_folder(page.folder, "pose")
     folder.mkdir(parents=True)
-    with written_whole(folder / "pose.npy") as partial, partial.open("wb") as file:
-        np.save(file, page.session.state.pose)
+    with written_whole(folder / "pose.npy") as partial, partial.open("wb") as partial_file:
+        np.save(partial_file, page.session.state.pose)
     command.value = render_command(page.settings, page.session.state, folder / "pose.npy")
 
 
