@@ -2,7 +2,7 @@
 
 Three tables: frames a second and motion to picture while the probe moves without rest, with simulator and generator and
 with the generator alone; and the memory of the program over many frames. The page's own drawing is not in them. Other
-programs on the machine make all of it slower: the load is printed beside it.
+programs on the machine make all of it slower: the load is printed beside it, and what the yardstick took.
 """
 
 import argparse
@@ -17,6 +17,7 @@ import numpy as np
 from ablate.studies.jobs.compose import jobs_of
 from ablate.viewer.task import Viewer
 from support.viewer_client import Client
+from yardstick import Yardstick
 
 _EVERY_S = 1 / 30  # a hand that moves without rest
 _ANGLES_DEG = 20.0  # the probe goes to and fro between minus and plus this
@@ -82,27 +83,30 @@ def main() -> None:
         print(
             "| moving | frames/s | motion to picture, median (ms) | 95th percentile (ms) |\n| --- | --- | --- | --- |"
         )
+        fixed = Yardstick()
         for name in ("simulator and generator", "generator alone"):
             client.set("Moving", name)
             measure(client, name, _WARM_S)
             row = measure(client, name, chosen.seconds)
             said = f"{row.frames_a_second:.1f} | {row.median_ms:.0f} | {row.slowest_ms:.0f}"
             print(f"| {row.name} | {said} |", flush=True)
+            fixed.tick()
+        print(fixed.line())
         print("| frames | memory (MB) |\n| --- | --- |")
-        count, step = 0, max(1, chosen.frames // 5)
+        count, step, rng = 0, max(1, chosen.frames // 5), np.random.default_rng(0)
         while count <= chosen.frames:
             print(f"| {count} | {memory_mb():.0f} |", flush=True)
             client.seen.clear()
             while len(client.images()) < step:
-                _wander(client)
+                _wander(client, rng)
             count += step
     print(f"load {os.getloadavg()[0]:.1f}")
     viewer.close()
 
 
-def _wander(client: Client) -> None:
+def _wander(client: Client, rng: np.random.Generator) -> None:
     """Move the probe a little, somewhere else."""
-    angle = float(np.random.default_rng().uniform(-_ANGLES_DEG, _ANGLES_DEG))
+    angle = float(rng.uniform(-_ANGLES_DEG, _ANGLES_DEG))
     client.set("Around (\u00b0)", round(angle, 1))
     time.sleep(_EVERY_S)
 

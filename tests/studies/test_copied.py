@@ -159,5 +159,5 @@ def compared_without_a_store(job: Job) -> str:
     assert (job.folder / "result.json").exists()
     started = time.monotonic()
     told = compare_study(job.settings)
-    assert time.monotonic() - started < 60
+    assert time.monotonic() - started < 30
     return told
