@@ -91,11 +91,7 @@ def test_boxes_are_quartiles_of_the_paired_differences_and_resimulation_is_a_ban
     box = max(left.patches, key=lambda patch: patch.get_path().get_extents().y1 if patch.get_zorder() > 0 else -1)
     extent = box.get_path().get_extents()
     assert (extent.x0, extent.x1) == pytest.approx(tuple(np.quantile(delta, [0.25, 0.75])))
-    assert legend_of(figures["boxplots"]) == [
-        "re-simulation, quartiles",
-        "re-simulation, median (level)",
-        "re-simulation, median (floor)",
-    ]
+    assert legend_of(figures["boxplots"]) == ["re-simulation, median and quartiles (dashed: floor, dotted: level)"]
     assert "better →" in left.get_xlabel()
     assert "← better" in right.get_xlabel()
 
@@ -111,7 +107,9 @@ def test_every_training_is_a_ring(study, figures, tmp_path):
     rings = [line for line in panels[0].lines if line.get_marker() == "o"]
     means = study[study["metric"] == "psnr"].groupby(["variant", "seed"])["value"].mean()
     np.testing.assert_allclose(np.sort(rings[0].get_xdata()), np.sort(means["sa2h"]))
-    assert {"re-simulation (level)", "re-simulation (floor)", "range of sa2h"} <= set(legend_of(figures["seeds"]))
+    entries = legend_of(figures["seeds"])
+    assert "range of sa2h" in entries
+    assert [entry for entry in entries if "re-sim" in entry] == ["re-simulation (dashed: floor, dotted: level)"]
     assert seed_plot(study[study["variant"] == RESIMULATION], None, ["psnr"], tmp_path / "none") == []
 
 
@@ -125,7 +123,7 @@ def test_effects_are_filled_where_their_interval_excludes_nought(figures, tmp_pa
     assert dots["interval excludes 0"].get_xdata() == [1.0]
     assert dots["interval holds 0"].get_xdata() == [0.1]
     assert dots["no interval"].get_marker() == "D"
-    assert dots["re-simulation (level)"].get_xdata()[0] == 1.2
+    assert dots["re-simulation (dashed: floor, dotted: level)"].get_xdata()[0] == 1.2
     assert "re-simulation +1.20 (level)" in axes.get_xlabel()
     assert effects_plot(effects, ["mae"], tmp_path / "none") == []
 
@@ -218,6 +216,15 @@ def test_chi2_maps(pictures, tmp_path):
     assert_written(chi2_maps_figure(pictures, tmp_path / "pchi2_maps_0"))
     with pytest.raises(ValueError, match="no prediction"):
         chi2_maps_figure(FramePictures("empty", pictures.target), tmp_path / "none")
+
+
+@pytest.mark.parametrize(("networks", "across", "empty"), [(4, 5, 0), (5, 3, 0), (6, 4, 1), (7, 4, 0), (8, 5, 1)])
+def test_chi2_maps_leave_no_page_half_empty(networks, across, empty, pictures, figures, tmp_path):
+    names = dict.fromkeys((f"v{k}" for k in range(networks)), pictures.predictions["sa2h"])
+    chi2_maps_figure(FramePictures("frame", pictures.target, names, pictures.mask), tmp_path / "maps")
+    rows, columns = figures["maps"].axes[0].get_subplotspec().get_gridspec().get_geometry()
+    assert columns == across
+    assert rows // 2 * columns - (networks + 1) == empty
 
 
 def test_chi2_maps_of_eleven_networks_fit_a_page(pictures, figures, tmp_path):

@@ -35,8 +35,8 @@ def _draw(
 ) -> None:
     if RESIMULATION in differences:
         lower, middle, upper = np.quantile(differences[RESIMULATION], [0.25, 0.5, 0.75])
-        axes.axvspan(lower, upper, color="#DDDDDD", zorder=0, label="re-simulation, quartiles")
-        draw_resimulation(axes, metric, float(middle), "re-simulation, median")
+        axes.axvspan(lower, upper, color="#DDDDDD", zorder=0)
+        draw_resimulation(axes, metric, float(middle), "re-simulation, median and quartiles")
     axes.axvline(0, color="black", lw=0.8, zorder=1)
     shown = [name for name in networks if name in differences]
     places = {name: len(networks) - k for k, name in enumerate(networks)}

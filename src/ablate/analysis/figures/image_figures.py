@@ -15,6 +15,7 @@ from ablate.metrics import patch_chi2, patches_inside, rms
 
 ACROSS = 4  # pictures side by side on a page; with more of them, speckle is lost in print
 MOST_DOWN = 7  # rows of pictures that a page holds
+PAGE_HIGH_IN = 9.6  # what a page of a paper has
 NAME_IN, HEAD_IN = 0.2, 0.25  # beside and above the pictures, for their names
 INSET = 0.27  # of the picture's width and height: what fits beside a 70 degree fan
 
@@ -136,6 +137,17 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path
         return save_figure(figure, stem)
 
 
+def _maps_line_in(across: int, ratio: float) -> float:
+    """Height in inches of a line of maps and images, which have so many times their width."""
+    return 0.45 + 2 * PAGE_IN / max(across, 3) * ratio
+
+
+def _maps_across(pictures: int, ratio: float) -> int:
+    """How many pictures go side by side: 3 to 5, as many as leave the fewest places of a page empty."""
+    fitting = [n for n in (ACROSS, 3, ACROSS + 1) if -(-pictures // n) * _maps_line_in(n, ratio) <= PAGE_HIGH_IN]
+    return min(pictures, min(fitting, key=lambda n: -pictures % n, default=ACROSS + 1))
+
+
 def chi2_maps_figure(frame: FramePictures, stem: Path, patch: int = 20) -> list[Path]:
     """Patch chi-square maps on [0, 1] above their images; the target comes last, as in the paper.
 
@@ -147,10 +159,10 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, patch: int = 20) -> list[
         raise ValueError(f"frame {frame.name} has no prediction to map")
     height, width = frame.target.shape
     inside = None if frame.mask is None else patches_inside(frame.mask, patch)
-    across = min(ACROSS if len(names) < 2 * ACROSS else ACROSS + 1, len(names) + 1)
+    across = _maps_across(len(names) + 1, height / width)
     lines = -(-(len(names) + 1) // across)
     with house_style():
-        figure = new_figure(PAGE_IN, lines * (0.45 + 2 * PAGE_IN / max(across, 3) * height / width), pad_in=0.015)
+        figure = new_figure(PAGE_IN, lines * _maps_line_in(across, height / width), pad_in=0.015)
         grid = figure.subplots(2 * lines, across, squeeze=False)
         for axes in grid.ravel():
             axes.set_axis_off()
@@ -161,7 +173,8 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, patch: int = 20) -> list[
             drawn = _map(upper, chi2, inside, patch, (height, width))
             upper.set_title(f"{shown_name(name)}\n{rms(chi2, inside) or 0.0:.3f}")
             _picture(lower, frame.predictions[name])
-        upper, lower = grid[-2, -1], grid[-1, -1]
+        line, column = divmod(len(names), across)
+        upper, lower = grid[2 * line, column], grid[2 * line + 1, column]
         bar = figure.colorbar(drawn, cax=upper.inset_axes((0.1, 0.5, 0.8, 0.1)), orientation="horizontal")
         bar.set_label("pχ²")
         bar.set_ticks([0, 0.5, 1])

@@ -69,12 +69,16 @@ def resimulation_word(metric: str) -> str:
     return "floor" if metric_of(metric).resimulation is Resimulation.floor else "level"
 
 
+def resimulation_line(metric: str, name: str = "re-simulation") -> dict[str, str]:
+    """How a figure draws the re-simulation: dashed for a floor, dotted for a level, as one entry of the legend."""
+    style = {"floor": "--", "level": ":"}[resimulation_word(metric)]
+    return {"color": FLOOR_COLOUR, "ls": style, "label": f"{name} (dashed: floor, dotted: level)"}
+
+
 def draw_resimulation(axes: Axes, metric: str, value: float, name: str = "re-simulation") -> None:
-    """Draw the re-simulation as a line where it is finite: dashed for a floor, dotted for a level."""
+    """Draw the re-simulation as a vertical line where it is finite."""
     if np.isfinite(value):
-        word = resimulation_word(metric)
-        style = {"floor": "--", "level": ":"}[word]
-        axes.axvline(value, color=FLOOR_COLOUR, ls=style, lw=1.0, zorder=1, label=f"{name} ({word})")
+        axes.axvline(value, lw=1.0, zorder=1, **resimulation_line(metric, name))
 
 
 def one_legend(figure: Figure, panels: Sequence[Axes], columns: int = 4) -> None:

@@ -12,8 +12,8 @@ from matplotlib.axis import Axis
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from ablate.analysis.figures.metric_panels import legend_entries, resimulation_word, shown_name
-from ablate.analysis.figures.style import FLOOR_COLOUR, PAGE_IN, colour_of, house_style, new_figure, save_figure
+from ablate.analysis.figures.metric_panels import legend_entries, resimulation_line, shown_name
+from ablate.analysis.figures.style import PAGE_IN, colour_of, house_style, new_figure, save_figure
 from ablate.analysis.statistics.work_precision import pareto_front
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.stored_names import BOUNDS
@@ -166,8 +166,7 @@ def _background(axes: Axes, points: pd.DataFrame, metric: str, floor: float | No
     front = pareto_front(ms, -error if metric_of(metric).better is Direction.higher else error, *spread)
     axes.step(ms[front], error[front], where="post", color="#BBBBBB", lw=3, zorder=0, label="Pareto front")
     if floor is not None:
-        label = f"re-simulation ({resimulation_word(metric)})"
-        axes.axhline(floor, color=FLOOR_COLOUR, ls="--", lw=0.9, label=label)
+        axes.axhline(floor, lw=0.9, **resimulation_line(metric))
     for (name, anchor), line in zip(PAPER_ANCHORS_MS.items(), (":", "-."), strict=True):
         label = f"paper, {name}: {anchor:.0f} ms, unknown GPU"
         axes.axvline(anchor, color="#999999", ls=line, lw=0.9, label=label)
