@@ -164,12 +164,14 @@ class TrackingSettings:
 
     Settings are stored and shown, so `uri` may hold no password: MLflow takes it from the environment.
     `register` names the model in MLflow's registry that the reference variant's generator becomes a version of.
+    `system_metrics` logs processor, memory, disk, network and GPU through each training.
     """
 
     uri: str | None = None
     experiment: str = "ablate"
     register: str | None = None
     provenance: Provenance = Provenance.full
+    system_metrics: bool = False
 
     def __post_init__(self) -> None:
         if self.uri is not None and has_secret(self.uri):

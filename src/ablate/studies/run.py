@@ -2,6 +2,7 @@
 
 import logging
 import time
+from contextlib import nullcontext
 
 import numpy as np
 import torch
@@ -23,7 +24,7 @@ from ablate.studies.made_with import write_provenance
 from ablate.studies.pairs.data import Data, dataset_folder, maps_needed, prepare_data
 from ablate.studies.result_file import read_result
 from ablate.studies.tracked import log_samples
-from ablate.tracking import LocalLog
+from ablate.tracking import LocalLog, system_metrics
 from ablate.training import TrainingPrecision, Validation, chosen_device, generate, train
 
 _VALIDATION_FRAMES = 16
@@ -51,7 +52,8 @@ def _run(job: Job) -> None:
     data = prepare_data(job.settings, maps_needed([job.settings.model]))
     write_provenance(job)
     log = LocalLog(job.folder)
-    with copying(job.settings, job.folder, log):
+    watch = system_metrics(job.folder, log) if job.settings.tracking.system_metrics else nullcontext()
+    with copying(job.settings, job.folder, log), watch:
         _train_score_and_store(job, data, log)
 
 

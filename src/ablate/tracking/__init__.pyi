@@ -21,6 +21,7 @@ from .store import parent_run as parent_run
 from .store import reason as reason
 from .stored_run import STATE as STATE
 from .stored_run import StoredRun as StoredRun
+from .system_metrics import system_metrics as system_metrics
 from .task_record import TaskRecord as TaskRecord
 from .task_record import copy_tasks as copy_tasks
 from .task_record import recorded_task as recorded_task

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -69,7 +70,7 @@ def resimulation_word(metric: str) -> str:
     return "floor" if metric_of(metric).resimulation is Resimulation.floor else "level"
 
 
-def resimulation_line(metric: str, name: str = "re-simulation") -> dict[str, str]:
+def resimulation_line(metric: str, name: str = "re-simulation") -> dict[str, Any]:
     """How a figure draws the re-simulation: dashed for a floor, dotted for a level, as one entry of the legend."""
     style = {"floor": "--", "level": ":"}[resimulation_word(metric)]
     return {"color": FLOOR_COLOUR, "ls": style, "label": f"{name} (dashed: floor, dotted: level)"}

@@ -3,6 +3,7 @@
 import os
 import tempfile
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import torch
@@ -33,6 +34,9 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
         seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
         _check_training(job, seen, {other.label for other in jobs})
         _check_metrics(job.settings)
+    if jobs[0].settings.task is Task.study and jobs[0].settings.tracking.system_metrics and find_spec("psutil") is None:
+        install = "pip install 'ablate-ultrasound[system]'"
+        raise ConfigurationError(f"tracking.system_metrics=true needs the package psutil: {install}")
     if odd := set(str(jobs[0].settings.results)) & {"?", "%"}:  # they mean something else in the address of a database
         raise ConfigurationError(f"runs_dir={jobs[0].settings.results}: allowed is a path without {' and '.join(odd)}")
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
