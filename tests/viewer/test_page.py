@@ -69,6 +69,26 @@ def settle(client: Client, viewer: Viewer) -> None:
     time.sleep(0.1)
 
 
+def test_the_cine_loop_is_played_until_it_is_switched_off(client: Client, viewer: Viewer) -> None:
+    for angle in (5.0, 10.0, 15.0):
+        client.set("Around (°)", angle)
+        settle(client, viewer)
+    held = viewer.page.loop.before(0.0)
+    assert held is not None
+    client.set("Cine: play", True)
+    shown: list[int] = []
+    client.until(lambda: shown.append(id(viewer.page.shown)) or (shown.count(id(held)) and len(set(shown)) >= 3))
+    assert viewer.session.frozen
+    client.set("Cine: play", False)
+    time.sleep(1.0)
+    before, computed = viewer.page.shown, dict(viewer.worker.computed)
+    time.sleep(1.0)
+    assert viewer.page.shown is before
+    assert viewer.worker.computed == computed
+    viewer.session.freeze(False)
+    settle(client, viewer)
+
+
 def test_a_slider_moves_the_probe_and_a_picture_of_it_comes(client: Client, viewer: Viewer) -> None:
     before = len(client.images())
     client.set("Around (°)", 20.0)
