@@ -6,9 +6,11 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ablate.anatomy.meshes.vtk_files import NEEDS_VTK, VTK_SUFFIXES
 from ablate.anatomy.scene import Scene, Structure
 from ablate.anatomy.scene_values import closest, mapping, number, numbers, read_yaml, series, tissue_named
 from ablate.anatomy.site_grid import SiteGrid
@@ -18,7 +20,7 @@ from ablate.validation import shown
 if TYPE_CHECKING:
     from ablate.anatomy.volumes.label_map import LabelMap
 
-MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf")
+MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", *VTK_SUFFIXES)
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 SCENE_KEYS = ("unit", "background", "labels", "structures", "tissues", "sites")
 SITE_KEYS = ("axis", "front", "heights", "angles", "tilts", "rolls", "region")
@@ -202,6 +204,8 @@ def _mesh_path(entry: Mapping[str, Any], folder: Path, where: str) -> Path:
         raise ValueError(f"{where}.mesh: {shown(name)} is not one of {', '.join(MESH_SUFFIXES)}")
     if not os.path.isfile(path):  # noqa: PTH113, it is False for a name that is too long
         raise FileNotFoundError(f"{where}.mesh: no file {shown(name)} in {folder}")
+    if path.suffix.lower() in VTK_SUFFIXES and find_spec("vtkmodules") is None:
+        raise ValueError(f"{where}.mesh: {NEEDS_VTK}")
     if path.stat().st_size == 0:
         raise ValueError(f"{where}.mesh: {path} is empty")
     mesh_files(path)

@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 
 from ablate.anatomy.meshes.closing import cap_open_ends, odd_edges
+from ablate.anatomy.meshes.vtk_files import VTK_SUFFIXES, read_vtk
 
 logger = logging.getLogger(__name__)
 
@@ -33,7 +34,7 @@ class MeshReport:
 
 
 def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> tuple[trimesh.Trimesh, MeshReport]:
-    """Read a mesh file of any format that trimesh knows, join its pieces, and make it usable, in mm.
+    """Read a mesh file of any format that trimesh knows, or VTK's own, join its pieces, and make it usable, in mm.
 
     Materials and textures are not read.
 
@@ -42,12 +43,20 @@ def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> tuple[trimesh.Trime
     """
     path = Path(path)
     try:
-        loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
+        vertices, faces = read_vtk(path) if path.suffix.lower() in VTK_SUFFIXES else _read(path)
     except Exception as error:  # every reader raises its own
         raise ValueError(f"{path}: not readable as a mesh: {' '.join(str(error).split())}") from error
-    if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
+    if len(faces) == 0:
         raise ValueError(f"{path}: holds no triangles")
-    return repair(np.asarray(loaded.vertices) * mm_per_unit, np.asarray(loaded.faces), str(path))
+    return repair(vertices * mm_per_unit, faces, str(path))
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) and triangles (m, 3) of a file that trimesh knows; none where it holds something else."""
+    loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
+    if not isinstance(loaded, trimesh.Trimesh):
+        return np.empty((0, 3)), np.empty((0, 3), np.int64)
+    return np.asarray(loaded.vertices), np.asarray(loaded.faces)
 
 
 def repair(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[trimesh.Trimesh, MeshReport]:

@@ -1,0 +1,82 @@
+"""Meshes in VTK's formats, written by VTK itself."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from ablate.anatomy import load_scene, scene_folder, validate_scene_folder
+from ablate.anatomy.meshes.repair import load_mesh
+
+pytest.importorskip("vtkmodules", reason="needs the extra: pip install 'ablate-ultrasound[vtk]'")
+
+from vtkmodules.vtkFiltersSources import vtkCubeSource
+from vtkmodules.vtkIOLegacy import vtkPolyDataWriter
+from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
+
+
+def write(path: Path, binary: bool = False) -> Path:
+    """A box of 20 x 30 x 40, made of squares."""
+    box = vtkCubeSource()
+    box.SetXLength(20), box.SetYLength(30), box.SetZLength(40)
+    writer: Any = vtkPolyDataWriter() if path.suffix == ".vtk" else vtkXMLPolyDataWriter()
+    if binary and path.suffix == ".vtk":
+        writer.SetFileTypeToBinary()
+    writer.SetInputConnection(box.GetOutputPort())
+    writer.SetFileName(str(path))
+    assert writer.Write() == 1
+    return path
+
+
+@pytest.mark.parametrize("name", ["box.vtk", "box.vtp", "BINARY.vtk"])
+def test_squares_become_triangles_that_enclose_the_same_volume(name: str, tmp_path: Path) -> None:
+    mesh, report = load_mesh(write(tmp_path / name, binary=name.isupper()), mm_per_unit=2.0)
+    assert (len(mesh.vertices), len(mesh.faces)) == (8, 12)
+    assert report.merged_vertices == 16
+    assert abs(mesh.volume) == pytest.approx(8 * 20 * 30 * 40)
+    np.testing.assert_allclose(mesh.bounds, [[-20, -30, -40], [20, 30, 40]])
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("text.vtk", "hello\n", "Unrecognized file type"),
+        ("text.vtp", "<hello", "unclosed token"),
+        ("grid.vtk", "# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_POINTS\n", "structured_points"),
+        (
+            "points.vtk",
+            "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 1 int\n0 0 0\n",
+            "no polygons",
+        ),
+        ("cut.vtk", None, "Unrecognized keyword"),
+        ("cut.vtp", None, "unclosed token"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_named_with_a_reason(
+    name: str, content: str | None, words: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / name
+    if content is None:
+        whole = write(path).read_bytes()
+        path.write_bytes(whole[: len(whole) // 2])
+    else:
+        path.write_text(content)
+    with pytest.raises(ValueError, match=rf"{name}: not readable as a mesh: .*{words}"):
+        load_mesh(path)
+    assert capfd.readouterr().err == "", "VTK writes to the screen"
+
+
+def test_a_scene_is_made_of_them_and_without_the_package_its_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "skin.vtp")
+    trimesh.creation.icosphere(radius=8.0).export(tmp_path / "liver.stl")
+    structures = "{mesh: skin.vtp, tissue: fat}, {mesh: liver.stl, tissue: liver}"
+    (tmp_path / "scene.yaml").write_text(f"structures: [{structures}]\n")
+    scene = load_scene(tmp_path)
+    assert [s.mesh.metadata["name"] for s in scene.structures] == ["skin.vtp", "liver.stl"]
+    monkeypatch.setattr(scene_folder, "find_spec", lambda _: None)
+    with pytest.raises(ValueError, match=r"structures\[0\]\.mesh: .*pip install 'ablate-ultrasound\[vtk\]'"):
+        validate_scene_folder(tmp_path)
