@@ -58,3 +58,11 @@ def test_the_pythons_that_are_classified_are_those_that_are_admitted() -> None:
     assert versions == ["3.11", "3.12", "3.13"]
     classified = [c.rpartition(" ")[2] for c in PROJECT["classifiers"] if "Python ::" in c]
     assert classified == versions
+
+
+def test_the_container_is_made_of_files_that_exist_and_reach_its_builder() -> None:
+    steps = (ROOT / "Dockerfile").read_text("utf-8").splitlines()
+    copied = {name for step in steps if step.startswith("COPY ") for name in step.split()[1:-1]}
+    sent = {line[1:] for line in (ROOT / ".dockerignore").read_text("utf-8").splitlines() if line.startswith("!")}
+    assert copied == sent
+    assert all((ROOT / name).exists() for name in copied)

@@ -1,11 +1,15 @@
 """Views against the simulator itself; one set of triangles for every probe."""
 
+import gc
+import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 import ablate
@@ -14,6 +18,7 @@ from ablate.ultrasound import ConvexProbe, Display, Simulator
 from ablate.ultrasound.probe import pixel_polar
 from ablate.ultrasound.surfaces import embree
 from ablate.viewer.engine import Engine, coarse
+from ablate.viewer.exported import FastGenerator
 from ablate.viewer.generators import pickable
 from ablate.viewer.state import Quality, State
 
@@ -152,3 +157,25 @@ def test_the_image_of_a_network_is_that_of_ablate_load(state: State) -> None:
     views = Engine(known).render(replace(state, runs=(picked,), seed=3), Quality.coarse)
     frame = Simulator(known, state.probe, state.simulator).render(state.pose)
     np.testing.assert_array_equal(views.generated[0], renderer.render(frame, known.tissues, seed=3))
+
+
+def test_a_generator_is_exported_while_it_is_used_and_renders_the_same_image_faster() -> None:
+    pytest.importorskip("openvino", reason="needs the extra: pip install 'ablate-ultrasound[export]'")
+    fast, mask = FastGenerator(ablate.load("sa2h").generator), torch.ones(48, 66, dtype=torch.bool)
+    generator = torch.Generator().manual_seed(0)
+    maps = {name: torch.rand((1, 1, 48, 66), generator=generator) for name in ("segmentation", "attenuation")}
+
+    render = partial(FastGenerator.render, fast, maps, mask, torch.tensor([3]))
+
+    first, last, end = render(), render(), time.monotonic() + 120
+    np.testing.assert_array_equal(first, last)
+    while not fast._opened:
+        assert time.monotonic() < end
+        last = render()
+        time.sleep(0.2)
+    np.testing.assert_allclose(last, first.astype(float), atol=1)  # grey levels, which are rounded
+    assert last.std() > 5
+    folder = fast._folder
+    del fast, render
+    gc.collect()
+    assert not folder.exists()

@@ -11,12 +11,13 @@ from ablate import pretrained
 from ablate.anatomy import Tissue
 from ablate.config import StudySettings, build
 from ablate.dataset import label_values, network_inputs
-from ablate.networks import Generator, conditions
+from ablate.networks import conditions
 from ablate.storage import read_json
 from ablate.studies.comparison.results import finished_runs
-from ablate.training import LAST, TrainingPrecision, generate, load_generator
+from ablate.training import LAST, load_generator
 from ablate.ultrasound import Probe, compensated_attenuation, fan_mask
 from ablate.ultrasound.probe import pixel_size_mm
+from ablate.viewer.exported import FastGenerator
 from ablate.viewer.state import State
 
 _SHIPPED = Path("pretrained")
@@ -48,7 +49,7 @@ class Trained:
     tissues of that scene that it was not trained on.
     """
 
-    generator: Generator
+    engine: FastGenerator
     probe: Probe
     tgc_db_cm_mhz: float
     image_shape: tuple[int, int]
@@ -57,17 +58,20 @@ class Trained:
 
     @property
     def reads_low(self) -> bool:
-        return "low" in conditions(self.generator.spec)
+        return "low" in self.reads
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        return conditions(self.engine.generator.spec)
 
     def render(self, maps: Mapping[str, np.ndarray], probe: Probe, seed: int) -> np.ndarray:
         """The image, (H, W) uint8, from `segmentation`, `attenuation` and, where it reads it, `low`, (H, W) each."""
         read = {name: value[None] for name, value in maps.items()}
-        if "compensated" in conditions(self.generator.spec):
+        if "compensated" in self.reads:
             read["compensated"] = compensated_attenuation(read["attenuation"], probe, self.tgc_db_cm_mhz)
         mask = fan_mask(probe, maps["segmentation"].shape)
-        inputs, noise = network_inputs(read, self.values, mask), torch.tensor([seed])
-        image: np.ndarray = generate(self.generator, inputs, torch.from_numpy(mask), noise, TrainingPrecision.fp32)[0]
-        return image
+        inputs = network_inputs(read, self.values, mask)
+        return self.engine.render(inputs, torch.from_numpy(mask), torch.tensor([seed]))
 
     def reservation(self, state: State) -> str:
         """What this state has that the training had not; empty where nothing."""
@@ -95,7 +99,7 @@ def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
         shipped = pretrained.load(picked.name)
         values, unknown = _values(shipped.values, label_values(tissues, StudySettings.encoding), tissues)
         made_for = shipped.probe, shipped.tgc_db_cm_mhz, shipped.image_shape
-        return Trained(shipped.generator, *made_for, values, unknown)
+        return Trained(FastGenerator(shipped.generator), *made_for, values, unknown)
     try:
         settings = build(StudySettings, read_json(picked / "spec.json")["settings"])
         data = str(read_json(picked / "result.json")["data"])
@@ -107,7 +111,9 @@ def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
     known = dict(zip((t.name for t in trained_on), label_values(trained_on, *encoding)[1:].tolist(), strict=True))
     values, unknown = _values(known, label_values(tissues, *encoding), tissues)
     simulator = settings.simulator
-    return Trained(generator, settings.probe, simulator.tgc_db_cm_mhz, simulator.image_shape, values, unknown)
+    return Trained(
+        FastGenerator(generator), settings.probe, simulator.tgc_db_cm_mhz, simulator.image_shape, values, unknown
+    )
 
 
 def _values(
