@@ -1,6 +1,7 @@
 """The page as a whole: what the browsers send goes to the session, what the worker renders goes to the browsers."""
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from ablate.viewer.worker import Worker
 _JPEG_QUALITY = 88
 IMAGES_PX = 640  # width of the images in a window of 1366 px
 _BODY_PX, _MOST_SPARE_PX = 430, 400
+_PLACING_S = 30.0
 _FIRST = "The first picture is on its way:\nthe simulator is being compiled,\nwhich takes up to a minute."
 
 
@@ -30,8 +32,7 @@ _FIRST = "The first picture is on its way:\nthe simulator is being compiled,\nwh
 class Page:
     """What all parts of the page share.
 
-    `refreshers` are called when what is set
-    has changed, `painters` with every frame that is shown.
+    `refreshers` are called when what is set has changed, `painters` with every frame that is shown.
     """
 
     server: Any
@@ -49,6 +50,7 @@ class Page:
     lock: threading.RLock = field(default_factory=threading.RLock)
     _words: str = ""
     _fitted: bool = False
+    _images_px: float = IMAGES_PX
 
     def __post_init__(self) -> None:
         self.colours = tissue_colours(self.scene.tissues)
@@ -69,12 +71,23 @@ class Page:
             self._caption = self.server.gui.add_html("")
 
     def fit(self, client: Any) -> None:
-        """Make the images larger where the first window that is opened has room for them."""
+        """Share the first window among body and images while the browser places the panels, and then leave it alone."""
         if not self._fitted:
-            self._fitted = True
-            spare = client.camera.image_width - _BODY_PX
-            if spare > 0:
-                self.images.set_width(IMAGES_PX + min(0.6 * spare, _MOST_SPARE_PX))
+            self._fitted, end = True, time.monotonic() + _PLACING_S
+
+            def share(camera: Any) -> None:
+                if time.monotonic() < end:
+                    self._share(camera.image_width)
+
+            client.camera.on_update(share)
+
+    def _share(self, body_px: float) -> None:
+        """Make the images as wide as both have room for, where the body has so many px now."""
+        spare = body_px + self._images_px - _BODY_PX - IMAGES_PX
+        width = IMAGES_PX + min(max(0.6 * spare, 0.0), _MOST_SPARE_PX)
+        if round(width) != round(self._images_px):
+            self._images_px = width
+            self.images.set_width(width)
 
     def add_status(self) -> None:
         """The place of words: how the probe lies, and what could not be done."""

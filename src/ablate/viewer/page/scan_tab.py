@@ -53,7 +53,7 @@ def add_scan_tab(page: Page) -> None:
         lambda: _display(page).dynamic_range_db or session.state.simulator.dynamic_range_db,
         lambda v: _show(page, dynamic_range_db=v),
     )
-    with gui.add_folder("Time gain (dB), from the skin to the deepest", expand_by_default=False):
+    with gui.add_folder("Time gain (dB), by depth", expand_by_default=False):
         for number in range(_TGC_SLIDERS):
             _add_tgc(page, number)
     moving = gui.add_dropdown("Moving", tuple(_MOVING), hint="what is rendered while the probe moves")
