@@ -71,7 +71,7 @@ def until(holds: Callable[[], object], within_s: float = _PATIENCE_S) -> None:
 def settle(viewer: Viewer) -> None:
     """Wait until the probe has rested and its image is shown."""
     time.sleep(0.5)
-    until(lambda: viewer.worker.idle)
+    until(lambda: viewer.worker.idle and viewer.page.drawn)
     time.sleep(1.0)
 
 

@@ -65,7 +65,7 @@ def client(viewer: Viewer) -> Iterator[Client]:
 def settle(client: Client, viewer: Viewer) -> None:
     """Wait until the probe has rested and its image has come."""
     time.sleep(2 * REST_S)
-    client.until(lambda: viewer.worker.idle)
+    client.until(lambda: viewer.worker.idle and viewer.page.drawn)
     time.sleep(0.1)
 
 

@@ -4,6 +4,7 @@ import time
 import warnings
 from collections.abc import Callable, Hashable
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -23,8 +24,8 @@ _KEPT_GENERATORS = 4
 
 
 def coarse(settings: SimulatorSettings) -> SimulatorSettings:
-    """Settings for a moving probe: one layer and few rays, so the speckle is that of the image at rest."""
-    return replace(settings, rays=min(settings.rays, _COARSE_RAYS), layers=1)
+    """Settings for a moving probe: one layer, few rays, every second scanline. Scatterers stay where they are."""
+    return replace(settings, rays=min(settings.rays, _COARSE_RAYS), layers=1, scanlines=-(-settings.scanlines // 2))
 
 
 class Engine:
@@ -75,7 +76,7 @@ class Engine:
             target=target,
             segmentation=segmentation,
             attenuation=attenuation,
-            mask=fan_mask(state.probe, state.simulator.image_shape),
+            mask=_fan(state.probe, state.simulator.image_shape)[0],
             generated=tuple(images),
             ms=ms,
             notes={name: words for name, words in notes.items() if words},
@@ -118,14 +119,19 @@ class Engine:
                 low = replace(state.simulator, rays=1, layers=1)
                 maps["low"] = _quietly(self._simulator(state.probe, low), replace(state, display=None)).image
             begun = time.perf_counter()
-            image = run.render(maps, state.probe, state.seed)
+            image = run.render(maps, _fan(state.probe, state.simulator.image_shape)[0], state.probe, state.seed)
             self._images = {kept: v for kept, v in self._images.items() if kept in state.runs}
             self._images[folder] = key, image, 1e3 * (time.perf_counter() - begun)
         _, image, ms = self._images[folder]
         if state.display is not None:
-            depth = pixel_polar(state.probe, state.simulator.image_shape)[0] / state.probe.depth_mm
-            image = state.display.shown(image, depth, state.simulator)
+            image = state.display.shown(image, _fan(state.probe, state.simulator.image_shape)[1], state.simulator)
         return image, ms, run.reservation(state)
+
+
+@lru_cache(maxsize=4)
+def _fan(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """The fan's pixels, (H, W) bool, and the depth of each pixel as a share of the probe's, (H, W)."""
+    return fan_mask(probe, shape), pixel_polar(probe, shape)[0] / probe.depth_mm
 
 
 def _quietly(simulator: Simulator, state: State) -> Frame:

@@ -15,7 +15,7 @@ from ablate.networks import conditions
 from ablate.storage import read_json
 from ablate.studies.comparison.results import finished_runs
 from ablate.training import LAST, load_generator
-from ablate.ultrasound import Probe, compensated_attenuation, fan_mask
+from ablate.ultrasound import Probe, compensated_attenuation
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.viewer.exported import FastGenerator
 from ablate.viewer.state import State
@@ -64,12 +64,14 @@ class Trained:
     def reads(self) -> tuple[str, ...]:
         return conditions(self.engine.generator.spec)
 
-    def render(self, maps: Mapping[str, np.ndarray], probe: Probe, seed: int) -> np.ndarray:
-        """The image, (H, W) uint8, from `segmentation`, `attenuation` and, where it reads it, `low`, (H, W) each."""
+    def render(self, maps: Mapping[str, np.ndarray], mask: np.ndarray, probe: Probe, seed: int) -> np.ndarray:
+        """The image, (H, W) uint8, from `segmentation`, `attenuation` and, where it reads it, `low`, (H, W) each.
+
+        `mask`, (H, W) bool, is the fan.
+        """
         read = {name: value[None] for name, value in maps.items()}
         if "compensated" in self.reads:
             read["compensated"] = compensated_attenuation(read["attenuation"], probe, self.tgc_db_cm_mhz)
-        mask = fan_mask(probe, maps["segmentation"].shape)
         inputs = network_inputs(read, self.values, mask)
         return self.engine.render(inputs, torch.from_numpy(mask), torch.tensor([seed]))
 

@@ -1,7 +1,7 @@
 """From views to pictures with a scale: RGB arrays, ready to be shown or saved."""
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from matplotlib import colormaps
@@ -21,7 +21,7 @@ _MOST_DIFFERENCE = 128.0  # grey levels, fully red or blue
 
 def grey_picture(image: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
     """A B-mode image, (H, W) uint8, with its scale, (h, w, 3) uint8."""
-    return _framed(np.repeat(image[..., None], 3, axis=-1), mask, probe)
+    return _framed(image, mask, probe)
 
 
 def label_picture(labels: np.ndarray, colours: Sequence[Colour], probe: Probe) -> np.ndarray:
@@ -32,8 +32,12 @@ def label_picture(labels: np.ndarray, colours: Sequence[Colour], probe: Probe) -
 
 def share_picture(shares: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
     """A map of shares in [0, 1], (H, W), from dark violet (0) to yellow (1)."""
-    table = (255 * colormaps["inferno"](np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
-    return _framed(table[(255 * np.clip(shares, 0, 1)).astype(np.uint8)], mask, probe)
+    return _framed(_violet_to_yellow()[(255 * np.clip(shares, 0, 1)).astype(np.uint8)], mask, probe)
+
+
+@cache
+def _violet_to_yellow() -> np.ndarray:
+    return (255 * colormaps["inferno"](np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
 
 
 def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
@@ -96,18 +100,18 @@ def _size(shape: tuple[int, int]) -> tuple[int, int]:
 
 
 def _framed(colours: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
-    """Pixels in the fan on dark paper, with the scale of depth and the mark of the probe's first side."""
+    """Grey levels, (H, W), or colours, (H, W, 3), of the fan alone, with a scale of depth and the mark of one side."""
     size = _size(mask.shape)
-    scale, ink = _scale(probe, size)
-    shown = np.where(mask[..., None], colours, np.uint8(0))
-    picture = np.array(Image.fromarray(shown.astype(np.uint8)).resize(size, Image.Resampling.BILINEAR))
-    picture[ink] = scale[ink]
-    return picture
+    shown = colours.copy()
+    shown[~mask] = 0
+    picture = Image.fromarray(shown.astype(np.uint8)).resize(size, Image.Resampling.BILINEAR).convert("RGB")
+    picture.paste(*_scale(probe, size))
+    return np.asarray(picture)
 
 
 @lru_cache(maxsize=8)
-def _scale(probe: Probe, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """A picture of the scale alone, (h, w, 3) uint8, and where it is drawn, (h, w) bool."""
+def _scale(probe: Probe, size: tuple[int, int]) -> tuple[Image.Image, tuple[int, int], Image.Image]:
+    """A picture of the scale alone, where it goes, and a mask of what is drawn."""
     canvas = Image.new("RGB", size)
     draw, font = ImageDraw.Draw(canvas), _font(size[1])
     rows = pixel_coordinates_mm(probe, (size[1], size[0]))[1]
@@ -122,8 +126,7 @@ def _scale(probe: Probe, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]
     radius = size[1] // 60
     x, y = size[0] // 9, size[1] // 14
     draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=_MARK)
-    drawn = np.asarray(canvas)
-    return drawn, np.any(drawn > 0, axis=-1)
+    return canvas, (0, 0), Image.fromarray(np.asarray(canvas).any(axis=-1))
 
 
 def _font(height_px: int) -> ImageFont.FreeTypeFont:

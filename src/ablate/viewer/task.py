@@ -84,6 +84,7 @@ class Viewer:
         """Stop the server and the worker."""
         self.server.stop()
         self.worker.close()
+        self.page.close()
 
     def _follow_pages(self, _: Any) -> None:
         """Compute while a page is open, and nothing otherwise."""

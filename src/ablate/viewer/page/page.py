@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -54,6 +55,9 @@ class Page:
 
     def __post_init__(self) -> None:
         self.colours = tissue_colours(self.scene.tissues)
+        self._paper = threading.RLock()
+        self._pencil = ThreadPoolExecutor(1, "pencil")
+        self._drawing = self._pencil.submit(lambda: None)
         self.session.listeners.append(self.refresh)
 
     @property
@@ -134,22 +138,39 @@ class Page:
         self._write_status()
 
     def show(self, state: State, views: Views) -> None:
-        """Show a frame that the worker rendered."""
-        self.shown = Shown(state, views, 0.0)
+        """Keep a frame that the worker rendered, and have it drawn while the worker renders the next one."""
+        frame = self.shown = Shown(state, views, 0.0)
         self.loop.add(state, views)
         if self.sweep is not None:
             self.sweep.add(state, views)
-        self.paint(state, views)
+        self._drawing.result()  # of two frames none is left out, so the last one is drawn last
+        self._drawing = self._pencil.submit(self._draw, frame)
+
+    def _draw(self, frame: Shown) -> None:
+        try:
+            self.paint(frame.state, frame.views)
+        except Exception as error:  # as for what the worker itself cannot do
+            self.fail(frame.state, error)
+
+    def close(self) -> None:
+        """Draw no more."""
+        self._pencil.shutdown()
+
+    @property
+    def drawn(self) -> bool:
+        """Whether all that was shown has been drawn."""
+        return self._drawing.done()
 
     def paint(self, state: State, views: Views) -> None:
         """Draw a frame, a new one or one of the cine loop."""
-        picture = screen(state, views, self.colours, self.layout)
-        with self.server.atomic():
-            self._screen.image = picture
-            self._caption.content = caption(state, views, self.scene, self.colours)
-        self.body.show(state, views)
-        for painter in self.painters:
-            painter(state, views)
+        with self._paper:
+            picture = screen(state, views, self.colours, self.layout)
+            with self.server.atomic():
+                self._screen.image = picture
+                self._caption.content = caption(state, views, self.scene, self.colours)
+            self.body.show(state, views)
+            for painter in self.painters:
+                painter(state, views)
 
     def repaint(self) -> None:
         """Draw the last frame again, in another layout."""
