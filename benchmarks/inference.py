@@ -30,6 +30,7 @@ from ablate.training import (
     Engine,
     TrainingPrecision,
     chosen_device,
+    chosen_precision,
     median_ms,
     missing_for,
     open_engine,
@@ -117,6 +118,7 @@ def measure(arguments: argparse.Namespace) -> None:
 def table(arguments: argparse.Namespace, folder: Path) -> None:
     """Print a row for each width, engine and precision."""
     device, before = chosen_device(arguments.device), 0.0
+    computed = tuple(dict.fromkeys((TrainingPrecision.fp32, chosen_precision(TrainingPrecision.auto, device))))
     for width in arguments.widths:
         parameters = f"{count_generator(replace(variant_model(arguments.variant), width=width)):,}"
         exported, reference = folder / "model.onnx", None
@@ -127,7 +129,7 @@ def table(arguments: argparse.Namespace, folder: Path) -> None:
                 continue
             if engine is Engine.exported:
                 child(arguments, "--widths", str(width), "--file", str(exported))
-            for precision in (TrainingPrecision.fp32, TrainingPrecision.bf16):
+            for precision in computed:
                 out = folder / "image.npy"
                 row = ("--widths", str(width), "--engine", engine, "--precision", precision, "--image", str(out))
                 found = child(arguments, *row, "--file", str(exported))
@@ -176,6 +178,8 @@ def main() -> None:
         return
     print(f"{hardware()}, {torch.get_num_threads()} threads, torch {torch.__version__}; {arguments.variant} at")
     print(f"{arguments.size[0]} x {arguments.size[1]}, batch 1, median of {arguments.repeats} frames after warm-up.\n")
+    if chosen_precision(TrainingPrecision.auto, chosen_device(arguments.device)) is not TrainingPrecision.bf16:
+        print("bf16 is left out: this processor has no instructions for it.\n")
     line(HEAD)
     print("|" + "|".join("-" * (len(name) + 1) + ":" for name in HEAD) + "|")
     with tempfile.TemporaryDirectory() as folder:

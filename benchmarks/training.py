@@ -5,10 +5,11 @@ make bench-training ARGS="--variants sa2h --threads 1 --rounds 10"
 make bench-training ARGS="--parts --threads 1"
 
 Ours is `ablate.training.train` on the crops of a data set, as `preset=quick` trains: drawing of crops, logging and
-the running average of weights included. The plain one is pix2pix's step in fp32 with plain modules of torch, that
-renders each batch once for either network (`--forwards 1`: once for both, as pix2pix's own code does), on the same
-crops. Each runs in a process of its own; they take their steps in turns. A ratio is that of two successive steps, and
-the median over the rounds is reported. `--parts` compares ours with itself, one part switched off at a time.
+the running average of weights included. The plain one is pix2pix's step in fp32 with plain modules of torch, on the
+same crops and with the same losses. It renders each batch once for either network (`--forwards 1`: once for both, as
+pix2pix's own code does). Each runs in a process of its own; they take their steps in turns. A ratio is that of two
+successive steps, and the median over the rounds is reported. `--parts` compares ours with itself, one part switched
+off at a time.
 
 On one thread of a CPU, processor time is measured, which other processes change little; otherwise the clock decides,
 and the machine should have nothing else to do.
@@ -32,10 +33,10 @@ from torch import Tensor
 
 from ablate.config import StudySettings
 from ablate.dataset import CropLoader, Crops, CropSettings, create_pairs, fill_pairs, open_pairs
-from ablate.networks import conditions
+from ablate.networks import conditions, draws_noise
 from ablate.studies.jobs.compose import jobs_of
 from ablate.tracking import hardware
-from ablate.training import TrainingPrecision, chosen_device, chosen_precision, train
+from ablate.training import Reconstruction, TrainingPrecision, chosen_device, chosen_precision, train
 from support.plain_gan import PlainGAN
 from support.training_parts import COMPILED, PARTS, TRIED
 from yardstick import ABOUT, Yardstick
@@ -106,7 +107,7 @@ def take_steps(arguments: argparse.Namespace) -> None:
         with tempfile.TemporaryDirectory(dir=arguments.folder) as run:
             train(s.model, s.training, loader, Path(run), sink=lambda *_: None)
     else:
-        gan = PlainGAN(s.model, device)
+        gan = PlainGAN(s.model, device, s.training.reconstruction is Reconstruction.crps and draws_noise(s.model))
         for batch in loader(0, s.training.steps):
             gan.step(batch, arguments.forwards)
 

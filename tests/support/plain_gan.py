@@ -156,10 +156,10 @@ def with_noise(stacked: Tensor, spec: GeneratorSpec) -> Tensor:
 
 
 class PlainGAN:
-    """Both networks, two Adams, and a step of each."""
+    """Both networks, two Adams, and a step of each; the loss is L1, or with two draws the CRPS."""
 
-    def __init__(self, spec: GeneratorSpec, device: torch.device) -> None:
-        self.spec, self.device = spec, device
+    def __init__(self, spec: GeneratorSpec, device: torch.device, two_draws: bool = False) -> None:
+        self.spec, self.device, self.two_draws = spec, device, two_draws
         network = PlainUNet if spec.family is Family.unet else PlainLocal
         self.generator = network(spec).to(device)
         self.discriminator = PlainDiscriminator(discriminator_channels(spec), spec.width).to(device)
@@ -189,8 +189,12 @@ class PlainGAN:
         self.adam_g.zero_grad()
         logits = self.discriminator(maps, fake)
         loss_g = self.criterion(logits, torch.ones_like(logits))
-        l1 = (mask * (fake - image).abs()).sum() / mask.sum()
-        (loss_g + 100 * l1).backward()
+        l1 = error = (mask * (fake - image).abs()).sum() / mask.sum()
+        if self.two_draws:
+            second = mask * (self.generator(maps) + 1) - 1
+            of_second = (mask * (second - image).abs()).sum() / mask.sum()
+            error = (l1 + of_second - (mask * (fake - second).abs()).sum() / mask.sum()) / 2
+        (loss_g + 100 * error).backward()
         self.adam_g.step()
         return {
             "loss_d": (loss_real + loss_fake).item(),
