@@ -73,7 +73,7 @@ def _killed_at_write(arguments: list[str], last: int, below: str) -> None:
             return
         writes += 1
         if writes >= last:
-            if opened and "w" in about[1] and os.path.exists(path):  # noqa: PTH110
+            if opened and "w" in about[1] and os.path.isfile(path):  # noqa: PTH113, a temporary file names its folder
                 os.truncate(path, 0)
             os.kill(os.getpid(), signal.SIGKILL)
 

@@ -15,9 +15,12 @@ class Killed(BaseException):
     """In place of SIGKILL."""
 
 
+@pytest.mark.parametrize("name", ["mlflow.db", "own.db"], ids=["the default store", "a file that tracking.uri names"])
 def test_a_process_that_is_killed_while_it_makes_the_database_leaves_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    uri = None if name == "mlflow.db" else f"sqlite:///{tmp_path / name}"
+
     def killed(*_: object) -> None:
         raise Killed
 
@@ -25,10 +28,10 @@ def test_a_process_that_is_killed_while_it_makes_the_database_leaves_none(
         patch.setattr(mlflow.store.db.utils, "_upgrade_db", killed)
         patch.setattr(Path, "unlink", lambda *_, **__: None)  # what is killed does not tidy up
         with pytest.raises(Killed):
-            open_store(tmp_path, None, "ablate")
+            open_store(tmp_path, uri, "ablate")
     assert list(tmp_path.glob("*.partial.db")), "nothing was begun"
-    assert not (tmp_path / "mlflow.db").exists()
-    store = open_store(tmp_path, None, "ablate")
+    assert not (tmp_path / name).exists()
+    store = open_store(tmp_path, uri, "ablate")
     assert parent_run(store, "study")
     assert not list(tmp_path.glob("*.partial.db"))
 

@@ -89,7 +89,7 @@ def test_scores_of_a_call_that_was_given_up_and_arrived_all_the_same_are_stored_
         run.scores({"test/psnr": 17.5}, 1000)
     run.scores({"test/psnr": 18.0}, 2000)  # scored again
     history = store.client.get_metric_history(run.run_id, "test/psnr")
-    assert [(point.value, point.timestamp) for point in history] == [(17.5, 1000), (18.0, 2000)]
+    assert [(p.value, p.timestamp, p.step) for p in history] == [(17.5, 1000, 0), (18.0, 2000, 1)]
     assert store.client.get_run(run.run_id).data.metrics == {"test/psnr": 18.0}
 
 

@@ -1,4 +1,4 @@
-"""The SQLite file of the default store. It is a copy of what the runs have on disk, so it may be made again."""
+"""SQLite files: that of the default store is a copy of what the runs have on disk, so it may be made again."""
 
 import logging
 import sqlite3
@@ -34,18 +34,27 @@ def default_uri(runs: Path) -> str:
     return f"sqlite:///{database(runs)}"
 
 
-def make_database(runs: Path) -> None:
-    """Make the SQLite file where there is none; one process at a time may call this.
+def make_default_database(runs: Path) -> None:
+    """Make the SQLite file of the default store where there is none; one process at a time may call this.
 
-    The file is made under another name, so a process that is killed leaves none that cannot be opened. A file that this
-    version of MLflow cannot read keeps its contents under another name.
+    A file that this version of MLflow cannot read keeps its contents under another name.
     """
     path = database(runs)
     if path.exists() and _schema(path) != _get_latest_schema_revision():
         aside = path.with_name(f"mlflow-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.db")
         _move(path, aside)
         _LOG.warning("%s: damaged, or of another version of MLflow; it is now %s, and a new one is filled", path, aside)
-    if not path.exists():
+    make_database(default_uri(runs))
+
+
+def make_database(uri: str) -> None:
+    """Make the SQLite file that a URI names where there is none; other stores are left alone.
+
+    The file is made under another name, so a process that is killed, or a disk that is full, leaves none that cannot be
+    opened.
+    """
+    path = Path(uri.removeprefix("sqlite:///"))
+    if uri.startswith("sqlite:///") and "?" not in uri and not path.exists():
         remove_partial(path)
         for suffix in _OF_TRANSACTIONS:  # of a file that was removed; SQLite would apply them to the new one
             Path(f"{path}{suffix}").unlink(missing_ok=True)

@@ -16,7 +16,7 @@ from mlflow.exceptions import MlflowException
 from sqlalchemy.exc import SQLAlchemyError
 
 from ablate.storage import write_text
-from ablate.tracking.database import default_uri, make_database, move_artifacts
+from ablate.tracking.database import default_uri, make_database, make_default_database, move_artifacts
 
 _LOCK_S = 60.0
 _PARENT_TAG = "mlflow.parentRunId"
@@ -84,7 +84,9 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
     location = None if uri else (runs / "artifacts").as_uri()
     with FileLock(lock, timeout=_LOCK_S):
         if uri is None:
-            make_database(runs)
+            make_default_database(runs)
+        else:
+            make_database(uri)
         client = MlflowClient(uri or default_uri(runs))
         found = client.get_experiment_by_name(experiment)
         if found is None:

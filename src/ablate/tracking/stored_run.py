@@ -49,7 +49,7 @@ class StoredRun:
             self._steps.update((point.key, point.step) for point in batch)
 
     def scores(self, values: Mapping[str, float], time_ms: int | None = None, model: str | None = None) -> None:
-        """Log values that a run has one of, at step 0; NaN and infinite ones are left out.
+        """Log values that a run has one of, at step 0, and what replaces one a step later; NaN and inf are left out.
 
         The same values of the same time are stored once, also where a server takes a call that was given up. With the
         id of a model they are that model's too, on the data set of the run.
@@ -58,10 +58,11 @@ class StoredRun:
         known, used = run.data.metrics, run.inputs.dataset_inputs if model else []
         new = {k: float(v) for k, v in values.items() if abs(float(v)) < 1e300 and known.get(k) != float(v)}
         at = time_ms or int(time.time() * 1000)
+        steps = {k: self._client.get_metric_history(self.run_id, k)[-1].step + 1 for k in new.keys() & known.keys()}
         of = (model, used[0].dataset.name, used[0].dataset.digest) if used else (model,)
         for k in range(0, len(new), _BATCH):
             batch = list(new.items())[k : k + _BATCH]
-            self._client.log_batch(self.run_id, metrics=[Metric(key, value, at, 0, *of) for key, value in batch])
+            self._client.log_batch(self.run_id, metrics=[Metric(k, v, at, steps.get(k, 0), *of) for k, v in batch])
 
     def model(self, name: str) -> str:
         """Id of the model that the run has made, for MLflow's page of models; it is created when there is none."""
