@@ -65,4 +65,4 @@ if (measured / "precision.png").exists():
     fastest = errors.loc[errors.groupby(["series", "metric"])["ms"].idxmin()]
     display(fastest.pivot(index=["series", "ms"], columns="metric", values="error").sort_values("ms").round(4))
 else:
-    print(f"There is no precision.png in {measured}. Run: python -m ablate task=precision")
+    print(f"There is no precision.png in {measured.parent.name}/{measured.name}. Run: python -m ablate task=precision")

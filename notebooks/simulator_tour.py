@@ -214,7 +214,8 @@ def noting_hits(geometry, origins, directions, reach_mm):
 def note_paths(stage, function, arguments):
     if stage is not Stage.tracing:  # labels follow straight lines through the same geometry: only paths are wanted
         return function(*arguments)
-    with patch.object(Geometry, "closest", noting_hits):
+    # Without an address compiled code cannot ask Embree itself, and every bounce is asked for here.
+    with patch.object(Geometry, "address", 0), patch.object(Geometry, "closest", noting_hits):
         return function(*arguments)
 
 

@@ -22,7 +22,7 @@ BESIDE_README = ("CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages; MkDocs calls this once it knows the files of docs/."""
     pages = {
-        "index.md": re.sub(r"\]\((docs|src/ablate)/", "](", read("README.md")),
+        "index.md": read("README.md"),
         "pretrained/README.md": read("src/ablate/pretrained/README.md"),
         "command_line.md": command_line(),
         **{f"api/{room}.md": "\n".join(api(room)) for room in ROOMS},
@@ -35,6 +35,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         for path, content in rendered(notebook).items():
             files.append(File.generated(config, path, content=content))
     return files
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Turn links of the repository into links of the site; MkDocs calls this for each page."""
+    markdown = re.sub(r"\]\((notebooks/\w+)\.ipynb", r"](\1.md", markdown.replace("](../README.md", "](index.md"))
+    return re.sub(r"\]\((docs|src/ablate)/", "](", markdown)
 
 
 def rendered(notebook: Path) -> dict[str, str | bytes]:
