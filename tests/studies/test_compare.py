@@ -256,6 +256,12 @@ def test_a_run_that_another_version_of_the_metrics_scored_is_left_aside_in_words
     assert usable.notes == (f"1 run left aside, {said}: sa2h-att/seed1.",)
 
 
+def test_a_result_with_the_label_of_another_variant_leaves_its_run_aside(study: Path) -> None:
+    change(study / "nsa2h" / "seed0", label="other")
+    said = "1 run left aside, with values of another run in per_image.parquet: start it again: nsa2h/seed0."
+    assert said in compared(study)[2]
+
+
 def test_identical_images(study: Path) -> None:
     set_values(study / "nsa2h" / "seed0", "psnr", lambda t: t["frame"] == 3, np.inf)
     folder, report, notes = compared(study)
