@@ -1,6 +1,6 @@
 # The default study in a container; its results appear in ./runs.
 #   docker build -t ablate .
-#   docker run --rm -v "$PWD/runs:/work/runs" ablate
+#   docker run --rm -v "$PWD/runs:/data/runs" ablate
 # Another command: docker run --rm ablate task=describe
 FROM debian:bookworm-slim
 
@@ -18,6 +18,6 @@ COPY src src
 COPY conf conf
 RUN pip install --no-cache-dir $PIP_OPTIONS -c constraints.txt '.[parallel]'
 
-WORKDIR /work
+WORKDIR /data
 ENTRYPOINT ["python", "-m", "ablate"]
 CMD ["-m", "variant=sa2h,sa2h-att,nsa2h", "hydra/launcher=joblib"]

@@ -6,14 +6,14 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from faults.bench import STUDY, SWEEP, VARIANTS
 from faults.mutations import bytes_of, name, tree_of
 
 if TYPE_CHECKING:
+    import trimesh
+
     from ablate.studies.jobs.job import Job
 
 # Damages an input and reads it; what is refused is a ConfigurationError.
@@ -86,42 +86,34 @@ def _write_meshes(folder: Path) -> None:
         write_mesh(folder, number, suffix)
 
 
-def _numbers(values: Any) -> str:
-    return " ".join(str(value) for value in values.ravel())
+def _through_vtk(mesh: "trimesh.Trimesh", path: Path) -> None:
+    """Write a mesh in one of VTK's own formats, by VTK."""
+    from vtkmodules.vtkIOGeometry import vtkSTLReader
+    from vtkmodules.vtkIOLegacy import vtkPolyDataWriter
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
 
-
-def _vtk(mesh: Any) -> str:
-    """The legacy format of VTK, as text."""
-    corners, faces = mesh.vertices, mesh.faces
-    head = "# vtk DataFile Version 3.0\nmesh\nASCII\nDATASET POLYDATA\n"
-    points = f"POINTS {len(corners)} double\n{_numbers(corners)}\n"
-    return f"{head}{points}POLYGONS {len(faces)} {4 * len(faces)}\n" + "".join(f"3 {a} {b} {c}\n" for a, b, c in faces)
-
-
-def _vtp(mesh: Any) -> str:
-    """The XML format of VTK, as text."""
-
-    def array(name: str, kind: str, values: Any, more: str = "") -> str:
-        return f'<DataArray type="{kind}" Name="{name}"{more} format="ascii">{_numbers(values)}</DataArray>'
-
-    faces = mesh.faces
-    ends = np.arange(3, 3 * len(faces) + 1, 3)
-    points = array("Points", "Float64", mesh.vertices, ' NumberOfComponents="3"')
-    polygons = array("connectivity", "Int64", faces) + array("offsets", "Int64", ends)
-    sizes = f'NumberOfPoints="{len(mesh.vertices)}" NumberOfPolys="{len(faces)}"'
-    piece = f"<Piece {sizes}><Points>{points}</Points><Polys>{polygons}</Polys></Piece>"
-    return f'<VTKFile type="PolyData" version="1.0"><PolyData>{piece}</PolyData></VTKFile>'
-
-
-_VTK = {".vtk": _vtk, ".vtp": _vtp}
+    beside = path.with_suffix(".made.stl")
+    mesh.export(beside)
+    reader, writer = vtkSTLReader(), vtkPolyDataWriter() if path.suffix == ".vtk" else vtkXMLPolyDataWriter()
+    reader.SetFileName(str(beside))
+    writer.SetInputConnection(reader.GetOutputPort())
+    writer.SetFileName(str(path))
+    writer.Write()
+    beside.unlink()
 
 
 def write_mesh(folder: Path, number: int, suffix: str) -> str:
     """Write a box or a sphere in a format, named by its number; a glTF has its buffers beside it. Returns its name."""
     import trimesh
 
+    from ablate.anatomy.meshes.vtk_files import VTK_SUFFIXES
+
     mesh = trimesh.creation.box((60 + number, 60, 60)) if number % 2 else trimesh.creation.icosphere(1, 40)
-    made, name = _VTK[suffix](mesh) if suffix in _VTK else mesh.export(file_type=suffix[1:]), f"{number}{suffix}"
+    name = f"{number}{suffix}"
+    if suffix in VTK_SUFFIXES:
+        _through_vtk(mesh, folder / name)
+        return name
+    made = mesh.export(file_type=suffix[1:])
     if isinstance(made, dict):  # glTF beside its buffers
         for file, content in made.items():
             (folder / (name if file.endswith(".gltf") else file)).write_bytes(content)

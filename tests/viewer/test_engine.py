@@ -159,7 +159,7 @@ def test_the_image_of_a_network_is_that_of_ablate_load(state: State) -> None:
     np.testing.assert_array_equal(views.generated[0], renderer.render(frame, known.tissues, seed=3))
 
 
-def test_a_generator_is_exported_while_it_is_used_and_renders_the_same_image_faster() -> None:
+def test_a_generator_is_exported_while_it_is_used_and_renders_the_same_image() -> None:
     pytest.importorskip("openvino", reason="needs the extra: pip install 'ablate-ultrasound[export]'")
     fast, mask = FastGenerator(ablate.load("sa2h").generator), torch.ones(48, 66, dtype=torch.bool)
     generator = torch.Generator().manual_seed(0)

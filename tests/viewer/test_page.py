@@ -76,8 +76,13 @@ def test_the_cine_loop_is_played_until_it_is_switched_off(client: Client, viewer
     held = viewer.page.loop.before(0.0)
     assert held is not None
     client.set("Cine: play", True)
-    shown: list[int] = []
-    client.until(lambda: shown.append(id(viewer.page.shown)) or (shown.count(id(held)) and len(set(shown)) >= 3))
+    seen: set[object] = set()
+
+    def played() -> bool:
+        seen.add(viewer.page.shown)
+        return held in seen and len(seen) >= 3
+
+    client.until(played)
     assert viewer.session.frozen
     client.set("Cine: play", False)
     time.sleep(1.0)

@@ -6,12 +6,14 @@ from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
+from filelock import FileLock
 from mlflow import MlflowClient
 from mlflow.store.db.utils import _get_latest_schema_revision
 
 from ablate.storage import remove_partial, written_whole
 
 _LOG = logging.getLogger(__name__)
+_LOCK_S = 60.0
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)  # the last: a table is not there
 _OF_TRANSACTIONS = ("-journal", "-wal", "-shm")
 # Where MLflow stores the place of artifacts.
@@ -44,22 +46,30 @@ def make_default_database(runs: Path) -> None:
         aside = path.with_name(f"mlflow-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.db")
         _move(path, aside)
         _LOG.warning("%s: damaged, or of another version of MLflow; it is now %s, and a new one is filled", path, aside)
-    make_database(default_uri(runs))
+    if not path.exists():
+        _make(path)
 
 
 def make_database(uri: str) -> None:
-    """Make the SQLite file that a URI names where there is none; other stores are left alone.
+    """Make the SQLite file that `tracking.uri` names where there is none; other stores are left alone.
 
-    The file is made under another name, so a process that is killed, or a disk that is full, leaves none that cannot be
-    opened.
+    Another folder of runs may make the same file, so a lock is taken beside it.
     """
     path = Path(uri.removeprefix("sqlite:///"))
-    if uri.startswith("sqlite:///") and "?" not in uri and not path.exists():
-        remove_partial(path)
-        for suffix in _OF_TRANSACTIONS:  # of a file that was removed; SQLite would apply them to the new one
-            Path(f"{path}{suffix}").unlink(missing_ok=True)
-        with written_whole(path) as partial:
-            MlflowClient(f"sqlite:///{partial}").search_experiments()
+    if not uri.startswith("sqlite:///") or "?" in uri or path.exists():
+        return
+    with FileLock(f"{path}.lock", timeout=_LOCK_S):
+        if not path.exists():
+            _make(path)
+
+
+def _make(path: Path) -> None:
+    """Make the file under another name, so that a kill or a full disk leaves none that cannot be opened."""
+    remove_partial(path)
+    for suffix in _OF_TRANSACTIONS:  # of a file that was removed; SQLite would apply them to the new one
+        Path(f"{path}{suffix}").unlink(missing_ok=True)
+    with written_whole(path) as partial:
+        MlflowClient(f"sqlite:///{partial}").search_experiments()
 
 
 def move_artifacts(runs: Path, stored: str, now: str) -> None:

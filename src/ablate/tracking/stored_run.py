@@ -49,7 +49,9 @@ class StoredRun:
             self._steps.update((point.key, point.step) for point in batch)
 
     def scores(self, values: Mapping[str, float], time_ms: int | None = None, model: str | None = None) -> None:
-        """Log values that a run has one of, at step 0, and what replaces one a step later; NaN and inf are left out.
+        """Log one value for each name at step 0; NaN and infinite values are left out.
+
+        A value that replaces another one is logged one step later, because MLflow keeps both.
 
         The same values of the same time are stored once, also where a server takes a call that was given up. With the
         id of a model they are that model's too, on the data set of the run.

@@ -138,7 +138,7 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path
 
 
 def _maps_line_in(across: int, ratio: float) -> float:
-    """Height in inches of a line of maps and images, which have so many times their width."""
+    """Height in inches of a line of maps above their images; `ratio` is the height of a picture over its width."""
     return 0.45 + 2 * PAGE_IN / max(across, 3) * ratio
 
 

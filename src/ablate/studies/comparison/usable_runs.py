@@ -104,7 +104,7 @@ def _read(folder: Path) -> Finished | str:
             check_name("metric", str(metric))  # it becomes part of the name of a figure's file
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:  # pyarrow's are ValueErrors
         return f"left aside, unreadable ({type(error).__name__})"
-    if set(zip(frames["variant"], frames["seed"], strict=True)) != {(run.label, run.seed)}:
+    if (set(frames["variant"]), set(frames["seed"])) != ({run.label}, {run.seed}):
         return "left aside, with values of another run in per_image.parquet: start it again"
     if unknown := set(frames["source"]) - set(SOURCES):
         names = ", ".join(map(str, sorted(unknown)))
