@@ -2,6 +2,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Processes of `make test`: two, because each takes up to 2 GiB of memory.
+JOBS ?= 2
+PYTEST = OMP_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist loadfile
 STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
@@ -36,10 +39,10 @@ docs: $(STAMP) ## the documentation as a site in site/, with the notebooks and t
 	@echo "Open site/index.html, or: $(BIN)/mkdocs serve"
 
 test: $(STAMP) check ## style, types and tests
-	OMP_NUM_THREADS=1 $(BIN)/pytest -m "not slow"
+	$(PYTEST) -m "not slow"
 
 test-all: $(STAMP) check ## the same with the slow tests
-	OMP_NUM_THREADS=1 $(BIN)/pytest
+	$(PYTEST)
 
 check: $(STAMP)
 	$(BIN)/ruff check

@@ -69,7 +69,8 @@ def test_every_pin_is_there_for_a_supported_python(tmp_path: Path, python: str) 
     assert done.returncode == 0, done.stderr[-2000:]
     (would,) = [line for line in done.stdout.splitlines() if line.startswith("Would install ")]
     installed = dict(name.rsplit("-", 1) for name in would.removeprefix("Would install ").split())
-    assert {name.lower().replace("_", "-"): version for name, version in installed.items()} == pins()
+    public = {name.lower().replace("_", "-"): version.partition("+")[0] for name, version in installed.items()}
+    assert public == pins()  # an index may have torch 2.13.0 as 2.13.0+cpu, which == takes
 
 
 def index_is_there(folder: Path) -> bool:

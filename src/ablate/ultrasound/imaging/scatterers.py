@@ -18,7 +18,8 @@ from ablate.anatomy import Tissue
 
 DRAWS_PER_SAMPLE = 16
 TABLE_SIZE = 8192
-_AXIS_FACTORS = (0x1B873593, 0x2545F491, 0x27D4EB2F)
+AXIS_FACTORS = (0x1B873593, 0x2545F491, 0x27D4EB2F)
+MIXING = ((15, 0x2C1B3C6D), (12, 0x297A2D39))  # the finaliser of a 32-bit integer hash
 _TABLE_SEED = 20201
 _MASK = 0xFFFFFFFF
 _TEXTURE_SIDE = 64  # voxels of the periodic volume of smooth noise that is stretched for each tissue
@@ -70,22 +71,22 @@ def cell_hash(
     `points_mm` holds three tensors of one shape, the coordinates from the anchor; they are overwritten.
     """
     mixed = None
-    for axis, factor, first in zip(points_mm, _AXIS_FACTORS, anchor, strict=True):
+    for axis, factor, first in zip(points_mm, AXIS_FACTORS, anchor, strict=True):
         cell = axis.mul_(1 / pitch_mm).floor_().to(torch.int32)
         if first:
-            cell.add_(_wrapped(int(first)))
+            cell.add_(wrapped(int(first)))
         cell.mul_(factor)
         mixed = cell if mixed is None else mixed.bitwise_xor_(cell)
     assert mixed is not None
-    mixed.bitwise_xor_(torch.tensor(_mix_seed(seed), dtype=torch.int32, device=mixed.device))
-    for shift, factor in ((15, 0x2C1B3C6D), (12, 0x297A2D39)):  # the finaliser of a 32-bit integer hash
+    mixed.bitwise_xor_(torch.tensor(mix_seed(seed), dtype=torch.int32, device=mixed.device))
+    for shift, factor in MIXING:
         mixed.bitwise_xor_((mixed >> shift).bitwise_and_((1 << (32 - shift)) - 1))
         mixed.mul_(factor)
     mixed.bitwise_xor_((mixed >> 15).bitwise_and_((1 << 17) - 1))
     return mixed.bitwise_and_(TABLE_SIZE - 1)
 
 
-def _mix_seed(seed: int) -> int:
+def mix_seed(seed: int) -> int:
     """A seed of any size as 32 well mixed bits, in the range of int32."""
     value = 0x9E3779B9
     while True:
@@ -95,10 +96,10 @@ def _mix_seed(seed: int) -> int:
         value ^= value >> 16
         seed >>= 32
         if seed <= 0:
-            return _wrapped(value)
+            return wrapped(value)
 
 
-def _wrapped(value: int) -> int:
+def wrapped(value: int) -> int:
     """A whole number modulo 2^32, in the range of int32."""
     return (value + (1 << 31)) % (1 << 32) - (1 << 31)
 

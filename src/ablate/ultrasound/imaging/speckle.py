@@ -1,8 +1,9 @@
 """Scatterers on the scanlines: strength, texture and illumination at every sample."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 import torch
@@ -15,14 +16,16 @@ from ablate.ultrasound.imaging.scatterers import (
     TABLE_SIZE,
     cell_hash,
     lattice_anchor,
+    mix_seed,
     scatterer_tables,
     shared_cell_gain,
     shared_cell_gain_across,
     texture_gain_db,
+    wrapped,
 )
 from ablate.ultrasound.probe import reach_mm
 from ablate.ultrasound.probe_kinds import ConvexProbe, Probe
-from ablate.ultrasound.settings import SimulatorSettings
+from ablate.ultrasound.settings import PlanMode, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 _DB_TO_NEPER = math.log(10) / 20
@@ -38,7 +41,7 @@ class InsonifiedLines:
     directions: torch.Tensor  # (layers, scanlines, 3) float32
     anchor: np.ndarray  # (3,) float64, from `lattice_anchor`, cells
     ranges_mm: torch.Tensor  # (samples,) or (layers, scanlines, samples), along its line to what a sample displays
-    table_offset: torch.Tensor  # (layers, scanlines, samples) int32, first entry of the tissue's scatterer table
+    tissue: torch.Tensor  # (layers, scanlines, samples) uint8
     amplitude: torch.Tensor  # (layers, scanlines, samples), of unit strength: illumination, texture, level and weight
 
 
@@ -53,6 +56,8 @@ class Speckle:
         self._pitch_mm = max(settings.scatterer_pitch_mm, reach_mm(probe) / _MOST_CELLS)
         tables = torch.from_numpy(scatterer_tables(tissues)).to(settings.device)
         self._tables = torch.view_as_real(tables).flatten(0, 1).to(dtype)
+        planned = settings.plan is PlanMode.auto
+        self._silent = np.array([planned and tissue.scatter_power == 0 for tissue in tissues])
         textures = np.array([[*(1 / mm for mm in t.texture_mm), t.texture_contrast_db] for t in tissues], np.float32)
         self._contrasts = textures[:, 3]
         self._textures = torch.from_numpy(textures).to(settings.device)
@@ -110,28 +115,51 @@ class Speckle:
         in_parts(of_lines, shape[1], LINES_OF_A_PART if settings.device == "cpu" else shape[1])
         anchor = lattice_anchor(starts, self._pitch_mm)
         from_anchor = tensor(starts - anchor * self._pitch_mm, *shape[:2], 3)
-        return InsonifiedLines(from_anchor, ends[1], anchor, ranges, label.to(torch.int32) * TABLE_SIZE, amplitude)
+        return InsonifiedLines(from_anchor, ends[1], anchor, ranges, label, amplitude)
 
     @stage(Stage.scatterers)
     def __call__(self, lines: InsonifiedLines, seed: int) -> torch.Tensor:
         """Sum over layers of amplitude x scatterer, (2, scanlines, samples) tensor: real and imaginary part."""
         _, scanlines, samples = lines.amplitude.shape
-        summed = torch.empty((2, scanlines, samples), dtype=self._dtype, device=lines.amplitude.device)
-
-        def of_lines(begin: int, end: int) -> None:
-            some = slice(begin, end)
-            total = torch.zeros((end - begin, samples, 2), dtype=self._dtype, device=summed.device)
-            for layer, amplitude in enumerate(lines.amplitude[:, some]):
-                along = lines.ranges_mm if lines.ranges_mm.ndim == 1 else lines.ranges_mm[layer, some]
-                starts, directions = lines.starts[layer, some], lines.directions[layer, some]
-                points = [starts[:, axis, None] + directions[:, axis, None] * along for axis in range(3)]
-                entry = cell_hash(points, self._pitch_mm, seed, lines.anchor).add_(lines.table_offset[layer, some])
-                strength = self._tables.index_select(0, entry.flatten()).view_as(total)
-                total.addcmul_(strength, amplitude[..., None])
-            summed[:, some] = total.permute(2, 0, 1)
-
-        in_parts(of_lines, scanlines, LINES_OF_A_PART if summed.device.type == "cpu" else scanlines)
+        summed = torch.zeros((2, scanlines, samples), dtype=self._dtype, device=lines.amplitude.device)
+        on_cpu = summed.device.type == "cpu"
+        add = self._add_compiled if on_cpu and _compiled_sum() is not None else self._add
+        in_parts(partial(add, summed, lines, seed), scanlines, LINES_OF_A_PART if on_cpu else scanlines)
         return summed
+
+    def _add(self, summed: torch.Tensor, lines: InsonifiedLines, seed: int, begin: int, end: int) -> None:
+        """Add what some scanlines receive, with a few operations of torch on all their samples."""
+        some = slice(begin, end)
+        total = torch.zeros((end - begin, summed.shape[-1], 2), dtype=self._dtype, device=summed.device)
+        for layer, amplitude in enumerate(lines.amplitude[:, some]):
+            along = lines.ranges_mm if lines.ranges_mm.ndim == 1 else lines.ranges_mm[layer, some]
+            starts, directions = lines.starts[layer, some], lines.directions[layer, some]
+            points = [starts[:, axis, None] + directions[:, axis, None] * along for axis in range(3)]
+            entry = cell_hash(points, self._pitch_mm, seed, lines.anchor)
+            entry.add_(lines.tissue[layer, some].to(torch.int32), alpha=TABLE_SIZE)
+            strength = self._tables.index_select(0, entry.flatten()).view_as(total)
+            total.addcmul_(strength, amplitude[..., None])
+        summed[:, some] = total.permute(2, 0, 1)
+
+    def _add_compiled(self, summed: torch.Tensor, lines: InsonifiedLines, seed: int, begin: int, end: int) -> None:
+        """The same sample by sample, without those that are silent."""
+        add_scatterers = _compiled_sum()
+        assert add_scatterers is not None
+        some = slice(begin, end)
+        of_all = lines.ranges_mm.ndim == 1
+        add_scatterers(
+            summed[:, some].numpy(),
+            lines.starts[:, some].numpy(),
+            lines.directions[:, some].numpy(),
+            lines.ranges_mm[None, None].numpy() if of_all else lines.ranges_mm[:, some].numpy(),
+            np.array([wrapped(int(cells)) for cells in lines.anchor], np.int32).view(np.uint32),
+            np.float32(1 / self._pitch_mm),
+            np.int32(mix_seed(seed)).view(np.uint32),
+            lines.tissue[:, some].numpy(),
+            self._silent,
+            self._tables.numpy(),
+            lines.amplitude[:, some].numpy(),
+        )
 
     def _across_db(self, starts: np.ndarray, directions: np.ndarray, samples: np.ndarray) -> np.ndarray:
         """What neighbouring scanlines of a layer add because they share lattice cells, (scanlines, depths), dB."""
@@ -153,6 +181,16 @@ class Speckle:
         along = ranges_mm[..., coarse, None]
         points = starts[:, :, None] + directions[:, :, None] * along
         return texture_gain_db(points, label[..., coarse].long(), self._textures)
+
+
+@cache
+def _compiled_sum() -> Callable[..., None] | None:
+    """Numba's way to sum scatterers; a machine that only makes images of what rays brought back may lack Numba."""
+    try:
+        from ablate.ultrasound.imaging.compiled_scatterers import add_scatterers
+    except ImportError:
+        return None
+    return add_scatterers
 
 
 def _interpolated(values: torch.Tensor, size: int) -> torch.Tensor:
