@@ -1,7 +1,7 @@
-"""Milliseconds of a simulated frame: by stage, as each size grows, and what the plan saves; medians.
+"""Milliseconds of a simulated frame: by stage, as each size grows, what the plan saves, and a tolerance; medians.
 
 make bench-simulator
-make bench-simulator SCENE=path/to/folder      # the plan's table with that scene, too
+make bench-simulator SCENE=path/to/folder      # the tables of the plan and of the tolerance with that scene, too
 """
 
 import argparse
@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -31,6 +31,9 @@ from yardstick import ABOUT, Yardstick, busy_core
 
 POSES = 12
 REPEATS = 3
+REFERENCE_RAYS = 1024
+CEILING = 128
+TOLERANCES = (0.4, 0.2, 0.1, 0.05, 0.025)
 
 
 def milliseconds(call: Callable[[np.ndarray], object], poses: list[np.ndarray]) -> float:
@@ -137,43 +140,104 @@ def growth(poses: list[np.ndarray], scene: Scene) -> None:
     table("**triangles**, ms.", tuple(triangles), [tuple(times)])
 
 
-def plans(scene: Scene, poses: list[np.ndarray], folder: Path | None) -> None:
-    """The planned simulator against the full one."""
+def scenes(scene: Scene, poses: list[np.ndarray], folder: Path | None) -> list[tuple[str, Scene, list[np.ndarray]]]:
+    """Scenes that need less and less of the simulator, with poses: the built-in one comes last, a folder after it."""
     tissues = load_tissues()
     organ = Structure(trimesh.creation.icosphere(5, 40.0), tissues["liver"])
-    organ.mesh.apply_translation((0.0, 0.0, 70.0))
-    ahead = [np.eye(4)] * REPEATS
+    cyst = Structure(trimesh.creation.icosphere(5, 45.0), tissues["urine"])
+    for ball in (organ, cyst):
+        ball.mesh.apply_translation((0.0, 0.0, 70.0))
+    ahead = [np.eye(4)] * len(poses)
+    smooth, body = replace(tissues["soft_tissue"], roughness=0.0), tissues["soft_tissue"]
     no_gas = Scene(tuple(s for s in scene.structures if s.tissue.name != "gas"), scene.background, "fetus, no gas")
     cases = [
         ("gel only", Scene((), tissues["coupling_gel"], "gel"), ahead),
-        ("one organ", Scene((organ,), replace(tissues["soft_tissue"], roughness=0.0), "organ"), ahead),
-        ("fetus", scene, some(poses, 6)),
-        ("fetus without gas", no_gas, some(poses, 6)),
+        ("one organ", Scene((organ,), smooth, "organ"), ahead),
+        ("large cyst", Scene((cyst,), body, "cyst"), ahead),
+        ("fetus without gas", no_gas, poses),
+        ("fetus", scene, poses),
     ]
     if folder is not None:
         placed = probe_poses(load_scene(folder), load_sites(folder), 8)
-        cases.append((folder.name, load_scene(folder), some([p.probe_to_world for p in placed], 6)))
+        cases.append((folder.name, load_scene(folder), some([p.probe_to_world for p in placed], len(poses))))
+    return cases
+
+
+def plans(cases: list[tuple[str, Scene, list[np.ndarray]]]) -> None:
+    """The planned simulator against the full one, in turns; the spread is that of the frames' ratios."""
     rows = []
     for name, each, where in cases:
         full = Simulator(each, settings=SimulatorSettings(plan=PlanMode.full), poses=where)
         auto = Simulator(each, poses=where)
-        apart = max(int(np.abs(full.render(p).image.astype(int) - auto.render(p).image).max()) for p in where[:2])
-        times = [(milliseconds(full.render, _fresh(where)), milliseconds(auto.render, _fresh(where))) for _ in range(3)]
-        slow, fast = (median(column) for column in zip(*times, strict=True))
-        rows.append((name, f"{slow:.0f}", f"{fast:.0f}", f"{1 - fast / slow:.0%}", str(apart), _short(auto.left_out)))
-    head = ("scene", "full, ms", "planned, ms", "saved", "largest grey difference", "left out")
-    table("**What the plan leaves out.**", head, rows)
+        apart = max(int(np.abs(full.image(p).astype(int) - auto.image(p)).max()) for p in where[:2])
+        times = np.concatenate([_in_turns((full, auto), _fresh(where, turn)) for turn in range(REPEATS)])
+        low, middle, high = np.percentile(1 - times[:, 1] / times[:, 0], (25, 50, 75))
+        slow, fast = np.median(times, axis=0)
+        saved = f"{middle:.0%} ({low:.0%} to {high:.0%})"
+        rows.append((name, f"{slow:.0f}", f"{fast:.0f}", saved, str(apart), _short(auto.left_out)))
+    head = ("scene", "full, ms", "planned, ms", "saved (quartiles)", "largest grey difference", "left out")
+    table("**What the plan leaves out**, of an image alone.", head, rows)
+
+
+def at_equal_error(cases: list[tuple[str, Scene, list[np.ndarray]]]) -> None:
+    """A tolerance against a fixed number of rays: how long each takes for the same error, in turns."""
+    rows = []
+    for name, each, where in cases:
+        chosen = where[:: max(1, len(where) // 3)][:3]
+        many = Simulator(each, settings=replace(SimulatorSettings(), rays=REFERENCE_RAYS))
+        references = [many.image(pose).astype(float) for pose in chosen]
+        fixed = Simulator(each, beside=many)
+        adaptive = [
+            Simulator(each, settings=replace(SimulatorSettings(), rays=CEILING, tolerance=t), beside=many)
+            for t in TOLERANCES
+        ]
+        every = (fixed, *adaptive)
+        errors = [
+            float(np.mean([np.abs(s.image(p) - r)[s.mask].mean() for p, r in zip(chosen, references, strict=True)]))
+            for s in every
+        ]
+        times = np.median(np.concatenate([_in_turns(every, _fresh(chosen, turn)) for turn in range(REPEATS)]), axis=0)
+        if errors[0] == 0:
+            rows.append((name, f"{times[0]:.0f}", "0", "", "", "no ray is needed"))
+            continue
+        order = np.argsort(errors[1:])
+        levels, costs = np.log(np.maximum(errors[1:], 1e-6))[order], np.log(times[1:])[order]
+        within = levels[0] <= np.log(errors[0]) <= levels[-1]
+        ms = float(np.exp(np.interp(np.log(errors[0]), levels, costs)))
+        each_tolerance = "; ".join(
+            f"{t:g}: {e:.2f}, {ms_t:.0f}" for t, e, ms_t in zip(TOLERANCES, errors[1:], times[1:], strict=True)
+        )
+        said = (f"{ms:.0f}", f"{ms / times[0]:.2f}") if within else ("outside of those tried", "")
+        rows.append((name, f"{times[0]:.0f}", f"{errors[0]:.2f}", *said, each_tolerance))
+    head = ("scene", "fixed, ms", "its error", "tolerance of that error, ms", "ratio", "tolerance: error, ms")
+    table(
+        f"**A tolerance against {SimulatorSettings().rays} fixed rays**, of an image alone. Errors are mean absolute "
+        f"differences in grey levels to {REFERENCE_RAYS} rays; a group gets {CEILING} rays at most.",
+        head,
+        rows,
+    )
+
+
+def _in_turns(simulators: Sequence[Simulator], poses: list[np.ndarray]) -> np.ndarray:
+    """Milliseconds of an image, (poses, simulators), after one that does not count."""
+    times = np.empty((len(poses) + 1, len(simulators)))
+    for row, pose in zip(times, (poses[-1], *poses), strict=True):
+        for column, simulator in enumerate(simulators):
+            start = time.perf_counter()
+            simulator.image(pose)
+            row[column] = 1e3 * (time.perf_counter() - start)
+    return times[1:]
 
 
 def _short(notes: tuple[str, ...]) -> str:
     return "; ".join(note.split(":")[0].split(" (")[0] for note in notes) or "nothing"
 
 
-def _fresh(poses: list[np.ndarray]) -> list[np.ndarray]:
-    """The same poses, a little apart from each other, so that no frame is remembered."""
+def _fresh(poses: list[np.ndarray], turn: int) -> list[np.ndarray]:
+    """The same poses, a little apart from each other and from those of other turns: no frame is remembered."""
     moved = [pose.copy() for pose in poses]
     for number, pose in enumerate(moved):
-        pose[1, 3] += 1e-3 * (number + 1)
+        pose[1, 3] += 1e-3 * (turn * len(poses) + number + 1)
     return moved
 
 
@@ -205,7 +269,9 @@ def memory(scene: Scene, poses: list[np.ndarray]) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", type=Path, default=None, help="a scene folder for the plan's table")
+    parser.add_argument(
+        "--scene", type=Path, default=None, help="a scene folder for the tables of the plan and of the tolerance"
+    )
     args = parser.parse_args()
     threads = torch.get_num_threads()
     scene = fetal_abdomen()
@@ -220,7 +286,9 @@ def main() -> None:
     torch.set_num_threads(threads)
     by_stage(scene, poses)
     memory(scene, poses)
-    plans(scene, all_poses, args.scene)
+    cases = scenes(scene, some(all_poses, 6), args.scene)
+    plans(cases)
+    at_equal_error(cases)
     growth(all_poses, scene)
 
 

@@ -8,7 +8,7 @@ from ablate.ultrasound.render_plan import plan_scene
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.transport.draws import Draws
 from ablate.ultrasound.transport.illumination import Nodes
-from ablate.ultrasound.transport.rays import View, leave_probe, probe_rays
+from ablate.ultrasound.transport.rays import View, at_pose, leave_probe, probe_rays
 from ablate.ultrasound.transport.tracing import trace
 
 
@@ -19,7 +19,10 @@ def follow(
     plan = plan_scene(scene, probe, settings, None)
     geometry = Geometry(plan.structures, np.array([[-400.0] * 3, [400.0] * 3]), np.zeros(3), 200.0)
     draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
-    bundle, inside = leave_probe(geometry, probe_rays(probe, settings, draws), np.eye(4))
+    rays = probe_rays(probe, settings, draws)
+    bundle, of_elements = at_pose(geometry, rays, np.eye(4))
+    inside = np.empty((len(bundle.origins), of_elements.shape[1]), of_elements.dtype)
+    leave_probe(geometry, rays, np.eye(4), bundle, of_elements, inside)
     groups = len(bundle.starts)
     nodes = Nodes(0.0, 1.0, np.ones((groups, 151), bool), np.zeros((groups, 151)))
     view = View(

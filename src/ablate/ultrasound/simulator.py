@@ -3,6 +3,7 @@
 import math
 import warnings
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 import torch
@@ -24,7 +25,7 @@ from ablate.ultrasound.transport.adaptive import Shown, trace_to_tolerance
 from ablate.ultrasound.transport.draws import Draws, progressive, stratified
 from ablate.ultrasound.transport.echoes import clutter_lines, surface_lines
 from ablate.ultrasound.transport.illumination import Nodes, empty_nodes, mean_level_db, transmit_beam
-from ablate.ultrasound.transport.rays import View, leave_probe, probe_rays
+from ablate.ultrasound.transport.rays import View, at_pose, leave_probe, probe_rays
 from ablate.ultrasound.transport.tracing import trace
 
 #: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
@@ -191,7 +192,10 @@ class Simulator:
     def _cast(self, pose: np.ndarray) -> Received:
         probe, settings, plan = self.probe, self.settings, self._plan
         shape = settings.scanlines, settings.axial_samples
-        bundle, inside = leave_probe(self._geometry, self._rays, self._local(pose))
+        local = self._local(pose)
+        bundle, of_elements = at_pose(self._geometry, self._rays, local)
+        inside = np.empty((len(bundle.origins), of_elements.shape[1]), of_elements.dtype)
+        send = partial(leave_probe, self._geometry, self._rays, local, bundle, of_elements, inside)
         largest_gain_db = 20 * math.log10(float(self._chain.gain[-1]))
         view = View(
             media=plan.media,
@@ -213,9 +217,10 @@ class Simulator:
         nodes = empty_nodes(plan.media.anechoic[labels], probe.depth_mm)
         order = self._geometry, view, self._draws, bundle, inside, nodes
         if settings.tolerance is None:
+            send()
             echoes, counts = trace(*order), np.full(len(bundle.starts), settings.rays)
         else:
-            echoes, counts = trace_to_tolerance(*order, self._shown(labels, nodes), settings.tolerance)
+            echoes, counts = trace_to_tolerance(*order, self._shown(labels, nodes), settings.tolerance, send)
         weights = layer_weights(probe, settings)[1]
         where = weights, counts, probe.depth_mm, shape
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)

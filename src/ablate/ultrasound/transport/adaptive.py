@@ -12,6 +12,7 @@ power of reverberation, which is a product of two groups' rays, keeps a bias of 
 rays. One scanline in one layer has no neighbour, and gets all rays.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -48,11 +49,18 @@ def trace_to_tolerance(
     nodes: Nodes,
     shown: Shown,
     tolerance: float,
+    send: Callable[[np.ndarray], None],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The echoes of as many rays as each group needs, (n,) ECHO, and these numbers, (groups,); accumulates `nodes`."""
+    """The echoes of as many rays as each group needs, (n,) ECHO, and these numbers, (groups,); accumulates `nodes`.
+
+    `send` lets rays leave the probe, by their numbers in the frame.
+    """
     groups = len(bundle.starts)
+    number = np.arange(groups * view.rays) % view.rays
     if groups == 1 or view.rays <= 2 * HALF:
+        send(np.arange(len(number)))
         return trace(geometry, view, draws, bundle, inside, nodes), np.full(groups, view.rays)
+    send(np.flatnonzero(number < 2 * HALF))
     halves = []
     for first in (0, HALF):
         own = nodes._replace(amplitude=np.zeros_like(nodes.amplitude))
@@ -60,6 +68,7 @@ def trace_to_tolerance(
         nodes.amplitude[:] += own.amplitude
         halves.append((echoes, _amplitude(echoes, own, shown)))
     counts = rays_needed(halves[0][1], halves[1][1], shown, tolerance, view.rays)
+    send(np.flatnonzero((number >= 2 * HALF) & (number < np.repeat(counts, view.rays))))
     more = trace(geometry, view, draws, bundle, inside, nodes, 2 * HALF, counts)
     return np.concatenate([halves[0][0], halves[1][0], more]), counts
 

@@ -84,26 +84,43 @@ def probe_rays(probe: Probe, settings: SimulatorSettings, draws: Draws) -> Bundl
 
 
 @stage(Stage.probe_rays)
-def leave_probe(geometry: Geometry, rays: Bundle, pose: np.ndarray) -> tuple[Bundle, np.ndarray]:
-    """The rays at a pose, from probe to the geometry's coordinates, and their sets, (groups * rays, words) uint32.
+def at_pose(geometry: Geometry, rays: Bundle, pose: np.ndarray) -> tuple[Bundle, np.ndarray]:
+    """Scanlines at a pose, from probe to the geometry's coordinates, and the sets of their elements, (groups, words).
+
+    No ray has left the probe yet: `leave_probe` fills their origins and directions.
+    """
+    starts, directions = to_world(pose, rays.starts), rays.directions @ pose[:3, :3].T
+    origins, ray_directions = np.empty((2, len(rays.origins), 3), np.float32)
+    return Bundle(starts, directions, origins, ray_directions), inside_at(geometry, starts, directions)
+
+
+@stage(Stage.probe_rays)
+def leave_probe(
+    geometry: Geometry,
+    rays: Bundle,
+    pose: np.ndarray,
+    bundle: Bundle,
+    of_elements: np.ndarray,
+    inside: np.ndarray,
+    chosen: np.ndarray | slice = slice(None),
+) -> None:
+    """Send the chosen rays off, by their numbers: fills their rows of `bundle`, and of their sets, (n, words) uint32.
 
     The set of a ray is that of its element, unless some surface lies between. Then each ray of that group is followed
     from outside in its own direction. Along the face, which nearly lies in the skin, a crossing can be missed, and a
     ray without the loss of its tissue would outweigh all others.
     """
-    rotation = pose[:3, :3]
-    starts, directions = to_world(pose, rays.starts), rays.directions @ rotation.T
-    origins, ray_directions = to_world(pose, rays.origins), rays.ray_directions @ rotation.T
-    of_group = len(origins) // len(starts)
-    inside = np.repeat(inside_at(geometry, starts, directions), of_group, axis=0)
-    element = np.repeat(starts, of_group, axis=0)
+    groups = len(bundle.starts)
+    group = np.repeat(np.arange(groups), len(rays.origins) // groups)[chosen]
+    origins, directions = to_world(pose, rays.origins[chosen]), rays.ray_directions[chosen] @ pose[:3, :3].T
+    sets, element = of_elements[group], bundle.starts[group]
     aside = origins - element
     length = np.sqrt(np.einsum("ij,ij->i", aside, aside))
     towards = (aside / np.maximum(length, 1e-12)[:, None]).astype(np.float32)
     between = geometry.closest(element.astype(np.float32), towards, length.astype(np.float32)).structure >= 0
-    unsure = np.flatnonzero(np.repeat(between.reshape(-1, of_group).any(axis=1), of_group))
-    inside[unsure] = inside_at(geometry, origins[unsure], ray_directions[unsure])
-    return Bundle(starts, directions, origins.astype(np.float32), ray_directions.astype(np.float32)), inside
+    unsure = np.flatnonzero((np.bincount(group, between, minlength=groups) > 0)[group])
+    sets[unsure] = inside_at(geometry, origins[unsure], directions[unsure])
+    bundle.origins[chosen], bundle.ray_directions[chosen], inside[chosen] = origins, directions, sets
 
 
 def start_rays(bundle: Bundle, inside: np.ndarray, chosen: slice | np.ndarray, view: View) -> np.ndarray:
