@@ -59,7 +59,7 @@ def draw_body(
     for number, each in enumerate((space.xaxis, space.yaxis, space.zaxis)):
         each.labelpad = -4 if number == upright else 1  # the upright one stands next to the image
         each.set_pane_color((0.97, 0.97, 0.98))
-        each.set_major_locator(MultipleLocator(_tick_mm(float((upper - lower).max()))))
+        each.set_major_locator(MultipleLocator(tick_mm(float((upper - lower).max()))))
     space.add_artist(_picture(space, surfaces, lower, upper, view, (pose[:3, 3], pose[:3, 1])))
     space.plot(*to_world(pose, fan_outline(probe)).T, color=_OUTLINE, lw=0.8)
 
@@ -71,7 +71,7 @@ def seen_direction(space: Axes3D, vector: Sequence[float]) -> np.ndarray:
     return seen
 
 
-def _tick_mm(extent: float) -> float:
+def tick_mm(extent: float) -> float:
     """A round distance of which two to five lie in an extent."""
     decade = 10.0 ** math.floor(math.log10(extent / 2))
     return max(step * decade for step in (1, 2, 5) if 2 * step * decade <= extent)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator
 
-from ablate.analysis.figures.body_view import MARK, Axes3D, draw_body, seen_direction
+from ablate.analysis.figures.body_view import MARK, Axes3D, draw_body, seen_direction, tick_mm
 from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.analysis.figures.tissue_colours import Colour, tissue_colours
 from ablate.anatomy import Scene
@@ -56,8 +56,8 @@ def preview_figure(scene: Scene, probe: Probe, shown: Preview, path: Path) -> Pa
         space = figure.add_axes((-0.01, 0.02, 0.6, 0.6 / _HEIGHT), projection="3d", proj_type="ortho")
         draw_body(space, scene, probe, shown.pose, shown.image, shown.segmentation > 0, shown.axis)
         _draw_compass(figure, space, shown)
-        upper = figure.add_axes((0.69, 0.595, 0.3, 0.37))
-        lower = figure.add_axes((0.69, 0.205, 0.3, 0.37))
+        upper = figure.add_axes((0.69, 0.61, 0.3, 0.355))
+        lower = figure.add_axes((0.69, 0.205, 0.3, 0.355))
         _draw_image(upper, probe, shown.image, "image")
         _draw_image(lower, probe, np.array([_OUTSIDE, *colours])[shown.segmentation], "segmentation")
         upper.tick_params(labelbottom=False)
@@ -78,8 +78,9 @@ def _draw_image(axes: Axes, probe: Probe, image: np.ndarray, title: str) -> None
     axes.plot(-0.42 * width, top + 0.07 * height, "o", color=MARK, ms=4)
     axes.set_title(title, loc="right", pad=2)
     axes.set_ylabel("depth (mm)")
-    axes.xaxis.set_major_locator(MultipleLocator(50))
-    axes.yaxis.set_major_locator(MultipleLocator(50))
+    apart = tick_mm(min(height, width))
+    axes.xaxis.set_major_locator(MultipleLocator(apart))
+    axes.yaxis.set_major_locator(MultipleLocator(apart))
 
 
 def _draw_compass(figure: Figure, space: Axes3D, shown: Preview) -> None:

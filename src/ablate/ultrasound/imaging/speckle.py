@@ -123,7 +123,8 @@ class Speckle:
         _, scanlines, samples = lines.amplitude.shape
         summed = torch.zeros((2, scanlines, samples), dtype=self._dtype, device=lines.amplitude.device)
         on_cpu = summed.device.type == "cpu"
-        add = self._add_compiled if on_cpu and _compiled_sum() is not None else self._add
+        compiled = _compiled_sum() if on_cpu else None
+        add = self._add if compiled is None else partial(self._add_compiled, compiled)
         in_parts(partial(add, summed, lines, seed), scanlines, LINES_OF_A_PART if on_cpu else scanlines)
         return summed
 
@@ -141,10 +142,16 @@ class Speckle:
             total.addcmul_(strength, amplitude[..., None])
         summed[:, some] = total.permute(2, 0, 1)
 
-    def _add_compiled(self, summed: torch.Tensor, lines: InsonifiedLines, seed: int, begin: int, end: int) -> None:
+    def _add_compiled(
+        self,
+        add_scatterers: Callable[..., None],
+        summed: torch.Tensor,
+        lines: InsonifiedLines,
+        seed: int,
+        begin: int,
+        end: int,
+    ) -> None:
         """The same sample by sample, without those that are silent."""
-        add_scatterers = _compiled_sum()
-        assert add_scatterers is not None
         some = slice(begin, end)
         of_all = lines.ranges_mm.ndim == 1
         add_scatterers(
