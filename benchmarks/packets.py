@@ -23,6 +23,7 @@ from ablate.dataset import probe_poses
 from ablate.tracking import hardware
 from ablate.ultrasound import Simulator
 from ablate.ultrasound.surfaces import embree, embree_library
+from yardstick import Yardstick
 
 SIDE = 8
 POSES, TURNS = 6, 3
@@ -95,8 +96,9 @@ def main() -> None:
         for number in np.linspace(0, len(placed) - 1, POSES).astype(int):
             simulator.image(placed[number].probe_to_world)
     address = simulator._geometry.address
-    seconds, different = np.zeros((TURNS + 1, 2)), 0
+    seconds, different, fixed = np.zeros((TURNS + 1, 2)), 0, Yardstick()
     for turn in seconds:
+        fixed.tick()
         for rays in questions:
             found = embree.empty_hits(len(rays[0])), embree.empty_hits(len(rays[0]))
             for way, (ask, hits) in enumerate(zip((embree._closest_of_all, eight_at_once), found, strict=True)):
@@ -112,6 +114,7 @@ def main() -> None:
     print("| Embree is asked for | us a ray | ms a frame |\n| --- | --- | --- |")
     for name, each in (("one ray", one), ("eight rays", eight)):
         print(f"| {name} | {each:.3f} | {1e-3 * each * count / POSES:.0f} |")
+    print(f"\n{fixed.line()}")
     print(f"\nQuestions with another hit, distance or normal: {different} of {len(questions) * (TURNS + 1)}.")
 
 

@@ -60,6 +60,7 @@ for name in ("SIGHUP", "SIGQUIT", "SIGUSR2", "SIGALRM", "pthread_sigmask", "sigw
     delattr(signal, name)
 for name in ("sched_getaffinity", "geteuid", "fork"):
     delattr(os, name)
+os.process_cpu_count = os.cpu_count  # that of Linux calls sched_getaffinity, from Python 3.13 on
 from ablate.__main__ import main
 main()
 """
