@@ -112,7 +112,8 @@ def study_lines(study: Path) -> Iterator[str]:
         yield (
             f"{drawn['qualitative']}\n\n*A test frame of an unseen probe site. The target has its segmentation in the "
             "left corner and the logarithm of its attenuation map in the right corner. Each network is the first "
-            "training of its variant. Re-simulation is the same frame with other scatterers and ray paths.*"
+            "training of its variant: sa2h-att has no attenuation map, sa2h-compensated the compensated one, sa2h-gan "
+            "was trained without a discriminator. Re-simulation is the same frame with other scatterers and ray paths.*"
         )
     yield from beside_lines(found)
     if design is not None:
@@ -144,9 +145,11 @@ def verdict_lines(study: str, found: Numbers, preliminary: bool) -> Iterator[str
     dof = found.answers.verdicts["dof"].max()
     yield (
         "An effect is the mean of the runs with a component minus the mean of those without it, averaged over all "
-        "other components, or where all others are on. The arrow says which values are better. p (zero) is that "
-        "the effect is zero, p (band) that the improvement reaches the band; both are corrected over the components "
-        f"(Holm). {'' if pd.isna(dof) else f'The error has {dof} degrees of freedom. '}"
+        "other components, or where all others are on. The arrow says which values are better. p (zero) tests "
+        "the hypothesis that the effect is zero, and p (band) the hypothesis that the improvement is at least as large "
+        "as the band. Both are corrected over the components (Holm). Times and weights are averaged in the same way; a "
+        "difference in time within the spread of the timing is shown as 0. "
+        f"{'' if pd.isna(dof) else f'The error has {dof} degrees of freedom. '}"
         f"[verdicts.csv](results/{study}/verdicts.csv) has all columns."
     )
     unknown = found.answers.verdicts[found.answers.verdicts["p_holm"].isna()]
@@ -193,15 +196,16 @@ def design_lines(found: Numbers, design: Design) -> Iterator[str]:
         yield table
         yield (
             "Mean with a component minus mean without it. The paper's are those of its Table II, one training each at "
-            "its own size. A difference as large as the paper's is excluded where it lies outside our 95 % interval: "
-            "the component then does less here, or more. Both intervals are named where they disagree."
+            'its own size. If the paper\'s difference lies outside our 95 % interval, the column "excluded" says '
+            "whether our effect is smaller (less here) or larger (more here). It names both intervals if they disagree."
         )
     if table := interaction_rows(interactions(found.answers.means, design), found.answers.verdicts):
         yield "### Interactions"
         yield table
         yield (
-            "How much more a component (row) improves its metric where another one (column) is on: half the "
-            "difference, in units of the metric. Bold: the false discovery rate is below 5 %."
+            "Half of the difference between the improvement of a component (row) with and without another component "
+            "(column), in the unit of the metric of the row. Positive values mean that the component helps more with "
+            "the other one. Bold: the false discovery rate is below 5 %."
         )
     effects = found.answers.effects
     if len(effects):

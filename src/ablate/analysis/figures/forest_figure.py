@@ -1,6 +1,7 @@
 """Which components earn their keep, in one picture: effects with intervals, costs, and the map of interactions."""
 
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from ablate.analysis.order import COMPONENT_LABELS
 from ablate.analysis.statistics.verdicts import ALPHA, Answer
 from ablate.metrics import Direction, metric_of
 
-ROW_IN, HEAD_IN, CELL_IN = 0.42, 0.75, 0.27
+ROW_IN, HEAD_IN, CELL_IN = 0.42, 0.9, 0.27
+FAINT = 0.3  # opacity of an interaction that may be chance
 BAND_COLOUR, RUN_COLOUR = "#DDDDDD", "#0072B2"
 WORDS = {Answer.earns: "earns", Answer.does_not: "does not", Answer.undecided: "undecided"}
 COLOURS = {Answer.earns: "#007A55", Answer.does_not: "#B04A00", Answer.undecided: "#555555"}
@@ -42,11 +44,11 @@ def forest_figure(verdicts: pd.DataFrame, runs: pd.DataFrame, pairs: pd.DataFram
     units = {row["component"]: _unit(row["distance"], row["band"]) for row in shown.to_dict("records")}
     mapped = len(pairs) > 0
     forest_in = HEAD_IN + ROW_IN * len(shown)
-    map_in = 0.75 + CELL_IN * len(shown) if mapped else 0.0
+    map_in = 1.0 + CELL_IN * len(shown) if mapped else 0.0
     with house_style():
         figure = new_figure(PAGE_IN, forest_in + map_in)
         rows = [forest_in, map_in] if mapped else [forest_in]
-        grid = figure.add_gridspec(len(rows), 2, height_ratios=rows, width_ratios=[2.3, 1])
+        grid = figure.add_gridspec(len(rows), 2, height_ratios=rows, width_ratios=[2.0, 1])
         forest = figure.add_subplot(grid[0, 0])
         _draw_forest(forest, shown, runs, units)
         _write_beside(figure.add_subplot(grid[0, 1], sharey=forest), shown)
@@ -85,20 +87,21 @@ def _draw_forest(axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, units: dic
     axes.set_ylim(0.5, len(shown) + 0.5)
     axes.tick_params(axis="y", length=0)
     axes.xaxis.set_major_formatter(PercentFormatter(decimals=0))
-    axes.set_xlabel("improvement, as a share of the distance from the full model to re-simulation")
+    axes.set_xlabel("improvement / distance from the full model to the re-simulation")
+    axes.set_title("(a) effect of each component on its own metric", loc="left")
 
 
 def _write_beside(axes: Axes, shown: pd.DataFrame) -> None:
     """Verdicts and costs, as columns of text in the rows of the forest."""
     axes.set_axis_off()
     axes.set_xlim(0, 1)
-    for x, head, side in ((0.03, "it ...", "left"), (0.68, "ms", "right"), (1.0, "weights", "right")):
+    for x, head, side in ((0.03, "verdict", "left"), (0.66, "ms/frame", "right"), (1.0, "weights", "right")):
         axes.text(x, len(shown) + 0.72, head, ha=side, va="center", color="#666666")
     for k, row in enumerate(shown.to_dict("records")):
         place, word = len(shown) - k, Answer(row["verdict"])
         axes.text(0.03, place, WORDS[word], va="center", weight="bold", color=COLOURS[word])
         axes.text(
-            0.68,
+            0.66,
             place,
             _signed(row["ms_per_frame"], 1 if abs(row["ms_per_frame"]) < 10 else 0),
             ha="right",
@@ -119,22 +122,31 @@ def _draw_map(axes: Axes, shown: pd.DataFrame, pairs: pd.DataFrame, units: dict[
     names = list(shown["component"])
     of = pairs[pairs["component"].isin(names) & pairs["other"].isin(names)]
     share = np.full((len(names), len(names)), np.nan)
+    strength = np.full(share.shape, FAINT)
     for row in of.to_dict("records"):
         place = names.index(row["component"]), names.index(row["other"])
         share[place] = 100 * row["improvement"] / units[row["component"]]
         star = "*" if row["q"] < ALPHA else ""
+        strength[place] = 1.0 if star else FAINT
         axes.text(*place[::-1], f"{_signed(share[place], 0, ' %')}{star}", ha="center", va="center")
     most = max(float(np.nanmax(np.abs(share), initial=0.0)), 10.0)
-    axes.imshow(share, cmap=_MAP, vmin=-most, vmax=most, aspect="auto")
-    axes.set_xticks(range(len(names)), names)
+    axes.imshow(share, cmap=_MAP, vmin=-most, vmax=most, aspect="auto", alpha=strength)
+    axes.set_xticks(range(len(names)), ["\n".join(wrap(COMPONENT_LABELS[name], 11)) for name in names])
     axes.set_yticks(range(len(names)), [COMPONENT_LABELS[name] for name in names])
     axes.tick_params(length=0)
+    axes.tick_params(axis="x", labelsize="small")
     axes.xaxis.tick_top()
+    axes.set_title("(b) interactions", loc="left")
     axes.spines[:].set_visible(False)
 
 
 def _explain_map(axes: Axes) -> None:
     axes.set_axis_off()
-    lines = ("Interactions: how much", "more the component at", "the left improves its", "metric if the one above")
-    text = "\n".join((*lines, "is on (half the difference,", "same unit)", "", "* q < 0.05 (false", "discovery rate)"))
+    lines = (
+        "Half of the difference between",
+        "a component's improvement",
+        "(row) with and without another",
+        "component (column),",
+    )
+    text = "\n".join((*lines, "in the unit of (a).", "", "* and strong colour: false", "discovery rate < 5 %"))
     axes.text(0.03, 0.5, text, va="center", color="#444444", transform=axes.transAxes, linespacing=1.4)

@@ -104,24 +104,27 @@ def frames_a_page(predictions: int) -> int:
 def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path]:
     """Target, re-simulation and every variant below each other, a column a frame, S and A in the target's corners.
 
-    Variants that do not fit go on in further columns; `frames_a_page` says how many frames fit. The files are a PNG and
-    a PDF at `stem`, a path without suffix. Raises ValueError when there is no frame.
+    Variants that do not fit continue in further columns; `frames_a_page` says how many frames fit. The pictures of a
+    single frame fill line after line instead, each below its name. The files are a PNG and a PDF at `stem`, a path
+    without suffix. Raises ValueError when there is no frame.
     """
     names = ["target", *_columns(frames)]
     blocks = min(max(-(-len(names) // MOST_DOWN), ACROSS // len(frames)), len(names))
     down = -(-len(names) // blocks)
     blocks = -(-len(names) // down)  # no column is left empty
     across = blocks * len(frames)
+    single = across > 1 and len(frames) == 1
     height, width = frames[0].target.shape
     page = PAGE_IN * max(across / ACROSS, 1.0) if across > 1 else PAGE_IN / 2
-    picture = (page - NAME_IN * blocks) / max(across, 2)
+    picture = (page - (0 if single else NAME_IN * blocks)) / max(across, 2)
+    heads_in = HEAD_IN * (down if single else 1)
     with house_style(page):
-        figure = new_figure(page, HEAD_IN + down * picture * height / width, pad_in=0.01)
+        figure = new_figure(page, heads_in + down * picture * height / width, pad_in=0.01)
         grid = figure.subplots(down, across, squeeze=False)
         for axes in grid.ravel():
             axes.set_axis_off()
         for k, name in enumerate(names):
-            block, row = divmod(k, down)
+            block, row = divmod(k, blocks)[::-1] if single else divmod(k, down)
             for j, frame in enumerate(frames):
                 axes = grid[row, block * len(frames) + j]
                 image = frame.target if name == "target" else frame.predictions.get(name)
@@ -130,9 +133,11 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path
                 _picture(axes, image)
                 if name == "target":
                     _insets(axes, frame)
-                if j == 0:
+                if single:
+                    axes.set_title(f"{frame.name}: target" if name == "target" else shown_name(name))
+                elif j == 0:
                     axes.set_ylabel(shown_name(name).replace(" ", "\n", 1))
-                if row == 0:
+                if row == 0 and not single:
                     axes.set_title(frame.name)
         return save_figure(figure, stem)
 
