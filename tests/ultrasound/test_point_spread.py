@@ -9,7 +9,7 @@ import trimesh
 from scipy.interpolate import InterpolatedUnivariateSpline
 
 from ablate.anatomy import Scene, Structure, Tissue
-from ablate.ultrasound import Simulator, SimulatorSettings
+from ablate.ultrasound import LinearProbe, Simulator, SimulatorSettings
 from ablate.ultrasound.imaging.point_spread import Across, along_lines, blur, point_spread
 
 DEPTHS_MM = [20.0, 70.0, 130.0]
@@ -125,3 +125,21 @@ def test_along_lines_is_a_convolution() -> None:
     kernel = torch.tensor([0.1, 0.5, 1.0, 0.5, 0.1], dtype=torch.float64)
     expected = np.apply_along_axis(lambda line: np.convolve(line, kernel.numpy(), "same"), -1, lines.numpy())
     np.testing.assert_allclose(along_lines(lines, kernel).numpy(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [512, 1024, 3072])
+def test_an_echo_between_two_samples_is_shared_by_them(gel, slab, tissue, samples) -> None:
+    """Its peak is then the mean of the pulse at its centre and one sample beside: docs/simulator.md, limits."""
+    spacing_mm = 150 / samples
+    probe = LinearProbe(depth_mm=150.0, frequency_mhz=3.0)
+    settings = SimulatorSettings(
+        scanlines=16, axial_samples=samples, rays=4, layers=1, image_shape=(20, 20),
+        aperture_mm=0.0, elevational_aperture_mm=0.0,
+    )  # fmt: skip
+    hard = replace(tissue, impedance_mrayl=gel.impedance_mrayl * 1.2, roughness=0.0, scatterer_density=0.0)
+    peaks = []
+    for place in (0.0, 0.5):
+        scene = Scene((slab(hard, (samples // 2 + 0.5 + place) * spacing_mm, 400.0),), gel, "s")
+        peaks.append(Simulator(scene, probe, settings).render(np.eye(4)).envelope[:, 8].max())
+    sigma = settings.axial_fwhm_mm / np.sqrt(8 * np.log(2)) / spacing_mm
+    assert peaks[1] / peaks[0] == pytest.approx((1 + np.exp(-0.5 / sigma**2)) / 2, rel=0.02)

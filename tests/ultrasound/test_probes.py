@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
 
-from ablate.anatomy import Scene, Tissue
+from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.imaging.point_spread import lateral_kernels
 from ablate.ultrasound.probe import face_points, fan_outline, fan_size_mm, square_pixels
@@ -107,6 +109,35 @@ def test_lines_that_meet_do_not_count_their_common_scatterers_twice(ahead) -> No
     power = np.mean([simulator.render(ahead, seed).envelope.astype(float) ** 2 for seed in range(40)], axis=0)
     near = 10 * np.log10(power[20:160].mean() / power[600:].mean())  # 1 to 8 mm
     assert near == pytest.approx(0, abs=1.2)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"scanlines": 1200}, {"scatterer_pitch_mm": 0.5}, {"layers": 3, "layer_extent_mm": 0.0},
+                {"layers": 9, "layer_extent_mm": 0.2}], ids=str,
+)  # fmt: skip
+def test_the_level_does_not_depend_on_how_many_lines_share_a_scatterer(changes, ahead) -> None:
+    """Scanlines and layers that are closer together than the cells of the scatterers."""
+    levels = []
+    for settings in (SPECKLE, replace(SPECKLE, **changes)):
+        simulator = Simulator(Scene((), CLEAR, "s"), CONVEX, settings)
+        levels.append([level_db(simulator.render(ahead, seed).envelope[20:400]) for seed in range(4)])
+    assert np.mean(levels[1]) == pytest.approx(np.mean(levels[0]), abs=0.6)
+
+
+@pytest.mark.parametrize("turn", [2, 5, 7, 9])
+def test_a_flat_face_on_a_flat_wall_sends_all_sound_into_it(turn) -> None:
+    """The elements lie in the wall to the last bit, up to rounding: nothing tells them inside from outside."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.random(random_state=turn).as_matrix()
+    pose[:3, 3] = 10 * turn, 3, -7
+    images = []
+    for gap_mm in (0.0, 0.01):
+        body = trimesh.creation.box(bounds=[[-80, -80, gap_mm], [80, 80, 200]]).apply_transform(pose)
+        scene = Scene((Structure(body, replace(TISSUE, impedance_mrayl=1.65)),), replace(CLEAR, name="gel"), "s")
+        shown = replace(SPECKLE, rays=16, aperture_mm=0.2, image_shape=(128, 100), noise_floor_db=-55.0)
+        images.append(Simulator(scene, LINEAR, shown).render(pose).image[10:].astype(int))
+    assert np.abs(images[1] - images[0]).mean() < 0.5
+    assert np.abs((images[1] - images[0]).mean(axis=0)).max() < 3
 
 
 @KINDS

@@ -6,6 +6,7 @@ import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, fan_mask
+from ablate.ultrasound.maps.slices import beside
 from ablate.ultrasound.probe import fan_size_mm, pixel_coordinates_mm
 
 
@@ -115,3 +116,12 @@ def test_a_turned_and_moved_probe_sees_the_same(gel, tissue, ball, probe, small,
     a = segment(scene, probe, small, ahead)
     b = segment(Scene((moved,), gel, "s"), probe, small, pose)
     assert (a != b).mean() < 1e-4
+
+
+def test_a_line_is_moved_off_itself_whatever_its_direction() -> None:
+    """Also where its coordinates are equal, so that turning them round gives the same line."""
+    diagonals = np.array([[1, 1, 1], [-1, -1, -1], [1.01, 1, 0.99]]) / np.sqrt(3)
+    directions = np.concatenate([np.eye(3), diagonals, np.random.default_rng(0).normal(size=(200, 3))])
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    moved = beside(directions)
+    assert (np.linalg.norm(np.cross(moved, directions), axis=-1) > 0.4).all()

@@ -120,7 +120,7 @@ def shared_cell_gain(
 
 
 def shared_cell_gain_across(steps_mm: np.ndarray, sigma: np.ndarray, pitch_mm: float) -> np.ndarray:
-    """The same for neighbouring scanlines, which meet in the face of a phased array, (scanlines, depths), at least 1.
+    """The same for neighbouring scanlines, which meet at the face of a phased probe, (scanlines, depths), at least 1.
 
     `steps_mm`, (scanlines, depths, 3), lead from a sample to that of the next scanline in world coordinates; `sigma`,
     (scanlines or 1, depths), is the standard deviation of the beam in scanlines. The autocorrelation of a Gaussian of
@@ -135,6 +135,18 @@ def shared_cell_gain_across(steps_mm: np.ndarray, sigma: np.ndarray, pitch_mm: f
             break
         gain[near] += 2 * shared * np.exp(-((lag / (2 * width)) ** 2))
     return gain
+
+
+def shared_cell_gain_of_layers(starts_mm: np.ndarray, weights: np.ndarray, pitch_mm: float) -> np.ndarray:
+    """The same for the layers of a scanline, which are parallel, (depths,), at least 1.
+
+    `starts_mm`, (layers, 3), are their starts in world coordinates; `weights`, (layers, depths), their amplitudes with
+    a sum of squares of 1 at each depth.
+    """
+    apart = np.abs(starts_mm[:, None] - starts_mm) / pitch_mm
+    shared = np.maximum(0, 1 - apart).prod(axis=-1)
+    np.fill_diagonal(shared, 0)
+    return 1 + np.einsum("ld,lm,md->d", weights, shared, weights)
 
 
 @cache

@@ -20,11 +20,12 @@ from ablate.ultrasound.imaging.scatterers import (
     scatterer_tables,
     shared_cell_gain,
     shared_cell_gain_across,
+    shared_cell_gain_of_layers,
     texture_gain_db,
     wrapped,
 )
 from ablate.ultrasound.probe import reach_mm
-from ablate.ultrasound.probe_kinds import ConvexProbe, Probe
+from ablate.ultrasound.probe_kinds import Probe
 from ablate.ultrasound.settings import PlanMode, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
@@ -88,9 +89,10 @@ class Speckle:
         nodes = level_db.shape[-1]
         at_nodes = np.rint(np.linspace(0, shape[2] - 1, nodes)).astype(int)
         own_db = line_db.reshape(*shape[:2], 1) + self._weights_db[:, None, at_nodes]
-        if not isinstance(self._probe, ConvexProbe):  # of a convex one scanlines are farther apart than cells
-            first_layer = slice(0, shape[1])
-            own_db = own_db - self._across_db(starts[first_layer], directions[first_layer], at_nodes)
+        first_layer = slice(0, shape[1])
+        own_db = own_db - self._across_db(starts[first_layer], directions[first_layer], at_nodes)
+        weights = 10 ** (self._weights_db[:, at_nodes] / 20)
+        own_db = own_db - 10 * np.log10(shared_cell_gain_of_layers(starts[:: shape[1]], weights, self._pitch_mm))
         level = level_db.reshape(*shape[:2], nodes) + torch.from_numpy(own_db.astype(np.float32))
         level = level.to(settings.device)
         label = torch.from_numpy(labels).to(settings.device).reshape(shape)

@@ -13,6 +13,7 @@ from ablate.ultrasound.transport.rays import Bundle
 
 _ATTEMPTS = 4
 _ASIDE_STEPS = 300
+_NEARLY_ALONG = 0.9  # cosine
 
 
 def sample_lines(
@@ -28,7 +29,7 @@ def sample_lines(
     values, ranges_mm = samples.empty(len(starts))
     rows = np.arange(len(starts))
     for attempt in range(_ATTEMPTS):
-        aside = attempt * _ASIDE_STEPS * geometry.step_mm * np.roll(directions[rows], 1, axis=-1)
+        aside = attempt * _ASIDE_STEPS * geometry.step_mm * beside(directions[rows])
         origins = starts[rows] + aside - back[rows, None] * directions[rows]
         length = (back + ahead)[rows]
         inside, values[rows], ranges_mm[rows] = walk(geometry, origins, directions[rows], length, samples, back[rows])
@@ -36,6 +37,13 @@ def sample_lines(
         if not rows.size:
             break
     return values, ranges_mm
+
+
+def beside(directions: np.ndarray) -> np.ndarray:
+    """Vectors that lead off lines along these unit directions, (n, 3)."""
+    turned = np.roll(directions, 1, axis=-1)
+    along = np.abs((turned * directions).sum(axis=-1, keepdims=True)) > _NEARLY_ALONG  # as for (1, 1, 1)
+    return np.where(along, turned * (1, -1, 0), turned)
 
 
 @stage(Stage.pixel_labels)

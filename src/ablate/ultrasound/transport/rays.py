@@ -16,6 +16,7 @@ from ablate.ultrasound.surfaces.ownership import owners
 from ablate.ultrasound.transport.draws import Draws
 
 _STEEPEST_RAD = 0.3
+_FACE_STEPS = 16  # so many steps before and behind an element, a surface counts as lying in it
 
 #: A ray under way. Lengths and loss are those up to its last surface; all lengths are mm.
 RAY = np.dtype(
@@ -106,9 +107,9 @@ def leave_probe(
 ) -> None:
     """Send the chosen rays off, by their numbers: fills their rows of `bundle`, and of their sets, (n, words) uint32.
 
-    The set of a ray is that of its element, unless some surface lies between. Then each ray of that group is followed
-    from outside in its own direction. Along the face, which nearly lies in the skin, a crossing can be missed, and a
-    ray without the loss of its tissue would outweigh all others.
+    The set of a ray is that of its element, unless some surface lies between them or in the element itself. Then each
+    ray of that group is followed from outside in its own direction. Along the face, which nearly lies in the skin, a
+    crossing can be missed, and a ray without the loss of its tissue would outweigh all others.
     """
     groups = len(bundle.starts)
     group = np.repeat(np.arange(groups), len(rays.origins) // groups)[chosen]
@@ -118,7 +119,11 @@ def leave_probe(
     length = np.sqrt(np.einsum("ij,ij->i", aside, aside))
     towards = (aside / np.maximum(length, 1e-12)[:, None]).astype(np.float32)
     between = geometry.closest(element.astype(np.float32), towards, length.astype(np.float32)).structure >= 0
-    unsure = np.flatnonzero((np.bincount(group, between, minlength=groups) > 0)[group])
+    near_mm = _FACE_STEPS * geometry.step_mm
+    before = (bundle.starts - near_mm * bundle.directions).astype(np.float32)
+    through = geometry.closest(before, bundle.directions.astype(np.float32), np.full(groups, 2 * near_mm, np.float32))
+    crossed = (np.bincount(group, between, minlength=groups) > 0) | (through.structure >= 0)
+    unsure = np.flatnonzero(crossed[group])
     sets[unsure] = inside_at(geometry, origins[unsure], directions[unsure])
     bundle.origins[chosen], bundle.ray_directions[chosen], inside[chosen] = origins, directions, sets
 
