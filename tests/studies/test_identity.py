@@ -175,7 +175,7 @@ def whole_result(job: Job) -> dict[str, Any]:
         "mlflow_run_id": "none",
     }
     scored_by = {"metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
-    return {**about, **scored_by, "notes": [], "scalars": {}}
+    return {**about, **scored_by, "notes": [], "scalars": {"parameters_generator": 1, "parameters_discriminator": 1}}
 
 
 def test_only_the_result_of_this_configuration_counts_as_finished(tmp_path: Path) -> None:
@@ -198,7 +198,17 @@ def test_only_the_result_of_this_configuration_counts_as_finished(tmp_path: Path
 
 @pytest.mark.parametrize(
     "damage",
-    ["", "{", "[]", '{"hash": 1}', "metrics: 5", 'metrics: [{"all": 1}]', "scalars: null", 'metrics_version: "two"'],
+    [
+        "",
+        "{",
+        "[]",
+        '{"hash": 1}',
+        "metrics: 5",
+        'metrics: [{"all": 1}]',
+        "scalars: null",
+        'scalars: {"seconds": 1}',
+        'metrics_version: "two"',
+    ],
 )
 def test_a_damaged_result_is_not_finished_and_stops_nothing(tmp_path: Path, damage: str) -> None:
     mine = job(tmp_path)

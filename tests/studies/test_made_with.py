@@ -105,7 +105,8 @@ def test_a_finished_training_that_is_scored_again_goes_on_with_nothing(
     code(monkeypatch, "aaa")
     write_provenance(job)
     stopped_at(job, 60)
-    about = {"hash": config_hash(job.settings), "label": "sa2h", "seed": 0, "data": "fetal-0", "scalars": {}}
+    scalars = {"parameters_generator": 1, "parameters_discriminator": 1}
+    about = {"hash": config_hash(job.settings), "label": "sa2h", "seed": 0, "data": "fetal-0", "scalars": scalars}
     write_json(job.folder / "result.json", about)
     code(monkeypatch, "bbb")
     write_provenance(job)

@@ -17,7 +17,8 @@ from ablate.studies.progress import duration, progress, show_progress
 
 def finish(job: Job, seconds: float | None) -> None:
     job.folder.mkdir(parents=True)
-    scalars = {} if seconds is None else {"seconds": seconds}
+    scalars = {"parameters_generator": 1.0, "parameters_discriminator": 1.0}
+    scalars |= {} if seconds is None else {"seconds": seconds}
     pd.DataFrame({"metric": []}).to_parquet(job.folder / "per_image.parquet")
     result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed, "scalars": scalars}
     result |= {"data": "fetal-0", "mlflow_run_id": "none"}

@@ -8,6 +8,7 @@ from ablate.storage import read_json
 
 # Keys that came later, with what they were before.
 _CAME_LATER: Mapping[str, Any] = {"metrics": "all", "metrics_version": 1, "inception": None, "notes": []}
+_COUNTED = {"parameters_generator", "parameters_discriminator"}  # the scalars that every run has
 
 
 def read_result(folder: Path, expected_hash: str) -> dict[str, Any] | None:
@@ -33,6 +34,8 @@ def unusable_keys(result: Mapping[str, Any]) -> list[str]:
     scalars = found.get("scalars")
     if not isinstance(scalars, dict) or not all(isinstance(value, int | float) for value in scalars.values()):
         wrong.append("scalars")
+    elif not _COUNTED <= scalars.keys():
+        wrong += sorted(f"scalars.{name}" for name in _COUNTED - scalars.keys())
     return wrong
 
 

@@ -50,6 +50,12 @@ def test_squares_become_triangles_that_enclose_the_same_volume(name: str, tmp_pa
             "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 1 int\n0 0 0\n",
             "no polygons",
         ),
+        (
+            "beside.vtk",
+            "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 3 int\n0 0 0 1 0 0 0 1 0\n"
+            "POLYGONS 1 5\n4 0 1 2 99999999\n",
+            "a polygon names a vertex that is not in the file",
+        ),
         ("cut.vtk", None, "Unrecognized keyword"),
         ("cut.vtp", None, "unclosed token"),
     ],

@@ -30,8 +30,15 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
     try:
         reader: Any = vtkPolyDataReader() if path.suffix.lower() == ".vtk" else vtkXMLPolyDataReader()
         reader.SetFileName(str(path))
+        reader.Update()
+        surface = reader.GetOutput()
+        if "ERROR" in said.GetOutput():
+            raise ValueError(_reason(said.GetOutput()))
+        for cells in (surface.GetVerts(), surface.GetLines(), surface.GetPolys(), surface.GetStrips()):
+            if not _is_whole(cells, surface.GetNumberOfPoints()):  # the filter would read beside the array
+                raise ValueError("a polygon names a vertex that is not in the file")
         cut = vtkTriangleFilter()
-        cut.SetInputConnection(reader.GetOutputPort())
+        cut.SetInputData(surface)
         cut.PassLinesOff()
         cut.PassVertsOff()
         cut.Update()
@@ -43,6 +50,17 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(_reason(said.GetOutput()))
     vertices = vtk_to_numpy(found.GetPoints().GetData()).astype(np.float64)
     return vertices, vtk_to_numpy(found.GetPolys().GetConnectivityArray()).reshape(-1, 3).astype(np.int64)
+
+
+def _is_whole(cells: Any, points: int) -> bool:
+    """Whether an array of cells names only points that are there."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    if cells is None or cells.GetNumberOfCells() == 0:
+        return True
+    ends, names = (vtk_to_numpy(part) for part in (cells.GetOffsetsArray(), cells.GetConnectivityArray()))
+    in_order = ends[0] == 0 and ends[-1] == len(names) and bool((np.diff(ends) >= 0).all())
+    return bool(in_order and (names >= 0).all() and (names < points).all())
 
 
 def _reason(said: str) -> str:
