@@ -132,6 +132,8 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["-m", "training.steps=1,2"], r"share the place .*study_name"),
     (["hydra/launcher=joblib"], r"hydra/launcher=joblib starts the jobs of a sweep: add -m"),
     (["-m", "hydra/sweeper=mine", "seed=0,1"], r"hydra/sweeper=mine"),
+    (["-m", "seed=range(3,0)"], r"seed=range\(3,0\): a sweep without a job"),
+    (["-m", "variant=sa2h,"], r"variant: Hydra cannot read the value 'sa2h,'; give it without the comma at its end"),
     # Names and folders.
     (["study_name=.."], r"study_name='\.\.': allowed are at most 200 letters, digits, blanks and _\.\+-"),
     (["study_name=a/b"], r"study_name='a/b': allowed are"),
@@ -148,6 +150,21 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     ([f"tracking.experiment={300 * 'x'}"], r"tracking\.experiment='x+\.\.\.x+': allowed are"),
     (["tracking.register=a/b"], r"tracking\.register=a/b: allowed are"),
     (["runs_dir=file/runs"], r"file/runs"),
+    (["runs_dir=file", "task=plan"], r"file' is a file; allowed is a folder"),
+    ([f"runs_dir={300 * 'x'}"], r"runs_dir='x+\.\.\.x+': File name too long"),
+    (["study_name=été"], r"study_name: Hydra cannot read the value 'été'; give it in quotes: \"study_name='\.\.\.'\""),
+    (["runs_dir=a (b)"], r"runs_dir: Hydra cannot read the value 'a \(b\)'; give it in quotes"),
+    (["tracking.uri=nonsense"], r"tracking\.uri='nonsense': allowed are http://, .*sqlite:///"),
+    (["metrics=[[psnr]]"], r"metrics=\['psnr'\]: is no name; allowed are"),
+    (["metrics=[leaves.f]"], r"metrics=leaves\.f: SystemExit: 0; allowed are"),
+    (["variant=custom", "model.target=leaves.F"], r"model\.target=leaves\.F: SystemExit: 0; allowed is"),
+    (["dataset.press_mm=nan"], r"dataset\.press_mm must be .*not nan"),
+    (["dataset.poses=archive.npy"], r"dataset\.poses=archive\.npy: is an archive \(\.npz\), allowed is one array"),
+    (["dataset.poses=semicolons.csv"], r"no column x; the columns are 'x;y;z', and x, .* are needed, with commas"),
+    (["dataset.poses=site.csv"], r"row 0: allowed are numbers, and whole ones as site, not '.*9999"),
+    (["task=render", "plane=Head"], r"plane=Head: allowed are head, abdomen"),
+    (["task=render", "frame=-1"], r"frame=-1: allowed are 0 to"),
+    (["task=render", "pose=archive.npy"], r"pose=archive\.npy: is an archive"),
     (["runs_dir='100%/runs'"], r"100%/runs: allowed is a path without %"),
     (["task=compare"], r"runs/quick-fetal holds no finished run to compare"),
     # Scenes and pairs.
@@ -160,9 +177,17 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
 
 
 @pytest.mark.parametrize(("arguments", "words"), COMMAND_LINES, ids=[" ".join(a)[:40] for a, _ in COMMAND_LINES])
-def test_a_command_line_that_cannot_be_run(refused: Refused, tmp_path: Path, arguments: list[str], words: str) -> None:
+def test_a_command_line_that_cannot_be_run(
+    refused: Refused, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str
+) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "empty").mkdir()
+    (tmp_path / "leaves.py").write_text("raise SystemExit(0)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with (tmp_path / "archive.npy").open("wb") as archive:
+        np.savez(archive, poses=np.eye(4)[None])
+    (tmp_path / "semicolons.csv").write_text("x;y;z\n0;0;0\n", "utf-8-sig")
+    (tmp_path / "site.csv").write_text(f"x,y,z,qw,qx,qy,qz,site\n0,0,0,1,0,0,0,{20 * '9'}\n")
     assert re.search(words, refused(*arguments))
 
 
@@ -265,6 +290,7 @@ LEAST: dict[str, float] = {
 LARGEST: dict[str, float] = {
     **{"model.depth": 8, "probe.fov_deg": 179, "probe.frequency_mhz": 1000, "probe.radius_mm": 1e6},
     **{"simulator.noise_floor_db": 0, "simulator.dynamic_range_db": 1000, "simulator.scatterer_level_db": 100},
+    **{"evaluation.noise_draws": 1000, "evaluation.pictures": 1000, "dataset.press_mm": 1000},
 }
 ABOVE_0 = ("training.learning_rate", "model.width", "dataset.validation", "dataset.test", "probe.depth_mm")
 BELOW_1 = ("training.beta1", "training.beta2", "training.ema_decay", "dataset.test")

@@ -25,7 +25,7 @@ from ablate.networks.spec import GeneratorSpec
 from ablate.training.settings import TrainingSettings
 from ablate.ultrasound.probe_kinds import ConvexProbe, Probe, probe_from, probe_values
 from ablate.ultrasound.settings import SimulatorSettings
-from ablate.validation import LONGEST_NAME, check_name, check_number, has_secret, shown
+from ablate.validation import LONGEST_NAME, check_name, check_number, check_store, shown
 
 T = TypeVar("T")
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
@@ -123,6 +123,7 @@ class DatasetSettings:
 
     def __post_init__(self) -> None:
         _at_least("dataset.", self, frames=1, seed=0, shard=1, workers=0)
+        check_number("dataset.press_mm", self.press_mm, 0, 1000)
         if self.grid is not None and (len(self.grid) != 4 or min(self.grid) < 1):
             given = f"dataset.grid={list(self.grid)}"
             raise ValueError(f"{given}: four counts of at least 1 (heights, angles, tilts, rolls)")
@@ -174,9 +175,8 @@ class TrackingSettings:
     system_metrics: bool = False
 
     def __post_init__(self) -> None:
-        if self.uri is not None and has_secret(self.uri):
-            where = "MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or PGPASSWORD for a database"
-            raise ValueError(f"tracking.uri: holds a user or a password; allowed is a URI without, and {where}")
+        if self.uri is not None:
+            check_store("tracking.uri", self.uri)
         if not re.fullmatch(r"[\w/]([\w.+@/ -]*[\w.+@-])?", self.experiment) or len(self.experiment) > LONGEST_NAME:
             allowed = f"at most {LONGEST_NAME} letters, digits, blanks and _.+-@/, the first a letter, a digit, _ or /"
             raise ValueError(f"tracking.experiment={shown(self.experiment)}: allowed are {allowed}")

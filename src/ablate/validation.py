@@ -58,6 +58,16 @@ def check_count(name: str, value: object, lower: int) -> None:
         raise ValueError(f"{name} must be a whole number of at least {lower}, not {value!r}")
 
 
+def check_store(key: str, uri: str) -> None:
+    """Raise ValueError unless MLflow can track into `uri`: a server or a database, and no secret within."""
+    if not re.match(r"(https?|(sqlite|postgresql|mysql|mssql)(\+\w+)?)://|databricks", uri):
+        allowed = "http://, https://, sqlite:///, postgresql://, mysql:// and mssql:// with what follows"
+        raise ValueError(f"{key}={shown(uri)}: allowed are {allowed}")
+    if has_secret(uri):
+        where = "MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or PGPASSWORD for a database"
+        raise ValueError(f"{key}: holds a user or a password; allowed is a URI without, and {where}")
+
+
 def has_secret(uri: str) -> bool:
     """Whether a tracking URI names a password, or any user of a web server, whose name may be a token."""
     scheme, _, rest = uri.partition("://")

@@ -52,10 +52,14 @@ def test_poses_that_are_not_rigid_are_named(tmp_path: Path, values: np.ndarray, 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no column x or no row"),
+        ("", "no column x; the columns are '', and x, y, z"),
+        ("x,y,z,qw,qx,qy,qz\n", "no row below the names of the columns"),
         ("x,y,z,qw,qx,qy\n0,0,0,1,0,0\n", "no column qz"),
         ("x,y,z,qw,qx,qy,qz\n0,0,0,1,1,0,0\n", "row 0: the quaternion must have length 1, not 1.414"),
-        ("x,y,z,qw,qx,qy,qz\n0,0,0,1,0,0,0\n0,0,far,1,0,0,0\n", "row 1 holds what is no number"),
+        (
+            "x,y,z,qw,qx,qy,qz\n0,0,0,1,0,0,0\n0,0,far,1,0,0,0\n",
+            "row 1: allowed are numbers, and whole ones as site, not 'x=0, y=0, z=far",
+        ),
         ("x,y,z,qw,qx,qy,qz\n0,0,nan,1,0,0,0\n", "pose 0: pose must be finite"),
     ],
 )

@@ -88,9 +88,9 @@ def test_a_run_is_known_by_the_file_of_the_class() -> None:
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("Smaller", r"returns \(1, 1, 32, 31\) for \(1, 2, 32, 32\), allowed is \(1, 1, 32, 32\)"),
-        ("Whole", "returns torch.int64, allowed are floating-point numbers"),
-        ("Fails", "an image of 32 x 32 px fails: RuntimeError: no such thing"),
+        ("Smaller", r"returns \(2, 1, 32, 31\) for \(2, 2, 32, 32\), allowed is \(2, 1, 32, 32\)"),
+        ("Whole", r"returns torch.int64, allowed are float32 numbers in \[-1, 1\]"),
+        ("Fails", "two images of 32 x 32 px fail: RuntimeError: no such thing"),
         ("Fixed", "has no parameter to train"),
         ("NoChannels", r"networks_of_a_user.NoChannels\(2\) fails: TypeError"),
         ("number", "is no class of torch.nn.Module"),

@@ -47,11 +47,22 @@ def test_a_class_that_does_not_work_is_refused_before_anything_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "toy_smaller.py").write_text(TOY.replace("8, 1, 3, padding=1", "8, 1, 3"))
+    (tmp_path / "toy_lazy.py").write_text(TOY.replace("Conv2d(channels, 8", "LazyConv2d(8"))
+    step = "    def forward(self, maps):\n        return super().forward(maps)"
+    (tmp_path / "toy_apart.py").write_text(f"{TOY}{step}.detach()\n")
+    (tmp_path / "toy_double.py").write_text(f"{TOY}{step}.double()\n")
+    (tmp_path / "toy_nan.py").write_text(f"{TOY}{step} / 0 * 0\n")
+    (tmp_path / "toy_single.py").write_text(f"{TOY}{step}.reshape(1, 1, *maps.shape[2:])\n")
     monkeypatch.syspath_prepend(tmp_path)
     runs = tmp_path / "runs"
     for target, said in {
-        "toy_smaller.Toy": "model.target=toy_smaller.Toy: returns (1, 1, ",
+        "toy_smaller.Toy": "model.target=toy_smaller.Toy: returns (2, 1, ",
         "nowhere.Toy": "model.target=nowhere.Toy: ModuleNotFoundError",
+        "toy_lazy.Toy": "model.target=toy_lazy.Toy: has parameters without a size",
+        "toy_apart.Toy": "model.target=toy_apart.Toy: returns an image that does not depend on its parameters",
+        "toy_double.Toy": "model.target=toy_double.Toy: returns torch.float64, allowed are float32",
+        "toy_nan.Toy": "model.target=toy_nan.Toy: returns numbers that are not finite",
+        "toy_single.Toy": "model.target=toy_single.Toy: two images of",
     }.items():
         with pytest.raises(ConfigurationError, match=f"^{re.escape(said)}"):
             run("preset=tiny", "variant=custom", f"model.target={target}", f"runs_dir={runs}")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ablate.ultrasound.probe import check_pose
+from ablate.validation import shown
 
 COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _SAME_MM, _SAME_RAD = 1e-3, 1e-4
@@ -49,6 +50,8 @@ def read_poses(path: Path, key: str = "dataset.poses") -> tuple[np.ndarray, np.n
             poses = np.load(path, allow_pickle=False)
         except (ValueError, OSError, EOFError) as error:
             raise ValueError(f"{where}: not readable as .npy: {' '.join(str(error).split())}") from None
+        if not isinstance(poses, np.ndarray):
+            raise ValueError(f"{where}: is an archive (.npz), allowed is one array (.npy)")
         sites = np.arange(len(poses) if poses.ndim else 0, dtype=np.int64)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) == 0 or poses.dtype.kind not in "fiu":
         raise ValueError(f"{where}: must hold poses of shape (n, 4, 4), not {poses.dtype} of {poses.shape}")
@@ -95,18 +98,27 @@ def sweep(first: np.ndarray, last: np.ndarray, kind: Sweep, count: int) -> np.nd
 
 
 def _of_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
-    with path.open(encoding="utf-8", newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    if missing := [name for name in COLUMNS if rows and name not in rows[0]] or ([] if rows else list(COLUMNS)):
-        raise ValueError(f"{where}: no column {missing[0]} or no row; allowed are {', '.join(COLUMNS)} and site")
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:  # Excel begins a file with a mark
+            reader = csv.DictReader(stream)
+            found, rows = list(reader.fieldnames or []), list(reader)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{where}: not readable as .csv in UTF-8: {' '.join(str(error).split())}") from None
+    if missing := [name for name in COLUMNS if name not in found]:
+        columns = f"the columns are {shown(', '.join(found))}, and {', '.join(COLUMNS)} are needed, with commas between"
+        raise ValueError(f"{where}: no column {missing[0]}; {columns}")
+    if not rows:
+        raise ValueError(f"{where}: no row below the names of the columns")
     poses, sites = np.tile(np.eye(4), (len(rows), 1, 1)), np.arange(len(rows), dtype=np.int64)
     for i, row in enumerate(rows):
         try:
             x, y, z, *quaternion = (float(row[name]) for name in COLUMNS)
             if row.get("site") is not None:
                 sites[i] = int(row["site"])
-        except (TypeError, ValueError):
-            raise ValueError(f"{where}: row {i} holds what is no number: {row}") from None
+        except (TypeError, ValueError, OverflowError):
+            values = ", ".join(f"{name}={value}" for name, value in row.items() if name)
+            allowed = "numbers, and whole ones as site"
+            raise ValueError(f"{where}: row {i}: allowed are {allowed}, not {shown(values)}") from None
         length = math.hypot(*quaternion)
         if not abs(length - 1) < 1e-3:
             raise ValueError(f"{where}: row {i}: the quaternion must have length 1, not {length:.4g}")

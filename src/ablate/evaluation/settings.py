@@ -16,6 +16,6 @@ class EvaluationSettings:
     inception: str | None = None
 
     def __post_init__(self) -> None:
-        for name, least in (("noise_draws", 2), ("pictures", 1), ("timed_frames", 1)):
-            if getattr(self, name) < least:
-                raise ValueError(f"evaluation.{name}={getattr(self, name)}: allowed are {least} and more")
+        for name, least, most in (("noise_draws", 2, 1000), ("pictures", 1, 1000), ("timed_frames", 1, 100_000)):
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(f"evaluation.{name}={getattr(self, name)}: allowed are {least} to {most}")

@@ -30,6 +30,8 @@ def choose_metrics(asked: str | Iterable[str] = "all") -> dict[str, Metric]:
         raise ValueError(f"metrics={asked}: {_allowed()}")
     chosen: dict[str, Metric] = {}
     for entry in (asked,) if isinstance(asked, str) else asked:
+        if not isinstance(entry, str):
+            raise ValueError(f"metrics={entry}: is no name; {_allowed()}")
         for name in METRIC_SETS.get(entry, (entry,)):
             metric = METRICS[name] if name in METRIC_SETS["all"] else _imported(name)
             if chosen.setdefault(metric.name, metric) != metric:
@@ -50,8 +52,9 @@ def _imported(path: object) -> Metric:
         raise ValueError(f"metrics={path}: {_allowed()}")
     try:
         found = getattr(import_module(module), name)
-    except Exception as error:  # whatever the user's module does
-        raise ValueError(f"metrics={path}: {type(error).__name__}: {error}; {_allowed()}") from error
+    except (Exception, SystemExit) as error:  # whatever the user's module does
+        said = " ".join(str(error).split())
+        raise ValueError(f"metrics={path}: {type(error).__name__}: {said:.200}; {_allowed()}") from error
     metric = found if isinstance(found, Metric) else Metric(name, of_image=found)
     if not callable(metric.of_image):
         raise ValueError(f"metrics={path}: is no function; {_allowed()}")

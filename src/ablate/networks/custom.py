@@ -8,6 +8,7 @@ from pathlib import Path
 
 import torch
 from torch import Tensor, nn
+from torch.nn.parameter import UninitializedParameter
 
 from ablate.networks.spec import GeneratorSpec, inputs
 
@@ -28,7 +29,7 @@ class CustomNetwork(nn.Module):
         channels = len(inputs(spec))
         try:
             self.inner: nn.Module = made(channels)
-        except Exception as error:  # whatever the user's class does
+        except (Exception, SystemExit) as error:  # whatever the user's class does
             raise ValueError(f"target={self.target}: {self.target}({channels}) fails: {_said(error)}") from error
 
     def forward(self, stacked: Tensor, _maps: Sequence[Tensor | None], _noise: Sequence[Tensor | None]) -> Tensor:
@@ -48,7 +49,7 @@ def custom_class(path: str) -> type[nn.Module]:
         raise ValueError(f"target={path}: allowed is the path of a class, as my_package.MyGenerator")
     try:
         found = getattr(import_module(module), name)
-    except Exception as error:  # whatever the user's module does
+    except (Exception, SystemExit) as error:  # whatever the user's module does
         raise ValueError(f"target={path}: {_said(error)}; allowed is the path of a class") from error
     if not (isinstance(found, type) and issubclass(found, nn.Module)):
         raise ValueError(f"target={path}: is no class of torch.nn.Module")
@@ -62,21 +63,34 @@ def custom_source(path: str) -> str:
 
 
 def check_custom(spec: GeneratorSpec, side: int) -> None:
-    """Render one image of `side` px with untrained weights; a ValueError names the class and what is wrong."""
+    """Try a training step on two images of `side` px; a ValueError names the class and what is wrong."""
     network = CustomNetwork(spec)
-    side += -side % 2**spec.depth
-    try:
-        with torch.no_grad():
-            image = network(torch.zeros(1, len(inputs(spec)), side, side), [], [])
-    except ValueError:
-        raise
-    except Exception as error:  # whatever the user's class does
-        raise ValueError(f"target={spec.target}: an image of {side} x {side} px fails: {_said(error)}") from error
-    if not image.is_floating_point():
-        raise ValueError(f"target={spec.target}: returns {image.dtype}, allowed are floating-point numbers in [-1, 1]")
+    if any(isinstance(parameter, UninitializedParameter) for parameter in network.parameters()):
+        raise ValueError(f"target={spec.target}: has parameters without a size (lazy layers); give them one")
     if not any(parameter.requires_grad for parameter in network.parameters()):
         raise ValueError(f"target={spec.target}: has no parameter to train")
+    side += -side % 2**spec.depth
+    maps = torch.rand(2, len(inputs(spec)), side, side, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    try:
+        image = network(maps, [], [])
+        wrong = _wrong_with(image)
+        if not wrong:
+            image.mean().backward()
+    except ValueError:
+        raise
+    except (Exception, SystemExit) as error:  # whatever the user's class does
+        raise ValueError(f"target={spec.target}: two images of {side} x {side} px fail: {_said(error)}") from error
+    if wrong:
+        raise ValueError(f"target={spec.target}: returns {wrong}, allowed are float32 numbers in [-1, 1]")
 
 
-def _said(error: Exception) -> str:
+def _wrong_with(image: Tensor) -> str:
+    if image.dtype != torch.float32:
+        return str(image.dtype)
+    if not image.requires_grad:
+        return "an image that does not depend on its parameters"
+    return "" if bool(image.isfinite().all()) else "numbers that are not finite"
+
+
+def _said(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split()):.200}"

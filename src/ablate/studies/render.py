@@ -1,6 +1,9 @@
 """Frames at poses of your choice as files: image, S and A, the envelope, and what they were made with."""
 
+import json
 from collections.abc import Sequence
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +13,7 @@ from PIL import Image
 from ablate.anatomy import Scene, SiteGrid, fetal_planes
 from ablate.config import ConfigurationError, SceneKind, StudySettings, json_ready, refusing
 from ablate.dataset import read_poses
-from ablate.storage import write_json, written_whole
+from ablate.storage import read_json, write_json, written_whole
 from ablate.studies.jobs.job import Job
 from ablate.studies.pairs.data import dataset_folder, open_data
 from ablate.studies.pairs.simulated import build_scene, lay_out
@@ -29,10 +32,11 @@ def render(jobs: Sequence[Job]) -> int:
 
 
 def _rendered(settings: StudySettings) -> Path:
+    named = _named_poses(settings)  # before the anatomy is built
     scene, grid = build_scene(settings)
-    name, poses = _poses(settings, scene, grid)
-    folder = settings.results / "render" / f"{settings.scene_name}-{name}"
-    folder.mkdir(parents=True, exist_ok=True)
+    name, poses = named or (f"frame_{settings.frame}", _pose_of_frame(settings, scene, grid))
+    made_with = _made_with(settings, scene, poses)
+    folder = _folder_of(settings.results / "render" / f"{settings.scene_name}-{name}", made_with)
     simulator = Simulator(scene, settings.probe, settings.simulator, poses=poses)
     images = []
     for i, pose in enumerate(poses):
@@ -45,12 +49,29 @@ def _rendered(settings: StudySettings) -> Path:
     else:
         with written_whole(folder / "frame.npz") as partial:
             np.savez_compressed(partial, **{k: getattr(frame, k) for k in Frame.__annotations__}, pose=poses[0])
-    write_json(folder / "settings.json", _made_with(settings, scene, poses))
     return folder
 
 
-def _poses(settings: StudySettings, scene: Scene, grid: SiteGrid) -> tuple[str, np.ndarray]:
-    """A name for what is rendered, and its poses, (n, 4, 4)."""
+def _folder_of(wanted: Path, made_with: dict[str, Any]) -> Path:
+    """The folder for what is made with these settings, with a number behind its name where others are there.
+
+    Its settings are written first, so pictures of two settings never lie in one folder.
+    """
+    plain = json.loads(json.dumps(made_with))
+    for number in count(1):
+        folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")
+        if not folder.exists():
+            folder.mkdir(parents=True)
+            write_json(folder / "settings.json", made_with)
+            return folder
+        with suppress(OSError, ValueError):
+            if read_json(folder / "settings.json") == plain:
+                return folder
+    raise AssertionError
+
+
+def _named_poses(settings: StudySettings) -> tuple[str, np.ndarray] | None:
+    """A name for what `pose` or `plane` asks for, and its poses, (n, 4, 4); None where `frame` does."""
     if settings.pose:
         return Path(settings.pose).stem, read_poses(Path(settings.pose), "pose")[0]
     if settings.plane:
@@ -64,9 +85,17 @@ def _poses(settings: StudySettings, scene: Scene, grid: SiteGrid) -> tuple[str, 
         return settings.plane, planes[settings.plane][None]
     folder = dataset_folder(settings)
     made = (folder / "about.json").exists()
+    check_frame(settings.frame, len(open_data(folder).pairs) if made else settings.dataset.frames)
+    return None
+
+
+def _pose_of_frame(settings: StudySettings, scene: Scene, grid: SiteGrid) -> np.ndarray:
+    """The pose of a frame of the data set, (1, 4, 4)."""
+    folder = dataset_folder(settings)
+    made = (folder / "about.json").exists()
     poses = open_data(folder).pairs.poses if made else lay_out(settings, scene, grid).poses
     check_frame(settings.frame, len(poses))
-    return f"frame_{settings.frame}", np.asarray(poses[settings.frame])[None]
+    return np.asarray(poses[settings.frame])[None]
 
 
 def _write(folder: Path, frame: Frame, number: str) -> None:

@@ -22,6 +22,7 @@ from ablate.studies.jobs.job import Job, label_of
 from ablate.studies.jobs.launch import ComposedJob, Launch
 from ablate.studies.jobs.schema import register, settings
 from ablate.ultrasound.probe_kinds import PROBE_KEYS, Probe
+from ablate.validation import shown
 
 _CELLS = "cells"
 _SLURM = "ablate.studies.jobs.slurm.QueueLauncher"
@@ -60,8 +61,7 @@ def read_command_line(arguments: Sequence[str]) -> CommandLine | None:
             flag = name.replace("_", "-")
             raise ConfigurationError(f"--{flag}: not taken; add 'hydra.searchpath=[file:///a/folder]'")
     with hydra_internals.composing(configuration_dir()):
-        with _in_one_line():
-            overrides = hydra_internals.parse_overrides(parsed.overrides)
+        overrides = [_parsed(line) for line in parsed.overrides]
         fixed = [str(o.input_line) for o in overrides if not o.is_sweep_override()]
         master = _compose(fixed)
         multirun = parsed.multirun or str(master.hydra.mode or "").rpartition(".")[2] == "MULTIRUN"
@@ -71,6 +71,11 @@ def read_command_line(arguments: Sequence[str]) -> CommandLine | None:
             _check_single(master, overrides)
             made = [_composed_job(fixed, master)]
         path = hydra_internals.search_path()
+    if not made:
+        empty = [str(o.input_line) for o in overrides if o.is_sweep_override()]
+        raise ConfigurationError(
+            f"{', '.join(empty)}: a sweep without a job; allowed is at least one value of each key"
+        )
     if made[0].job.settings.task is not Task.simulate:  # jobs that read the same pairs fill them side by side
         made = _without_repetitions(made)
     return CommandLine(
@@ -96,6 +101,18 @@ def _expand(master: DictConfig, overrides: Sequence[Override]) -> list[list[str]
     with _in_one_line():
         each = [hydra_internals.parse_overrides([*swept, *cell.split()]) for cell in cells]
         return [job for cell in each for job in hydra_internals.product([*cell, *overrides])]
+
+
+def _parsed(line: str) -> Override:
+    """One word of the command line; what Hydra cannot read is named, with what helps."""
+    try:
+        return hydra_internals.parse_overrides([line])[0]
+    except HydraException as error:
+        key, is_given, value = line.partition("=")
+        if not is_given or value.startswith(("'", '"')):
+            raise ConfigurationError(_one_line(error)) from error
+        hint = "without the comma at its end" if value.endswith(",") else f"in quotes: \"{key}='...'\""
+        raise ConfigurationError(f"{key}: Hydra cannot read the value {shown(value)}; give it {hint}") from error
 
 
 def _check_single(master: DictConfig, overrides: Sequence[Override]) -> None:
