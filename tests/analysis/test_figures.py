@@ -37,7 +37,9 @@ def assert_written(paths):
     picture = imread(paths[0])
     assert picture.shape[1] >= 600
     assert picture[..., :3].std() > 0.01, "a blank page"
-    assert paths[1].read_bytes().startswith(b"%PDF")
+    page = paths[1].read_bytes()
+    assert page.startswith(b"%PDF")
+    assert b"/FontFile2" in page, "journals want TrueType fonts"
     return picture
 
 

@@ -44,12 +44,13 @@ def new_figure(width_in: float, height_in: float, pad_in: float = 0.04) -> Figur
 
 
 def save_figure(figure: Figure, stem: Path) -> list[Path]:
-    """Write a figure as PNG and PDF to `stem`, a path without suffix; its folder is made."""
+    """Write a figure as PNG and PDF, with the same layout, to `stem`, a path without suffix; its folder is made."""
     stem.parent.mkdir(parents=True, exist_ok=True)
     paths = [stem.with_name(stem.name + suffix) for suffix in (".png", ".pdf")]
     for path in paths:
         with written_whole(path) as partial:
             figure.savefig(partial, dpi=PNG_DPI, metadata={"CreationDate": None} if path.suffix == ".pdf" else None)
+        figure.set_layout_engine("none")  # the second file takes the places found for the first
     return paths
 
 
