@@ -148,6 +148,8 @@ def _in_session(
     inside: int | None,
 ) -> None:
     os.setsid()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a campaign in the background is told to ignore it,
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # and one under nohup this one
     output = os.open(said, os.O_CREAT | os.O_WRONLY | os.O_APPEND)
     os.dup2(output, 1)
     os.dup2(output, 2)
