@@ -116,6 +116,9 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["seed=99999999999999999999"], r"seed=99999999999999999999: allowed are whole numbers below 2\^63"),
     (["model.depth=9"], r"depth=9: allowed are 1 to 8"),
     (["simulator.image_shape=[]"], r"image_shape"),
+    (["simulator.image_shape=[100000,100000]"], r"image_shape must be a whole number of at most 16384, not 100000"),
+    (["training.crop=4096"], r"training\.crop=4096: at most 356, which covers an image of 256 x 355 px"),
+    (["simulator.rays=1000000000"], r"rays must be a whole number of at most 1048576, not 1000000000"),
     (["variant=sa2h-gan", "training.l1_weight=0"], r"l1_weight=0 with loss=none"),
     (["training.batch_size=1000"], r"training\.batch_size=1000: more than the \d+ training frames"),
     (["dataset.frames=99999999"], r"dataset\.frames=99999999: at most \d+, the poses"),
@@ -291,6 +294,8 @@ LARGEST: dict[str, float] = {
     **{"model.depth": 8, "probe.fov_deg": 179, "probe.frequency_mhz": 1000, "probe.radius_mm": 1e6},
     **{"simulator.noise_floor_db": 0, "simulator.dynamic_range_db": 1000, "simulator.scatterer_level_db": 100},
     **{"evaluation.noise_draws": 1000, "evaluation.pictures": 1000, "dataset.press_mm": 1000},
+    **{"simulator.rays": 2**20, "simulator.layers": 2**10, "simulator.scanlines": 2**14},
+    **{"simulator.axial_samples": 2**18, "training.crop": 2**14, "training.threads": 2**12},
 }
 ABOVE_0 = ("training.learning_rate", "model.width", "dataset.validation", "dataset.test", "probe.depth_mm")
 BELOW_1 = ("training.beta1", "training.beta2", "training.ema_decay", "dataset.test")

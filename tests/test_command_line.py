@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ablate.__main__ import main
@@ -83,6 +84,14 @@ def test_a_full_disk_is_one_line_for_a_job_and_for_the_program(
     with pytest.raises(SystemExit, match=r"^ablate: \[Errno 28\] .*'last\.ckpt'; the same command continues"):
         main()
     assert capsys.readouterr().err == "sa2h/seed0: [Errno 28] No space left on device: 'last.ckpt'\n"
+
+
+def test_want_of_memory_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ablate.tasks.run_task", lambda _: np.empty(2**50))
+    monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path}"])
+    with pytest.raises(SystemExit, match=r"^ablate: out of memory: Unable to allocate .*; the same command") as end:
+        main()
+    assert "\n" not in str(end.value)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

@@ -40,6 +40,8 @@ def main() -> None:
         if error.errno is None:
             raise
         sys.exit(f"ablate: {error}; the same command continues where it stopped")
+    except MemoryError as error:
+        sys.exit(f"ablate: out of memory: {error or 'no size was given'}; the same command continues where it stopped")
     except _Stopped as stopped:
         print(f"ablate: {stopped}; the same command continues where it stopped", file=sys.stderr)
         sys.exit(128 + stopped.number)

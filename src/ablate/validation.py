@@ -52,10 +52,12 @@ def check_number(name: str, value: object, lower: float, upper: float) -> None:
         raise ValueError(f"{name} must be between {lower:g} and {upper:g}, not {value!r}")
 
 
-def check_count(name: str, value: object, lower: int) -> None:
-    """Raise ValueError unless `value` is a whole number of at least `lower`."""
+def check_count(name: str, value: object, lower: int, upper: int | None = None) -> None:
+    """Raise ValueError unless `value` is a whole number of at least `lower` and, where given, at most `upper`."""
     if not isinstance(value, Integral) or isinstance(value, bool) or value < lower:
         raise ValueError(f"{name} must be a whole number of at least {lower}, not {value!r}")
+    if upper is not None and int(value) > upper:
+        raise ValueError(f"{name} must be a whole number of at most {upper}, not {value!r}")
 
 
 def check_store(key: str, uri: str) -> None:

@@ -24,7 +24,8 @@ def test_a_network_of_the_user_is_a_variant(tmp_path: Path, monkeypatch: pytest.
     module = tmp_path / "toy_networks.py"
     module.write_text(TOY)
     monkeypatch.syspath_prepend(tmp_path)
-    sizes = ["preset=tiny", "training.steps=2", f"runs_dir={tmp_path / 'runs'}"]
+    sizes = ["preset=tiny", "simulator.image_shape=[96,134]", "dataset.frames=10", "metrics=[psnr,mae]"]
+    sizes += ["training.steps=2", f"runs_dir={tmp_path / 'runs'}"]
     assert run(*sizes, "variant=sa2h") == 0
     assert run(*sizes, "variant=custom", "model.target=toy_networks.Toy") == 0
     study = tmp_path / "runs/tiny-fetal"

@@ -107,6 +107,9 @@ class TrainingSettings:
         for name, lower in (least | {"threads": 0, "checkpoint_every": 0, "validate_every": 0}).items():
             if getattr(self, name) < lower:
                 raise ValueError(f"{name}={getattr(self, name)}: allowed are {lower} and more")
+        for name, upper in {"crop": 2**14, "threads": 2**12}.items():
+            if getattr(self, name) > upper:
+                raise ValueError(f"{name}={getattr(self, name)}: allowed are {upper} and less")
         for name in ("beta1", "beta2", "ema_decay"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"{name}={getattr(self, name)}: allowed is [0, 1)")

@@ -80,13 +80,13 @@ class SimulatorSettings:
     tolerance: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("scanlines", "axial_samples", "rays", "layers"):
-            check_count(name, getattr(self, name), 1)
+        for name, most in _MOST.items():
+            check_count(name, getattr(self, name), 1, most)
         check_count("path_seed", self.path_seed, 0)
         if len(tuple(self.image_shape)) != 2:
             raise ValueError(f"image_shape must be two counts (rows, columns), not {self.image_shape!r}")
         for count in self.image_shape:
-            check_count("image_shape", count, 1)
+            check_count("image_shape", count, 1, _MOST_PIXELS)
         object.__setattr__(self, "image_shape", tuple(int(n) for n in self.image_shape))
         if self.tolerance is not None:
             check_number("tolerance", self.tolerance, 1e-4, 10.0)
@@ -100,6 +100,9 @@ class SimulatorSettings:
         return replace(cls(**changes), rays=1, layers=1)  # type: ignore[arg-type]
 
 
+# Far beyond any use: what exceeds them is a slip, and would end for want of memory after the anatomy is built.
+_MOST = {"scanlines": 2**14, "axial_samples": 2**18, "rays": 2**20, "layers": 2**10}
+_MOST_PIXELS = 2**14
 _RANGES = {
     "tgc_db_cm_mhz": (0.0, 1e3),
     "noise_floor_db": (-1e3, 0.0),

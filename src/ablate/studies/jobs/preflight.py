@@ -18,6 +18,7 @@ from ablate.studies.jobs.job import Job
 from ablate.studies.jobs.variants import variant_model, variant_names
 from ablate.studies.pairs.imported import checked_folder
 from ablate.training import TrainingPrecision
+from ablate.training.settings import SMALLEST_CROP
 from ablate.validation import shown
 
 _NEED_SCENE = (Task.preview, Task.render, Task.view, Task.precision)
@@ -119,6 +120,12 @@ def _check_training(job: Job, seen: int, labels: set[str]) -> None:
     if s.training.crop < stride:
         smallest = f"2^model.depth = {stride} for variant {job.label}"
         raise ConfigurationError(f"training.crop={s.training.crop}: at least {smallest}")
+    if s.scene.kind is not SceneKind.pairs:
+        height, width = s.simulator.image_shape
+        most = max(-(-max(height, width) // stride) * stride, SMALLEST_CROP)
+        if s.training.crop > most:
+            covers = f"which covers an image of {height} x {width} px"
+            raise ConfigurationError(f"training.crop={s.training.crop}: at most {most}, {covers}")
     if s.model.family is Family.custom:
         with refusing("model."):
             check_custom(s.model, s.training.crop)
