@@ -36,8 +36,8 @@ def serve(preset: str, frames: int, many: int) -> None:
     """Render frames on request: each line of the standard input is rays and frame, each answer is a line of ms."""
     import torch
 
-    from ablate.studies.jobs.compose import jobs_of
-    from ablate.studies.pairs.simulated import build_scene, lay_out
+    from ablate.jobs.compose import jobs_of
+    from ablate.runs.simulated import build_scene, lay_out
     from ablate.ultrasound import Simulator
 
     torch.set_num_threads(1)

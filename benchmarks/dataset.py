@@ -18,14 +18,14 @@ import numpy as np
 import torch
 from numcodecs import Blosc, Zstd
 
-from ablate.config import DatasetSettings
 from ablate.dataset import CropLoader, Crops, CropSettings, Encoding, Pairs, Part, label_values
 from ablate.dataset.attenuation_bits import decode_attenuation, encode_attenuation
 from ablate.dataset.pairs import FORMATS
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
-from ablate.studies.pairs.data import Data, maps_needed, prepare_data
-from ablate.studies.pairs.simulated import build_scene
+from ablate.jobs.compose import jobs_of
+from ablate.runs.data import Data, maps_needed, prepare_data
+from ablate.runs.job import Job
+from ablate.runs.simulated import build_scene
+from ablate.settings.study import DatasetSettings
 from ablate.tracking import hardware
 from ablate.ultrasound import Simulator
 from yardstick import Yardstick

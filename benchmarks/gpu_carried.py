@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from ablate.anatomy import Tissue
-from ablate.config import build
 from ablate.dataset import CropSettings, Part
 from ablate.dataset.attenuation_bits import decode_attenuation
 from ablate.networks import GeneratorSpec
+from ablate.settings.values import build
 from ablate.training import TrainingSettings
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.imaging.signal_chain import Received
@@ -156,8 +156,8 @@ def make_carried(folder: Path, study_frames: int, paper_frames: int, tiny: bool)
 def _jobs(folder: Path, arguments: list[str], most: int | None) -> list[dict[str, Any]]:
     """Compose jobs, simulate their pairs and write them."""
     from ablate.dataset import label_values
-    from ablate.studies.jobs.compose import jobs_of
-    from ablate.studies.pairs.data import dataset_folder, maps_needed, prepare_data
+    from ablate.jobs.compose import jobs_of
+    from ablate.runs.data import dataset_folder, maps_needed, prepare_data
 
     written = []
     for job in jobs_of(arguments)[:most]:

@@ -23,8 +23,8 @@ import numpy as np
 import torch
 
 from ablate.dataset.encoding import HALF_RANGE
+from ablate.jobs.variants import variant_model
 from ablate.networks import Generator, conditions, count_generator, export_onnx
-from ablate.studies.jobs.variants import variant_model
 from ablate.tracking import hardware
 from ablate.training import (
     Engine,

@@ -20,9 +20,9 @@ import torch
 from ablate.anatomy import TissueKind
 from ablate.dataset import Pairs, Part
 from ablate.evaluation import EvaluationSettings, Scorer, resimulation_images, tissue_labels
+from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS, FeatureKind, Pair, choose_metrics, speckle_features
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.pairs.data import Data, maps_needed, prepare_data
+from ablate.runs.data import Data, maps_needed, prepare_data
 from ablate.tracking import hardware
 from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm

@@ -31,10 +31,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ablate.config import StudySettings
 from ablate.dataset import CropLoader, Crops, CropSettings, create_pairs, fill_pairs, open_pairs
+from ablate.jobs.compose import jobs_of
 from ablate.networks import conditions, draws_noise
-from ablate.studies.jobs.compose import jobs_of
+from ablate.settings.study import StudySettings
 from ablate.tracking import hardware
 from ablate.training import Reconstruction, TrainingPrecision, chosen_device, chosen_precision, train
 from support.plain_gan import PlainGAN

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ablate.studies.jobs.compose import jobs_of
+from ablate.jobs.compose import jobs_of
 from ablate.viewer.task import Viewer
 from support.viewer_client import Client
 from yardstick import Yardstick

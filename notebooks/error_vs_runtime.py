@@ -22,8 +22,8 @@ import pandas as pd
 from IPython.display import Image, display
 
 from ablate.analysis import error_vs_runtime, pareto_front
-from ablate.studies.comparison.reading import open_study
-from ablate.studies.comparison.results import runtime_points, timed_on
+from ablate.comparison.reading import open_study
+from ablate.comparison.results import runtime_points, timed_on
 
 study = open_study()
 folder = Path(mkdtemp())

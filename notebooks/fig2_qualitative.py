@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 from IPython.display import Image
 
 from ablate.analysis import qualitative_figure
-from ablate.studies.comparison.reading import open_study
+from ablate.comparison.reading import open_study
 
 study = open_study()
 folder = Path(mkdtemp())

@@ -21,7 +21,7 @@ from tempfile import mkdtemp
 from IPython.display import Image, display
 
 from ablate.analysis import chi2_maps_figure
-from ablate.studies.comparison.reading import open_study
+from ablate.comparison.reading import open_study
 
 study = open_study()
 folder = Path(mkdtemp())

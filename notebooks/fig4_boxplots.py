@@ -22,7 +22,7 @@ from IPython.display import Image, display
 
 from ablate.analysis import boxplot_panels, cautions, paired_table
 from ablate.metrics import Group, Shown, metric_of, shown_in
-from ablate.studies.comparison.reading import open_study
+from ablate.comparison.reading import open_study
 
 study = open_study()
 folder, paired = Path(mkdtemp()), paired_table(study.per_image, study.reference)

@@ -11,10 +11,10 @@ import pandas as pd
 from tqdm import trange
 
 from ablate.analysis import Answer, Design, find_design, run_means, verdict_table
-from ablate.config import json_ready
+from ablate.comparison.answers import FACTORS
+from ablate.jobs.compose import jobs_of
 from ablate.networks import COMPONENTS
-from ablate.studies.comparison.answers import FACTORS
-from ablate.studies.jobs.compose import jobs_of
+from ablate.setting import plain
 
 NAMES = tuple(component.name for component in COMPONENTS)
 EFFECTS = (0.5, 1.0, 1.5, 2.0, 3.0)
@@ -31,7 +31,7 @@ def answer_runs() -> tuple[pd.DataFrame, Design]:
     Design
     """
     jobs = [*jobs_of(["+study=answer"]), *jobs_of(["-m", "+study=answer_beside", "variant=sa2h", "seed=1,2"])]
-    made = {job.label: {**json_ready(job.settings.model), "encoding": job.settings.encoding.name} for job in jobs}
+    made = {job.label: {**plain(job.settings.model), "encoding": job.settings.encoding.name} for job in jobs}
     design = find_design(made, FACTORS)
     assert design is not None
     rows = [

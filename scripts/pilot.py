@@ -14,13 +14,14 @@ import pandas as pd
 from mlflow import MlflowClient
 
 from ablate.analysis.figures.style import PAGE_IN, colour_of, house_style, new_figure
-from ablate.config import StudySettings, build
 from ablate.dataset import Part, label_values
 from ablate.evaluation.run_scores import resimulation_scores
 from ablate.metrics import metric_of
 from ablate.networks import COMPONENTS, draws_noise
-from ablate.studies.pairs.data import dataset_folder, open_data
-from ablate.studies.run import generated_images, scorer
+from ablate.runs.data import dataset_folder, open_data
+from ablate.runs.train import generated_images, scorer
+from ablate.settings.study import StudySettings
+from ablate.settings.values import build
 from ablate.training import load_generator
 from numerics import fill, markdown
 

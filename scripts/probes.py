@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.anatomy import fetal_abdomen, fetal_planes
-from ablate.studies.jobs.compose import jobs_of
+from ablate.jobs.compose import jobs_of
 from ablate.ultrasound import Simulator
 from ablate.ultrasound.probe import face_sag_mm, fan_size_mm
 

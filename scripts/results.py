@@ -21,11 +21,11 @@ import numpy as np
 import pandas as pd
 
 from ablate.analysis import RESIMULATION
+from ablate.comparison.frame_times import TIMES
+from ablate.comparison.results import Finished, pictures
+from ablate.comparison.usable_runs import usable_runs
+from ablate.runs.identity import scored_by
 from ablate.storage import write_json
-from ablate.studies.comparison.frame_times import TIMES
-from ablate.studies.comparison.results import Finished, pictures
-from ablate.studies.comparison.usable_runs import usable_runs
-from ablate.studies.identity import scored_by
 from results_page import FRAME, PICTURES, named, write_page
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

@@ -28,12 +28,12 @@ from ablate.analysis import (
     to_markdown,
     verdicts_caption,
 )
+from ablate.comparison.answers import Answers, answers
+from ablate.comparison.results import Finished, provenance, scored_frames
+from ablate.comparison.usable_runs import UsableRuns, usable_runs
+from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS, Group, Shown, shown_in
 from ablate.networks import Noise
-from ablate.studies.comparison.answers import Answers, answers
-from ablate.studies.comparison.results import Finished, provenance, scored_frames
-from ablate.studies.comparison.usable_runs import UsableRuns, usable_runs
-from ablate.studies.jobs.compose import jobs_of
 from results_tables import claim_rows, effect_rows, interaction_rows, paper_rows, shortfalls, verdict_rows
 
 BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by scripts/results.py: end -->"

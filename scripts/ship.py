@@ -6,11 +6,12 @@ python scripts/ship.py runs/answer/sa2h/seed0 sa2h
 import argparse
 from pathlib import Path
 
-from ablate.config import StudySettings, build
+from ablate.comparison.results import Finished, data_of, provenance
 from ablate.dataset import label_values
 from ablate.pretrained import Renderer, save
+from ablate.settings.study import StudySettings
+from ablate.settings.values import build
 from ablate.storage import read_json
-from ablate.studies.comparison.results import Finished, data_of, provenance
 from ablate.training import LAST, load_generator
 
 SHIPPED = Path(__file__).parents[1] / "src/ablate/pretrained"

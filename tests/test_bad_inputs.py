@@ -18,9 +18,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ablate.__main__ import main
-from ablate.config import ConfigurationError, StudySettings, build, json_ready
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.launch import Launch
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.launch import Launch
+from ablate.setting import plain
+from ablate.settings.study import ConfigurationError, StudySettings
+from ablate.settings.values import build
 from ablate.ultrasound.probe_kinds import PROBE_KEYS, Probe, ProbeKind
 
 Refused = Callable[..., str]
@@ -299,7 +301,7 @@ LARGEST: dict[str, float] = {
 }
 ABOVE_0 = ("training.learning_rate", "model.width", "dataset.validation", "dataset.test", "probe.depth_mm")
 BELOW_1 = ("training.beta1", "training.beta2", "training.ema_decay", "dataset.test")
-DEFAULTS = json_ready(StudySettings())
+DEFAULTS = plain(StudySettings())
 
 
 def with_value(key: str, value: float) -> dict[str, Any]:

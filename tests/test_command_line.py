@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from ablate.__main__ import main
-from ablate.config import TrackingSettings
-from ablate.studies.jobs.job import Job
-from ablate.studies.jobs.launch import Launch
+from ablate.jobs.launch import Launch
+from ablate.runs.job import Job
+from ablate.settings.study import TrackingSettings
 
 
 def only_line(out: str, error: str, runs: Path) -> str:
@@ -35,7 +35,7 @@ def test_a_process_ends_with_one_line_and_exit_code_2(tmp_path: Path) -> None:
 def test_a_command_line_is_checked_without_what_runs_it() -> None:
     """Neither the settings nor the composition of a sweep load what a job needs."""
     code = (
-        "import sys; import ablate.config; from ablate.studies.jobs.compose import read_command_line;"
+        "import sys; import ablate.settings.study; from ablate.jobs.compose import read_command_line;"
         "assert len(read_command_line(['-m', 'variant=sa2h,nsa2h', 'seed=0,1']).jobs) == 4;"
         "print(sorted({name.partition('.')[0] for name in sys.modules}))"
     )

@@ -13,14 +13,14 @@ import pandas as pd
 import pytest
 
 from ablate.analysis import paper_effects
-from ablate.config import json_ready
+from ablate.comparison.answers import components_of
+from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS, METRICS_VERSION
 from ablate.networks import COMPONENTS, Component
+from ablate.runs.identity import config_hash, finished, semantic
+from ablate.runs.job import Job
+from ablate.setting import plain
 from ablate.storage import digest
-from ablate.studies.comparison.answers import components_of
-from ablate.studies.identity import config_hash, finished, semantic
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
 
 FRAMES, SITES = 8, 8
 PLAN = ("answer", "answer_beside")
@@ -66,7 +66,7 @@ def pretend(job: Job) -> None:
     mean = 20 + 5 * anatomy + rng.normal(scale=0.1) + EFFECT * (s.model.attenuation == "none")
     job.folder.mkdir(parents=True)
     spec = {"label": job.label, "hash": config_hash(s), "semantic": semantic(s)}
-    (job.folder / "spec.json").write_text(json.dumps({**spec, "settings": json_ready(s)}))
+    (job.folder / "spec.json").write_text(json.dumps({**spec, "settings": plain(s)}))
     rows = [
         {"frame": 300 + f, "site": f % SITES, "metric": m, "value": v + rng.normal(scale=0.01), "source": o, "split": p}
         for m in PER_IMAGE

@@ -14,7 +14,7 @@ from faults.mutations import bytes_of, name, tree_of
 if TYPE_CHECKING:
     import trimesh
 
-    from ablate.studies.jobs.job import Job
+    from ablate.runs.job import Job
 
 # Damages an input and reads it; what is refused is a ConfigurationError.
 Attempt = Callable[[random.Random], None]
@@ -23,7 +23,7 @@ _TINY = ("preset=tiny", "simulator.image_shape=[96,134]", "dataset.frames=4", "d
 
 
 def _job(*arguments: str) -> "Job":
-    from ablate.studies.jobs.compose import jobs_of
+    from ablate.jobs.compose import jobs_of
 
     return jobs_of(arguments)[0]
 
@@ -125,8 +125,8 @@ def write_mesh(folder: Path, number: int, suffix: str) -> str:
 def _load_scene(job: "Job", rng: random.Random) -> None:
     """Check and load as a simulation does, and now and then simulate."""
     from ablate.anatomy import load_scene, load_sites
-    from ablate.config import refusing
-    from ablate.studies.jobs.preflight import check
+    from ablate.jobs.preflight import check
+    from ablate.settings.study import refusing
 
     check([job])
     with refusing():
@@ -137,7 +137,7 @@ def _load_scene(job: "Job", rng: random.Random) -> None:
 
 
 def _prepare(job: "Job") -> None:
-    from ablate.studies.pairs.data import maps_needed, prepare_data
+    from ablate.runs.data import maps_needed, prepare_data
 
     prepare_data(job.settings, maps_needed([job.settings.model]))
 
@@ -147,10 +147,10 @@ def _pngs(unbroken: Path, place: Path) -> Attempt:
     import numpy as np
     from skimage.io import imsave
 
-    from ablate.config import refusing
     from ablate.dataset import Part
-    from ablate.studies.jobs.preflight import check
-    from ablate.studies.pairs.data import open_data
+    from ablate.jobs.preflight import check
+    from ablate.runs.data import open_data
+    from ablate.settings.study import refusing
 
     pairs = open_data(next(unbroken.glob("data/*/about.json")).parent).pairs
     for map_name, folder in {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation"}.items():
@@ -214,12 +214,12 @@ def _run_files(*names: str) -> Callable[[Path, Path], Attempt]:
 def _read_study(job: "Job") -> None:
     """What `task=plan` and `task=compare` read of a study, without figures and without MLflow."""
     from ablate.analysis import cautions, comparison_table
-    from ablate.studies.comparison.answers import answers
-    from ablate.studies.comparison.figures import stored_pictures
-    from ablate.studies.comparison.results import appendix, provenance, scored_frames
-    from ablate.studies.comparison.usable_runs import usable_runs
-    from ablate.studies.jobs.preflight import check
-    from ablate.studies.progress import show_progress
+    from ablate.comparison.answers import answers
+    from ablate.comparison.figures import stored_pictures
+    from ablate.comparison.results import appendix, provenance, scored_frames
+    from ablate.comparison.usable_runs import usable_runs
+    from ablate.jobs.preflight import check
+    from ablate.tasks.plan import show_progress
 
     check([job])
     show_progress([job])
@@ -254,8 +254,8 @@ def _scene_caches(_: Path, place: Path) -> Attempt:
 
 def _names(_: Path, place: Path) -> Attempt:
     """Names on the command line, composed and checked."""
-    from ablate.studies.jobs.compose import read_command_line
-    from ablate.studies.jobs.preflight import check
+    from ablate.jobs.compose import read_command_line
+    from ablate.jobs.preflight import check
 
     keys = ("study_name", "variant", "reference", "metrics", "tracking.experiment", "tracking.register", "scene.folder")
 

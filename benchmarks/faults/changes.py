@@ -95,9 +95,9 @@ def scene_bytes(bench: Bench, _: random.Random, number: int) -> Round:
 
 def _change_bytes(place: Path, number: int) -> None:
     from ablate.anatomy.scene_folder import MESH_SUFFIXES
-    from ablate.config import ConfigurationError, refusing
-    from ablate.studies.jobs.compose import jobs_of
-    from ablate.studies.pairs.data import dataset_hash
+    from ablate.jobs.compose import jobs_of
+    from ablate.runs.data import dataset_hash
+    from ablate.settings.study import ConfigurationError, refusing
     from faults.attempts import write_mesh
 
     folder, suffix = place / "in", MESH_SUFFIXES[number]

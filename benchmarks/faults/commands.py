@@ -16,9 +16,9 @@ from pathlib import Path
 _LOADED = [
     "ablate.__main__",
     "ablate.tasks",
-    "ablate.studies.run",
-    "ablate.studies.comparison.compare",
-    "ablate.studies.pairs.simulated",
+    "ablate.runs.train",
+    "ablate.comparison.compare",
+    "ablate.runs.simulated",
     "ablate.tracking.store",
     "ablate.tracking.stored_run",
 ]

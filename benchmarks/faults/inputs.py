@@ -43,7 +43,7 @@ def damaged(bench: Bench, rng: random.Random, number: int) -> Round:
 
 
 def _batch(kind: str, seed: int, unbroken: Path, place: Path) -> None:
-    from ablate.config import ConfigurationError
+    from ablate.settings.study import ConfigurationError
 
     rng, wrong, longest = random.Random(seed), [], 0.0
     for folder in ("in", "runs"):

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
 
-from ablate.config import ConfigurationError
-from ablate.studies.jobs.compose import read_command_line
+from ablate.settings.study import ConfigurationError
+from ablate.tasks.command import execute
 
 
 class _Stopped(KeyboardInterrupt):
@@ -25,13 +25,8 @@ def main() -> None:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        command = read_command_line(sys.argv[1:])
-        if command is None:
-            return
-        from ablate.tasks import run_task  # heavy imports only after the command line is known to compose
-
         with _stopping_at_signals():
-            code = run_task(command)
+            code = execute(sys.argv[1:])
     except ConfigurationError as error:
         said = re.sub(r"://[^\s@]*@", "://...@", str(error))  # no password on the screen
         print(f"ablate: {said}", file=sys.stderr)

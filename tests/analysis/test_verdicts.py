@@ -19,9 +19,9 @@ from ablate.analysis import (
     verdict_table,
 )
 from ablate.analysis.statistics.verdicts import BANDS, VERDICT_COLUMNS, answer
-from ablate.config import json_ready
+from ablate.comparison.answers import FACTORS
 from ablate.networks import COMPONENTS
-from ablate.studies.comparison.answers import FACTORS
+from ablate.setting import plain
 from support.studies import study_group
 
 NAMES = [component.name for component in COMPONENTS]
@@ -32,10 +32,10 @@ METRIC = {component.name: str(component.metric) for component in COMPONENTS}
 def cells() -> pd.DataFrame:
     """The runs of the study, and two more seeds of SA2H: variant, seed, data, a column a component that is 1 if on."""
     jobs = study_group("answer")
-    full = json_ready(jobs[0].settings.model) | {"encoding": "echogenicity"}
+    full = plain(jobs[0].settings.model) | {"encoding": "echogenicity"}
     rows = []
     for job in jobs:
-        made = json_ready(job.settings.model) | {"encoding": job.settings.encoding.name}
+        made = plain(job.settings.model) | {"encoding": job.settings.encoding.name}
         on = {c.name: int(made[c.field] == full[c.field]) for c in COMPONENTS}
         rows.append(
             {"variant": job.label, "seed": job.settings.seed, "data": str(job.settings.scene.anatomy_seed), **on}
@@ -46,7 +46,7 @@ def cells() -> pd.DataFrame:
 @pytest.fixture(scope="module")
 def design() -> Design:
     components = {
-        job.label: {**json_ready(job.settings.model), "encoding": job.settings.encoding.name}
+        job.label: {**plain(job.settings.model), "encoding": job.settings.encoding.name}
         for job in study_group("answer")
     }
     found = find_design(components, FACTORS)

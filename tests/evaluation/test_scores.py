@@ -13,10 +13,11 @@ import pandas as pd
 import pytest
 import torch
 
-from ablate.config import ConfigurationError, StudySettings
 from ablate.dataset import Part
 from ablate.evaluation import ImageSource, Scorer, Scores, resimulation_images, score_run, tissue_labels
 from ablate.evaluation.set_scores import not_computed
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.preflight import check
 from ablate.metrics import (
     METRIC_SETS,
     METRICS_VERSION,
@@ -29,13 +30,12 @@ from ablate.metrics import (
     noise_sd,
     speckle_features,
 )
+from ablate.runs.data import Data, maps_needed, prepare_data
+from ablate.runs.identity import finished
+from ablate.runs.job import Job
+from ablate.runs.train import run_job, scorer
+from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_json
-from ablate.studies.identity import finished
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
-from ablate.studies.jobs.preflight import check
-from ablate.studies.pairs.data import Data, maps_needed, prepare_data
-from ablate.studies.run import run_job, scorer
 
 TINY = [
     "scene.triangles=6000", "simulator.scanlines=32", "simulator.axial_samples=128", "simulator.rays=2",

@@ -16,18 +16,18 @@ import pytest
 import torch
 from mlflow import MlflowClient
 
-from ablate.config import ConfigurationError
 from ablate.dataset import Part, label_values, network_inputs
+from ablate.jobs.compose import jobs_of
 from ablate.metrics import mae, psnr
 from ablate.numerics.precision import generated, simulated, summary
 from ablate.numerics.precision import task as module
 from ablate.numerics.precision.bench import bench_of, make_inputs, render_all
 from ablate.numerics.precision.csv_table import CsvTable
 from ablate.numerics.precision.errors import Frames, envelope_rms, mean_errors, relative_change
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.pairs.data import dataset_folder, open_data
-from ablate.studies.pairs.simulated import build_scene
-from ablate.studies.run import run_job
+from ablate.runs.data import dataset_folder, open_data
+from ablate.runs.simulated import build_scene
+from ablate.runs.train import run_job
+from ablate.settings.study import ConfigurationError
 from ablate.tracking import default_uri
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings

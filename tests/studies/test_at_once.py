@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from ablate.config import ConfigurationError
-from ablate.studies import identity
-from ablate.studies.comparison import compare
-from ablate.studies.identity import claim_place
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
+from ablate.comparison import compare
+from ablate.jobs.compose import jobs_of
+from ablate.runs import identity
+from ablate.runs.identity import claim_place
+from ablate.runs.job import Job
+from ablate.settings.study import ConfigurationError
 from support.studies import TINY
 
 A_WHILE_S = 0.3

@@ -13,15 +13,16 @@ import pytest
 from matplotlib.figure import Figure
 
 from ablate.analysis import RESIMULATION, find_design
-from ablate.config import ConfigurationError, StudySettings, json_ready
+from ablate.comparison.answers import FACTORS, components_of
+from ablate.comparison.compare import compare_study, write_comparison
+from ablate.comparison.frame_times import FrameTime, write_times
+from ablate.comparison.results import Finished, finished_runs, labelled_networks
+from ablate.comparison.usable_runs import usable_runs
 from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
 from ablate.networks import COMPONENTS
+from ablate.setting import plain
+from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import digest
-from ablate.studies.comparison.answers import FACTORS, components_of
-from ablate.studies.comparison.compare import compare_study, write_comparison
-from ablate.studies.comparison.frame_times import FrameTime, write_times
-from ablate.studies.comparison.results import Finished, finished_runs, labelled_networks
-from ablate.studies.comparison.usable_runs import usable_runs
 from support.studies import study_group
 
 MODEL = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
@@ -300,7 +301,7 @@ def test_a_run_scored_on_fewer_frames(tmp_path: Path) -> None:
 
 def test_a_comparison_is_kept_until_a_run_is_made_again(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run that was deleted and trained again has the same hash."""
-    monkeypatch.setattr("ablate.studies.comparison.compare._track", lambda *_: None)
+    monkeypatch.setattr("ablate.comparison.compare._track", lambda *_: None)
     settings = StudySettings(runs_dir=str(study.parent), study_name=study.name)
     compare_study(settings)
     table, before = study / "comparison" / "table.csv", (study / "comparison" / "table.csv").stat().st_mtime_ns
@@ -348,7 +349,7 @@ def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: 
 )
 def test_study_groups_are_recognised_as_the_designs_they_are(group: str, name: str) -> None:
     jobs = study_group(group)
-    components = {job.label: {**json_ready(job.settings.model), "encoding": job.settings.encoding.name} for job in jobs}
+    components = {job.label: {**plain(job.settings.model), "encoding": job.settings.encoding.name} for job in jobs}
     design = find_design(components, FACTORS)
     assert design is not None
     assert design.name.startswith(name)

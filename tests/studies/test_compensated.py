@@ -8,12 +8,12 @@ import mlflow
 import numpy as np
 import pytest
 
-from ablate.config import build
 from ablate.dataset import Crops, Part, noise_seeds
+from ablate.jobs.compose import jobs_of
 from ablate.networks import GeneratorSpec
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.pairs.data import dataset_folder, open_data
-from ablate.studies.run import run_job
+from ablate.runs.data import dataset_folder, open_data
+from ablate.runs.train import run_job
+from ablate.settings.values import build
 from ablate.tracking import default_uri
 from ablate.ultrasound import compensated_attenuation
 from support.studies import TINY, TinyStudy, run

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ablate.config import ConfigurationError, SceneKind, SceneSettings, StudySettings, Task
 from ablate.dataset import Encoding
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.variants import variant_names
 from ablate.networks import Family
-from ablate.studies.identity import semantic, shared
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
-from ablate.studies.jobs.variants import variant_names
+from ablate.runs.identity import semantic, shared
+from ablate.runs.job import Job
+from ablate.settings.study import ConfigurationError, SceneKind, SceneSettings, StudySettings, Task
 from support.studies import study_group
 
 

@@ -14,12 +14,12 @@ from mlflow import MlflowClient
 from mlflow.entities import Run
 from mlflow.tracking._tracking_service import utils
 
-from ablate.config import TrackingSettings
-from ablate.studies.comparison import compare
-from ablate.studies.comparison.compare import compare_study
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
-from ablate.studies.run import run_job
+from ablate.comparison import compare
+from ablate.comparison.compare import compare_study
+from ablate.jobs.compose import jobs_of
+from ablate.runs.job import Job
+from ablate.runs.train import run_job
+from ablate.settings.study import TrackingSettings
 from ablate.tracking import default_uri
 
 TINY = ["preset=tiny", "simulator.image_shape=[96,134]", "dataset.frames=10", "training.steps=4"]

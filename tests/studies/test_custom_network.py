@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from ablate.config import ConfigurationError
+from ablate.settings.study import ConfigurationError
 from ablate.storage import read_json
 from support.studies import run
 

@@ -8,9 +8,9 @@ import pytest
 import trimesh
 import yaml
 
+from ablate.jobs.compose import jobs_of
 from ablate.networks import GeneratorSpec
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.pairs.data import dataset_hash, maps_needed
+from ablate.runs.data import dataset_hash, maps_needed
 
 
 @pytest.fixture

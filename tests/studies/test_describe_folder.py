@@ -6,8 +6,8 @@ import pytest
 import trimesh
 
 from ablate.anatomy import validate_scene_folder
-from ablate.config import ConfigurationError
-from ablate.studies.jobs.compose import jobs_of
+from ablate.jobs.compose import jobs_of
+from ablate.settings.study import ConfigurationError
 from ablate.tasks import describe
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from ablate.studies.jobs.compose import read_command_line
-from ablate.studies.jobs.devices import VISIBLE, devices_to_share, least_busy
-from ablate.studies.jobs.job import Job
+from ablate.jobs.compose import read_command_line
+from ablate.jobs.devices import VISIBLE, devices_to_share, least_busy
+from ablate.runs.job import Job
 
 
 def launched(folder: Path, *arguments: str) -> list[str]:

@@ -41,7 +41,7 @@ def test_one_job_diverges_and_the_other_finishes(
     tiny_study: TinyStudy, runs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(tiny_study.runs / "data", runs / "data")
-    monkeypatch.setattr("ablate.studies.run.CropLoader", BrokenLoader)
+    monkeypatch.setattr("ablate.runs.train.CropLoader", BrokenLoader)
     monkeypatch.setattr(sys, "argv", ["ablate", *SWEEP, f"runs_dir={runs}"])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -11,10 +11,10 @@ import trimesh
 import yaml
 from PIL import Image
 
-from ablate.config import ConfigurationError
 from ablate.dataset import Pairs, Part, open_pairs
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.pairs.data import dataset_hash
+from ablate.jobs.compose import jobs_of
+from ablate.runs.data import dataset_hash
+from ablate.settings.study import ConfigurationError
 from support.studies import run
 
 

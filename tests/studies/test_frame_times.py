@@ -12,11 +12,11 @@ import pandas as pd
 import pytest
 
 from ablate.analysis import comparison_table, pareto_front
+from ablate.comparison import timing
+from ablate.comparison.frame_times import FrameTime, network_of, read_times, write_times
+from ablate.comparison.results import Finished, finished_runs, scored_frames, timed_on
+from ablate.comparison.timing import time_networks
 from ablate.storage import write_json
-from ablate.studies.comparison import timing
-from ablate.studies.comparison.frame_times import FrameTime, network_of, read_times, write_times
-from ablate.studies.comparison.results import Finished, finished_runs, scored_frames, timed_on
-from ablate.studies.comparison.timing import time_networks
 
 if TYPE_CHECKING:
     from support.studies import TinyStudy

@@ -9,10 +9,10 @@ from hydra import compose
 from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
-from ablate.studies.jobs.conf_folder import configuration_dir
-from ablate.studies.jobs.hydra_internals import ComposedConfigLoader, composing, parse_arguments, product, search_path
-from ablate.studies.jobs.hydra_internals import parse_overrides as parse
-from ablate.studies.jobs.schema import register
+from ablate.jobs.hydra_internals import ComposedConfigLoader, composing, parse_arguments, product, search_path
+from ablate.jobs.hydra_internals import parse_overrides as parse
+from ablate.jobs.schema import register
+from ablate.settings.conf_folder import configuration_dir
 
 # Parameters of each, in their order.
 SIGNATURES = {

@@ -10,15 +10,15 @@ import pandas as pd
 import pytest
 import torch
 
-from ablate.config import ConfigurationError
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.preflight import check
 from ablate.metrics import METRICS_VERSION
+from ablate.runs import identity
+from ablate.runs.data import about_data
+from ablate.runs.identity import check_place, claim_place, config_hash, finished, with_earlier_metrics
+from ablate.runs.job import Job
+from ablate.settings.study import ConfigurationError
 from ablate.storage import read_json, write_json
-from ablate.studies import identity
-from ablate.studies.identity import check_place, claim_place, config_hash, finished, with_earlier_metrics
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
-from ablate.studies.jobs.preflight import check
-from ablate.studies.pairs.data import about_data
 from ablate.training import TRAINING_VERSION
 from ablate.ultrasound import SimulatorSettings
 from support.studies import study_group

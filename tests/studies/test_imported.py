@@ -13,10 +13,10 @@ from skimage.io import imsave
 
 from ablate import tasks
 from ablate.__main__ import main
-from ablate.config import ConfigurationError
 from ablate.dataset import Pairs, Part
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.pairs.data import open_data
+from ablate.jobs.compose import jobs_of
+from ablate.runs.data import open_data
+from ablate.settings.study import ConfigurationError
 from support.studies import TINY, TinyStudy, run
 
 FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}

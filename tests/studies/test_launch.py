@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from omegaconf import DictConfig
 
-from ablate.studies.jobs.compose import CommandLine, read_command_line
-from ablate.studies.jobs.job import Job
+from ablate.jobs.compose import CommandLine, read_command_line
+from ablate.runs.job import Job
 
 
 def composed(*arguments: str) -> CommandLine:

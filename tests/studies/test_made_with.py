@@ -10,13 +10,13 @@ import pytest
 import torch
 
 from ablate import tracking
+from ablate.comparison.results import Finished, appendix, provenance
+from ablate.jobs.compose import jobs_of
+from ablate.runs import made_with
+from ablate.runs.identity import config_hash
+from ablate.runs.job import Job
+from ablate.runs.provenance import write_provenance
 from ablate.storage import write_json
-from ablate.studies import made_with
-from ablate.studies.comparison.results import Finished, appendix, provenance
-from ablate.studies.identity import config_hash
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
-from ablate.studies.made_with import write_provenance
 
 
 @pytest.fixture

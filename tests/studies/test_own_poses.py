@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from ablate.config import ConfigurationError
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.preflight import check
-from ablate.studies.pairs.data import dataset_hash
-from ablate.studies.pairs.simulated import build_scene, lay_out
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.preflight import check
+from ablate.runs.data import dataset_hash
+from ablate.runs.simulated import build_scene, lay_out
+from ablate.settings.study import ConfigurationError
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from ablate.config import ConfigurationError
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.preflight import check
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.preflight import check
+from ablate.settings.study import ConfigurationError
 
 
 def test_a_batch_has_at_most_as_many_crops_as_there_are_training_frames(tmp_path: Path) -> None:

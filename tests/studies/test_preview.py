@@ -11,9 +11,9 @@ from matplotlib.image import imread
 
 from ablate.analysis import Preview
 from ablate.analysis.figures import body_view
-from ablate.config import ConfigurationError
 from ablate.dataset import open_pairs
-from ablate.studies import preview as module
+from ablate.runs import preview as module
+from ablate.settings.study import ConfigurationError
 from support.studies import run
 
 TINY = ["preset=tiny", "simulator.image_shape=[64,89]"]

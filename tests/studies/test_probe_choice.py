@@ -6,9 +6,11 @@ from typing import Any
 
 import pytest
 
-from ablate.config import StudySettings, build, json_ready
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.pairs.simulated import about_simulated
+from ablate.jobs.compose import jobs_of
+from ablate.runs.simulated import about_simulated
+from ablate.setting import plain
+from ablate.settings.study import StudySettings
+from ablate.settings.values import build
 from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, SimulatorSettings
 from ablate.ultrasound.probe import pixel_size_mm
 
@@ -49,7 +51,7 @@ def test_what_is_asked_for_wins() -> None:
 @pytest.mark.parametrize("probe", OTHERS)
 def test_settings_are_read_back_from_json(probe: str) -> None:
     s = composed(f"probe={probe}")
-    assert build(StudySettings, json_ready(s)) == s
+    assert build(StudySettings, plain(s)) == s
     assert about_simulated(s) != about_simulated(replace(s, probe=replace(s.probe, depth_mm=41.0)))
 
 

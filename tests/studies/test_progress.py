@@ -8,11 +8,11 @@ import pandas as pd
 import pytest
 import torch
 
+from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS_VERSION
-from ablate.studies.identity import config_hash
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
-from ablate.studies.progress import duration, progress, show_progress
+from ablate.runs.identity import config_hash
+from ablate.runs.job import Job
+from ablate.tasks.plan import duration, progress, show_progress
 
 
 def finish(job: Job, seconds: float | None) -> None:

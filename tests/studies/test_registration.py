@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from mlflow.exceptions import MlflowException
 
-from ablate.config import ConfigurationError
+from ablate.comparison.compare import compare_study
+from ablate.comparison.results import data_of, finished_runs
 from ablate.dataset import Part, label_values, noise_seeds
-from ablate.studies.comparison.compare import compare_study
-from ablate.studies.comparison.results import data_of, finished_runs
-from ablate.studies.copied import copy_study
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
-from ablate.studies.run import generated_images, run_job
-from ablate.studies.tracked import register_reference
+from ablate.jobs.compose import jobs_of
+from ablate.runs.job import Job
+from ablate.runs.store_copy import copy_study
+from ablate.runs.store_texts import register_reference
+from ablate.runs.train import generated_images, run_job
+from ablate.settings.study import ConfigurationError
 from ablate.tracking import default_uri
 from ablate.training import LAST, load_generator
 

@@ -9,8 +9,9 @@ import trimesh
 import yaml
 from PIL import Image, ImageSequence
 
-from ablate.config import ConfigurationError, build
 from ablate.dataset import open_pairs
+from ablate.settings.study import ConfigurationError
+from ablate.settings.values import build
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 from support.studies import run
 

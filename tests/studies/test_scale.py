@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from skimage.io import imsave
 
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.scale import PAPER_ROWS, crop, levels, paper_levels
 from ablate.networks import receptive_field
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.scale import PAPER_ROWS, crop, levels, paper_levels
 
 LOCAL, UNET = 4, 8  # levels in the paper's frame
 

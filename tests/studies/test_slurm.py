@@ -9,13 +9,13 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from ablate import tasks
-from ablate.config import ConfigurationError
-from ablate.studies.jobs.compose import jobs_of, read_command_line
-from ablate.studies.jobs.conf_folder import configuration_dir
-from ablate.studies.jobs.job import Job
-from ablate.studies.jobs.schema import register
-from ablate.studies.jobs.slurm import QueueLauncher, queued, wait_for
-from ablate.studies.pairs.data import dataset_folder
+from ablate.jobs.compose import jobs_of, read_command_line
+from ablate.jobs.schema import register
+from ablate.jobs.slurm import QueueLauncher, queued, wait_for
+from ablate.runs.data import dataset_folder
+from ablate.runs.job import Job
+from ablate.settings.conf_folder import configuration_dir
+from ablate.settings.study import ConfigurationError
 from support.studies import here
 
 TINY = [
@@ -107,7 +107,7 @@ def test_a_job_that_the_queue_does_not_list_has_ended(command: Command, tmp_path
 def test_a_killed_job_is_waited_for_and_is_no_error(
     command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ablate.studies.jobs.slurm.time.sleep", lambda _: None)
+    monkeypatch.setattr("ablate.jobs.slurm.time.sleep", lambda _: None)
     asked = tmp_path / "asked"
     command("srun", "exit 1")
     command("sbatch", "echo Submitted batch job 7")

@@ -16,10 +16,10 @@ import pytest
 from mlflow import MlflowClient
 
 from ablate import tasks
-from ablate.config import StudySettings
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
-from ablate.studies.run import run_job
+from ablate.jobs.compose import jobs_of
+from ablate.runs.job import Job
+from ablate.runs.train import run_job
+from ablate.settings.study import StudySettings
 from ablate.tracking import default_uri
 from support.studies import SWEEP, TINY, TinyStudy, here, run
 
@@ -183,7 +183,7 @@ def test_a_job_that_fails_is_said_and_the_others_are_compared(
     def launch(waiting: Sequence[Job], work: Callable[[Job], object]) -> None:
         assert list(waiting) == jobs
         work(jobs[0])
-        monkeypatch.setattr("ablate.studies.run.train", broken)
+        monkeypatch.setattr("ablate.runs.train.train", broken)
         with pytest.raises(FloatingPointError):
             work(jobs[1])
 

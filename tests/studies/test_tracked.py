@@ -11,12 +11,12 @@ import pytest
 from mlflow import MlflowClient
 from mlflow.entities import Run
 
-from ablate.studies import run as run_module
-from ablate.studies.comparison.compare import compare_study
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.job import Job
-from ablate.studies.run import run_job
-from ablate.studies.tracked import log_samples
+from ablate.comparison.compare import compare_study
+from ablate.jobs.compose import jobs_of
+from ablate.runs import run as run_module
+from ablate.runs.job import Job
+from ablate.runs.store_texts import log_samples
+from ablate.runs.train import run_job
 from ablate.tracking import default_uri
 
 TINY = [

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from ablate.config import StudySettings
 from ablate.dataset import Encoding
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.variants import leave_one_out, variant_names
 from ablate.metrics import METRICS
 from ablate.networks import COMPONENTS, GeneratorSpec
-from ablate.studies.jobs.compose import jobs_of
-from ablate.studies.jobs.variants import leave_one_out, variant_names
+from ablate.settings.study import StudySettings
 from ablate.training import AdversarialLoss
 
 

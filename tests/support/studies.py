@@ -9,9 +9,9 @@ from pathlib import Path
 from unittest import mock
 
 from ablate.analysis.figures import style
-from ablate.studies.jobs.compose import jobs_of, read_command_line
-from ablate.studies.jobs.job import Job
-from ablate.tasks import run_task
+from ablate.jobs.compose import jobs_of, read_command_line
+from ablate.runs.job import Job
+from ablate.tasks.run_task import run_task
 
 TINY = ["preset=tiny"]
 SWEEP = ["-m", "variant=sa2h,sa2h-att", *TINY]

@@ -7,8 +7,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from ablate.studies.jobs import preflight
-from ablate.studies.jobs.compose import jobs_of
+from ablate.jobs import preflight
+from ablate.jobs.compose import jobs_of
 from ablate.tracking import LocalLog, StoredRun, open_store, parent_run, read_log, system_metrics
 from ablate.tracking.local_log import points
 

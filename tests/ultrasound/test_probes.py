@@ -9,10 +9,11 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from ablate.anatomy import Scene, Structure, Tissue
+from ablate.setting import plain
 from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.imaging.point_spread import lateral_kernels
 from ablate.ultrasound.probe import face_points, fan_outline, fan_size_mm, square_pixels
-from ablate.ultrasound.probe_kinds import probe_from, probe_values
+from ablate.ultrasound.probe_kinds import probe_from
 
 CONVEX = ConvexProbe(radius_mm=30.0, fov_deg=60.0, depth_mm=100.0, frequency_mhz=3.0)
 LINEAR = LinearProbe(width_mm=60.0, depth_mm=100.0, frequency_mhz=3.0)
@@ -319,7 +320,7 @@ def test_odd_arrays_give_finite_frames(probe, ahead, slab) -> None:
 
 @KINDS
 def test_plain_values_are_read_back(probe) -> None:
-    values = probe_values(probe)
+    values = plain(probe)
     assert probe_from(values) == probe
     assert ("kind" in values) != isinstance(probe, ConvexProbe)
 

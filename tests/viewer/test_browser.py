@@ -18,7 +18,7 @@ if _CHROMIUM is None or _DRIVER is None:
 pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultrasound[view]'")
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium, of the extra `dev`")
 
-from ablate.studies.jobs.compose import jobs_of  # noqa: E402
+from ablate.jobs.compose import jobs_of  # noqa: E402
 from ablate.viewer.page.server import HOST  # noqa: E402
 from ablate.viewer.task import Viewer  # noqa: E402
 

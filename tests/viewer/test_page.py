@@ -15,8 +15,8 @@ from PIL import Image
 
 pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultrasound[view]'")
 
-from ablate.config import ConfigurationError, Task
-from ablate.studies.jobs.compose import jobs_of
+from ablate.jobs.compose import jobs_of
+from ablate.settings.study import ConfigurationError, Task
 from ablate.ultrasound import Simulator
 from ablate.viewer.page.server import HOST, open_server
 from ablate.viewer.task import Viewer

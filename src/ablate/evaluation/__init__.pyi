@@ -7,3 +7,4 @@ from .scorer import describes_fan as describes_fan
 from .scorer import tissue_labels as tissue_labels
 from .set_scores import inception_for as inception_for
 from .settings import EvaluationSettings as EvaluationSettings
+from .stored_scores import check_stored_scores as check_stored_scores

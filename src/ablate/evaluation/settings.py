@@ -2,20 +2,23 @@
 
 from dataclasses import dataclass
 
+from ablate.setting import check_settings, setting
+
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """How often each frame is rendered with other noise, for `crps` and `noise_sd`; frames shown in figures and timed.
+    """How each frame is rendered and scored; a value that is not allowed is a ValueError that names it."""
 
-    `inception` is the path of the network of FID, or `download`; without it there is no FID.
-    """
-
-    noise_draws: int = 3
-    pictures: int = 4
-    timed_frames: int = 20
-    inception: str | None = None
+    noise_draws: int = setting(
+        3, "Renderings of each frame with other noise, for `crps` and `noise_sd`.", least=2, most=1000
+    )
+    pictures: int = setting(4, "Frames that are kept for figures.", least=1, most=1000, incidental=True)
+    timed_frames: int = setting(
+        20, "Rounds in which a comparison times a frame.", least=1, most=100_000, incidental=True
+    )
+    inception: str | None = setting(
+        None, "Path of the network of FID, or `download`; without it there is no FID.", incidental=True
+    )
 
     def __post_init__(self) -> None:
-        for name, least, most in (("noise_draws", 2, 1000), ("pictures", 1, 1000), ("timed_frames", 1, 100_000)):
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(f"evaluation.{name}={getattr(self, name)}: allowed are {least} to {most}")
+        check_settings(self)

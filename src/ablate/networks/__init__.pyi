@@ -10,9 +10,7 @@ from .sizes import count_generator as count_generator
 from .sizes import count_parameters as count_parameters
 from .sizes import patch_size as patch_size
 from .sizes import receptive_field as receptive_field
-from .spec import COMPONENTS as COMPONENTS
 from .spec import Attenuation as Attenuation
-from .spec import Component as Component
 from .spec import Concat as Concat
 from .spec import ExtraInput as ExtraInput
 from .spec import Family as Family

@@ -1,11 +1,9 @@
 """A generator as values: the components that an ablation switches, and the input channels that follow from them."""
 
-import math
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
-from ablate.validation import coerce_enums
+from ablate.setting import check_settings, setting
 
 DEPTHS = range(1, 9)
 
@@ -67,46 +65,29 @@ class GeneratorSpec:
     Enums may be given as plain strings. The U-Net and a custom network allow only `concat=input`,
     `upsampling=transposed` and noise that is not injected, so that no two specifications name the same network.
 
-    Attributes
-    ----------
-    attenuation, concat, upsampling, noise, depth
-        The components; `COMPONENTS` says what each is for.
-    width : float
-        Multiplier of every channel count; 1 is the paper's.
-    noise_start : float
-        Initial weight of injected noise in every channel; the paper starts at zero.
-    target : str or None
-        With `family=custom`, the dotted path of the class of the network, as `my_package.MyGenerator`. Its images have
-        sides that are multiples of 2^depth; `width` is not passed on.
-
-    Raises
-    ------
-    ValueError
-        For a value, or a combination of values, that is not allowed.
+    A value, or a combination of values, that is not allowed is a ValueError that names it and what is allowed.
     """
 
-    family: Family = Family.local
-    attenuation: Attenuation = Attenuation.integral
-    concat: Concat = Concat.every_level
-    upsampling: Upsampling = Upsampling.texture
-    noise: Noise = Noise.inject
-    depth: int = 4
-    extra_input: ExtraInput = ExtraInput.none
-    width: float = 1.0
-    noise_start: float = 0.0
-    target: str | None = None
+    family: Family = setting(Family.local, "Architecture.")
+    attenuation: Attenuation = setting(Attenuation.integral, "Which attenuation map is an input.")
+    concat: Concat = setting(Concat.every_level, "Which convolutions read segmentation and attenuation.")
+    upsampling: Upsampling = setting(Upsampling.texture, "The up block.")
+    noise: Noise = setting(Noise.inject, "Where Gaussian noise enters.")
+    depth: int = setting(
+        4,
+        "Levels; the receptive field doubles with each. With `family=custom`, sides are multiples of 2^depth.",
+        least=DEPTHS[0],
+        most=DEPTHS[-1],
+    )
+    extra_input: ExtraInput = setting(ExtraInput.none, "A further input channel of the U-Nets.")
+    width: float = setting(1.0, "Multiplier of every channel count; 1 is the paper's.", above=0)
+    noise_start: float = setting(0.0, "Initial weight of injected noise in every channel; the paper starts at zero.")
+    target: str | None = setting(
+        None, "With `family=custom`, the dotted path of the network's class, as `my_package.MyGenerator`."
+    )
 
     def __post_init__(self) -> None:
-        coerce_enums(self)
-        if isinstance(self.depth, bool) or self.depth != int(self.depth):
-            raise ValueError(f"depth={self.depth!r}: allowed are whole numbers")
-        object.__setattr__(self, "depth", int(self.depth))
-        if self.depth not in DEPTHS:
-            raise ValueError(f"depth={self.depth}: allowed are {DEPTHS[0]} to {DEPTHS[-1]}")
-        if not (math.isfinite(self.width) and self.width > 0):
-            raise ValueError(f"width={self.width!r}: allowed are finite numbers above 0")
-        if not math.isfinite(self.noise_start):
-            raise ValueError(f"noise_start={self.noise_start!r}: allowed are finite numbers")
+        check_settings(self)
         if self.family is Family.unet and self.depth < 2:
             raise ValueError(f"depth={self.depth} with family=unet: allowed are 2 to {DEPTHS[-1]}")
         if self.family is not Family.local:
@@ -126,69 +107,6 @@ class GeneratorSpec:
             raise ValueError(
                 f"noise_start={self.noise_start} with noise={self.noise}: allowed is 0, nothing is injected"
             )
-
-
-@dataclass(frozen=True)
-class Component:
-    """One switch of the study.
-
-    Attributes
-    ----------
-    name : str
-        The variant without this component is `sa2h-<name>`.
-    field : str
-        Its key in `GeneratorSpec`, in stored configurations and in the table of effects.
-    on, off
-        The level of the full model SA2H, and the level that stands for "without the component".
-    metric : str, optional
-        Name of the metric that measures whether the component does what it is for; None where no metric does.
-    """
-
-    name: str
-    field: str
-    levels: tuple[Any, ...]
-    on: Any
-    off: Any
-    label: str
-    metric: str | None
-    purpose: str
-
-
-_FULL = GeneratorSpec()
-# fmt: off
-COMPONENTS = (
-    Component(
-        "att", "attenuation", tuple(Attenuation), _FULL.attenuation, Attenuation.none,
-        "attenuation map", "shadow_contrast",
-        "The integral attenuation map tells the generator where shadows and enhancement lie.",
-    ),
-    Component(
-        "concat", "concat", tuple(Concat), _FULL.concat, Concat.input,
-        "maps at every level", "thin_contrast",
-        "Segmentation and attenuation at every convolution keep structures where the maps have them.",
-    ),
-    Component(
-        "conv", "upsampling", tuple(Upsampling), _FULL.upsampling, Upsampling.transposed,
-        "texture-friendly up-sampling", "nyquist_excess",
-        "A stride-1 convolution after each transposed one removes the checkerboard pattern of up-sampling.",
-    ),
-    Component(
-        "noise", "noise", tuple(Noise), _FULL.noise, Noise.input,
-        "noise at every resolution", "crps",
-        "Noise injected at every resolution of the decoder gives speckle a random source.",
-    ),
-    Component(
-        "depth", "depth", tuple(DEPTHS), _FULL.depth, DEPTHS[-1],
-        "small receptive field", "mae_smooth",
-        "Few levels keep the receptive field small, so the network learns no layout of whole frames.",
-    ),
-    Component(  # an option of the data set: in which order the labels become grey levels of the segmentation
-        "encoding", "encoding", ("echogenicity", "arbitrary"), "echogenicity", "arbitrary",
-        "order of the labels", "mae_smooth",
-        "Labels ordered from dark to bright tell the generator how bright each tissue is.",
-    ),
-)
-# fmt: on
 
 
 _ATTENUATION_MAPS: dict[Attenuation, tuple[str, ...]] = {

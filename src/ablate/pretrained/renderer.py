@@ -11,11 +11,12 @@ import torch
 from ablate.anatomy import Tissue
 from ablate.dataset import network_inputs
 from ablate.networks import Generator, GeneratorSpec, conditions
+from ablate.setting import plain
 from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
 from ablate.training.settings import as_builtins
 from ablate.ultrasound import Frame, Probe, compensated_attenuation
-from ablate.ultrasound.probe_kinds import probe_from, probe_values
+from ablate.ultrasound.probe_kinds import probe_from
 
 _FOLDER = Path(__file__).parent
 #: The generators that come with the package; the README.md beside them says how each was trained.
@@ -107,7 +108,7 @@ def save(renderer: Renderer, path: Path) -> None:
         "spec": as_builtins(renderer.generator.spec),
         "weights": renderer.generator.state_dict(),
         "values": dict(renderer.values),
-        "probe": probe_values(renderer.probe),
+        "probe": plain(renderer.probe),
         "tgc_db_cm_mhz": renderer.tgc_db_cm_mhz,
         "image_shape": list(renderer.image_shape),
         "made": dict(renderer.made),

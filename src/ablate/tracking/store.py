@@ -141,21 +141,21 @@ def _run_of_folder(store: Store, name: str, known_by: Mapping[str, str]) -> str:
 def child_run(
     store: Store, parent: str, name: str, config_hash: str, tags: Mapping[str, str], start_ms: int | None = None
 ) -> str:
-    """Id of the job's run under `parent`; a run that a killed job left is continued."""
-    known_by = {"kind": "job", "config_hash": config_hash, _PARENT_TAG: parent, "mlflow.runName": name}
+    """Id of the job's run under `parent`; a run that a killed job left, or that somebody renamed, is continued."""
+    known_by = {"kind": "job", "config_hash": config_hash, _PARENT_TAG: parent, "variant": tags["variant"]}
     return _run(store, name, known_by, tags, start_ms)
 
 
 def child_runs(store: Store, parent: str) -> dict[tuple[str, str], tuple[str, dict[str, str]]]:
-    """Id and tags of all jobs' runs under `parent`, by name and hash of the configuration."""
-    found: list[Run] = []
+    """Id and tags of all jobs' runs under `parent`, by their tags `variant` and `config_hash`."""
+    runs: list[Run] = []
     token: str | None = ""
     while token is not None:
         page = store.client.search_runs(
             [store.experiment_id], f"tags.`{_PARENT_TAG}` = '{parent}'", page_token=token or None
         )
-        found, token = [*found, *page], page.token or None
-    by = {(str(r.info.run_name), r.data.tags.get("config_hash", "")): r for r in found}
+        runs, token = [*runs, *page], page.token or None
+    by = {(r.data.tags.get("variant", ""), r.data.tags.get("config_hash", "")): r for r in runs}
     return {key: (str(run.info.run_id), dict(run.data.tags)) for key, run in by.items()}
 
 

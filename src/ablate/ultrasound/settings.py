@@ -7,7 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from ablate.validation import check_count, check_number, coerce_enums
+from ablate.setting import check_settings, setting
 
 #: Part of every data set's identity: raise it when the same settings give another image.
 SIMULATOR_VERSION = 4
@@ -34,91 +34,78 @@ class SimulatorPrecision(StrEnum):
     float64 = "float64"
 
 
+# The largest counts are far beyond any use: what exceeds them is a slip, and would end for want of memory after the
+# anatomy is built.
 @dataclass(frozen=True)
 class SimulatorSettings:
     """How a frame is computed; the defaults are the paper's where it says, else assumed.
 
-    `axial_fwhm_mm`, `lateral_fwhm_mm`, `elevational_fwhm_mm` are the pulse's full widths at half maximum at
-    `focus_mm`; the last two grow with sqrt(1 + ((z - focus_mm) / focal_range_mm)^2).
-    Rays of a scanline start within `aperture_mm` and `elevational_aperture_mm` (half widths) of its element and
-    meet at `focus_mm`; the layers' planes lie within `layer_extent_mm` of the image plane.
-    `scatterer_level_db` is the amplitude of a scatterer of unit variance against the echo of a flat perfect
-    reflector seen face on (assumed: no source), and `reference_level` the amplitude shown as white.
-    With `tolerance` each scanline of each layer gets as many rays as it needs, `rays` at most, for a root mean square
-    error of the amplitude shown of `tolerance` (0.1 is 0.8 dB). None: all get `rays`.
-
-    Raises
-    ------
-    ValueError
-        When a value is not finite or outside its range; the message names it.
+    The lateral and the elevational width of the pulse grow with sqrt(1 + ((z - focus_mm) / focal_range_mm)^2). A value
+    that is not allowed is a ValueError that names it and what is allowed.
     """
 
-    scanlines: int = 192
-    axial_samples: int = 3072
-    rays: int = 32
-    layers: int = 3
-    image_shape: tuple[int, int] = (1000, 1386)
-    tgc_db_cm_mhz: float = 0.4
-    noise_floor_db: float = -55.0
-    dynamic_range_db: float = 60.0
-    reference_level: float = 0.1
-    axial_fwhm_mm: float = 0.30
-    lateral_fwhm_mm: float = 0.8
-    elevational_fwhm_mm: float = 2.5
-    focus_mm: float = 70.0
-    focal_range_mm: float = 40.0
-    aperture_mm: float = 0.2
-    elevational_aperture_mm: float = 1.5
-    layer_extent_mm: float = 1.5
-    scatterer_pitch_mm: float = 0.1
-    scatterer_level_db: float = -50.0
-    depth_mode: DepthMode = DepthMode.geometric
-    plan: PlanMode = PlanMode.auto
-    precision: SimulatorPrecision = SimulatorPrecision.float32
-    device: str = "cpu"
-    path_seed: int = 0
-    tolerance: float | None = None
+    scanlines: int = setting(192, "Of a frame.", least=1, most=2**14)
+    axial_samples: int = setting(3072, "Of a scanline.", least=1, most=2**18)
+    rays: int = setting(32, "Of a scanline and layer; with `tolerance` the most.", least=1, most=2**20)
+    layers: int = setting(3, "Elevational layers, within `layer_extent_mm`.", least=1, most=2**10)
+    image_shape: tuple[int, int] = setting((1000, 1386), "Rows and columns.", least=1, most=2**14, unit="px")
+    tgc_db_cm_mhz: float = setting(
+        0.4, "Time gain, one way; twice this is applied.", least=0, most=1e3, unit="dB/cm/MHz"
+    )
+    noise_floor_db: float = setting(-55.0, "Level of the amplifier's noise below white.", least=-1e3, most=0, unit="dB")
+    dynamic_range_db: float = setting(60.0, "Between black and white.", least=1, most=1e3, unit="dB")
+    reference_level: float = setting(0.1, "Amplitude that is shown as white.", least=1e-12, most=1e12)
+    axial_fwhm_mm: float = setting(
+        0.30, "Length of the pulse, full width at half maximum.", least=1e-6, most=1e3, unit="mm"
+    )
+    lateral_fwhm_mm: float = setting(
+        0.8, "Width of the pulse in the image plane at `focus_mm`.", least=1e-6, most=1e3, unit="mm"
+    )
+    elevational_fwhm_mm: float = setting(
+        2.5, "Width of the pulse across the image plane at `focus_mm`.", least=1e-6, most=1e3, unit="mm"
+    )
+    focus_mm: float = setting(70.0, "Depth at which rays meet.", least=1e-3, most=1e6, unit="mm")
+    focal_range_mm: float = setting(
+        40.0, "Distance from the focus at which the pulse is sqrt(2) as wide.", least=1e-3, most=1e6, unit="mm"
+    )
+    aperture_mm: float = setting(
+        0.2, "Half width within which the rays of a scanline start.", least=0, most=1e3, unit="mm"
+    )
+    elevational_aperture_mm: float = setting(1.5, "The same across the plane.", least=0, most=1e3, unit="mm")
+    layer_extent_mm: float = setting(
+        1.5, "The layers' planes lie within this distance of the image plane.", least=0, most=1e3, unit="mm"
+    )
+    scatterer_pitch_mm: float = setting(0.1, "Of the lattice of scatterers.", least=1e-6, most=1e3, unit="mm")
+    scatterer_level_db: float = setting(
+        -50.0,
+        "Amplitude of a scatterer of unit variance against the echo of a flat perfect reflector seen face on (assumed: "
+        "no source).",
+        least=-300,
+        most=100,
+        unit="dB",
+    )
+    depth_mode: DepthMode = setting(DepthMode.geometric, "Where an echo is drawn.")
+    plan: PlanMode = setting(PlanMode.auto, "Whether what a scene does not need is left out.", incidental=True)
+    precision: SimulatorPrecision = setting(SimulatorPrecision.float32, "Of the signal chain.")
+    device: str = setting(
+        "cpu", "Of the signal chain; `auto` is a GPU if there is one.", choices=("auto", "cpu", "cuda"), incidental=True
+    )
+    path_seed: int = setting(0, "Of the Monte-Carlo paths.", least=0)
+    tolerance: float | None = setting(
+        None,
+        "Each scanline of each layer gets as many rays as it needs, `rays` at most, for this root mean square error of "
+        "the amplitude shown (0.1 is 0.8 dB); null: all get `rays`.",
+        least=1e-4,
+        most=10,
+    )
 
     def __post_init__(self) -> None:
-        for name, most in _MOST.items():
-            check_count(name, getattr(self, name), 1, most)
-        check_count("path_seed", self.path_seed, 0)
-        if len(tuple(self.image_shape)) != 2:
-            raise ValueError(f"image_shape must be two counts (rows, columns), not {self.image_shape!r}")
-        for count in self.image_shape:
-            check_count("image_shape", count, 1, _MOST_PIXELS)
-        object.__setattr__(self, "image_shape", tuple(int(n) for n in self.image_shape))
-        if self.tolerance is not None:
-            check_number("tolerance", self.tolerance, 1e-4, 10.0)
-        for name, (lower, upper) in _RANGES.items():
-            check_number(name, getattr(self, name), lower, upper)
-        coerce_enums(self)
+        check_settings(self)
 
     @classmethod
     def low_quality(cls, **changes: object) -> SimulatorSettings:
         """Settings of the low-quality image L: one ray, one layer, and `changes`."""
         return replace(cls(**changes), rays=1, layers=1)  # type: ignore[arg-type]
-
-
-# Far beyond any use: what exceeds them is a slip, and would end for want of memory after the anatomy is built.
-_MOST = {"scanlines": 2**14, "axial_samples": 2**18, "rays": 2**20, "layers": 2**10}
-_MOST_PIXELS = 2**14
-_RANGES = {
-    "tgc_db_cm_mhz": (0.0, 1e3),
-    "noise_floor_db": (-1e3, 0.0),
-    "dynamic_range_db": (1.0, 1e3),
-    "reference_level": (1e-12, 1e12),
-    "axial_fwhm_mm": (1e-6, 1e3),
-    "lateral_fwhm_mm": (1e-6, 1e3),
-    "elevational_fwhm_mm": (1e-6, 1e3),
-    "focus_mm": (1e-3, 1e6),
-    "focal_range_mm": (1e-3, 1e6),
-    "aperture_mm": (0.0, 1e3),
-    "elevational_aperture_mm": (0.0, 1e3),
-    "layer_extent_mm": (0.0, 1e3),
-    "scatterer_pitch_mm": (1e-6, 1e3),
-    "scatterer_level_db": (-300.0, 100.0),
-}
 
 
 @dataclass(frozen=True)

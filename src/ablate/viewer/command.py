@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from ablate.config import SceneKind, StudySettings, json_ready
-from ablate.studies.jobs.compose import jobs_of
+from ablate.jobs.compose import jobs_of
+from ablate.settings.study import SceneKind, StudySettings
 from ablate.viewer.state import State
 
 _SECTIONS = ("scene", "probe", "simulator", "dataset")
@@ -48,11 +48,11 @@ def _differences(section: str, here: StudySettings, plain: StudySettings) -> Ite
     if section == "dataset":
         names = ["seed", "press_mm"]
     else:
-        names = [name for name in json_ready(getattr(here, section)) if name not in ("kind", "folder")]
+        names = [name for name in plain(getattr(here, section)) if name not in ("kind", "folder")]
     for name in names:
         value = getattr(getattr(here, section), name)
         if value != getattr(getattr(plain, section), name):
-            yield f"{section}.{name}={_word(json_ready(value))}"
+            yield f"{section}.{name}={_word(plain(value))}"
 
 
 def _word(value: object) -> str:

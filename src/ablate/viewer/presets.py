@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from ablate.anatomy import Scene, SiteGrid, fetal_planes
-from ablate.config import SceneKind, StudySettings
 from ablate.dataset import place_probe
+from ablate.settings.study import SceneKind, StudySettings
 
 _MOST_SITES = 60  # that a list can be searched by eye
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ablate.config import json_ready
+from ablate.setting import plain
 from ablate.storage import written_whole
 from ablate.viewer.pictures import grey_picture
 from ablate.viewer.state import State, Views
@@ -126,10 +126,10 @@ def described(state: State) -> dict[str, object]:
     """Everything that decides a frame but the scene, JSON-ready."""
     return {
         "pose": state.pose.tolist(),
-        "hold": json_ready(state.hold),
-        "probe": json_ready(state.probe),
-        "simulator": json_ready(state.simulator),
-        "display": json_ready(state.display),
+        "hold": plain(state.hold),
+        "probe": plain(state.probe),
+        "simulator": plain(state.simulator),
+        "display": plain(state.display),
         "seed": state.seed,
         "runs": [str(folder) for folder in state.runs],
     }

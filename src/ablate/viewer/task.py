@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ablate.config import ConfigurationError, StudySettings, refusing
 from ablate.dataset import read_poses
-from ablate.studies.jobs.job import Job
-from ablate.studies.pairs.simulated import build_scene
+from ablate.runs.job import Job
+from ablate.runs.simulated import build_scene
+from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.viewer.engine import Engine
 from ablate.viewer.generators import pickable
 from ablate.viewer.hand import Hand

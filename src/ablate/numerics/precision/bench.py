@@ -8,12 +8,12 @@ from statistics import median
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.config import StudySettings
 from ablate.dataset import Part, equally_spaced
 from ablate.numerics.precision.errors import Frames
-from ablate.studies.pairs.data import dataset_folder, open_data
-from ablate.studies.pairs.simulated import build_scene, lay_out
-from ablate.studies.pairs.timed_maps import TimedMaps, nudged
+from ablate.runs.data import dataset_folder, open_data
+from ablate.runs.simulated import build_scene, lay_out
+from ablate.runs.timed_maps import TimedMaps, nudged
+from ablate.settings.study import StudySettings
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.stages import Stage, stage_times
 

@@ -9,15 +9,16 @@ from statistics import median
 import numpy as np
 import torch
 
-from ablate.config import StudySettings, build
+from ablate.comparison.results import Finished, finished_runs
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.networks import Generator, conditions
 from ablate.numerics.precision.bench import Bench, make_inputs
 from ablate.numerics.precision.csv_table import CsvTable
 from ablate.numerics.precision.errors import Frames, mean_errors
+from ablate.runs.data import about_data
+from ablate.settings.study import StudySettings
+from ablate.settings.values import build
 from ablate.storage import digest
-from ablate.studies.comparison.results import Finished, finished_runs
-from ablate.studies.pairs.data import about_data
 from ablate.training import (
     LAST,
     Engine,

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from ablate.jobs.variants import variant_model, variant_names
 from ablate.networks import (
     Generator,
     GeneratorSpec,
@@ -22,7 +23,6 @@ from ablate.networks import (
 )
 from ablate.networks.layers import EPSILON, convolutions, instance_norm
 from ablate.numerics.stability.checks import BFLOAT16, FLOAT32, FLOAT64, TF32, Case, Check, finite, labelled, none
-from ablate.studies.jobs.variants import variant_model, variant_names
 from ablate.training.losses import mean_in_fan
 
 WIDTH = 0.125  # rounding errors depend on the depth of a network more than on its width

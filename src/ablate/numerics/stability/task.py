@@ -12,9 +12,9 @@ from tqdm import tqdm
 
 from ablate.numerics.stability import extremes, losses, maps, metrics, networks, shapes, sound, statistics
 from ablate.numerics.stability.checks import Case, Check
+from ablate.runs.job import Job
+from ablate.runs.store_copy import open_store
 from ablate.storage import write_text, written_whole
-from ablate.studies.copied import open_store
-from ablate.studies.jobs.job import Job
 from ablate.tracking import Status, git_state, hardware, recorded_task
 from ablate.training import chosen_device
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ablate.analysis.figures.tissue_colours import tissue_colours
 from ablate.anatomy import Scene
-from ablate.config import StudySettings
+from ablate.settings.study import StudySettings
 from ablate.viewer.page.body import Body
 from ablate.viewer.page.caption import BAD, GOOD, caption, line
 from ablate.viewer.page.screen import Layout, screen

@@ -9,7 +9,7 @@ from io import StringIO
 from typing import Any
 from urllib.parse import urlsplit
 
-from ablate.config import ConfigurationError
+from ablate.settings.study import ConfigurationError
 
 #: Whatever the library's default, the page is shown to this machine only.
 HOST = "127.0.0.1"

@@ -5,7 +5,7 @@ from typing import Any
 
 from ablate.analysis.figures.tissue_colours import tissue_colours
 from ablate.anatomy import Scene
-from ablate.config import StudySettings
+from ablate.settings.study import StudySettings
 from ablate.viewer.page.body import Body
 from ablate.viewer.page.compare_tab import add_compare_tab
 from ablate.viewer.page.keep_tab import add_keep_tab

@@ -1,0 +1,207 @@
+"""Compare the finished runs of a study: tables, figures and a report on disk and in the parent run."""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from filelock import FileLock
+
+from ablate import analysis
+from ablate.analysis import REFERENCE, Spread
+from ablate.comparison.answers import answers
+from ablate.comparison.blocks import levels_of
+from ablate.comparison.figures import Numbers, draw_figures, stored_pictures
+from ablate.comparison.frame_times import TIMES, all_times, untimed
+from ablate.comparison.parent_run import describe_study, register_reference
+from ablate.comparison.results import appendix, frame_times, labelled_networks, provenance, scored_frames, timed_on
+from ablate.comparison.timing import time_networks
+from ablate.comparison.usable_runs import UsableRuns, usable_runs
+from ablate.metrics import METRICS_VERSION, Shown, shown_in
+from ablate.metrics.stored_names import FRAME_TIME
+from ablate.runs.job import COMPARISON
+from ablate.runs.run import Run
+from ablate.runs.store_copy import copy_study
+from ablate.settings.study import ConfigurationError, StudySettings
+from ablate.storage import digest, digest_of_files, read_json, write_json
+from ablate.tracking import STATE, UNAVAILABLE, Status, StoredRun, default_uri, reason, within
+
+_TRACKING_S = 120.0  # a server that answers slowly or not at all is not waited for longer
+
+
+def compare_study(settings: StudySettings, rebuild: bool = False, time_here: bool = True) -> str:
+    """Compare the finished runs of a study, on disk and on the parent run; returns what the screen shows of it.
+
+    A comparison of the same runs that is there already is kept, unless `rebuild` asks for it anew. With `time_here`
+    networks that this machine has not timed are timed first. Of several processes one compares and the others wait, and
+    then keep what it made. No finished run that can be used is a
+    ConfigurationError.
+    """
+    if not settings.study_dir.is_dir():
+        raise ConfigurationError(f"{settings.study_dir} holds no finished run to compare.")
+    with FileLock(settings.study_dir / ".comparison.lock"):
+        return _compare_study(settings, rebuild, time_here)
+
+
+def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> str:
+    folder, reference = settings.study_dir / COMPARISON, settings.reference
+    usable = usable_runs(settings.study_dir, reference)
+    if not usable.runs:
+        raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))
+    failed = time_networks(settings.study_dir, usable.all) if time_here else ""
+    said_of_times = [*([failed] if failed else []), *untimed(settings.study_dir, labelled_networks(usable.all))]
+    usable = replace(usable, notes=(*usable.notes, *said_of_times))
+    made_from = _made_from(usable, reference, settings.study_dir / TIMES)
+    marker = folder / "made_from.json"
+    per_image, scalars = scored_frames(usable.runs)
+    table = analysis.comparison_table(per_image, scalars, reference)
+    said = None if rebuild else _kept(marker, made_from)
+    if said is None:
+        said = write_comparison(usable, folder, settings.study, reference)[1]
+        write_json(marker, {**made_from, "said": said})
+    try:
+        tracked = within(_TRACKING_S, lambda: _track(settings, usable.runs, table, folder, said))
+    except UNAVAILABLE as error:
+        tracked = f"\nNote: not all is in MLflow yet ({reason(error)}); the same command logs the rest."
+    warnings = "\n".join(f"Note: {c}" for c in (*usable.notes, *analysis.cautions(per_image, reference)))
+    uri = settings.tracking.uri or default_uri(settings.results)
+    pages = uri if uri.startswith("http") else f"make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
+    where = (
+        f"all metrics    {folder / 'table.csv'}\n"
+        f"paired tests   {folder / 'paired.csv'}\n"
+        f"verdicts       {folder / 'verdicts.csv'}{_said(folder / 'verdicts.csv')}\n"
+        f"report         {folder / 'report.html'}\n"
+        f"MLflow         {pages}{tracked}"
+    )
+    return f"{analysis.to_text(table[table['metric'].isin(shown_in(Shown.screen))])}\n{warnings}\n\n{where}"
+
+
+def _made_from(usable: UsableRuns, reference: str, times: Path) -> dict[str, Any]:
+    """What decides a comparison: the files that it reads of its runs and of times, the reference, what was left aside.
+
+    A run that was deleted and trained again has the same configuration and other files.
+    """
+    runs = {f"{run.name} of {run.data}": run.compared_state() for run in usable.all}
+    chosen = {"reference": reference, "notes": list(usable.notes), "metrics_version": METRICS_VERSION}
+    return {"runs": runs, "times": digest_of_files([times]), **chosen}
+
+
+def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
+    """What a reader of the comparison on disk must know; None where it was made from something else."""
+    try:
+        there = read_json(marker)
+    except (OSError, ValueError):
+        return None
+    said = there.pop("said", None)
+    return said if there == made_from and isinstance(said, list) else None
+
+
+def write_comparison(
+    usable: UsableRuns, folder: Path, title: str, reference: str = REFERENCE
+) -> tuple[list[Path], list[str]]:
+    """Write tables, figures and the report of at least one run; what was in `folder` is replaced when all is written.
+
+    Returns the files, the report first, and what a reader must know, a sentence each.
+    """
+    partial = folder.with_name(f"{folder.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    runs = usable.runs
+    per_image, scalars = scored_frames(runs)
+    table = analysis.comparison_table(per_image, scalars, reference)
+    paired = analysis.paired_table(per_image, reference)
+    found = answers(usable.all, table, reference)
+    claims = analysis.seed_claims(per_image, scalars, reference)
+    frames, missing = stored_pictures(runs, reference)
+    numbers = Numbers(reference, per_image, scalars, table, paired, found, timed_on(usable.all))
+    figures = draw_figures(numbers, frames, partial)
+    notes = [*usable.notes, *([missing] if missing else [])]
+    report = analysis.write_report(
+        partial / "report.html",
+        title,
+        per_image,
+        table,
+        paired,
+        claims=claims,
+        verdicts=found.verdicts,
+        figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
+        left_out=_left_out(runs),
+        provenance=provenance(usable.all),
+        reference=reference,
+        appendix=appendix(usable.all),
+        notes=notes,
+    )
+    analysis.wide_table(table).to_csv(partial / "table.csv", index=False)
+    of_the_paper = table[table["metric"].isin(shown_in(Shown.table))]
+    (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
+    (partial / "table.md").write_text(_markdown(table), "utf-8")
+    tables = {"paired": paired, "claims": claims, "verdicts": found.verdicts, "runs": found.runs}
+    times = all_times(folder.parent, labelled_networks(usable.all))
+    more = (("effects", found.effects), ("paper", found.paper), ("times", times))
+    tables |= {name: made for name, made in more if len(made)}
+    for name, content in tables.items():
+        content.to_csv(partial / f"{name}.csv", index=False)
+    shutil.rmtree(folder, ignore_errors=True)
+    partial.rename(folder)
+    names = dict.fromkeys([report.name, *(p.name for p, _ in figures), *sorted(p.name for p in folder.iterdir())])
+    return [folder / name for name in names], [*notes, *analysis.cautions(per_image, reference)]
+
+
+def _track(
+    settings: StudySettings, runs: Sequence[Run], table: pd.DataFrame, folder: Path, notes: Sequence[str]
+) -> str:
+    """Bring the store up to date with the runs of a study and their comparison; returns lines for the screen."""
+    run, ids = copy_study(settings)
+    files = [path for path in sorted(folder.iterdir()) if path.is_file()]
+    state = digest([ids, {path.name: path.stat().st_mtime_ns for path in files}])
+    if run.tag(STATE) != state:
+        for path in files:
+            run.artifact(path, "vector" if path.suffix == ".pdf" else None)
+        run.tags(provenance(runs))
+        for row in frame_times(runs).to_dict("records"):
+            if (run_id := ids.get(f"{row['variant']}/seed{row['seed']}")) is not None:
+                StoredRun(run.store, run_id).scores({FRAME_TIME: row["value"]})
+        headline = table[table["metric"].isin(shown_in(Shown.headline))]
+        describe_study(run, runs, ids, analysis.to_markdown(headline), notes)
+        run.tags({STATE: state})
+    run.mark(Status.finished)
+    if settings.tracking.register:
+        return f"\nregistered     {register_reference(settings, runs, run.store, ids)}"
+    return ""
+
+
+def _said(verdicts: Path) -> str:
+    """The verdicts of a file, for the screen; nothing where no run goes without a component."""
+    table = pd.read_csv(verdicts)
+    shown = table[table["effect"].notna()]
+    words = [f"{c} {v.replace('_', ' ')}" for c, v in zip(shown["component"], shown["verdict"], strict=True)]
+    return f" ({', '.join(words)})" if words else ""
+
+
+def _markdown(table: pd.DataFrame) -> str:
+    """The table of the paper, then every metric with the spread over seeds."""
+    metrics = list(dict.fromkeys(table["metric"]))
+    parts = [
+        "Mean ± standard deviation over test frames (over seeds for figures that a run has one of); the best network "
+        f"in bold.\n\n{analysis.to_markdown(table[table['metric'].isin(shown_in(Shown.table))])}",
+        f"{analysis.resimulation_note(metrics)}\n",
+    ]
+    if table["seed_sd"].notna().any():
+        parts.append(f"Mean ± standard deviation of the seeds' means.\n\n{analysis.to_markdown(table, Spread.seeds)}")
+    else:
+        parts.append(f"All metrics.\n\n{analysis.to_markdown(table)}")
+    return "\n".join(parts)
+
+
+def _left_out(runs: Sequence[Run]) -> list[str]:
+    """What was left out of this study, and why."""
+    try:
+        said = list(runs[0].data_set.left_out)
+    except (OSError, ValueError, KeyError):
+        said = []  # the pairs have been deleted
+    said += dict.fromkeys(str(note) for run in runs for note in run.result.get("notes", ()))
+    if not any(levels_of(run).get("model.extra_input") == "low" for run in runs):
+        said.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
+    return said

@@ -1,0 +1,82 @@
+"""Every figure of a comparison with its caption, in the order of the report."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from ablate import analysis
+from ablate.analysis import RESIMULATION, FramePictures
+from ablate.comparison.answers import Answers
+from ablate.comparison.results import pictures, runtime_points
+from ablate.metrics import Shown, shown_in
+from ablate.runs.run import Run
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """What the figures of a comparison are drawn from: the tables of `ablate.analysis`."""
+
+    reference: str
+    per_image: pd.DataFrame  # as `scored_frames` gives it, like `scalars`
+    scalars: pd.DataFrame
+    table: pd.DataFrame
+    paired: pd.DataFrame
+    answers: Answers
+    timed_on: str  # the machine
+
+
+def stored_pictures(runs: Sequence[Run], reference: str) -> tuple[list[FramePictures], str]:
+    """The frames that can be shown, and where pairs or pictures are missing or damaged the reason, for the report."""
+    try:
+        frames = pictures(runs, reference)
+    except (OSError, ValueError, KeyError) as error:
+        return [], f"There are no pictures: {' '.join(str(error).split())}."
+    return frames, "" if frames else "There are no pictures: the runs kept no frame in common."
+
+
+def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path) -> list[tuple[Path, str]]:
+    """Draw every figure for which there are numbers or pictures; returns PNGs and PDFs, each with its caption."""
+    reference, per_image = numbers.reference, numbers.per_image
+    made: list[tuple[Path, str]] = []
+
+    def add(paths: Sequence[Path], caption: str) -> None:
+        made.extend((path, caption) for path in paths)
+
+    design, means, effects = numbers.answers.design, numbers.answers.means, numbers.answers.effects
+    tables = numbers.answers.verdicts, analysis.improvements(means, design), analysis.interactions(means, design)
+    add(analysis.forest_figure(*tables, folder / "verdicts"), analysis.verdicts_caption(design, reference))
+    page = analysis.frames_a_page(len(frames[0].predictions)) if frames else 1
+    for k, start in enumerate(range(0, len(frames), page)):
+        paths = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}")
+        add(paths, analysis.qualitative_caption(reference))
+    boxes = [name for name in shown_in(Shown.headline) if name in set(per_image["metric"])]
+    drawn = analysis.boxplot_panels(per_image, boxes, folder / "boxplots", reference, numbers.paired)
+    add(drawn, analysis.boxplot_caption(boxes, reference))
+    panels = shown_in(Shown.panels)
+    add(
+        analysis.seed_plot(per_image, numbers.scalars, panels, folder / "seeds", reference),
+        analysis.seeds_caption(panels, reference),
+    )
+    if design is not None and len(effects):
+        gaps = _gaps(numbers.table, reference)
+        drawn = analysis.effects_plot(effects, panels, folder / "effects", gaps)
+        add(drawn, analysis.effects_caption(design, effects, reference if gaps else None))
+    for k, frame in enumerate(frames):
+        add(analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}"), analysis.chi2_caption(frame.name))
+    points, floors = runtime_points(numbers.table)
+    if len(points):
+        paths = analysis.error_vs_runtime(points, folder / "error_vs_runtime", floors, numbers.timed_on)
+        add(paths, analysis.runtime_caption(list(dict.fromkeys(points["metric"]))))
+    for metric, paths in analysis.paired_boxplots(per_image, folder, reference, numbers.paired).items():
+        add(paths, analysis.boxplot_caption([metric], reference))
+    return made
+
+
+def _gaps(table: pd.DataFrame, reference: str) -> dict[str, float]:
+    """By metric, the re-simulation minus the reference."""
+    means = table.pivot(index="metric", columns="variant", values="mean")
+    if not {RESIMULATION, reference} <= set(means.columns):
+        return {}
+    return {str(metric): float(gap) for metric, gap in (means[RESIMULATION] - means[reference]).items()}

@@ -1,0 +1,158 @@
+"""Read the finished runs of a study from disk: values, pictures and provenance."""
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ablate.analysis import REFERENCE, RESIMULATION, FramePictures, ordered_variants
+from ablate.comparison.frame_times import network_of, read_times, shown_machine, time_rows
+from ablate.metrics import Shown, shown_in
+from ablate.metrics.stored_names import BOUNDS, FLOOR_PREFIX, FRAME_TIME, MODEL, RESIMULATED, is_bound
+from ablate.runs.run import Run
+from ablate.runs.store_texts import ABOUT_CODE
+
+_LOG = logging.getLogger(__name__)
+
+
+def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Test values of every run, and once a data set those of the re-simulation, as two tables.
+
+    The first has columns variant, seed, frame, site, metric, value, data: one row a metric of a frame of a run. The
+    second has variant, seed, data, metric, value, lower, upper: one row a metric that only a run has, with the interval
+    of a distance. `data` is the name of the pairs; frames and sites are numbers within them.
+    """
+    frames, scalars = [], []
+    first = {run.data: run for run in reversed(runs)}
+    for run in runs:
+        own: dict[str, Any] = {"variant": run.label, "seed": run.seed, "data": run.data}
+        with_floor = first[own["data"]] is run
+        table = run.scores[run.scores["split"] == "test"].assign(data=own["data"])
+        frames.append(table[table["source"] == MODEL])
+        floor = table[table["source"] == RESIMULATED]
+        if with_floor and len(floor):
+            frames.append(floor.assign(variant=RESIMULATION))
+        per_image_metrics = set(table["metric"])
+        values: dict[str, float] = run.result["scalars"]
+        for name, value in values.items():
+            part, _, metric = name.rpartition("/")
+            is_floor = metric.startswith(FLOOR_PREFIX)
+            metric = metric.removeprefix(FLOOR_PREFIX)
+            if metric in per_image_metrics or is_bound(metric):
+                continue
+            if part == "test" and (with_floor or not is_floor):
+                of = own | ({"variant": RESIMULATION} if is_floor else {})
+                bounds = {side: values.get(f"{name}_{side}") for side in BOUNDS}
+                scalars.append({**of, "metric": metric, "value": value, **bounds})
+        parameters = values["parameters_generator"] + values["parameters_discriminator"]
+        scalars.append({**own, "metric": "parameters", "value": parameters})
+    table = pd.DataFrame(scalars)
+    times = frame_times(runs)
+    return pd.concat(frames, ignore_index=True), pd.concat([table, times], ignore_index=True) if len(times) else table
+
+
+def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
+    """Times a frame, all of one machine, as `time_rows` gives them; what a run itself stored of times is not read."""
+    networks = {(r.label, r.seed, r.data): network_of(r.spec["semantic"]) for r in runs}
+    return time_rows(runs[0].folder.parents[1], networks)
+
+
+def labelled_networks(runs: Sequence[Run]) -> dict[str, str]:
+    """The network that each variant is timed by."""
+    return {run.label: network_of(run.spec["semantic"]) for run in runs}
+
+
+def timed_on(runs: Sequence[Run]) -> str:
+    """The machine that the times in tables and figures are from; empty where there are none."""
+    return shown_machine(read_times(runs[0].folder.parents[1]), labelled_networks(runs).values()) or ""
+
+
+def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]:
+    """Error of every variant against its milliseconds a frame, and the re-simulation's value by metric.
+
+    `table` is what `comparison_table` gives. Columns are those of `error_vs_runtime`, with the spread of the times.
+    """
+    means = table.pivot(index="variant", columns="metric", values="mean")
+    times = table[table["metric"] == FRAME_TIME].set_index("variant")[["mean", *BOUNDS]].rename(columns={"mean": "ms"})
+    times = times.astype("float64")
+    networks = means.drop(index=RESIMULATION, errors="ignore")
+    metrics = [m for m in shown_in(Shown.headline) if m in means.columns]
+    rows = [
+        {"series": v, "setting": "", **times.loc[v].to_dict(), "metric": m, "error": networks.loc[v, m]}
+        for v in networks.index.intersection(times.index)
+        for m in metrics
+    ]
+    floors = {m: float(means[m].to_dict()[RESIMULATION]) for m in metrics} if RESIMULATION in means.index else {}
+    return pd.DataFrame(rows), floors
+
+
+def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictures]:
+    """The frames that all variants have pictures of, each variant's from its lowest seed that has any."""
+    order = ordered_variants([run.label for run in runs], reference)
+    stored: dict[str, dict[int, np.ndarray]] = {}
+    for run in sorted(runs, key=lambda r: (order.index(r.label), r.seed)):
+        if run.label not in stored and (images := _stored_pictures(run)):
+            stored[run.label] = images
+    numbers = sorted(set.intersection(*(set(images) for images in stored.values()))) if stored else []
+    if not numbers:
+        return []
+    pairs = runs[0].data_set.pairs
+    maps = {name: pairs.read(name, numbers) for name in pairs.maps - {"low"}}
+    return [
+        FramePictures(
+            name=f"frame {number}",
+            target=maps["target"][k],
+            predictions={
+                **({RESIMULATION: maps["resimulation"][k]} if "resimulation" in maps else {}),
+                **{v: s[number] for v, s in stored.items()},
+            },
+            mask=pairs.mask(),
+            segmentation=maps["segmentation"][k],
+            attenuation=maps["attenuation"][k] if "attenuation" in maps else None,
+        )
+        for k, number in enumerate(numbers)
+    ]
+
+
+def _stored_pictures(run: Run) -> dict[int, np.ndarray]:
+    """The pictures of a run, by the frame's number in the data set; none where the file is missing or damaged."""
+    try:
+        return run.pictures
+    except ValueError as error:
+        _LOG.warning("%s; other pictures are shown", error)
+        return {}
+
+
+def provenance(runs: Sequence[Run]) -> dict[str, str]:
+    """Data sets, code and hardware of a study; where its runs differ, each value names its runs."""
+    data = ", ".join(dict.fromkeys(f"{run.data} (pixels {run.result['pixels']})" for run in runs))
+    return {"data": data, **{k: v for k, v in _made_with(runs).items() if k in ABOUT_CODE}}
+
+
+def appendix(runs: Sequence[Run]) -> dict[str, str]:
+    """Texts by title: the package versions of the runs, and the uncommitted changes of their code."""
+    packages = {k: v for k, v in _made_with(runs).items() if k not in ABOUT_CODE}
+    texts = {"Packages": "\n".join(f"{k} {v}" for k, v in packages.items())} if packages else {}
+    names: dict[str, list[str]] = {}
+    for run in runs:
+        diff = "\n".join(path.read_text("utf-8", "replace") for path in run.uncommitted if path.is_file())
+        names.setdefault(diff, []).append(run.name)
+    return {**texts, **{f"Uncommitted changes: {', '.join(of)}": diff for diff, of in names.items() if diff}}
+
+
+def _made_with(runs: Sequence[Run]) -> dict[str, str]:
+    """What the runs recorded in `made_with.json`, by key."""
+    recorded = {run.name: run.made_with for run in runs if run.made_with}
+    keys = dict.fromkeys(key for of_run in recorded.values() for key in of_run)
+    return {key: _by_run({name: str(of_run.get(key, "")) for name, of_run in recorded.items()}) for key in keys}
+
+
+def _by_run(values: dict[str, str]) -> str:
+    distinct: dict[str, list[str]] = {}
+    for name, value in values.items():
+        distinct.setdefault(value, []).append(name)
+    if len(distinct) == 1:
+        return next(iter(distinct))
+    return "; ".join(f"{value} ({', '.join(names)})" for value, names in distinct.items())

@@ -1,0 +1,142 @@
+"""What `task=describe` prints: the components of variants, what they see of a frame beside the paper's, their sizes."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import StrEnum
+
+import pandas as pd
+
+from ablate import networks
+from ablate.jobs.compose import job_of
+from ablate.jobs.scale import PAPER_CROP, PAPER_ROWS, paper_levels
+from ablate.jobs.variants import OF_THE_NETWORK, variant_names
+from ablate.networks import ExtraInput, GeneratorSpec, Noise, PatchDiscriminator
+from ablate.runs.job import Job, parameters
+from ablate.settings.study import StudySettings
+from ablate.ultrasound.probe import fan_size_mm
+from ablate.ultrasound.probe_kinds import ConvexProbe
+
+_UNKNOWN = "-"
+_PAPER_MM = fan_size_mm(ConvexProbe())[0]
+
+
+def described(jobs: Sequence[Job]) -> pd.DataFrame:
+    """One row a variant, indexed by it: components, inputs, receptive field and parameters, here and in the paper.
+
+    A single job asks for all variants at its sizes; a sweep for its own. Lengths are px, mm and per cent of the frame's
+    height. The columns of the paper are those of the network with the levels that it has in the paper's frame, and
+    width 1; they are None where no network of the paper's frame is so deep.
+    """
+    rows = {label: _row(settings) for label, settings in _variants(jobs)}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variant")
+
+
+def description(jobs: Sequence[Job]) -> str:
+    """`described` as text of at most 120 columns (with the variants of conf/), and what is the same for all of them."""
+    table = described(jobs)
+    paper = "in the paper: "
+    parts = (
+        {name: name for name in ("family", *(c.name for c in OF_THE_NETWORK.values()), "inputs")},
+        {
+            **{"depth": "levels", "field_px": "px", "field_mm": "mm", "field_percent": "%"},
+            **{"paper_depth": paper + "levels", "paper_field_px": "px", "paper_field_mm": "mm"},
+            "paper_field_percent": "%",
+        },
+        {
+            **{"total_here": "here: total", "generator": paper + "generator", "discriminator": "discriminator"},
+            "total": "total",
+        },
+    )
+    titles = (
+        "components",
+        "receptive field of the generator: px, mm, and % of the frame's height",
+        "parameters, in the paper with width 1 and the paper's levels",
+    )
+    shown = [
+        f"{title}\n{_text(table[list(columns)].rename(columns=columns))}"
+        for title, columns in zip(titles, parts, strict=True)
+    ]
+    same = dict.fromkeys(line for job in jobs for line in _same_for_all(job.settings))
+    return "\n\n".join([*shown, "\n".join(same)])
+
+
+def _variants(jobs: Sequence[Job]) -> list[tuple[str, StudySettings]]:
+    """Label and settings of each row: the generator and the loss of the variant, the frames of the job."""
+    if len(jobs) > 1:
+        return [(job.label, job.settings) for job in jobs]
+    s = jobs[0].settings
+    rows, columns = s.simulator.image_shape
+    sizes = [f"preset={s.preset}", f"model.width={s.model.width}", f"simulator.image_shape=[{rows},{columns}]"]
+    made = [job_of([*sizes, f"variant={name}"]).settings for name in variant_names()]
+    return [(m.variant, replace(s, model=m.model, training=replace(s.training, loss=m.training.loss))) for m in made]
+
+
+def _row(settings: StudySettings) -> dict[str, object]:
+    spec, rows = settings.model, settings.simulator.image_shape[0]
+    at_paper = paper_levels(spec.depth, rows)
+    row: dict[str, object] = {
+        "family": spec.family.value,
+        **{component.name: _level(spec, field) for field, component in OF_THE_NETWORK.items()},
+        "inputs": "+".join(networks.inputs(spec)),
+        **_field(spec, "field", rows, fan_size_mm(settings.probe)[0]),
+        "total_here": sum(parameters(settings).values()),
+        "paper_depth": at_paper,
+    }
+    if at_paper is None:
+        return row
+    paper = replace(spec, width=1.0, depth=at_paper)
+    at_width_1 = replace(settings.training, discriminator_width=None)
+    generator, discriminator = parameters(replace(settings, model=paper, training=at_width_1)).values()
+    sizes = {"generator": generator, "discriminator": discriminator, "total": generator + discriminator}
+    return row | _field(paper, "paper_field", PAPER_ROWS, _PAPER_MM) | sizes
+
+
+def _field(spec: GeneratorSpec, name: str, rows: int, height_mm: float) -> dict[str, object]:
+    px = networks.receptive_field(spec)
+    if px is None:
+        return dict.fromkeys((f"{name}_px", f"{name}_mm", f"{name}_percent"))
+    return {f"{name}_px": px, f"{name}_mm": px * height_mm / rows, f"{name}_percent": 100 * px / rows}
+
+
+def _same_for_all(settings: StudySettings) -> list[str]:
+    """The frame, the crop and the discriminator's patch, beside the paper's."""
+    (rows, columns), height = settings.simulator.image_shape, fan_size_mm(settings.probe)[0]
+    patch = networks.patch_size(PatchDiscriminator(networks.discriminator_channels(settings.model), 0.01))
+    lengths = {"crop": (settings.training.crop, PAPER_CROP), "patch of the discriminator": (patch, patch)}
+    return [
+        f"frame: {rows} x {columns} px of {height / rows:.2f} mm (in the paper: {PAPER_ROWS} rows of "
+        f"{_PAPER_MM / PAPER_ROWS:.2f} mm)",
+        *(
+            f"{name}: {_length(px, rows, height)} of the frame's height (in the paper: "
+            f"{_length(paper, PAPER_ROWS, _PAPER_MM)})"
+            for name, (px, paper) in lengths.items()
+        ),
+    ]
+
+
+def _length(px: int, rows: int, height_mm: float) -> str:
+    return f"{px} px, {px * height_mm / rows:.0f} mm, {100 * px / rows:.0f} %"
+
+
+def _level(spec: GeneratorSpec, field: str) -> object:
+    """Whether a component with two levels is on, or else its level."""
+    level = getattr(spec, field)
+    if isinstance(level, StrEnum) and len(type(level)) == 2:
+        return bool(level == OF_THE_NETWORK[field].on)
+    if field == "noise" and spec.extra_input is ExtraInput.noise:
+        return Noise.input.value
+    return str(level) if isinstance(level, str) else level
+
+
+def _text(table: pd.DataFrame) -> str:
+    return table.map(_cell).reset_index().to_string(index=False)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return value
+    if value is None or value != value:
+        return _UNKNOWN
+    return f"{value:,.0f}"

@@ -1,0 +1,174 @@
+"""Check jobs against the files, folders and devices that they need, before anything expensive starts."""
+
+import os
+import tempfile
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+import torch
+
+from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
+from ablate.dataset import Part, resample_grid
+from ablate.jobs.variants import variant_model, variant_names
+from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
+from ablate.networks import Attenuation, Family, check_custom, conditions
+from ablate.runs.imported import checked_folder
+from ablate.runs.job import Job
+from ablate.runs.place import check_place
+from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, Task, refusing
+from ablate.training import TrainingPrecision
+from ablate.training.settings import SMALLEST_CROP
+from ablate.validation import shown
+
+_NEED_SCENE = (Task.preview, Task.render, Task.view, Task.precision)
+
+
+def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
+    """Check every job; a ConfigurationError is one line that names the key or file and what is allowed.
+
+    Jobs that run `elsewhere`, on the nodes of a cluster, must be known by the same hash here and there.
+    """
+    _check_place_of_runs(jobs[0].settings)
+    for job in jobs:
+        if elsewhere and job.settings.task is Task.study and job.settings.training.precision is TrainingPrecision.auto:
+            differ = "it may be another on the node that runs the job than here"
+            raise ConfigurationError(f"training.precision=auto: {differ}; allowed on a cluster are fp32 and bf16")
+        seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
+        _check_training(job, seen, {other.label for other in jobs})
+        _check_metrics(job.settings)
+    if jobs[0].settings.task is Task.study and jobs[0].settings.tracking.system_metrics and find_spec("psutil") is None:
+        install = "pip install 'ablate-ultrasound[system]'"
+        raise ConfigurationError(f"tracking.system_metrics=true needs the package psutil: {install}")
+    if odd := set(str(jobs[0].settings.results)) & {"?", "%"}:  # they mean something else in the address of a database
+        raise ConfigurationError(f"runs_dir={jobs[0].settings.results}: allowed is a path without {' and '.join(odd)}")
+    starts = jobs[0].settings.task in (Task.study, Task.simulate)
+    if starts or jobs[0].settings.task in (*_NEED_SCENE, Task.export, Task.stability):
+        _check_writable(jobs[0].settings.results)
+    if starts or jobs[0].settings.task is Task.compare:
+        for folder in {f for job in jobs for f in (job.settings.results, job.settings.study_dir) if f.exists()}:
+            _check_writable(folder)
+    if starts or jobs[0].settings.task is Task.plan:
+        for job in jobs:
+            check_place(job)
+
+
+def _check_pairs(job: Job) -> int:
+    """Check that a folder of pairs has all maps that the variant reads; returns its number of training frames."""
+    s = job.settings
+    if s.task in _NEED_SCENE:
+        scenes = "allowed are scene=fetal and folder"
+        raise ConfigurationError(f"task={s.task}: pairs made elsewhere have no scene; {scenes}")
+    with refusing():
+        checked = checked_folder(s)
+    if s.model.attenuation is Attenuation.compensated:
+        raise ConfigurationError(
+            f"model.attenuation=compensated in variant {job.label}: pairs made elsewhere do not tell the time gain of "
+            "their images; allowed are integral and none"
+        )
+    for name in conditions(s.model):
+        if name not in checked.maps:
+            allowed = [v for v in variant_names() if checked.maps.issuperset(conditions(variant_model(v)))]
+            raise ConfigurationError(
+                f"variant {job.label} reads {name}, but {checked.folder} has no folder {name}; "
+                f"allowed are variants without it: {', '.join(allowed)}"
+            )
+    if checked.parts is not None:
+        return int((checked.parts == Part.train).sum())
+    return _training_frames(s, len(checked.names))
+
+
+def _check_scene(s: StudySettings) -> int:
+    """Check that the grid has as many poses as frames are asked for; returns the number of training frames."""
+    sites: SiteGrid | None = fetal_sites()
+    of_render = s.pose or s.plane  # then the folder may do without sites
+    if s.scene.kind is SceneKind.folder:
+        if not s.scene.folder:
+            raise ConfigurationError("scene=folder needs scene.folder=path/to/folder")
+        with refusing():
+            sites = validate_scene_folder(Path(s.scene.folder)).sites
+        if sites is None and not (s.dataset.poses or of_render):
+            raise ConfigurationError(f"{s.scene.folder}/scene.yaml has no `sites`: where to put the probe")
+    if of_render or s.task is Task.view:  # the grid and its frames do not matter
+        return _training_frames(s, s.dataset.frames)
+    if s.dataset.poses:
+        from ablate.runs.simulated import own_poses  # here, because it needs Embree and numba
+
+        with refusing():
+            poses, _ = own_poses(s)
+        if s.dataset.frames > len(poses):
+            raise ConfigurationError(f"dataset.frames={s.dataset.frames}: at most {len(poses)}, the poses of the file")
+        return _training_frames(s, s.dataset.frames)
+    assert sites is not None
+    grid = resample_grid(sites, s.dataset.grid)
+    offered = len(grid.heights_mm) * len(grid.angles_deg) * len(grid.tilts_deg) * len(grid.rolls_deg)
+    if s.dataset.frames > offered:
+        raise ConfigurationError(
+            f"dataset.frames={s.dataset.frames}: at most {offered}, the poses of the probe sites; "
+            "more of them: dataset.grid=[heights,angles,tilts,rolls]"
+        )
+    return _training_frames(s, s.dataset.frames)
+
+
+def _training_frames(s: StudySettings, frames: int) -> int:
+    return round(frames * (1 - s.dataset.validation - s.dataset.test))
+
+
+def _check_training(job: Job, seen: int, labels: set[str]) -> None:
+    s = job.settings
+    stride = 2**s.model.depth
+    if s.training.crop < stride:
+        smallest = f"2^model.depth = {stride} for variant {job.label}"
+        raise ConfigurationError(f"training.crop={s.training.crop}: at least {smallest}")
+    if s.scene.kind is not SceneKind.pairs:
+        height, width = s.simulator.image_shape
+        most = max(-(-max(height, width) // stride) * stride, SMALLEST_CROP)
+        if s.training.crop > most:
+            covers = f"which covers an image of {height} x {width} px"
+            raise ConfigurationError(f"training.crop={s.training.crop}: at most {most}, {covers}")
+    if s.model.family is Family.custom:
+        with refusing("model."):
+            check_custom(s.model, s.training.crop)
+    if s.training.batch_size > seen:
+        raise ConfigurationError(f"training.batch_size={s.training.batch_size}: more than the {seen} training frames")
+    for key, device in (("training", s.training.device), ("simulator", s.simulator.device)):
+        if device.startswith("cuda") and not torch.cuda.is_available():
+            raise ConfigurationError(f"{key}.device={device}: this machine has no usable GPU; allowed is cpu")
+    known = {*labels, *variant_names(), *(path.parent.name for path in s.study_dir.glob("*/seed*"))}
+    if s.reference not in known:
+        raise ConfigurationError(f"reference={s.reference}: allowed are {', '.join(sorted(known))}")
+
+
+def _check_metrics(s: StudySettings) -> None:
+    """Check the names of metrics, and get the network of FID, which may be downloaded here."""
+    with refusing():
+        chosen = choose_metrics(s.metrics)
+    if not any(metric.of_image or metric.of_draws for metric in chosen.values()):
+        names = ", ".join(sorted(chosen))
+        raise ConfigurationError(f"metrics={names}: name one that every image has too, such as psnr")
+    where = s.evaluation.inception
+    asked = [s.metrics] if isinstance(s.metrics, str) else s.metrics
+    named = [name for name, metric in METRICS.items() if metric.uses(FeatureKind.inception) and name in asked]
+    if named and where is None:
+        raise ConfigurationError(f"metrics={named[0]}: needs evaluation.inception=path/to/file or =download")
+    if where is not None and s.task is Task.study and needs_inception(chosen):
+        with refusing(f"evaluation.inception={where}: "):
+            inception_file(where)
+
+
+def _check_place_of_runs(s: StudySettings) -> None:
+    """Refuse a `runs_dir` that can hold no folder, whatever the task."""
+    try:
+        if s.results.exists() and not s.results.is_dir():
+            raise ConfigurationError(f"runs_dir: {shown(str(s.results))} is a file; allowed is a folder")
+        s.study_dir.exists()
+    except OSError as error:
+        raise ConfigurationError(f"runs_dir={shown(s.runs_dir)}: {os.strerror(error.errno or 0)}") from error
+
+
+def _check_writable(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise ConfigurationError(f"runs_dir: {folder} cannot be written: {os.strerror(error.errno or 0)}") from error

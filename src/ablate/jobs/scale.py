@@ -1,0 +1,102 @@
+"""Miniatures to scale: the levels and the crop that keep the paper's millimetres in a frame of fewer pixels.
+
+The configuration reaches both as OmegaConf resolvers, which read the frame's rows from the job's own
+`simulator.image_shape`: `${levels:4}` and `${crop:}`. For pairs made elsewhere it is `${png_shape:}`, and for another
+probe than the paper's `${fan_shape:}`, whose pulse is no finer than the frame can show: `${two_pixels:0.3}`.
+"""
+
+import math
+from contextlib import suppress
+
+from omegaconf import DictConfig, OmegaConf
+
+from ablate.networks.spec import DEPTHS, GeneratorSpec
+from ablate.settings.conf_folder import conf_folder
+from ablate.training.settings import SMALLEST_CROP, TrainingSettings
+from ablate.ultrasound.probe import fan_size_mm, square_pixels
+from ablate.ultrasound.probe_kinds import ConvexProbe, Probe, probe_from
+from ablate.ultrasound.settings import SimulatorSettings
+
+PAPER_SHAPE = SimulatorSettings().image_shape
+PAPER_ROWS = PAPER_SHAPE[0]
+PAPER_CROP = TrainingSettings().crop
+_UNET_LEVELS = DEPTHS[-1]
+
+
+def levels(at_paper: int, rows: int) -> int:
+    """Levels of a network that has `at_paper` of them in the paper's frame: one less for every halving of its rows.
+
+    A receptive field of depth d grows as 2^d px, so with round(log2(1000 / rows)) levels less it covers the same
+    millimetres, within a factor of sqrt(2) for the rounding. There are no fewer levels than networks can have, and no
+    more.
+    """
+    halvings = round(math.log2(PAPER_ROWS / max(rows, 1)))  # fewer rows than 1 are refused with the other settings
+    return min(max(at_paper - halvings, DEPTHS[0]), DEPTHS[-1])
+
+
+def paper_levels(depth: int, rows: int) -> int | None:
+    """Levels in the paper's frame that are `depth` at this one; None where no network of the paper's frame is so deep.
+
+    Where several are, in frames too small for a level less, it is that of SA2H or of the U-Net if it can be.
+    """
+    known = (GeneratorSpec.depth, DEPTHS[-1], *reversed(DEPTHS))
+    return next((at_paper for at_paper in known if levels(at_paper, rows) == depth), None)
+
+
+def crop(rows: int) -> int:
+    """Side of the crop, px: the paper's share of the rows (0.512), as a multiple of 2^levels of the U-Net.
+
+    So no network pads a crop.
+    """
+    unit = 2 ** levels(_UNET_LEVELS, rows)
+    return max(round(rows * PAPER_CROP / PAPER_ROWS / unit) * unit, unit, SMALLEST_CROP)
+
+
+def register_resolvers() -> None:
+    """Make the names that conf/ uses between `${` and `}` known to OmegaConf."""
+    OmegaConf.register_new_resolver("levels", lambda n, *, _root_: levels(int(n), _rows(_root_)), replace=True)
+    OmegaConf.register_new_resolver("crop", lambda *, _root_: crop(_rows(_root_)), replace=True)
+    OmegaConf.register_new_resolver("png_shape", _png_shape, replace=True)
+    OmegaConf.register_new_resolver("fan_shape", _fan_shape, replace=True)
+    OmegaConf.register_new_resolver("two_pixels", _two_pixels, replace=True)
+
+
+def _fan_shape(*, _root_: DictConfig) -> list[int]:
+    """An image of the probe's fan with square pixels and the rows that the preset has."""
+    return list(square_pixels(_probe(_root_), _preset_rows(str(_root_.preset))))
+
+
+def _two_pixels(length_mm: float, *, _root_: DictConfig) -> float:
+    """A length, or that of two rows of the image where this is more."""
+    return max(float(length_mm), round(2 * fan_size_mm(_probe(_root_))[0] / max(_rows(_root_), 1), 3))
+
+
+def _probe(root: DictConfig) -> Probe:
+    """The probe of a configuration; where it is refused, which happens later and in one line, some other."""
+    with suppress(ValueError):
+        return probe_from({str(name): value for name, value in root.probe.items()})
+    return ConvexProbe()
+
+
+def _preset_rows(preset: str) -> int:
+    """The rows of the frames of a preset; the paper's where neither it nor what it builds on says so."""
+    path = conf_folder() / "preset" / f"{preset}.yaml"
+    own = OmegaConf.load(path) if path.exists() else OmegaConf.create()
+    if shape := OmegaConf.select(own, "simulator.image_shape"):
+        return int(shape[0])
+    parents = OmegaConf.select(own, "defaults") or []
+    return next((_preset_rows(str(parent)) for parent in parents), PAPER_ROWS)
+
+
+def _png_shape(*, _root_: DictConfig) -> list[int]:
+    """The size of the images in `scene.folder`; the paper's where there are none, as that folder is refused later."""
+    from ablate.dataset.png_folder import png_shape
+
+    with suppress(OSError, ValueError, TypeError):
+        return list(png_shape(_root_.scene.folder))
+    return list(PAPER_SHAPE)
+
+
+def _rows(root: DictConfig) -> int:
+    shape = root.simulator.image_shape
+    return int(shape[0]) if len(shape) else 1  # an empty shape is refused with the other settings

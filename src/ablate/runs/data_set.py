@@ -1,0 +1,97 @@
+"""One data set as it lies on disk: its pairs, its tissues, what it was made from, and the digest of its pixels."""
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ablate.anatomy import Tissue
+from ablate.dataset import DERIVED, Pairs, Part, open_pairs
+from ablate.networks import GeneratorSpec, conditions
+from ablate.settings.values import build
+from ablate.storage import read_json, write_json
+from ablate.ultrasound.probe_kinds import probe_from
+
+#: The maps that say which data a run was scored on; all of their test frames are read for the digest.
+_DIGESTED = ("segmentation", "attenuation", "target", "resimulation")
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """The folder of a data set, `data/<scene>-<hash>`; no scene is loaded to read it.
+
+    Examples
+    --------
+    >>> DataSet(Path("nowhere")).exists
+    False
+    """
+
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        return self.folder.name
+
+    @property
+    def exists(self) -> bool:
+        """Whether it has been laid out; some of its pairs may be missing."""
+        return (self.folder / "about.json").exists()
+
+    @cached_property
+    def about(self) -> dict[str, Any]:
+        """What it was made from; a FileNotFoundError where it is not there, a ValueError where it is damaged."""
+        return read_json(self.folder / "about.json")
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """Its frames, with the probe and the time gain that they were simulated with."""
+        pairs = open_pairs(self.folder)
+        if simulator := self.about.get("simulator"):
+            gain = simulator["tgc_db_cm_mhz"]
+            pairs = replace(pairs, probe=probe_from(self.about["probe"]), tgc_db_cm_mhz=gain)
+        return pairs
+
+    @property
+    def tissues(self) -> tuple[Tissue, ...]:
+        """The tissues behind the labels 1, 2, ..."""
+        return tuple(build(Tissue, tissue) for tissue in self.about["tissues"])
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Sentences on what the plan of the scene left out."""
+        return tuple(self.about["left_out"])
+
+    @property
+    def contact_sheet(self) -> Path:
+        return self.folder / "contact_sheet.png"
+
+    def lacks(self, maps: frozenset[str]) -> bool:
+        """Whether pairs of these maps are missing."""
+        return not self.exists or bool(self.pairs.missing(maps))
+
+    @cached_property
+    def pixels(self) -> str:
+        """First 16 hexadecimal digits of the SHA-256 of the test frames' labels, attenuation, targets, re-simulation.
+
+        The hash in the folder's name is that of the recipe. Two processors round otherwise, so one recipe can give two
+        data sets; this digest tells them apart. It is computed once and kept beside the pairs.
+        """
+        kept = self.folder / "pixels.json"
+        try:
+            return str(read_json(kept)["test_frames"])
+        except (OSError, ValueError, KeyError):
+            pass
+        digest = hashlib.sha256()
+        for frame in self.pairs.frames(Part.test):
+            for name in (name for name in _DIGESTED if name in self.pairs.maps):
+                digest.update(self.pairs.stored(name, int(frame)).tobytes())
+        write_json(kept, {"test_frames": digest.hexdigest()[:16]})
+        return digest.hexdigest()[:16]
+
+
+def maps_needed(models: Iterable[GeneratorSpec]) -> frozenset[str]:
+    """Arrays that a study reads: L only where a variant does; A always, the mechanism metrics need it."""
+    read = {DERIVED.get(name, name) for spec in models for name in conditions(spec)}
+    return frozenset(read | {"segmentation", "attenuation", "target", "resimulation"})

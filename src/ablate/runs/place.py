@@ -1,0 +1,100 @@
+"""The place of a job's run on disk: what lies there already, and whether the job may use it."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from filelock import FileLock
+
+from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, choose_metrics, needs_inception
+from ablate.runs.identity import differences, not_shared
+from ablate.runs.job import Job
+from ablate.runs.run import Run, State, runs_of
+from ablate.setting import plain
+from ablate.settings.study import ConfigurationError, StudySettings
+from ablate.user_code import source_digest
+
+
+def check_place(job: Job) -> None:
+    """Refuse a run directory, or a study, that holds another configuration.
+
+    The ConfigurationError names the keys that differ, each with its value there and here.
+    """
+    for run in runs_of(job.settings.study_dir):
+        if not isinstance(there := run.spec.get("semantic"), Mapping):
+            continue  # a damaged file tells nothing; comparisons leave its run aside
+        if run.folder == job.folder:
+            unlike = list(differences(there, job.semantic))
+        else:
+            unlike = not_shared(there, job.semantic, {*run.changed, *dict(job.changed)})
+        if unlike:
+            values = ", ".join(f"{k}: {a} there, {b} here" for k, a, b in unlike)
+            another = f"{run.folder} holds another configuration ({values})"
+            raise ConfigurationError(f"{another}; give this one a place with study_name=...")
+    run = job.run
+    if run.hash == job.hash and run.result.get("metrics_version", 0) > METRICS_VERSION:
+        raise ConfigurationError(f"{run.folder}: {run.why}; nothing older overwrites it, remove it to start again")
+
+
+def claim_place(job: Job) -> None:
+    """Write `spec.json`, which says what a run is, before anything else is written into its folder.
+
+    Of two processes that claim places in a study at the same time, the second sees what the first has claimed.
+    """
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(job.settings.study_dir / ".claim.lock"):
+        check_place(job)
+        run = job.run
+        if run.hash == job.hash:
+            return
+        if run.checkpoint.exists():
+            unknown = f"what {run.checkpoint.name} beside it was trained on is not known"
+            where = f"{run.folder / 'spec.json'} is damaged"
+            raise ConfigurationError(f"{where}: {unknown}; remove {run.folder} to start again")
+        known_by = {"label": job.label, "hash": job.hash, "changed": plain_values(job.changed)}
+        run.write_spec({**known_by, "semantic": job.semantic, "settings": plain(job.settings)})
+
+
+def plain_values(changed: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    return {key: plain(value) for key, value in changed}
+
+
+def finished_run(job: Job) -> Run | None:
+    """The finished run of a job, with all metrics that are asked for; else None, and the job is run or scored again.
+
+    A metric of the user's whose code was edited since is asked for again.
+    """
+    run, settings = job.run, job.settings
+    if run.hash != job.hash or run.state is not State.finished:
+        return None
+    result = run.result
+    if names_of(settings.metrics) - set(result["metrics"]):
+        return None
+    if any(result["sources"].get(path) != code for path, code in sources_of(settings.metrics).items()):
+        return None
+    with_network = settings.evaluation.inception is not None and needs_inception(choose_metrics(settings.metrics))
+    return None if with_network and result.get("inception") is None else run
+
+
+def names_of(asked: str | Iterable[str]) -> set[str]:
+    """Names of metrics, and paths of a user's own, behind names and sets; nothing is imported."""
+    entries = [asked] if isinstance(asked, str) else asked
+    return {name for entry in entries for name in METRIC_SETS.get(entry, (entry,))}
+
+
+def sources_of(asked: str | Iterable[str]) -> dict[str, str]:
+    """The digest of the code of each metric of the user's, by its path."""
+    return {name: source_digest(name) for name in sorted(names_of(asked)) if name not in METRICS and "." in name}
+
+
+def with_earlier_metrics(job: Job) -> StudySettings:
+    """The settings of a job, which also ask for the metrics that an earlier call of the same job computed.
+
+    Of those only the package's: a path in `result.json` may come from anybody, and importing it runs code.
+    """
+    s, before = job.settings, job.run.result if job.run.hash == job.hash else {}
+    earlier = {name for name in before.get("metrics", ()) if name in METRICS}
+    inception = s.evaluation.inception or before.get("inception")
+    # By name: a set such as `all` may have more of them when the run is looked at again.
+    metrics = sorted(names_of(s.metrics) | earlier)
+    return replace(s, metrics=metrics, evaluation=replace(s.evaluation, inception=inception))

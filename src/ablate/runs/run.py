@@ -1,0 +1,265 @@
+"""One run as it lies on disk: everything in its folder, and the state that this makes up."""
+
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+import pandas as pd
+from filelock import FileLock, Timeout
+
+from ablate.evaluation import check_stored_scores
+from ablate.metrics import METRICS_VERSION
+from ablate.runs.data_set import DataSet
+from ablate.settings.study import StudySettings
+from ablate.settings.values import build
+from ablate.storage import digest, digest_of_files, read_json, remove_partial, write_json, written_whole
+from ablate.tracking import LocalLog
+
+#: The checkpoint of a training; `ablate.training.LAST`, whose import loads PyTorch.
+CHECKPOINT = "last.ckpt"
+_PARAMETERS = {"parameters_generator", "parameters_discriminator"}  # the scalars that every run has
+_KINDS: Mapping[str, type] = {
+    **{"hash": str, "label": str, "seed": int, "data": str, "pixels": str, "scalars": dict},
+    **{"metrics": list, "sources": dict, "metrics_version": int, "notes": list, "started": str, "ended": str},
+}
+
+
+class State(StrEnum):
+    """What can be done with the folder of a run."""
+
+    missing = "missing"
+    resumable = "resumable"
+    finished = "finished"
+    unusable = "unusable"
+
+
+@dataclass(frozen=True)
+class Run:
+    """The folder of a run: `<study>/<label>/seed<k>`. Values are read when they are asked for, and once.
+
+    Examples
+    --------
+    >>> Run(Path("nowhere")).state
+    <State.missing: 'missing'>
+    """
+
+    folder: Path
+
+    # What the folder holds.
+
+    @property
+    def checkpoint(self) -> Path:
+        """The checkpoint that a training goes on from, and whose generator is evaluated; it may be missing."""
+        return self.folder / CHECKPOINT
+
+    @property
+    def provenance(self) -> list[Path]:
+        """The files that say what the run was made with: settings, code, environment."""
+        return sorted(p for p in (self.folder / "provenance").glob("*") if ".partial" not in p.suffixes)
+
+    @property
+    def uncommitted(self) -> list[Path]:
+        """The uncommitted changes of the code that it was made with."""
+        return sorted((self.folder / "provenance").glob("uncommitted*.diff"))
+
+    @property
+    def log(self) -> LocalLog:
+        """Curves, images and states as the training went on; opened for writing."""
+        return LocalLog(self.folder)
+
+    @property
+    def scores_file(self) -> Path:
+        """Every metric of every frame, as Parquet."""
+        return self.folder / "per_image.parquet"
+
+    @cached_property
+    def spec(self) -> dict[str, Any]:
+        """What the run is: hash, label, changed, semantic, settings; empty where it is missing or damaged."""
+        with suppress(OSError, ValueError):
+            return read_json(self.folder / "spec.json")
+        return {}
+
+    @cached_property
+    def result(self) -> dict[str, Any]:
+        """What the run came to: its scalars and what they were computed from; empty where missing or damaged."""
+        with suppress(OSError, ValueError):
+            return read_json(self.folder / "result.json")
+        return {}
+
+    @cached_property
+    def made_with(self) -> dict[str, Any]:
+        """Code, packages and hardware in short; empty where missing or damaged."""
+        with suppress(OSError, ValueError):
+            return read_json(self.folder / "provenance" / "made_with.json")
+        return {}
+
+    @property
+    def first_start(self) -> str:
+        """When a process began to train it, in ISO 8601; empty where that is not known."""
+        with suppress(OSError, ValueError, KeyError, IndexError, TypeError):
+            return str(read_json(self.folder / "provenance" / "starts.json")["starts"][0]["time"])
+        return ""
+
+    # What it is called.
+
+    @property
+    def label(self) -> str:
+        return str(self.spec.get("label", self.folder.parent.name))
+
+    @property
+    def seed(self) -> int:
+        return int(self.spec["settings"]["seed"])
+
+    @property
+    def name(self) -> str:
+        return f"{self.folder.parent.name}/{self.folder.name}"
+
+    @property
+    def hash(self) -> str:
+        return str(self.spec.get("hash", ""))
+
+    @property
+    def data(self) -> str:
+        """The name of its pairs."""
+        return str(self.result["data"])
+
+    @property
+    def data_set(self) -> DataSet:
+        """The pairs that it was trained on and scored against; they may have been deleted."""
+        return DataSet(self.folder.parents[2] / "data" / self.data)
+
+    @property
+    def changed(self) -> dict[str, Any]:
+        """The dotted keys that its label says were changed beside the variant, with their values."""
+        return dict(self.spec.get("changed", {}))
+
+    @cached_property
+    def settings(self) -> StudySettings:
+        """The settings that it was started with, at the place where it lies now."""
+        return replace(build(StudySettings, self.spec["settings"]), runs_dir=str(self.folder.parents[2]))
+
+    @cached_property
+    def scores(self) -> pd.DataFrame:
+        """One row a metric of a frame; see `evaluation.STORED_COLUMNS`."""
+        return pd.read_parquet(self.scores_file)
+
+    @property
+    def pictures(self) -> dict[int, np.ndarray]:
+        """Rendered frames, (H, W) uint8, by their number in the data set.
+
+        None where the file is missing; a ValueError where it is damaged.
+        """
+        path = self.folder / "pictures.npz"
+        try:
+            with np.load(path) as kept:
+                return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError, KeyError, AttributeError, EOFError, BadZipFile, zlib.error) as error:
+            raise ValueError(f"{path} is damaged: {' '.join(str(error).split())}") from error
+
+    # What can be done with it.
+
+    @cached_property
+    def state(self) -> State:
+        """One of four; `why` says more."""
+        return self._standing[0]
+
+    @cached_property
+    def why(self) -> str:
+        """Why a run is not finished, or cannot be used; empty for one that is finished or missing."""
+        return self._standing[1]
+
+    @cached_property
+    def _standing(self) -> tuple[State, str]:
+        begun = self.checkpoint.exists()
+        if not (self.folder / "spec.json").exists():
+            return (State.unusable, "without a spec.json") if begun else (State.missing, "")
+        if not self.spec or "settings" not in self.spec or digest(self.spec.get("semantic")) != self.hash:
+            return State.unusable, "with a spec.json that is damaged, or not what its hash says"
+        if not (self.folder / "result.json").exists():
+            return (State.resumable if begun else State.missing), "not finished"
+        if wrong := _unusable_keys(self.result):
+            return State.unusable, f"without a usable {', '.join(wrong)} in result.json: start it again"
+        if self.result["hash"] != self.hash or self.result["label"] != self.label:
+            return State.unusable, "with a result of another configuration"
+        if (version := self.result["metrics_version"]) != METRICS_VERSION:
+            newer = "a newer version" if version > METRICS_VERSION else "start it again"
+            state = State.unusable if version > METRICS_VERSION else State.resumable
+            return state, f"scored by version {version} of the metrics, not {METRICS_VERSION}: {newer}"
+        try:
+            wrong_scores = check_stored_scores(self.scores)
+        except (OSError, ValueError, KeyError) as error:  # pyarrow's are ValueErrors
+            return State.resumable, f"unreadable ({type(error).__name__}: {self.scores_file.name}): start it again"
+        if (set(self.scores["variant"]), set(self.scores["seed"])) != ({self.label}, {self.seed}):
+            wrong_scores = "values of another run"
+        if wrong_scores:
+            return State.unusable, f"with {wrong_scores} in {self.scores_file.name}: start it again"
+        return State.finished, ""
+
+    def copied_state(self) -> str:
+        """A digest that changes with whatever the tracking store has a copy of."""
+        grown = [self.folder / "log.jsonl", self.scores_file, *sorted((self.folder / "images").glob("*"))]
+        sizes = {path.name: path.stat().st_size for path in grown if path.exists()}
+        texts = [self.folder / "result.json", self.folder / "spec.json", *self.provenance]
+        return digest([sizes, digest_of_files(texts)])
+
+    def compared_state(self) -> str:
+        """A digest that changes with whatever a comparison reads."""
+        made_with = self.folder / "provenance" / "made_with.json"
+        own = [self.folder / name for name in ("spec.json", "result.json", "per_image.parquet", "pictures.npz")]
+        return digest_of_files([*own, made_with, *self.uncommitted])
+
+    def is_in_training(self) -> bool:
+        """Whether a process trains it now."""
+        try:
+            with self.lock(timeout=0):
+                return False
+        except Timeout:
+            return True
+
+    # What the process that trains it writes.
+
+    def lock(self, timeout: float = -1) -> FileLock:
+        """Held by the process that trains the run."""
+        return FileLock(self.folder / ".lock", timeout=timeout)
+
+    @contextmanager
+    def writing_pictures(self) -> Iterator[Path]:
+        with written_whole(self.folder / "pictures.npz") as partial:
+            yield partial
+
+    def remove_partial_files(self) -> None:
+        """Remove what a killed process began to write."""
+        for name in ("per_image.parquet", "pictures.npz", "result.json"):
+            remove_partial(self.folder / name)
+
+    def write_spec(self, spec: Mapping[str, Any]) -> None:
+        write_json(self.folder / "spec.json", spec)
+
+    def write_result(self, result: Mapping[str, Any]) -> None:
+        """Write what the run came to; last of all, because a run that has it is finished."""
+        write_json(self.folder / "result.json", result)
+
+
+def runs_of(study_dir: Path) -> list[Run]:
+    """Every run of a study, in whatever state, by label and seed."""
+    return [Run(path.parent) for path in sorted(study_dir.glob("*/seed*/spec.json"))]
+
+
+def _unusable_keys(result: Mapping[str, Any]) -> list[str]:
+    """The keys that are missing from a `result.json`, or hold what no run writes there."""
+    wrong = [key for key, kind in _KINDS.items() if not isinstance(result.get(key), kind)]
+    if wrong:
+        return wrong
+    scalars = result["scalars"]
+    if not all(isinstance(value, int | float) for value in scalars.values()):
+        return ["scalars"]
+    return sorted(f"scalars.{name}" for name in _PARAMETERS - scalars.keys())

@@ -1,0 +1,142 @@
+"""Pairs simulated from a scene as the data set of a study: its hash, its frames, and how they are made."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from ablate import anatomy, dataset
+from ablate.anatomy import ANATOMY_VERSION, LABELS_VERSION, Scene, SiteGrid
+from ablate.dataset import Dropped, Pairs, Placement, Pose, Recipe
+from ablate.setting import identity, plain
+from ablate.settings.study import SceneKind, StudySettings
+from ablate.storage import digest_of_files
+from ablate.ultrasound import SIMULATOR_VERSION, fan_mask
+from ablate.ultrasound.render_plan import plan_scene
+
+
+def about_simulated(settings: StudySettings) -> dict[str, Any]:
+    """What every pair of the data set is made from, JSON-ready."""
+    chosen = identity(settings.dataset)
+    if settings.dataset.poses:  # what they are counts, not where they lie
+        poses, sites = own_poses(settings)
+        chosen["poses"] = hashlib.sha256(poses.tobytes() + sites.tobytes()).hexdigest()[:16]
+    return {
+        "scene": _scene_identity(settings),
+        "probe": plain(settings.probe),
+        "simulator": identity(settings.simulator),
+        "simulator_version": SIMULATOR_VERSION,
+        "dataset": chosen,
+    }
+
+
+def _scene_identity(settings: StudySettings) -> dict[str, Any]:
+    scene = settings.scene
+    if scene.kind is SceneKind.fetal:
+        shaped_by = {"triangles": scene.triangles, "anatomy_seed": scene.anatomy_seed}
+        return {"kind": "fetal", **shaped_by, "version": ANATOMY_VERSION}
+    folder = Path(scene.folder or "")
+    checked = anatomy.validate_scene_folder(folder)
+    files = digest_of_files([folder / "scene.yaml", *checked.files])
+    known_by = {"kind": "folder", "files": files, "version": ANATOMY_VERSION}
+    return {**known_by, "labels_version": LABELS_VERSION} if checked.labels else known_by
+
+
+def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
+    """The scene and its own grid of probe sites; a ValueError for pairs made elsewhere, or a mesh that is unusable."""
+    scene = settings.scene
+    if scene.kind is SceneKind.pairs:
+        raise ValueError("scene=pairs: pairs made elsewhere have no scene; allowed are scene=fetal and scene=folder")
+    if scene.kind is SceneKind.fetal:
+        kept = settings.results / "data" / "anatomy"
+        made = anatomy.fetal_abdomen(triangles=scene.triangles, seed=scene.anatomy_seed, cache_dir=kept)
+        return made, anatomy.fetal_sites()
+    folder = Path(scene.folder or "")
+    loaded = anatomy.load_scene(folder, settings.results / "data" / "anatomy")
+    if settings.dataset.poses or settings.pose:  # then the folder may do without sites
+        return loaded, anatomy.validate_scene_folder(folder).sites or SiteGrid()
+    return loaded, anatomy.load_sites(folder)
+
+
+def own_poses(settings: StudySettings) -> tuple[np.ndarray, np.ndarray]:
+    """The user's poses, (n, 4, 4), and their sites, (n,): those of `dataset.poses`, or the sweep between its two.
+
+    A ValueError or FileNotFoundError when the file or the sweep is not as it should be.
+    """
+    chosen = settings.dataset
+    poses, sites = dataset.read_poses(Path(chosen.poses or ""))
+    if chosen.sweep is None:
+        return poses, sites
+    if len(poses) != 2:
+        raise ValueError(
+            f"dataset.poses={chosen.poses}: a sweep needs 2 poses, the first and the last, not {len(poses)}"
+        )
+    return dataset.sweep(poses[0], poses[1], chosen.sweep, chosen.frames), np.arange(chosen.frames)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The frames of a data set before any is simulated."""
+
+    poses: np.ndarray  # (n, 4, 4) float64, probe to world, mm
+    sites: np.ndarray  # (n,) int64
+    split: np.ndarray  # (n,) uint8 of `Part`
+    placement: Placement  # what the frames were chosen from, and what was dropped
+
+    def __len__(self) -> int:
+        return len(self.sites)
+
+
+def lay_out(settings: StudySettings, scene: Scene, grid: SiteGrid) -> Layout:
+    """Place the probe, choose the frames and split them; where fewer poses can be used than asked for, all of them.
+
+    No usable pose, or too few sites to be split, is a ValueError.
+    """
+    chosen = settings.dataset
+    if chosen.poses:
+        own = tuple(Pose(pose, int(site)) for pose, site in zip(*own_poses(settings), strict=True))
+        placement = Placement(own, dict.fromkeys(Dropped, 0))
+    else:
+        resampled = dataset.resample_grid(grid, chosen.grid)
+        placement = dataset.place_probe(scene, resampled, chosen.press_mm, settings.probe)
+    poses = placement.poses
+    picked = dataset.choose_frames([p.site for p in poses], min(chosen.frames, len(poses)), chosen.seed)
+    sites = np.array([poses[i].site for i in picked])
+    split = dataset.split_frames(sites, chosen.split, chosen.validation, chosen.test, chosen.seed)
+    order = np.argsort(split, kind="stable")  # validation and test frames lie together: few shards hold both
+    return Layout(np.stack([poses[picked[i]].probe_to_world for i in order]), sites[order], split[order], placement)
+
+
+def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], about: Mapping[str, object]) -> Pairs:
+    """Make the data set in `folder`, or what is missing of it; `about` is kept beside it."""
+    scene, grid = build_scene(settings)
+    layout = lay_out(settings, scene, grid)
+    left_out = plan_scene(scene, settings.probe, settings.simulator, layout.poses).left_out
+    tqdm.write(f"Simulating pairs into {folder}")
+    tqdm.write(f"{layout.placement}; {len(layout)} of {settings.dataset.frames} frames asked for")
+    for line in left_out:
+        tqdm.write(f"left out: {line}")
+    pairs = dataset.create_pairs(
+        folder,
+        layout.poses,
+        layout.sites,
+        layout.split,
+        fan_mask(settings.probe, settings.simulator.image_shape),
+        settings.dataset.shard,
+        [t.name for t in scene.tissues],
+        {
+            **about,
+            "tissues": [plain(t) for t in scene.tissues],
+            "left_out": left_out,
+            "poses": {"usable": len(layout.placement.poses), "dropped": layout.placement.dropped},
+        },
+    )
+    recipe = Recipe(scene, settings.probe, settings.simulator, settings.dataset.seed)
+    todo = sum(len(pairs.frames_of_shard(s)) for s in pairs.missing(maps))
+    with tqdm(total=todo, unit="frame", desc="simulate", mininterval=1.0) as bar:
+        dataset.simulate_pairs(recipe, pairs, maps, settings.dataset.workers, bar.update)
+    return pairs

@@ -1,0 +1,133 @@
+"""Bring the tracking store up to date with the runs of a study on disk: the store is a copy of them."""
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from filelock import FileLock
+
+from ablate import tracking
+from ablate.runs.data_set import DataSet
+from ablate.runs.run import Run, State, runs_of
+from ablate.runs.store_texts import ABOUT_CODE, about_run, logged, own_parameters, shared_parameters
+from ablate.settings.study import StudySettings
+from ablate.storage import digest
+from ablate.tracking import STATE, LocalLog, Status, Store, StoredRun
+
+_LOG = logging.getLogger(__name__)
+_LOCK_S = 30.0
+_DRAWN = frozenset({"target", "resimulation"})  # the other maps of a data set are what networks read
+
+
+def open_store(settings: StudySettings) -> Store:
+    """The tracking store that the settings name."""
+    return tracking.open_store(settings.results, settings.tracking.uri, settings.tracking.experiment)
+
+
+def open_tracking(settings: StudySettings) -> StoredRun:
+    """The study's parent run; it and the store are created when they are missing."""
+    store = open_store(settings)
+    run = StoredRun(store, tracking.parent_run(store, settings.study))
+    run.parameters(shared_parameters(settings))
+    return run
+
+
+def mark_study(settings: StudySettings, status: Status) -> None:
+    """Say in the store that a study runs, or how it has ended; waits 5 s at most."""
+    tracking.Background(lambda: open_tracking(settings).mark(status)).close()
+
+
+@contextmanager
+def copying(settings: StudySettings, run: Run, log: LocalLog) -> Iterator[None]:
+    """Copy a run to the store while it is trained inside; what the store does not take is left for `copy_study`."""
+    log.status(Status.running)
+    copy = _Copy(settings, run)
+    background = tracking.Background(copy.curves)
+    try:
+        yield
+    except BaseException as error:
+        stopped = isinstance(error, KeyboardInterrupt | InterruptedError | SystemExit)
+        log.status(Status.killed if stopped else Status.failed)
+        raise
+    else:
+        log.status(Status.finished)
+    finally:
+        background.close(copy.everything)
+
+
+def copy_study(settings: StudySettings) -> tuple[StoredRun, dict[str, str]]:
+    """Copy what the store lacks of all runs and tasks of a study; gives its parent run, and the runs' ids by name.
+
+    A run that another process trains is left to that process. A store that cannot be used is one of
+    `tracking.UNAVAILABLE`.
+    """
+    parent = open_tracking(settings)
+    stored = tracking.child_runs(parent.store, parent.run_id)
+    ids: dict[str, str] = {}
+    for run in runs_of(settings.study_dir):
+        run_id, tags = stored.get((run.label, run.hash), ("", {}))
+        if run.spec and tags.get(STATE) != run.copied_state() and not run.is_in_training():
+            try:
+                run_id = _Copy(settings, run).everything()
+            except (KeyError, TypeError, AttributeError) as error:
+                _LOG.warning("%s: not copied to the tracking store, %s is not as runs are now", run.folder, error)
+        if run_id:
+            ids[run.name] = run_id
+    tracking.copy_tasks(parent.store, settings.results, settings.study)
+    return parent, ids
+
+
+class _Copy:
+    """The copy of one run. Whatever is raised, the next call begins with what the store has by then."""
+
+    def __init__(self, settings: StudySettings, run: Run) -> None:
+        self.settings, self.folder = settings, run.folder
+        self._stored: StoredRun | None = None
+
+    def curves(self) -> StoredRun:
+        """Copy what is new in the log."""
+        stored, self._stored = self._stored, None
+        with FileLock(self.folder / ".copy.lock", timeout=_LOCK_S):
+            stored = stored or _opened(self.settings, Run(self.folder))
+            stored.copy_log(self.folder)
+        self._stored = stored
+        return stored
+
+    def everything(self) -> str:
+        """Copy the log and, where the run has ended, its scores and state; returns its id."""
+        run = Run(self.folder)  # as it is now
+        state = run.copied_state()
+        stored = self.curves()
+        changes = [line for line in tracking.read_log(self.folder)[0] if "status" in line]
+        changed_ms = changes[-1]["time"] if changes else None
+        ended = Status(changes[-1]["status"]) if changes else Status.killed
+        ended = Status.killed if ended is Status.running else ended  # the process itself was killed
+        if run.state is State.finished:
+            ended = Status.finished
+            stored.scores(logged(run.result["scalars"]), changed_ms, stored.model(run.label))
+            stored.artifact(run.scores_file)
+        stored.mark(ended, changed_ms)
+        stored.tags({STATE: state})
+        return stored.run_id
+
+
+def _opened(settings: StudySettings, run: Run) -> StoredRun:
+    """The stored run of a folder, with parameters, tags, provenance and data set."""
+    parent = open_tracking(settings)
+    label, of_run, store = run.label, run.spec["settings"], parent.store
+    data = digest(run.spec["semantic"]["data"])
+    tags = {"variant": label, "seed": str(of_run["seed"]), "study": settings.study, "data_hash": data}
+    started = next((line["time"] for line in tracking.read_log(run.folder)[0]), None)
+    stored = StoredRun(store, tracking.child_run(store, parent.run_id, run.name, run.hash, tags, started))
+    stored.mark(Status.running)
+    stored.tags({k: v for k, v in run.made_with.items() if k in ABOUT_CODE})
+    stored.describe(about_run(label, of_run["seed"], settings.study))
+    stored.parameters(own_parameters(label, of_run, run.changed))
+    for folder in (settings.results / "data").glob(f"*-{data}"):
+        with suppress(OSError, ValueError, KeyError):  # pairs that are being made again
+            pairs = DataSet(folder).pairs
+            read, drawn = pairs.dtypes(pairs.maps - _DRAWN), pairs.dtypes(_DRAWN)
+            stored.dataset(folder.name, data, folder, len(pairs), read, drawn)
+    for path in run.provenance:
+        stored.artifact(path, "provenance")
+    return stored

@@ -1,0 +1,161 @@
+"""Run one job: train a variant, score it on unseen frames, log it. A stopped job resumes, a finished one is skipped."""
+
+import logging
+import time
+from contextlib import nullcontext
+from datetime import UTC, datetime
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ablate import dataset
+from ablate.dataset import CropLoader, Crops, CropSettings, Part
+from ablate.evaluation import ImageSource, Scorer, inception_for, score_run
+from ablate.metrics import METRICS_VERSION, choose_metrics
+from ablate.networks import Generator, conditions, draws_noise
+from ablate.runs.data_set import DataSet, maps_needed
+from ablate.runs.job import Job, parameters
+from ablate.runs.place import claim_place, finished_run, sources_of, with_earlier_metrics
+from ablate.runs.prepare import prepare_data
+from ablate.runs.provenance import write_provenance
+from ablate.runs.run import Run
+from ablate.runs.store_copy import copying
+from ablate.runs.store_texts import log_samples
+from ablate.settings.study import StudySettings
+from ablate.storage import written_whole
+from ablate.tracking import LocalLog, system_metrics
+from ablate.training import TrainingPrecision, Validation, chosen_device, generate, train
+
+_VALIDATION_FRAMES = 16
+# Metrics of the validation curves; MLflow's comparison of runs shows the first.
+_CURVES = ("psnr_fan", "mae_smooth", "pchi2_tissue", "shadow_contrast", "noise_sd", "crps", "fd_speckle")
+
+
+def run_job(job: Job) -> None:
+    """Train, evaluate and log one job; a finished one returns at once.
+
+    Whatever stops the training is raised; the run is then marked failed, and its last checkpoint kept.
+    """
+    if finished_run(job) is not None:
+        return
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with job.run.lock():  # another process may be running the same job
+        if finished_run(job) is None:
+            _run(job)
+
+
+def _run(job: Job) -> None:
+    logging.basicConfig(format=f"{job.name}: %(message)s", force=True)
+    logging.getLogger("ablate").setLevel(logging.INFO)
+    claim_place(job)
+    data = prepare_data(job, maps_needed([job.settings.model]))
+    write_provenance(job)
+    run = job.run
+    log = run.log
+    watch = system_metrics(job.folder, log) if job.settings.tracking.system_metrics else nullcontext()
+    with copying(job.settings, run, log), watch:
+        _train_score_and_store(job, run, data, log)
+
+
+def _train_score_and_store(job: Job, run: Run, data: DataSet, log: LocalLog) -> None:
+    clock, started = time.perf_counter(), _now()
+    run.remove_partial_files()
+    before = run.result if run.result.get("hash") == job.hash else {}
+    scalars, notes = _train_and_score(job, run, data, log)
+    first_scored = _now()
+    if before:  # trained by an earlier call; now scored by more metrics, or by another version of them
+        scores = {k: v for k, v in scalars.items() if k.startswith(("val/", "test/"))}
+        scalars = {k: v for k, v in before["scalars"].items() if not k.startswith(("val/", "test/"))} | scores
+        started, first_scored = before.get("started", started), before.get("first_scored", first_scored)
+    elif scalars["train/resumed_at"] == 0:
+        scalars["seconds"] = time.perf_counter() - clock  # task=plan estimates the time of other jobs from it
+    elif earlier := run.first_start:
+        started = earlier
+    asked = with_earlier_metrics(job)
+    run.write_result(
+        {
+            **{"hash": job.hash, "label": job.label, "seed": job.settings.seed},
+            **{"data": data.name, "pixels": data.pixels},
+            **{"started": started, "ended": _now(), "first_scored": first_scored},
+            **{"metrics": asked.metrics, "sources": sources_of(asked.metrics), "metrics_version": METRICS_VERSION},
+            **{"inception": asked.evaluation.inception, "notes": list(notes), "scalars": scalars},
+        }
+    )
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Train and score a job, write and log the scores; returns its scalars and notes on what was left out."""
+    s, pairs = job.settings, data.pairs
+    started = time.perf_counter()
+    values = dataset.label_values(data.tissues, s.encoding, s.encoding_seed)
+    settings = CropSettings(s.training.crop, s.training.batch_size, s.crops.fan_fraction, s.crops.flip, s.seed)
+    crops = Crops(pairs, pairs.frames(Part.train), frozenset(conditions(s.model)), values, settings)
+    trained = train(
+        s.model,
+        s.training,
+        lambda start, stop: CropLoader(crops, start, stop, s.crops.workers),
+        run.folder,
+        sink=log.metrics,
+        validation=_validation(s, data, values, log),
+        epoch=len(pairs.frames(Part.train)) // s.training.batch_size,
+    )
+    costs = {"train/resumed_at": float(trained.resumed_at)}
+    if trained.resumed_at == 0:
+        costs["train/seconds"] = time.perf_counter() - started
+    render = generated_images(trained.generator, data, values, s.training.precision)
+    scores = score_run(scorer(with_earlier_metrics(job), data), render, draws_noise(s.model))
+    scalars = {**costs, **scores.scalars, **parameters(s)}
+    with written_whole(run.scores_file) as partial:
+        scores.per_image.assign(variant=job.label, seed=s.seed).to_parquet(partial)
+    shown = dataset.equally_spaced(pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant
+    images = render(shown, 0)
+    with run.writing_pictures() as partial:
+        np.savez_compressed(partial, frames=shown, images=images)
+    return scalars, scores.notes
+
+
+def scorer(settings: StudySettings, data: DataSet) -> Scorer:
+    """The scorer that evaluates runs with these settings."""
+    metrics = choose_metrics(settings.metrics)
+    device = str(chosen_device(settings.training.device))
+    inception = inception_for(metrics, data.pairs.shape, settings.evaluation.inception, device)
+    return Scorer(data.pairs, data.tissues, settings.probe, settings.evaluation, metrics, inception)
+
+
+def _validation(s: StudySettings, data: DataSet, values: np.ndarray, log: LocalLog) -> Validation:
+    """A function that scores a few validation frames and logs them as images: the curves of a training."""
+    frames = dataset.equally_spaced(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
+    targets = data.pairs.read("target", frames)
+    of_curves = Scorer(data.pairs, data.tissues, s.probe, s.evaluation, choose_metrics(list(_CURVES)))
+
+    def validate(generator: Generator, images_seen: int) -> dict[str, float]:
+        render = generated_images(generator, data, values, s.training.precision)
+        log_samples(log, frames, render(frames, 0), targets, images_seen)
+        scalars = of_curves.score(Part.validation, render, draws_noise(s.model), frames).scalars
+        return {f"val/{name}_curve": scalars[name] for name in _CURVES if name in scalars}
+
+    return validate
+
+
+def _inputs(generator: Generator, data: DataSet, frames: np.ndarray, values: np.ndarray) -> dict[str, Tensor]:
+    """The maps of some frames that a generator reads, (k, 1, H, W) float32 each."""
+    maps = {name: data.pairs.read(name, frames) for name in conditions(generator.spec)}
+    return dataset.network_inputs(maps, values, data.pairs.mask())
+
+
+def generated_images(
+    generator: Generator, data: DataSet, values: np.ndarray, precision: TrainingPrecision
+) -> ImageSource:
+    """A function that renders frames of a data set with a generator; the noise depends on frame number and draw."""
+    mask = torch.from_numpy(data.pairs.mask())
+
+    def render(frames: np.ndarray, draw: int) -> np.ndarray:
+        seeds = torch.from_numpy(dataset.noise_seeds(frames, draw))
+        return generate(generator, _inputs(generator, data, frames, values), mask, seeds, precision)
+
+    return render

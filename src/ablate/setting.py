@@ -1,0 +1,213 @@
+"""A setting is declared once, as a field of a frozen dataclass: type, default, range or choices, unit, use.
+
+From this come the checks, Hydra's schema, the identity of runs and data sets, `--help` and the table of keys in docs/.
+"""
+
+import dataclasses
+import math
+import types
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import Enum, StrEnum
+from functools import cache
+from numbers import Integral, Real
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from ablate.validation import shown
+
+_METADATA = "setting"
+_LARGEST = 2**63 - 1  # neither torch nor NumPy takes larger whole numbers
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What is declared of a setting besides its type and default.
+
+    Attributes
+    ----------
+    about : str
+        One sentence.
+    least, most : float or None
+        The smallest and the largest number that is allowed.
+    above, below : float or None
+        Numbers that are no longer allowed themselves.
+    choices : tuple of str
+        The texts that are allowed; empty where any is. An enum declares its own.
+    unit : str
+    incidental : bool
+        Whether the setting decides no result: devices, threads, paths, how often something is reported.
+    """
+
+    about: str = ""
+    least: float | None = None
+    most: float | None = None
+    above: float | None = None
+    below: float | None = None
+    choices: tuple[str, ...] = ()
+    unit: str = ""
+    incidental: bool = False
+
+    def range(self) -> str:
+        """The range in words, such as `from 0 and below 1`; empty where there is none."""
+        words = []
+        if self.least is not None:
+            words.append(f"from {self.least:.15g}")
+        if self.above is not None:
+            words.append(f"above {self.above:.15g}")
+        if self.most is not None:
+            words.append(f"to {self.most:.15g}" if self.least is not None else f"up to {self.most:.15g}")
+        if self.below is not None:
+            words.append(f"and below {self.below:.15g}" if words else f"below {self.below:.15g}")
+        return " ".join(words)
+
+    def holds(self, number: Any) -> bool:
+        """Whether a number lies in the range."""
+        return (
+            (self.least is None or number >= self.least)
+            and (self.most is None or number <= self.most)
+            and (self.above is None or number > self.above)
+            and (self.below is None or number < self.below)
+        )
+
+
+def setting(default: Any, about: str = "", **declared: Any) -> Any:
+    """A field of a settings dataclass; `declared` are the attributes of its `Declaration`.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class Rays:
+    ...     count: int = setting(32, "Rays of a scanline.", least=1)
+    ...     def __post_init__(self):
+    ...         check_settings(self)
+    >>> Rays(count=0)
+    Traceback (most recent call last):
+    ValueError: count=0: allowed are whole numbers from 1
+    """
+    return field(default=default, metadata={_METADATA: Declaration(about, **declared)})
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One declared setting: its name, its type (without `None`), whether `None` is allowed, default, declaration."""
+
+    name: str
+    kind: Any
+    optional: bool
+    default: Any
+    declared: Declaration
+
+    @property
+    def allowed(self) -> str:
+        """The values that are allowed, in words."""
+        numbers = {int: "whole numbers", float: "numbers"}
+        kinds = get_args(self.kind) if get_origin(self.kind) is tuple else (self.kind,)
+        if isinstance(self.kind, type) and issubclass(self.kind, StrEnum):
+            words = ", ".join(self.kind)
+        elif self.declared.choices:
+            words = ", ".join(self.declared.choices)
+        elif kinds[0] in numbers:
+            many = f"{len(kinds)} " if len(kinds) > 1 else ""
+            words = f"{many}{numbers[kinds[0]]} {self.declared.range()}".rstrip()
+        else:
+            words = {str: "text", bool: "true, false"}.get(self.kind, "")
+        return f"{words}, or null" if self.optional else words
+
+
+@cache
+def settings_of(cls: type[Any]) -> tuple[Setting, ...]:
+    """The settings that a dataclass declares, in their order; fields that are dataclasses themselves are left out."""
+    hints = get_type_hints(cls)
+    declared = []
+    for one in dataclasses.fields(cls):
+        kind, optional = hints[one.name], False
+        if get_origin(kind) in (Union, types.UnionType) and type(None) in get_args(kind):
+            kind, optional = next(a for a in get_args(kind) if a is not type(None)), True
+        if is_group(kind):
+            continue
+        declaration = one.metadata.get(_METADATA, Declaration())
+        declared.append(Setting(one.name, kind, optional, one.default, declaration))
+    return tuple(declared)
+
+
+def is_group(kind: Any) -> bool:
+    """Whether a type is a group of settings: a dataclass, or a union of dataclasses such as the kinds of a probe."""
+    kinds = get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
+    return all(isinstance(k, type) and dataclasses.is_dataclass(k) for k in kinds)
+
+
+def check_settings(values: object) -> None:
+    """Check every declared value of a frozen dataclass, and turn strings into enums and lists into tuples.
+
+    Called first in its `__post_init__`. A value that is not allowed is a ValueError `name=value: allowed are ...`.
+    """
+    for one in settings_of(values.__class__):
+        value = getattr(values, one.name)
+        if value is None and one.optional:
+            continue
+        object.__setattr__(values, one.name, _checked(one, value))
+
+
+def _checked(one: Setting, value: Any) -> Any:
+    """The value as its type; a ValueError where it is not allowed."""
+    refusal = ValueError(f"{one.name}={shown(value)}: allowed are {one.allowed}")
+    if isinstance(one.kind, type) and issubclass(one.kind, StrEnum):
+        try:
+            return one.kind(value)
+        except ValueError:
+            raise refusal from None
+    if one.declared.choices and value not in one.declared.choices:
+        raise refusal
+    if get_origin(one.kind) is tuple:
+        kinds = get_args(one.kind)
+        if not isinstance(value, (tuple, list)) or len(value) != len(kinds):
+            raise refusal
+        if not all(_is_number(v, kind) and one.declared.holds(v) for v, kind in zip(value, kinds, strict=True)):
+            raise refusal
+        return tuple(kind(v) for v, kind in zip(value, kinds, strict=True))
+    if one.kind in (int, float):
+        if not _is_number(value, one.kind) or not one.declared.holds(value):
+            raise refusal
+        return one.kind(value)
+    return value
+
+
+def _is_number(value: object, kind: type) -> bool:
+    """Whether a value is a finite number of the kind `int` or `float`; a float without decimals is a whole number."""
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+        return False
+    if kind is int:
+        return (isinstance(value, Integral) or float(value).is_integer()) and abs(value) <= _LARGEST
+    return True
+
+
+def plain(value: Any) -> Any:
+    """Settings as JSON can hold them: dataclasses as dicts, tuples as lists, enums by name.
+
+    A dataclass that is one of several kinds, such as a probe, names its `kind` by a class variable.
+    """
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
+        kind = getattr(type(value), "kind", None)
+        return fields if kind is None or "kind" in fields else {"kind": plain(kind), **fields}
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    return value
+
+
+def identity(values: object) -> dict[str, Any]:
+    """The settings of a dataclass that decide a result, as JSON can hold them; incidental ones are left out."""
+    deciding = {one.name for one in settings_of(values.__class__) if not one.declared.incidental}
+    return {name: value for name, value in plain(values).items() if name in deciding}
+
+
+def flat(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted keys and values of nested dicts: `{"training": {"steps": 3}}` gives `training.steps`."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value

@@ -1,0 +1,249 @@
+"""All settings of a job as one frozen dataclass; the rooms' own settings are groups of it.
+
+Each key, its type, default, range and what it decides stand at its field (`ablate.setting`). This module knows nothing
+of Hydra; `jobs.schema` makes Hydra's schema from it.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from ablate.anatomy.fetal.resolution import FEWEST_TRIANGLES
+from ablate.anatomy.site_grid import MOST_POSES
+from ablate.dataset.encoding import Encoding
+from ablate.dataset.own_poses import Sweep
+from ablate.dataset.split import SplitBy
+from ablate.evaluation.settings import EvaluationSettings
+from ablate.networks.spec import GeneratorSpec
+from ablate.setting import check_settings, setting
+from ablate.training.settings import TrainingSettings
+from ablate.ultrasound.probe_kinds import ConvexProbe, Probe
+from ablate.ultrasound.settings import SimulatorSettings
+from ablate.validation import LONGEST_NAME, check_name, check_store, shown
+
+#: What else lies in `runs_dir`; `mlflow` is the database and its journals.
+_NO_STUDIES = frozenset({"artifacts", "data", "export", "mlflow", "precision", "render", "slurm", "stability", "view"})
+_LONGEST_SCENE_NAME = 100
+
+
+class ConfigurationError(ValueError):
+    """What the user asked for cannot be run; the message is one line and says what is allowed."""
+
+
+@contextmanager
+def refusing(before: str = "") -> Iterator[None]:
+    """Turn what a check of values or files raises inside into a ConfigurationError, with some words before it."""
+    try:
+        yield
+    except (ValueError, OSError) as error:
+        raise ConfigurationError(f"{before}{error}") from error
+
+
+class Task(StrEnum):
+    """What one call of the program does; see README."""
+
+    study = "study"
+    simulate = "simulate"
+    describe = "describe"
+    plan = "plan"
+    compare = "compare"
+    preview = "preview"
+    render = "render"
+    view = "view"
+    export = "export"
+    precision = "precision"
+    stability = "stability"
+
+
+class SceneKind(StrEnum):
+    """`fetal`: the built-in anatomy; `folder`: meshes and a scene.yaml; `pairs`: no scene, but PNGs made elsewhere."""
+
+    fetal = "fetal"
+    folder = "folder"
+    pairs = "pairs"
+
+
+class ExportFormat(StrEnum):
+    """`png`: what `scene=pairs` reads; `nnunet`: the raw data of nnU-Net 2; `dicom`: one ultrasound image a frame."""
+
+    png = "png"
+    nnunet = "nnunet"
+    dicom = "dicom"
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """Which anatomy."""
+
+    kind: SceneKind = setting(SceneKind.fetal, "Where scene or pairs come from.")
+    folder: str | None = setting(None, "Your own scene, or your pairs.")
+    triangles: int = setting(675_000, "Of the built-in anatomy.", least=FEWEST_TRIANGLES)
+    anatomy_seed: int = setting(0, "Which patient the built-in anatomy is.", least=0)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True)
+class DatasetSettings:
+    """Which pairs are simulated and how they are split; the paper's 6,669 frames, 6,000 of them for training."""
+
+    frames: int = setting(6669, "Fewer where the probe sites offer fewer usable poses.", least=1)
+    grid: tuple[int, int, int, int] | None = setting(
+        (13, 19, 9, 3),
+        "Counts of heights, angles, tilts and rolls of the probe sites; null takes the scene's own.",
+        least=1,
+    )
+    split: SplitBy = setting(SplitBy.site, "What is kept on one side: probe sites, or (as the paper did) frames.")
+    validation: float = setting(0.05, "Share of the sites or frames.", above=0, below=1)
+    test: float = setting(0.1, "Share of the sites or frames.", above=0, below=1)
+    seed: int = setting(0, "Of scatterers, chosen frames and split.", least=0)
+    press_mm: float = setting(8.0, "How far the probe is pressed in.", least=0, most=1000, unit="mm")
+    shard: int = setting(16, "Frames a file.", least=1, incidental=True)
+    workers: int = setting(0, "Processes that simulate; 0 is one a core.", least=0, incidental=True)
+    # Of poses, what they are decides, not the file's name: see `runs.simulated`.
+    poses: str | None = setting(None, "File of your own poses instead of the scene's grid.", incidental=True)
+    sweep: Sweep | None = setting(
+        None, "How the probe moves between the first and the last pose, which `poses` holds.", incidental=True
+    )
+    format: ExportFormat = setting(ExportFormat.png, "What `task=export` writes.", incidental=True)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.grid is not None and math.prod(self.grid) > MOST_POSES:
+            raise ValueError(f"grid={list(self.grid)}: allowed are at most {MOST_POSES} poses in all")
+        if self.sweep is not None and self.poses is None:
+            raise ValueError(f"sweep={self.sweep}: needs dataset.poses, a file of the first and the last pose")
+        if self.validation + self.test >= 1:
+            raise ValueError(f"validation={self.validation}: allowed is below 1 - dataset.test = {1 - self.test:g}")
+
+
+@dataclass(frozen=True)
+class CropChoice:
+    """How crops are drawn, besides `training.crop` and `training.batch_size`; see `dataset.CropSettings`."""
+
+    fan_fraction: float = setting(0.0, "Least share of a crop that lies in the fan.", least=0, most=1)
+    flip: bool = setting(False, "Whether half of the crops are mirrored.")
+    workers: int = setting(
+        2, "Threads that prepare batches ahead; 0 prepares each when it is asked for.", least=0, incidental=True
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+class Provenance(StrEnum):
+    """What a run stores of what it was made with; `minimal` leaves out uncommitted changes and installed packages."""
+
+    full = "full"
+    minimal = "minimal"
+
+
+@dataclass(frozen=True)
+class TrackingSettings:
+    """Where runs are tracked.
+
+    Settings are stored and shown, so `uri` may hold no password: MLflow takes it from the environment.
+    """
+
+    uri: str | None = setting(None, "MLflow's store; null is the SQLite file `mlflow.db` in `runs_dir`.")
+    experiment: str = setting("ablate", "MLflow's experiment.")
+    register: str | None = setting(
+        None, "Model in MLflow's registry that the reference variant's generator becomes a version of."
+    )
+    provenance: Provenance = setting(Provenance.full, "What a run stores of what it was made with.")
+    system_metrics: bool = setting(
+        False, "Whether processor, memory, disk, network and GPU are logged through each training."
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.uri is not None:
+            check_store("uri", self.uri)
+        if not re.fullmatch(r"[\w/]([\w.+@/ -]*[\w.+@-])?", self.experiment) or len(self.experiment) > LONGEST_NAME:
+            allowed = f"at most {LONGEST_NAME} letters, digits, blanks and _.+-@/, the first a letter, a digit, _ or /"
+            raise ValueError(f"experiment={shown(self.experiment)}: allowed are {allowed}")
+        if self.register is not None and not re.fullmatch(r"\w[\w.+ -]*", self.register):
+            raise ValueError(f"register={self.register}: allowed are letters, digits, blanks and _.+-")
+
+
+@dataclass(frozen=True)
+class ViewerSettings:
+    """Where `task=view` shows its page, always on this machine alone."""
+
+    port: int = setting(8090, "Of the page.", least=1, most=65535)
+    open: bool = setting(True, "Whether a browser is started.")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True)
+class StudySettings:
+    """A whole job, as the rooms take it. `model` is the composed generator; see conf/ for every value."""
+
+    task: Task = setting(Task.study, "What the program does.", incidental=True)
+    preset: str = setting("paper", "Sizes; a file of conf/preset.", incidental=True)
+    variant: str = setting("sa2h", "The network; a file of conf/variant.", incidental=True)
+    seed: int = setting(0, "Of the networks and crops.", least=0)
+    encoding: Encoding = setting(Encoding.echogenicity, "Order of the tissue labels.")
+    encoding_seed: int = setting(0, "Of the order with `encoding=arbitrary`.", least=0)
+    reference: str = setting("sa2h", "The variant that all others are compared with.", incidental=True)
+    scene: SceneSettings = SceneSettings()
+    probe: Probe = ConvexProbe()
+    simulator: SimulatorSettings = SimulatorSettings()
+    dataset: DatasetSettings = DatasetSettings()
+    model: GeneratorSpec = GeneratorSpec()
+    crops: CropChoice = CropChoice()
+    training: TrainingSettings = TrainingSettings()
+    metrics: Any = setting("all", "A name or a list of names; see docs/metrics.md.", incidental=True)
+    objective: str | None = setting(
+        None, "Score that a sweeper minimises or maximises, such as `val/psnr_fan`; see docs/study.md.", incidental=True
+    )
+    evaluation: EvaluationSettings = EvaluationSettings()
+    tracking: TrackingSettings = TrackingSettings()
+    study_name: str | None = setting(None, "Folder of the runs; null is <preset>-<scene name>.", incidental=True)
+    runs_dir: str = setting("runs", "Folder of all results.", incidental=True)
+    frame: int = setting(0, "The frame that task=preview and task=render show.", incidental=True)
+    pose: str | None = setting(
+        None, "File of poses that task=render shows instead; task=view starts at the first.", incidental=True
+    )
+    plane: str | None = setting(None, "Standard plane of scene=fetal to show or to start from.", incidental=True)
+    runs: str | None = setting(
+        None, "A run, a study or studies whose generators task=view offers; null is runs_dir.", incidental=True
+    )
+    viewer: ViewerSettings = ViewerSettings()
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        shown_at = self.task in (Task.render, Task.view)
+        if (self.pose or self.plane) and (not shown_at or (self.pose and self.plane)):
+            raise ValueError(f"pose={self.pose}, plane={self.plane}: allowed is one of them, with task=render or view")
+        if self.runs and self.task is not Task.view:
+            raise ValueError(f"runs={self.runs}: allowed with task=view; where results lie is runs_dir")
+        check_name("study_name", self.study, _NO_STUDIES)  # so it is a folder of its own directly below `runs`
+
+    @property
+    def scene_name(self) -> str:
+        """The name of the scene's folder, cut, and with `_` for what cannot stand in the name of a study."""
+        if self.scene.kind is SceneKind.fetal:
+            return "fetal"
+        name = re.sub(r"[^\w.+ -]", "_", Path(self.scene.folder or "").resolve().name)
+        return name.encode()[:_LONGEST_SCENE_NAME].decode(errors="ignore")
+
+    @property
+    def study(self) -> str:
+        return self.study_name or f"{self.preset}-{self.scene_name}"
+
+    @property
+    def results(self) -> Path:
+        return Path(self.runs_dir).resolve()
+
+    @property
+    def study_dir(self) -> Path:
+        return self.results / self.study

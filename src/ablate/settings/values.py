@@ -1,0 +1,67 @@
+"""From plain values, as Hydra composes them or JSON stores them, to frozen settings; and the table of all keys."""
+
+import dataclasses
+import types
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from ablate.setting import Setting, is_group, settings_of
+from ablate.settings.study import StudySettings
+from ablate.ultrasound.probe_kinds import PROBES, Probe, probe_from
+
+T = TypeVar("T")
+
+
+def build(cls: type[T], values: dict[str, Any], prefix: str = "") -> T:
+    """A frozen dataclass from plain values: dicts become dataclasses, lists tuples, strings enums.
+
+    What is not allowed is a ValueError that begins with the dotted key, `prefix` included.
+    """
+    hints = get_type_hints(cls)
+    unknown = sorted(values.keys() - hints.keys())
+    if unknown:
+        raise ValueError(f"unknown key '{prefix}{unknown[0]}'; allowed: {', '.join(sorted(hints))}")
+    groups = {k: _group(hints[k], v, f"{prefix}{k}.") for k, v in values.items() if is_group(hints[k])}
+    try:
+        return cls(**{**values, **groups})
+    except ValueError as error:
+        raise ValueError(f"{prefix}{error}") from error
+
+
+def _group(hint: Any, values: Any, prefix: str) -> Any:
+    """A group of settings; the probe is of the kind that its values name."""
+    if not isinstance(values, dict):
+        return values
+    if hint != Probe:
+        return build(_dataclass_of(hint), values, prefix)
+    try:
+        return probe_from(values)
+    except ValueError as error:
+        raise ValueError(f"{prefix}{error}") from error
+
+
+def _dataclass_of(hint: Any) -> type[Any]:
+    kinds: tuple[Any, ...] = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    return next(kind for kind in kinds if dataclasses.is_dataclass(kind))  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of the command line, such as `training.steps`."""
+
+    name: str
+    setting: Setting
+
+
+def keys(cls: type = StudySettings, prefix: str = "") -> Iterator[Key]:
+    """Every key of the command line in the order of the dataclasses; of the probe those of every kind."""
+    own = {one.name: one for one in settings_of(cls)}
+    for name, hint in get_type_hints(cls).items():
+        if hint == Probe:
+            of_kinds = {one.name: one for kind in PROBES.values() for one in settings_of(kind)}
+            yield from (Key(f"{prefix}{name}.{one.name}", one) for one in of_kinds.values())
+        elif is_group(hint):
+            yield from keys(hint, f"{prefix}{name}.")
+        else:
+            yield Key(prefix + name, own[name])

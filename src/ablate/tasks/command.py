@@ -1,0 +1,164 @@
+"""From a command line to what is done with its jobs, through `hydra.main`."""
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import hydra
+import hydra.experimental.callback
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.types import RunMode
+from omegaconf import DictConfig
+
+from ablate.jobs.compose import CONFIG, VERSION_BASE, job_of, parsed, swept_keys, without_repetitions
+from ablate.jobs.launch import Launch, Work, start_here
+from ablate.jobs.processes import Start
+from ablate.jobs.refusals import in_one_line
+from ablate.jobs.schema import register
+from ablate.runs.job import Job
+from ablate.settings.conf_folder import conf_folder
+from ablate.settings.study import ConfigurationError
+
+Do = Callable[[Sequence[Job], Launch], int]
+_OURS = ("processes", "slurm")  # launchers that are given all jobs, and compare them when they have ended
+
+register()  # on import: a launcher's process unpickles `run_one`, which imports this module, before it composes
+
+
+class _Raised(BaseException):
+    """Carries an exception of a task through Hydra, which would print it as its own."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
+def execute(arguments: Sequence[str]) -> int:
+    """Do what a command line asks for, given as the words after `python -m ablate`; returns the exit code.
+
+    Hydra answers its own questions (`--help`, `--cfg job`, ...). What cannot be run is a ConfigurationError before
+    anything starts.
+    """
+    # Hydra documents this variable: it then raises what is wrong with a configuration instead of printing it.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    command = hydra.main(version_base=VERSION_BASE, config_path=str(conf_folder()), config_name=CONFIG)(run_one)
+    words = [word for word in arguments if not word.startswith("-")]
+    with _argv(arguments), in_one_line(words):
+        try:
+            command()
+        except _Raised as raised:
+            error = raised.error
+        except SystemExit as end:  # `--help` of Hydra's parser, a word that it does not know, or jobs that failed
+            return end.code if isinstance(end.code, int) else int(end.code is not None)
+        else:
+            return 0
+    raise error
+
+
+@contextmanager
+def _argv(arguments: Sequence[str]) -> Iterator[None]:
+    """`hydra.main` reads `sys.argv`."""
+    before = sys.argv
+    sys.argv = ["ablate", *arguments]
+    try:
+        yield
+    finally:
+        sys.argv = before
+
+
+def run_one(config: DictConfig) -> float | None:
+    """Hydra's task function: do the task of one job, and return its objective where one is asked for.
+
+    Without `-m` it is the whole command. Where a launcher that is not ours runs it for each job of a sweep, the study
+    is not compared: `Comparison` does this when all have ended.
+    """
+    del config  # Hydra has composed it; the words give the label too
+    own = HydraConfig.get()
+    is_sweep = own.mode is RunMode.MULTIRUN
+    launcher = own.runtime.choices["hydra/launcher"]
+    try:
+        if not is_sweep and _names_a_launcher(own.overrides.hydra):
+            raise ConfigurationError(f"hydra/launcher={launcher} starts the jobs of a sweep: add -m")
+        job = job_of(list(own.overrides.task), [str(key) for key in own.sweeper.params or ()] if is_sweep else ())
+        code = _do([job], Launch(start_here, compares=not is_sweep))
+    except Exception as error:
+        if is_sweep:  # its launcher and its sweeper are told, as Hydra documents it
+            raise
+        raise _Raised(error) from error
+    if code and is_sweep:
+        raise RuntimeError(f"{job.name}: not finished")
+    if code:
+        raise SystemExit(code)
+    return objective(job)
+
+
+def _names_a_launcher(words: Sequence[str]) -> bool:
+    return any(word.startswith("hydra/launcher=") for word in words)
+
+
+def run_sweep(
+    master: DictConfig,
+    job_overrides: Sequence[Sequence[str]],
+    first_number: int,
+    start: Start,
+    elsewhere: bool = False,
+) -> list[JobReturn]:
+    """Do the task of all jobs of a sweep, for our launchers: `start` starts those of them that are to be run.
+
+    `master` is what Hydra composed of the words that all jobs share.
+    """
+    lines = [list(line) for line in job_overrides]
+    swept = swept_keys(lines, list(master.hydra.overrides.task))
+    made = [job_of(line, swept, list(master.hydra.overrides.hydra)) for line in lines]
+    place = {job: number for number, job in enumerate(made)}
+
+    def start_some(jobs: Sequence[Job], work: Work) -> None:
+        numbers = [place[job] for job in jobs]
+        start(jobs, [lines[n] for n in numbers], [first_number + n for n in numbers], work)
+
+    launch = Launch(start_some, elsewhere, compares=made[0].settings.objective is None)
+    try:
+        code = _do(without_repetitions(made), launch)
+    except Exception as error:
+        raise _Raised(error) from error
+    if code:
+        raise SystemExit(code)
+    return [_returned(job, line) for job, line in zip(made, lines, strict=True)]
+
+
+def _returned(job: Job, words: list[str]) -> JobReturn:
+    returned = JobReturn(overrides=words, status=JobStatus.COMPLETED)
+    returned.return_value = objective(job)
+    return returned
+
+
+def objective(job: Job) -> float | None:
+    """The score of a finished run that `objective=` names; None where none is asked for."""
+    name = job.settings.objective
+    if name is None:
+        return None
+    scalars = job.run.result.get("scalars", {})
+    if name not in scalars:
+        raise ConfigurationError(f"objective={name}: {job.name} has no such score; allowed are {', '.join(scalars)}")
+    return float(scalars[name])
+
+
+def _do(jobs: Sequence[Job], launch: Launch) -> int:
+    from ablate.tasks.run_task import run_task  # heavy imports only after the command line is known to compose
+
+    return run_task(jobs, launch)
+
+
+class Comparison(hydra.experimental.callback.Callback):
+    """A callback of Hydra's: compares the study of a sweep whose jobs another launcher than ours has run."""
+
+    def on_multirun_end(self, config: DictConfig, **_: object) -> None:
+        """Compare what lies on disk when all jobs have ended."""
+        if config.hydra.runtime.choices["hydra/launcher"] in _OURS or config.objective is not None:
+            return
+        fixed = [str(o.input_line) for o in parsed(list(config.hydra.overrides.task)) if not o.is_sweep_override()]
+        job = job_of([*fixed, "task=compare"])
+        if job.settings.study_dir.is_dir():
+            _do([job], Launch(start_here))

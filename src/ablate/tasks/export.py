@@ -1,0 +1,90 @@
+"""A data set written in other people's formats, with a card that says what it is and how it was made."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ablate.dataset import Pairs, Part
+from ablate.dataset.export_formats import write_dicom, write_nnunet, write_png
+from ablate.runs.data_set import DataSet, maps_needed
+from ablate.runs.job import Job
+from ablate.runs.prepare import prepare_data
+from ablate.settings.study import ConfigurationError, ExportFormat, SceneKind, StudySettings, refusing
+from ablate.storage import write_text
+from ablate.ultrasound.probe import pixel_size_mm
+
+
+def export(jobs: Sequence[Job]) -> int:
+    """Write the first job's data set, simulated first where it is missing, and print the folder of the files."""
+    with refusing():  # a package that is missing, a full disk, ...
+        print(_exported(jobs))
+    return 0
+
+
+def _exported(jobs: Sequence[Job]) -> Path:
+    settings = jobs[0].settings
+    chosen, source = settings.dataset.format, jobs[0].data
+    if chosen is ExportFormat.dicom:
+        _check_dicom(settings)
+    data = prepare_data(jobs[0], maps_needed(job.settings.model for job in jobs))
+    pairs = data.pairs
+    folder = settings.results / "export" / f"{source.name}-{chosen}"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "README.md").unlink(missing_ok=True)  # written last: a folder without it is not finished
+    if chosen is ExportFormat.png:
+        write_png(pairs, folder)
+    elif chosen is ExportFormat.nnunet:
+        write_nnunet(pairs, folder / f"Dataset001_{settings.scene_name.replace(' ', '_')}")
+    else:
+        write_dicom(pairs, folder, pixel_size_mm(settings.probe, pairs.shape))
+    write_text(folder / "README.md", _card(settings, data))
+    return folder
+
+
+def _check_dicom(settings: StudySettings) -> None:
+    if settings.scene.kind is SceneKind.pairs:
+        raise ConfigurationError(
+            "dataset.format=dicom: pairs made elsewhere do not tell their mm; allowed: png, nnunet"
+        )
+    try:
+        import pydicom  # noqa: F401
+    except ImportError:
+        raise ConfigurationError("dataset.format=dicom: needs the package pydicom, of the extra `dicom`") from None
+
+
+def _card(settings: StudySettings, data: DataSet) -> str:
+    """A data card in Markdown."""
+    pairs, about = data.pairs, data.about
+    parts = ", ".join(f"{int((pairs.split == part).sum())} for {part.name}" for part in Part)
+    made = {key: about[key] for key in ("scene", "probe", "simulator", "simulator_version", "dataset") if key in about}
+    return f"""# Simulated ultrasound frames: {settings.scene_name}
+
+**What.** {len(pairs)} frames of {pairs.shape[0]} x {pairs.shape[1]} px ({parts}) at {len(np.unique(pairs.sites))} probe
+sites, as `{settings.dataset.format}`. Labels: 0 is outside the fan{_labels(pairs)}. Frames of one
+site look alike, so keep them on one side of a split.
+
+**How made.** {_origin(settings)}, as data set `{pairs.folder.name}`:
+
+```json
+{json.dumps(made, indent=2)}
+```
+
+**Licence.** ablate is under Apache-2.0 and makes no claim to what it writes. Frames of a scene folder, or of pairs made
+elsewhere, follow the licence of the anatomy or the images in it.
+
+**Citation.** The program, with the name of the data set above; its CITATION.cff names the paper that it repeats.
+
+**Not for** diagnosis, or as evidence of how a device performs on patients.
+"""
+
+
+def _origin(settings: StudySettings) -> str:
+    if settings.scene.kind is SceneKind.pairs:
+        return "Imported by ablate from images made elsewhere"
+    return "By ablate, a Monte-Carlo ray-tracing simulator of ultrasound"
+
+
+def _labels(pairs: Pairs) -> str:
+    return "".join(f", {i} is {name}" for i, name in enumerate(pairs.tissues, start=1))

@@ -1,0 +1,122 @@
+"""Frames at poses of your choice as files: image, S and A, the envelope, and what they were made with."""
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ablate.anatomy import Scene, SiteGrid, fetal_planes
+from ablate.dataset import read_poses
+from ablate.runs.job import Job
+from ablate.runs.simulated import build_scene, lay_out
+from ablate.setting import plain
+from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
+from ablate.storage import read_json, write_json, written_whole
+from ablate.tasks.preview import check_frame
+from ablate.ultrasound import SIMULATOR_VERSION, Frame, Simulator
+from ablate.ultrasound.probe import pixel_size_mm
+
+_FRAME_MS = 50  # of a cine: 20 frames a second
+
+
+def render(jobs: Sequence[Job]) -> int:
+    """Render the first job's `pose`, `plane` or `frame`, and print the folder of the files."""
+    with refusing():  # a mesh with a hole, a pose that is not rigid, ...
+        print(_rendered(jobs[0]))
+    return 0
+
+
+def _rendered(job: Job) -> Path:
+    settings = job.settings
+    named = _named_poses(job)  # before the anatomy is built
+    scene, grid = build_scene(settings)
+    name, poses = named or (f"frame_{settings.frame}", _pose_of_frame(job, scene, grid))
+    made_with = _made_with(settings, scene, poses)
+    folder = _folder_of(settings.results / "render" / f"{settings.scene_name}-{name}", made_with)
+    simulator = Simulator(scene, settings.probe, settings.simulator, poses=poses)
+    images = []
+    for i, pose in enumerate(poses):
+        frame = simulator.render(pose, seed=settings.dataset.seed)  # as a data set would hold it
+        _write(folder, frame, "" if len(poses) == 1 else f"_{i:04d}")
+        images.append(Image.fromarray(frame.image))
+    if len(images) > 1:
+        with written_whole(folder / "cine.gif") as partial:
+            images[0].save(partial, save_all=True, append_images=images[1:], duration=_FRAME_MS, loop=0)
+    else:
+        with written_whole(folder / "frame.npz") as partial:
+            np.savez_compressed(partial, **{k: getattr(frame, k) for k in Frame.__annotations__}, pose=poses[0])
+    return folder
+
+
+def _folder_of(wanted: Path, made_with: dict[str, Any]) -> Path:
+    """The folder for what is made with these settings, with a number behind its name where others are there.
+
+    Its settings are written first, so pictures of two settings never lie in one folder.
+    """
+    plain = json.loads(json.dumps(made_with))
+    for number in count(1):
+        folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")
+        if not folder.exists():
+            folder.mkdir(parents=True)
+            write_json(folder / "settings.json", made_with)
+            return folder
+        with suppress(OSError, ValueError):
+            if read_json(folder / "settings.json") == plain:
+                return folder
+    raise AssertionError
+
+
+def _named_poses(job: Job) -> tuple[str, np.ndarray] | None:
+    """A name for what `pose` or `plane` asks for, and its poses, (n, 4, 4); None where `frame` does."""
+    settings = job.settings
+    if settings.pose:
+        return Path(settings.pose).stem, read_poses(Path(settings.pose), "pose")[0]
+    if settings.plane:
+        if settings.scene.kind is not SceneKind.fetal:
+            raise ConfigurationError(
+                f"plane={settings.plane}: planes are those of scene=fetal; allowed are pose and frame"
+            )
+        planes = fetal_planes(settings.scene.anatomy_seed, settings.dataset.press_mm)
+        if settings.plane not in planes:
+            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(planes)}")
+        return settings.plane, planes[settings.plane][None]
+    check_frame(settings.frame, len(job.data.pairs) if job.data.exists else settings.dataset.frames)
+    return None
+
+
+def _pose_of_frame(job: Job, scene: Scene, grid: SiteGrid) -> np.ndarray:
+    """The pose of a frame of the data set, (1, 4, 4)."""
+    poses = job.data.pairs.poses if job.data.exists else lay_out(job.settings, scene, grid).poses
+    check_frame(job.settings.frame, len(poses))
+    return np.asarray(poses[job.settings.frame])[None]
+
+
+def _write(folder: Path, frame: Frame, number: str) -> None:
+    """PNGs as `scene=pairs` reads them: labels and grey levels of 8 bits, the attenuation of 16."""
+    pictures = {
+        "image": frame.image,
+        "segmentation": frame.segmentation,
+        "attenuation": np.rint(frame.attenuation * 65535).astype(np.uint16),
+    }
+    for name, values in pictures.items():
+        with written_whole(folder / f"{name}{number}.png") as partial:
+            Image.fromarray(values).save(partial)
+
+
+def _made_with(settings: StudySettings, scene: Scene, poses: np.ndarray) -> dict[str, Any]:
+    height_mm, width_mm = pixel_size_mm(settings.probe, settings.simulator.image_shape)
+    return {
+        "scene": plain(settings.scene),
+        "probe": plain(settings.probe),
+        "simulator": plain(settings.simulator),
+        "simulator_version": SIMULATOR_VERSION,
+        "seed": settings.dataset.seed,
+        "poses": poses.tolist(),
+        "pixel_mm": {"height": height_mm, "width": width_mm},
+        "labels": {"0": "outside the fan", **{str(i + 1): t.name for i, t in enumerate(scene.tissues)}},
+    }
