@@ -157,11 +157,12 @@ def _jobs(folder: Path, arguments: list[str], most: int | None) -> list[dict[str
     """Compose jobs, simulate their pairs and write them."""
     from ablate.dataset import label_values
     from ablate.jobs.compose import jobs_of
-    from ablate.runs.data import dataset_folder, maps_needed, prepare_data
+    from ablate.runs.data_set import maps_needed
+from ablate.runs.prepare import prepare_data
 
     written = []
     for job in jobs_of(arguments)[:most]:
-        s, name = job.settings, dataset_folder(job.settings).name
+        s, name = job.settings, job.data.folder.name
         data = prepare_data(s, maps_needed([s.model]) | {"attenuation"})
         if not (folder / name).exists():
             _write_pairs(folder / name, data.pairs, data.tissues, s.probe)

@@ -18,7 +18,6 @@ from ablate.dataset import Part, label_values
 from ablate.evaluation.run_scores import resimulation_scores
 from ablate.metrics import metric_of
 from ablate.networks import COMPONENTS, draws_noise
-from ablate.runs.data import dataset_folder, open_data
 from ablate.runs.train import generated_images, scorer
 from ablate.settings.study import StudySettings
 from ablate.settings.values import build

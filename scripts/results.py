@@ -22,9 +22,10 @@ import pandas as pd
 
 from ablate.analysis import RESIMULATION
 from ablate.comparison.frame_times import TIMES
-from ablate.comparison.results import Finished, pictures
+from ablate.comparison.results import pictures
 from ablate.comparison.usable_runs import usable_runs
 from ablate.runs.identity import scored_by
+from ablate.runs.run import Run
 from ablate.storage import write_json
 from results_page import FRAME, PICTURES, named, write_page
 
@@ -99,12 +100,12 @@ def pack(source: Path, target: Path) -> None:
     table.astype({"value": "float32"}).to_parquet(target, compression="zstd", compression_level=19, index=False)
 
 
-def keep_frame(runs: Sequence[Finished], path: Path) -> list[str]:
+def keep_frame(runs: Sequence[Run], path: Path) -> list[str]:
     """Keep the target, the re-simulation and the maps of the first frame that all runs show, where pairs are on disk.
 
     Parameters
     ----------
-    runs : sequence of Finished
+    runs : sequence of Run
     path : Path
 
     Returns

@@ -29,11 +29,12 @@ from ablate.analysis import (
     verdicts_caption,
 )
 from ablate.comparison.answers import Answers, answers
-from ablate.comparison.results import Finished, provenance, scored_frames
+from ablate.comparison.results import provenance, scored_frames
 from ablate.comparison.usable_runs import UsableRuns, usable_runs
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS, Group, Shown, shown_in
 from ablate.networks import Noise
+from ablate.runs.run import Run
 from results_tables import claim_rows, effect_rows, interaction_rows, paper_rows, shortfalls, verdict_rows
 
 BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by scripts/results.py: end -->"
@@ -68,7 +69,7 @@ def numbers_of(study: Path) -> Numbers:
     return Numbers(usable, per_image, beside, seed_claims(*of), answers(usable.all, beside))
 
 
-def named(runs: Sequence[Finished]) -> list[Finished]:
+def named(runs: Sequence[Run]) -> list[Run]:
     """The runs of variants that have a name of their own, as sa2h-gan; cells of a factorial have none."""
     return [run for run in runs if "." not in run.label]
 
@@ -79,7 +80,7 @@ def planned_runs(group: str) -> frozenset[str]:
     return frozenset(job.name for job in jobs_of([f"+study={group}"]))
 
 
-def finished_of(study: str, runs: Sequence[Finished]) -> tuple[list[tuple[int, int]], str]:
+def finished_of(study: str, runs: Sequence[Run]) -> tuple[list[tuple[int, int]], str]:
     """How many runs of each part of a study's plan are finished, of how many, and a sentence that says so."""
     done = {run.name for run in runs}
     if study not in PLANS:
@@ -120,7 +121,7 @@ def study_lines(study: Path) -> Iterator[str]:
         yield from design_lines(found, design)
 
 
-def about(runs: Sequence[Finished], per_image: pd.DataFrame) -> str:
+def about(runs: Sequence[Run], per_image: pd.DataFrame) -> str:
     """Size, data, code and machines of a study, in a paragraph."""
     s = runs[0].spec["settings"]
     rows, columns = s["simulator"]["image_shape"]
@@ -237,7 +238,7 @@ def figures(study: Path, found: Numbers) -> list[Path]:
     return kept
 
 
-def kept_frame(study: Path, runs: Sequence[Finished]) -> FramePictures | None:
+def kept_frame(study: Path, runs: Sequence[Run]) -> FramePictures | None:
     """The kept frame with what the first training of each variant made of it; None where it was not kept."""
     if not (study / FRAME).exists():
         return None

@@ -6,9 +6,10 @@ python scripts/ship.py runs/answer/sa2h/seed0 sa2h
 import argparse
 from pathlib import Path
 
-from ablate.comparison.results import Finished, data_of, provenance
+from ablate.comparison.results import provenance
 from ablate.dataset import label_values
 from ablate.pretrained import Renderer, save
+from ablate.runs.run import Run
 from ablate.settings.study import StudySettings
 from ablate.settings.values import build
 from ablate.storage import read_json
@@ -19,7 +20,7 @@ SHIPPED = Path(__file__).parents[1] / "src/ablate/pretrained"
 
 def renderer_of(folder: Path) -> Renderer:
     """The generator of a finished run, with the setting that it was trained in."""
-    run = Finished(folder, read_json(folder / "spec.json"), read_json(folder / "result.json"))
+    run = Run(folder, read_json(folder / "spec.json"), read_json(folder / "result.json"))
     s = build(StudySettings, run.spec["settings"])
     tissues = data_of([run]).tissues
     values = label_values(tissues, s.encoding, s.encoding_seed)[1:].tolist()

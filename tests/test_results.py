@@ -13,12 +13,12 @@ import pandas as pd
 import pytest
 
 from ablate.analysis import paper_effects
-from ablate.comparison.answers import components_of
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS, METRICS_VERSION
 from ablate.networks import COMPONENTS, Component
-from ablate.runs.identity import config_hash, finished, semantic
+from ablate.runs.identity import semantic
 from ablate.runs.job import Job
+from ablate.runs.place import finished_run
 from ablate.setting import plain
 from ablate.storage import digest
 
@@ -160,7 +160,7 @@ def test_a_restored_study_has_nothing_left_to_do(study: Path, script: ModuleType
     assert f"there already: {study.name}/sa2h/seed2" in said, "what is there is not touched"
     assert f"there already: {study.name}/lsa2h/seed0" in said, "another configuration is not touched"
     jobs = [job for part in PLAN for job in jobs_of([f"+study={part}", f"runs_dir={tmp_path}/runs"])]
-    assert [job.name for job in jobs if finished(job) is None] == ["sa2h/seed2", "lsa2h/seed0"]
+    assert [job.name for job in jobs if finished_run(job) is None] == ["sa2h/seed2", "lsa2h/seed0"]
     assert (study / "sa2h-att" / "seed0" / "provenance" / "made_with.json").exists()
 
 

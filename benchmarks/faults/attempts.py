@@ -137,9 +137,10 @@ def _load_scene(job: "Job", rng: random.Random) -> None:
 
 
 def _prepare(job: "Job") -> None:
-    from ablate.runs.data import maps_needed, prepare_data
+    from ablate.runs.data_set import maps_needed
+from ablate.runs.prepare import prepare_data
 
-    prepare_data(job.settings, maps_needed([job.settings.model]))
+    prepare_data(job, maps_needed([job.settings.model]))
 
 
 def _pngs(unbroken: Path, place: Path) -> Attempt:
@@ -149,7 +150,7 @@ def _pngs(unbroken: Path, place: Path) -> Attempt:
 
     from ablate.dataset import Part
     from ablate.jobs.preflight import check
-    from ablate.runs.data import open_data
+    from ablate.runs.data_set import DataSet
     from ablate.settings.study import refusing
 
     pairs = open_data(next(unbroken.glob("data/*/about.json")).parent).pairs

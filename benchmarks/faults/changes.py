@@ -96,8 +96,7 @@ def scene_bytes(bench: Bench, _: random.Random, number: int) -> Round:
 def _change_bytes(place: Path, number: int) -> None:
     from ablate.anatomy.scene_folder import MESH_SUFFIXES
     from ablate.jobs.compose import jobs_of
-    from ablate.runs.data import dataset_hash
-    from ablate.settings.study import ConfigurationError, refusing
+        from ablate.settings.study import ConfigurationError, refusing
     from faults.attempts import write_mesh
 
     folder, suffix = place / "in", MESH_SUFFIXES[number]
@@ -106,14 +105,14 @@ def _change_bytes(place: Path, number: int) -> None:
     about = f"structures: [{{mesh: {mesh}, tissue: fat}}]\nsites: {{heights: [0, 10], angles: [0, 20]}}\n"
     (folder / "scene.yaml").write_text(about)
     (job,) = jobs_of(["scene=folder", f"scene.folder={folder}", f"runs_dir={place / 'runs'}"])
-    before, wrong, count = dataset_hash(job.settings), [], 0
+    before, wrong, count = job.data.name, [], 0
     for path in sorted(folder.iterdir()):
         content = path.read_bytes()
         count += len(content)
         for at in range(len(content)):
             path.write_bytes(content[:at] + bytes([content[at] ^ 1 << at % 8]) + content[at + 1 :])
             with suppress(ConfigurationError), refusing():
-                if dataset_hash(job.settings) == before:
+                if job.data.name == before:
                     wrong.append(f"{path.name}: byte {at} may be another")
         path.write_bytes(content)
     found = {"wrong": wrong, "count": count, "is_last": number + 1 == len(MESH_SUFFIXES)}

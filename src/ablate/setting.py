@@ -190,7 +190,7 @@ def plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {one.name: plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
         kind = getattr(type(value), "kind", None)
-        return fields if kind is None or "kind" in fields else {"kind": plain(kind), **fields}
+        return {"kind": kind.name, **fields} if isinstance(kind, Enum) and "kind" not in fields else fields
     if isinstance(value, Enum):
         return value.name
     if isinstance(value, (list, tuple)):

@@ -30,9 +30,11 @@ from ablate.metrics import (
     noise_sd,
     speckle_features,
 )
-from ablate.runs.data import Data, maps_needed, prepare_data
-from ablate.runs.identity import finished
+from ablate.runs.data_set import DataSet as Data
+from ablate.runs.data_set import maps_needed
 from ablate.runs.job import Job
+from ablate.runs.place import finished_run
+from ablate.runs.prepare import prepare_data
 from ablate.runs.train import run_job, scorer
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_json
@@ -60,7 +62,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def data(runs: Path) -> Data:
     tiny = job(runs)
-    return prepare_data(tiny.settings, maps_needed([tiny.settings.model]))
+    return prepare_data(tiny, maps_needed([tiny.settings.model]))
 
 
 @pytest.fixture
@@ -318,27 +320,27 @@ def test_what_cannot_be_computed_is_refused_first(tmp_path: Path, change: str, m
 def test_metrics_added_later_are_computed_without_training(runs: Path, network: Path) -> None:
     few = job(runs, "metrics=[mae,psnr]")
     run_job(few)
-    result = finished(few)
+    result = finished_run(few)
     assert result is not None
     assert {"test/mae", "test/psnr", "train/seconds", "seconds"} <= result["scalars"].keys()
     assert "test/pchi2" not in result["scalars"]
     checkpoint = (few.folder / "last.ckpt").stat().st_mtime_ns
 
     more = job(runs, "metrics=[pchi2,kid]", f"evaluation.inception={network}")
-    assert finished(more) is None
+    assert finished_run(more) is None
     run_job(more)
     again = json.loads((few.folder / "result.json").read_text())
     assert (few.folder / "last.ckpt").stat().st_mtime_ns == checkpoint
     assert {"test/pchi2", "test/kid", "test/mae"} <= again["scalars"].keys()
     for kept in ("test/mae", "train/seconds", "seconds"):
         assert again["scalars"][kept] == result["scalars"][kept]
-    assert finished(few) is not None
-    assert finished(more) is not None
+    assert finished_run(few) is not None
+    assert finished_run(more) is not None
     assert set(pd.read_parquet(few.folder / "per_image.parquet")["metric"]) == {"mae", "psnr", "pchi2"}
 
     stale = {**again["scalars"], "test/mae": -1.0, "test/of_an_earlier_version": 1.0}
     write_json(few.folder / "result.json", {**again, "metrics_version": METRICS_VERSION - 1, "scalars": stale})
-    assert finished(more) is None
+    assert finished_run(more) is None
     run_job(more)
     assert json.loads((few.folder / "result.json").read_text())["scalars"] == pytest.approx(again["scalars"])
     assert (few.folder / "last.ckpt").stat().st_mtime_ns == checkpoint, "scored again, not trained again"

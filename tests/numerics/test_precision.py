@@ -24,7 +24,6 @@ from ablate.numerics.precision import task as module
 from ablate.numerics.precision.bench import bench_of, make_inputs, render_all
 from ablate.numerics.precision.csv_table import CsvTable
 from ablate.numerics.precision.errors import Frames, envelope_rms, mean_errors, relative_change
-from ablate.runs.data import dataset_folder, open_data
 from ablate.runs.simulated import build_scene
 from ablate.runs.train import run_job
 from ablate.settings.study import ConfigurationError
@@ -144,7 +143,7 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
 
 def test_the_compensated_attenuation_is_that_of_the_pairs_and_costs_more_than_the_integral_one(trained: Path) -> None:
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
-    bench, pairs = bench_of(job.settings), open_data(dataset_folder(job.settings)).pairs
+    bench, pairs = bench_of(job.settings), job.data.pairs
     maps, ms = make_inputs(bench, lambda: None)
     stored = pairs.read("compensated", bench.frames)
     steps = 2 * 20 * np.log10(1 + 2**-9) / 72 + 1e-4  # A is stored with nine bits

@@ -9,7 +9,8 @@ from pathlib import Path
 from unittest import mock
 
 from ablate.analysis.figures import style
-from ablate.jobs.compose import jobs_of, read_command_line
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.launch import Launch
 from ablate.runs.job import Job
 from ablate.tasks.run_task import run_task
 
@@ -34,12 +35,11 @@ class TinyStudy:
 def run(*arguments: str) -> int:
     """What `python -m ablate` with these arguments does, and its exit code; a refusal is raised.
 
-    PDFs get matplotlib's outlines as fonts (Type 3), in half the time that parts of TrueType fonts take.
+    The jobs run in this process, one after another, and what stops one is raised. PDFs get matplotlib's outlines as
+    fonts (Type 3), in half the time that parts of TrueType fonts take.
     """
-    command = read_command_line(arguments)
-    assert command is not None
     with mock.patch.dict(style.RULES, {"pdf.fonttype": 3}):
-        return run_task(command)
+        return run_task(jobs_of(arguments), Launch(here))
 
 
 def here(jobs: Sequence[Job], work: Callable[[Job], object]) -> None:

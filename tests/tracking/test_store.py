@@ -119,7 +119,7 @@ def test_folders_of_runs_that_share_a_server_share_no_study(runs: Path, tmp_path
     assert anna.experiment_id == ben.experiment_id
     studies = [parent_run(store, "quick-fetal") for store in (anna, ben)]
     assert studies[0] != studies[1]
-    children = {child_run(anna, study, "sa2h/seed0", "abc", {}) for study in studies}
+    children = {child_run(anna, study, "sa2h/seed0", "abc", {"variant": "sa2h"}) for study in studies}
     assert len(children) == 2
     (tmp_path / "anna").rename(tmp_path / "moved")
     assert parent_run(open_store(tmp_path / "moved", uri, "ablate"), "quick-fetal") == studies[0]

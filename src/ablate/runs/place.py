@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any
 
 from filelock import FileLock
 
@@ -47,16 +46,13 @@ def claim_place(job: Job) -> None:
         run = job.run
         if run.hash == job.hash:
             return
-        if run.checkpoint.exists():
+        if run.checkpoint.exists() and run.result.get("hash") != job.hash:
             unknown = f"what {run.checkpoint.name} beside it was trained on is not known"
             where = f"{run.folder / 'spec.json'} is damaged"
             raise ConfigurationError(f"{where}: {unknown}; remove {run.folder} to start again")
-        known_by = {"label": job.label, "hash": job.hash, "changed": plain_values(job.changed)}
+        changed = {key: plain(value) for key, value in job.changed}
+        known_by = {"label": job.label, "hash": job.hash, "changed": changed}
         run.write_spec({**known_by, "semantic": job.semantic, "settings": plain(job.settings)})
-
-
-def plain_values(changed: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    return {key: plain(value) for key, value in changed}
 
 
 def finished_run(job: Job) -> Run | None:
@@ -68,7 +64,7 @@ def finished_run(job: Job) -> Run | None:
     if run.hash != job.hash or run.state is not State.finished:
         return None
     result = run.result
-    if names_of(settings.metrics) - set(result["metrics"]):
+    if names_of(settings.metrics) - names_of(result["metrics"]):
         return None
     if any(result["sources"].get(path) != code for path, code in sources_of(settings.metrics).items()):
         return None

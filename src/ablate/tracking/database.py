@@ -1,4 +1,7 @@
-"""SQLite files: that of the default store is a copy of what the runs have on disk, so it may be made again."""
+"""SQLite files of the tracking store: made whole, and set aside where they cannot be used.
+
+The default store is a copy of what the runs have on disk. It is therefore never mended: it is made again and filled.
+"""
 
 import logging
 import sqlite3
@@ -8,22 +11,13 @@ from pathlib import Path
 
 from filelock import FileLock
 from mlflow import MlflowClient
-from mlflow.store.db.utils import _get_latest_schema_revision
 
 from ablate.storage import remove_partial, written_whole
 
 _LOG = logging.getLogger(__name__)
 _LOCK_S = 60.0
-_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)  # the last: a table is not there
+_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _OF_TRANSACTIONS = ("-journal", "-wal", "-shm")
-# Where MLflow stores the place of artifacts.
-_PLACES = (
-    ("experiments", "artifact_location"),
-    ("runs", "artifact_uri"),
-    ("logged_models", "artifact_location"),
-    ("model_versions", "source"),
-    ("model_versions", "storage_location"),
-)
 
 
 def database(runs: Path) -> Path:
@@ -39,15 +33,26 @@ def default_uri(runs: Path) -> str:
 def make_default_database(runs: Path) -> None:
     """Make the SQLite file of the default store where there is none; one process at a time may call this.
 
-    A file that this version of MLflow cannot read keeps its contents under another name.
+    Raises
+    ------
+    OSError
+        When another program holds the file locked for 20 s.
     """
     path = database(runs)
-    if path.exists() and _schema(path) != _get_latest_schema_revision():
-        aside = path.with_name(f"mlflow-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.db")
-        _move(path, aside)
-        _LOG.warning("%s: damaged, or of another version of MLflow; it is now %s, and a new one is filled", path, aside)
+    if path.exists() and not _is_whole(path):
+        set_aside(runs, "it is damaged")
     if not path.exists():
         _make(path)
+
+
+def set_aside(runs: Path, why: str) -> None:
+    """Give the file of the default store another name; its contents are kept, and a new one is filled from disk."""
+    path = database(runs)
+    aside = path.with_name(f"mlflow-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.db")
+    for suffix in ("", *_OF_TRANSACTIONS):
+        if (file := Path(f"{path}{suffix}")).exists():
+            file.rename(f"{aside}{suffix}")
+    _LOG.warning("%s: %s; it is now %s, and a new one is filled by task=compare of each study", path, why, aside)
 
 
 def make_database(uri: str) -> None:
@@ -72,33 +77,13 @@ def _make(path: Path) -> None:
         MlflowClient(f"sqlite:///{partial}").search_experiments()
 
 
-def move_artifacts(runs: Path, stored: str, now: str) -> None:
-    """Replace `stored`, the URI of the folder of artifacts, by `now` in all places: the folder of runs has moved."""
-    with closing(sqlite3.connect(database(runs), timeout=20)) as connection, connection:
-        for table, column in _PLACES:
-            moved = f"UPDATE {table} SET {column} = ? || substr({column}, ?) WHERE {column} = ? OR {column} GLOB ?"
-            connection.execute(moved, (now, len(stored) + 1, stored, f"{_literal(stored)}/*"))
-
-
-def _literal(text: str) -> str:
-    """A GLOB pattern that matches a text and nothing else."""
-    return "".join(f"[{c}]" if c in "*?[" else c for c in text)
-
-
-def _schema(path: Path) -> str | None:
-    """The revision of MLflow's tables; None where the file has none that can be read."""
+def _is_whole(path: Path) -> bool:
+    """Whether SQLite can read the file, and MLflow has laid it out to the end: the table of its version is the last."""
     with closing(sqlite3.connect(path, timeout=20)) as connection:
         try:
-            row = connection.execute("SELECT version_num FROM alembic_version").fetchone()
+            tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         except sqlite3.DatabaseError as error:
             if error.sqlite_errorcode in _DAMAGED:
-                return None
-            raise
-    return None if row is None else str(row[0])
-
-
-def _move(path: Path, to: Path) -> None:
-    """Rename a database with the files of its unfinished transactions."""
-    for suffix in ("", *_OF_TRANSACTIONS):
-        if (file := Path(f"{path}{suffix}")).exists():
-            file.rename(f"{to}{suffix}")
+                return False
+            raise OSError(f"{path}: {error}") from error
+    return {"alembic_version", "experiments", "runs"} <= tables

@@ -11,12 +11,12 @@ from urllib.parse import quote
 
 from filelock import FileLock
 from mlflow import MlflowClient
-from mlflow.entities import Run, ViewType
+from mlflow.entities import Experiment, Run, ViewType
 from mlflow.exceptions import MlflowException
 from sqlalchemy.exc import SQLAlchemyError
 
 from ablate.storage import write_text
-from ablate.tracking.database import default_uri, make_database, make_default_database, move_artifacts
+from ablate.tracking.database import default_uri, make_database, make_default_database, set_aside
 
 _LOCK_S = 60.0
 _PARENT_TAG = "mlflow.parentRunId"
@@ -88,16 +88,34 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
         else:
             make_database(uri)
         client = MlflowClient(uri or default_uri(runs))
-        found = client.get_experiment_by_name(experiment)
-        if found is None:
+        known = _experiment(client, experiment, runs, location)
+        if known is None:
             identity = _new_experiment(client, experiment, location)
         else:
-            identity = str(found.experiment_id)
-            if found.lifecycle_stage == "deleted":
+            identity = str(known.experiment_id)
+            if known.lifecycle_stage == "deleted":
                 client.restore_experiment(identity)
-            if location and _is_own(found.artifact_location) and found.artifact_location != location:
-                move_artifacts(runs, found.artifact_location, location)
         return Store(uri or default_uri(runs), identity, lock, _owner(runs) if uri else None)
+
+
+def _experiment(client: MlflowClient, name: str, runs: Path, location: str | None) -> Experiment | None:
+    """The experiment of this name; None where there is none, or where the default store had to be made anew.
+
+    That is so where it is of another version of MLflow, or where the folder of runs was moved or copied: the places of
+    artifacts in it are then those of the old folder. `location` is the place of artifacts of the default store.
+    """
+    why = "the folder of runs was moved or copied since it was made"
+    try:
+        known: Experiment | None = client.get_experiment_by_name(name)
+        if known is None or location is None or known.artifact_location == location or not _is_own(known):
+            return known
+    except MlflowException as error:
+        if location is None or error.error_code == "TEMPORARILY_UNAVAILABLE":
+            raise
+        why = f"MLflow cannot read it ({reason(error)})"
+    set_aside(runs, why)
+    make_default_database(runs)
+    return None
 
 
 def _new_experiment(client: MlflowClient, name: str, location: str | None) -> str:
@@ -118,8 +136,9 @@ def _owner(runs: Path) -> str:
     return file.read_text("utf-8")
 
 
-def _is_own(location: str) -> bool:
-    """Whether artifacts lie beside the default store, and not at a server's."""
+def _is_own(experiment: Experiment) -> bool:
+    """Whether its artifacts lie beside the default store, and not at a server's."""
+    location = str(experiment.artifact_location)
     return location.startswith("file:") and location.endswith("/artifacts")
 
 

@@ -8,7 +8,6 @@ import trimesh
 
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.preflight import check
-from ablate.runs.data import dataset_hash
 from ablate.runs.simulated import build_scene, lay_out
 from ablate.settings.study import ConfigurationError
 

@@ -10,7 +10,6 @@ import torch
 
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS_VERSION
-from ablate.runs.identity import config_hash
 from ablate.runs.job import Job
 from ablate.tasks.plan import duration, progress, show_progress
 
@@ -20,7 +19,7 @@ def finish(job: Job, seconds: float | None) -> None:
     scalars = {"parameters_generator": 1.0, "parameters_discriminator": 1.0}
     scalars |= {} if seconds is None else {"seconds": seconds}
     pd.DataFrame({"metric": []}).to_parquet(job.folder / "per_image.parquet")
-    result = {"hash": config_hash(job.settings), "label": job.label, "seed": job.settings.seed, "scalars": scalars}
+    result = {"hash": job.hash, "label": job.label, "seed": job.settings.seed, "scalars": scalars}
     result |= {"data": "fetal-0", "mlflow_run_id": "none"}
     result |= {"metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
     (job.folder / "result.json").write_text(json.dumps(result))

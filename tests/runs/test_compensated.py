@@ -11,7 +11,6 @@ import pytest
 from ablate.dataset import Crops, Part, noise_seeds
 from ablate.jobs.compose import jobs_of
 from ablate.networks import GeneratorSpec
-from ablate.runs.data import dataset_folder, open_data
 from ablate.runs.train import run_job
 from ablate.settings.values import build
 from ablate.tracking import default_uri
@@ -35,7 +34,7 @@ def trained(tiny_study: TinyStudy, tmp_path_factory: pytest.TempPathFactory) -> 
 
 def test_frames_are_read_with_the_probe_and_the_time_gain_that_they_were_simulated_with(trained: Path) -> None:
     (job,) = jobs_of([*VARIANT, f"runs_dir={trained}"])
-    pairs = open_data(dataset_folder(job.settings)).pairs
+    pairs = job.data.pairs
     frames = pairs.frames(Part.test)
     expected = compensated_attenuation(
         pairs.read("attenuation", frames), job.settings.probe, job.settings.simulator.tgc_db_cm_mhz
@@ -49,7 +48,7 @@ def test_it_is_scored_and_its_registered_generator_renders_the_same(trained: Pat
     made = build(GeneratorSpec, json.loads((place / "spec.json").read_text())["settings"]["model"])
     assert made.attenuation == "compensated"
     (job,) = jobs_of([*VARIANT, f"runs_dir={trained}"])
-    pairs = open_data(dataset_folder(job.settings)).pairs
+    pairs = job.data.pairs
     pictures = np.load(place / "pictures.npz")
     frame = pictures["frames"][:1]
     maps = {name: pairs.read(name, frame) for name in ("segmentation", "compensated")}

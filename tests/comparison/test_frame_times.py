@@ -14,8 +14,9 @@ import pytest
 from ablate.analysis import comparison_table, pareto_front
 from ablate.comparison import timing
 from ablate.comparison.frame_times import FrameTime, network_of, read_times, write_times
-from ablate.comparison.results import Finished, finished_runs, scored_frames, timed_on
+from ablate.comparison.results import scored_frames, timed_on
 from ablate.comparison.timing import time_networks
+from ablate.runs.run import Run, runs_of
 from ablate.storage import write_json
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def study(tmp_path: Path) -> Path:
 
 
 def times_of(study: Path) -> dict[str, float]:
-    _, scalars = scored_frames(finished_runs(study))
+    _, scalars = scored_frames(runs_of(study))
     rows = scalars[scalars["metric"] == "ms_per_frame"]
     return {f"{r['variant']}/seed{r['seed']}": r["value"] for r in rows.to_dict("records")}
 
@@ -85,7 +86,7 @@ def test_times_of_two_machines_are_never_in_one_column(study: Path) -> None:
     write_run(study, "lsa2h", 3.0)
     first, second, third = (network_of(semantic(width)) for width in (1.0, 2.0, 3.0))
     write_times(study, {"old": {first: timed(1), third: timed(3)}, "new": {first: timed(10), second: timed(20)}})
-    assert timed_on(finished_runs(study)) == "new"
+    assert timed_on(runs_of(study)) == "new"
     assert times_of(study) == {"sa2h/seed0": 10, "sa2h/seed1": 10, "nsa2h/seed0": 20, "nsa2h/seed1": 20}
 
 
@@ -100,7 +101,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[set[str]]:
     """Which runs were timed at each call, in place of timing them."""
     calls: list[set[str]] = []
 
-    def in_turns(runs: dict[str, Finished], *_: object) -> dict[str, FrameTime]:
+    def in_turns(runs: dict[str, Run], *_: object) -> dict[str, FrameTime]:
         calls.append({run.name for run in runs.values()})
         return {network: timed(10.0 * len(calls)) for network in runs}
 
@@ -115,14 +116,14 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[set[str]]:
 
 def test_what_is_unchanged_is_not_timed_again(study: Path, measured: list[set[str]]) -> None:
     for _ in range(2):
-        assert time_networks(study, finished_runs(study)) == ""
+        assert time_networks(study, runs_of(study)) == ""
     assert measured == [{"sa2h/seed0", "nsa2h/seed0"}], "one run a network, once"
 
 
 def test_a_new_network_is_timed_together_with_all_others(study: Path, measured: list[set[str]]) -> None:
-    time_networks(study, finished_runs(study))
+    time_networks(study, runs_of(study))
     write_run(study, "lsa2h", 3.0)
-    time_networks(study, finished_runs(study))
+    time_networks(study, runs_of(study))
     assert measured[1] == {"sa2h/seed0", "nsa2h/seed0", "lsa2h/seed0"}
     assert set(times_of(study).values()) == {20.0}
 
@@ -130,27 +131,27 @@ def test_a_new_network_is_timed_together_with_all_others(study: Path, measured: 
 def test_another_machine_is_timed_anew_and_the_old_one_kept(
     study: Path, measured: list[set[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    time_networks(study, finished_runs(study))
+    time_networks(study, runs_of(study))
     monkeypatch.setattr(timing, "hardware", lambda: "another machine")
-    time_networks(study, finished_runs(study))
+    time_networks(study, runs_of(study))
     assert len(measured) == 2
     assert len(read_times(study)) == 2
-    assert "another machine" in timed_on(finished_runs(study))
+    assert "another machine" in timed_on(runs_of(study))
     assert set(times_of(study).values()) == {20.0}
 
 
 def test_without_a_checkpoint_a_network_is_timed_as_a_training_starts_it(study: Path, measured: list[set[str]]) -> None:
     write_run(study, "lsa2h", 3.0, checkpoint=False)
-    assert time_networks(study, finished_runs(study)) == ""
+    assert time_networks(study, runs_of(study)) == ""
     assert measured == [{"sa2h/seed0", "nsa2h/seed0", "lsa2h/seed0"}]
 
 
 def test_kept_results_are_timed_where_their_pairs_are_made_again(tiny_study: TinyStudy, tmp_path: Path) -> None:
     folder = tmp_path / "tiny-fetal"
     shutil.copytree(tiny_study.runs / folder.name, folder, ignore=shutil.ignore_patterns("*.ckpt", "times.json"))
-    assert "Times were not measured" in time_networks(folder, finished_runs(folder))
+    assert "Times were not measured" in time_networks(folder, runs_of(folder))
     (tmp_path / "data").symlink_to(tiny_study.runs / "data")
-    assert time_networks(folder, finished_runs(folder)) == ""
+    assert time_networks(folder, runs_of(folder)) == ""
     here, there = read_times(folder), read_times(tiny_study.runs / folder.name)
     assert {machine: set(of) for machine, of in here.items()} == {machine: set(of) for machine, of in there.items()}
 
@@ -161,12 +162,12 @@ def test_a_custom_network_is_timed_with_its_weights_only(study: Path, measured: 
         spec = json.loads((study / label / "seed0" / "spec.json").read_text())
         spec["semantic"]["model"]["family"] = "custom"
         write_json(study / label / "seed0" / "spec.json", spec)
-    time_networks(study, finished_runs(study))
+    time_networks(study, runs_of(study))
     assert measured == [{"sa2h/seed0", "nsa2h/seed0", "theirs/seed0"}]
 
 
 def test_what_cannot_be_timed_is_said(study: Path) -> None:
-    said = time_networks(study, finished_runs(study))
+    said = time_networks(study, runs_of(study))
     assert said.startswith("Times were not measured: ")
     assert not (study / "times.json").exists()
 

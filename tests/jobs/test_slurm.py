@@ -12,7 +12,6 @@ from ablate import tasks
 from ablate.jobs.compose import jobs_of, read_command_line
 from ablate.jobs.schema import register
 from ablate.jobs.slurm import QueueLauncher, queued, wait_for
-from ablate.runs.data import dataset_folder
 from ablate.runs.job import Job
 from ablate.settings.conf_folder import configuration_dir
 from ablate.settings.study import ConfigurationError
@@ -124,9 +123,9 @@ def filling(*more: str) -> list[Job]:
 def test_jobs_that_read_the_same_pairs_all_fill_them(tmp_path: Path) -> None:
     jobs = filling("seed=range(4)", f"runs_dir={tmp_path}")
     assert len(jobs) == 4
-    assert len({dataset_folder(job.settings) for job in jobs}) == 1
+    assert len({job.data.folder for job in jobs}) == 1
     patients = filling("scene.anatomy_seed=0,1", f"runs_dir={tmp_path}")
-    assert len({dataset_folder(job.settings) for job in patients}) == 2
+    assert len({job.data.folder for job in patients}) == 2
 
 
 def test_pairs_made_elsewhere_are_reported_and_what_is_missing_is_said(

@@ -13,7 +13,6 @@ from PIL import Image
 
 from ablate.dataset import Pairs, Part, open_pairs
 from ablate.jobs.compose import jobs_of
-from ablate.runs.data import dataset_hash
 from ablate.settings.study import ConfigurationError
 from support.studies import run
 

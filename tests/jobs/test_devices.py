@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from ablate.jobs.devices import VISIBLE, devices_to_share, least_busy
 
 from ablate.jobs.compose import read_command_line
-from ablate.jobs.devices import VISIBLE, devices_to_share, least_busy
 from ablate.runs.job import Job
 
 

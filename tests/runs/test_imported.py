@@ -15,7 +15,6 @@ from ablate import tasks
 from ablate.__main__ import main
 from ablate.dataset import Pairs, Part
 from ablate.jobs.compose import jobs_of
-from ablate.runs.data import open_data
 from ablate.settings.study import ConfigurationError
 from support.studies import TINY, TinyStudy, run
 

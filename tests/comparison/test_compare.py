@@ -13,13 +13,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from ablate.analysis import RESIMULATION, find_design
-from ablate.comparison.answers import FACTORS, components_of
+from ablate.comparison.answers import FACTORS
 from ablate.comparison.compare import compare_study, write_comparison
 from ablate.comparison.frame_times import FrameTime, write_times
-from ablate.comparison.results import Finished, finished_runs, labelled_networks
+from ablate.comparison.results import labelled_networks
 from ablate.comparison.usable_runs import usable_runs
 from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
 from ablate.networks import COMPONENTS
+from ablate.runs.run import Run, runs_of
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import digest
@@ -90,7 +91,7 @@ def study(tmp_path: Path) -> Path:
     for label in VARIANTS:
         for seed in (0, 1, 2):
             write_run(folder, label, seed)
-    networks = labelled_networks(finished_runs(folder))
+    networks = labelled_networks(runs_of(folder))
     times = {networks[label]: FrameTime({"network": [k + 9.0, k + 10.0, k + 11.0]}) for k, label in enumerate(VARIANTS)}
     write_times(folder, {"a machine": times})
     return folder
@@ -361,7 +362,7 @@ def test_a_start_of_noise_that_is_not_injected_and_a_seed_of_training_make_no_ot
         folder = write_run(tmp_path / "s", label, len(made))
         spec = json.loads((folder / "spec.json").read_text())
         spec["semantic"]["model"] |= {"noise": noise, "noise_start": start}
-        made[label] = components_of(Finished(folder, spec, {}))
+        made[label] = components_of(Run(folder, spec, {}))
     design = find_design(made, FACTORS)
     assert design is not None
     assert (design.factors, design.left_out) == (["attenuation", "noise"], ())
@@ -401,7 +402,7 @@ def test_a_damaged_file_beside_the_scores_stops_nothing(study: Path, name: str) 
 def test_a_damaged_spec_leaves_its_run_aside(study: Path, damage: str) -> None:
     (study / "sa2h" / "seed0" / "spec.json").write_text(damage)
     assert "1 run left aside" in compared(study)[2]
-    assert len(finished_runs(study)) >= 11
+    assert len(runs_of(study)) >= 11
 
 
 def test_a_spec_that_is_not_what_its_hash_says_leaves_its_run_aside(study: Path) -> None:

@@ -10,7 +10,7 @@ import yaml
 
 from ablate.jobs.compose import jobs_of
 from ablate.networks import GeneratorSpec
-from ablate.runs.data import dataset_hash, maps_needed
+from ablate.runs.data_set import maps_needed
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def hash_of(folder: Path) -> str:
-    return dataset_hash(jobs_of(["scene=folder", f"scene.folder={folder}"])[0].settings)
+    return jobs_of(["scene=folder", f"scene.folder={folder}"])[0].data.name
 
 
 def test_a_mesh_decides_and_what_lies_beside_it_does_not(folder: Path) -> None:
@@ -77,7 +77,7 @@ def test_the_compensated_attenuation_is_made_from_the_stored_one() -> None:
     compensated = GeneratorSpec(attenuation="compensated")  # type: ignore[arg-type]
     assert maps_needed([compensated]) == maps_needed([GeneratorSpec()])
     jobs = jobs_of(["-m", "variant=sa2h,sa2h-compensated"])
-    assert len({dataset_hash(job.settings) for job in jobs}) == 1
+    assert len({job.data.folder for job in jobs}) == 1
 
 
 def test_the_low_quality_image_is_made_for_those_who_read_it() -> None:

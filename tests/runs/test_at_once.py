@@ -10,8 +10,8 @@ import pytest
 from ablate.comparison import compare
 from ablate.jobs.compose import jobs_of
 from ablate.runs import identity
-from ablate.runs.identity import claim_place
 from ablate.runs.job import Job
+from ablate.runs.place import claim_place
 from ablate.settings.study import ConfigurationError
 from support.studies import TINY
 

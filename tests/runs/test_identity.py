@@ -2,26 +2,22 @@
 
 import json
 import sys
-from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
-import pandas as pd
 import pytest
 import torch
 
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.preflight import check
 from ablate.metrics import METRICS_VERSION
-from ablate.runs import identity
-from ablate.runs.data import about_data
-from ablate.runs.identity import check_place, claim_place, config_hash, finished, with_earlier_metrics
+from ablate.runs import identity, place
 from ablate.runs.job import Job
+from ablate.runs.place import check_place, claim_place, finished_run, with_earlier_metrics
+from ablate.runs.run import State
 from ablate.settings.study import ConfigurationError
-from ablate.storage import read_json, write_json
+from ablate.storage import write_json
 from ablate.training import TRAINING_VERSION
-from ablate.ultrasound import SimulatorSettings
-from support.studies import study_group
+from support.finished_runs import finish, result_of
 
 
 def job(runs: Path, *arguments: str) -> Job:
@@ -31,7 +27,7 @@ def job(runs: Path, *arguments: str) -> Job:
 @pytest.fixture(scope="module")
 def plain_hash(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The hash of the default job, in a folder of its own."""
-    return config_hash(job(tmp_path_factory.mktemp("plain")).settings)
+    return job(tmp_path_factory.mktemp("plain")).hash
 
 
 @pytest.mark.parametrize(
@@ -53,13 +49,19 @@ def plain_hash(tmp_path_factory: pytest.TempPathFactory) -> str:
     ],
 )
 def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, plain_hash: str, incidental: str) -> None:
-    assert config_hash(job(tmp_path, incidental).settings) == plain_hash
+    assert job(tmp_path, incidental).hash == plain_hash
 
 
-def test_a_setting_that_came_later_and_is_off_does_not_count(tmp_path: Path) -> None:
-    """Else every data set from before it would be simulated again."""
-    about = about_data(job(tmp_path).settings)["simulator"]
-    assert about.keys() == {field.name for field in fields(SimulatorSettings)} - {"device", "plan", "tolerance"}
+def test_identity_is_computed_once_a_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With scene=folder every mesh is read for it."""
+    computed = []
+    monkeypatch.setattr(identity, "about_data", lambda s: computed.append(s) or {"scene": {}, "pairs_version": 1})
+    mine = job(tmp_path)
+    claim_place(mine)
+    check_place(mine)
+    assert finished_run(mine) is None
+    assert (mine.data.folder.name, mine.run.hash) == (mine.data.folder.name, mine.hash)
+    assert len(computed) == 1
 
 
 @pytest.mark.parametrize(
@@ -85,7 +87,7 @@ def test_a_setting_that_came_later_and_is_off_does_not_count(tmp_path: Path) -> 
     ],
 )
 def test_what_decides_the_result_counts(tmp_path: Path, plain_hash: str, semantic: str) -> None:
-    assert config_hash(job(tmp_path, semantic).settings) != plain_hash
+    assert job(tmp_path, semantic).hash != plain_hash
 
 
 @pytest.mark.parametrize("fast", ["fp32", "bf16"])
@@ -100,7 +102,7 @@ def test_automatic_precision_is_the_one_of_the_device(
         for precision in ("auto", {"fp32": "bf16", "bf16": "fp32"}[fast])
     )
     named = job(tmp_path, "training.device=cpu", f"training.precision={fast}")
-    assert config_hash(automatic.settings) == config_hash(named.settings)
+    assert automatic.hash == named.hash
     claim_place(automatic)
     with pytest.raises(ConfigurationError, match=rf"training\.precision: {fast} there, "):
         claim_place(other)
@@ -123,17 +125,7 @@ def test_another_version_of_the_training_is_another_run(tmp_path: Path, monkeypa
         with pytest.raises(ConfigurationError, match=rf"\({versions}\).*study_name"):
             claim_place(each)
     there = json.loads((mine.folder / "spec.json").read_text())["hash"]
-    assert config_hash(mine.settings) != there
-
-
-def test_runs_stored_before_there_was_a_version_of_the_training_are_known_by_the_same_hash() -> None:
-    kept = Path(__file__).parents[2] / "docs" / "results" / "answer"
-    of_study = {job.name: job for name in ("answer", "answer_beside") for job in study_group(name)}
-    found = {f"{path.parts[-3]}/{path.parts[-2]}": read_json(path) for path in kept.glob("*/seed*/spec.json")}
-    assert found
-    for name, spec in found.items():
-        same = spec["semantic"].get("training_version", 1) == TRAINING_VERSION
-        assert (config_hash(of_study[name].settings) == spec["hash"]) == same
+    assert mine.hash != there
 
 
 def test_another_configuration_in_the_same_place_is_refused_with_the_difference(tmp_path: Path) -> None:
@@ -148,7 +140,7 @@ def test_a_study_is_one_configuration_but_for_what_its_labels_say(tmp_path: Path
     claim_place(job(tmp_path, "variant=nsa2h", "seed=3"))
     claim_place(job(tmp_path, "variant=sa2h-att", "encoding=arbitrary", "model.noise=none"))
     claim_place(job(tmp_path, "variant=sa2h-conv", "scene.anatomy_seed=1"))
-    with pytest.raises(ConfigurationError, match=r"data\.scene\.seed: 0 there, 1 here"):
+    with pytest.raises(ConfigurationError, match=r"data\.scene\.anatomy_seed: 0 there, 1 here"):
         claim_place(job(tmp_path, "scene.anatomy_seed=1"))
     with pytest.raises(ConfigurationError, match=r"data\.scene\.triangles: \d+ there, 7000 here"):
         claim_place(job(tmp_path, "variant=lsa2h", "scene.triangles=7000", "scene.anatomy_seed=1"))
@@ -164,36 +156,38 @@ def test_a_study_is_one_configuration_but_for_what_its_labels_say(tmp_path: Path
         claim_place(job(tmp_path, "variant=lsa2h", "model.width=0.5"))
 
 
-def whole_result(job: Job) -> dict[str, Any]:
-    """A result as a run writes it, and the values of its frames on disk."""
-    pd.DataFrame({"metric": []}).to_parquet(job.folder / "per_image.parquet")
-    about = {
-        "hash": config_hash(job.settings),
-        "label": job.label,
-        "seed": 0,
-        "data": "fetal-0",
-        "mlflow_run_id": "none",
-    }
-    scored_by = {"metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
-    return {**about, **scored_by, "notes": [], "scalars": {"parameters_generator": 1, "parameters_discriminator": 1}}
-
-
 def test_only_the_result_of_this_configuration_counts_as_finished(tmp_path: Path) -> None:
     mine = job(tmp_path)
     claim_place(mine)
-    assert finished(mine) is None
-    write_json(mine.folder / "result.json", {"hash": "of another"})
-    assert finished(mine) is None
-    result = whole_result(mine)
-    write_json(mine.folder / "result.json", {k: v for k, v in result.items() if k != "metrics_version"})
-    assert finished(mine) is None, "the first version of the metrics was not stored"
-    write_json(mine.folder / "result.json", {**result, "metrics_version": METRICS_VERSION + 1})
-    assert finished(mine) is None
-    write_json(mine.folder / "result.json", result)
-    assert finished(mine) == result
-    (mine.folder / "per_image.parquet").write_bytes(b"")
-    assert finished(mine) is None, "the values of frames are lost, and are made again from the checkpoint"
-    assert json.loads((mine.folder / "spec.json").read_text())["hash"] == config_hash(mine.settings)
+    assert finished_run(mine) is None
+    run = finish(mine)
+    assert finished_run(mine) == run
+    for change in ({"hash": "of another"}, {"metrics_version": 1}, {"metrics": ["psnr"]}, {"label": "nsa2h"}):
+        write_json(mine.folder / "result.json", result_of(mine, **change))
+        assert finished_run(mine) is None, change
+    finish(mine)
+    run.scores_file.write_bytes(b"")
+    assert finished_run(mine) is None, "the values of frames are lost, and are made again from the checkpoint"
+    assert mine.run.state is State.resumable
+
+
+def test_a_result_of_a_newer_version_is_never_overwritten(tmp_path: Path) -> None:
+    mine = job(tmp_path)
+    run = finish(mine, metrics_version=METRICS_VERSION + 1)
+    assert (run.state, finished_run(mine)) == (State.unusable, None)
+    with pytest.raises(ConfigurationError, match=r"scored by version \d+ of the metrics.*newer.*remove it"):
+        check_place(mine)
+
+
+def test_a_metric_of_the_users_whose_code_was_edited_is_computed_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(place, "source_digest", lambda path: f"first code of {path}")
+    mine = job(tmp_path, "metrics=[psnr,my_metrics.bias]")
+    finish(mine, metrics=["psnr", "my_metrics.bias"], sources=place.sources_of(mine.settings.metrics))
+    assert finished_run(mine) is not None
+    monkeypatch.setattr(place, "source_digest", lambda path: f"second code of {path}")
+    assert finished_run(mine) is None
 
 
 @pytest.mark.parametrize(
@@ -214,31 +208,19 @@ def test_a_damaged_result_is_not_finished_and_stops_nothing(tmp_path: Path, dama
     mine = job(tmp_path)
     claim_place(mine)
     key, _, value = damage.partition(": ")
-    changed = json.dumps(whole_result(mine) | {key: json.loads(value)}) if value and key.isidentifier() else damage
+    changed = json.dumps(result_of(mine) | {key: json.loads(value)}) if value and key.isidentifier() else damage
     (mine.folder / "result.json").write_text(changed)
-    assert finished(mine) is None
-    assert with_earlier_metrics(mine).metrics
-
-
-@pytest.mark.parametrize("key", ["metrics", "metrics_version", "inception", "notes"])
-def test_a_result_without_a_key_that_came_later_is_read(tmp_path: Path, key: str) -> None:
-    mine = job(tmp_path)
-    claim_place(mine)
-    kept = {name: value for name, value in whole_result(mine).items() if name != key}
-    write_json(mine.folder / "result.json", kept)
-    finished(mine)
+    assert finished_run(mine) is None
     assert with_earlier_metrics(mine).metrics
 
 
 def test_names_in_a_result_are_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A result may come from anybody, and a module of a user's own metric may be gone."""
     mine = job(tmp_path)
-    claim_place(mine)
     (tmp_path / "evil_metric.py").write_text("raise SystemExit('imported')\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    result = whole_result(mine) | {"metrics": ["all", "evil_metric.f", "gone.f"]}
-    write_json(mine.folder / "result.json", result)
-    assert finished(mine) == result
+    finish(mine, metrics=["all", "evil_metric.f", "gone.f"])
+    assert finished_run(mine) is not None
     assert not {"evil_metric.f", "gone.f"} & set(with_earlier_metrics(mine).metrics)
     assert "evil_metric" not in sys.modules
 
@@ -252,6 +234,6 @@ def test_a_damaged_spec_of_another_run_stops_nothing_and_ones_own_only_before_tr
     (mine.folder / "last.ckpt").touch()
     with pytest.raises(ConfigurationError, match=r"spec\.json is damaged .* remove .*seed0 to start again"):
         claim_place(mine)
-    write_json(mine.folder / "result.json", whole_result(mine))  # it names the configuration as well
+    write_json(mine.folder / "result.json", result_of(mine))  # it names the configuration as well
     claim_place(mine)
-    assert json.loads((mine.folder / "spec.json").read_text())["hash"] == config_hash(mine.settings)
+    assert json.loads((mine.folder / "spec.json").read_text())["hash"] == mine.hash

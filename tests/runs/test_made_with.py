@@ -10,13 +10,13 @@ import pytest
 import torch
 
 from ablate import tracking
-from ablate.comparison.results import Finished, appendix, provenance
+from ablate.comparison.results import appendix
 from ablate.jobs.compose import jobs_of
-from ablate.runs import made_with
-from ablate.runs.identity import config_hash
+from ablate.runs import provenance
 from ablate.runs.job import Job
 from ablate.runs.provenance import write_provenance
 from ablate.storage import write_json
+from support.finished_runs import result_of
 
 
 @pytest.fixture
@@ -66,9 +66,8 @@ def test_every_start_is_listed_and_the_report_names_all_commits(
     about = stored(job, "made_with.json")
     assert (about["git_commit"], about["git_dirty"], about["threads"]) == ("aaa, bbb", "true", "1, 2")
     assert about["torch"].partition("+")[0] == torch.__version__.partition("+")[0]  # 2.13.0, of whatever build
-    run = Finished(job.folder, {}, {"label": "sa2h", "seed": 0, "data": "fetal-0"})
-    assert provenance([run])["git_commit"] == "aaa, bbb"
-    assert appendix([run])["Uncommitted changes: sa2h/seed0"] == "+one\n\n"
+    assert job.run.made_with["git_commit"] == "aaa, bbb"
+    assert appendix([job.run])["Uncommitted changes: sa2h/seed0"] == "+one\n\n"
 
 
 def test_a_change_of_uncommitted_code_alone_is_told(
@@ -105,33 +104,16 @@ def test_a_finished_training_that_is_scored_again_goes_on_with_nothing(
     code(monkeypatch, "aaa")
     write_provenance(job)
     stopped_at(job, 60)
-    scalars = {"parameters_generator": 1, "parameters_discriminator": 1}
-    about = {"hash": config_hash(job.settings), "label": "sa2h", "seed": 0, "data": "fetal-0", "scalars": scalars}
-    write_json(job.folder / "result.json", about)
+    write_json(job.folder / "result.json", result_of(job))
     code(monkeypatch, "bbb")
     write_provenance(job)
     assert not caplog.messages
     assert stored(job, "made_with.json")["git_commit"] == "aaa, bbb"
 
 
-@pytest.mark.parametrize("listed", [None, "", '{"starts": 3}', '{"starts": [1]}'])
-def test_a_run_that_was_started_before_starts_were_listed_keeps_its_commit(
-    job: Job, monkeypatch: pytest.MonkeyPatch, listed: str | None
-) -> None:
-    folder = job.folder / "provenance"
-    folder.mkdir()
-    write_json(folder / "made_with.json", {"git_commit": "aaa", "git_dirty": "false", "hardware": "old"})
-    if listed is not None:
-        (folder / "starts.json").write_text(listed)
-    code(monkeypatch, "bbb")
-    write_provenance(job)
-    assert stored(job, "made_with.json")["git_commit"] == "aaa, bbb"
-    assert len(stored(job, "starts.json")["starts"]) == 2
-
-
 def test_minimal_provenance_has_no_changes_and_no_environment(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
     (minimal,) = jobs_of([f"runs_dir={job.settings.results}", "tracking.provenance=minimal"])
-    assert config_hash(minimal.settings) == config_hash(job.settings)
+    assert minimal.hash == job.hash
     for diff in ("+canary one\n", "+canary two\n"):
         code(monkeypatch, "aaa", diff)
         write_provenance(job)
@@ -141,4 +123,4 @@ def test_minimal_provenance_has_no_changes_and_no_environment(job: Job, monkeypa
     files = {path.name: path.read_text() for path in (job.folder / "provenance").iterdir()}
     assert files.keys() == {"config.json", "made_with.json", "starts.json"}
     assert not any("canary" in text for text in files.values())
-    assert made_with._earlier(job.folder / "provenance")[-1]["git_commit"] == "aaa"
+    assert provenance._earlier(job.folder / "provenance")[-1]["git_commit"] == "aaa"

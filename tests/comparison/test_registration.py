@@ -11,10 +11,10 @@ import pytest
 from mlflow.exceptions import MlflowException
 
 from ablate.comparison.compare import compare_study
-from ablate.comparison.results import data_of, finished_runs
 from ablate.dataset import Part, label_values, noise_seeds
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
+from ablate.runs.run import runs_of
 from ablate.runs.store_copy import copy_study
 from ablate.runs.store_texts import register_reference
 from ablate.runs.train import generated_images, run_job
@@ -51,7 +51,7 @@ def loaded(registered: tuple[Path, Job]) -> Any:
 
 def test_it_renders_what_the_study_renders(registered: tuple[Path, Job], loaded: Any) -> None:
     job = registered[1]
-    finished = finished_runs(job.settings.study_dir)
+    finished = runs_of(job.settings.study_dir)
     data = data_of(finished)
     values = label_values(data.tissues, job.settings.encoding)
     render = generated_images(load_generator(finished[0].folder / LAST), data, values, job.settings.training.precision)
@@ -79,7 +79,7 @@ def test_its_signature_says_what_it_takes_and_refuses_the_rest(loaded: Any) -> N
 
 def test_it_is_registered_once_and_not_without_the_reference(registered: tuple[Path, Job]) -> None:
     runs, job = registered
-    finished = finished_runs(job.settings.study_dir)
+    finished = runs_of(job.settings.study_dir)
     parent, ids = copy_study(job.settings)
     assert register_reference(job.settings, finished, parent.store, ids).startswith("models:/renderer of a fetus/1 ")
     (version,) = mlflow.MlflowClient(default_uri(runs)).search_model_versions("name = 'renderer of a fetus'")

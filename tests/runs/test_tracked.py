@@ -13,7 +13,7 @@ from mlflow.entities import Run
 
 from ablate.comparison.compare import compare_study
 from ablate.jobs.compose import jobs_of
-from ablate.runs import run as run_module
+from ablate.runs import train as run_module
 from ablate.runs.job import Job
 from ablate.runs.store_texts import log_samples
 from ablate.runs.train import run_job
