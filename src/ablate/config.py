@@ -15,7 +15,7 @@ from enum import Enum, StrEnum
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from ablate.anatomy.fetal.resolution import FEWEST_TRIANGLES
+from ablate.anatomy.fetal.parts import FEWEST_TRIANGLES
 from ablate.anatomy.site_grid import MOST_POSES
 from ablate.dataset.encoding import Encoding
 from ablate.dataset.own_poses import Sweep

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ablate.anatomy.meshes.vtk_files import NEEDS_VTK, VTK_SUFFIXES
 from ablate.anatomy.scene import Scene, Structure
-from ablate.anatomy.scene_values import closest, mapping, number, numbers, read_yaml, series, tissue_named
+from ablate.anatomy.scene_values import (
+    file_named,
+    mapping,
+    number,
+    numbers,
+    one_of,
+    read_yaml,
+    refusal,
+    series,
+    tissue_named,
+)
 from ablate.anatomy.site_grid import SiteGrid
 from ablate.anatomy.tissue import Tissue, load_tissues
+from ablate.anatomy.volumes.label_map import LabelMap, checked_labels
 from ablate.validation import shown
-
-if TYPE_CHECKING:
-    from ablate.anatomy.volumes.label_map import LabelMap
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", *VTK_SUFFIXES)
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
@@ -62,28 +69,22 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: no scene.yaml in this folder")
     content = mapping(read_yaml(path), f"{path}", SCENE_KEYS)
-    unit = content.get("unit", "mm")
-    if not isinstance(unit, str) or unit not in UNITS_MM:
-        raise ValueError(f"{path}: unit: {shown(unit)} is not one of {', '.join(UNITS_MM)}")
+    mm_per_unit = UNITS_MM[one_of(content.get("unit", "mm"), UNITS_MM, f"{path}: unit")]
     tissues = _tissues(content.get("tissues") or {}, path)
     structures = content.get("structures") or []
     if not isinstance(structures, list):
-        raise ValueError(f"{path}: structures: must be a list of {{mesh, tissue}}, not {shown(structures)}")
+        raise refusal(f"{path}: structures", structures, "lists of {mesh, tissue}")
     meshes = []
     for i, entry in enumerate(structures):
         where = f"{path}: structures[{i}]"
         entry = mapping(entry, where, ("mesh", "tissue"))
-        meshes.append((_mesh_path(entry, folder, where), tissue_named(entry.get("tissue"), tissues, f"{where}.tissue")))
+        mesh = _mesh_path(entry.get("mesh"), folder, f"{where}.mesh")
+        meshes.append((mesh, tissue_named(entry.get("tissue"), tissues, f"{where}.tissue")))
     background = tissue_named(content.get("background", "coupling_gel"), tissues, f"{path}: background")
-    labels = None
-    if content.get("labels"):
-        from ablate.anatomy.volumes.label_map import checked_labels  # here, because others need no volume
-
-        labels = checked_labels(content["labels"], folder, tissues, f"{path}: labels")
-    names = [name for name, _ in labels.structures] if labels else []
-    names += [mesh.name for mesh, _ in meshes]
-    sites = _sites(content["sites"], f"{path}: sites", UNITS_MM[unit], names) if content.get("sites") else None
-    return SceneFolder(folder.resolve().name, UNITS_MM[unit], background, tuple(meshes), sites, labels)
+    labels = checked_labels(content["labels"], folder, tissues, f"{path}: labels") if content.get("labels") else None
+    names = [*(name for name, _ in (labels.structures if labels else ())), *(mesh.name for mesh, _ in meshes)]
+    sites = _sites(content["sites"], f"{path}: sites", mm_per_unit, names) if content.get("sites") else None
+    return SceneFolder(folder.resolve().name, mm_per_unit, background, tuple(meshes), sites, labels)
 
 
 def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
@@ -105,7 +106,7 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
 
     checked = validate_scene_folder(folder)
     path = Path(folder) / "scene.yaml"
-    structures = tuple(Structure(load_mesh(mesh, checked.mm_per_unit)[0], tissue) for mesh, tissue in checked.meshes)
+    structures = tuple(Structure(load_mesh(mesh, checked.mm_per_unit), tissue) for mesh, tissue in checked.meshes)
     scene = Scene(structures, checked.background, checked.name)
     if structures:
         _check_unit(scene, checked.mm_per_unit, f"{path}: unit")
@@ -133,33 +134,26 @@ def load_sites(folder: str | Path) -> SiteGrid:
 
 
 def mesh_files(path: Path) -> tuple[Path, ...]:
-    """The files that a mesh is read from: its own and, for glTF, those of the buffers that it names.
+    """The files that a mesh is read from: its own and, for .gltf, those of the buffers that it names.
 
     Materials and textures are not read.
 
     Raises
     ------
     FileNotFoundError, ValueError
-        When a glTF is not readable, or a buffer is no file in its folder.
+        When a glTF is not readable, or a buffer is no file.
     """
-    if path.suffix.lower() not in (".gltf", ".glb"):
+    if path.suffix.lower() != ".gltf":
         return (path,)
-    names = []
     try:
-        content = path.read_bytes()
-        if path.suffix.lower() == ".glb":  # magic, version, length; then length, type and content of the JSON chunk
-            content = content[20 : 20 + int.from_bytes(content[12:16], "little")]
-        for buffer in json.loads(content).get("buffers", []):
-            uri = buffer.get("uri", "data:")
-            if not uri.startswith("data:"):
-                names.append(uri)
+        uris = [buffer.get("uri", "data:") for buffer in json.loads(path.read_bytes()).get("buffers", [])]
+        buffers = [path.parent / uri for uri in uris if not uri.startswith("data:")]
     except (ValueError, AttributeError, TypeError, RecursionError) as error:
         raise ValueError(f"{path}: not readable as glTF ({type(error).__name__})") from error
-    found = [path.parent / name.strip() for name in names]
-    for file in found:
-        if not (os.path.isfile(file) and file.resolve().is_relative_to(path.parent.resolve())):  # noqa: PTH113
-            raise FileNotFoundError(f"{path}: buffer {shown(str(file.name))} is no file in the folder of the mesh")
-    return (path, *found)
+    for buffer in buffers:
+        if not buffer.is_file():
+            raise FileNotFoundError(f"{path}: buffer {shown(buffer.name)} is no file in the folder of the mesh")
+    return (path, *buffers)
 
 
 def _check_unit(scene: Scene, mm_per_unit: float, where: str) -> None:
@@ -182,12 +176,13 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
     """The built-in table with the file's own tissues added or changed."""
     tissues = load_tissues()
     if not isinstance(content, Mapping):
-        raise ValueError(f"{path}: tissues: must be a mapping of names, not {shown(content)}")
+        raise refusal(f"{path}: tissues", content, "mappings of names to their values")
     for name, values in content.items():
-        changes: dict[str, Any] = {}
-        for key, value in mapping(values or {}, f"{path}: tissues.{name}", TISSUE_KEYS).items():
-            here = f"{path}: tissues.{name}.{key}"
-            changes[key] = numbers(value, here, 3) if key == "texture_mm" else number(value, here)
+        where = f"{path}: tissues.{name}"
+        changes: dict[str, Any] = {
+            key: numbers(value, f"{where}.{key}", 3) if key == "texture_mm" else number(value, f"{where}.{key}")
+            for key, value in mapping(values or {}, where, TISSUE_KEYS).items()
+        }
         try:
             tissues[name] = replace(tissues[name], **changes) if name in tissues else Tissue(name, **changes)
         except ValueError as error:
@@ -195,46 +190,30 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
     return tissues
 
 
-def _mesh_path(entry: Mapping[str, Any], folder: Path, where: str) -> Path:
-    name = entry.get("mesh")
-    if not isinstance(name, str) or not name:
-        raise ValueError(f"{where}.mesh: must be a file name, not {shown(name)}")
-    path = folder / name
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise ValueError(f"{where}.mesh: {shown(name)} is not one of {', '.join(MESH_SUFFIXES)}")
-    if not os.path.isfile(path):  # noqa: PTH113, it is False for a name that is too long
-        raise FileNotFoundError(f"{where}.mesh: no file {shown(name)} in {folder}")
+def _mesh_path(name: Any, folder: Path, where: str) -> Path:
+    path = file_named(name, MESH_SUFFIXES, folder, where)
     if path.suffix.lower() in VTK_SUFFIXES and find_spec("vtkmodules") is None:
-        raise ValueError(f"{where}.mesh: {NEEDS_VTK}")
+        raise ValueError(f"{where}: {NEEDS_VTK}")
     if path.stat().st_size == 0:
-        raise ValueError(f"{where}.mesh: {path} is empty")
+        raise ValueError(f"{where}: {path} is empty")
     mesh_files(path)
     return path
 
 
-def _sites(content: Any, where: str, mm_per_unit: float, meshes: list[str]) -> SiteGrid:
-    content = mapping(content, where, SITE_KEYS)
+def _sites(content: Any, where: str, mm_per_unit: float, structures: list[str]) -> SiteGrid:
     values: dict[str, Any] = {}
-    for key, value in content.items():
-        here = f"{where}.{key}"
+    for key, value in mapping(content, where, SITE_KEYS).items():
+        key_where = f"{where}.{key}"
         if key == "region":
-            values[key] = _region(value, meshes, here)
+            names = value if isinstance(value, list) else [value]
+            values[key] = tuple(one_of(name, structures, key_where) for name in names)
         elif key in ("axis", "front"):
-            values[key] = numbers(value, here, 3)
+            values[key] = numbers(value, key_where, 3)
         elif key == "heights":
-            values["heights_mm"] = tuple(mm_per_unit * height for height in series(value, here))
+            values["heights_mm"] = tuple(mm_per_unit * height for height in series(value, key_where))
         else:
-            values[f"{key}_deg"] = series(value, here)
+            values[f"{key}_deg"] = series(value, key_where)
     try:
         return SiteGrid(**values)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
-
-
-def _region(value: Any, known: list[str], where: str) -> tuple[str, ...]:
-    """A list of names of structures: those of mesh files or labels."""
-    names = value if isinstance(value, list) else [value]
-    for name in names:
-        if name not in known:
-            raise ValueError(f"{where}: no mesh {shown(name)}{closest(name, known)}; known: {', '.join(known)}")
-    return tuple(names)

@@ -63,7 +63,7 @@ def proposed_scene(folder: Path) -> str:
     unusable: dict[str, str] = {}
     for path in paths:
         try:
-            meshes[path.name] = load_mesh(path)[0]
+            meshes[path.name] = load_mesh(path)
         except ValueError as error:
             unusable[path.name] = str(error)
     if not meshes:

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from ablate.anatomy import Scene
-from ablate.anatomy.fetal.fetus.axes import curl, curled, trunk
+from ablate.anatomy.fetal.axes import curl, curled, trunk
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
 from ablate.anatomy.fetal.standard_planes import abdomen_plane, fetal_planes, head_plane
 

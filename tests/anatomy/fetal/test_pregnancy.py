@@ -9,8 +9,8 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from ablate.anatomy import Scene
-from ablate.anatomy.fetal.fetus.axes import SIDES
-from ablate.anatomy.fetal.fetus.limbs import Limbs
+from ablate.anatomy.fetal.axes import SIDES
+from ablate.anatomy.fetal.body import Limbs
 from ablate.anatomy.fetal.mother import cavity
 from ablate.anatomy.fetal.placenta import placenta_field
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy, fetal_balls, lie, untangled

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ablate.anatomy import Scene
 from ablate.anatomy.meshes.check import shared_walls
-from ablate.anatomy.meshes.closing import odd_edges
+from ablate.anatomy.meshes.repair import odd_edges
 
 CASES = [(4_000, 0), (4_000, 4), (30_000, 1), (30_000, 2), (30_000, 3), (300_000, 0)]
 

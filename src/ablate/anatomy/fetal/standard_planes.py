@@ -5,11 +5,11 @@ from operator import itemgetter
 
 import numpy as np
 
-from ablate.anatomy.fetal.fetus.axes import ABDOMEN_S_MM, HEAD_ORIGIN, HEAD_ROTATION, SIDES, curl
-from ablate.anatomy.fetal.fetus.chest import HEART_AXES, HEART_CENTER
+from ablate.anatomy.fetal.axes import ABDOMEN_S_MM, HEAD_ORIGIN, HEAD_ROTATION, SIDES, curl
 from ablate.anatomy.fetal.mother import UTERUS_CENTER, UTERUS_RADII, torso
+from ablate.anatomy.fetal.organs import HEART_AXES, HEART_CENTER
 from ablate.anatomy.fetal.pregnancy import Pregnancy, draw_pregnancy
-from ablate.anatomy.shapes.vectors import unit
+from ablate.anatomy.fetal.tubes import unit
 
 DEEPEST_MM = 115.0  # of what is looked at, under the skin
 MOST_OBLIQUE_DEG = 35.0  # between the beam and the skin's normal

@@ -6,7 +6,13 @@ import numpy as np
 import trimesh
 from scipy.interpolate import make_interp_spline
 
-from ablate.anatomy.shapes.vectors import Vector, unit
+Vector = Sequence[float] | np.ndarray
+
+
+def unit(vectors: Vector) -> np.ndarray:
+    """Vectors (..., 3) of the same directions and of length 1."""
+    vectors = np.asarray(vectors, float)
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def tube(path: np.ndarray, radii: np.ndarray, sides: int, up: Vector = (0.0, 0.0, 1.0)) -> trimesh.Trimesh:

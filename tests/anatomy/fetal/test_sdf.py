@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ablate.anatomy.meshes.closing import odd_edges
-from ablate.anatomy.shapes.sdf import (
+from ablate.anatomy.fetal.sdf import (
     capsule,
     ellipsoid,
     intersection,
@@ -20,6 +19,7 @@ from ablate.anatomy.shapes.sdf import (
     smooth_min,
     union,
 )
+from ablate.anatomy.meshes.repair import odd_edges
 
 BOX = ((-40.0, -40.0, -40.0), (40.0, 40.0, 40.0))
 numbers = st.floats(-50, 50)
