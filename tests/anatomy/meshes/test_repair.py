@@ -40,22 +40,6 @@ def circle(radius: float, count: int = 40, center: tuple[float, float] = (0.0, 0
     return np.stack([center[0] + radius * np.cos(angle), center[1] + radius * np.sin(angle)], 1)
 
 
-def crossings(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """How many triangles a ray along +z from each point crosses, by areas in the plane; no ray library."""
-    a, b, c = (mesh.triangles[:, i] for i in range(3))
-
-    def side(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-        return (q[:, 0] - p[:, 0]) * (points[:, None, 1] - p[:, 1]) - (q[:, 1] - p[:, 1]) * (
-            points[:, None, 0] - p[:, 0]
-        )
-
-    u, v, w = side(b, c), side(c, a), side(a, b)
-    inside = ((u > 0) & (v > 0) & (w > 0)) | ((u < 0) & (v < 0) & (w < 0))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = (u * a[:, 2] + v * b[:, 2] + w * c[:, 2]) / (u + v + w)
-    return (inside & (z > points[:, None, 2])).sum(1)
-
-
 STAR = np.stack([circle(10, 20)[i] * (1.0 if i % 2 else 0.35) for i in range(20)])
 L_SHAPE = np.array([(0, 0), (10, 0), (10, 3), (3, 3), (3, 10), (0, 10)], float)
 
@@ -90,7 +74,7 @@ def test_nested_openings_become_rings_and_islands(counts: Counts) -> None:
     assert mesh.area_faces[len(wall[1]) :].sum() == pytest.approx(2 * n * (100 - 49 + 9))
     radius = np.array([1.5, 5.0, 8.5, 12.0])
     points = np.stack([radius * 0.96, radius * 0.28, np.full(4, 2.5)], 1)
-    assert (crossings(mesh, points) % 2).tolist() == [1, 0, 1, 0]
+    assert mesh.contains(points).tolist() == [True, False, True, False]
 
 
 def test_ends_on_different_planes_and_side_by_side_are_capped_apart(counts: Counts) -> None:
@@ -114,7 +98,7 @@ def test_cut_sphere_owns_what_the_whole_sphere_below_the_cut_owns(counts: Counts
     points = np.random.default_rng(0).uniform(-9, 9, (800, 3))
     points = points[(np.abs(np.linalg.norm(points, axis=1) - 10) > 0.5) & (np.abs(points[:, 2] - 5) > 1.5)]
     expected = (np.linalg.norm(points, axis=1) < 10) & (points[:, 2] < 5)
-    assert (crossings(mesh, points) % 2 == 1).tolist() == expected.tolist()
+    assert mesh.contains(points).tolist() == expected.tolist()
 
 
 def test_hole_that_is_not_flat_is_refused_with_its_size() -> None:
@@ -171,11 +155,6 @@ def test_soup_of_triangles_is_merged() -> None:
     assert abs(mesh.volume) == pytest.approx(24)
 
 
-def test_inside_out_mesh_is_kept_as_it_is() -> None:
-    box = trimesh.creation.box((2, 2, 2))
-    assert repair(box.vertices, box.faces[:, ::-1], "inside out").volume == pytest.approx(-8)
-
-
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply", ".off"])
 def test_files_are_read_in_mm(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"box{suffix}"
@@ -205,12 +184,6 @@ def test_files_that_hold_no_mesh_are_refused_by_name(tmp_path: Path, name: str, 
 def test_triangles_of_missing_vertices_are_refused() -> None:
     with pytest.raises(ValueError, match=r"missing: has triangles with vertices that are not among its 3"):
         repair(np.eye(3), np.array([(0, 1, 7)]), "missing")
-
-
-def test_repairs_are_logged(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.INFO, logger="ablate.anatomy.meshes.repair"):
-        repair(*prism(circle(5), 3.0), "tube")
-    assert "capped 2 flat open ends of up to 10.0 mm" in caplog.text
 
 
 def test_shared_walls_are_found_and_named(caplog: pytest.LogCaptureFixture) -> None:

@@ -206,13 +206,6 @@ def test_values_that_are_no_labels_are_named(tmp_path: Path, values: np.ndarray,
         load_scene(folder)
 
 
-def test_a_missing_volume_is_named(tmp_path: Path) -> None:
-    write(tmp_path, three_balls()[0], np.eye(4))
-    (tmp_path / "labels.nii.gz").unlink()
-    with pytest.raises(FileNotFoundError, match=r"labels\.file: no file 'labels\.nii\.gz' in "):
-        validate_scene_folder(tmp_path)
-
-
 def test_memory_is_less_than_three_times_the_volume(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     values = np.zeros((400, 400, 120), np.int16)
     values[180:220, 190:210, 50:70] = 2
