@@ -90,7 +90,14 @@ class Scene:
 
 
 def bounds_mm(meshes: Iterable[trimesh.Trimesh]) -> np.ndarray:
-    """Lower and upper corner of the box around all meshes, (2, 3) float64, mm; zeros where there is none."""
+    """Lower and upper corner of the box around all meshes, (2, 3) float64, mm; zeros where there is none.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> bounds_mm([trimesh.creation.box((2, 4, 6)), trimesh.creation.icosphere(radius=2.0)]).tolist()
+    [[-2.0, -2.0, -3.0], [2.0, 2.0, 3.0]]
+    """
     bounds = np.array([mesh.bounds for mesh in meshes])
     return np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)]) if len(bounds) else np.zeros((2, 3))
 

@@ -5,23 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from ablate.anatomy import scene_values as values
 from ablate.anatomy.meshes.vtk_files import NEEDS_VTK, VTK_SUFFIXES
 from ablate.anatomy.scene import Scene, Structure
-from ablate.anatomy.scene_values import (
-    file_named,
-    mapping,
-    number,
-    numbers,
-    one_of,
-    read_yaml,
-    refusal,
-    series,
-    tissue_named,
-)
 from ablate.anatomy.site_grid import SiteGrid
 from ablate.anatomy.tissue import Tissue, load_tissues
 from ablate.anatomy.volumes.label_map import LabelMap, checked_labels
@@ -68,19 +59,19 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     path = folder / "scene.yaml"
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: no scene.yaml in this folder")
-    content = mapping(read_yaml(path), f"{path}", SCENE_KEYS)
-    mm_per_unit = UNITS_MM[one_of(content.get("unit", "mm"), UNITS_MM, f"{path}: unit")]
+    content = values.mapping(values.read_yaml(path), f"{path}", SCENE_KEYS)
+    mm_per_unit = UNITS_MM[values.one_of(content.get("unit", "mm"), UNITS_MM, f"{path}: unit")]
     tissues = _tissues(content.get("tissues") or {}, path)
     structures = content.get("structures") or []
     if not isinstance(structures, list):
-        raise refusal(f"{path}: structures", structures, "lists of {mesh, tissue}")
+        raise values.refusal(f"{path}: structures", structures, "lists of {mesh, tissue}")
     meshes = []
     for i, entry in enumerate(structures):
         where = f"{path}: structures[{i}]"
-        entry = mapping(entry, where, ("mesh", "tissue"))
+        entry = values.mapping(entry, where, ("mesh", "tissue"))
         mesh = _mesh_path(entry.get("mesh"), folder, f"{where}.mesh")
-        meshes.append((mesh, tissue_named(entry.get("tissue"), tissues, f"{where}.tissue")))
-    background = tissue_named(content.get("background", "coupling_gel"), tissues, f"{path}: background")
+        meshes.append((mesh, values.tissue_named(entry.get("tissue"), tissues, f"{where}.tissue")))
+    background = values.tissue_named(content.get("background", "coupling_gel"), tissues, f"{path}: background")
     labels = checked_labels(content["labels"], folder, tissues, f"{path}: labels") if content.get("labels") else None
     names = [*(name for name, _ in (labels.structures if labels else ())), *(mesh.name for mesh, _ in meshes)]
     sites = _sites(content["sites"], f"{path}: sites", mm_per_unit, names) if content.get("sites") else None
@@ -99,6 +90,16 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
         As `validate_scene_folder`, before any mesh is read; and ValueError from `load_mesh` for a mesh that is
         empty, not finite or cannot be closed, from `labelled_structures`, and when the unit makes the meshes larger
         or smaller than any body.
+
+    Examples
+    --------
+    >>> import tempfile, trimesh
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = trimesh.creation.icosphere(radius=5.0).export(f"{folder}/liver.stl")
+    ...     _ = Path(folder, "scene.yaml").write_text("unit: cm\\nstructures: [{mesh: liver.stl, tissue: liver}]")
+    ...     scene = load_scene(folder)
+    >>> scene.structures[0].tissue.name, scene.structures[0].mesh.extents.round().tolist()
+    ('liver', [100.0, 100.0, 100.0])
     """
     # here, because the check of a folder needs no mesh library
     from ablate.anatomy.meshes.check import warn_of_shared_walls
@@ -126,6 +127,14 @@ def load_sites(folder: str | Path) -> SiteGrid:
     ------
     FileNotFoundError, ValueError
         As `validate_scene_folder`; and ValueError when the file has no `sites`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = Path(folder, "scene.yaml").write_text("sites: {heights: {range: [0, 40], count: 3}}")
+    ...     load_sites(folder).heights_mm
+    (0.0, 20.0, 40.0)
     """
     sites = validate_scene_folder(folder).sites
     if sites is None:
@@ -176,13 +185,13 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
     """The built-in table with the file's own tissues added or changed."""
     tissues = load_tissues()
     if not isinstance(content, Mapping):
-        raise refusal(f"{path}: tissues", content, "mappings of names to their values")
-    for name, values in content.items():
+        raise values.refusal(f"{path}: tissues", content, "mappings of names to their values")
+    for name, entry in content.items():
         where = f"{path}: tissues.{name}"
-        changes: dict[str, Any] = {
-            key: numbers(value, f"{where}.{key}", 3) if key == "texture_mm" else number(value, f"{where}.{key}")
-            for key, value in mapping(values or {}, where, TISSUE_KEYS).items()
-        }
+        changes: dict[str, Any] = {}
+        for key, value in values.mapping(entry or {}, where, TISSUE_KEYS).items():
+            check = partial(values.numbers, count=3) if key == "texture_mm" else values.number
+            changes[key] = check(value, f"{where}.{key}")
         try:
             tissues[name] = replace(tissues[name], **changes) if name in tissues else Tissue(name, **changes)
         except ValueError as error:
@@ -191,7 +200,7 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
 
 
 def _mesh_path(name: Any, folder: Path, where: str) -> Path:
-    path = file_named(name, MESH_SUFFIXES, folder, where)
+    path = values.file_named(name, MESH_SUFFIXES, folder, where)
     if path.suffix.lower() in VTK_SUFFIXES and find_spec("vtkmodules") is None:
         raise ValueError(f"{where}: {NEEDS_VTK}")
     if path.stat().st_size == 0:
@@ -201,19 +210,19 @@ def _mesh_path(name: Any, folder: Path, where: str) -> Path:
 
 
 def _sites(content: Any, where: str, mm_per_unit: float, structures: list[str]) -> SiteGrid:
-    values: dict[str, Any] = {}
-    for key, value in mapping(content, where, SITE_KEYS).items():
+    lists: dict[str, Any] = {}
+    for key, value in values.mapping(content, where, SITE_KEYS).items():
         key_where = f"{where}.{key}"
         if key == "region":
             names = value if isinstance(value, list) else [value]
-            values[key] = tuple(one_of(name, structures, key_where) for name in names)
+            lists[key] = tuple(values.one_of(name, structures, key_where) for name in names)
         elif key in ("axis", "front"):
-            values[key] = numbers(value, key_where, 3)
+            lists[key] = values.numbers(value, key_where, 3)
         elif key == "heights":
-            values["heights_mm"] = tuple(mm_per_unit * height for height in series(value, key_where))
+            lists["heights_mm"] = tuple(mm_per_unit * height for height in values.series(value, key_where))
         else:
-            values[f"{key}_deg"] = series(value, key_where)
+            lists[f"{key}_deg"] = values.series(value, key_where)
     try:
-        return SiteGrid(**values)
+        return SiteGrid(**lists)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None

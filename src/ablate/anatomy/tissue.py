@@ -120,12 +120,11 @@ class Tissue:
 
 @cache
 def _table() -> tuple[Tissue, ...]:
-    texture = ("texture_x_mm", "texture_y_mm", "texture_z_mm")
     tissues = []
     with files("ablate.anatomy").joinpath("tissues.csv").open(encoding="utf-8") as stream:
         for row in csv.DictReader(stream):
             numbers = {key: float(value) for key, value in row.items() if key not in ("name", "source")}
-            texture_mm = tuple(numbers.pop(column) for column in texture)
+            texture_mm = tuple(numbers.pop(f"texture_{axis}_mm") for axis in "xyz")
             tissues.append(Tissue(name=row["name"], texture_mm=texture_mm, **numbers))  # type: ignore[arg-type]
     return tuple(tissues)
 

@@ -39,7 +39,7 @@ class FreeSpace:
     first: np.ndarray  # (3,): world position of the first grid point, mm
     clearance: np.ndarray  # (i, j, k), mm; negative where there is no fluid
 
-    def at(self, points: np.ndarray) -> np.ndarray:
+    def clearance_at(self, points: np.ndarray) -> np.ndarray:
         """Clearance at world points (..., 3), interpolated; (...) mm."""
         index = np.moveaxis((points - self.first) / PITCH_MM, -1, 0)
         return map_coordinates(self.clearance, index, order=1, mode="nearest")
@@ -155,16 +155,16 @@ def _place(room: FreeSpace, balls: np.ndarray, rotation: np.ndarray) -> tuple[np
     turned, radius = balls[:, :3] @ rotation.T, balls[:, 3]
 
     def clearance(origins: np.ndarray) -> np.ndarray:
-        return (room.at(turned + origins[:, None]) - radius).min(axis=1)
+        return (room.clearance_at(turned + origins[:, None]) - radius).min(axis=1)
 
     middle = room.first + 1.5 * np.array(room.clearance.shape) - (turned.min(axis=0) + turned.max(axis=0)) / 2.0
     best, most, step = middle, -np.inf, 8.0
     around = np.stack(np.meshgrid(*3 * [np.arange(-1, 2)], indexing="ij"), axis=-1).reshape(-1, 3)
     while step > 0.4:
         origins = best + step * around
-        found = clearance(origins)
-        if found.max() > most + 0.01:
-            best, most = origins[int(np.argmax(found))], float(found.max())
+        clearances = clearance(origins)
+        if clearances.max() > most + 0.01:
+            best, most = origins[int(np.argmax(clearances))], float(clearances.max())
         else:
             step /= 2.0
     return best, most

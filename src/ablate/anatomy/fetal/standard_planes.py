@@ -43,6 +43,11 @@ def fetal_planes(seed: int = 0, press_mm: float = 8.0) -> dict[str, np.ndarray]:
     ------
     ValueError
         When `seed` is negative.
+
+    Examples
+    --------
+    >>> sorted(fetal_planes())
+    ['abdomen', 'femur', 'four_chambers', 'head', 'placenta', 'spine']
     """
     poses = {}
     for name, planes in _planes(draw_pregnancy(seed)).items():

@@ -14,15 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ablate.anatomy.meshes.repair import (
-    array_fault,
-    have_area,
-    merge_vertices,
-    odd_edges,
-    principal_axes,
-    simple_loops,
-    with_three_corners,
-)
+from ablate.anatomy.meshes import repair
 from ablate.anatomy.scene import Scene, Structure, bounds_mm
 
 logger = logging.getLogger(__name__)
@@ -78,9 +70,9 @@ def _problem(structure: Structure) -> str | None:
     """What makes the image of a structure wrong; None where nothing does."""
     vertices = np.asarray(structure.mesh.vertices, np.float64)
     faces = np.asarray(structure.mesh.faces)
-    if fault := array_fault(vertices, faces):
+    if fault := repair.array_fault(vertices, faces):
         return fault
-    if not have_area(vertices, faces[:_FIRST]).any() and not have_area(vertices, faces).any():
+    if not repair.have_area(vertices, faces[:_FIRST]).any() and not repair.have_area(vertices, faces).any():
         return f"has no triangle with an area ({len(faces)} without)"
     if _closed_by_hash(vertices, faces):
         return None
@@ -120,7 +112,7 @@ def openings(vertices: np.ndarray, faces: np.ndarray) -> tuple[int, float]:
     A triangle that occurs twice counts once, as it does for a ray. Vertices (n, 3) nearer than `GAP` count as one, and
     a hole that is narrower, where one long edge meets several short ones, does not count.
     """
-    vertices, faces = merge_vertices(vertices, faces)
+    vertices, faces = repair.merge_vertices(vertices, faces)
     faces = np.unique(np.sort(faces, axis=1), axis=0)
     gap_mm = GAP * float(np.ptp(vertices, axis=0).max())
     near = cKDTree(vertices).query_pairs(gap_mm, output_type="ndarray")
@@ -128,8 +120,8 @@ def openings(vertices: np.ndarray, faces: np.ndarray) -> tuple[int, float]:
     _, place = connected_components(links, directed=False)
     points = np.empty_like(vertices)
     points[place] = vertices
-    loops = simple_loops(odd_edges(with_three_corners(place[faces])))
-    spans = [np.ptp(principal_axes(points[loop])[0], axis=0) for loop in loops]
+    loops = repair.simple_loops(repair.odd_edges(repair.with_three_corners(place[faces])))
+    spans = [np.ptp(repair.principal_axes(points[loop])[0], axis=0) for loop in loops]
     holes = [(len(loop), long) for loop, (long, wide, _) in zip(loops, spans, strict=True) if wide > 2 * gap_mm]
     return sum(edges for edges, _ in holes), float(max((long for _, long in holes), default=0.0))
 

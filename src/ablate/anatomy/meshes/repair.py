@@ -5,6 +5,7 @@ every edge lies in an even number of triangles.
 """
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,18 +32,14 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     where `repair` does.
     """
     try:
-        vertices, faces = read_vtk(path) if path.suffix.lower() in VTK_SUFFIXES else _read(path)
+        if path.suffix.lower() in VTK_SUFFIXES:
+            vertices, faces = read_vtk(path)
+        else:
+            mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
+            vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     except Exception as error:  # every reader raises its own
         raise ValueError(f"{path}: not readable as a mesh: {' '.join(str(error).split())}") from error
     return repair(vertices * mm_per_unit, faces, str(path))
-
-
-def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (n, 3) and triangles (m, 3) of a file that trimesh knows; none where it holds something else."""
-    loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
-    if not isinstance(loaded, trimesh.Trimesh):
-        return np.empty((0, 3)), np.empty((0, 3), np.int64)
-    return np.asarray(loaded.vertices), np.asarray(loaded.faces)
 
 
 def repair(vertices: np.ndarray, faces: np.ndarray, name: str) -> trimesh.Trimesh:
@@ -154,14 +151,13 @@ def cap_open_ends(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[n
     loops = simple_loops(odd_edges(faces))
     if not loops:
         return np.empty((0, 3), np.int64), ()
-    laid = [principal_axes(vertices[loop]) for loop in loops]
-    widths = tuple(float(np.ptp(along[:, 0])) for along, _ in laid)
-    uneven = [float(np.abs(along[:, 2]).max()) for along, _ in laid]
-    ends = zip(widths, uneven, strict=True)
-    if torn := [(width, rise) for width, rise in ends if rise > max(FLAT_MM, FLAT_FRACTION * width)]:
-        width, rise = max(torn)
+    offsets, planes = zip(*(principal_axes(vertices[loop]) for loop in loops), strict=True)
+    widths = tuple(float(np.ptp(offset[:, 0])) for offset in offsets)
+    rises = (float(np.abs(offset[:, 2]).max()) for offset in offsets)
+    ends = zip(widths, rises, strict=True)
+    if uneven := [(width, rise) for width, rise in ends if rise > max(FLAT_MM, FLAT_FRACTION * width)]:
+        width, rise = max(uneven)
         raise ValueError(f"{name}: cannot be closed: a hole of {width:.1f} mm is not flat (uneven by {rise:.1f} mm)")
-    planes = [axes for _, axes in laid]
     caps = []
     for group in _nested(vertices, loops, widths, planes):
         rings = [loops[i] for i in group]
@@ -169,8 +165,8 @@ def cap_open_ends(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[n
         flat = vertices[corners] @ planes[group[0]][:2].T
         caps.append(corners[triangulate_float64(flat, stops.astype(np.uint32)).reshape(-1, 3)])
     # Vertices on a straight line, and rings that cross themselves when laid flat, leave edges open: fans close them.
-    left = simple_loops(odd_edges(np.concatenate([faces, *caps])))
-    fans = [np.column_stack([np.full(len(ring) - 2, ring[0]), ring[1:-1], ring[2:]]) for ring in left]
+    open_rings = simple_loops(odd_edges(np.concatenate([faces, *caps])))
+    fans = [np.column_stack([np.full(len(ring) - 2, ring[0]), ring[1:-1], ring[2:]]) for ring in open_rings]
     return np.concatenate([*caps, *fans]), widths
 
 
@@ -210,7 +206,7 @@ def principal_axes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _nested(
-    vertices: np.ndarray, loops: list[np.ndarray], widths: tuple[float, ...], planes: list[np.ndarray]
+    vertices: np.ndarray, loops: list[np.ndarray], widths: Sequence[float], planes: Sequence[np.ndarray]
 ) -> list[list[int]]:
     """Groups of one outer loop and the loops directly inside it, on the same plane."""
     order = sorted(range(len(loops)), key=lambda i: -widths[i])
