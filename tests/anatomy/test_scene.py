@@ -47,7 +47,7 @@ def test_hash_changes_with_shape_tissue_background_and_order_but_not_with_the_na
 def test_hash_is_the_same_in_another_process(built: Callable[[int, int], Scene]) -> None:
     code = "from ablate.anatomy import *; print(content_hash(fetal_abdomen(4000, seed=4)))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == content_hash(built(4_000, 4))
+    assert result.stdout.strip() == content_hash(built(4_000, 4)) != content_hash(built(4_000, 0))
 
 
 def test_lists_are_taken_as_tuples() -> None:
@@ -68,7 +68,6 @@ BOX, GEL = trimesh.creation.box((1, 1, 1)), TISSUES["coupling_gel"]
         (lambda: Structure("liver.obj", GEL), "mesh must be a trimesh.Trimesh, not str"),
         (lambda: Structure(BOX, "liver"), "tissue must be a Tissue, not 'liver'; load_tissues"),
         (lambda: Scene((), "gel", "s"), "background must be a Tissue, not 'gel'"),
-        (lambda: Scene(Structure(BOX, GEL), GEL, "s"), "structures must be a tuple of Structure"),
         (lambda: Scene((BOX,), GEL, "s"), "structures must be a tuple of Structure"),
     ],
 )

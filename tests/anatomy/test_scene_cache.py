@@ -2,6 +2,7 @@
 
 import logging
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,21 +19,15 @@ def small() -> Scene:
     return Scene((Structure(cube, tissues["liver"]), Structure(ball, tissues["bile"])), tissues["coupling_gel"], "two")
 
 
-class Builds:
-    """Counts how often the scene is built."""
-
-    def __init__(self) -> None:
-        self.count = 0
-
-    def __call__(self) -> Scene:
-        self.count += 1
-        return small()
+@pytest.fixture
+def build() -> Mock:
+    """Builds the scene, and counts how often."""
+    return Mock(side_effect=small)
 
 
-def test_second_call_reads_the_same_scene(tmp_path: Path) -> None:
-    build = Builds()
+def test_second_call_reads_the_same_scene_and_other_parameters_are_another_file(tmp_path: Path, build: Mock) -> None:
     first, second = (cached_scene(tmp_path / "new", build, kind="two") for _ in range(2))
-    assert build.count == 1
+    assert build.call_count == 1
     assert second.name == first.name
     assert second.background == first.background
     for a, b in zip(first.structures, second.structures, strict=True):
@@ -40,54 +35,27 @@ def test_second_call_reads_the_same_scene(tmp_path: Path) -> None:
         assert np.array_equal(a.mesh.faces, b.mesh.faces)
         assert a.tissue == b.tissue
         assert a.mesh.metadata["name"] == b.mesh.metadata["name"]
-    assert [path.suffix for path in (tmp_path / "new").iterdir()] == [".npz"]
+    cached_scene(tmp_path / "new", build, kind="three")
+    assert build.call_count == 2
+    assert [path.suffix for path in (tmp_path / "new").iterdir()] == [".npz", ".npz"]
 
 
-def test_other_parameters_are_another_file(tmp_path: Path) -> None:
-    build = Builds()
-    cached_scene(tmp_path, build, seed=0)
-    cached_scene(tmp_path, build, seed=1)
-    assert build.count == 2
-    assert len(list(tmp_path.iterdir())) == 2
-
-
-@pytest.mark.parametrize("harm", ["empty", "cut", "text", "flipped", "other scene"])
-def test_broken_file_is_built_again(tmp_path: Path, caplog: pytest.LogCaptureFixture, harm: str) -> None:
-    build = Builds()
+@pytest.mark.parametrize("harm", ["empty", "cut", "other scene"])
+def test_broken_file_is_built_again(tmp_path: Path, caplog: pytest.LogCaptureFixture, build: Mock, harm: str) -> None:
     cached_scene(tmp_path, build)
     path = next(tmp_path.iterdir())
-    held = path.read_bytes()
-    middle = held.index(np.float64(10.0).tobytes()) + 5
-    path.write_bytes(
-        {
-            "empty": b"",
-            "cut": held[: len(held) // 2],
-            "text": b"not a zip",
-            "flipped": held[:middle] + bytes([held[middle] ^ 1]) + held[middle + 1 :],
-            "other scene": held,
-        }[harm]
-    )
     if harm == "other scene":
         with np.load(path) as arrays:
-            changed = dict(arrays)
-        changed["vertices"] = changed["vertices"] + 1.0
-        np.savez(path, **changed)
+            np.savez(path, **{**arrays, "vertices": arrays["vertices"] + 1.0})
+    else:
+        path.write_bytes(path.read_bytes()[:500] if harm == "cut" else b"")
     with caplog.at_level(logging.WARNING):
         again = cached_scene(tmp_path, build)
-    assert build.count == 2
+    assert build.call_count == 2
     assert str(path) in caplog.text
     assert content_hash(again) == content_hash(small())
     assert cached_scene(tmp_path, build).name == "two"
-    assert build.count == 2
-
-
-def test_a_build_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    def fails() -> Scene:
-        raise RuntimeError("no")
-
-    with pytest.raises(RuntimeError):
-        cached_scene(tmp_path, fails)
-    assert list(tmp_path.iterdir()) == []
+    assert build.call_count == 2
 
 
 def test_a_scene_that_cannot_be_kept_is_still_built(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -108,8 +76,7 @@ def test_fetal_abdomen_is_cached_only_where_asked(tmp_path: Path, monkeypatch: p
     assert len(list((tmp_path / "kept").iterdir())) == 1
 
 
-def test_a_file_with_any_bit_flipped_gives_the_scene_that_was_written(tmp_path: Path) -> None:
-    build = Builds()
+def test_a_file_with_any_bit_flipped_gives_the_scene_that_was_written(tmp_path: Path, build: Mock) -> None:
     cached_scene(tmp_path, build)
     path = next(tmp_path.iterdir())
     held = path.read_bytes()
@@ -120,4 +87,4 @@ def test_a_file_with_any_bit_flipped_gives_the_scene_that_was_written(tmp_path: 
         flipped[bit // 8] ^= 1 << bit % 8
         path.write_bytes(flipped)
         assert content_hash(cached_scene(tmp_path, build)) == content_hash(small())
-    assert build.count > 50
+    assert build.call_count > 50

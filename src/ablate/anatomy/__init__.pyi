@@ -1,5 +1,4 @@
 from .fetal.fetal_abdomen import fetal_abdomen as fetal_abdomen
-from .fetal.sites import fetal_sites as fetal_sites
 from .fetal.standard_planes import fetal_planes as fetal_planes
 from .meshes.check import check_scene as check_scene
 from .scene import ANATOMY_VERSION as ANATOMY_VERSION
@@ -13,6 +12,7 @@ from .scene_folder import mesh_files as mesh_files
 from .scene_folder import validate_scene_folder as validate_scene_folder
 from .scene_proposal import proposed_scene as proposed_scene
 from .site_grid import SiteGrid as SiteGrid
+from .site_grid import fetal_sites as fetal_sites
 from .tissue import Tissue as Tissue
 from .tissue import TissueKind as TissueKind
 from .tissue import echogenicity_order as echogenicity_order

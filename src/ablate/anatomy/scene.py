@@ -18,11 +18,6 @@ if TYPE_CHECKING:
 ANATOMY_VERSION = 2  # of the built-in anatomy, the tissue table and mesh repair: raised when a scene changes
 
 
-def _check_tissue(what: str, value: object) -> None:
-    if not isinstance(value, Tissue):
-        raise TypeError(f"{what} must be a Tissue, not {value!r}; load_tissues() has the built-in ones by name")
-
-
 @dataclass(frozen=True)
 class Structure:
     """One closed surface and the tissue inside it; vertices in mm, winding irrelevant.
@@ -32,6 +27,14 @@ class Structure:
     TypeError
         When the mesh is no `trimesh.Trimesh` (trimesh loads files of several parts as a `trimesh.Scene`) or the
         tissue is no `Tissue`.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from ablate.anatomy import load_tissues
+    >>> cyst = Structure(trimesh.creation.icosphere(radius=10.0), load_tissues()["urine"])
+    >>> cyst.mesh.extents.tolist(), cyst.tissue.kind.value
+    ([20.0, 20.0, 20.0], 'fluid')
     """
 
     mesh: trimesh.Trimesh
@@ -42,19 +45,25 @@ class Structure:
 
         if not isinstance(self.mesh, trimesh.Trimesh):
             raise TypeError(f"structure: mesh must be a trimesh.Trimesh, not {type(self.mesh).__name__}")
-        _check_tissue("structure: tissue", self.tissue)
+        if not isinstance(self.tissue, Tissue):
+            raise TypeError(f"structure: tissue must be a Tissue, not {self.tissue!r}; load_tissues() has them")
 
 
 @dataclass(frozen=True)
 class Scene:
     """Structures in a background: where structures overlap, the later one owns the point.
 
-    Without structures the scene is all background.
+    Without structures the scene is all background. Structures or a background of another kind are a TypeError.
 
-    Raises
-    ------
-    TypeError
-        When a structure is no `Structure` or the background is no `Tissue`.
+    Examples
+    --------
+    >>> import trimesh
+    >>> from ablate.anatomy import load_tissues
+    >>> tissues = load_tissues()
+    >>> cyst = Structure(trimesh.creation.icosphere(radius=10.0), tissues["urine"])
+    >>> scene = Scene((cyst,), background=tissues["liver"], name="cyst")
+    >>> [tissue.name for tissue in scene.tissues]
+    ['liver', 'urine']
     """
 
     structures: tuple[Structure, ...]
@@ -62,11 +71,11 @@ class Scene:
     name: str
 
     def __post_init__(self) -> None:
-        listed = isinstance(self.structures, (tuple, list))
-        if not listed or not all(isinstance(structure, Structure) for structure in self.structures):
-            raise TypeError("scene: structures must be a tuple of Structure")
         object.__setattr__(self, "structures", tuple(self.structures))
-        _check_tissue("scene: background", self.background)
+        if not all(isinstance(structure, Structure) for structure in self.structures):
+            raise TypeError("scene: structures must be a tuple of Structure")
+        if not isinstance(self.background, Tissue):
+            raise TypeError(f"scene: background must be a Tissue, not {self.background!r}; load_tissues() has them")
 
     @cached_property
     def tissues(self) -> tuple[Tissue, ...]:
@@ -81,7 +90,14 @@ class Scene:
 
 
 def bounds_mm(meshes: Iterable[trimesh.Trimesh]) -> np.ndarray:
-    """Lower and upper corner of the box around all meshes, (2, 3) float64, mm; zeros where there is none."""
+    """Lower and upper corner of the box around all meshes, (2, 3) float64, mm; zeros where there is none.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> bounds_mm([trimesh.creation.box((2, 4, 6)), trimesh.creation.icosphere(radius=2.0)]).tolist()
+    [[-2.0, -2.0, -3.0], [2.0, 2.0, 3.0]]
+    """
     bounds = np.array([mesh.bounds for mesh in meshes])
     return np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)]) if len(bounds) else np.zeros((2, 3))
 

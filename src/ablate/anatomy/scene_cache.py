@@ -15,15 +15,17 @@ from ablate.storage import written_whole
 logger = logging.getLogger(__name__)
 
 
-def cached_scene(folder: Path, build: Callable[[], Scene], **parameters: object) -> Scene:
-    """The scene of these parameters: read from `folder` if it is there, else built and written.
+def cached_scene(folder: str | Path | None, build: Callable[[], Scene], **parameters: object) -> Scene:
+    """The scene of these parameters: read from `folder` if it is there, else built and written; only built for None.
 
     Both give the same scene, vertices bit for bit; its tissues must be those of the built-in table. The parameters are
     everything that decides what the scene is, including a version of the code that builds it. A file that cannot be
     read or written is logged as a warning.
     """
+    if folder is None:
+        return build()
     key = hashlib.sha256(repr(sorted(parameters.items())).encode()).hexdigest()[:16]
-    path = folder / f"scene-{key}.npz"
+    path = Path(folder) / f"scene-{key}.npz"
     if path.exists():
         try:
             return _read(path)
@@ -31,7 +33,7 @@ def cached_scene(folder: Path, build: Callable[[], Scene], **parameters: object)
             logger.warning("%s: built again, because it cannot be read: %s", path, " ".join(str(error).split()))
     scene = build()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as partial:
             _write(partial, scene)
     except OSError as error:
@@ -46,10 +48,10 @@ def _write(path: Path, scene: Scene) -> None:
             stream,
             vertices=np.concatenate([mesh.vertices for mesh in meshes]),
             faces=np.concatenate([mesh.faces for mesh in meshes]).astype(np.int32),
-            counts=np.array([(len(mesh.vertices), len(mesh.faces)) for mesh in meshes]),
-            names=np.array([mesh.metadata["name"] for mesh in meshes]),
-            tissues=np.array([structure.tissue.name for structure in scene.structures]),
-            scene=np.array([scene.background.name, scene.name, content_hash(scene)]),
+            counts=[(len(mesh.vertices), len(mesh.faces)) for mesh in meshes],
+            names=[mesh.metadata["name"] for mesh in meshes],
+            tissues=[structure.tissue.name for structure in scene.structures],
+            scene=[scene.background.name, scene.name, content_hash(scene)],
         )
 
 

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from ablate.anatomy import scene_values as values
 from ablate.anatomy.meshes.vtk_files import NEEDS_VTK, VTK_SUFFIXES
 from ablate.anatomy.scene import Scene, Structure
-from ablate.anatomy.scene_values import closest, mapping, number, numbers, read_yaml, series, tissue_named
 from ablate.anatomy.site_grid import SiteGrid
 from ablate.anatomy.tissue import Tissue, load_tissues
+from ablate.anatomy.volumes.label_map import LabelMap, checked_labels
 from ablate.validation import shown
-
-if TYPE_CHECKING:
-    from ablate.anatomy.volumes.label_map import LabelMap
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", *VTK_SUFFIXES)
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
@@ -61,29 +59,23 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     path = folder / "scene.yaml"
     if not path.is_file():
         raise FileNotFoundError(f"{folder}: no scene.yaml in this folder")
-    content = mapping(read_yaml(path), f"{path}", SCENE_KEYS)
-    unit = content.get("unit", "mm")
-    if not isinstance(unit, str) or unit not in UNITS_MM:
-        raise ValueError(f"{path}: unit: {shown(unit)} is not one of {', '.join(UNITS_MM)}")
+    content = values.mapping(values.read_yaml(path), f"{path}", SCENE_KEYS)
+    mm_per_unit = UNITS_MM[values.one_of(content.get("unit", "mm"), UNITS_MM, f"{path}: unit")]
     tissues = _tissues(content.get("tissues") or {}, path)
     structures = content.get("structures") or []
     if not isinstance(structures, list):
-        raise ValueError(f"{path}: structures: must be a list of {{mesh, tissue}}, not {shown(structures)}")
+        raise values.refusal(f"{path}: structures", structures, "lists of {mesh, tissue}")
     meshes = []
     for i, entry in enumerate(structures):
         where = f"{path}: structures[{i}]"
-        entry = mapping(entry, where, ("mesh", "tissue"))
-        meshes.append((_mesh_path(entry, folder, where), tissue_named(entry.get("tissue"), tissues, f"{where}.tissue")))
-    background = tissue_named(content.get("background", "coupling_gel"), tissues, f"{path}: background")
-    labels = None
-    if content.get("labels"):
-        from ablate.anatomy.volumes.label_map import checked_labels  # here, because others need no volume
-
-        labels = checked_labels(content["labels"], folder, tissues, f"{path}: labels")
-    names = [name for name, _ in labels.structures] if labels else []
-    names += [mesh.name for mesh, _ in meshes]
-    sites = _sites(content["sites"], f"{path}: sites", UNITS_MM[unit], names) if content.get("sites") else None
-    return SceneFolder(folder.resolve().name, UNITS_MM[unit], background, tuple(meshes), sites, labels)
+        entry = values.mapping(entry, where, ("mesh", "tissue"))
+        mesh = _mesh_path(entry.get("mesh"), folder, f"{where}.mesh")
+        meshes.append((mesh, values.tissue_named(entry.get("tissue"), tissues, f"{where}.tissue")))
+    background = values.tissue_named(content.get("background", "coupling_gel"), tissues, f"{path}: background")
+    labels = checked_labels(content["labels"], folder, tissues, f"{path}: labels") if content.get("labels") else None
+    names = [*(name for name, _ in (labels.structures if labels else ())), *(mesh.name for mesh, _ in meshes)]
+    sites = _sites(content["sites"], f"{path}: sites", mm_per_unit, names) if content.get("sites") else None
+    return SceneFolder(folder.resolve().name, mm_per_unit, background, tuple(meshes), sites, labels)
 
 
 def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
@@ -98,6 +90,16 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
         As `validate_scene_folder`, before any mesh is read; and ValueError from `load_mesh` for a mesh that is
         empty, not finite or cannot be closed, from `labelled_structures`, and when the unit makes the meshes larger
         or smaller than any body.
+
+    Examples
+    --------
+    >>> import tempfile, trimesh
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = trimesh.creation.icosphere(radius=5.0).export(f"{folder}/liver.stl")
+    ...     _ = Path(folder, "scene.yaml").write_text("unit: cm\\nstructures: [{mesh: liver.stl, tissue: liver}]")
+    ...     scene = load_scene(folder)
+    >>> scene.structures[0].tissue.name, scene.structures[0].mesh.extents.round().tolist()
+    ('liver', [100.0, 100.0, 100.0])
     """
     # here, because the check of a folder needs no mesh library
     from ablate.anatomy.meshes.check import warn_of_shared_walls
@@ -105,7 +107,7 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
 
     checked = validate_scene_folder(folder)
     path = Path(folder) / "scene.yaml"
-    structures = tuple(Structure(load_mesh(mesh, checked.mm_per_unit)[0], tissue) for mesh, tissue in checked.meshes)
+    structures = tuple(Structure(load_mesh(mesh, checked.mm_per_unit), tissue) for mesh, tissue in checked.meshes)
     scene = Scene(structures, checked.background, checked.name)
     if structures:
         _check_unit(scene, checked.mm_per_unit, f"{path}: unit")
@@ -125,6 +127,14 @@ def load_sites(folder: str | Path) -> SiteGrid:
     ------
     FileNotFoundError, ValueError
         As `validate_scene_folder`; and ValueError when the file has no `sites`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = Path(folder, "scene.yaml").write_text("sites: {heights: {range: [0, 40], count: 3}}")
+    ...     load_sites(folder).heights_mm
+    (0.0, 20.0, 40.0)
     """
     sites = validate_scene_folder(folder).sites
     if sites is None:
@@ -133,33 +143,26 @@ def load_sites(folder: str | Path) -> SiteGrid:
 
 
 def mesh_files(path: Path) -> tuple[Path, ...]:
-    """The files that a mesh is read from: its own and, for glTF, those of the buffers that it names.
+    """The files that a mesh is read from: its own and, for .gltf, those of the buffers that it names.
 
     Materials and textures are not read.
 
     Raises
     ------
     FileNotFoundError, ValueError
-        When a glTF is not readable, or a buffer is no file in its folder.
+        When a glTF is not readable, or a buffer is no file.
     """
-    if path.suffix.lower() not in (".gltf", ".glb"):
+    if path.suffix.lower() != ".gltf":
         return (path,)
-    names = []
     try:
-        content = path.read_bytes()
-        if path.suffix.lower() == ".glb":  # magic, version, length; then length, type and content of the JSON chunk
-            content = content[20 : 20 + int.from_bytes(content[12:16], "little")]
-        for buffer in json.loads(content).get("buffers", []):
-            uri = buffer.get("uri", "data:")
-            if not uri.startswith("data:"):
-                names.append(uri)
+        uris = [buffer.get("uri", "data:") for buffer in json.loads(path.read_bytes()).get("buffers", [])]
+        buffers = [path.parent / uri for uri in uris if not uri.startswith("data:")]
     except (ValueError, AttributeError, TypeError, RecursionError) as error:
         raise ValueError(f"{path}: not readable as glTF ({type(error).__name__})") from error
-    found = [path.parent / name.strip() for name in names]
-    for file in found:
-        if not (os.path.isfile(file) and file.resolve().is_relative_to(path.parent.resolve())):  # noqa: PTH113
-            raise FileNotFoundError(f"{path}: buffer {shown(str(file.name))} is no file in the folder of the mesh")
-    return (path, *found)
+    for buffer in buffers:
+        if not buffer.is_file():
+            raise FileNotFoundError(f"{path}: buffer {shown(buffer.name)} is no file in the folder of the mesh")
+    return (path, *buffers)
 
 
 def _check_unit(scene: Scene, mm_per_unit: float, where: str) -> None:
@@ -182,12 +185,13 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
     """The built-in table with the file's own tissues added or changed."""
     tissues = load_tissues()
     if not isinstance(content, Mapping):
-        raise ValueError(f"{path}: tissues: must be a mapping of names, not {shown(content)}")
-    for name, values in content.items():
+        raise values.refusal(f"{path}: tissues", content, "mappings of names to their values")
+    for name, entry in content.items():
+        where = f"{path}: tissues.{name}"
         changes: dict[str, Any] = {}
-        for key, value in mapping(values or {}, f"{path}: tissues.{name}", TISSUE_KEYS).items():
-            here = f"{path}: tissues.{name}.{key}"
-            changes[key] = numbers(value, here, 3) if key == "texture_mm" else number(value, here)
+        for key, value in values.mapping(entry or {}, where, TISSUE_KEYS).items():
+            check = partial(values.numbers, count=3) if key == "texture_mm" else values.number
+            changes[key] = check(value, f"{where}.{key}")
         try:
             tissues[name] = replace(tissues[name], **changes) if name in tissues else Tissue(name, **changes)
         except ValueError as error:
@@ -195,46 +199,30 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
     return tissues
 
 
-def _mesh_path(entry: Mapping[str, Any], folder: Path, where: str) -> Path:
-    name = entry.get("mesh")
-    if not isinstance(name, str) or not name:
-        raise ValueError(f"{where}.mesh: must be a file name, not {shown(name)}")
-    path = folder / name
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise ValueError(f"{where}.mesh: {shown(name)} is not one of {', '.join(MESH_SUFFIXES)}")
-    if not os.path.isfile(path):  # noqa: PTH113, it is False for a name that is too long
-        raise FileNotFoundError(f"{where}.mesh: no file {shown(name)} in {folder}")
+def _mesh_path(name: Any, folder: Path, where: str) -> Path:
+    path = values.file_named(name, MESH_SUFFIXES, folder, where)
     if path.suffix.lower() in VTK_SUFFIXES and find_spec("vtkmodules") is None:
-        raise ValueError(f"{where}.mesh: {NEEDS_VTK}")
+        raise ValueError(f"{where}: {NEEDS_VTK}")
     if path.stat().st_size == 0:
-        raise ValueError(f"{where}.mesh: {path} is empty")
+        raise ValueError(f"{where}: {path} is empty")
     mesh_files(path)
     return path
 
 
-def _sites(content: Any, where: str, mm_per_unit: float, meshes: list[str]) -> SiteGrid:
-    content = mapping(content, where, SITE_KEYS)
-    values: dict[str, Any] = {}
-    for key, value in content.items():
-        here = f"{where}.{key}"
+def _sites(content: Any, where: str, mm_per_unit: float, structures: list[str]) -> SiteGrid:
+    lists: dict[str, Any] = {}
+    for key, value in values.mapping(content, where, SITE_KEYS).items():
+        key_where = f"{where}.{key}"
         if key == "region":
-            values[key] = _region(value, meshes, here)
+            names = value if isinstance(value, list) else [value]
+            lists[key] = tuple(values.one_of(name, structures, key_where) for name in names)
         elif key in ("axis", "front"):
-            values[key] = numbers(value, here, 3)
+            lists[key] = values.numbers(value, key_where, 3)
         elif key == "heights":
-            values["heights_mm"] = tuple(mm_per_unit * height for height in series(value, here))
+            lists["heights_mm"] = tuple(mm_per_unit * height for height in values.series(value, key_where))
         else:
-            values[f"{key}_deg"] = series(value, here)
+            lists[f"{key}_deg"] = values.series(value, key_where)
     try:
-        return SiteGrid(**values)
+        return SiteGrid(**lists)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
-
-
-def _region(value: Any, known: list[str], where: str) -> tuple[str, ...]:
-    """A list of names of structures: those of mesh files or labels."""
-    names = value if isinstance(value, list) else [value]
-    for name in names:
-        if name not in known:
-            raise ValueError(f"{where}: no mesh {shown(name)}{closest(name, known)}; known: {', '.join(known)}")
-    return tuple(names)

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +62,7 @@ def proposed_scene(folder: Path) -> str:
     unusable: dict[str, str] = {}
     for path in paths:
         try:
-            meshes[path.name] = load_mesh(path)[0]
+            meshes[path.name] = load_mesh(path)
         except ValueError as error:
             unusable[path.name] = str(error)
     if not meshes:
@@ -75,8 +74,9 @@ def proposed_scene(folder: Path) -> str:
         "background: coupling_gel   # guessed",
         "structures:   # where they overlap, the later one owns the place: large before small, soft before hard",
     ]
-    for name in _in_order(meshes):
-        tissue, reason = tissue_of_name(name)
+    tissues, table = {name: tissue_of_name(name) for name in meshes}, load_tissues()
+    for name in sorted(meshes, key=lambda n: (_ORDER.index(table[tissues[n][0]].kind), -np.prod(meshes[n].extents))):
+        tissue, reason = tissues[name]
         lines.append(f"  - {{mesh: {_quoted(name)}, tissue: {tissue}}}   # guessed: {reason}")
     lines += [f"  # left out: {error}" for error in unusable.values()]
     lower, upper = bounds[0, 2] + 0.2 * np.ptp(bounds[:, 2]), bounds[1, 2] - 0.2 * np.ptp(bounds[:, 2])
@@ -99,17 +99,11 @@ def tissue_of_name(name: str) -> tuple[str, str]:
     if stem in known:
         return stem, "its name is that of a tissue"
     for pattern, tissue in _TISSUE_OF_NAME.items():
-        if found := re.search(rf"(?:^|_)(?:{pattern})", stem):
-            return tissue, f"its name has {found.group().strip('_')}"
-    if within := [tissue for tissue in known if tissue in stem]:
-        longest = max(within, key=len)
+        if match := re.search(rf"(?:^|_)(?:{pattern})", stem):
+            return tissue, f"its name has {match.group().strip('_')}"
+    if longest := max((tissue for tissue in known if tissue in stem), key=len, default=None):
         return longest, f"its name has {longest}"
     return _UNKNOWN, "its name says nothing"
-
-
-def _in_order(meshes: dict[str, trimesh.Trimesh]) -> Sequence[str]:
-    kinds, tissues = list(_ORDER), load_tissues()
-    return sorted(meshes, key=lambda n: (kinds.index(tissues[tissue_of_name(n)[0]].kind), -np.prod(meshes[n].extents)))
 
 
 def _unit(bounds: np.ndarray) -> tuple[str, str]:

@@ -1,8 +1,12 @@
-"""Values of a `scene.yaml`, each checked: what is wrong is one line that names the key and what is allowed."""
+"""Values of a `scene.yaml`, each checked: what is wrong is one line that names file, key, value and what is allowed.
+
+`where` is the file and the key of a value, as it stands in the message.
+"""
 
 import difflib
 import math
-from collections.abc import Hashable, Iterable, Mapping
+import os
+from collections.abc import Collection, Hashable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +16,9 @@ from ablate.anatomy.site_grid import MOST_POSES
 from ablate.anatomy.tissue import Tissue
 from ablate.validation import shown
 
-MOST_BYTES = 2**18  # of a scene.yaml: thousands of structures
-
 
 def read_yaml(path: Path) -> Any:
     """The content of a YAML file; a ValueError names the file."""
-    if path.stat().st_size > MOST_BYTES:
-        raise ValueError(f"{path}: has {path.stat().st_size} bytes; allowed are at most {MOST_BYTES}")
     try:
         return yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # a number or a date may be a ValueError
@@ -26,16 +26,7 @@ def read_yaml(path: Path) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML that refuses what goes wrong without a word.
-
-    A key given twice would drop the first one; aliases can make a few hundred bytes stand for gigabytes.
-    """
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            event = self.get_event()
-            raise yaml.composer.ComposerError(None, None, "aliases (*) are not allowed", event.start_mark)
-        return super().compose_node(parent, index)
+    """YAML that refuses a key given twice, which would drop the first one without a word."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen = set()
@@ -46,56 +37,68 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def mapping(value: Any, where: str, allowed: tuple[str, ...]) -> Mapping[str, Any]:
-    """The value, if it is a mapping whose keys are all allowed."""
+def refusal(where: str, value: object, allowed: str) -> ValueError:
+    """The error that says what is allowed instead of a value."""
+    return ValueError(f"{where}={shown(value)}: allowed are {allowed}")
+
+
+def one_of(value: Any, names: Collection[str], where: str) -> str:
+    """The value, if it is one of the names; a refusal lists them all, and the similar ones first."""
+    if isinstance(value, str) and value in names:
+        return value
+    close = difflib.get_close_matches(value[:100], names, n=3) if isinstance(value, str) else []
+    hint = f" (did you mean {' or '.join(close)}?)" if close else ""
+    raise ValueError(f"{where}={shown(value)}{hint}: allowed are {', '.join(names)}")
+
+
+def mapping(value: Any, where: str, keys: Collection[str]) -> Mapping[str, Any]:
+    """The value, if it is a mapping and all its keys are allowed."""
     if not isinstance(value, Mapping):
-        raise ValueError(f"{where}: must be a mapping of {', '.join(allowed)}, not {shown(value)}")
+        raise refusal(where, value, f"mappings of {', '.join(keys)}")
     for key in value:
-        if key not in allowed:
-            hint = closest(key, allowed)
-            raise ValueError(f"{where}: unknown key {shown(key)}{hint}; allowed: {', '.join(allowed)}")
+        one_of(key, keys, f"{where}: key")
     return value
 
 
-def closest(name: object, known: Iterable[str]) -> str:
-    """What may have been meant, for a message; empty where nothing is near."""
-    close = difflib.get_close_matches(name[:100], list(known), n=3) if isinstance(name, str) else ()
-    return f" (did you mean {' or '.join(close)}?)" if close else ""
+def file_named(name: Any, suffixes: tuple[str, ...], folder: Path, where: str) -> Path:
+    """The file of this name in the folder of the `scene.yaml`, if it is there and ends in one of the suffixes."""
+    if not isinstance(name, str) or not name.lower().endswith(suffixes):
+        raise refusal(where, name, f"names of files that end in {', '.join(suffixes)}")
+    if not os.path.isfile(folder / name):  # noqa: PTH113, it is False for a name that is too long
+        raise FileNotFoundError(f"{where}: no file {shown(name)} in {folder}")
+    return folder / name
 
 
 def tissue_named(name: Any, tissues: Mapping[str, Tissue], where: str) -> Tissue:
-    """The tissue of a name."""
-    if not isinstance(name, str) or name not in tissues:
-        raise ValueError(f"{where}: unknown tissue {shown(name)}{closest(name, tissues)}; known: {', '.join(tissues)}")
-    return tissues[name]
+    """The tissue that has this name."""
+    return tissues[one_of(name, tissues, where)]
 
 
 def series(value: Any, where: str) -> tuple[float, ...]:
-    """A list of numbers, one number, or {range: [first, last], count: n}."""
+    """Numbers given as a list, as one number, or as {range: [first, last], count: n}."""
     if isinstance(value, Mapping):
         value = mapping(value, where, ("range", "count"))
         first, last = numbers(value.get("range"), f"{where}.range", 2)
         count = value.get("count")
         if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_POSES:
-            raise ValueError(f"{where}.count: must be a whole number from 1 to {MOST_POSES}, not {shown(count)}")
+            raise refusal(f"{where}.count", count, f"whole numbers from 1 to {MOST_POSES}")
         step = (last - first) / max(count - 1, 1)
         return tuple(first + i * step for i in range(count))
     return numbers(value if isinstance(value, list) else [value], where)
 
 
 def numbers(value: Any, where: str, count: int | None = None) -> tuple[float, ...]:
-    """A list of numbers, of `count` if that is given."""
+    """A list of numbers as a tuple; the list must have `count` numbers, where that is given."""
     if not isinstance(value, (list, tuple)) or (count is not None and len(value) != count):
-        expected = "numbers" if count is None else f"{count} numbers"
-        raise ValueError(f"{where}: must be a list of {expected}, not {shown(value)}")
+        raise refusal(where, value, "lists of numbers" if count is None else f"lists of {count} numbers")
     return tuple(number(item, where) for item in value)
 
 
 def number(value: Any, where: str) -> float:
-    """A finite number."""
+    """The value as a float, if it is a number and finite."""
     try:
-        if not isinstance(value, bool) and isinstance(value, (int, float)) and math.isfinite(found := float(value)):
-            return found
-    except OverflowError:
+        if not isinstance(value, bool) and isinstance(value, (int, float)) and math.isfinite(value):
+            return float(value)
+    except OverflowError:  # an integer beyond the range of floats
         pass
-    raise ValueError(f"{where}: must be a finite number, not {shown(value)}")
+    raise refusal(where, value, "finite numbers")

@@ -8,7 +8,7 @@ MOST_POSES = 100_000  # of a grid; the paper has 6,669 frames
 
 @dataclass(frozen=True)
 class SiteGrid:
-    """Every combination of the four lists is one pose; height and angle together are one site.
+    """A grid of probe poses: each combination of the four lists is one; height and angle together are one site.
 
     Attributes
     ----------
@@ -30,6 +30,11 @@ class SiteGrid:
     ValueError
         When a list is empty, a value is not finite, a tilt turns the probe away from the body, axis and front do not
         span a plane, or there are more than `MOST_POSES` poses.
+
+    Examples
+    --------
+    >>> SiteGrid(heights_mm=(0.0, 20.0), angles_deg=(-30.0, 0.0, 30.0)).rolls_deg
+    (0.0,)
     """
 
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -45,15 +50,32 @@ class SiteGrid:
             values = getattr(self, name)
             if len(values) == 0 or not all(math.isfinite(value) for value in values):
                 raise ValueError(f"site grid: {name} must be one or more finite numbers, not {values!r}")
-            if name in ("axis", "front") and len(values) != 3:
-                raise ValueError(f"site grid: {name} must be 3 numbers, not {values!r}")
-        lengths = [len(values) for values in (self.heights_mm, self.angles_deg, self.tilts_deg, self.rolls_deg)]
-        if math.prod(lengths) > MOST_POSES:
-            counts = "heights x angles x tilts x rolls"
-            raise ValueError(f"site grid: {counts} must be at most {MOST_POSES} poses, not {math.prod(lengths)}")
+        count = len(self.heights_mm) * len(self.angles_deg) * len(self.tilts_deg) * len(self.rolls_deg)
+        if count > MOST_POSES:
+            raise ValueError(
+                f"site grid: heights x angles x tilts x rolls must be at most {MOST_POSES} poses, not {count}"
+            )
         if not all(-90 < tilt < 90 for tilt in self.tilts_deg):
             raise ValueError(f"site grid: tilts_deg must lie between -90 and 90, not {self.tilts_deg!r}")
         (a, b, c), (d, e, f) = self.axis, self.front
         normal = math.hypot(b * f - c * e, c * d - a * f, a * e - b * d)
         if normal < 1e-3 * max(math.hypot(a, b, c) * math.hypot(d, e, f), 1e-9):
             raise ValueError(f"site grid: front {self.front} must not point along axis {self.axis}")
+
+
+def fetal_sites() -> SiteGrid:
+    """Probe sites that look at the uterus of `fetal_abdomen` through the mother's front: mm and degrees.
+
+    Examples
+    --------
+    >>> grid = fetal_sites()
+    >>> len(grid.heights_mm), len(grid.angles_deg)
+    (9, 9)
+    """
+    return SiteGrid(
+        heights_mm=tuple(float(height) for height in range(-60, 75, 15)),
+        angles_deg=tuple(float(angle) for angle in range(-48, 49, 12)),
+        tilts_deg=(-15.0, 0.0, 15.0),
+        rolls_deg=(0.0, 90.0),
+        region=("uterus",),
+    )

@@ -68,6 +68,12 @@ class Tissue:
     ------
     ValueError
         When a value is not finite or outside its physical range; the message names tissue and field.
+
+    Examples
+    --------
+    >>> cyst = Tissue("cyst", impedance_mrayl=1.5, scatterer_density=0.0)
+    >>> cyst.kind.value, cyst.scatter_power
+    ('fluid', 0.0)
     """
 
     name: str
@@ -114,18 +120,23 @@ class Tissue:
 
 @cache
 def _table() -> tuple[Tissue, ...]:
-    texture = ("texture_x_mm", "texture_y_mm", "texture_z_mm")
     tissues = []
     with files("ablate.anatomy").joinpath("tissues.csv").open(encoding="utf-8") as stream:
         for row in csv.DictReader(stream):
             numbers = {key: float(value) for key, value in row.items() if key not in ("name", "source")}
-            texture_mm = tuple(numbers.pop(column) for column in texture)
+            texture_mm = tuple(numbers.pop(f"texture_{axis}_mm") for axis in "xyz")
             tissues.append(Tissue(name=row["name"], texture_mm=texture_mm, **numbers))  # type: ignore[arg-type]
     return tuple(tissues)
 
 
 def load_tissues() -> dict[str, Tissue]:
-    """The built-in tissues by name, from dark to bright; `tissues.csv` has the source of each row."""
+    """The built-in tissues by name, from dark to bright; `tissues.csv` has the source of each row.
+
+    Examples
+    --------
+    >>> load_tissues()["liver"].attenuation_db_cm_mhz
+    0.5
+    """
     return {tissue.name: tissue for tissue in _table()}
 
 
@@ -134,6 +145,12 @@ def echogenicity_order(tissues: Sequence[Tissue]) -> tuple[int, ...]:
 
     Tissues of the built-in table have its order. A tissue of another name is placed by its `scatter_power` among those
     of the table that are neither gas nor bone. Tissues that are still equal keep the order of `tissues`.
+
+    Examples
+    --------
+    >>> table = load_tissues()
+    >>> echogenicity_order([table["bone"], table["urine"], table["liver"]])
+    (2, 0, 1)
     """
     table = _table()
     place = {tissue.name: float(i) for i, tissue in enumerate(table)}
@@ -141,13 +158,12 @@ def echogenicity_order(tissues: Sequence[Tissue]) -> tuple[int, ...]:
     scattering = [tissue for tissue in table if tissue.kind not in (TissueKind.gas, TissueKind.bone)]
     powers = [tissue.scatter_power for tissue in scattering]
 
-    def key(i: int) -> tuple[float, float]:
-        tissue = tissues[i]
-        if tissue.name in place:
-            return place[tissue.name], 0.0
-        below = bisect_right(powers, tissue.scatter_power)
+    def brightness(i: int) -> tuple[float, float]:
+        if tissues[i].name in place:
+            return place[tissues[i].name], 0.0
+        below = bisect_right(powers, tissues[i].scatter_power)
         anchor = place[scattering[below - 1].name] if below else -1.0
-        return anchor + 0.5, tissue.scatter_power
+        return anchor + 0.5, tissues[i].scatter_power
 
-    order = sorted(range(len(tissues)), key=key)
+    order = sorted(range(len(tissues)), key=brightness)
     return tuple(order.index(i) for i in range(len(tissues)))

@@ -13,7 +13,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from ablate.anatomy.fetal.resolution import FEWEST_TRIANGLES
+from ablate.anatomy.fetal.parts import FEWEST_TRIANGLES
 from ablate.anatomy.site_grid import MOST_POSES
 from ablate.dataset.encoding import Encoding
 from ablate.dataset.own_poses import Sweep

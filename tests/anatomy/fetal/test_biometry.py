@@ -11,6 +11,8 @@ from ablate.anatomy import Scene
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
 from ablate.anatomy.fetal.standard_planes import abdomen_plane, head_plane
 
+Built = Callable[[int, int], Scene]
+MeshOf = Callable[..., trimesh.Trimesh]
 SEEDS = [0, 1, 2, 3]
 TRIANGLES = 30_000
 
@@ -35,7 +37,7 @@ def narrowest(segments: np.ndarray, normal: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_bpd_and_hc(built: Callable[[int, int], Scene], mesh_of: Callable[..., trimesh.Trimesh], seed: int) -> None:
+def test_bpd_and_hc(built: Built, mesh_of: MeshOf, seed: int) -> None:
     pregnancy = draw_pregnancy(seed)
     outer = section(mesh_of(built(TRIANGLES, seed), "skull"), head_plane(pregnancy))
     assert narrowest(outer, head_plane(pregnancy)[1]) == pytest.approx(54.0 * pregnancy.size, rel=0.03)
@@ -43,7 +45,7 @@ def test_bpd_and_hc(built: Callable[[int, int], Scene], mesh_of: Callable[..., t
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_ac(built: Callable[[int, int], Scene], mesh_of: Callable[..., trimesh.Trimesh], seed: int) -> None:
+def test_ac(built: Built, mesh_of: MeshOf, seed: int) -> None:
     pregnancy, scene = draw_pregnancy(seed), built(TRIANGLES, seed)
     plane = abdomen_plane(pregnancy)
     assert perimeter(section(mesh_of(scene, "body and head"), plane)) == pytest.approx(175.0 * pregnancy.size, rel=0.03)
@@ -52,7 +54,7 @@ def test_ac(built: Callable[[int, int], Scene], mesh_of: Callable[..., trimesh.T
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_fl(built: Callable[[int, int], Scene], mesh_of: Callable[..., trimesh.Trimesh], seed: int) -> None:
+def test_fl(built: Built, mesh_of: MeshOf, seed: int) -> None:
     for femur in np.split(mesh_of(built(TRIANGLES, seed), "femora").vertices, 2):
         apart = np.linalg.norm(femur[:, None] - femur[None], axis=2)
         assert apart.max() == pytest.approx(39.0 * draw_pregnancy(seed).size, rel=0.03)

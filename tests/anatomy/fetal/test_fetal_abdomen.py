@@ -1,12 +1,13 @@
 """The built-in anatomy as a whole: who lies in whom, its layers, its resolution, its seeds and its probe sites."""
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 import pytest
 import trimesh
 
-from ablate.anatomy import Scene, content_hash, fetal_abdomen, fetal_sites
+from ablate.anatomy import Scene, fetal_abdomen, fetal_sites
 
 Built = Callable[[int, int], Scene]
 MeshOf = Callable[..., trimesh.Trimesh]
@@ -102,11 +103,6 @@ def test_default_is_the_papers_size() -> None:
     assert sum(count[:cut]) == pytest.approx(275_000, rel=0.05)
 
 
-def test_same_seed_same_scene_other_seed_another(built: Built) -> None:
-    assert content_hash(fetal_abdomen(4_000, seed=4)) == content_hash(built(4_000, 4))
-    assert content_hash(built(4_000, 4)) != content_hash(built(4_000, 0))
-
-
 def test_too_few_triangles_and_negative_seeds_are_refused() -> None:
     with pytest.raises(ValueError, match="triangles must be at least 4000, not 100"):
         fetal_abdomen(100)
@@ -120,20 +116,16 @@ def test_sites_look_at_the_fetus_of_every_pregnancy(built: Built, mesh_of: MeshO
     scene, sites = built(30_000, seed), fetal_sites()
     skin = mesh_of(scene, "skin")
     fetus = trimesh.util.concatenate([mesh_of(scene, name) for name in FLESH])
-    middle = scene_middle = (skin.bounds[0] + skin.bounds[1]) / 2
-    seen, total = 0, 0
-    for height in sites.heights_mm:
-        for angle in np.deg2rad(sites.angles_deg):
-            outward = np.array([np.sin(angle), -np.cos(angle), 0.0])
-            start = np.array([scene_middle[0], middle[1], height]) + 250.0 * outward
-            contact = skin.ray.intersects_location([start], [-outward], multiple_hits=False)[0][0]
-            offset = fetus.vertices - contact
-            depth = -offset @ outward
-            aside = np.linalg.norm(offset + depth[:, None] * outward, axis=1)
-            within = (
-                (depth > 0) & (np.hypot(depth + 40.0, aside) < 190.0) & (aside < np.tan(np.deg2rad(35)) * (depth + 40))
-            )
-            seen += within.sum() > 0.15 * len(within)
-            total += 1
-    assert total >= 50
-    assert seen > 0.95 * total
+    middle = skin.bounds.mean(axis=0)
+    seen = []
+    for height, angle in product(sites.heights_mm, np.deg2rad(sites.angles_deg)):
+        outward = np.array([np.sin(angle), -np.cos(angle), 0.0])
+        start = np.array([middle[0], middle[1], height]) + 250.0 * outward
+        contact = skin.ray.intersects_location([start], [-outward], multiple_hits=False)[0][0]
+        offset = fetus.vertices - contact
+        depth = -offset @ outward
+        aside = np.linalg.norm(offset + depth[:, None] * outward, axis=1)
+        within_fan = (np.hypot(depth + 40.0, aside) < 190.0) & (aside < np.tan(np.deg2rad(35)) * (depth + 40))
+        seen.append((within_fan & (depth > 0)).mean() > 0.15)
+    assert len(seen) >= 50
+    assert np.mean(seen) > 0.95

@@ -8,15 +8,16 @@ import pytest
 import trimesh
 
 from ablate.anatomy import Scene
-from ablate.anatomy.fetal.fetus.axes import curl, curled, trunk
+from ablate.anatomy.fetal.axes import curl, curled, trunk
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
 from ablate.anatomy.fetal.standard_planes import abdomen_plane, fetal_planes, head_plane
 
+Built = Callable[[int, int], Scene]
 MeshOf = Callable[..., trimesh.Trimesh]
 
 
 @pytest.fixture(scope="module")
-def scene(built: Callable[[int, int], Scene]) -> Scene:
+def scene(built: Built) -> Scene:
     return built(100_000, 0)
 
 

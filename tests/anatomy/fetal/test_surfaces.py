@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from ablate.anatomy import Scene
 from ablate.anatomy.meshes.check import shared_walls
-from ablate.anatomy.meshes.closing import odd_edges
+from ablate.anatomy.meshes.repair import odd_edges
 
+Built = Callable[[int, int], Scene]
 CASES = [(4_000, 0), (4_000, 4), (30_000, 1), (30_000, 2), (30_000, 3), (300_000, 0)]
 
 
@@ -50,21 +51,15 @@ def test_nesting_tells_an_overlap_from_two_bodies() -> None:
 
 
 @pytest.mark.parametrize(("triangles", "seed"), CASES)
-def test_every_surface_is_closed_outward_and_nowhere_in_itself(
-    built: Callable[[int, int], Scene], triangles: int, seed: int
+def test_every_surface_is_closed_outward_nowhere_in_itself_and_shares_no_wall(
+    built: Built, triangles: int, seed: int
 ) -> None:
-    for structure in built(triangles, seed).structures:
-        name = structure.mesh.metadata["name"]
-        assert np.isfinite(structure.mesh.vertices).all(), name
-        assert len(odd_edges(structure.mesh.faces)) == 0, f"{name} is open"
-        assert structure.mesh.volume > 0, f"{name} is inside out"
-        assert set(nesting(structure.mesh, 250)) <= {0, 1}, f"{name} overlaps itself"
-
-
-@pytest.mark.parametrize(("triangles", "seed"), CASES)
-def test_no_wall_is_shared_and_structures_are_few(
-    built: Callable[[int, int], Scene], triangles: int, seed: int
-) -> None:
-    scene = built(triangles, seed)
-    assert shared_walls([structure.mesh for structure in scene.structures]) == []
-    assert len(scene.structures) < 96
+    meshes = [structure.mesh for structure in built(triangles, seed).structures]
+    for mesh in meshes:
+        name = mesh.metadata["name"]
+        assert np.isfinite(mesh.vertices).all(), name
+        assert len(odd_edges(mesh.faces)) == 0, f"{name} is open"
+        assert mesh.volume > 0, f"{name} is inside out"
+        assert set(nesting(mesh, 250)) <= {0, 1}, f"{name} overlaps itself"
+    assert shared_walls(meshes) == []
+    assert len(meshes) < 96

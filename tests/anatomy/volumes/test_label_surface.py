@@ -20,7 +20,7 @@ def surfaces(order: np.ndarray, spacing_mm: Sequence[float]) -> list[trimesh.Tri
     """The meshes of all numbers, in mm."""
     boxes = find_objects(order)
     found = [label_surface(order, i + 1, box, spacing_mm) for i, box in enumerate(boxes)]
-    return [repair(vertices * spacing_mm, faces, f"label {i}")[0] for i, (vertices, faces) in enumerate(found)]
+    return [repair(vertices * spacing_mm, faces, f"label {i}") for i, (vertices, faces) in enumerate(found)]
 
 
 def places_mm(shape: Sequence[int], spacing_mm: Sequence[float]) -> np.ndarray:

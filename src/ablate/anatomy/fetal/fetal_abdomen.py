@@ -2,17 +2,15 @@
 
 from pathlib import Path
 
-from ablate.anatomy.fetal.fetus.axes import curl, head_to_fetus
-from ablate.anatomy.fetal.fetus.belly import fetal_belly
-from ablate.anatomy.fetal.fetus.bones import face_bones, limb_bones, trunk_bones
-from ablate.anatomy.fetal.fetus.chest import fetal_chest
-from ablate.anatomy.fetal.fetus.flesh import fetal_body, limb_flesh
-from ablate.anatomy.fetal.fetus.head import fetal_head
+from ablate.anatomy.fetal.axes import curl, head_to_fetus
+from ablate.anatomy.fetal.body import fetal_body, limb_flesh
+from ablate.anatomy.fetal.bones import face_bones, limb_bones, trunk_bones
+from ablate.anatomy.fetal.head import fetal_head
 from ablate.anatomy.fetal.mother import mother
-from ablate.anatomy.fetal.part import moved
+from ablate.anatomy.fetal.organs import fetal_belly, fetal_chest
+from ablate.anatomy.fetal.parts import grid_scales, moved
 from ablate.anatomy.fetal.placenta import placenta
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
-from ablate.anatomy.fetal.resolution import grid_scales
 from ablate.anatomy.fetal.umbilical_cord import cord_route, umbilical_cord
 from ablate.anatomy.scene import ANATOMY_VERSION, Scene, Structure
 from ablate.anatomy.scene_cache import cached_scene
@@ -39,15 +37,18 @@ def fetal_abdomen(triangles: int = 675_000, seed: int = 0, cache_dir: str | Path
     ------
     ValueError
         When `triangles` is too small for the anatomy, or `seed` is negative.
+
+    Examples
+    --------
+    >>> scene = fetal_abdomen(triangles=4_000)
+    >>> scene.structures[0].mesh.metadata["name"], len(scene.structures), scene.background.name
+    ('skin', 78, 'coupling_gel')
     """
     scales = grid_scales(triangles)
     if seed < 0:
         raise ValueError(f"fetal_abdomen: seed must be at least 0, not {seed}")
-    if cache_dir is None:
-        return _build(*scales, seed)
-    return cached_scene(
-        Path(cache_dir), lambda: _build(*scales, seed), triangles=triangles, seed=seed, version=ANATOMY_VERSION
-    )
+    parameters = {"triangles": triangles, "seed": seed, "version": ANATOMY_VERSION}
+    return cached_scene(cache_dir, lambda: _build(*scales, seed), **parameters)
 
 
 def _build(mother_scale: float, scale: float, seed: int) -> Scene:

@@ -5,9 +5,9 @@ World frame in mm: x to her left, y to her back, z up; the navel is near (0, -13
 
 import numpy as np
 
-from ablate.anatomy.fetal.part import Part
-from ablate.anatomy.shapes import sdf
-from ablate.anatomy.shapes.tubes import joined, tube
+from ablate.anatomy.fetal import sdf
+from ablate.anatomy.fetal.parts import Part
+from ablate.anatomy.fetal.tubes import joined, tube
 
 BODY_BOX: sdf.Bounds = ((-175.0, -150.0, -185.0), (175.0, 150.0, 185.0))
 SKIN_MM = 2.0
@@ -87,10 +87,8 @@ def mother(scale: float, seed: int) -> list[Part]:
 
 def _bladder(scale: float, seed: int) -> list[Part]:
     """Half-filled bladder, moulded to the front of the lower uterus."""
-    shape, beside = (
-        sdf.ellipsoid((3.0, -70.0, -104.0), (38.0, 20.0, 22.0)),
-        sdf.outside(sdf.shrunk(_uterus(seed), -5.5)),
-    )
+    shape = sdf.ellipsoid((3.0, -70.0, -104.0), (38.0, 20.0, 22.0))
+    beside = sdf.outside(sdf.shrunk(_uterus(seed), -5.5))
     lumen = sdf.rippled(sdf.intersection([shape, beside], 5.0), seed + 6, 0.6, 40.0)
     shapes = ((sdf.shrunk(lumen, -3.0), "muscle", "bladder wall"), (lumen, "urine", "bladder"))
     pitch_mm = min(1.8 * scale, 8.0)

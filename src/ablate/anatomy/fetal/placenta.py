@@ -7,11 +7,10 @@ about a sphere of radius 1.
 import numpy as np
 import trimesh
 
+from ablate.anatomy.fetal import sdf
 from ablate.anatomy.fetal.mother import BODY_BOX, UTERUS_CENTER, UTERUS_RADII, cavity
-from ablate.anatomy.fetal.part import Part
-from ablate.anatomy.shapes import sdf
-from ablate.anatomy.shapes.tubes import joined, smooth_path, spindle, tube
-from ablate.anatomy.shapes.vectors import unit
+from ablate.anatomy.fetal.parts import Part
+from ablate.anatomy.fetal.tubes import joined, smooth_path, spindle, tube, unit
 
 THICKNESS_MM = 22.0
 REACH_DEG = 50.0  # of the disc, seen from the middle of the uterus

@@ -1,16 +1,22 @@
-"""Which pregnancy a seed stands for: the size of the fetus, its lie, its limbs, and the site of the placenta."""
+"""Which pregnancy a seed stands for: size, lie and limbs of the fetus, the placenta, and the fluid around them."""
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from skimage.measure import marching_cubes
 
-from ablate.anatomy.fetal.fetus.balls import fetal_balls, untangled
-from ablate.anatomy.fetal.fetus.limbs import LimbPose, Limbs
-from ablate.anatomy.fetal.fluid_space import FreeSpace, uterine_space
-from ablate.anatomy.shapes.vectors import unit
+from ablate.anatomy.fetal.body import LimbPose, Limbs, fetal_balls, untangled
+from ablate.anatomy.fetal.mother import UTERUS_CENTER, UTERUS_RADII, cavity
+from ablate.anatomy.fetal.placenta import placenta_field
+from ablate.anatomy.fetal.tubes import unit
 
+PITCH_MM = 4.0  # of the grid of clearances
 CLEARANCE_MM = 2.0  # of fluid between a drawn fetus and wall or placenta, where there is room
 _DRAWS = 40
 #: Least and largest angles of a drawn limb: flexion, abduction, bend, inward; see `LimbPose`.
@@ -24,6 +30,50 @@ PLACENTA_SITES = (
     (0.08, (0.85, -0.2, 0.45)),
     (0.08, (-0.85, -0.2, 0.45)),
 )
+
+
+@dataclass(frozen=True, eq=False)
+class FreeSpace:
+    """Clearance on a grid of spacing `PITCH_MM`: about the distance to the nearest surface."""
+
+    first: np.ndarray  # (3,): world position of the first grid point, mm
+    clearance: np.ndarray  # (i, j, k), mm; negative where there is no fluid
+
+    def clearance_at(self, points: np.ndarray) -> np.ndarray:
+        """Clearance at world points (..., 3), interpolated; (...) mm."""
+        index = np.moveaxis((points - self.first) / PITCH_MM, -1, 0)
+        return map_coordinates(self.clearance, index, order=1, mode="nearest")
+
+    @property
+    def points(self) -> np.ndarray:
+        """World positions of the grid, (i, j, k, 3) mm."""
+        return self.first + PITCH_MM * np.moveaxis(np.indices(self.clearance.shape), 0, -1)
+
+    def without(self, balls: np.ndarray) -> FreeSpace:
+        """The space that balls, (n, 4) centre and radius, leave."""
+        points = self.points.reshape(-1, 3).astype(np.float32)
+        clearance = self.clearance.reshape(-1).copy()
+        for x, y, z, radius in balls.astype(np.float32):
+            distance = np.sqrt(((points - (x, y, z)) ** 2).sum(axis=1)) - radius
+            np.minimum(clearance, distance, out=clearance)
+        return replace(self, clearance=clearance.reshape(self.clearance.shape))
+
+
+def uterine_space(seed: int, towards: np.ndarray) -> FreeSpace:
+    """The space between wall and placenta; arguments as for `placenta_field`."""
+    reach = np.array(UTERUS_RADII) + PITCH_MM
+    low = np.array(UTERUS_CENTER) - reach
+    shape = np.ceil(2.0 * reach / PITCH_MM).astype(int) + 1
+    x, y, z = np.meshgrid(*(low[i] + PITCH_MM * np.arange(shape[i]) for i in range(3)), indexing="ij", sparse=True)
+    field = np.minimum(-cavity(seed)(x, y, z), placenta_field(seed, towards)(x, y, z)).astype(np.float32)
+    space = FreeSpace(low, field)
+    corners, faces, _, _ = marching_cubes(field, 0.0)
+    surface = low + PITCH_MM * np.concatenate([corners, corners[faces].mean(axis=1)])
+    free = np.flatnonzero(field > 0.0)
+    clearance = field.ravel().copy()  # the field is a distance near the surface only
+    distance = cKDTree(surface).query(space.points.reshape(-1, 3)[free])[0]
+    clearance[free] = np.minimum(clearance[free], distance)
+    return replace(space, clearance=clearance.reshape(field.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,16 +155,16 @@ def _place(room: FreeSpace, balls: np.ndarray, rotation: np.ndarray) -> tuple[np
     turned, radius = balls[:, :3] @ rotation.T, balls[:, 3]
 
     def clearance(origins: np.ndarray) -> np.ndarray:
-        return (room.at(turned + origins[:, None]) - radius).min(axis=1)
+        return (room.clearance_at(turned + origins[:, None]) - radius).min(axis=1)
 
     middle = room.first + 1.5 * np.array(room.clearance.shape) - (turned.min(axis=0) + turned.max(axis=0)) / 2.0
     best, most, step = middle, -np.inf, 8.0
     around = np.stack(np.meshgrid(*3 * [np.arange(-1, 2)], indexing="ij"), axis=-1).reshape(-1, 3)
     while step > 0.4:
         origins = best + step * around
-        found = clearance(origins)
-        if found.max() > most + 0.01:
-            best, most = origins[int(np.argmax(found))], float(found.max())
+        clearances = clearance(origins)
+        if clearances.max() > most + 0.01:
+            best, most = origins[int(np.argmax(clearances))], float(clearances.max())
         else:
             step /= 2.0
     return best, most

@@ -5,11 +5,11 @@ from operator import itemgetter
 
 import numpy as np
 
-from ablate.anatomy.fetal.fetus.axes import ABDOMEN_S_MM, HEAD_ORIGIN, HEAD_ROTATION, SIDES, curl
-from ablate.anatomy.fetal.fetus.chest import HEART_AXES, HEART_CENTER
+from ablate.anatomy.fetal.axes import ABDOMEN_S_MM, HEAD_ORIGIN, HEAD_ROTATION, SIDES, curl
 from ablate.anatomy.fetal.mother import UTERUS_CENTER, UTERUS_RADII, torso
+from ablate.anatomy.fetal.organs import HEART_AXES, HEART_CENTER
 from ablate.anatomy.fetal.pregnancy import Pregnancy, draw_pregnancy
-from ablate.anatomy.shapes.vectors import unit
+from ablate.anatomy.fetal.tubes import unit
 
 DEEPEST_MM = 115.0  # of what is looked at, under the skin
 MOST_OBLIQUE_DEG = 35.0  # between the beam and the skin's normal
@@ -43,6 +43,11 @@ def fetal_planes(seed: int = 0, press_mm: float = 8.0) -> dict[str, np.ndarray]:
     ------
     ValueError
         When `seed` is negative.
+
+    Examples
+    --------
+    >>> sorted(fetal_planes())
+    ['abdomen', 'femur', 'four_chambers', 'head', 'placenta', 'spine']
     """
     poses = {}
     for name, planes in _planes(draw_pregnancy(seed)).items():

@@ -6,14 +6,12 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates, maximum_filter
 from skimage.graph import route_through_array
 
-from ablate.anatomy.fetal.fetus.axes import NAVEL_IN_TRUNK, curl
-from ablate.anatomy.fetal.fluid_space import PITCH_MM, FreeSpace
+from ablate.anatomy.fetal.axes import NAVEL_IN_TRUNK, curl
 from ablate.anatomy.fetal.mother import UTERUS_RADII
-from ablate.anatomy.fetal.part import Part
+from ablate.anatomy.fetal.parts import Part
 from ablate.anatomy.fetal.placenta import REACH_DEG, face_points, from_middle, placenta_field
-from ablate.anatomy.fetal.pregnancy import Pregnancy
-from ablate.anatomy.shapes.tubes import arc_length, frames, interpolated, joined, smooth_path, tube
-from ablate.anatomy.shapes.vectors import unit
+from ablate.anatomy.fetal.pregnancy import PITCH_MM, FreeSpace, Pregnancy
+from ablate.anatomy.fetal.tubes import arc_length, frames, interpolated, joined, smooth_path, tube, unit
 
 JELLY_MM = 4.5  # radius of the cord
 WIND_MM = 26.0  # length of one turn of the arteries
@@ -42,8 +40,8 @@ def cord_route(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
     pockets = _pockets(space)
     best, least = np.empty((0, 3)), -np.inf
     for stops in [*permutations(pockets, 3), *permutations(pockets, 2), *((pocket,) for pocket in pockets), ()]:
-        way = _by_way_of(space, [leave, *stops, arrive])
-        path = _relaxed(space, np.concatenate([root, way, end]))
+        shortest = _by_way_of(space, [leave, *stops, arrive])
+        path = _relaxed(space, np.concatenate([root, shortest, end]))
         room = _room(space, path)
         if room > least:
             best, least = path, room
@@ -59,7 +57,7 @@ def _insertion(pregnancy: Pregnancy, space: FreeSpace) -> tuple[np.ndarray, np.n
     polar = np.deg2rad(REACH_DEG) * np.repeat((0.1, 0.3, 0.45), 10)
     directions = from_middle(pregnancy.placenta, polar, np.tile(turn, 3))
     points, into = face_points(field, directions), unit(directions / np.array(UTERUS_RADII))
-    best = int(np.argmax(np.minimum(space.at(points - 13.0 * into), 12.0) - 6.0 * polar))
+    best = int(np.argmax(np.minimum(space.clearance_at(points - 13.0 * into), 12.0) - 6.0 * polar))
     return points[best], into[best]
 
 
@@ -96,13 +94,14 @@ def _by_way_of(space: FreeSpace, stops: list[np.ndarray]) -> np.ndarray:
 def _relaxed(space: FreeSpace, path: np.ndarray) -> np.ndarray:
     """The path tightened and pushed away from everything; its first two points and its last one stay. (n, 3) mm."""
     length = arc_length(path)
-    path, keep = path[np.r_[True, np.diff(length) > 1e-6]], length[np.r_[True, np.diff(length) > 1e-6]]
-    at = np.linspace(0.0, keep[-1], round(keep[-1] / SPACING_MM))
-    moving = interpolated(at, keep, path)
+    is_new = np.r_[True, np.diff(length) > 1e-6]
+    path, length = path[is_new], length[is_new]
+    arc = np.linspace(0.0, length[-1], round(length[-1] / SPACING_MM))
+    moving = interpolated(arc, length, path)
     slope = np.stack(np.gradient(space.clearance, PITCH_MM))
-    far = np.abs(at[:, None] - at) > 5.0 * SPACING_MM
-    free = ((at > keep[1] + 1.0) & (at < keep[-1] - 1.0))[:, None]
-    inside = np.clip(np.minimum(at - keep[2], keep[-2] - at) / 14.0, 0.0, 1.0)[:, None]  # 0 at both ends
+    far = np.abs(arc[:, None] - arc) > 5.0 * SPACING_MM
+    free = ((arc > length[1] + 1.0) & (arc < length[-1] - 1.0))[:, None]
+    inside = np.clip(np.minimum(arc - length[2], length[-2] - arc) / 14.0, 0.0, 1.0)[:, None]  # 0 at both ends
     for _ in range(150):
         pull = np.zeros_like(moving)
         pull[1:-1] = (moving[:-2] + moving[2:]) / 2.0 - moving[1:-1]
@@ -110,7 +109,7 @@ def _relaxed(space: FreeSpace, path: np.ndarray) -> np.ndarray:
         bend[2:-2] = (4.0 * (moving[1:-3] + moving[3:-1]) - moving[:-4] - moving[4:]) / 6.0 - moving[2:-2]
         index = ((moving - space.first) / PITCH_MM).T
         away = np.stack([map_coordinates(part, index, order=1, mode="nearest") for part in slope], axis=1)
-        narrow = np.clip(JELLY_MM + 3.0 - space.at(moving), 0.0, 6.0)[:, None]
+        narrow = np.clip(JELLY_MM + 3.0 - space.clearance_at(moving), 0.0, 6.0)[:, None]
         apart = moving[:, None] - moving
         distance = np.maximum(np.linalg.norm(apart, axis=2), 1e-6)
         push = np.where(far, np.clip(2.0 * JELLY_MM + 4.0 - distance, 0.0, 6.0), 0.0)
@@ -122,25 +121,25 @@ def _relaxed(space: FreeSpace, path: np.ndarray) -> np.ndarray:
 def _room(space: FreeSpace, path: np.ndarray) -> float:
     """The least distance from the cord's surface to other things or to itself, mm; negative where it bends too much."""
     fine = smooth_path(path, 3 * len(path))
-    at = arc_length(fine)
-    outside = (at > 20.0) & (at < at[-1] - 21.0)
-    from_others = float(space.at(fine[outside]).min()) - JELLY_MM
-    far = np.abs(at[:, None] - at) > np.pi * JELLY_MM
+    arc = arc_length(fine)
+    outside = (arc > 20.0) & (arc < arc[-1] - 21.0)
+    from_others = float(space.clearance_at(fine[outside]).min()) - JELLY_MM
+    far = np.abs(arc[:, None] - arc) > np.pi * JELLY_MM
     from_itself = float(np.linalg.norm(fine[:, None] - fine, axis=2)[far].min()) - 2.0 * JELLY_MM
-    tangent = np.gradient(fine, at, axis=0)
-    sharpest = float(np.linalg.norm(np.gradient(tangent, at, axis=0), axis=1).max())
+    tangent = np.gradient(fine, arc, axis=0)
+    sharpest = float(np.linalg.norm(np.gradient(tangent, arc, axis=0), axis=1).max())
     return min(from_others, from_itself, 1.0 / sharpest - 1.2 * JELLY_MM)
 
 
 def umbilical_cord(scale: float, path: np.ndarray) -> list[Part]:
     """Jelly, vessel walls and blood of a cord whose middle line is `path` (n, 3), from the fetus to the placenta."""
     length = arc_length(path)
-    at = np.linspace(0.0, length[-1], max(24, round(length[-1] / min(1.1 * scale, 2.2))))
-    path = interpolated(at, length, path)
+    arc = np.linspace(0.0, length[-1], max(24, round(length[-1] / min(1.1 * scale, 2.2))))
+    path = interpolated(arc, length, path)
     first, second = frames(path, (0.0, 0.0, 1.0))
     walls, lumens = [], []
     for start_deg, off_axis_mm, radius in VESSELS:
-        angle = (np.deg2rad(start_deg) + 2.0 * np.pi * at / WIND_MM)[:, None]
+        angle = (np.deg2rad(start_deg) + 2.0 * np.pi * arc / WIND_MM)[:, None]
         winding = path + off_axis_mm * (np.cos(angle) * first + np.sin(angle) * second)
         sides = max(3, round(12 / scale))
         walls.append(tube(winding[1:-1], np.full(len(path) - 2, radius + WALL_MM), sides))

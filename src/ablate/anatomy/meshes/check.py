@@ -7,7 +7,6 @@ crosses nothing, and has the wrong tissue to its end.
 import logging
 import warnings
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -15,8 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ablate.anatomy.meshes.closing import odd_edges, principal_axes, simple_loops
-from ablate.anatomy.meshes.repair import array_fault, have_area, merge_vertices, with_three_corners
+from ablate.anatomy.meshes import repair
 from ablate.anatomy.scene import Scene, Structure, bounds_mm
 
 logger = logging.getLogger(__name__)
@@ -28,7 +26,7 @@ GAP = 1e-5  # of a structure's largest extent: vertices nearer than this count a
 BODY_MM = (5.0, 2250.0)
 _SHALLOW_MM = 10.0  # no transducer images less
 _BODY_DEPTH_MM = 150.0  # the imaging depth for these extents: a scene may be scaled together with its probe
-_CHUNK = 256
+_FIRST = 256  # triangles, one of which nearly always has an area
 
 
 def check_scene(scene: Scene, depth_mm: float) -> None:
@@ -72,10 +70,9 @@ def _problem(structure: Structure) -> str | None:
     """What makes the image of a structure wrong; None where nothing does."""
     vertices = np.asarray(structure.mesh.vertices, np.float64)
     faces = np.asarray(structure.mesh.faces)
-    if fault := array_fault(vertices, faces):
+    if fault := repair.array_fault(vertices, faces):
         return fault
-    chunks = range(0, len(faces), _CHUNK)
-    if not any(have_area(vertices, faces[start : start + _CHUNK]).any() for start in chunks):
+    if not repair.have_area(vertices, faces[:_FIRST]).any() and not repair.have_area(vertices, faces).any():
         return f"has no triangle with an area ({len(faces)} without)"
     if _closed_by_hash(vertices, faces):
         return None
@@ -93,12 +90,9 @@ def _closed_by_hash(vertices: np.ndarray, faces: np.ndarray) -> bool:
     zero. The hash of a vertex depends on its coordinates only, so it does not matter whether triangles share vertices.
     """
     a, b, c = _place_hash(vertices)[faces.T]
-    total = np.uint64(0)
-    for start, end in ((a, b), (b, c), (c, a)):
-        difference = start - end
-        total ^= np.bitwise_xor.reduce(difference * difference)
+    edges = np.concatenate([a - b, b - c, c - a])
     triangles = np.sort(a * b * c)
-    return total == 0 and not (triangles[1:] == triangles[:-1]).any()
+    return np.bitwise_xor.reduce(edges * edges) == 0 and not (triangles[1:] == triangles[:-1]).any()
 
 
 def _place_hash(vertices: np.ndarray) -> np.ndarray:
@@ -118,7 +112,7 @@ def openings(vertices: np.ndarray, faces: np.ndarray) -> tuple[int, float]:
     A triangle that occurs twice counts once, as it does for a ray. Vertices (n, 3) nearer than `GAP` count as one, and
     a hole that is narrower, where one long edge meets several short ones, does not count.
     """
-    vertices, faces = merge_vertices(vertices, faces)
+    vertices, faces = repair.merge_vertices(vertices, faces)
     faces = np.unique(np.sort(faces, axis=1), axis=0)
     gap_mm = GAP * float(np.ptp(vertices, axis=0).max())
     near = cKDTree(vertices).query_pairs(gap_mm, output_type="ndarray")
@@ -126,47 +120,31 @@ def openings(vertices: np.ndarray, faces: np.ndarray) -> tuple[int, float]:
     _, place = connected_components(links, directed=False)
     points = np.empty_like(vertices)
     points[place] = vertices
-    loops = simple_loops(odd_edges(with_three_corners(place[faces])))
-    spans = [np.ptp(principal_axes(points[loop])[0], axis=0) for loop in loops]
+    loops = repair.simple_loops(repair.odd_edges(repair.with_three_corners(place[faces])))
+    spans = [np.ptp(repair.principal_axes(points[loop])[0], axis=0) for loop in loops]
     holes = [(len(loop), long) for loop, (long, wide, _) in zip(loops, spans, strict=True) if wide > 2 * gap_mm]
     return sum(edges for edges, _ in holes), float(max((long for _, long in holes), default=0.0))
 
 
-class SharedWall(NamedTuple):
-    """Two meshes that have triangles at the same place: their names, and the number of triangles."""
+def shared_walls(meshes: Sequence[trimesh.Trimesh]) -> list[tuple[str, str, int]]:
+    """Pairs of meshes with triangles at the same place: their names and how many, in the order of the meshes.
 
-    first_name: str
-    second_name: str
-    triangles: int
-
-
-def shared_walls(meshes: Sequence[trimesh.Trimesh]) -> list[SharedWall]:
-    """Pairs of meshes with triangles whose centroids coincide, in the order of the meshes.
-
-    Centroids coincide when they lie in one cell of a grid of spacing `TOLERANCE_MM`, or of that grid shifted by half.
+    Triangles are at the same place when their centroids are nearer than `TOLERANCE_MM`.
     """
     if len(meshes) < 2:
         return []
-    centroids = np.concatenate([mesh.triangles_center for mesh in meshes])
     owner = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
-    counts: dict[tuple[int, int], int] = {}
-    for shift in (0.0, 0.5):
-        cell = np.floor(centroids / TOLERANCE_MM + shift).astype(np.int64)
-        order = np.lexsort((owner, *cell.T))
-        same = (np.diff(cell[order], axis=0) == 0).all(axis=1) & (np.diff(owner[order]) > 0)
-        pairs, number = np.unique(
-            np.stack([owner[order[:-1]][same], owner[order[1:]][same]], axis=1), axis=0, return_counts=True
-        )
-        for (i, j), n in zip(pairs.tolist(), number.tolist(), strict=True):
-            counts[i, j] = max(n, counts.get((i, j), 0))
+    centroids = cKDTree(np.concatenate([mesh.triangles_center for mesh in meshes]))
+    pairs = np.sort(owner[centroids.query_pairs(TOLERANCE_MM, output_type="ndarray")], axis=1)
+    walls, counts = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0, return_counts=True)
     names = [str(mesh.metadata.get("name", f"structure {i}")) for i, mesh in enumerate(meshes)]
-    return [SharedWall(names[i], names[j], n) for (i, j), n in sorted(counts.items())]
+    return [(names[i], names[j], n) for (i, j), n in zip(walls.tolist(), counts.tolist(), strict=True)]
 
 
 def warn_of_shared_walls(meshes: Sequence[trimesh.Trimesh]) -> None:
     """Log a warning for each pair that `shared_walls` finds; they break the counting of crossings."""
-    for wall in shared_walls(meshes):
+    for first, second, count in shared_walls(meshes):
         logger.warning(
             "%s and %s share a wall (%d triangles coincide within %g mm): ownership there is undefined",
-            *wall, TOLERANCE_MM,
+            first, second, count, TOLERANCE_MM,
         )  # fmt: skip

@@ -5,35 +5,25 @@ every edge lies in an even number of triangles.
 """
 
 import logging
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import trimesh
+from mapbox_earcut import triangulate_float64
+from skimage.measure import points_in_poly
 
-from ablate.anatomy.meshes.closing import cap_open_ends, odd_edges
 from ablate.anatomy.meshes.vtk_files import VTK_SUFFIXES, read_vtk
 
 logger = logging.getLogger(__name__)
 
 LARGEST_MM = 1.8e18  # coordinates that Embree takes: within +-1.844e18
 NEEDLE = 1e-12  # a triangle of less than this, twice its area over its longest side squared, has no area
+FLAT_MM = 2.5  # an open end may be uneven by this (two CT slices) ...
+FLAT_FRACTION = 0.02  # ... or by this part of its width
 
 
-@dataclass(frozen=True)
-class MeshReport:
-    """What was done to a mesh to make it usable."""
-
-    name: str
-    merged_vertices: int  # those at the same place as another one
-    degenerate: int  # triangles dropped, because they have no area
-    duplicate: int  # triangles dropped, because they are copies, or pairs that cancel
-    capped_ends: int  # flat open ends closed
-    widest_end_mm: float  # 0 where none was closed
-    cap_triangles: int
-
-
-def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> tuple[trimesh.Trimesh, MeshReport]:
+def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     """Read a mesh file of any format that trimesh knows, or VTK's own, join its pieces, and make it usable, in mm.
 
     Materials and textures are not read.
@@ -41,29 +31,22 @@ def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> tuple[trimesh.Trime
     `metadata["name"]` is the name of the file. Raises ValueError, which names the file, where it cannot be read and
     where `repair` does.
     """
-    path = Path(path)
     try:
-        vertices, faces = read_vtk(path) if path.suffix.lower() in VTK_SUFFIXES else _read(path)
+        if path.suffix.lower() in VTK_SUFFIXES:
+            vertices, faces = read_vtk(path)
+        else:
+            mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
+            vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     except Exception as error:  # every reader raises its own
         raise ValueError(f"{path}: not readable as a mesh: {' '.join(str(error).split())}") from error
-    if len(faces) == 0:
-        raise ValueError(f"{path}: holds no triangles")
     return repair(vertices * mm_per_unit, faces, str(path))
 
 
-def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (n, 3) and triangles (m, 3) of a file that trimesh knows; none where it holds something else."""
-    loaded = trimesh.load_mesh(path, process=False, skip_materials=True)
-    if not isinstance(loaded, trimesh.Trimesh):
-        return np.empty((0, 3)), np.empty((0, 3), np.int64)
-    return np.asarray(loaded.vertices), np.asarray(loaded.faces)
-
-
-def repair(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[trimesh.Trimesh, MeshReport]:
+def repair(vertices: np.ndarray, faces: np.ndarray, name: str) -> trimesh.Trimesh:
     """Merge vertices (n, 3), mm, drop degenerate and duplicate triangles (m, 3), cap flat open ends.
 
-    `name` stands in messages; its last part becomes `metadata["name"]`. Raises ValueError when nothing is left, a
-    vertex is missing or not finite, or a hole cannot be closed.
+    What was done is logged. `name` stands in messages; its last part becomes `metadata["name"]`. Raises ValueError when
+    nothing is left, a vertex is missing or not finite, or a hole cannot be closed.
     """
     if fault := array_fault(vertices, faces):
         raise ValueError(f"{name}: {fault}")
@@ -81,38 +64,23 @@ def repair(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[trimesh.
         raise ValueError(f"{name}: its {len(faces)} triangles enclose nothing")
     mesh = trimesh.Trimesh(merged, closed, process=False)
     mesh.metadata["name"] = Path(name).name
-    report = MeshReport(
-        Path(name).name,
-        len(vertices) - len(merged),
-        len(faces) - len(kept),
-        len(kept) - len(unique),
-        len(widths_mm),
-        max(widths_mm, default=0.0),
-        len(caps),
-    )
-    if report.degenerate or report.duplicate or report.capped_ends:
+    if len(closed) != len(faces):
         logger.info(
             "%s: dropped %d degenerate and %d duplicate triangles, capped %d flat open ends of up to %.1f mm",
-            report.name, report.degenerate, report.duplicate, report.capped_ends, report.widest_end_mm,
+            Path(name).name, len(faces) - len(kept), len(kept) - len(unique), len(widths_mm), max(widths_mm, default=0),
         )  # fmt: skip
-    return mesh, report
+    return mesh
 
 
 def array_fault(vertices: np.ndarray, faces: np.ndarray) -> str | None:
     """Why vertices (n, 3), mm, and faces (m, 3) are no triangles; None where they are."""
     if len(faces) == 0:
         return "holds no triangles"
-    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
-        return f"has vertices of {vertices.shape[-1]} coordinates and faces of {faces.shape[-1]} corners, not 3 and 3"
     if faces.min() < 0 or faces.max() >= len(vertices):
         return f"has triangles with vertices that are not among its {len(vertices)}"
-    if not _within_reach(vertices) and not _within_reach(vertices[np.unique(faces)]):
+    if not np.abs(vertices).max() <= LARGEST_MM and not np.abs(vertices[faces]).max() <= LARGEST_MM:  # also for nan
         return f"has vertices that are not finite or beyond {LARGEST_MM:g} mm"
     return None
-
-
-def _within_reach(vertices: np.ndarray) -> bool:
-    return bool(max(vertices.max(), -vertices.min()) <= LARGEST_MM)  # false for nan
 
 
 def merge_vertices(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -158,3 +126,101 @@ def _of_odd_count(faces: np.ndarray) -> np.ndarray:
 def _fewest_odd_edges(*candidates: np.ndarray) -> np.ndarray:
     """The first of the sets of triangles that has the fewest open edges; empty ones come last."""
     return min(candidates, key=lambda faces: len(odd_edges(faces)) if len(faces) else np.inf)
+
+
+def odd_edges(faces: np.ndarray) -> np.ndarray:
+    """Edges that an odd number of triangles (m, 3) share, as sorted vertex pairs (k, 2); none in a closed mesh.
+
+    Every vertex has an even number of these edges.
+    """
+    if len(faces) == 0:
+        return np.empty((0, 2), np.int64)
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
+    span = int(faces.max()) + 1
+    keys, counts = np.unique(edges[:, 0] * span + edges[:, 1], return_counts=True)
+    keys = keys[counts % 2 == 1]
+    return np.stack([keys // span, keys % span], axis=1)
+
+
+def cap_open_ends(vertices: np.ndarray, faces: np.ndarray, name: str) -> tuple[np.ndarray, tuple[float, ...]]:
+    """Triangles (k, 3) that close every flat open end of faces (m, 3) with vertices (n, 3), and the ends' widths, mm.
+
+    Together with the faces they are closed modulo 2. Where one end lies inside another on the same plane, the space
+    between the two is filled. Raises ValueError with `name` and size of the largest hole that is not flat.
+    """
+    loops = simple_loops(odd_edges(faces))
+    if not loops:
+        return np.empty((0, 3), np.int64), ()
+    offsets, planes = zip(*(principal_axes(vertices[loop]) for loop in loops), strict=True)
+    widths = tuple(float(np.ptp(offset[:, 0])) for offset in offsets)
+    rises = (float(np.abs(offset[:, 2]).max()) for offset in offsets)
+    ends = zip(widths, rises, strict=True)
+    if uneven := [(width, rise) for width, rise in ends if rise > max(FLAT_MM, FLAT_FRACTION * width)]:
+        width, rise = max(uneven)
+        raise ValueError(f"{name}: cannot be closed: a hole of {width:.1f} mm is not flat (uneven by {rise:.1f} mm)")
+    caps = []
+    for group in _nested(vertices, loops, widths, planes):
+        rings = [loops[i] for i in group]
+        corners, stops = np.concatenate(rings), np.cumsum([len(ring) for ring in rings])
+        flat = vertices[corners] @ planes[group[0]][:2].T
+        caps.append(corners[triangulate_float64(flat, stops.astype(np.uint32)).reshape(-1, 3)])
+    # Vertices on a straight line, and rings that cross themselves when laid flat, leave edges open: fans close them.
+    open_rings = simple_loops(odd_edges(np.concatenate([faces, *caps])))
+    fans = [np.column_stack([np.full(len(ring) - 2, ring[0]), ring[1:-1], ring[2:]]) for ring in open_rings]
+    return np.concatenate([*caps, *fans]), widths
+
+
+def simple_loops(edges: np.ndarray) -> list[np.ndarray]:
+    """Split edges (k, 2), of which every vertex has an even number, into loops that pass each vertex (n,) once."""
+    neighbours: dict[int, list[int]] = {}
+    for a, b in edges.tolist():
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
+    loops = []
+    for start in neighbours:
+        while neighbours[start]:
+            walk, place = [start], {start: 0}
+            while True:
+                here = walk[-1]
+                step = neighbours[here].pop()
+                neighbours[step].remove(here)
+                if step in place:  # a simple loop has closed: cut it off and walk on from where it began
+                    loop = walk[place[step] :]
+                    loops.append(np.array(loop))
+                    for vertex in loop[1:]:
+                        del place[vertex]
+                    walk = walk[: place[step] + 1]
+                    if len(walk) == 1:
+                        break
+                else:
+                    place[step] = len(walk)
+                    walk.append(step)
+    return loops
+
+
+def principal_axes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) about their middle along their principal axes, the longest first; and those axes as rows (3, 3)."""
+    offset = points - points.mean(axis=0)
+    axes = np.linalg.eigh(offset.T @ offset)[1].T[::-1]
+    return offset @ axes.T, axes
+
+
+def _nested(
+    vertices: np.ndarray, loops: list[np.ndarray], widths: Sequence[float], planes: Sequence[np.ndarray]
+) -> list[list[int]]:
+    """Groups of one outer loop and the loops directly inside it, on the same plane."""
+    order = sorted(range(len(loops)), key=lambda i: -widths[i])
+    parents: dict[int, list[int]] = {}
+    for rank, inner in enumerate(order):
+        point = vertices[loops[inner]]
+        parents[inner] = [
+            outer
+            for outer in order[:rank]
+            if abs(planes[outer][2] @ (point[0] - vertices[loops[outer]].mean(axis=0))) <= FLAT_MM
+            and points_in_poly(point[:1] @ planes[outer][:2].T, vertices[loops[outer]] @ planes[outer][:2].T)[0]
+        ]
+    groups = {i: [i] for i in order if len(parents[i]) % 2 == 0}
+    for inner, around in parents.items():
+        if len(around) % 2 == 1:
+            groups[max(around, key=lambda i: len(parents[i]))].append(inner)
+    return list(groups.values())

@@ -23,17 +23,17 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
         from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
     except ImportError as error:
         raise ValueError(NEEDS_VTK) from error
-    said = vtkStringOutputWindow()  # takes what would be written to the screen
-    window, verbosity = said.GetInstance(), vtkLogger.GetCurrentVerbosityCutoff()
-    said.SetInstance(said)
+    complaints = vtkStringOutputWindow()  # takes what would be written to the screen
+    window, verbosity = complaints.GetInstance(), vtkLogger.GetCurrentVerbosityCutoff()
+    complaints.SetInstance(complaints)
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     try:
         reader: Any = vtkPolyDataReader() if path.suffix.lower() == ".vtk" else vtkXMLPolyDataReader()
         reader.SetFileName(str(path))
         reader.Update()
         surface = reader.GetOutput()
-        if "ERROR" in said.GetOutput():
-            raise ValueError(_reason(said.GetOutput()))
+        if "ERROR" in complaints.GetOutput():
+            raise ValueError(_reason(complaints.GetOutput()))
         for cells in (surface.GetVerts(), surface.GetLines(), surface.GetPolys(), surface.GetStrips()):
             if not _is_whole(cells, surface.GetNumberOfPoints()):  # the filter would read beside the array
                 raise ValueError("a polygon names a vertex that is not in the file")
@@ -43,13 +43,13 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
         cut.PassVertsOff()
         cut.Update()
     finally:
-        said.SetInstance(window)
+        complaints.SetInstance(window)
         vtkLogger.SetStderrVerbosity(verbosity)
-    found = cut.GetOutput()
-    if "ERROR" in said.GetOutput() or found.GetNumberOfPolys() == 0:
-        raise ValueError(_reason(said.GetOutput()))
-    vertices = vtk_to_numpy(found.GetPoints().GetData()).astype(np.float64)
-    return vertices, vtk_to_numpy(found.GetPolys().GetConnectivityArray()).reshape(-1, 3).astype(np.int64)
+    triangles = cut.GetOutput()
+    if "ERROR" in complaints.GetOutput() or triangles.GetNumberOfPolys() == 0:
+        raise ValueError(_reason(complaints.GetOutput()))
+    vertices = vtk_to_numpy(triangles.GetPoints().GetData()).astype(np.float64)
+    return vertices, vtk_to_numpy(triangles.GetPolys().GetConnectivityArray()).reshape(-1, 3).astype(np.int64)
 
 
 def _is_whole(cells: Any, points: int) -> bool:
@@ -58,12 +58,12 @@ def _is_whole(cells: Any, points: int) -> bool:
 
     if cells is None or cells.GetNumberOfCells() == 0:
         return True
-    ends, names = (vtk_to_numpy(part) for part in (cells.GetOffsetsArray(), cells.GetConnectivityArray()))
-    in_order = ends[0] == 0 and ends[-1] == len(names) and bool((np.diff(ends) >= 0).all())
-    return bool(in_order and (names >= 0).all() and (names < points).all())
+    ends, numbers = (vtk_to_numpy(part) for part in (cells.GetOffsetsArray(), cells.GetConnectivityArray()))
+    in_order = ends[0] == 0 and ends[-1] == len(numbers) and (np.diff(ends) >= 0).all()
+    return bool(in_order and numbers.min() >= 0 and numbers.max() < points)
 
 
-def _reason(said: str) -> str:
+def _reason(output: str) -> str:
     """The first complaint of VTK, without the names of its classes and addresses."""
-    complaints = [line.partition("): ")[2] for line in said.splitlines() if "): " in line]
-    return complaints[0] if complaints else "it holds no polygons; allowed is polygonal data (a surface)"
+    reasons = (line.partition("): ")[2] for line in output.splitlines() if "): " in line)
+    return next(reasons, "it holds no polygons; allowed is polygonal data (a surface)")

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ablate.anatomy.scene_values import mapping, number, tissue_named
+from ablate.anatomy.scene_values import file_named, mapping, number, refusal, tissue_named
 from ablate.anatomy.tissue import Tissue
 from ablate.anatomy.volumes.volume_file import SUFFIXES, VolumeFile, check_volume
-from ablate.validation import shown
 
 LABELS_VERSION = 1  # of the surfaces that are made from labels: raised when they change
 TABLE = "totalsegmentator"  # classes of its task `total`, version 2
@@ -81,23 +80,18 @@ def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], wh
 
 
 def _volume(name: Any, folder: Path, where: str) -> VolumeFile:
-    if not isinstance(name, str) or not name.lower().endswith(SUFFIXES):
-        raise ValueError(f"{where}: must be a file name that ends in {', '.join(SUFFIXES)}, not {shown(name)}")
-    path = folder / name
-    if not path.is_file():
-        raise FileNotFoundError(f"{where}: no file {shown(name)} in {folder}")
-    return check_volume(path, where)
+    return check_volume(file_named(name, SUFFIXES, folder, where), where)
 
 
 def _labels(named: Any, tissues: Mapping[str, Tissue], where: str) -> tuple[Label, ...]:
     if not isinstance(named, Mapping) or not named:
-        raise ValueError(f"{where}: must be {TABLE}, or a mapping of labels to tissues, not {shown(named)}")
+        raise refusal(where, named, f"{TABLE}, or mappings of labels to tissues")
     labels = []
-    for label, tissue in named.items():
+    for label, name in named.items():
         if not isinstance(label, int) or isinstance(label, bool) or not 1 <= label <= LARGEST_LABEL:
-            raise ValueError(f"{where}: a label is a whole number from 1 to {LARGEST_LABEL}, not {shown(label)}")
-        found = None if tissue is None else tissue_named(tissue, tissues, f"{where}.{label}")
-        labels.append(Label(label, f"label {label}", found))
+            raise refusal(f"{where}: label", label, f"whole numbers from 1 to {LARGEST_LABEL}")
+        tissue = None if name is None else tissue_named(name, tissues, f"{where}.{label}")
+        labels.append(Label(label, f"label {label}", tissue))
     if sum(label.tissue is not None for label in labels) > MOST_STRUCTURES:
         raise ValueError(f"{where}: {len(labels)} labels; allowed are at most {MOST_STRUCTURES}")
     return tuple(labels)

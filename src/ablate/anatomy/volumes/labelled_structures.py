@@ -30,16 +30,13 @@ def labelled_structures(labels: LabelMap, where: str, cache_dir: Path | None = N
         When a file cannot be read to its end, holds what is no label, or has a label without a tissue or a tissue
         without a voxel; `where` stands before the key.
     """
-    if cache_dir is None:
-        scene = _surfaces(labels, where)
-    else:
-        made_from = {
-            "labels": [(label.number, label.name, label.tissue is None) for label in labels.labels],
-            "above": labels.body and labels.body.above,
-            "files": digest_of_files(labels.files),
-            "version": LABELS_VERSION,
-        }
-        scene = cached_scene(cache_dir, lambda: _surfaces(labels, where), **made_from)
+    made_from = {
+        "labels": [(label.number, label.name, label.tissue is None) for label in labels.labels],
+        "above": labels.body and labels.body.above,
+        "files": digest_of_files(labels.files),
+        "version": LABELS_VERSION,
+    }
+    scene = cached_scene(cache_dir, lambda: _surfaces(labels, where), **made_from)
     tissues = dict(labels.structures)
     return tuple(Structure(s.mesh, tissues[s.mesh.metadata["name"]]) for s in scene.structures)
 
@@ -54,7 +51,7 @@ def _surfaces(labels: LabelMap, where: str) -> Scene:
             continue
         vertices, faces = label_surface(order, number, box, volume.spacing_mm)
         world = vertices @ volume.affine[:3, :3].T + volume.affine[:3, 3]
-        structures.append(Structure(repair(world, faces, name)[0], any_tissue))
+        structures.append(Structure(repair(world, faces, name), any_tissue))
         logger.info("%s: %s has %d triangles", volume.path.name, name, len(structures[-1].mesh.faces))
     return Scene(tuple(structures), any_tissue, volume.path.name)
 
@@ -69,40 +66,41 @@ def read_order(labels: LabelMap, where: str) -> tuple[np.ndarray, tuple[str, ...
     order = np.zeros(labels.volume.shape, np.uint8, order="F")
     counts = np.zeros(LARGEST_LABEL + 1, np.int64)
     for part, values in slabs(labels.volume):
-        found = _whole(values, labels.volume, where)
-        counts += np.bincount(found.ravel(order="K"), minlength=len(counts))
-        order[:, :, part] = places[found]
+        numbers = _whole_numbers(values, labels.volume, where)
+        counts += np.bincount(numbers.ravel(order="K"), minlength=len(counts))
+        order[:, :, part] = places[numbers]
     _check_counts(counts, labels, where)
     if labels.body:
         _add_body(order, labels.body, where)
     return order, tuple(name for name, _ in labels.structures)
 
 
-def _whole(values: np.ndarray, volume: VolumeFile, where: str) -> np.ndarray:
+def _whole_numbers(values: np.ndarray, volume: VolumeFile, where: str) -> np.ndarray:
     """Values as labels, uint16."""
-    if values.size and not (0 <= values.min() and values.max() <= LARGEST_LABEL):  # false for nan
-        worst = values.min() if not values.min() >= 0 else values.max()
-        raise ValueError(f"{where}.file: {volume.path} holds the value {worst:g}; allowed are 0 to {LARGEST_LABEL}")
-    found = values.astype(np.uint16)
-    if not np.issubdtype(values.dtype, np.integer) and (odd := values[found != values]).size:
-        raise ValueError(f"{where}.file: {volume.path} holds the value {odd[0]:g}; labels are whole numbers")
-    return found
+    for extreme in (values.min(), values.max()):
+        if not 0 <= extreme <= LARGEST_LABEL:  # nan neither
+            raise ValueError(
+                f"{where}.file: {volume.path} holds the value {extreme:g}; allowed are 0 to {LARGEST_LABEL}"
+            )
+    numbers = values.astype(np.uint16)
+    if (fractions := values[numbers != values]).size:
+        raise ValueError(f"{where}.file: {volume.path} holds the value {fractions[0]:g}; labels are whole numbers")
+    return numbers
 
 
 def _check_counts(counts: np.ndarray, labels: LabelMap, where: str) -> None:
     """Raise ValueError where a label has no tissue, or a tissue no voxel; counts of labels, (65536,)."""
     present = set(np.flatnonzero(counts[1:]) + 1)
     if nameless := sorted(present - {label.number for label in labels.labels}):
-        shown = ", ".join(map(str, nameless[:10])) + (" and more" if len(nameless) > 10 else "")
         raise ValueError(
-            f"{where}.tissues: {labels.volume.path} has label {shown} without a tissue; allowed is a tissue for every "
-            "label, or null to leave it out"
+            f"{where}.tissues: {labels.volume.path} has label {', '.join(map(str, nameless[:10]))} without a tissue; "
+            "allowed is a tissue for every label, or null to leave it out"
         )
     if not present:
         raise ValueError(f"{where}.file: {labels.volume.path} has no label, only 0")
     empty = [label.number for label in labels.labels if label.number not in present]
     if labels.complete and empty:
-        shown = ", ".join(str(number) for number in sorted(present)[:20])
+        shown = ", ".join(map(str, sorted(present)[:20]))
         raise ValueError(f"{where}.tissues.{empty[0]}: no voxel of {labels.volume.path} has this label; it has {shown}")
 
 

@@ -17,12 +17,8 @@ SUFFIXES = (".nii", ".nii.gz", ".nrrd")
 VOXEL_MM = (0.01, 6.0)  # shortest and longest side; CT has slices of up to 5 mm
 _SQUARE = 1e-3  # largest cosine between two axes
 _SLAB_VOXELS = 2**21
-#: NRRD names its world; the factors take it to RAS+.
-_SPACES = {"right-anterior-superior": (1, 1, 1), "ras": (1, 1, 1), "left-posterior-superior": (-1, -1, 1)} | {
-    "lps": (-1, -1, 1),
-    "left-anterior-superior": (-1, 1, 1),
-    "las": (-1, 1, 1),
-}
+#: NRRD names its world, as left-posterior-superior or LPS; the factors take it to RAS+.
+_SPACES = {"ras": (1, 1, 1), "lps": (-1, -1, 1), "las": (-1, 1, 1)}
 
 
 @dataclass(frozen=True)
@@ -98,12 +94,11 @@ def _nifti_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None]:
     import nibabel
 
     image: Any = nibabel.load(path)
-    header = image.header
-    unit = header.get_xyzt_units()[0]
+    unit = image.header.get_xyzt_units()[0]
     if unit not in ("mm", "unknown"):
         raise ValueError(f"its unit is {unit}; allowed is mm")
-    known = header["sform_code"] > 0 or header["qform_code"] > 0
-    return tuple(image.shape), np.asarray(image.affine, np.float64) if known else None
+    is_known = image.header["sform_code"] > 0 or image.header["qform_code"] > 0
+    return tuple(image.shape), np.asarray(image.affine, np.float64) if is_known else None
 
 
 def _nrrd_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None]:
@@ -116,12 +111,13 @@ def _nrrd_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None]:
     if len(shape) != 3 or not {"space", "space directions", "space origin"} <= header.keys():
         return shape, None
     space = str(header["space"]).lower()
-    if space not in _SPACES:
-        raise ValueError(f"its space is {shown(space)}; allowed are {', '.join(s for s in _SPACES if '-' in s)}")
+    initials = "".join(word[:1] for word in space.split("-")) if "-" in space else space
+    if initials not in _SPACES:
+        raise ValueError(f"its space is {shown(space)}; allowed are {', '.join(_SPACES).upper()}")
     affine = np.eye(4)
     affine[:3, :3] = np.asarray(header["space directions"], np.float64).T
     affine[:3, 3] = header["space origin"]
-    return shape, np.diag([*_SPACES[space], 1.0]) @ affine
+    return shape, np.diag([*_SPACES[initials], 1.0]) @ affine
 
 
 def _affine_fault(affine: np.ndarray) -> str | None:
@@ -133,8 +129,8 @@ def _affine_fault(affine: np.ndarray) -> str | None:
     if not (sides.min() >= VOXEL_MM[0] and sides.max() <= VOXEL_MM[1]):
         size = " x ".join(f"{side:.4g}" for side in sides)
         return f"has voxels of {size} mm; allowed are sides of {VOXEL_MM[0]:g} to {VOXEL_MM[1]:g} mm"
-    cosines = (axes / sides).T @ (axes / sides)
-    i, j = max(((0, 1), (0, 2), (1, 2)), key=lambda pair: abs(cosines[pair]))
+    cosines = np.triu((axes / sides).T @ (axes / sides), 1)
+    i, j = np.unravel_index(np.argmax(np.abs(cosines)), (3, 3))
     if abs(cosines[i, j]) > _SQUARE:
         angle = math.degrees(math.acos(np.clip(cosines[i, j], -1, 1)))
         return f"is sheared: its axes {i} and {j} meet at {angle:.1f} degrees; allowed are right angles"

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from ablate.anatomy.shapes import sdf
+from ablate.anatomy.fetal import sdf
 
 BEND_RADIUS_MM = 125.0  # of the curve of the back; its centre lies in front of the belly
 BEND_REACH_MM = 52.0  # the trunk is bent for |s| below this and straight beyond

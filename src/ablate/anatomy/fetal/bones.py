@@ -3,12 +3,11 @@
 import numpy as np
 import trimesh
 
-from ablate.anatomy.fetal.fetus.axes import SIDES, outline, spine_y
-from ablate.anatomy.fetal.fetus.head import EYE_CENTER
-from ablate.anatomy.fetal.fetus.limbs import Limb, Limbs, finger_rays
-from ablate.anatomy.fetal.part import Part
-from ablate.anatomy.shapes.tubes import joined, rod, smooth_path, spindle, tube
-from ablate.anatomy.shapes.vectors import unit
+from ablate.anatomy.fetal.axes import SIDES, outline, spine_y
+from ablate.anatomy.fetal.body import Limb, Limbs, finger_rays
+from ablate.anatomy.fetal.head import EYE_CENTER
+from ablate.anatomy.fetal.parts import Part
+from ablate.anatomy.fetal.tubes import joined, rod, smooth_path, spindle, tube, unit
 
 FEMUR_MM = 39.0
 SCAPULA_DEPTH_MM = 2.3  # of its middle under the skin

@@ -7,19 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ablate.anatomy.meshes.closing import odd_edges
-from ablate.anatomy.shapes.sdf import (
-    capsule,
-    ellipsoid,
-    intersection,
-    mesh_field,
-    outside,
-    rippled,
-    shrunk,
-    smooth_max,
-    smooth_min,
-    union,
-)
+from ablate.anatomy.fetal import sdf
+from ablate.anatomy.meshes.repair import odd_edges
 
 BOX = ((-40.0, -40.0, -40.0), (40.0, 40.0, 40.0))
 numbers = st.floats(-50, 50)
@@ -30,7 +19,7 @@ def test_ellipsoid_volume_converges_with_order_two() -> None:
     pitches = np.array([4.0, 2.0, 1.0])
     errors = []
     for pitch in pitches:
-        mesh = mesh_field(ellipsoid((1.3, -2.1, 0.7), (12, 17, 25)), BOX, pitch, "egg")
+        mesh = sdf.mesh_field(sdf.ellipsoid((1.3, -2.1, 0.7), (12, 17, 25)), BOX, pitch, "egg")
         assert len(odd_edges(mesh.faces)) == 0
         errors.append(abs(mesh.volume / exact - 1))  # positive volume: outward
     order = np.polyfit(np.log(pitches), np.log(errors), 1)[0]
@@ -40,54 +29,54 @@ def test_ellipsoid_volume_converges_with_order_two() -> None:
 
 def test_ellipsoid_can_be_turned() -> None:
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
-    field = ellipsoid((1.0, 2.0, 3.0), (5.0, 8.0, 13.0), turn)
+    field = sdf.ellipsoid((1.0, 2.0, 3.0), (5.0, 8.0, 13.0), turn)
     for axis, radius in zip(turn.T, (5.0, 8.0, 13.0), strict=True):
         assert field(*(np.array([1.0, 2.0, 3.0]) + radius * axis)) == pytest.approx(0, abs=1e-6)
 
 
 def test_fields_are_negative_in_the_very_middle() -> None:
-    assert ellipsoid((0, 0, 0), (3, 4, 5))(np.float32(0), np.float32(0), np.float32(0)) == pytest.approx(-3)
+    assert sdf.ellipsoid((0, 0, 0), (3, 4, 5))(np.float32(0), np.float32(0), np.float32(0)) == pytest.approx(-3)
 
 
 def test_capsule_is_an_exact_distance() -> None:
-    field = capsule((0, 0, 0), (0, 0, 10), 2.0, 2.0)
+    field = sdf.capsule((0, 0, 0), (0, 0, 10), 2.0, 2.0)
     assert field(np.array(5.0), np.array(0.0), np.array(4.0)) == pytest.approx(3.0)
     assert field(np.array(3.0), np.array(0.0), np.array(14.0)) == pytest.approx(3.0)
 
 
 @given(numbers, numbers, st.floats(0.1, 20))
 def test_smooth_minimum_is_between_the_minimum_and_a_quarter_blend_below(a: float, b: float, k: float) -> None:
-    low = float(smooth_min(np.array(a), np.array(b), k))
+    low = float(sdf.smooth_min(np.array(a), np.array(b), k))
     assert min(a, b) - k / 4 - 1e-9 <= low <= min(a, b) + 1e-9
     if abs(a - b) >= k:
         assert low == min(a, b)
-    assert float(smooth_max(np.array(a), np.array(b), k)) == pytest.approx(
-        -float(smooth_min(np.array(-a), np.array(-b), k))
+    assert float(sdf.smooth_max(np.array(a), np.array(b), k)) == pytest.approx(
+        -float(sdf.smooth_min(np.array(-a), np.array(-b), k))
     )
 
 
 def test_union_and_difference_of_spheres_have_the_lens_volume() -> None:
-    a, b, r, d = ellipsoid((-3, 0, 0), (8, 8, 8)), ellipsoid((3, 0, 0), (8, 8, 8)), 8.0, 6.0
+    a, b, r, d = sdf.ellipsoid((-3, 0, 0), (8, 8, 8)), sdf.ellipsoid((3, 0, 0), (8, 8, 8)), 8.0, 6.0
     ball = 4 / 3 * math.pi * r**3
     lens = math.pi * (4 * r + d) * (2 * r - d) ** 2 / 12
     for field, exact in (
-        (union([a, b], 1e-3), 2 * ball - lens),
-        (intersection([a, b], 1e-3), lens),
-        (intersection([a, outside(b)], 1e-3), ball - lens),
+        (sdf.union([a, b], 1e-3), 2 * ball - lens),
+        (sdf.intersection([a, b], 1e-3), lens),
+        (sdf.intersection([a, sdf.outside(b)], 1e-3), ball - lens),
     ):
-        assert mesh_field(field, BOX, 0.5, "s").volume == pytest.approx(exact, rel=0.015)
+        assert sdf.mesh_field(field, BOX, 0.5, "s").volume == pytest.approx(exact, rel=0.015)
 
 
 def test_shrinking_a_ball_takes_its_radius() -> None:
-    mesh = mesh_field(shrunk(ellipsoid((0, 0, 0), (20, 20, 20)), 3.0), BOX, 1.0, "ball")
+    mesh = sdf.mesh_field(sdf.shrunk(sdf.ellipsoid((0, 0, 0), (20, 20, 20)), 3.0), BOX, 1.0, "ball")
     assert np.linalg.norm(mesh.vertices, axis=1) == pytest.approx(17.0, abs=0.02)
 
 
 def test_ripple_has_the_given_size_and_follows_its_seed() -> None:
     points = np.random.default_rng(1).uniform(-500, 500, (3, 40_000))
-    flat = rippled(lambda x, y, z: 0.0 * x, seed=5, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
-    again = rippled(lambda x, y, z: 0.0 * x, seed=5, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
-    other = rippled(lambda x, y, z: 0.0 * x, seed=6, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
+    flat = sdf.rippled(lambda x, y, z: 0.0 * x, seed=5, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
+    again = sdf.rippled(lambda x, y, z: 0.0 * x, seed=5, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
+    other = sdf.rippled(lambda x, y, z: 0.0 * x, seed=6, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
     assert flat(*points).std() == pytest.approx(1.5, rel=0.02)
     assert (flat(*points) == again(*points)).all()
     assert not np.allclose(flat(*points), other(*points))
@@ -95,6 +84,6 @@ def test_ripple_has_the_given_size_and_follows_its_seed() -> None:
 
 def test_empty_and_clipped_shapes_are_refused_by_name() -> None:
     with pytest.raises(ValueError, match="nothing: the shape is empty"):
-        mesh_field(ellipsoid((500, 0, 0), (1, 1, 1)), BOX, 1.0, "nothing")
+        sdf.mesh_field(sdf.ellipsoid((500, 0, 0), (1, 1, 1)), BOX, 1.0, "nothing")
     with pytest.raises(ValueError, match="giant: the shape leaves its box"):
-        mesh_field(ellipsoid((0, 0, 0), (60, 10, 10)), BOX, 1.0, "giant")
+        sdf.mesh_field(sdf.ellipsoid((0, 0, 0), (60, 10, 10)), BOX, 1.0, "giant")

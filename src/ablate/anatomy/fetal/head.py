@@ -3,11 +3,10 @@
 import numpy as np
 import trimesh
 
-from ablate.anatomy.fetal.fetus.axes import SIDES
-from ablate.anatomy.fetal.part import Part
-from ablate.anatomy.shapes import sdf
-from ablate.anatomy.shapes.tubes import interpolated, joined, tube
-from ablate.anatomy.shapes.vectors import Vector
+from ablate.anatomy.fetal import sdf
+from ablate.anatomy.fetal.axes import SIDES
+from ablate.anatomy.fetal.parts import Part
+from ablate.anatomy.fetal.tubes import Vector, interpolated, joined, tube
 
 HEAD_BOX: sdf.Bounds = ((-45.0, -55.0, -50.0), (45.0, 50.0, 45.0))
 SKULL_RADII = (27.0, 36.35, 29.0)  # BPD 54 mm, HC 200 mm, outer edge to outer edge

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from ablate.anatomy.meshes.closing import odd_edges
-from ablate.anatomy.shapes.tubes import frames, joined, rod, smooth_path, spindle, tube
+from ablate.anatomy.fetal.tubes import frames, joined, rod, smooth_path, spindle, tube
+from ablate.anatomy.meshes.repair import odd_edges
 
 
 @pytest.mark.parametrize("sides", [3, 4, 12])

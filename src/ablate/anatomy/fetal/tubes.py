@@ -6,7 +6,13 @@ import numpy as np
 import trimesh
 from scipy.interpolate import make_interp_spline
 
-from ablate.anatomy.shapes.vectors import Vector, unit
+Vector = Sequence[float] | np.ndarray
+
+
+def unit(vectors: Vector) -> np.ndarray:
+    """Vectors (..., 3) of the same directions and of length 1."""
+    vectors = np.asarray(vectors, float)
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def tube(path: np.ndarray, radii: np.ndarray, sides: int, up: Vector = (0.0, 0.0, 1.0)) -> trimesh.Trimesh:
@@ -49,9 +55,9 @@ def arc_length(path: np.ndarray) -> np.ndarray:
     return np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
 
 
-def interpolated(at: np.ndarray, knots: np.ndarray, path: np.ndarray) -> np.ndarray:
-    """The path (n, 3), given at parameters `knots` (n,), at the parameters `at` (m,), linearly: (m, 3)."""
-    return np.stack([np.interp(at, knots, path[:, i]) for i in range(3)], axis=1)
+def interpolated(parameters: np.ndarray, knots: np.ndarray, path: np.ndarray) -> np.ndarray:
+    """A path (n, 3), which is given at `knots` (n,), at other parameters (m,), linearly: (m, 3)."""
+    return np.stack([np.interp(parameters, knots, path[:, i]) for i in range(3)], axis=1)
 
 
 def smooth_path(points: Sequence[Vector] | np.ndarray, count: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from skimage.measure import marching_cubes
 
-from ablate.anatomy.shapes.vectors import Vector, unit
+from ablate.anatomy.fetal.tubes import Vector, unit
 
 Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]

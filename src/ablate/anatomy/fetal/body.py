@@ -1,0 +1,204 @@
+"""The fetus seen from outside: how its limbs are bent, its skin and muscles, and balls that about fill it.
+
+Fetal axes, mm; `side` is +1 for the left and -1 for the right. The balls make distances between the fetus and its
+surroundings fast to compute. They are an array (n, 4): centre and radius.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ablate.anatomy.fetal import sdf
+from ablate.anatomy.fetal.axes import NAVEL_IN_TRUNK, SIDES, curl, curled, head_to_fetus, in_head, outline, trunk
+from ablate.anatomy.fetal.parts import Part
+from ablate.anatomy.fetal.tubes import unit
+
+FETUS_BOX: sdf.Bounds = ((-75.0, -140.0, -100.0), (75.0, 60.0, 140.0))
+LIMBS_BOX: sdf.Bounds = ((-100.0, -150.0, -160.0), (100.0, 100.0, 130.0))
+HEAD_RADII = (29.2, 38.5, 31.2)  # of the scalp
+Capsule = tuple[np.ndarray, np.ndarray, float, float]  # start, end, and the radii there
+
+
+@dataclass(frozen=True)
+class LimbPose:
+    """Angles of one limb."""
+
+    flexion_deg: float  # of hip or shoulder, forwards; 0 is along the trunk
+    abduction_deg: float  # away from the midline
+    bend_deg: float  # of the knee backwards, or of the elbow forwards; 0 is straight
+    inward_deg: float  # of shin or forearm, to the other side
+
+
+class Limb(NamedTuple):
+    """Joints (3,) from the body outwards: hip, knee, ankle, toes; or shoulder, elbow, wrist, finger tips."""
+
+    root: np.ndarray
+    bend: np.ndarray
+    end: np.ndarray
+    tip: np.ndarray
+
+
+@dataclass(frozen=True)
+class Limbs:
+    """Poses of legs and arms."""
+
+    left_leg: LimbPose = LimbPose(122.0, 15.0, 136.0, 16.0)
+    right_leg: LimbPose = LimbPose(112.0, 14.0, 134.0, 16.0)
+    left_arm: LimbPose = LimbPose(42.0, 6.0, 84.0, 26.0)
+    right_arm: LimbPose = LimbPose(34.0, 6.0, 66.0, 22.0)
+
+    def leg(self, side: float) -> Limb:
+        """Joints of a leg."""
+        pose = self.left_leg if side > 0 else self.right_leg
+        hip = curl(np.array([[side * 12.0, -1.0, -47.0]]))[0]
+        thigh, front, inward = _axes(side, pose)
+        shin, heel = _turned(thigh, -front, inward, pose.bend_deg, pose.inward_deg)
+        knee = hip + 46.0 * thigh
+        ankle = knee + 41.0 * shin
+        foot = 0.35 * shin - heel
+        return Limb(hip, knee, ankle, ankle + 24.0 * foot / np.linalg.norm(foot))
+
+    def arm(self, side: float) -> Limb:
+        """Joints of an arm."""
+        pose = self.left_arm if side > 0 else self.right_arm
+        shoulder = curl(np.array([[side * 24.0, 1.0, 36.0]]))[0]
+        upper, forward, inward = _axes(side, pose)
+        forearm, _ = _turned(upper, forward, inward, pose.bend_deg, pose.inward_deg)
+        hand, _ = _turned(upper, forward, inward, pose.bend_deg + 25.0, pose.inward_deg)
+        elbow = shoulder + 40.0 * upper
+        wrist = elbow + 34.0 * forearm
+        return Limb(shoulder, elbow, wrist, wrist + 19.0 * hand)
+
+
+def _axes(side: float, pose: LimbPose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors along the upper segment, to its front, and to the midline."""
+    f, a = np.deg2rad(pose.flexion_deg), np.deg2rad(pose.abduction_deg)
+    along = np.array([side * np.sin(a), -np.sin(f) * np.cos(a), -np.cos(f) * np.cos(a)])
+    front = np.array([0.0, -np.cos(f), np.sin(f)])
+    inward = np.cross(along, front)
+    return along, front, inward * -side * np.sign(inward[0])
+
+
+def _turned(
+    along: np.ndarray, towards: np.ndarray, inward: np.ndarray, bend_deg: float, inward_deg: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The lower segment, and `towards` after the same turn."""
+    k, i = np.deg2rad(bend_deg), np.deg2rad(inward_deg)
+    towards = np.cos(i) * towards + np.sin(i) * inward
+    return np.cos(k) * along + np.sin(k) * towards, np.cos(k) * towards - np.sin(k) * along
+
+
+def leg_capsules(limb: Limb) -> list[Capsule]:
+    """The rounded rods that a leg is made of."""
+    hip, knee, ankle, toes = limb
+    heel, calf, ball = ankle - 0.28 * (toes - ankle), knee + 0.45 * (ankle - knee), ankle + 0.7 * (toes - ankle)
+    return [
+        (hip, knee, 11.5, 8.2),
+        (knee, calf, 7.8, 7.6),
+        (calf, ankle, 7.6, 5.0),
+        (heel, ball, 4.6, 4.4),
+        (ball, toes, 4.4, 3.4),
+    ]
+
+
+def arm_capsules(limb: Limb) -> list[Capsule]:
+    """The rounded rods that an arm is made of."""
+    shoulder, elbow, wrist, tips = limb
+    return [
+        (shoulder, elbow, 8.0, 5.6),
+        (elbow, wrist, 5.6, 3.8),
+        (wrist, wrist + 0.45 * (tips - wrist), 3.8, 4.2),
+        *((start, end, 1.7, 1.4) for start, end in finger_rays(limb)),
+    ]
+
+
+def finger_rays(limb: Limb) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Start and end of the five digits of a hand."""
+    along = limb.tip - limb.end
+    across = unit(np.cross(along, limb.end - limb.bend))
+    rays = []
+    for digit, (spread, length) in enumerate(((-6.5, 0.62), (-3.2, 0.95), (0.0, 1.0), (3.1, 0.95), (6.0, 0.8))):
+        start = limb.end + (0.2 if digit == 0 else 0.42) * along + 0.7 * spread * across
+        rays.append((start, limb.end + length * along + 1.25 * spread * across))
+    return rays
+
+
+def fetal_body(scale: float, seed: int) -> Part:
+    """Trunk and head as one closed solid; what is inside comes later and owns its place."""
+    torso = sdf.union([trunk, sdf.ellipsoid((0.0, 1.5, 35.0), (28.0, 13.5, 11.0))], 6.0)
+    face = [  # cheeks and chin, nose, lips and ears, in the head's axes
+        sdf.ellipsoid((0.0, -20.0, -21.0), (20.5, 19.0, 18.5)),
+        sdf.capsule((0.0, -37.0, -20.0), (0.0, -42.5, -24.0), 2.4, 2.8),
+        sdf.capsule((-4.0, -38.0, -29.5), (4.0, -38.0, -29.5), 2.4, 2.4),
+        sdf.capsule((-3.0, -36.5, -36.5), (3.0, -36.5, -36.5), 3.2, 3.2),
+        *(sdf.ellipsoid((side * 28.5, 7.0, -14.0), (2.4, 5.5, 8.0)) for side in SIDES[::-1]),
+    ]
+    head = sdf.union([sdf.ellipsoid((0.0, 0.0, 0.0), HEAD_RADII), *face], 7.0)
+    whole = sdf.rippled(sdf.union([curled(torso), in_head(head)], 7.0), seed, 0.18, 22.0)
+    return Part(sdf.mesh_field(whole, FETUS_BOX, min(1.15 * scale, 9.75), "body and head"), "soft_tissue")
+
+
+def limb_flesh(scale: float, seed: int, limbs: Limbs) -> list[Part]:
+    """Skin and fat, then muscles, of every limb."""
+    legs = [sdf.union([sdf.capsule(*rod) for rod in leg_capsules(limbs.leg(side))], 4.0) for side in SIDES]
+    arms = [sdf.union([sdf.capsule(*rod) for rod in arm_capsules(limbs.arm(side))], 2.0) for side in SIDES]
+    shapes = [(sdf.rippled(field, seed + 1, 0.2, 15.0), 1.05, 2.0) for field in legs]
+    shapes += [(sdf.rippled(field, seed + 2, 0.12, 12.0), 0.85, 1.5) for field in arms]
+    skin, muscles = [], []
+    for name, (field, pitch_mm, fat_mm) in zip(("left leg", "right leg", "left arm", "right arm"), shapes, strict=True):
+        pitch_mm = min(pitch_mm * scale, 4.0 + 5.0 * pitch_mm)
+        skin.append(Part(sdf.mesh_field(field, LIMBS_BOX, pitch_mm, name), "soft_tissue"))
+        inner = sdf.mesh_field(sdf.shrunk(field, fat_mm), LIMBS_BOX, pitch_mm, f"{name} muscles")
+        muscles.append(Part(inner, "muscle"))
+    return [*skin, *muscles]
+
+
+def fetal_balls(limbs: Limbs) -> np.ndarray:
+    """Balls of trunk, head and limbs."""
+    legs = [_in_capsules(leg_capsules(limbs.leg(side))) for side in SIDES]
+    arms = [_in_capsules(arm_capsules(limbs.arm(side))) for side in SIDES]
+    return np.concatenate([_body_balls(), *legs, *arms])
+
+
+def untangled(limbs: Limbs) -> bool:
+    """Whether no limb runs through another one, the trunk, the head, or the place of the cord at the navel."""
+    navel = np.array([[*curl(np.array([NAVEL_IN_TRUNK]))[0], 6.0]])
+    fixed = np.concatenate([_body_balls(), navel])
+    lower, whole = [], []
+    for side in SIDES:
+        for capsules in (leg_capsules(limbs.leg(side)), arm_capsules(limbs.arm(side))):
+            lower.append(_in_capsules(capsules[1:]))
+            whole.append(_in_capsules(capsules))
+    pairs = [(lower[i], fixed) for i in range(4)]
+    pairs += [(whole[i][4:], navel) for i in (0, 2)]
+    pairs += [(lower[i], whole[j]) for i in range(4) for j in range(4) if i != j]
+    return all(_gap(first, second) > 0.0 for first, second in pairs)
+
+
+def _gap(first: np.ndarray, second: np.ndarray) -> float:
+    """The least distance between the surfaces of two sets of balls, (n, 4) and (m, 4)."""
+    apart = np.linalg.norm(first[:, None, :3] - second[None, :, :3], axis=2)
+    return float((apart - first[:, None, 3] - second[None, :, 3]).min())
+
+
+def _body_balls() -> np.ndarray:
+    """Balls of trunk and head."""
+    s = np.arange(-57.0, 58.0, 6.0)
+    width, depth, middle = outline(s)
+    spine = np.column_stack([curl(np.column_stack([0.0 * s, middle, s])), (width + depth) / 2.0 + 0.6])
+    shoulders = [(*curl(np.array([(side * 18.5, 1.5, 35.0)]))[0], 10.5) for side in SIDES[::-1]]
+    skull = np.array([(0.0, y, 0.0, 31.0 - abs(y) / 9.0) for y in (-10.0, -5.0, 0.0, 5.0, 10.0)])
+    face = np.array([(0.0, -20.0, -21.0, 19.3), (0.0, -40.0, -22.0, 3.5), (0.0, -36.5, -36.5, 3.5)])
+    head = np.concatenate([skull, face])
+    return np.concatenate([spine, shoulders, np.column_stack([head_to_fetus(head[:, :3]), head[:, 3]])])
+
+
+def _in_capsules(capsules: Sequence[Capsule]) -> np.ndarray:
+    """Balls that fill rounded rods, 4 mm apart."""
+    balls = []
+    for start, end, first, last in capsules:
+        t = np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(end - start) / 4.0))[:, None]
+        balls.append(np.hstack([start + t * (end - start), first + t * (last - first)]))
+    return np.concatenate(balls)

@@ -1,1 +1,0 @@
-"""The fetus itself: trunk, head, organs, limbs and bones."""

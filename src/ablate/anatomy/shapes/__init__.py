@@ -1,1 +1,0 @@
-"""Shapes that the built-in anatomy is made of."""
