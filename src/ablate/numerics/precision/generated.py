@@ -12,9 +12,7 @@ import torch
 from ablate.config import StudySettings, build
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.networks import Generator, conditions
-from ablate.numerics.precision.bench import Bench, make_inputs
-from ablate.numerics.precision.csv_table import CsvTable
-from ablate.numerics.precision.errors import Frames, mean_errors
+from ablate.numerics.precision.bench import Bench, CsvTable, Frames, make_inputs, mean_errors
 from ablate.storage import digest
 from ablate.studies.comparison.results import Finished, finished_runs
 from ablate.studies.pairs.data import about_data

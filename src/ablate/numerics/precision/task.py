@@ -9,8 +9,7 @@ from tqdm import tqdm
 
 from ablate.analysis import RESIMULATION, error_vs_runtime, order_figure
 from ablate.config import ConfigurationError, StudySettings
-from ablate.numerics.precision.bench import Bench, bench_of
-from ablate.numerics.precision.csv_table import CsvTable
+from ablate.numerics.precision.bench import Bench, CsvTable, bench_of
 from ablate.numerics.precision.generated import comparable_runs, executions, measure_generators, schedule_of
 from ablate.numerics.precision.simulated import RAYS_SERIES, ladders, measure_simulator, series_name, work
 from ablate.numerics.precision.summary import as_text, floors, orders, tables, time_of_parts, verdict

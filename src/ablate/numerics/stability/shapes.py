@@ -118,11 +118,8 @@ def _another_unit(checks: Checks, size: float) -> None:
     for frame in checks.frames(scene, settings, probe):
         why = "The unit is a power of two: only the exponents of coordinates change."
         _same_labels(checks, "millimetres", frame, in_mm, why)
-        why, quantity = (
-            "The same scatterers are summed in the same order.",
-            "envelope against millimetres, of its largest",
-        )
-        checks.same_envelope(quantity, frame, in_mm[checks.dtype], why, settings, probe)
+        why, right = "The same scatterers are summed in the same order.", in_mm[checks.dtype]
+        checks.same_envelope("envelope against millimetres, of its largest", frame, right, why, settings, probe)
 
 
 @case("a scene of micrometres, a metre from the origin", 1e3, 1 / 1024)
