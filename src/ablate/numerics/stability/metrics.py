@@ -18,11 +18,11 @@ from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
 SHAPE = (200, 277)
 FAN = fan_mask(ConvexProbe(), SHAPE)
-DEPTH_MM = pixel_polar(ConvexProbe(), SHAPE)[0]
-PIXEL_MM = pixel_size_mm(ConvexProbe(), SHAPE)
+DEPTH_MM, PIXEL_MM = pixel_polar(ConvexProbe(), SHAPE)[0], pixel_size_mm(ConvexProbe(), SHAPE)
 BONE = FAN & (np.indices(SHAPE) // 5 % 6 == 0).all(axis=0)  # squares of 4 mm and more
 BLACK, WHITE = np.zeros(SHAPE, np.uint8), np.full(SHAPE, 255, np.uint8)
-NOISE = [np.random.default_rng(seed).integers(0, 256, SHAPE).astype(np.uint8) for seed in range(4)]
+NOISE = np.stack([np.random.default_rng(seed).integers(0, 256, SHAPE).astype(np.uint8) for seed in range(4)])
+CHECKERBOARD = (np.indices(SHAPE).sum(axis=0) % 2 * 255).astype(np.uint8)
 FFT_ERROR = 255 * 64 * FLOAT32
 DISTANCES = metrics.frechet_distance, metrics.kernel_distance
 
@@ -59,6 +59,12 @@ def _black_and_white(checks: Checks) -> None:
     apart |= {"pchi2_fan": 1.0, "pchi2_tissue": 1.0, "shadow_contrast": 0.0, "nyquist_excess": 0.0}
     apart |= {"thin_contrast": 0.0, "octave_sd": 0.0, "crps": 127.5, "noise_sd": 255 / math.sqrt(2)}
     _against(checks, "black, white", _scores(BLACK, WHITE), apart)
+    checks.label = "any two of black, white, checkerboard and noise"
+    scores = [_scores(a, b) for a, b in product((BLACK, WHITE, CHECKERBOARD, NOISE[0]), repeat=2)]
+    checks.none("scores missing", [len(same.keys() ^ values.keys()) for values in scores], "Each has a value here.")
+    finite = [value for values in scores for name, value in values.items() if not name.startswith("psnr")]
+    checks.finite(np.array(finite), what="scores but PSNR")
+    checks.none("PSNR that is NaN", [math.isnan(v["psnr"] + v["psnr_fan"]) for v in scores], "0 dB to infinity.")
 
 
 @case("metrics in float32 against float64")
@@ -70,9 +76,8 @@ def _in_double(checks: Checks) -> None:
     error = abs(metrics.mae_smooth(NOISE[1], NOISE[2], FAN, PIXEL_MM) - np.abs(smooth[FAN] / weight[FAN]).mean())
     why = "Sums of values up to 255 by an FFT with some ten factors."
     checks.add("mae_smooth against float64, grey levels", error, FFT_ERROR, why, "float32")
-    images = np.stack(NOISE)
-    right = float(np.sqrt(images[:, FAN].astype(np.longdouble).var(axis=0, ddof=1).mean()))
-    error = abs((metrics.noise_sd(images, FAN) or math.nan) / right - 1)
+    right = float(np.sqrt(NOISE[:, FAN].astype(np.longdouble).var(axis=0, ddof=1).mean()))
+    error = abs((metrics.noise_sd(NOISE, FAN) or math.nan) / right - 1)
     checks.add("noise_sd against long doubles, relative", error, 64 * FLOAT64, "There are few roundings.")
 
 
@@ -169,13 +174,12 @@ def _scales(checks: Checks) -> None:
 @case("texture of one grey and of a checkerboard")
 def _textures(checks: Checks) -> None:
     """Texture features of constant images, of a single white pixel, of a checkerboard and of noise."""
-    single, board = BLACK.copy(), (np.indices(SHAPE).sum(axis=0) % 2 * 255).astype(np.uint8)
-    single[24, 24] = 255
-    features = metrics.speckle_features(np.stack([BLACK, WHITE, single, board, NOISE[3]]))
+    single = np.pad(WHITE[:1, :1], ((24, SHAPE[0] - 25), (24, SHAPE[1] - 25)))
+    features = metrics.speckle_features(np.stack([BLACK, WHITE, single, CHECKERBOARD, NOISE[3]]))
     checks.finite(features, what="features")
     why = "The mean gradient of a checkerboard is 255 grey levels, which is the largest feature."
     checks.add("largest feature", np.abs(features).max(), 255 / GRADIENT_UNIT, why)
-    excess = metrics.evaluate_image(metrics.Pair(board, BLACK, FAN))["nyquist_excess"]
+    excess = metrics.evaluate_image(metrics.Pair(CHECKERBOARD, BLACK, FAN))["nyquist_excess"]
     checks.finite(np.array(excess), what="checkerboard: excess", dtype="float32")
 
 
@@ -244,8 +248,7 @@ def _sizes(checks: Checks) -> None:
     checks.add("offset 1e12: shift", error, 2 * offset * FLOAT64, "Values are rounded.")
     error = abs(paired_difference(plain.astype(np.float32), np.zeros(40, np.float32)).shift - right.shift)
     checks.add("shift against float64", error, 4 * FLOAT32, "Values are rounded; medians are not.", "float32")
-    unusable = ([1e300, 2e300], [1.0, np.nan], [1e308, -1e308])
-    checks.refused(*(partial(_compared, np.array(values)) for values in unusable))
+    checks.refused(*(partial(_compared, np.array(v)) for v in ([1e300, 2e300], [1.0, np.nan], [1e308, -1e308])))
 
 
 @case("statistics: seeds that hardly vary")
@@ -271,8 +274,8 @@ def _families(checks: Checks) -> None:
     p = np.array([0.0, 1.0, 5e-324, 0.02, 0.02, 0.5])
     adjusted = holm(p)
     checks.finite(adjusted, what="p-values")
-    wrong = (adjusted < p) | (adjusted > 1)
-    checks.none("p-values that fell or exceed 1", wrong, "The correction increases p, to 1 at most.")
+    why = "The correction increases p, to 1 at most."
+    checks.none("p-values that fell or exceed 1", (adjusted < p) | (adjusted > 1), why)
     fall = max(-np.diff(adjusted[np.argsort(p, kind="stable")]).min(), 0)
     checks.add("order that changed", fall, 0, "The correction is a running maximum.")
     checks.add("values of an empty family", holm([]).size, 0, "An empty family has no values.")

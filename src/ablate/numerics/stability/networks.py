@@ -94,10 +94,7 @@ def _precisions(network: nn.Module, device: str) -> list[tuple[str, str, float, 
     tf32 = device.startswith("cuda") and torch.backends.cudnn.allow_tf32  # a GPU may round factors to TF32
     name, unit = ("tf32", 3 * TF32) if tf32 else ("float32", terms * FLOAT32)
     coarse = f"{len(layers)} layers that round input, weight and result."
-    return [
-        (name, "float32", len(layers) * unit, why),
-        ("bfloat16", "bfloat16", len(layers) * (3 * BFLOAT16), coarse),
-    ]
+    return [(name, "float32", len(layers) * unit, why), ("bfloat16", "bfloat16", len(layers) * (3 * BFLOAT16), coarse)]
 
 
 def _compared(checks: Checks, spec: GeneratorSpec, maps: dict[str, Tensor]) -> None:
