@@ -22,7 +22,7 @@ from ablate.anatomy import fetal_abdomen, fetal_sites
 from ablate.dataset import probe_poses
 from ablate.tracking import hardware
 from ablate.ultrasound import Simulator
-from ablate.ultrasound.surfaces import embree, embree_library
+from ablate.ultrasound.surfaces import embree
 from yardstick import Yardstick
 
 SIDE = 8
@@ -84,7 +84,7 @@ def recorded() -> Iterator[list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
 
 def main() -> None:
     """Print the table."""
-    library = embree_library._library
+    library = embree._library
     if library is None or not hasattr(library, _SYMBOL):
         raise SystemExit("the Embree beside embreex was not found, or has no packets")
     llvmlite.binding.add_symbol(_SYMBOL, ctypes.cast(getattr(library, _SYMBOL), ctypes.c_void_p).value)

@@ -1,7 +1,6 @@
 """One image, all metrics: names, what is left out, extremes, speed."""
 
 import time
-from itertools import product
 
 import numpy as np
 import pytest
@@ -61,17 +60,6 @@ def test_metrics_without_their_input_are_left_out(make_frame):
     assert set(outside) == {"psnr", "mae", "pchi2"}
     with pytest.raises(ValueError, match="depth_mm must be"):
         pair_of(frame, frame.image, depth_mm=frame.depth_mm[1:])
-
-
-def test_extreme_images_give_no_nan(make_frame):
-    frame = make_frame(0, shape=(100, 140))
-    black, white = np.zeros_like(frame.image), np.full_like(frame.image, 255)
-    checker = (np.indices(black.shape).sum(0) % 2 * 255).astype(np.uint8)
-    for a, b in product((black, white, checker, frame.image), repeat=2):
-        values = evaluate_image(pair_of(frame, a, target=b, draws=np.stack([a, b])))
-        assert set(values) == NAMES
-        assert not any(np.isnan(v) for v in values.values())
-        assert all(np.isfinite(v) for k, v in values.items() if not k.startswith("psnr"))
 
 
 @pytest.mark.slow

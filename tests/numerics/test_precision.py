@@ -16,17 +16,25 @@ import pytest
 import torch
 from mlflow import MlflowClient
 
+from ablate.settings.study import ConfigurationError
 from ablate.dataset import Part, label_values, network_inputs
-from ablate.jobs.compose import jobs_of
 from ablate.metrics import mae, psnr
 from ablate.numerics.precision import generated, simulated, summary
 from ablate.numerics.precision import task as module
-from ablate.numerics.precision.bench import bench_of, make_inputs, render_all
-from ablate.numerics.precision.csv_table import CsvTable
-from ablate.numerics.precision.errors import Frames, envelope_rms, mean_errors, relative_change
+from ablate.numerics.precision.bench import (
+    CsvTable,
+    Frames,
+    bench_of,
+    envelope_rms,
+    make_inputs,
+    mean_errors,
+    relative_change,
+    render_all,
+)
+from ablate.jobs.compose import jobs_of
+from ablate.runs.data import dataset_folder, open_data
 from ablate.runs.simulated import build_scene
 from ablate.runs.train import run_job
-from ablate.settings.study import ConfigurationError
 from ablate.tracking import default_uri
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
@@ -143,7 +151,7 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
 
 def test_the_compensated_attenuation_is_that_of_the_pairs_and_costs_more_than_the_integral_one(trained: Path) -> None:
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
-    bench, pairs = bench_of(job.settings), job.data.pairs
+    bench, pairs = bench_of(job.settings), open_data(dataset_folder(job.settings)).pairs
     maps, ms = make_inputs(bench, lambda: None)
     stored = pairs.read("compensated", bench.frames)
     steps = 2 * 20 * np.log10(1 + 2**-9) / 72 + 1e-4  # A is stored with nine bits
@@ -292,8 +300,6 @@ def test_a_table_grows_on_disk(tmp_path: Path) -> None:
     table.add("a, b", 16, 0.1)
     assert (tmp_path / "deep" / "a.csv").read_text().split() == ["series,setting,value", '"a,', 'b",16,0.1']
     assert table.table().to_dict("records") == [{"series": "a, b", "setting": "16", "value": 0.1}]
-    with pytest.raises(ValueError, match=r"a\.csv: 2 values for the columns"):
-        table.add("a", "b")
 
 
 def test_a_kill_while_a_row_is_written_leaves_the_rows_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

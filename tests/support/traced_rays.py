@@ -7,7 +7,7 @@ from ablate.ultrasound import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.render_plan import plan_scene
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.transport.draws import Draws
-from ablate.ultrasound.transport.illumination import Nodes
+from ablate.ultrasound.transport.lines import Nodes
 from ablate.ultrasound.transport.rays import View, at_pose, leave_probe, probe_rays
 from ablate.ultrasound.transport.tracing import trace
 

@@ -128,15 +128,3 @@ def test_what_surfaces_send_back_is_not_biased(rough, pencil, few) -> None:
     assert abs(adapted.mean() - fixed.mean()) <= 3 * error
     assert error < 0.05 * fixed.mean(), "the test can tell"
     assert adapted.std() > 1.2 * fixed.std(), "fewer rays were traced"
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 3), (2, 1)])
-def test_few_scanlines_and_layers(rough, probe, few, ahead, shape) -> None:
-    settings = replace(few, scanlines=shape[0], layers=shape[1], tolerance=0.1)
-    assert np.isfinite(Simulator(rough, probe, settings).render(ahead).envelope).all()
-
-
-@pytest.mark.parametrize("tolerance", [0.0, -1.0, float("nan"), 11.0])
-def test_a_tolerance_that_means_nothing_is_refused(tolerance: float) -> None:
-    with pytest.raises(ValueError, match="tolerance"):
-        SimulatorSettings(tolerance=tolerance)

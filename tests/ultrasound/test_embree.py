@@ -11,12 +11,12 @@ from embreex.rtcore_scene import EmbreeScene
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import Simulator
-from ablate.ultrasound.surfaces import embree, embree_library
+from ablate.ultrasound.surfaces import embree
 from ablate.ultrasound.surfaces.embree import Geometry
 
 
 def test_the_library_of_the_pinned_embreex_is_found() -> None:
-    assert embree_library.available
+    assert embree.available
 
 
 def test_hits_are_those_of_embreex(tissue: Tissue) -> None:

@@ -13,6 +13,7 @@ SHAKEN = CORNERS + np.random.default_rng(0).uniform(-1e-5, 1e-5, CORNERS.shape)
 ONE_EACH = np.arange(len(CORNERS)).reshape(-1, 3)
 CUT = BALL.subdivide(face_index=np.arange(0, len(BALL.faces), 7))
 SAME = {
+    "inside out": (BALL.vertices, BALL.faces[:, ::-1]),
     "every triangle twice": (BALL.vertices, np.concatenate([BALL.faces, BALL.faces[:, ::-1]])),
     "some three times": (BALL.vertices, np.concatenate([BALL.faces, BALL.faces[:900], BALL.faces[:900]])),
     "vertices not shared": (CORNERS, ONE_EACH),

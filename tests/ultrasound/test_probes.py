@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.setting import plain
 from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, Probe, Simulator, SimulatorSettings
-from ablate.ultrasound.imaging.point_spread import lateral_kernels
 from ablate.ultrasound.probe import face_points, fan_outline, fan_size_mm, square_pixels
 from ablate.ultrasound.probe_kinds import probe_from
 
@@ -173,9 +172,9 @@ def test_speckle_is_fully_developed(probe, ahead) -> None:
 
 @KINDS
 def test_attenuation_is_the_integral_along_the_scanline(probe, slab, ahead) -> None:
-    layers = ((5.0, 20.0, 1.2), (30.0, 55.0, 0.1), (55.2, 80.0, 0.8))
-    tissues = [Tissue(f"t{i}", 1540, 1.5, alpha) for i, (_, _, alpha) in enumerate(layers)]
-    slabs = tuple(slab(tissue, near, far) for tissue, (near, far, _) in zip(tissues, layers, strict=True))
+    layers = ((5.0, 20.0, 1.2, 1.0), (30.0, 55.0, 0.1, 1.0), (55.2, 80.0, 0.8, 1.3))  # mm, mm, alpha, b
+    tissues = (Tissue(f"t{i}", 1540, 1.5, alpha, attenuation_power=b) for i, (_, _, alpha, b) in enumerate(layers))
+    slabs = tuple(slab(tissue, near, far) for tissue, (near, far, _, _) in zip(tissues, layers, strict=True))
     settings = SimulatorSettings(image_shape=(200, 220))
     scene = Scene(slabs, Tissue("body", 1540, 1.5, 0.3), "s")
     labels, attenuation = Simulator(scene, probe, settings).maps(ahead)
@@ -185,9 +184,9 @@ def test_attenuation_is_the_integral_along_the_scanline(probe, slab, ahead) -> N
         z0, z = place(probe, across, 0 * depth)[1], place(probe, across, depth)[1]
         slope = np.where(z == z0, 1.0, depth / np.where(z == z0, 1.0, z - z0))
         db = 0.3 * 3.0 / 10 * depth
-        for near, far, alpha in layers:
+        for near, far, alpha, b in layers:
             within = np.clip(np.minimum(z, far) - np.maximum(z0, near), 0, None) * slope
-            db = db + within * (alpha - 0.3) * 3.0 / 10
+            db = db + within * (alpha * 3.0**b - 0.3 * 3.0) / 10
         return 10 ** (-db / 20)
 
     ends = np.arange(1, settings.axial_samples + 1) * probe.depth_mm / settings.axial_samples
@@ -197,6 +196,8 @@ def test_attenuation_is_the_integral_along_the_scanline(probe, slab, ahead) -> N
     fan = labels > 0
     np.testing.assert_allclose(attenuation[fan], expected[fan], rtol=6e-3)
     assert np.ptp(expected[fan]) > 0.8
+    assert 0 < (expected[fan] == 1).mean() < 0.04
+    assert attenuation[~fan].max(initial=0) == 0
 
 
 def sigma_mm(probe: Probe, depth_mm: float, lines: slice, seeds: int = 6) -> float:
@@ -241,36 +242,24 @@ def test_the_beam_of_a_phased_probe_widens_with_depth_and_angle() -> None:
     assert (1 / np.cos(angle)).mean() > 1.15
 
 
-@KINDS
-def test_lateral_kernels_keep_a_constant(probe) -> None:
-    kernels = lateral_kernels(probe, SPECKLE, np.array([0.05, 1.0, 50.0, 100.0]))
-    assert kernels.shape == (4, 161, 161)
-    np.testing.assert_allclose(kernels.sum(axis=-1), 1)
-    assert (kernels >= 0).all()
-
-
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
     a, b = (x.astype(float) ** 2 / (x.astype(float) ** 2).mean(axis=1, keepdims=True) for x in (a, b))
     return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
 
 
-def test_speckle_stays_when_a_linear_probe_slides() -> None:
-    """Moved aside by five scanlines, each line lies where its fifth neighbour lay."""
-    simulator = Simulator(Scene((), CLEAR, "s"), LINEAR, SPECKLE)
-    pose = np.eye(4)
-    pose[0, 3] = 5 * 60 / 160
-    before, after = (simulator.render(p).envelope for p in (np.eye(4), pose))
-    assert correlation(before[:, 5:][:, 15:-15], after[:, :-5][:, 15:-15]) > 0.999
-
-
-def test_speckle_stays_when_a_phased_probe_swings() -> None:
-    """The same where it is turned by five scanlines about the middle of its face."""
-    simulator = Simulator(Scene((), CLEAR, "s"), PHASED, SPECKLE)
-    angle, pose = 5 * np.radians(80) / 160, np.eye(4)
-    pose[0, 0], pose[0, 2], pose[2, 0], pose[2, 2] = np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)
+@pytest.mark.parametrize(("probe", "least"), [(CONVEX, 0.999), (LINEAR, 0.999), (PHASED, 0.98)])
+def test_speckle_stays_when_the_probe_swings_or_slides(probe, least) -> None:
+    """Moved by five scanlines, about the middle of curvature or along the face: each line lies where its fifth did."""
+    simulator, pose = Simulator(Scene((), CLEAR, "s"), probe, SPECKLE), np.eye(4)
+    if isinstance(probe, LinearProbe):
+        pose[0, 3] = 5 * 60 / 160
+    else:
+        angle, radius = 5 * np.radians(probe.fov_deg) / 160, probe.radius_mm if probe is CONVEX else 0.0
+        pose[:3, :3] = Rotation.from_euler("y", angle).as_matrix()
+        pose[:3, 3] = radius * pose[:3, 2] - (0, 0, radius)
     before, after = (simulator.render(p).envelope for p in (np.eye(4), pose))
     clear = (slice(300, None), slice(40, -40))  # the beam itself depends on the angle to the face
-    assert correlation(before[:, 5:][clear], after[:, :-5][clear]) > 0.98
+    assert correlation(before[:, 5:][clear], after[:, :-5][clear]) > least
 
 
 @KINDS
@@ -296,26 +285,6 @@ def test_faces_and_fans_have_their_sizes() -> None:
         assert tuple(np.ptp(fan_outline(probe), axis=0)[[2, 0]]) == pytest.approx(fan_size_mm(probe), rel=1e-3)
     assert fan_size_mm(LINEAR) == (100.0, 60.0)
     assert fan_size_mm(PHASED) == pytest.approx((100.0, 200 * math.sin(math.radians(40))))
-
-
-@KINDS
-@pytest.mark.parametrize("changes", [{"scanlines": 1}, {"axial_samples": 1}, {"image_shape": (1, 1)}])
-def test_the_smallest_sizes(probe, ahead, slab, changes) -> None:
-    settings = replace(SPECKLE, **changes)
-    frame = Simulator(Scene((slab(TISSUE, 5.0, 200.0),), CLEAR, "s"), probe, settings).render(ahead)
-    assert np.isfinite(frame.envelope).all()
-    assert ((frame.segmentation > 0) == frame.mask).all()
-
-
-@pytest.mark.parametrize(
-    "probe",
-    [LinearProbe(1e-3), LinearProbe(1e4), PhasedProbe(1e-3), PhasedProbe(500.0), PhasedProbe(20.0, 170.0)],
-    ids=repr,
-)
-def test_odd_arrays_give_finite_frames(probe, ahead, slab) -> None:
-    frame = Simulator(Scene((slab(TISSUE, 5.0, 60.0),), CLEAR, "s"), probe, SPECKLE).render(ahead)
-    assert np.isfinite(frame.envelope).all()
-    assert np.isfinite(frame.attenuation).all()
 
 
 @KINDS

@@ -1,4 +1,4 @@
-from .imaging.display import Display as Display
+from .imaging.bmode import Display as Display
 from .maps.attenuation import compensated_attenuation as compensated_attenuation
 from .probe import fan_mask as fan_mask
 from .probe_kinds import ConvexProbe as ConvexProbe

@@ -3,10 +3,12 @@
 Probe axes: x lateral, z depth, y = z cross x elevational; the origin is the middle of the face. The scanlines of a
 convex probe leave its face at right angles, so the centre of curvature, at z = -radius, is where they meet. Those of a
 phased one meet in the origin: its fan is that of a radius of 0. Those of a linear one are parallel. Lengths are mm,
-angles rad.
+angles rad. What is different between the kinds of probe is in `_FANS`, and everything else asks there.
 """
 
 import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,9 +19,65 @@ from ablate.ultrasound.settings import SimulatorSettings
 FACE_HALF_WIDTH_MM = 6.0
 
 
-def _radius_mm(probe: ConvexProbe | PhasedProbe) -> float:
-    """Distance from the point where all scanlines meet to where they start."""
-    return probe.radius_mm if isinstance(probe, ConvexProbe) else 0.0
+class _Fan(NamedTuple):
+    """The shape of a probe's fan; the position of a scanline is its angle, rad, or x, mm, where scanlines are parallel."""
+
+    size_mm: tuple[float, float]  # height and width of the bounding box
+    sag_mm: float  # along z from the middle of the face to its edges
+    reach_mm: float  # from where the scanlines meet to the deepest sample
+    outer: float  # position of the last scanline
+    width_mm: Callable[[np.ndarray], np.ndarray]  # from the first scanline to the last, at depths
+    polar: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]  # depths and positions of points x, z
+    lines: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # starts and directions, (n, 3) each, by positions
+    flat_face_mm: float | None = None  # where the face is not where the scanlines start
+
+
+def _sector(probe: ConvexProbe | PhasedProbe, radius: float, flat_face_mm: float | None = None) -> _Fan:
+    """Scanlines that meet at `radius` behind their starts."""
+    half, reach = math.radians(probe.fov_deg) / 2, radius + probe.depth_mm
+
+    def polar(x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.hypot(x, z + radius) - radius, np.arctan2(x, z + radius)
+
+    def lines(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        directions = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=-1)
+        return radius * directions - (0.0, 0.0, radius), directions
+
+    def width(depth_mm: np.ndarray) -> np.ndarray:
+        return (radius + depth_mm) * (2 * half)
+
+    size = reach - radius * math.cos(half), 2 * reach * math.sin(half)
+    return _Fan(size, radius * (1 - math.cos(half)), reach, half, width, polar, lines, flat_face_mm)
+
+
+def _rectangle(probe: LinearProbe) -> _Fan:
+    """Parallel scanlines."""
+    wide = probe.width_mm
+
+    def polar(x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        position, depth = np.broadcast_arrays(x, z)
+        return depth.copy(), position.copy()
+
+    def lines(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        zero = np.zeros_like(x)
+        return np.stack([x, zero, zero], axis=-1), np.stack([zero, zero, zero + 1], axis=-1)
+
+    def width(depth_mm: np.ndarray) -> np.ndarray:
+        return np.full(np.shape(depth_mm), wide)
+
+    return _Fan((probe.depth_mm, wide), 0.0, wide + probe.depth_mm, wide / 2, width, polar, lines)
+
+
+#: Another kind of probe is another entry.
+_FANS: dict[type, Callable[[Any], _Fan]] = {
+    ConvexProbe: lambda probe: _sector(probe, probe.radius_mm),
+    PhasedProbe: lambda probe: _sector(probe, 0.0, probe.aperture_mm),
+    LinearProbe: _rectangle,
+}
+
+
+def _fan(probe: Probe) -> _Fan:
+    return _FANS[type(probe)](probe)
 
 
 def check_pose(pose: np.ndarray) -> np.ndarray:
@@ -41,11 +99,7 @@ def check_pose(pose: np.ndarray) -> np.ndarray:
 
 def fan_size_mm(probe: Probe) -> tuple[float, float]:
     """Height and width of the fan's bounding box, mm."""
-    if isinstance(probe, LinearProbe):
-        return probe.depth_mm, probe.width_mm
-    half = math.radians(probe.fov_deg) / 2
-    outer = _radius_mm(probe) + probe.depth_mm
-    return outer - _radius_mm(probe) * math.cos(half), 2 * outer * math.sin(half)
+    return _fan(probe).size_mm
 
 
 def pixel_size_mm(probe: Probe, shape: tuple[int, int]) -> tuple[float, float]:
@@ -62,16 +116,12 @@ def square_pixels(probe: Probe, rows: int) -> tuple[int, int]:
 
 def face_sag_mm(probe: Probe) -> float:
     """Distance along z from the middle of the face to its edges, mm; 0 for a flat face."""
-    if isinstance(probe, LinearProbe):
-        return 0.0
-    return _radius_mm(probe) * (1 - math.cos(math.radians(probe.fov_deg) / 2))
+    return _fan(probe).sag_mm
 
 
 def reach_mm(probe: Probe) -> float:
     """The distance from where the scanlines meet to the deepest sample, mm; of parallel ones no smaller than to any."""
-    if isinstance(probe, LinearProbe):
-        return probe.width_mm + probe.depth_mm
-    return _radius_mm(probe) + probe.depth_mm
+    return _fan(probe).reach_mm
 
 
 def pixel_coordinates_mm(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -97,22 +147,28 @@ def pixel_polar(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.nd
 
 def point_polar(probe: Probe, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same of points of the image plane, mm; `x` and `z` are broadcast."""
-    if isinstance(probe, LinearProbe):
-        position, depth = np.broadcast_arrays(x, z)
-        return depth.copy(), position.copy()
-    from_centre = z + _radius_mm(probe)
-    return np.hypot(x, from_centre) - _radius_mm(probe), np.arctan2(x, from_centre)
+    return _fan(probe).polar(x, z)
 
 
 def fan_mask(probe: Probe, shape: tuple[int, int]) -> np.ndarray:
-    """Pixels whose centre lies in the fan, (H, W) bool."""
+    """Pixels whose centre lies in the fan, (H, W) bool.
+
+    Examples
+    --------
+    >>> from ablate.ultrasound import ConvexProbe, LinearProbe, fan_mask
+    >>> mask = fan_mask(ConvexProbe(), (1000, 1386))
+    >>> mask.shape, round(float(mask.mean()), 3)
+    ((1000, 1386), 0.615)
+    >>> bool(fan_mask(LinearProbe(), (100, 80)).all())
+    True
+    """
     depth, position = pixel_polar(probe, shape)
     return (depth >= 0) & (depth <= probe.depth_mm) & (np.abs(position) <= outer_position(probe))
 
 
 def outer_position(probe: Probe) -> float:
     """Position of the last scanline: half of the opening angle, rad, or half of a linear array's width, mm."""
-    return probe.width_mm / 2 if isinstance(probe, LinearProbe) else math.radians(probe.fov_deg) / 2
+    return _fan(probe).outer
 
 
 def scanline_positions(probe: Probe, scanlines: int) -> np.ndarray:
@@ -128,9 +184,7 @@ def scanline_positions(probe: Probe, scanlines: int) -> np.ndarray:
 
 def scanline_spacing_mm(probe: Probe, scanlines: int, depth_mm: np.ndarray) -> np.ndarray:
     """Distance of neighbouring scanlines at some depths, (depths,) float64, mm; that of one scanline is the fan's."""
-    if isinstance(probe, LinearProbe):
-        return np.full(np.shape(depth_mm), probe.width_mm / max(scanlines - 1, 1))
-    return (_radius_mm(probe) + depth_mm) * math.radians(probe.fov_deg) / max(scanlines - 1, 1)
+    return _fan(probe).width_mm(depth_mm) / max(scanlines - 1, 1)
 
 
 def sample_depths_mm(probe: Probe, samples: int) -> np.ndarray:
@@ -145,27 +199,19 @@ def layer_offsets_mm(settings: SimulatorSettings) -> np.ndarray:
     return np.linspace(-settings.layer_extent_mm, settings.layer_extent_mm, settings.layers)
 
 
-def _at_positions(probe: Probe, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Starts in the image plane, (n, 3) float64, mm, and unit directions, (n, 3), of scanlines at positions."""
-    zero = np.zeros_like(positions)
-    if isinstance(probe, LinearProbe):
-        return np.stack([positions, zero, zero], axis=-1), np.stack([zero, zero, zero + 1], axis=-1)
-    directions = np.stack([np.sin(positions), zero, np.cos(positions)], axis=-1)
-    return _radius_mm(probe) * directions - (0.0, 0.0, _radius_mm(probe)), directions
-
-
 def fan_lines(probe: Probe, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Starts, (count, 3) float64, mm, and unit directions at equal steps from edge to edge of the fan.
 
     They do not depend on how many scanlines there are.
     """
-    return _at_positions(probe, np.linspace(-0.5, 0.5, count) * (2 * outer_position(probe)))
+    return _fan(probe).lines(np.linspace(-0.5, 0.5, count) * (2 * outer_position(probe)))
 
 
 def face_arc(probe: Probe, count: int) -> np.ndarray:
     """Points of the face in the image plane from edge to edge, (count, 3) float64, mm: an arc, or a straight line."""
-    if isinstance(probe, PhasedProbe):
-        return np.linspace(-0.5, 0.5, count)[:, None] * (probe.aperture_mm, 0.0, 0.0)
+    width_mm = _fan(probe).flat_face_mm
+    if width_mm is not None:
+        return np.linspace(-0.5, 0.5, count)[:, None] * (width_mm, 0.0, 0.0)
     return fan_lines(probe, count)[0]
 
 
@@ -186,7 +232,7 @@ def fan_outline(probe: Probe, points: int = 41) -> np.ndarray:
 def scanlines_in_plane(probe: Probe, scanlines: int, offsets_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Starts and unit directions, (planes, scanlines, 3) float64, mm, of the scanlines of planes at offsets along y."""
     planes = len(offsets_mm)
-    line = _at_positions(probe, scanline_positions(probe, scanlines))
+    line = _fan(probe).lines(scanline_positions(probe, scanlines))
     starts, directions = (np.tile(part, (planes, 1, 1)) for part in line)
     starts[..., 1] += np.asarray(offsets_mm)[:, None]
     return starts, directions

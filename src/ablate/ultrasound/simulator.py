@@ -10,12 +10,11 @@ import torch
 
 from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import without_teams
-from ablate.ultrasound.imaging.display import Display
+from ablate.ultrasound.imaging.bmode import Display
 from ablate.ultrasound.imaging.point_spread import layer_weights
 from ablate.ultrasound.imaging.signal_chain import Prepared, Received, SignalChain
 from ablate.ultrasound.maps.attenuation import integral_attenuation
-from ablate.ultrasound.maps.contact import contact_warning
-from ablate.ultrasound.maps.slices import plane_labels, scanline_labels, segment
+from ablate.ultrasound.maps.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.probe import check_pose, reach_mm
 from ablate.ultrasound.probe_kinds import ConvexProbe, Probe
 from ablate.ultrasound.render_plan import plan_scene
@@ -23,8 +22,14 @@ from ablate.ultrasound.settings import Frame, SimulatorSettings
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.transport.adaptive import Shown, trace_to_tolerance
 from ablate.ultrasound.transport.draws import Draws, progressive, stratified
-from ablate.ultrasound.transport.echoes import clutter_lines, surface_lines
-from ablate.ultrasound.transport.illumination import Nodes, empty_nodes, mean_level_db, transmit_beam
+from ablate.ultrasound.transport.lines import (
+    Nodes,
+    clutter_lines,
+    empty_nodes,
+    mean_level_db,
+    surface_lines,
+    transmit_beam,
+)
 from ablate.ultrasound.transport.rays import View, at_pose, leave_probe, probe_rays
 from ablate.ultrasound.transport.tracing import trace
 

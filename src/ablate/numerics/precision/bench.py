@@ -1,23 +1,43 @@
-"""The test frames that all measurements use, and the simulator timed on them."""
+"""What all measurements share: test frames, the simulator timed on them, errors, and the table on disk."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from statistics import median
 
 import numpy as np
+import pandas as pd
 
 from ablate.anatomy import Scene
+from ablate.settings.study import StudySettings
 from ablate.dataset import Part, equally_spaced
-from ablate.numerics.precision.errors import Frames
+from ablate.metrics import METRICS, Pair, evaluate_image
+from ablate.storage import remove_partial, write_text
 from ablate.runs.data import dataset_folder, open_data
 from ablate.runs.simulated import build_scene, lay_out
 from ablate.runs.timed_maps import TimedMaps, nudged
-from ablate.settings.study import StudySettings
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, fan_mask
+from ablate.ultrasound.probe import pixel_size_mm
 from ablate.ultrasound.stages import Stage, stage_times
 
 _TURN = 2  # poses of one setting before the next setting
+
+
+ENVELOPE = "envelope_rms"
+#: On the whole image as in the tables of a study; `mae_smooth` in the fan, after a Gaussian that averages speckle.
+IMAGE_ERRORS = tuple(METRICS[name] for name in ("mae", "psnr", "pchi2", "mae_smooth"))
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Rendered poses: images, (n, H, W) uint8, and envelopes, (n, samples, scanlines) float32.
+
+    Envelopes are linear, before gain, noise and logarithm. A generator has none.
+    """
+
+    images: np.ndarray
+    envelopes: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -118,3 +138,80 @@ def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, 
         advance()
     arrays = {name: np.stack([maps[name] for maps in made]) for name in made[0]}
     return arrays, {name: median(taken[name] for taken in times) for name in times[0]}
+
+
+def envelope_rms(envelope: np.ndarray, reference: np.ndarray) -> float:
+    """Compute the root of the sum of squared differences over that of the reference; sums are in float64.
+
+    It is 0 if both are zero everywhere, and infinite if only the reference is.
+    """
+    difference = float(np.sum(np.square(np.subtract(envelope, reference, dtype=np.float64))))
+    power = float(np.sum(np.square(reference, dtype=np.float64)))
+    if power == 0:
+        return 0.0 if difference == 0 else float("inf")
+    return (difference / power) ** 0.5
+
+
+def mean_errors(rendered: Frames, reference: Frames, probe: Probe) -> dict[str, float]:
+    """Average each error over the frames of the same poses; an error that cannot be computed is left out.
+
+    `envelope_rms` is left out where there are no envelopes or their grids differ: images are compared on the same
+    pixels whatever the grid of samples. PSNR of identical images is infinite; they are left out of its mean, unless all
+    are.
+    """
+    found: dict[str, list[float]] = {}
+    here, there = rendered.envelopes, reference.envelopes
+    if here is not None and there is not None and here.shape == there.shape:
+        found[ENVELOPE] = [envelope_rms(a, b) for a, b in zip(here, there, strict=True)]
+    shape = (reference.images.shape[1], reference.images.shape[2])
+    mask, pixel_mm = fan_mask(probe, shape), pixel_size_mm(probe, shape)
+    for image, target in zip(rendered.images, reference.images, strict=True):
+        for name, error in evaluate_image(Pair(image, target, mask, pixel_mm=pixel_mm), IMAGE_ERRORS).items():
+            found.setdefault(name, []).append(error)
+    return {name: _mean(values) for name, values in found.items()}
+
+
+def _mean(values: list[float]) -> float:
+    finite = [v for v in values if np.isfinite(v)]
+    return float(np.mean(finite)) if finite else values[0]
+
+
+def relative_change(metric: str, error: float, other: float) -> float:
+    """Compute the relative change of an error with another reference; PSNR is converted to the RMS error."""
+    if error == other:
+        return 0.0
+    if metric == "psnr":
+        return abs(10 ** ((error - other) / 20) - 1)
+    return abs(other / error - 1) if error else float("inf")
+
+
+class CsvTable:
+    """A CSV file that is written whole with each row, so that a kill keeps what was measured and leaves no half a row.
+
+    `columns` are names separated by spaces. An existing file is replaced.
+    """
+
+    def __init__(self, path: Path, columns: str) -> None:
+        self.path, self.columns = path, columns.split()
+        self._rows: list[tuple[object, ...]] = []
+        path.parent.mkdir(parents=True, exist_ok=True)
+        remove_partial(path)
+        self._write()
+
+    def add(self, *values: object) -> None:
+        """Add one row, in the order of the columns."""
+        self._rows.append(values)
+        self._write()
+
+    def add_each(self, *first: object, values: Mapping[str, float]) -> None:
+        """Add one row for each value: the first columns, its name and the value."""
+        self._rows += [(*first, name, value) for name, value in values.items()]
+        self._write()
+
+    def table(self) -> pd.DataFrame:
+        """Read all rows; names and settings are text."""
+        return pd.read_csv(self.path, dtype={"setting": str}, keep_default_na=False, na_values=["nan"])
+
+    def _write(self) -> None:
+        frame = pd.DataFrame(self._rows, columns=self.columns, dtype=object)
+        write_text(self.path, frame.to_csv(index=False, na_rep="nan"))

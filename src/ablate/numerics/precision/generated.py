@@ -9,16 +9,13 @@ from statistics import median
 import numpy as np
 import torch
 
-from ablate.comparison.results import Finished, finished_runs
+from ablate.settings.study import StudySettings, build
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.networks import Generator, conditions
-from ablate.numerics.precision.bench import Bench, make_inputs
-from ablate.numerics.precision.csv_table import CsvTable
-from ablate.numerics.precision.errors import Frames, mean_errors
-from ablate.runs.data import about_data
-from ablate.settings.study import StudySettings
-from ablate.settings.values import build
+from ablate.numerics.precision.bench import Bench, CsvTable, Frames, make_inputs, mean_errors
 from ablate.storage import digest
+from ablate.comparison.results import Finished, finished_runs
+from ablate.runs.data import about_data
 from ablate.training import (
     LAST,
     Engine,

@@ -6,9 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from ablate.numerics.precision.bench import Bench, render_all, time_stages
-from ablate.numerics.precision.csv_table import CsvTable
-from ablate.numerics.precision.errors import Frames, mean_errors, relative_change
+from ablate.numerics.precision.bench import (
+    Bench,
+    CsvTable,
+    Frames,
+    mean_errors,
+    relative_change,
+    render_all,
+    time_stages,
+)
 from ablate.ultrasound import PlanMode, SimulatorPrecision, SimulatorSettings
 
 RAYS = (1, 2, 4, 8, 16, 32, 64, 128)

@@ -1,4 +1,4 @@
-"""Stiff and extreme cases, each in float32 against float64 (networks in bf16 too): `task=stability`."""
+"""Stiff and extreme cases, in float32 against float64 and networks in bf16 too, that `task=stability` and tests run."""
 
 from ablate.numerics.stability.task import stability
 

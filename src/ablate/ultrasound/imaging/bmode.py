@@ -1,4 +1,6 @@
-"""From complex lines to the B-mode image: time-gain compensation, noise floor, logarithm, 8 bits, scan conversion."""
+"""From complex lines to the B-mode image: gain, noise floor, logarithm, 8 bits, scan conversion; operator's controls."""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -11,10 +13,58 @@ from ablate.ultrasound.probe import fan_mask, outer_position, pixel_polar, sampl
 from ablate.ultrasound.probe_kinds import Probe
 from ablate.ultrasound.settings import SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
+from ablate.validation import check_number
 
 _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
 _PIXELS_OF_A_PART = 1 << 16
+_MOST_DB = 100.0  # that an operator can add
 _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
+
+
+@dataclass(frozen=True)
+class Display:
+    """The controls of a scanner's picture; with these defaults the picture is that of the settings.
+
+    `gain_db` is added everywhere. `tgc_db` is added by depth: its values stand at equal distances from the face to the
+    deepest sample, and between them it is linear. Noise is amplified as the echoes are. `dynamic_range_db` replaces
+    that of the settings.
+
+    Raises
+    ------
+    ValueError
+        When a value is not finite or outside its range; the message names it.
+    """
+
+    gain_db: float = 0.0
+    tgc_db: tuple[float, ...] = ()
+    dynamic_range_db: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tgc_db", tuple(float(value) for value in self.tgc_db))
+        for name, value in (("gain_db", self.gain_db), *(("tgc_db", value) for value in self.tgc_db)):
+            check_number(name, value, -_MOST_DB, _MOST_DB)
+
+    def gain_at(self, depth: np.ndarray) -> np.ndarray:
+        """What is added at shares of the imaging depth, an array of any shape with values in [0, 1]; dB."""
+        if not self.tgc_db:
+            return np.full(np.shape(depth), self.gain_db)
+        return self.gain_db + np.interp(depth, np.linspace(0, 1, len(self.tgc_db)), self.tgc_db)
+
+    def applied_to(self, settings: SimulatorSettings) -> SimulatorSettings:
+        """Settings with this dynamic range; a ValueError when the range is not allowed."""
+        if self.dynamic_range_db is None:
+            return settings
+        return replace(settings, dynamic_range_db=self.dynamic_range_db)
+
+    def shown(self, image: np.ndarray, depth: np.ndarray, settings: SimulatorSettings) -> np.ndarray:
+        """Apply the controls to a finished image, (H, W) uint8, that was made with other controls, the settings' own.
+
+        `depth`, (H, W), is the share of the imaging depth of each pixel. What was clipped to black or white stays
+        clipped, so this is right only between them; outside the fan, where `image` is 0, it stays black.
+        """
+        level_db = (image / 255.0 - 1) * settings.dynamic_range_db + self.gain_at(depth)
+        grey = 255 * np.clip(level_db / self.applied_to(settings).dynamic_range_db + 1, 0, 1)
+        return np.where(image > 0, np.rint(grey), 0).astype(np.uint8)
 
 
 def time_gain(probe: Probe, settings: SimulatorSettings) -> np.ndarray:

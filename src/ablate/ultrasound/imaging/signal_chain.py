@@ -8,8 +8,7 @@ import numpy as np
 import torch
 
 from ablate.anatomy import Tissue
-from ablate.ultrasound.imaging.bmode import ScanConverter, grey_levels, receiver_noise, time_gain
-from ablate.ultrasound.imaging.display import Display
+from ablate.ultrasound.imaging.bmode import Display, ScanConverter, grey_levels, receiver_noise, time_gain
 from ablate.ultrasound.imaging.point_spread import blur, point_spread
 from ablate.ultrasound.imaging.speckle import InsonifiedLines, Speckle
 from ablate.ultrasound.probe import sample_depths_mm

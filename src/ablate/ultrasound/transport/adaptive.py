@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter
 
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.transport.draws import Draws
-from ablate.ultrasound.transport.illumination import Nodes
+from ablate.ultrasound.transport.lines import Nodes
 from ablate.ultrasound.transport.rays import Bundle, View
 from ablate.ultrasound.transport.tracing import trace
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.media import Media
 from ablate.ultrasound.surfaces.embree import Hits
-from ablate.ultrasound.transport.illumination import Segment
 from ablate.ultrasound.transport.interfaces import Scattering, Vector, along, dot, vector
+from ablate.ultrasound.transport.lines import Segment
 from ablate.ultrasound.transport.rays import Ray
 
 #: From this many reflections on, Russian roulette ends half of the rays at each further one and doubles the weight of

@@ -11,8 +11,7 @@ from ablate.ultrasound.probe_kinds import Probe
 from ablate.ultrasound.settings import SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Geometry
-from ablate.ultrasound.surfaces.line_walk import inside_at
-from ablate.ultrasound.surfaces.ownership import owners
+from ablate.ultrasound.surfaces.line_walk import inside_at, owners
 from ablate.ultrasound.transport.draws import Draws
 
 _STEEPEST_RAD = 0.3

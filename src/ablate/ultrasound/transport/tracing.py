@@ -22,9 +22,8 @@ import numpy as np
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.stages import Stage, stage
-from ablate.ultrasound.surfaces.embree import Geometry, Hits, empty_hits
-from ablate.ultrasound.surfaces.embree_library import asked_ray, closest_of, normal_in
-from ablate.ultrasound.surfaces.ownership import next_step, owner, toggle
+from ablate.ultrasound.surfaces.embree import Geometry, Hits, asked_ray, closest_of, empty_hits, normal_in
+from ablate.ultrasound.surfaces.line_walk import next_step, owner, toggle
 from ablate.ultrasound.transport.bounce import (
     connect,
     cross_thickness,
@@ -39,9 +38,8 @@ from ablate.ultrasound.transport.bounce import (
     spawn,
 )
 from ablate.ultrasound.transport.draws import CHOICE, COLUMNS, MAX_ROWS, SURVIVAL, THICKNESS, Draws, unstratified
-from ablate.ultrasound.transport.echoes import ECHO
-from ablate.ultrasound.transport.illumination import Nodes, accumulate
 from ablate.ultrasound.transport.interfaces import along, sample_scattering, vector
+from ablate.ultrasound.transport.lines import ECHO, Nodes, accumulate
 from ablate.ultrasound.transport.rays import Bundle, View, start_rays
 
 _GROUPS_OF_A_PART = 96
