@@ -1,5 +1,7 @@
 from .cautions import cautions as cautions
 from .cautions import listed as listed
+from .components import Component as Component
+from .components import with_undeclared as with_undeclared
 from .figures.boxplots import boxplot_panels as boxplot_panels
 from .figures.boxplots import paired_boxplots as paired_boxplots
 from .figures.captions import boxplot_caption as boxplot_caption
@@ -30,6 +32,7 @@ from .statistics.component_claims import ComponentClaim as ComponentClaim
 from .statistics.component_claims import Verdict as Verdict
 from .statistics.component_claims import component_claim as component_claim
 from .statistics.component_claims import seed_claims as seed_claims
+from .statistics.component_models import paper_effects as paper_effects
 from .statistics.designs import Design as Design
 from .statistics.designs import effects_table as effects_table
 from .statistics.designs import find_design as find_design
@@ -39,7 +42,6 @@ from .statistics.paired import PairedDifference as PairedDifference
 from .statistics.paired import holm as holm
 from .statistics.paired import paired_difference as paired_difference
 from .statistics.paired import paired_table as paired_table
-from .statistics.paper_effects import paper_effects as paper_effects
 from .statistics.verdicts import Answer as Answer
 from .statistics.verdicts import distances_to_resimulation as distances_to_resimulation
 from .statistics.verdicts import improvements as improvements

@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 
 from ablate.metrics import METRICS, Group, metric_of
-from ablate.networks import COMPONENTS
 
 REFERENCE = "sa2h"
 RESIMULATION = "re-simulation"  # shown among the variants
 CHANGED = 3
-COMPONENT_LABELS = {component.name: component.label for component in COMPONENTS}
 
 
 def ordered_variants(variants: Sequence[str], reference: str = REFERENCE) -> list[str]:

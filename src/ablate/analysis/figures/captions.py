@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from ablate.analysis.components import short_keys
 from ablate.analysis.order import REFERENCE
 from ablate.analysis.statistics.designs import Design, interval_note
 from ablate.analysis.tables.formats import resimulation_note
@@ -65,7 +66,10 @@ def verdicts_caption(design: Design | None, reference: str = REFERENCE) -> str:
 
 def effects_caption(design: Design, effects: pd.DataFrame, gap_to: str | None = None) -> str:
     """Caption of `effects_plot`; `gap_to` names the reference where gaps are written below the panels."""
-    changes = ", ".join(f"{name} {' → '.join(map(str, design.cells[name].cat.categories))}" for name in design.factors)
+    changes = ", ".join(
+        f"{name} {' → '.join(map(str, design.cells[key].cat.categories))}"
+        for key, name in short_keys(design.factors).items()
+    )
     said = [
         f"Effects of changing a component ({changes}), computed from one mean per training. The 95 % intervals are not "
         f"corrected for the number of effects. The design is: {design.name}. {design.reading}",

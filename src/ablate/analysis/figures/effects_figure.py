@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from ablate.analysis.components import short_keys
 from ablate.analysis.figures.metric_panels import (
     axis_title,
     draw_resimulation,
@@ -37,8 +38,11 @@ def effects_plot(
     if not shown:
         return []
     names = list(dict.fromkeys(effects["effect"]))
+    short = short_keys(dict.fromkeys(key for name in names for key in name.split(":")))
     with house_style():
-        figure, panels = metric_panels(shown, names, 4, head_in=0.7)
+        figure, panels = metric_panels(
+            shown, [":".join(short[key] for key in name.split(":")) for name in names], 4, head_in=0.7
+        )
         for axes, metric in zip(panels, shown, strict=True):
             axes.axvline(0, color="black", lw=0.8, zorder=1)
             for row in effects[effects["metric"] == metric].to_dict("records"):

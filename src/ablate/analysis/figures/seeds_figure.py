@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.figures.metric_panels import axis_title, draw_resimulation, metric_panels, one_legend
+from ablate.analysis.components import Component
+from ablate.analysis.figures.metric_panels import axis_title, draw_resimulation, metric_panels, one_legend, shown_name
 from ablate.analysis.figures.style import house_style, save_figure
 from ablate.analysis.order import REFERENCE, RESIMULATION, ordered_variants
 from ablate.analysis.values import finite_values
@@ -18,6 +19,7 @@ def seed_plot(
     metrics: Sequence[str],
     stem: Path,
     reference: str = REFERENCE,
+    components: Sequence[Component] = (),
 ) -> list[Path]:
     """Draw one ring a training at its mean over the test frames, a panel a metric, with the re-simulation.
 
@@ -30,6 +32,8 @@ def seed_plot(
         Columns variant, seed, frame, site, metric, value.
     scalars : DataFrame, optional
         Columns variant, seed, metric, value.
+    components : sequence of Component
+        Changes of these are written in short.
     """
     values = finite_values(per_image, scalars)
     networks = values[values["variant"] != RESIMULATION]
@@ -40,7 +44,7 @@ def seed_plot(
     means = networks.groupby(["metric", "variant", "seed"])["value"].mean()
     floors = values[values["variant"] == RESIMULATION].groupby("metric")["value"].mean()
     with house_style():
-        figure, panels = metric_panels(shown, rows, 4)
+        figure, panels = metric_panels(shown, [shown_name(row, components) for row in rows], 4)
         for axes, metric in zip(panels, shown, strict=True):
             for k, variant in enumerate(rows):
                 if (metric, variant) not in means.index:
