@@ -53,7 +53,7 @@ def figures(monkeypatch):
         drawn[stem.name] = figure
         return [stem]
 
-    for module in ("boxplots", "seeds_figure", "effects_figure", "forest_figure", "image_figures"):
+    for module in ("boxplots", "training_figures", "forest_figure", "image_figures"):
         monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", keep)
     return drawn
 

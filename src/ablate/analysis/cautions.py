@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.order import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
+from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.metrics import METRICS, metric_of
 

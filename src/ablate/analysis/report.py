@@ -10,10 +10,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ablate.analysis.cautions import cautions
 from ablate.analysis.components import Component, labels_of
-from ablate.analysis.order import REFERENCE, RESIMULATION
+from ablate.analysis.scored import REFERENCE, RESIMULATION
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS, Verdict
 from ablate.analysis.statistics.verdicts import Answer
-from ablate.analysis.tables.formats import cell_texts, head, resimulation_note
+from ablate.analysis.tables import cell_texts, head, resimulation_note
 from ablate.metrics import Shown, metric_of, shown_in
 from ablate.storage import write_text
 

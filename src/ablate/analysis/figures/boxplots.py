@@ -10,8 +10,10 @@ from matplotlib.axes import Axes
 from ablate.analysis.components import Component
 from ablate.analysis.figures.metric_panels import axis_title, draw_resimulation, metric_panels, one_legend, shown_name
 from ablate.analysis.figures.style import house_style, save_figure
-from ablate.analysis.order import REFERENCE, RESIMULATION, ordered_metrics
+from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics
 from ablate.analysis.statistics.paired import aligned_differences
+from ablate.analysis.tables import resimulation_note
+from ablate.metrics import metric_of
 
 ROW_IN = 0.26
 BOX_COLOUR = "#9ECAE9"
@@ -116,3 +118,13 @@ def boxplot_panels(
             _draw(axes, found, networks, paired, metric, reference)
         one_legend(figure, panels, 3 if len(panels) > 1 else 1)
         return save_figure(figure, stem)
+
+
+def boxplot_caption(metrics: Sequence[str], reference: str = REFERENCE) -> str:
+    """Caption of `paired_boxplots` and `boxplot_panels`."""
+    names = ", ".join(metric_of(metric).label for metric in metrics)
+    return (
+        f"Paired differences from {reference} in {names} on the same test frames (means over seeds). A box shows "
+        "quartiles, and its whiskers show the 5th and 95th percentiles. The bar below a box is the 95 % interval of "
+        f"the median shift over probe sites. {resimulation_note(list(metrics))}"
+    )

@@ -14,6 +14,8 @@ from matplotlib.ticker import PercentFormatter
 from ablate.analysis.components import Component, labels_of
 from ablate.analysis.figures.metric_panels import one_legend
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, save_figure
+from ablate.analysis.scored import REFERENCE
+from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.verdicts import ALPHA, Answer
 from ablate.metrics import Direction, metric_of
 
@@ -158,3 +160,17 @@ def _explain_map(axes: Axes) -> None:
     )
     text = "\n".join((*lines, "in the unit of (a).", "", "* and strong colour: false", "discovery rate < 5 %"))
     axes.text(0.03, 0.5, text, va="center", color="#444444", transform=axes.transAxes, linespacing=1.4)
+
+
+def verdicts_caption(design: Design | None, reference: str = REFERENCE) -> str:
+    """Caption of `forest_figure`."""
+    said = [
+        "Which components earn their keep. Each is judged on its own primary metric. The unit is the distance from "
+        f"{reference} to re-simulation in that metric, that is, the error that {reference} still has. Zero is the mean "
+        "of the runs without the component. Dots are runs, adjusted for the other components and the anatomy. "
+        "earns: the metric improves. does not: the improvement is smaller than the grey band, which was fixed before "
+        "the study. Both verdicts are at 5 % after Holm's correction over the components. The columns at the right "
+        "show what the component adds to the time of a frame and to the parameters of the network.",
+        "" if design is None else f"The design is: {design.name}. {design.reading}",
+    ]
+    return " ".join(filter(None, said))

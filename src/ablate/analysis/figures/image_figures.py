@@ -11,7 +11,7 @@ from matplotlib.image import AxesImage
 from ablate.analysis.components import Component
 from ablate.analysis.figures.metric_panels import shown_name
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, save_figure
-from ablate.analysis.order import CHANGED, variant_group
+from ablate.analysis.scored import CHANGED, REFERENCE, variant_group
 from ablate.metrics import patch_chi2, patches_inside, rms
 
 ACROSS = 4  # pictures side by side on a page; with more of them, speckle is lost in print
@@ -187,3 +187,22 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, components: Sequence[Comp
         _picture(lower, frame.target)
         lower.set_title("target")
         return save_figure(figure, stem)
+
+
+def qualitative_caption(reference: str = REFERENCE) -> str:
+    """Caption of `qualitative_figure`."""
+    return (
+        "Test frames of unseen probe sites. The target has its segmentation S in the left corner and the logarithm of "
+        "its attenuation A in the right corner. The re-simulation is the same frame with other scatterers and ray "
+        "paths. Where it differs from the target, no network can know the target. The other images are by "
+        f"{reference} and all other variants, with the lowest seed of each."
+    )
+
+
+def chi2_caption(frame: str) -> str:
+    """Caption of `chi2_maps_figure` of the frame of that name."""
+    return (
+        f"Maps of patch chi-square against the target on [0, 1], each above its image ({frame}). The number is the RMS "
+        "over all patches that lie wholly in the fan. The map of the re-simulation is the floor, because it differs "
+        "from the target by its scatterers alone."
+    )

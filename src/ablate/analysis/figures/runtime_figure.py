@@ -16,6 +16,7 @@ from ablate.analysis.components import Component
 from ablate.analysis.figures.metric_panels import legend_entries, resimulation_line, shown_name
 from ablate.analysis.figures.style import PAGE_IN, colour_of, house_style, new_figure, save_figure
 from ablate.analysis.statistics.work_precision import pareto_front
+from ablate.analysis.tables import resimulation_note
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.stored_names import BOUNDS
 
@@ -220,3 +221,13 @@ def _bar_name(series: str, setting: str, runs: Mapping[str, str]) -> str:
         return f"{series.removeprefix('simulator, ')} {setting}"
     shown = [p for p in setting.split(", ") if p.startswith("width") or p in ("fp32", "bf16", *_ENGINE_FILL)]
     return ", ".join([runs.get(series, series), *shown])
+
+
+def runtime_caption(metrics: Sequence[str]) -> str:
+    """Caption of `error_vs_runtime`."""
+    return (
+        "Error on the test frames against the median time per frame, with the maps that the network reads, on the "
+        "machine that the figure names. Bars are quartiles over rounds in which all networks took turns. The grey line "
+        f"is the Pareto front; no point is on it for a time that differs by less than the bars. The paper does "
+        f"not name the GPU of its times. {resimulation_note(list(metrics))}"
+    )

@@ -9,11 +9,10 @@ import pandas as pd
 from scipy import stats
 
 from ablate.analysis.components import short_keys
-from ablate.analysis.order import REFERENCE, RESIMULATION, judged_metrics
+from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, judged_metrics
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.statistics.effects import EFFECT_COLUMNS, defining_relation, factorial_effects
 from ablate.analysis.statistics.paired import holm_where_known
-from ablate.analysis.values import finite_values
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import pandas as pd
 from scipy import stats
 
 from ablate.analysis.components import Component, with_undeclared
-from ablate.analysis.order import REFERENCE, RESIMULATION
+from ablate.analysis.scored import REFERENCE, RESIMULATION
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.statistics.component_models import models_of, of_component, oriented, why_untold
 from ablate.analysis.statistics.designs import Design
