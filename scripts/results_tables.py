@@ -6,7 +6,7 @@ import pandas as pd
 
 from ablate.analysis import RESIMULATION, Answer, Verdict
 from ablate.analysis.statistics.verdicts import ALPHA
-from ablate.analysis.tables.formats import NOTHING, head
+from ablate.analysis.tables import NOTHING, head
 from ablate.metrics import Direction, metric_of
 from ablate.networks import COMPONENTS
 

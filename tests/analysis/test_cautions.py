@@ -47,6 +47,12 @@ def test_half_scored_runs_are_named(study):
     assert "nsa2h/seed2 (10)" in only(cautions(part), "all 24 test frames")
 
 
+def test_runs_that_name_other_sites_are_told(study):
+    moved = study.copy()
+    moved.loc[(moved["variant"] == "nsa2h") & (moved["frame"] < 2), "site"] = "elsewhere"
+    assert only(cautions(moved), "different probe sites for frame 0, 1:")
+
+
 def test_infinite_and_nan_values_are_named_with_their_frames(study):
     broken = study.copy()
     at = (broken["variant"] == "sa2h-att") & (broken["seed"] == 1) & (broken["metric"] == "psnr")
@@ -55,6 +61,10 @@ def test_infinite_and_nan_values_are_named_with_their_frames(study):
     said = cautions(broken)
     assert "1 infinite value left out (identical images: sa2h-att/seed1 frame 7)" in only(said, "infinite")
     assert "PSNR: 1 NaN left out (sa2h-att/seed1 frame 9)" in only(said, "NaN")
+    own = cautions(broken.replace({"metric": {"psnr": "of_mine"}}))
+    assert "of_mine: 1 infinite value left out (sa2h-att/seed1 frame 7)" in only(own, "infinite"), (
+        "nothing is identical"
+    )
     broken.loc[at, "value"] = np.nan
     assert "24 NaNs" in only(cautions(broken), "NaN")
 

@@ -8,10 +8,12 @@ import pytest
 
 from ablate.analysis import effects_table, factorial_effects, find_design
 from ablate.analysis.statistics.effects import defining_relation
+from support.components import without
 
-FACTORS = ("attenuation", "concat", "upsampling", "noise", "depth")
-ON = {"attenuation": "integral", "concat": "every_level", "upsampling": "texture", "noise": "inject", "depth": 4}
-OFF = {"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "input", "depth": 8}
+KEYS = {"attenuation": "att", "concat": "concat", "upsampling": "conv", "noise": "noise", "depth": "depth"}
+NAMES = tuple(KEYS)
+FACTORS = tuple(f"model.{name}" for name in NAMES)
+OFF = {name: without(component)[f"model.{name}"] for name, component in KEYS.items()}
 
 
 def label_of(off):
@@ -19,21 +21,25 @@ def label_of(off):
 
 
 def study_of(subsets, **more):
-    """Components by label, each subset of the factors turned off."""
-    return {label_of(off): {"family": "local", **more, **ON, **{name: OFF[name] for name in off}} for off in subsets}
+    """What runs were made from by label, each subset of the factors turned off."""
+    return {label_of(off): {"model.family": "local", **without(*(KEYS[n] for n in off)), **more} for off in subsets}
 
 
-ALL = [off for size in range(6) for off in itertools.combinations(FACTORS, size)]
+ALL = [off for size in range(6) for off in itertools.combinations(NAMES, size)]
 HALF = [off for off in ALL if len(off) % 2 == 0]
 LEAVE_ONE_OUT = [off for off in ALL if len(off) < 2]
 ADD_ONE_IN = [(), *(off for off in ALL if len(off) > 3)]
 
 
-def runs_of(components, response, seeds=3, noise=0.0):
+def off_of(made):
+    return {name: made[f"model.{name}"] == OFF[name] for name in NAMES}
+
+
+def runs_of(runs, response, seeds=3, noise=0.0):
     rng = np.random.default_rng(0)
     rows = [
-        (label, seed, frame, frame // 2, "psnr", response({f: made[f] == OFF[f] for f in FACTORS}) + shock)
-        for label, made in components.items()
+        (label, seed, frame, frame // 2, "psnr", response(off_of(made)) + shock)
+        for label, made in runs.items()
         for seed in range(seeds)
         for shock in [noise * rng.normal()]
         for frame in range(4)
@@ -41,10 +47,15 @@ def runs_of(components, response, seeds=3, noise=0.0):
     return pd.DataFrame(rows, columns=["variant", "seed", "frame", "site", "metric", "value"])
 
 
+def effects_of(runs, design):
+    """The table of effects, with the last parts of the keys that its effects and aliases are named by."""
+    table = effects_table(runs, design)
+    return table.assign(**{name: table[name].str.replace("model.", "") for name in ("effect", "aliases")})
+
+
 def respond(off):
-    """Main effects, one interaction of two, one of four."""
-    two, four = off["attenuation"] * off["depth"], np.prod([off[f] for f in FACTORS[:4]])
-    return 20 - 2 * off["attenuation"] - off["concat"] + 0.5 * off["noise"] - two + 0.0 * four
+    """Main effects and one interaction."""
+    return 20 - 2 * off["attenuation"] - off["concat"] + 0.5 * off["noise"] - off["attenuation"] * off["depth"]
 
 
 @pytest.mark.parametrize(
@@ -53,7 +64,7 @@ def respond(off):
         (ALL, "full factorial of 5 components (32 cells)", 15),
         (HALF, "half of the factorial of 5 components (16 of 32 cells)", 15),
         (LEAVE_ONE_OUT, "one change at a time around sa2h (6 cells)", 5),
-        (ADD_ONE_IN, f"one change at a time around {label_of(FACTORS)} (6 cells)", 5),
+        (ADD_ONE_IN, f"one change at a time around {label_of(NAMES)} (6 cells)", 5),
         ([*LEAVE_ONE_OUT, ("attenuation", "depth")], "7 of the 32 cells of 5 components", 6),
     ],
     ids=["full", "half", "leave one out", "add one in", "mixed"],
@@ -62,7 +73,7 @@ def test_every_design_is_named_and_gives_the_effects_it_can(subsets, name, effec
     components = study_of(subsets)
     design = find_design(components, FACTORS)
     assert design.name == name
-    table = effects_table(runs_of(components, respond), design)
+    table = effects_of(runs_of(components, respond), design)
     assert len(table) == effects
     found = table.set_index("effect")["estimate"]
     # Averaged over the other levels an interaction of -1 adds half of itself to each of its components.
@@ -81,29 +92,29 @@ def test_every_design_is_named_and_gives_the_effects_it_can(subsets, name, effec
 def test_without_the_reference_the_cell_in_the_middle_stands_in_for_it():
     bare = study_of(ADD_ONE_IN[1:])
     design = find_design(bare, FACTORS)
-    assert design.name == f"one change at a time around {label_of(FACTORS)} (6 cells)"
-    found = effects_table(runs_of(bare, respond), design).set_index("effect")["estimate"]
+    assert design.name == f"one change at a time around {label_of(NAMES)} (6 cells)"
+    found = effects_of(runs_of(bare, respond), design).set_index("effect")["estimate"]
     assert found["concat"] == pytest.approx(1), "the change is now to put it back"
 
 
 def test_the_half_fraction_says_what_it_cannot_tell_apart():
     components = study_of(HALF)
     design = find_design(components, FACTORS)
-    words = defining_relation(design.cells, FACTORS)
+    words = defining_relation(design.cells.rename(columns=dict(zip(FACTORS, NAMES, strict=True))), NAMES)
     assert words == ["-attenuation:concat:upsampling:noise:depth"], "an even number changed: their product is -1"
     assert words[0] in design.reading
-    table = effects_table(runs_of(components, respond), design).set_index("effect")
+    table = effects_of(runs_of(components, respond), design).set_index("effect")
     assert table.loc["attenuation", "aliases"] == "-concat:upsampling:noise:depth"
     assert table.loc["noise:depth", "aliases"] == "-attenuation:concat:upsampling"
 
     def four_way(off):
-        signs = [1 if off[f] else -1 for f in FACTORS[1:]]
+        signs = [1 if off[f] else -1 for f in NAMES[1:]]
         return 1.5 * np.prod(signs)
 
-    fooled = effects_table(runs_of(components, four_way), design).set_index("effect")["estimate"]
+    fooled = effects_of(runs_of(components, four_way), design).set_index("effect")["estimate"]
     assert fooled["attenuation"] == pytest.approx(-3.0), "the four-way interaction comes back under its alias"
     full = study_of(ALL)
-    told = effects_table(runs_of(full, four_way), find_design(full, FACTORS)).set_index("effect")
+    told = effects_of(runs_of(full, four_way), find_design(full, FACTORS)).set_index("effect")
     assert told["estimate"].abs().max() == pytest.approx(0, abs=1e-9)
     assert (told["aliases"] != "").sum() == 0
 
@@ -112,7 +123,7 @@ def test_one_change_at_a_time_says_that_interactions_are_out_of_reach():
     components = study_of(LEAVE_ONE_OUT)
     design = find_design(components, FACTORS)
     assert "cannot be told" in design.reading
-    table = effects_table(runs_of(components, respond, noise=0.1), design)
+    table = effects_of(runs_of(components, respond, noise=0.1), design)
     assert set(table["aliases"]) == {"its interactions"}
     assert (table["dof"] == 18 - 6).all()
 
@@ -128,7 +139,7 @@ def test_a_quarter_fraction_keeps_only_what_is_not_confounded():
     assert len(quarter) == 8
     design = find_design(study_of([(), *quarter[1:]]), FACTORS)
     assert len(defining_relation(design.cells, design.factors)) == 3
-    table = effects_table(runs_of(study_of(quarter), respond), design).set_index("effect")
+    table = effects_of(runs_of(study_of(quarter), respond), design).set_index("effect")
     assert {"attenuation", "concat", "upsampling", "noise", "depth"} <= set(table.index)
     assert "concat:noise" in table.loc["attenuation", "aliases"]
 
@@ -140,7 +151,7 @@ def test_cells_beside_a_half_are_left_out_because_they_would_confound_it():
     assert (beside.name, beside.reading) == (half.name, half.reading)
     assert set(beside.left_out) == {label_of(("attenuation",)), label_of(("depth",))}
     third = study_of(HALF)
-    third["sa2h.attenuation-compensated"] = {**third["sa2h"], "attenuation": "compensated"}
+    third["sa2h.attenuation-compensated"] = {**third["sa2h"], "model.attenuation": "compensated"}
     assert find_design(third, FACTORS).left_out == ("sa2h.attenuation-compensated",)
 
 
@@ -149,23 +160,23 @@ def test_blocks_are_taken_out_of_effects_and_cost_one_degree_of_freedom_each():
     design = find_design(components, FACTORS)
     runs = runs_of(components, respond, seeds=2, noise=0.1)
     block = (runs["variant"].str.contains("attenuation").to_numpy() + runs["seed"].to_numpy()) % 2  # each cell in both
-    plain = effects_table(runs, design).set_index("effect")
+    plain = effects_of(runs, design).set_index("effect")
     moved = runs.assign(data=np.array(["a", "b"])[block], value=runs["value"] + 50 * block)
-    blocked = effects_table(moved, design).set_index("effect")
+    blocked = effects_of(moved, design).set_index("effect")
     pd.testing.assert_series_equal(blocked["estimate"], plain["estimate"])
     assert (blocked["dof"] == plain["dof"] - 1).all()
-    assert effects_table(runs.assign(data=runs["variant"].str.contains("depth")), design).empty, "depth is the block"
+    assert effects_of(runs.assign(data=runs["variant"].str.contains("depth")), design).empty, "depth is the block"
     off = {name: runs["variant"].str.contains(name) for name in ("attenuation", "noise")}
-    hidden = effects_table(runs.assign(data=off["attenuation"] ^ off["noise"]), design)
+    hidden = effects_of(runs.assign(data=off["attenuation"] ^ off["noise"]), design)
     assert len(hidden) == 14
     assert "attenuation:noise" not in set(hidden["effect"]), "it is the block"
 
 
 def test_what_differs_otherwise_is_left_out():
     components = study_of(LEAVE_ONE_OUT)
-    components["nsa2h"] = {**components["sa2h"], "family": "unet"}
-    components["sa2h.noise-none"] = {**components["sa2h"], "noise": "none"}
-    components["sa2h-again"] = {**components["sa2h"], "noise": "input"}
+    components["nsa2h"] = {**components["sa2h"], "model.family": "unet"}
+    components["sa2h.noise-none"] = {**components["sa2h"], "model.noise": "none"}
+    components["sa2h-again"] = {**components["sa2h"], "model.noise": "input"}
     design = find_design(components, FACTORS)
     assert set(design.left_out) == {"nsa2h", "sa2h.noise-none"}
     assert find_design({}, FACTORS) is None
@@ -176,10 +187,10 @@ def test_intervals_need_three_trainings_a_side():
     components = study_of(LEAVE_ONE_OUT)
     design = find_design(components, FACTORS)
     for seeds, given in ((1, False), (2, False), (3, True)):
-        table = effects_table(runs_of(components, respond, seeds=seeds, noise=0.1), design)
+        table = effects_of(runs_of(components, respond, seeds=seeds, noise=0.1), design)
         assert table["p"].notna().all() == given
     full = study_of(ALL)
-    once = effects_table(runs_of(full, respond, seeds=1, noise=0.1), find_design(full, FACTORS))
+    once = effects_of(runs_of(full, respond, seeds=1, noise=0.1), find_design(full, FACTORS))
     assert once["p"].notna().all(), "sixteen trainings a side"
     assert (once["dof"] == 16).all()
 
@@ -187,8 +198,8 @@ def test_intervals_need_three_trainings_a_side():
 def test_missing_cells_are_said_and_do_not_stop():
     components = study_of(LEAVE_ONE_OUT[:4])
     design = find_design(components, FACTORS)
-    assert design.factors == ["attenuation", "concat", "upsampling"]
-    assert len(effects_table(runs_of(components, respond), design)) == 3
+    assert design.factors == list(FACTORS[:3])
+    assert len(effects_of(runs_of(components, respond), design)) == 3
 
 
 def test_intervals_cover_the_truth():
@@ -197,10 +208,10 @@ def test_intervals_cover_the_truth():
     design = find_design(components, FACTORS)
     rng = np.random.default_rng(0)
     runs = design.cells.loc[[label for label in components for _ in range(3)]]
-    truth = np.array([respond({f: components[x][f] == OFF[f] for f in FACTORS}) for x in runs.index])
+    truth = np.array([respond(off_of(components[x])) for x in runs.index])
     covered = []
     for _ in range(200):
         table = factorial_effects(runs.assign(value=truth + rng.normal(size=len(runs))), list(FACTORS))
-        row = table.set_index("effect").loc["concat"]
+        row = table.set_index("effect").loc["model.concat"]
         covered.append(row["lower"] <= -1 <= row["upper"])
     assert np.mean(covered) == pytest.approx(0.95, abs=3.5 * np.sqrt(0.95 * 0.05 / 200))

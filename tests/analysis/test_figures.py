@@ -30,6 +30,7 @@ from ablate.analysis import (
 from ablate.analysis.figures.metric_panels import shown_name
 from ablate.analysis.figures.style import COLOURS
 from ablate.metrics import patch_chi2
+from support.components import COMPONENTS
 
 
 def assert_written(paths):
@@ -52,7 +53,7 @@ def figures(monkeypatch):
         drawn[stem.name] = figure
         return [stem]
 
-    for module in ("boxplots", "seeds_figure", "effects_figure", "forest_figure", "image_figures"):
+    for module in ("boxplots", "training_figures", "forest_figure", "image_figures"):
         monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", keep)
     return drawn
 
@@ -156,7 +157,7 @@ def test_the_forest_is_in_units_of_what_is_missing_and_says_the_verdict(figures,
     runs = pd.DataFrame(dots, columns=["component", "on", "improvement"])
     rows = [("att", "depth", 3.0, 0.01), ("depth", "att", -6.0, 0.2), ("conv", "att", 9.0, 0.01)]
     pairs = pd.DataFrame(rows, columns=["component", "other", "improvement", "q"])
-    forest_figure(verdicts_of(), runs, pairs, tmp_path / "verdicts")
+    forest_figure(verdicts_of(), runs, pairs, COMPONENTS, tmp_path / "verdicts")
     forest, beside, table, _ = figures["verdicts"].axes
     drawn = {}
     for line in forest.lines:
@@ -178,16 +179,16 @@ def test_the_forest_is_in_units_of_what_is_missing_and_says_the_verdict(figures,
 def test_a_forest_of_one_run_a_side_has_no_interval_and_none_without_an_effect(figures, tmp_path):
     nothing = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])
     alone = verdicts_of(lower=np.nan, upper=np.nan, ms_per_frame=np.nan, verdict="undecided").iloc[:2]
-    assert forest_figure(alone, nothing, nothing, tmp_path / "verdicts")
+    assert forest_figure(alone, nothing, nothing, COMPONENTS, tmp_path / "verdicts")
     forest, beside = figures["verdicts"].axes
     assert not [line for line in forest.lines if line.get_linewidth() > 2]
     assert [text.get_text() for text in beside.texts][3:] == ["undecided", "–", "−2k"]
-    assert forest_figure(alone.iloc[1:], nothing, nothing, tmp_path / "none") == []
+    assert forest_figure(alone.iloc[1:], nothing, nothing, COMPONENTS, tmp_path / "none") == []
 
 
 def test_written_forest(tmp_path):
     nothing = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])
-    assert_written(forest_figure(verdicts_of(), nothing, nothing, tmp_path / "verdicts"))
+    assert_written(forest_figure(verdicts_of(), nothing, nothing, COMPONENTS, tmp_path / "verdicts"))
 
 
 def test_qualitative_grid_with_and_without_everything(pictures, tmp_path):
@@ -232,7 +233,7 @@ def test_chi2_maps_leave_no_page_half_empty(networks, across, empty, pictures, f
 def test_chi2_maps_of_eleven_networks_fit_a_page(pictures, figures, tmp_path):
     names = [RESIMULATION, "sa2h", "sa2h.encoding-arbitrary", *(f"v{k}" for k in range(9))]
     many = FramePictures("frame", pictures.target, dict.fromkeys(names, pictures.predictions["sa2h"]), pictures.mask)
-    chi2_maps_figure(many, tmp_path / "maps")
+    chi2_maps_figure(many, tmp_path / "maps", COMPONENTS)
     figure = figures["maps"]
     assert tuple(figure.get_size_inches() <= (7.17, 9.6)) == (True, True)
     maps = [image for axes in figure.axes for image in axes.images if image.get_cmap().name == "inferno"]
@@ -255,12 +256,12 @@ def test_chi2_maps_of_eleven_networks_fit_a_page(pictures, figures, tmp_path):
     ],
 )
 def test_labels_are_short_on_figures(label, shown):
-    assert shown_name(label) == shown
+    assert shown_name(label, COMPONENTS) == shown
 
 
 def test_captions_tell_a_floor_from_a_level():
     effects = pd.DataFrame({"metric": ["psnr", "pchi2"], "p": [0.1, None], "effect": "attenuation"})
-    cells = pd.DataFrame({"attenuation": pd.Categorical(["integral", "none"])}, index=["sa2h", "sa2h-att"])
+    cells = pd.DataFrame({"model.attenuation": pd.Categorical(["integral", "none"])}, index=["sa2h", "sa2h-att"])
     design = Design(cells, "one change", "Read it so.", ())
     both = ["psnr", "pchi2"]
     texts = [boxplot_caption(both), seeds_caption(both), runtime_caption(both), effects_caption(design, effects)]

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from ablate.analysis import RESIMULATION, comparison_table, to_latex
-from ablate.analysis.tables.latex import latex_text
+from ablate.analysis.tables import latex_text
 
 LABELS = [f"sa2h{part}{more}" for part in ("", "-att", "-conv", "-noise") for more in ("", ".encoding-arbitrary")]
 

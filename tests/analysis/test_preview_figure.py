@@ -11,9 +11,9 @@ from matplotlib.image import imread
 
 from ablate.analysis import Preview, preview_figure
 from ablate.analysis.figures import body_view
+from ablate.analysis.figures.body_view import Surface, look_through
 from ablate.analysis.figures.probe_model import probe_body, probe_face
 from ablate.analysis.figures.tissue_colours import BACKGROUND, BLOOD, BONE, GAS, tissue_colours
-from ablate.analysis.figures.translucent import Surface, look_through
 from ablate.anatomy import Scene, Structure, Tissue, load_tissues
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.ultrasound.probe import fan_outline, to_world

@@ -155,6 +155,10 @@ def brightest(pair: Pair) -> float:
     return math.nan if pair.prediction.max() == 0 else float(pair.prediction.max())
 
 
+def endless(pair: Pair) -> float:
+    return math.inf if pair.prediction.max() == 0 else 1.0
+
+
 def failing(pair: Pair) -> float:
     raise ZeroDivisionError(f"of {pair.target.shape}")
 
@@ -172,6 +176,9 @@ def test_a_metric_of_ones_own_may_be_nan_and_the_frame_is_named(
     assert found.per_image.loc[found.per_image["value"].isna(), "frame"].tolist() == [last]
     assert caplog.messages == [f"brightest is NaN on test frame {last}: not in its mean"]
     assert found.scalars["brightest"] > 0
+    caplog.clear()
+    assert scored(data, job(runs), dark, "of_mine.endless", "psnr").scalars["endless"] == 1.0
+    assert caplog.messages == [f"endless is infinite on test frame {last}: not in its mean"]
     with pytest.raises(ZeroDivisionError) as raised:
         scored(data, job(runs), dark, "of_mine.failing")
     assert "by the metric failing" in raised.value.__notes__

@@ -1,11 +1,13 @@
 """One image, all metrics: names, what is left out, extremes, speed."""
 
+import sys
 import time
+from itertools import product
 
 import numpy as np
 import pytest
 
-from ablate.metrics import METRICS, Pair, evaluate_image, psnr
+from ablate.metrics import METRICS, Metric, Pair, evaluate_image, psnr
 
 NAMES = {
     "psnr", "psnr_fan", "mae", "mae_fan", "pchi2", "pchi2_fan", "pchi2_tissue",
@@ -60,6 +62,48 @@ def test_metrics_without_their_input_are_left_out(make_frame):
     assert set(outside) == {"psnr", "mae", "pchi2"}
     with pytest.raises(ValueError, match="depth_mm must be"):
         pair_of(frame, frame.image, depth_mm=frame.depth_mm[1:])
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda pair: np.copyto(pair.prediction, pair.target, where=pair.mask),
+        lambda pair: pair.mask[:40].fill(False),
+        lambda pair: np.multiply(pair.depth_mm, 2, out=pair.depth_mm),
+        lambda pair: pair.draws.__setitem__(0, 0),
+        lambda pair: pair.chi2_map.sort(),
+    ],
+    ids=["prediction", "mask", "depth", "draws", "chi2_map"],
+)
+def test_a_metric_that_writes_to_its_pair_is_refused_by_name(make_frame, write):
+    frame = make_frame(0, shape=(100, 140))
+    kept = frame.image.copy(), frame.mask.copy(), frame.depth_mm.copy()
+    wrong = Metric("careless", of_image=write)
+    pair = pair_of(frame, frame.image // 2, draws=np.stack([frame.image] * 2))
+    with pytest.raises(ValueError, match="the metric careless writes to an array of its pair"):
+        evaluate_image(pair, [wrong, METRICS["mae"]])
+    for before, after in zip(kept, (frame.image, frame.mask, frame.depth_mm), strict=True):
+        np.testing.assert_array_equal(before, after)
+    frame.image[0, 0] += 1  # the caller's own arrays are not locked
+
+
+def test_a_metric_is_one_module_and_stands_where_it_says():
+    places = [metric.place for metric in METRICS.values()]
+    assert places == sorted(set(places)), "in rising order, no two alike"
+    modules = [module for name, module in sys.modules.items() if name.startswith("ablate.metrics.")]
+    owners = {n: [m for m in modules if any(METRICS[n] is value for value in vars(m).values())] for n in METRICS}
+    assert {len(found) for found in owners.values()} == {1}
+
+
+def test_extreme_images_give_no_nan(make_frame):
+    frame = make_frame(0, shape=(100, 140))
+    black, white = np.zeros_like(frame.image), np.full_like(frame.image, 255)
+    checker = (np.indices(black.shape).sum(0) % 2 * 255).astype(np.uint8)
+    for a, b in product((black, white, checker, frame.image), repeat=2):
+        values = evaluate_image(pair_of(frame, a, target=b, draws=np.stack([a, b])))
+        assert set(values) == NAMES
+        assert not any(np.isnan(v) for v in values.values())
+        assert all(np.isfinite(v) for k, v in values.items() if not k.startswith("psnr"))
 
 
 @pytest.mark.slow

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from ablate.metrics import bootstrap_interval, frechet_distance, kernel_distance
-from ablate.metrics.intervals import _frechet_of_draw
-from ablate.metrics.kernel_sums import kernel_of_draw
+from ablate.metrics.distances import _frechet_of_draw, kernel_of_draw
 
 
 @pytest.mark.parametrize(("d", "rows"), [(3, 300), (6, 20), (30, 10)])

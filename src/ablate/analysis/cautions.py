@@ -3,9 +3,9 @@
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.order import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
+from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
-from ablate.metrics import metric_of
+from ablate.metrics import METRICS, metric_of
 
 FEW_SITES = 10  # below, intervals over sites are rough
 FEWEST_SITES = 6  # below, a signed-rank test over sites cannot reach 5 %
@@ -70,6 +70,9 @@ def _about_frames(networks: pd.DataFrame) -> list[str]:
         if sites < FEWEST_SITES:
             text += f", and a test over fewer than {FEWEST_SITES} sites can show nothing"
         said.append(f"{text}.")
+    sites_of = networks.groupby("frame")["site"].nunique()
+    if moved := [str(frame) for frame in sites_of.index[sites_of > 1]]:
+        said.append(f"Runs name different probe sites for frame {listed(moved)}: intervals over sites mean nothing.")
     frames: dict[str, int] = {}
     for keys, of in networks.groupby(["variant", "seed"]):
         frames["{}/seed{}".format(*keys)] = of["frame"].nunique()
@@ -87,9 +90,8 @@ def _about_values(per_image: pd.DataFrame) -> list[str]:
         missing, infinite = of[of["value"].isna()], of[np.isinf(of["value"])]
         name = metric_of(metric).label
         if len(infinite):
-            said.append(
-                f"{name}: {len(infinite)} infinite value{_s(infinite)} left out (identical images: {_where(infinite)})."
-            )
+            why = "identical images: " if metric in METRICS else ""  # of the package's, PSNR alone is ever infinite
+            said.append(f"{name}: {len(infinite)} infinite value{_s(infinite)} left out ({why}{_where(infinite)}).")
         if len(missing):
             said.append(f"{name}: {len(missing)} NaN{_s(missing)} left out ({_where(missing)}).")
     return said

@@ -1,26 +1,48 @@
-"""A component of a study, as values."""
+"""The components of a study as values: what each one switches, and by which metric it is judged."""
 
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from numbers import Real
+
+from ablate.validation import check_name
 
 
 @dataclass(frozen=True)
 class Component:
     """One switch of a study.
 
+    A component without a primary metric and a band gets effects and interactions, but no verdict.
+
     Attributes
     ----------
     name : str
         The variant without this component is `sa2h-<name>`.
     key : str
-        The dotted configuration key that it switches, such as `model.attenuation`.
-    on, off : object
-        The level of the full model, and the level that stands for "without the component"; None where not declared.
-    label, purpose : str
-        A short name, and one sentence.
-    metric : str or None
-        Its primary metric, named before the runs are scored.
-    band : float or None
-        The improvement that is too small to matter, in units of the metric, fixed before the runs are scored.
+        The dotted configuration key that it switches, as `model.attenuation`, `training.reconstruction` or `encoding`.
+    on, off : optional
+        The level of the full model, and the level that stands for "without the component". Where they are not
+        declared, the level of the reference run is the one with the component.
+    label : str
+        What figures and reports call it; the last part of the key when left out.
+    purpose : str
+        One sentence on what it is for.
+    metric : str, optional
+        Name of the primary metric. It is named before the runs are scored.
+    band : float, optional
+        The improvement that is too small to matter, in units of the metric. It is fixed before the runs are scored.
+
+    Raises
+    ------
+    ValueError
+        When the name cannot be part of a file name, the key is empty, or the band is not a finite number above 0.
+
+    Examples
+    --------
+    >>> from ablate.analysis import Component
+    >>> Component("loss", "training.reconstruction", on="l1", off="l2", metric="mae_smooth", band=0.5).label
+    'reconstruction'
     """
 
     name: str
@@ -31,3 +53,50 @@ class Component:
     purpose: str = ""
     metric: str | None = None
     band: float | None = None
+
+    def __post_init__(self) -> None:
+        check_name("component", self.name)
+        if not self.key:
+            raise ValueError(f"component {self.name}: key is empty; allowed is a dotted key, as model.attenuation")
+        if self.band is not None and not (math.isfinite(self.band) and self.band > 0):
+            raise ValueError(f"component {self.name}: band={self.band}: allowed are finite numbers above 0")
+        if not self.label:
+            object.__setattr__(self, "label", self.key.rpartition(".")[2])
+
+
+def with_undeclared(components: Sequence[Component], keys: Iterable[str]) -> tuple[Component, ...]:
+    """The components, and one without a metric for each of the dotted keys that none of them switches."""
+    declared = {component.key for component in components}
+    short = short_keys([*declared, *keys])
+    return (*components, *(Component(short[key], key) for key in keys if key not in declared))
+
+
+def short_keys(keys: Iterable[str]) -> dict[str, str]:
+    """By dotted key, how it is written in texts and figures: its last part, or the whole key where two end alike."""
+    last = {key: key.rpartition(".")[2] for key in keys}
+    count = Counter(last.values())
+    return {key: part if count[part] == 1 else key for key, part in last.items()}
+
+
+def level_with(component: Component, levels: Sequence[object]) -> object:
+    """Which of two levels is the one with the component; `levels` starts with that of the reference run.
+
+    Of two numbers it is the one on the side that is declared: a depth follows the size of the frame, and the smaller
+    one is that of the full model at every size.
+    """
+    if all(isinstance(value, Real) for value in (component.on, component.off, *levels)):
+        smaller = component.on < component.off  # type: ignore[operator]  # both are real numbers
+        return min(levels) if smaller else max(levels)  # type: ignore[type-var]
+    return component.on if component.on in levels else levels[0]
+
+
+def why_not_compared(component: Component, levels: Sequence[object]) -> str:
+    """Why runs at these two levels say nothing of a component; empty where they do."""
+    if isinstance(component.on, str) and set(levels) != {component.on, component.off}:
+        return f"the runs compare {levels[0]} with {levels[1]}"
+    return ""
+
+
+def labels_of(components: Iterable[Component]) -> dict[str, str]:
+    """What figures and reports call each component, by its name."""
+    return {component.name: component.label for component in components}

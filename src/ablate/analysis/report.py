@@ -9,10 +9,11 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ablate.analysis.cautions import cautions
-from ablate.analysis.order import COMPONENT_LABELS, REFERENCE, RESIMULATION
+from ablate.analysis.components import Component, labels_of
+from ablate.analysis.scored import REFERENCE, RESIMULATION
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS, Verdict
 from ablate.analysis.statistics.verdicts import Answer
-from ablate.analysis.tables.formats import cell_texts, head, resimulation_note
+from ablate.analysis.tables import cell_texts, head, resimulation_note
 from ablate.metrics import Shown, metric_of, shown_in
 from ablate.storage import write_text
 
@@ -83,7 +84,7 @@ def _claims(claims: pd.DataFrame) -> Grid:
     return Grid(["metric", "verdict", "shift", "95 % interval", "p", "seeds"], rows)
 
 
-def _verdicts(verdicts: pd.DataFrame) -> Grid:
+def _verdicts(verdicts: pd.DataFrame, labels: Mapping[str, str]) -> Grid:
     rows = []
     for row in verdicts[verdicts["effect"].notna()].to_dict("records"):
         metric, known = metric_of(row["metric"]), pd.notna(row["lower"])
@@ -99,7 +100,7 @@ def _verdicts(verdicts: pd.DataFrame) -> Grid:
             Cell(f"{row['verdict']}".replace("_", " "), True),
             Cell(row["why"] if row["verdict"] == Answer.undecided else ""),
         ]
-        rows.append((COMPONENT_LABELS[row["component"]], cells))
+        rows.append((labels.get(row["component"], row["component"]), cells))
     return Grid(["metric", "effect", "95 % interval", "band", "runs with / without", "p, Holm", "verdict", "why"], rows)
 
 
@@ -131,6 +132,7 @@ def write_report(
     appendix: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
     verdicts: pd.DataFrame | None = None,
+    components: Sequence[Component] = (),
 ) -> Path:
     """Write the report to `path`; it needs no other file and no network.
 
@@ -152,6 +154,8 @@ def write_report(
         Longer texts by title, folded at the end: packages, uncommitted changes.
     notes : sequence of str
         What else a reader must know before the numbers: runs left aside, images that are missing.
+    components : sequence of Component
+        Those of `verdicts`, for their labels.
     """
     unfolded = shown_in(Shown.report)
 
@@ -172,7 +176,7 @@ def write_report(
         claims=None if claims is None or claims.empty else _claims(claims),
         fewest_seeds=FEWEST_SEEDS,
         answers=[inlined[place] for place in answered],
-        verdicts=None if verdicts is None else _verdicts(verdicts),
+        verdicts=None if verdicts is None else _verdicts(verdicts, labels_of(components)),
         figures=[
             figure
             for k, (figure, folded) in enumerate(zip(inlined, lesser, strict=True))

@@ -6,7 +6,8 @@ component under test. It is therefore chosen and recorded.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -49,12 +50,52 @@ def encode_grey_levels(levels: np.ndarray, out: np.ndarray | None = None) -> np.
     return out
 
 
+class Clipping:
+    """How many pixels of the fan `decode_grey_levels` has clipped, in all threads together."""
+
+    def __init__(self) -> None:
+        self.counts: list[tuple[int, int]] = []  # of every image: clipped pixels, pixels of the fan
+
+    @property
+    def share(self) -> float:
+        """Clipped pixels over pixels of the fan; 0 where nothing was decoded."""
+        clipped, pixels = (sum(column) for column in zip((0, 0), *self.counts, strict=True))
+        return clipped / max(pixels, 1)
+
+
+_COUNTING: list[Clipping] = []  # of the blocks that are open
+
+
+@contextmanager
+def counted_clipping() -> Iterator[Clipping]:
+    """Count what `decode_grey_levels` clips while the block is open."""
+    clipping = Clipping()
+    _COUNTING.append(clipping)
+    try:
+        yield clipping
+    finally:
+        _COUNTING.remove(clipping)
+
+
 def decode_grey_levels(image: Tensor, mask: Tensor) -> Tensor:
-    """Floats in [-1, 1] as uint8 grey levels, (H, W); 0 outside `mask`."""
+    """Floats in [-1, 1] as uint8 grey levels, (H, W); 0 outside `mask`.
+
+    Values outside [-1, 1] become black or white; `counted_clipping` counts them.
+
+    Raises
+    ------
+    ValueError
+        When the image holds NaN or infinite values.
+    """
     import torch
 
-    grey = (image.float() + 1) * HALF_RANGE
-    return (grey * (mask > 0)).round().clamp(0, 255).to(torch.uint8)
+    if not torch.isfinite(image).all():
+        raise ValueError("the generator's output holds NaN or infinite values")
+    fan = mask > 0
+    grey = ((image.float() + 1) * HALF_RANGE * fan).round()
+    for clipping in _COUNTING:
+        clipping.counts.append((int(torch.count_nonzero((grey < 0) | (grey > 255))), int(torch.count_nonzero(fan))))
+    return grey.clamp(0, 255).to(torch.uint8)
 
 
 def network_inputs(maps: Mapping[str, np.ndarray], values: np.ndarray, mask: np.ndarray) -> dict[str, Tensor]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -10,15 +11,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 from filelock import FileLock
+from pandas.api.types import is_float_dtype, is_integer_dtype
 
-from ablate.dataset import Part
+from ablate.dataset import Part, counted_clipping
 from ablate.evaluation.scorer import ImageSource, Scorer, Scores
 from ablate.metrics import METRICS, METRICS_VERSION
-from ablate.metrics.stored_names import FLOOR_PREFIX, MODEL, RESIMULATED
+from ablate.metrics.stored_names import FLOOR_PREFIX, MODEL, RESIMULATED, STORED_COLUMNS
 from ablate.storage import digest, read_json, write_json
 
 if TYPE_CHECKING:
     from ablate.dataset import Pairs  # only here: frames that are read otherwise need no Zarr
+
+MOST_CLIPPED = 0.001  # of the fan's pixels, before a note says so
+MOST_APART = 1  # grey levels between two renderings; a GPU may round differently each time
 
 
 def resimulation_images(pairs: Pairs) -> ImageSource:
@@ -61,17 +66,82 @@ def _read(kept: Path) -> Scores:
 
 
 def score_run(scorer: Scorer, images_of: ImageSource, draws_noise: bool) -> Scores:
-    """Score a generator, and re-simulation where the data set has it; arguments as for `Scorer.score`."""
+    """Score a generator, and re-simulation where the data set has it; arguments as for `Scorer.score`.
+
+    The notes also say which share of the generator's output was clipped, and whether a frame differs when it is
+    rendered again with the same noise.
+    """
     tables: list[pd.DataFrame] = []
     scalars: dict[str, float] = {}
     notes: tuple[str, ...] = ()
     for part, prefix in ((Part.validation, "val"), (Part.test, "test")):
-        scored = {MODEL: scorer.score(part, images_of, draws_noise)}
+        with counted_clipping() as clipping:
+            scored = {MODEL: scorer.score(part, images_of, draws_noise)}
         if "resimulation" in scorer.pairs.maps:
             scored[RESIMULATED] = resimulation_scores(scorer, part)
         for source, found in scored.items():
             tables.append(found.per_image.assign(source=source, split=part.name))
             mark = FLOOR_PREFIX if source == RESIMULATED else ""
             scalars |= {f"{prefix}/{mark}{name}": value for name, value in found.scalars.items()}
-        notes = scored[MODEL].notes
+        notes = (*scored[MODEL].notes, *_about_output(clipping.share, images_of, scorer.pairs.frames(part)[:1]))
     return Scores(pd.concat(tables, ignore_index=True), scalars, notes)
+
+
+def _about_output(clipped: float, images_of: ImageSource, frame: np.ndarray) -> list[str]:
+    """What is wrong with a generator's output, a sentence each; `frame` holds the number of the one rendered twice."""
+    notes = []
+    if clipped > MOST_CLIPPED:
+        notes.append(
+            f"The generator's output lies outside [-1, 1] in {100 * clipped:.2g} % of the pixels of the fan; these "
+            "values were clipped to black or white."
+        )
+    once, again = (images_of(frame, 0).astype(np.int16) for _ in range(2))
+    apart = int(np.abs(once - again).max(initial=0))
+    if apart > MOST_APART:
+        notes.append(
+            f"The generator renders frame {frame[0]} differently each time with the same noise, by up to {apart} grey "
+            "levels (dropout that is left on does this): its scores differ from one scoring to the next."
+        )
+    return notes
+
+
+def check_stored_scores(frame: pd.DataFrame) -> str:
+    """Say what is wrong with the per-image scores of a run that were read back; empty where they can be used.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        What `per_image.parquet` holds.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from ablate.evaluation import check_stored_scores
+    >>> row = {"frame": 3, "site": 1, "metric": "psnr", "value": 19.5}
+    >>> row |= {"source": "model", "split": "test", "variant": "sa2h", "seed": 0}
+    >>> check_stored_scores(pd.DataFrame([row]))
+    ''
+    >>> check_stored_scores(pd.DataFrame([row, row]))
+    '1 row is there twice (psnr of frame 3)'
+    """
+    if missing := [name for name in STORED_COLUMNS if name not in frame]:
+        return f"lacks the columns {', '.join(missing)}"
+    kinds: dict[str, tuple[Callable[[object], bool], str]] = {
+        **dict.fromkeys(("frame", "site", "seed"), (is_integer_dtype, "whole numbers")),
+        "value": (is_float_dtype, "numbers"),
+    }
+    for name in STORED_COLUMNS:
+        is_kind, kind = kinds.get(name, (_is_text, "text"))
+        if not is_kind(frame[name]):
+            return f"has something else than {kind} in the column {name}"
+    twice = frame[frame.duplicated(["variant", "seed", "split", "source", "frame", "metric"])]
+    if len(twice):
+        rows = "1 row is" if len(twice) == 1 else f"{len(twice)} rows are"
+        return f"{rows} there twice ({twice['metric'].iloc[0]} of frame {twice['frame'].iloc[0]})"
+    if (frame.groupby(["split", "frame"])["site"].nunique() > 1).any():
+        return "has a frame of two probe sites"
+    return ""
+
+
+def _is_text(column: pd.Series) -> bool:
+    return bool(column.map(lambda value: isinstance(value, str)).all())

@@ -20,6 +20,7 @@ from ablate.dataset import Part
 from ablate.evaluation.set_scores import distances, not_computed
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.metrics import (
+    METRICS,
     FeatureKind,
     InceptionFeatures,
     Metric,
@@ -49,14 +50,15 @@ class Scores:
     Attributes
     ----------
     per_image : DataFrame
-        Columns frame, site, metric, value: infinite PSNR where an image equals its target, NaN where a user's own
-        metric failed. The scores of a run have the columns source (`model`, `resimulation`) and split too.
+        Columns frame, site, metric, value: infinite PSNR where an image equals its target, NaN or infinite where a
+        user's own metric failed. The scores of a run have the columns source (`model`, `resimulation`) and split too.
     scalars : dict
         Mean of each per-image metric over its finite values, and what only a set of images has (`fd_speckle`, ...);
         `_lower` and `_upper` are the ends of a 95 % interval. The scores of a run have names such
         as `test/psnr`, `test/floor_psnr` and `val/psnr`.
     notes : tuple of str
-        Metrics that were asked for and not computed, and why.
+        Metrics that were asked for and not computed, and why. Of a run also what is wrong with the generator's output:
+        values that were clipped, and images that differ when they are rendered again.
     """
 
     per_image: pd.DataFrame
@@ -198,7 +200,8 @@ def _table(part: Part, frames: np.ndarray, sites: np.ndarray, values: list[dict[
         for name, value in of_frame.items()
     ]
     table = pd.DataFrame(rows, columns=list(SCORE_COLUMNS)).astype({"value": "float64"})
-    for name, of_metric in table[table["value"].isna()].groupby("metric"):
-        named = ", ".join(of_metric["frame"].astype(str))
-        logging.getLogger(__name__).warning("%s is NaN on %s frame %s: not in its mean", name, part.name, named)
+    infinite = np.isinf(table["value"]) & ~table["metric"].isin(METRICS)  # PSNR of identical images is, by definition
+    for (name, value), rows in table[table["value"].isna() | infinite].groupby(["metric", "value"], dropna=False):
+        word, named = "NaN" if np.isnan(value) else "infinite", ", ".join(rows["frame"].astype(str))
+        logging.getLogger(__name__).warning("%s is %s on %s frame %s: not in its mean", name, word, part.name, named)
     return table

@@ -1,6 +1,4 @@
-from .choice import METRIC_SETS as METRIC_SETS
-from .choice import choose_metrics as choose_metrics
-from .choice import needs_inception as needs_inception
+from .distances import bootstrap_interval as bootstrap_interval
 from .distances import frechet_distance as frechet_distance
 from .distances import kernel_distance as kernel_distance
 from .features import FEATURE_NAMES as FEATURE_NAMES
@@ -10,7 +8,6 @@ from .fidelity import psnr as psnr
 from .inception import InceptionFeatures as InceptionFeatures
 from .inception import inception_file as inception_file
 from .inception import load_inception as load_inception
-from .intervals import bootstrap_interval as bootstrap_interval
 from .mechanism.draws import crps as crps
 from .mechanism.draws import noise_sd as noise_sd
 from .mechanism.grid_lines import nyquist_excess as nyquist_excess
@@ -30,9 +27,12 @@ from .pair import Pair as Pair
 from .patch_histograms import patch_chi2 as patch_chi2
 from .patch_histograms import patches_inside as patches_inside
 from .patch_histograms import rms as rms
+from .registry import METRIC_SETS as METRIC_SETS
 from .registry import METRICS as METRICS
 from .registry import METRICS_VERSION as METRICS_VERSION
+from .registry import choose_metrics as choose_metrics
 from .registry import evaluate_image as evaluate_image
 from .registry import metric_of as metric_of
+from .registry import needs_inception as needs_inception
 from .registry import register as register
 from .registry import shown_in as shown_in

@@ -3,6 +3,8 @@
 import numpy as np
 from scipy.fft import rfft2
 
+from ablate.metrics.distances import frechet_distance, kernel_distance
+from ablate.metrics.metric import Direction, FeatureKind, Group, Metric, Resimulation, SetDistance, Shown
 from ablate.metrics.patch_histograms import as_patches, patches_inside, value_counts
 
 PATCH = 48
@@ -144,3 +146,14 @@ def speckle_features(images: np.ndarray, mask: np.ndarray | None = None) -> np.n
         histogram = value_counts(patterns, 10) / PATCH**2 / FRACTION_UNIT
         rows.append(np.hstack((_moments(flat), _spatial(square), _band_powers(square), histogram)))
     return np.concatenate(rows)
+
+
+_FLOOR = ("", Direction.lower, Resimulation.floor, Group.set)
+FD_SPECKLE = Metric(
+    *("fd_speckle", "FD speckle", *_FLOOR, 2, Shown.everywhere),
+    of_set=SetDistance(FeatureKind.speckle, frechet_distance),
+    place=40,
+)
+KD_SPECKLE = Metric(
+    *("kd_speckle", "KD speckle", *_FLOOR, 3), of_set=SetDistance(FeatureKind.speckle, kernel_distance), place=41
+)

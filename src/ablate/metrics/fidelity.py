@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
+
 PEAK = 255.0
 
 
@@ -18,6 +20,13 @@ def check_pair(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> 
         raise ValueError(f"mask must be {a.shape} bool, got {mask.shape} {mask.dtype}")
     if a.size == 0 or (mask is not None and not mask.any()):
         raise ValueError("no pixel to compare: the image or the mask is empty")
+
+
+def check_shapes(target: np.ndarray, /, **maps: np.ndarray | None) -> None:
+    """Raise ValueError unless every map that is given has the shape of `target`."""
+    for name, array in maps.items():
+        if array is not None and array.shape != target.shape:
+            raise ValueError(f"{name} must be {target.shape}, got {array.shape}")
 
 
 def _difference(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
@@ -45,6 +54,16 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
     ------
     ValueError
         When shapes or dtypes do not fit, or the mask is empty.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ablate.metrics import psnr
+    >>> target = np.zeros((4, 4), np.uint8)
+    >>> round(psnr(target + np.uint8(16), target), 2)
+    24.05
+    >>> psnr(target, target)
+    inf
     """
     difference = _difference(a, b, mask).astype(np.int32).ravel()
     squares = int(np.sum(difference * difference, dtype=np.int64))
@@ -52,6 +71,35 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
 
 
 def mae(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Mean absolute error in grey levels, 0 to 255; arguments and errors as for `psnr`."""
+    """Mean absolute error in grey levels, 0 to 255; arguments and errors as for `psnr`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ablate.metrics import mae
+    >>> target = np.zeros((4, 4), np.uint8)
+    >>> mae(target + np.uint8(16), target)
+    16.0
+    """
     difference = _difference(a, b, mask)
     return int(np.sum(np.abs(difference), dtype=np.int64)) / difference.size
+
+
+_PSNR = ("dB", Direction.higher, Resimulation.level, Group.pixel, 2)
+_MAE = ("grey levels", Direction.lower, Resimulation.level, Group.pixel, 2)
+WHOLE_PSNR = Metric(
+    *("psnr", "PSNR", *_PSNR, Shown.everywhere), of_image=lambda pair: psnr(pair.prediction, pair.target), place=10
+)
+FAN_PSNR = Metric(
+    *("psnr_fan", "PSNR in fan", *_PSNR),
+    of_image=lambda pair: psnr(pair.prediction, pair.target, pair.mask) if pair.mask.any() else None,
+    place=11,
+)
+WHOLE_MAE = Metric(
+    *("mae", "MAE", *_MAE, Shown.everywhere), of_image=lambda pair: mae(pair.prediction, pair.target), place=20
+)
+FAN_MAE = Metric(
+    *("mae_fan", "MAE in fan", *_MAE),
+    of_image=lambda pair: mae(pair.prediction, pair.target, pair.mask) if pair.mask.any() else None,
+    place=21,
+)

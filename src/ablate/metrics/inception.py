@@ -12,6 +12,8 @@ import numpy as np
 from filelock import FileLock
 from tqdm import tqdm
 
+from ablate.metrics.distances import frechet_distance, kernel_distance
+from ablate.metrics.metric import Direction, FeatureKind, Group, Metric, Resimulation, SetDistance, Shown
 from ablate.storage import written_whole
 
 CENTRE, CROP = 512, 299
@@ -125,3 +127,12 @@ def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> Inceptio
         return torch.cat(found).double().cpu().numpy()
 
     return features
+
+
+_FLOOR = ("", Direction.lower, Resimulation.floor, Group.set)
+FID = Metric(
+    *("fid", "FID", *_FLOOR, 2, Shown.table | Shown.report),
+    of_set=SetDistance(FeatureKind.inception, frechet_distance, resamples=100),  # of 2048 features each takes seconds
+    place=42,
+)
+KID = Metric(*("kid", "KID", *_FLOOR, 3), of_set=SetDistance(FeatureKind.inception, kernel_distance), place=43)

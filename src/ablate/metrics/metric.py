@@ -1,12 +1,17 @@
 """What there is to know of a metric: how it is computed, printed, judged, and where it is shown."""
 
+from __future__ import annotations
+
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, Flag, StrEnum, auto
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ablate.metrics.pair import Pair
+if TYPE_CHECKING:
+    from ablate.metrics.pair import Pair  # only here: a pair computes with modules that declare metrics
 
 
 class Direction(Enum):
@@ -27,7 +32,7 @@ class Resimulation(StrEnum):
 
 
 class Group(StrEnum):
-    """What a metric looks at."""
+    """The kind of thing that a metric measures."""
 
     pixel = "pixel"
     patch = "patch"
@@ -47,6 +52,7 @@ class Shown(Flag):
     panels = auto()  # the figures of seeds and of effects
     screen = auto()
     report = auto()  # unfolded in the report
+    drawn = panels | screen
     everywhere = headline | table | panels | screen | report
 
 
@@ -57,7 +63,7 @@ class FeatureKind(Enum):
     speckle = "the speckle descriptor"
 
 
-ImageMetric = Callable[[Pair], float | None]
+ImageMetric = Callable[["Pair"], "float | None"]
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,8 @@ class SetDistance:
 class Metric:
     """One metric. Everything that prints, draws, tests or logs it reads this entry.
 
+    A metric of the package is a constant of this type in the module of its function; `METRICS` finds it there.
+
     Attributes
     ----------
     name, label : str
@@ -83,6 +91,8 @@ class Metric:
         Value of a `Pair`, or None where the image offers nothing to measure.
     of_draws : callable, optional
         The same of a `Pair` with draws. Frames are rendered with more than one draw of noise only for such a metric.
+    place : float
+        Where it stands in tables and figures, which are in rising order.
     """
 
     name: str
@@ -96,6 +106,7 @@ class Metric:
     of_image: ImageMetric | None = None
     of_set: SetDistance | None = None
     of_draws: ImageMetric | None = None
+    place: float = math.inf
 
     def __post_init__(self) -> None:
         if not self.label:

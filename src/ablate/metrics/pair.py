@@ -5,13 +5,15 @@ from functools import cached_property
 
 import numpy as np
 
-from ablate.metrics.fidelity import check_pair
+from ablate.metrics.fidelity import check_pair, check_shapes
 from ablate.metrics.patch_histograms import patch_chi2
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
     """A prediction beside its target and the maps of the frame; raises ValueError when shapes or dtypes do not fit.
+
+    The arrays are views that cannot be written to: what one metric changed, all later ones would read.
 
     Attributes
     ----------
@@ -48,12 +50,17 @@ class Pair:
 
     def __post_init__(self) -> None:
         check_pair(self.prediction, self.target)
-        for name in ("mask", "tissue_mask", "attenuation", "depth_mm", "segmentation", "bone_mask"):
-            array = getattr(self, name)
-            if array is not None and array.shape != self.target.shape:
-                raise ValueError(f"{name} must be {self.target.shape}, got {array.shape}")
+        names = ("mask", "tissue_mask", "attenuation", "depth_mm", "segmentation", "bone_mask")
+        check_shapes(self.target, **{name: getattr(self, name) for name in names})
+        for name, array in vars(self).items():
+            if isinstance(array, np.ndarray):
+                view = array.view()
+                view.flags.writeable = False
+                object.__setattr__(self, name, view)
 
     @cached_property
     def chi2_map(self) -> np.ndarray:
         """(H // 20, W // 20) float: patch chi-square map, computed once."""
-        return patch_chi2(self.prediction, self.target)
+        chi2 = patch_chi2(self.prediction, self.target)
+        chi2.flags.writeable = False
+        return chi2

@@ -1,20 +1,15 @@
-"""Every metric of the package, one entry each. A new metric is a function and an entry here."""
+"""Every metric of the package, found in the modules that declare them, and those of the user by name or path.
 
-from collections.abc import Callable, Iterable
+A new metric of the package is one module below `ablate.metrics` with a function and its `Metric`.
+"""
 
-import numpy as np
+from collections.abc import Iterable, Iterator, Mapping
+from importlib import import_module
+from pkgutil import walk_packages
 
-from ablate.metrics.distances import frechet_distance, kernel_distance
-from ablate.metrics.fidelity import mae, psnr
-from ablate.metrics.mechanism.draws import crps, noise_sd
-from ablate.metrics.mechanism.grid_lines import nyquist_excess
-from ablate.metrics.mechanism.octaves import octave_sd
-from ablate.metrics.mechanism.shadows import shadow_contrast
-from ablate.metrics.mechanism.structure import mae_smooth
-from ablate.metrics.mechanism.thin_structures import thin_contrast
-from ablate.metrics.metric import Direction, FeatureKind, Group, ImageMetric, Metric, Resimulation, SetDistance, Shown
+from ablate import metrics as package
+from ablate.metrics.metric import FeatureKind, Metric, Shown
 from ablate.metrics.pair import Pair
-from ablate.metrics.patch_histograms import patches_inside, rms
 from ablate.validation import check_name
 
 #: Raise it when a metric gives another value for the same images: kept scores, of runs and of re-simulation, are then
@@ -22,95 +17,19 @@ from ablate.validation import check_name
 METRICS_VERSION = 2
 
 
-def _whole(metric: Callable[..., float]) -> ImageMetric:
-    return lambda pair: metric(pair.prediction, pair.target)
+def _declared() -> Iterator[Metric]:
+    """The constants of type `Metric` in all modules below `ablate.metrics`."""
+    for module in walk_packages(package.__path__, f"{package.__name__}."):
+        if module.name != __name__:
+            yield from (value for value in vars(import_module(module.name)).values() if isinstance(value, Metric))
 
 
-def _in_fan(metric: Callable[..., float | None]) -> ImageMetric:
-    return lambda pair: metric(pair.prediction, pair.target, pair.mask) if pair.mask.any() else None
-
-
-def _pchi2(pair: Pair) -> float | None:
-    return rms(pair.chi2_map)
-
-
-def _pchi2_fan(pair: Pair) -> float | None:
-    return rms(pair.chi2_map, patches_inside(pair.mask))
-
-
-def _pchi2_tissue(pair: Pair) -> float | None:
-    return None if pair.tissue_mask is None else rms(pair.chi2_map, patches_inside(pair.tissue_mask & pair.mask))
-
-
-def _shadow_contrast(pair: Pair) -> float | None:
-    if pair.attenuation is None or pair.tissue_mask is None or pair.segmentation is None or pair.depth_mm is None:
-        return None
-    labels = np.where(pair.tissue_mask, pair.segmentation, 0)
-    return shadow_contrast(pair.prediction, pair.target, pair.attenuation, pair.mask, labels, pair.depth_mm)
-
-
-def _mae_smooth(pair: Pair) -> float | None:
-    return mae_smooth(pair.prediction, pair.target, pair.mask, pair.pixel_mm) if pair.mask.any() else None
-
-
-def _thin_contrast(pair: Pair) -> float | None:
-    if pair.bone_mask is None or pair.depth_mm is None or pair.pixel_mm is None:
-        return None
-    return thin_contrast(pair.prediction, pair.target, pair.mask, pair.bone_mask, pair.depth_mm, pair.pixel_mm)
-
-
-def _octave_sd(pair: Pair) -> float | None:
-    if pair.tissue_mask is None:
-        return None
-    return octave_sd(pair.prediction, pair.target, pair.tissue_mask & pair.mask)
-
-
-def _noise_sd(pair: Pair) -> float | None:
-    return None if pair.draws is None or pair.tissue_mask is None else noise_sd(pair.draws, pair.tissue_mask)
-
-
-def _crps(pair: Pair) -> float | None:
-    return None if pair.draws is None or pair.tissue_mask is None else crps(pair.draws, pair.target, pair.tissue_mask)
-
-
-_FD_SPECKLE = SetDistance(FeatureKind.speckle, frechet_distance)
-_KD_SPECKLE = SetDistance(FeatureKind.speckle, kernel_distance)
-_FID = SetDistance(FeatureKind.inception, frechet_distance, resamples=100)  # of 2048 features each takes seconds
-_KID = SetDistance(FeatureKind.inception, kernel_distance)
-
-HIGHER, LOWER, ZERO, UNJUDGED = Direction
-FLOOR, LEVEL, NEITHER = Resimulation
-PIXEL, PATCH, SET, MECHANISM, SIMULATION, COST, OWN = Group
-GREY = "grey levels"
-_DRAWN = Shown.panels | Shown.screen
-
-# The entries of `METRICS`, in the order of every table and figure.
-_ENTRIES = (
-    Metric("psnr", "PSNR", "dB", HIGHER, LEVEL, PIXEL, 2, Shown.everywhere, _whole(psnr)),
-    Metric("psnr_fan", "PSNR in fan", "dB", HIGHER, LEVEL, PIXEL, 2, of_image=_in_fan(psnr)),
-    Metric("mae", "MAE", GREY, LOWER, LEVEL, PIXEL, 2, Shown.everywhere, _whole(mae)),
-    Metric("mae_fan", "MAE in fan", GREY, LOWER, LEVEL, PIXEL, 2, of_image=_in_fan(mae)),
-    Metric("pchi2", "pχ²", "", LOWER, FLOOR, PATCH, 3, Shown.everywhere, _pchi2),
-    Metric("pchi2_fan", "pχ² in fan", "", LOWER, FLOOR, PATCH, 3, of_image=_pchi2_fan),
-    Metric("pchi2_tissue", "pχ² in tissue", "", LOWER, FLOOR, MECHANISM, 3, of_image=_pchi2_tissue),
-    Metric("fd_speckle", "FD speckle", "", LOWER, FLOOR, SET, 2, Shown.everywhere, of_set=_FD_SPECKLE),
-    Metric("kd_speckle", "KD speckle", "", LOWER, FLOOR, SET, 3, of_set=_KD_SPECKLE),
-    Metric("fid", "FID", "", LOWER, FLOOR, SET, 2, Shown.table | Shown.report, of_set=_FID),
-    Metric("kid", "KID", "", LOWER, FLOOR, SET, 3, of_set=_KID),
-    Metric(
-        "shadow_contrast", "Shadow contrast", GREY, LOWER, FLOOR, MECHANISM, 1, _DRAWN | Shown.report, _shadow_contrast
-    ),
-    Metric("mae_smooth", "Smooth MAE", GREY, LOWER, LEVEL, MECHANISM, 2, _DRAWN, _mae_smooth),
-    Metric("thin_contrast", "Thin contrast", GREY, LOWER, FLOOR, MECHANISM, 1, _DRAWN, _thin_contrast),
-    Metric("nyquist_excess", "Nyquist excess", "dB", LOWER, FLOOR, MECHANISM, 2, _DRAWN, _in_fan(nyquist_excess)),
-    Metric("octave_sd", "Octave sd", "dB", LOWER, FLOOR, MECHANISM, 2, of_image=_octave_sd),
-    Metric("crps", "CRPS", GREY, LOWER, FLOOR, MECHANISM, 2, _DRAWN, of_draws=_crps),
-    Metric("noise_sd", "Noise sd", GREY, UNJUDGED, LEVEL, MECHANISM, 1, _DRAWN, of_draws=_noise_sd),
-    Metric("envelope_rms", "Envelope error", "relative RMS", LOWER, LEVEL, SIMULATION, 4),
-    Metric("ms_per_frame", "Time", "ms/frame", LOWER, NEITHER, COST, 1, Shown.screen | Shown.report),
-    Metric("parameters", "Parameters", "", UNJUDGED, NEITHER, COST, 0, Shown.table | Shown.report),
-)
-METRICS: dict[str, Metric] = {metric.name: metric for metric in _ENTRIES}
+#: By name, in the order of every table and figure.
+METRICS: dict[str, Metric] = {metric.name: metric for metric in sorted(_declared(), key=lambda m: (m.place, m.name))}
+METRIC_SETS = {
+    "all": tuple(name for name, metric in METRICS.items() if metric.computed),
+    "paper": tuple(name for name, metric in METRICS.items() if metric.computed and metric.shown & Shown.table),
+}
 _OWN: dict[str, Metric] = {}  # of the user, since they were chosen
 
 
@@ -140,7 +59,12 @@ def evaluate_image(pair: Pair, metrics: Iterable[Metric] = METRICS.values()) -> 
     """Every per-image metric that this pair allows, by name.
 
     Metrics that the frame offers nothing for (no shadow in it, no tissue mask, no draws) are left out. `psnr` may be
-    inf. No metric of the package is NaN, but one of the user's may be.
+    inf, of identical images. No other metric of the package is NaN or infinite, but one of the user's may be.
+
+    Raises
+    ------
+    ValueError
+        When a metric writes to an array of the pair; the message names the metric.
     """
     found = {}
     for metric in metrics:
@@ -150,6 +74,67 @@ def evaluate_image(pair: Pair, metrics: Iterable[Metric] = METRICS.values()) -> 
             if value is not None:
                 found[metric.name] = float(value)
         except Exception as error:
+            if isinstance(error, ValueError) and "read-only" in str(error):
+                raise ValueError(
+                    f"the metric {metric.name} writes to an array of its pair ({error}); it may write to a copy"
+                ) from error
             error.add_note(f"by the metric {metric.name}")
             raise
     return found
+
+
+def choose_metrics(asked: str | Iterable[str] = "all") -> dict[str, Metric]:
+    """Return metrics by name; `metric_of` knows those of the user from now on.
+
+    Parameters
+    ----------
+    asked : str or iterable of str
+        Names of metrics, `all`, `paper`, and dotted paths such as `my_package.my_metric` of a user's function of a
+        `Pair`, which returns a float or None where an image has nothing to measure, or of a user's `Metric`.
+
+    Raises
+    ------
+    ValueError
+        When a name is unknown, a path leads to no function or metric, or its name is that of another metric.
+    """
+    if not isinstance(asked, Iterable):
+        raise ValueError(f"metrics={asked}: {_allowed()}")
+    chosen: dict[str, Metric] = {}
+    for entry in (asked,) if isinstance(asked, str) else asked:
+        if not isinstance(entry, str):
+            raise ValueError(f"metrics={entry}: is no name; {_allowed()}")
+        for name in METRIC_SETS.get(entry, (entry,)):
+            metric = METRICS[name] if name in METRIC_SETS["all"] else _imported(name)
+            if chosen.setdefault(metric.name, metric) != metric:
+                raise ValueError(f"metrics: two of them are called {metric.name}")
+    if not chosen:
+        raise ValueError(f"metrics: none is named; {_allowed()}")
+    return chosen
+
+
+def needs_inception(metrics: Mapping[str, Metric]) -> bool:
+    """Whether one of them is a distance of Inception's features."""
+    return any(metric.uses(FeatureKind.inception) for metric in metrics.values())
+
+
+def _imported(path: object) -> Metric:
+    module, _, name = str(path).rpartition(".")
+    if not module:
+        raise ValueError(f"metrics={path}: {_allowed()}")
+    try:
+        found = getattr(import_module(module), name)
+    except (Exception, SystemExit) as error:  # whatever the user's module does
+        said = " ".join(str(error).split())
+        raise ValueError(f"metrics={path}: {type(error).__name__}: {said:.200}; {_allowed()}") from error
+    metric = found if isinstance(found, Metric) else Metric(name, of_image=found)
+    if not callable(metric.of_image):
+        raise ValueError(f"metrics={path}: is no function; {_allowed()}")
+    try:
+        return register(metric)
+    except ValueError as error:
+        raise ValueError(f"metrics={path}: {error}") from error
+
+
+def _allowed() -> str:
+    names = ", ".join((*METRIC_SETS, *METRIC_SETS["all"]))
+    return f"allowed are {names}, and the path of a function of yours (my_package.my_metric)"

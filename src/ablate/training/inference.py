@@ -47,6 +47,8 @@ def generate(
     ------
     KeyError
         Where a map that the generator reads is missing.
+    ValueError
+        Where the generator's output holds NaN or infinite values.
     """
     device = next(generator.parameters()).device
     given = {name: maps[name] for name in conditions(generator.spec)}

@@ -7,10 +7,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from ablate.analysis.figures.metric_panels import axis_title, draw_resimulation, metric_panels, one_legend
+from ablate.analysis.components import Component
+from ablate.analysis.figures.metric_panels import axis_title, draw_resimulation, metric_panels, one_legend, shown_name
 from ablate.analysis.figures.style import house_style, save_figure
-from ablate.analysis.order import REFERENCE, RESIMULATION, ordered_metrics
+from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics
 from ablate.analysis.statistics.paired import aligned_differences
+from ablate.analysis.tables import resimulation_note
+from ablate.metrics import metric_of
 
 ROW_IN = 0.26
 BOX_COLOUR = "#9ECAE9"
@@ -63,7 +66,11 @@ def _draw(
 
 
 def paired_boxplots(
-    per_image: pd.DataFrame, folder: Path, reference: str = REFERENCE, paired: pd.DataFrame | None = None
+    per_image: pd.DataFrame,
+    folder: Path,
+    reference: str = REFERENCE,
+    paired: pd.DataFrame | None = None,
+    components: Sequence[Component] = (),
 ) -> dict[str, list[Path]]:
     """Draw `boxplot_<metric>.png` and `.pdf` into `folder` for every metric that has pairs; return the files by metric.
 
@@ -77,10 +84,12 @@ def paired_boxplots(
         Columns variant, seed, frame, site, metric, value.
     paired : DataFrame, optional
         What `paired_table` gives, for the intervals.
+    components : sequence of Component
+        Changes of these are written in short.
     """
     written = {}
     for metric in ordered_metrics(list(per_image["metric"])):
-        if files := boxplot_panels(per_image, [metric], folder / f"boxplot_{metric}", reference, paired):
+        if files := boxplot_panels(per_image, [metric], folder / f"boxplot_{metric}", reference, paired, components):
             written[metric] = files
     return written
 
@@ -91,6 +100,7 @@ def boxplot_panels(
     stem: Path,
     reference: str = REFERENCE,
     paired: pd.DataFrame | None = None,
+    components: Sequence[Component] = (),
 ) -> list[Path]:
     """Draw box plots of several metrics side by side, as the paper's Fig. 4; arguments as for `paired_boxplots`.
 
@@ -103,8 +113,18 @@ def boxplot_panels(
     if not networks:
         return []
     with house_style():
-        figure, panels = metric_panels(list(drawn), networks, 3, ROW_IN)
+        figure, panels = metric_panels(list(drawn), [shown_name(n, components) for n in networks], 3, ROW_IN)
         for axes, (metric, found) in zip(panels, drawn.items(), strict=True):
             _draw(axes, found, networks, paired, metric, reference)
         one_legend(figure, panels, 3 if len(panels) > 1 else 1)
         return save_figure(figure, stem)
+
+
+def boxplot_caption(metrics: Sequence[str], reference: str = REFERENCE) -> str:
+    """Caption of `paired_boxplots` and `boxplot_panels`."""
+    names = ", ".join(metric_of(metric).label for metric in metrics)
+    return (
+        f"Paired differences from {reference} in {names} on the same test frames (means over seeds). A box shows "
+        "quartiles, and its whiskers show the 5th and 95th percentiles. The bar below a box is the 95 % interval of "
+        f"the median shift over probe sites. {resimulation_note(list(metrics))}"
+    )

@@ -1,5 +1,6 @@
 """Which components earn their keep, in one picture: effects with intervals, costs, and the map of interactions."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -10,9 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.ticker import PercentFormatter
 
+from ablate.analysis.components import Component, labels_of
 from ablate.analysis.figures.metric_panels import one_legend
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, save_figure
-from ablate.analysis.order import COMPONENT_LABELS
+from ablate.analysis.scored import REFERENCE
+from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.verdicts import ALPHA, Answer
 from ablate.metrics import Direction, metric_of
 
@@ -26,7 +29,9 @@ COLOURS = {Answer.earns: "#007A55", Answer.does_not: "#B04A00", Answer.undecided
 _MAP = LinearSegmentedColormap.from_list("harm to gain", ["#E08A4F", "#FFFFFF", "#6BAED6"]).with_extremes(bad="#F2F2F2")
 
 
-def forest_figure(verdicts: pd.DataFrame, runs: pd.DataFrame, pairs: pd.DataFrame, stem: Path) -> list[Path]:
+def forest_figure(
+    verdicts: pd.DataFrame, runs: pd.DataFrame, pairs: pd.DataFrame, components: Sequence[Component], stem: Path
+) -> list[Path]:
     """Draw the verdicts: a row a component, and below them how components change each other's effects.
 
     Improvements are shares of the distance from the reference to re-simulation in the component's primary metric, or of
@@ -36,12 +41,13 @@ def forest_figure(verdicts: pd.DataFrame, runs: pd.DataFrame, pairs: pd.DataFram
     Parameters
     ----------
     verdicts, runs, pairs : DataFrame
-        What `verdict_table`, `improvements` and `interactions` give.
+        What `verdict_table`, `improvements` and `interactions` give of these `components`.
     """
     shown = verdicts[verdicts["effect"].notna()].reset_index(drop=True)
     if shown.empty:
         return []
     units = {row["component"]: _unit(row["distance"], row["band"]) for row in shown.to_dict("records")}
+    labels = {name: name for name in shown["component"]} | labels_of(components)
     mapped = len(pairs) > 0
     forest_in = HEAD_IN + ROW_IN * len(shown)
     map_in = 1.0 + CELL_IN * len(shown) if mapped else 0.0
@@ -50,10 +56,10 @@ def forest_figure(verdicts: pd.DataFrame, runs: pd.DataFrame, pairs: pd.DataFram
         rows = [forest_in, map_in] if mapped else [forest_in]
         grid = figure.add_gridspec(len(rows), 2, height_ratios=rows, width_ratios=[2.0, 1])
         forest = figure.add_subplot(grid[0, 0])
-        _draw_forest(forest, shown, runs, units)
+        _draw_forest(forest, shown, runs, units, labels)
         _write_beside(figure.add_subplot(grid[0, 1], sharey=forest), shown)
         if mapped:
-            _draw_map(figure.add_subplot(grid[1, 0]), shown, pairs, units)
+            _draw_map(figure.add_subplot(grid[1, 0]), shown, pairs, units, labels)
             _explain_map(figure.add_subplot(grid[1, 1]))
         one_legend(figure, [forest], 5)
         return save_figure(figure, stem)
@@ -63,7 +69,9 @@ def _unit(distance: float, band: float) -> float:
     return distance if distance > band else 10 * band
 
 
-def _draw_forest(axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, units: dict[str, float]) -> None:
+def _draw_forest(
+    axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, units: Mapping[str, float], labels: Mapping[str, str]
+) -> None:
     places = np.arange(len(shown), 0, -1)
     axes.axvline(0, color="black", lw=0.8, zorder=1)
     for place, row in zip(places, shown.to_dict("records"), strict=True):
@@ -83,7 +91,7 @@ def _draw_forest(axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, units: dic
         style: dict[str, Any] = {"ms": 5.5, "mfc": "black", "mec": "white", "mew": 0.6}
         axes.plot([scale * row["effect"]], [place], "D", **style, label="effect, 95 % interval", zorder=4)
     names = zip(shown["component"], shown["metric"], strict=True)
-    axes.set_yticks(places, [f"{COMPONENT_LABELS[name]}\n{metric_of(metric).label}" for name, metric in names])
+    axes.set_yticks(places, [f"{labels[name]}\n{metric_of(metric).label}" for name, metric in names])
     axes.set_ylim(0.5, len(shown) + 0.5)
     axes.tick_params(axis="y", length=0)
     axes.xaxis.set_major_formatter(PercentFormatter(decimals=0))
@@ -118,7 +126,9 @@ def _signed(value: float, decimals: int, unit: str = "") -> str:
     return f"{text}{unit}" if text.strip("+−0.") else "0"
 
 
-def _draw_map(axes: Axes, shown: pd.DataFrame, pairs: pd.DataFrame, units: dict[str, float]) -> None:
+def _draw_map(
+    axes: Axes, shown: pd.DataFrame, pairs: pd.DataFrame, units: Mapping[str, float], labels: Mapping[str, str]
+) -> None:
     names = list(shown["component"])
     of = pairs[pairs["component"].isin(names) & pairs["other"].isin(names)]
     share = np.full((len(names), len(names)), np.nan)
@@ -131,8 +141,8 @@ def _draw_map(axes: Axes, shown: pd.DataFrame, pairs: pd.DataFrame, units: dict[
         axes.text(*place[::-1], f"{_signed(share[place], 0, ' %')}{star}", ha="center", va="center")
     most = max(float(np.nanmax(np.abs(share), initial=0.0)), 10.0)
     axes.imshow(share, cmap=_MAP, vmin=-most, vmax=most, aspect="auto", alpha=strength)
-    axes.set_xticks(range(len(names)), ["\n".join(wrap(COMPONENT_LABELS[name], 11)) for name in names])
-    axes.set_yticks(range(len(names)), [COMPONENT_LABELS[name] for name in names])
+    axes.set_xticks(range(len(names)), ["\n".join(wrap(labels[name], 11)) for name in names])
+    axes.set_yticks(range(len(names)), [labels[name] for name in names])
     axes.tick_params(length=0)
     axes.tick_params(axis="x", labelsize="small")
     axes.xaxis.tick_top()
@@ -150,3 +160,17 @@ def _explain_map(axes: Axes) -> None:
     )
     text = "\n".join((*lines, "in the unit of (a).", "", "* and strong colour: false", "discovery rate < 5 %"))
     axes.text(0.03, 0.5, text, va="center", color="#444444", transform=axes.transAxes, linespacing=1.4)
+
+
+def verdicts_caption(design: Design | None, reference: str = REFERENCE) -> str:
+    """Caption of `forest_figure`."""
+    said = [
+        "Which components earn their keep. Each is judged on its own primary metric. The unit is the distance from "
+        f"{reference} to re-simulation in that metric, that is, the error that {reference} still has. Zero is the mean "
+        "of the runs without the component. Dots are runs, adjusted for the other components and the anatomy. "
+        "earns: the metric improves. does not: the improvement is smaller than the grey band, which was fixed before "
+        "the study. Both verdicts are at 5 % after Holm's correction over the components. The columns at the right "
+        "show what the component adds to the time of a frame and to the parameters of the network.",
+        "" if design is None else f"The design is: {design.name}. {design.reading}",
+    ]
+    return " ".join(filter(None, said))

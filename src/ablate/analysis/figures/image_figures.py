@@ -8,15 +8,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
+from ablate.analysis.components import Component
 from ablate.analysis.figures.metric_panels import shown_name
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, save_figure
-from ablate.analysis.order import CHANGED, variant_group
+from ablate.analysis.scored import CHANGED, REFERENCE, variant_group
 from ablate.metrics import patch_chi2, patches_inside, rms
 
 ACROSS = 4  # pictures side by side on a page; with more of them, speckle is lost in print
 MOST_DOWN = 7  # rows of pictures that a page holds
 PAGE_HIGH_IN = 9.6  # what a page of a paper has
 NAME_IN, HEAD_IN = 0.2, 0.25  # beside and above the pictures, for their names
+PATCH = 20  # px, of the chi-square maps
 INSET = 0.27  # of the picture's width and height: what fits beside a 70 degree fan
 
 
@@ -75,10 +77,10 @@ def _insets(axes: Axes, frame: FramePictures) -> None:
         corner.set_facecolor("none")
 
 
-def _map(axes: Axes, chi2: np.ndarray, inside: np.ndarray | None, patch: int, shape: tuple[int, int]) -> AxesImage:
+def _map(axes: Axes, chi2: np.ndarray, inside: np.ndarray | None, shape: tuple[int, int]) -> AxesImage:
     _bare(axes)
     axes.set_facecolor("#EEEEEE")
-    extent = (0, chi2.shape[1] * patch, chi2.shape[0] * patch, 0)
+    extent = (0, chi2.shape[1] * PATCH, chi2.shape[0] * PATCH, 0)
     shown = chi2 if inside is None else np.ma.masked_array(chi2, ~inside)
     drawn = axes.imshow(shown, cmap="inferno", vmin=0, vmax=1, extent=extent)
     axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0), aspect="equal")
@@ -101,7 +103,7 @@ def frames_a_page(predictions: int) -> int:
     return max(1, ACROSS // -(-(predictions + 1) // MOST_DOWN))
 
 
-def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path]:
+def qualitative_figure(frames: Sequence[FramePictures], stem: Path, components: Sequence[Component] = ()) -> list[Path]:
     """Target, re-simulation and every variant below each other, a column a frame, S and A in the target's corners.
 
     Variants that do not fit continue in further columns; `frames_a_page` says how many frames fit. The pictures of a
@@ -134,9 +136,9 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path) -> list[Path
                 if name == "target":
                     _insets(axes, frame)
                 if single:
-                    axes.set_title(f"{frame.name}: target" if name == "target" else shown_name(name))
+                    axes.set_title(f"{frame.name}: target" if name == "target" else shown_name(name, components))
                 elif j == 0:
-                    axes.set_ylabel(shown_name(name).replace(" ", "\n", 1))
+                    axes.set_ylabel(shown_name(name, components).replace(" ", "\n", 1))
                 if row == 0 and not single:
                     axes.set_title(frame.name)
         return save_figure(figure, stem)
@@ -153,17 +155,16 @@ def _maps_across(pictures: int, ratio: float) -> int:
     return min(pictures, min(fitting, key=lambda n: -pictures % n, default=ACROSS + 1))
 
 
-def chi2_maps_figure(frame: FramePictures, stem: Path, patch: int = 20) -> list[Path]:
+def chi2_maps_figure(frame: FramePictures, stem: Path, components: Sequence[Component] = ()) -> list[Path]:
     """Patch chi-square maps on [0, 1] above their images; the target comes last, as in the paper.
 
-    A patch has a side of `patch` px. The files are a PNG and a PDF at `stem`, a path without suffix. Raises ValueError
-    when there is no prediction.
+    The files are a PNG and a PDF at `stem`, a path without suffix. Raises ValueError when there is no prediction.
     """
     names = _columns([frame])
     if not names:
         raise ValueError(f"frame {frame.name} has no prediction to map")
     height, width = frame.target.shape
-    inside = None if frame.mask is None else patches_inside(frame.mask, patch)
+    inside = None if frame.mask is None else patches_inside(frame.mask, PATCH)
     across = _maps_across(len(names) + 1, height / width)
     lines = -(-(len(names) + 1) // across)
     with house_style():
@@ -174,9 +175,9 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, patch: int = 20) -> list[
         for k, name in enumerate(names):
             line, column = divmod(k, across)
             upper, lower = grid[2 * line, column], grid[2 * line + 1, column]
-            chi2 = patch_chi2(frame.predictions[name], frame.target, patch)
-            drawn = _map(upper, chi2, inside, patch, (height, width))
-            upper.set_title(f"{shown_name(name)}\n{rms(chi2, inside) or 0.0:.3f}")
+            chi2 = patch_chi2(frame.predictions[name], frame.target, PATCH)
+            drawn = _map(upper, chi2, inside, (height, width))
+            upper.set_title(f"{shown_name(name, components)}\n{rms(chi2, inside) or 0.0:.3f}")
             _picture(lower, frame.predictions[name])
         line, column = divmod(len(names), across)
         upper, lower = grid[2 * line, column], grid[2 * line + 1, column]
@@ -186,3 +187,22 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, patch: int = 20) -> list[
         _picture(lower, frame.target)
         lower.set_title("target")
         return save_figure(figure, stem)
+
+
+def qualitative_caption(reference: str = REFERENCE) -> str:
+    """Caption of `qualitative_figure`."""
+    return (
+        "Test frames of unseen probe sites. The target has its segmentation S in the left corner and the logarithm of "
+        "its attenuation A in the right corner. The re-simulation is the same frame with other scatterers and ray "
+        "paths. Where it differs from the target, no network can know the target. The other images are by "
+        f"{reference} and all other variants, with the lowest seed of each."
+    )
+
+
+def chi2_caption(frame: str) -> str:
+    """Caption of `chi2_maps_figure` of the frame of that name."""
+    return (
+        f"Maps of patch chi-square against the target on [0, 1], each above its image ({frame}). The number is the RMS "
+        "over all patches that lie wholly in the fan. The map of the re-simulation is the floor, because it differs "
+        "from the target by its scatterers alone."
+    )

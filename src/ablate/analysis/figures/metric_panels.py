@@ -10,20 +10,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from ablate.analysis.components import Component
 from ablate.analysis.figures.style import COLUMN_IN, FLOOR_COLOUR, PAGE_IN, new_figure
 from ablate.metrics import Direction, Resimulation, metric_of
-from ablate.networks import COMPONENTS
 
 ROW_IN, HEAD_IN, LEGEND_IN = 0.19, 0.55, 0.25
-SHORT = {f"{c.field}-{c.off}": f"−{c.name}" for c in COMPONENTS if c.field != "depth"}
-SHORT["encoding-arbitrary"] = "+ arbitrary"  # another order of the labels: nothing is left out
 HINTS = {Direction.higher: "better →", Direction.lower: "← better", Direction.zero: "0 is right", Direction.none: ""}
 
 
 def metric_panels(
     metrics: Sequence[str], rows: Sequence[str], across: int, row_in: float = ROW_IN, head_in: float = HEAD_IN
 ) -> tuple[Figure, list[Axes]]:
-    """An empty figure with one axes a metric, `across` side by side, and the names of the rows from top to bottom.
+    """An empty figure with one axes a metric, `across` side by side, and the shown names of rows from top to bottom.
 
     Row k lies at the ordinate `len(rows) - k`. A row takes `row_in` inches, a panel's title `head_in`.
     """
@@ -37,7 +35,7 @@ def metric_panels(
         axes.set_axis_off()
     places = range(len(rows), 0, -1)
     for axes in grid[: len(metrics)]:
-        axes.set_yticks(places, [shown_name(name) for name in rows])
+        axes.set_yticks(places, rows)
         axes.set_ylim(0.4, len(rows) + 0.6)
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.tick_params(axis="y", length=0)
@@ -46,16 +44,27 @@ def metric_panels(
     return figure, list(grid[: len(metrics)])
 
 
-def shown_name(label: str) -> str:
-    """A label as it is written on a figure: `sa2h.concat-input.depth-6` becomes `sa2h −concat depth 6`."""
+def shown_name(label: str, components: Sequence[Component] = ()) -> str:
+    """A label as it is written on a figure: `sa2h.concat-input.depth-6` becomes `sa2h −concat depth 6`.
+
+    What was changed beside a variant is written in short where it is one of the components.
+    """
     variant, *changes = re.split(r"\.(?=[a-z])", label)
-    return " ".join([variant, *(_shown_change(change) for change in changes)])
+    return " ".join([variant, *(_shown_change(change, components) for change in changes)])
 
 
-def _shown_change(change: str) -> str:
-    if depth := re.fullmatch(r"depth-(\d+)", change):  # which depth stands for "off" follows from the frame size
-        return f"depth {depth[1]}"
-    return SHORT.get(change, f"+ {change}")
+def _shown_change(change: str, components: Sequence[Component]) -> str:
+    key, _, level = change.partition("-")
+    for component in components:
+        if component.key.rpartition(".")[2] != key:
+            continue
+        if isinstance(component.off, int | float):  # which number stands for "off" follows from the frame size
+            return f"{key} {level}"
+        if level == str(component.off):
+            return (
+                f"−{component.name}" if "." in component.key else f"+ {level}"
+            )  # of a whole group nothing is left out
+    return f"+ {change}"
 
 
 def axis_title(metric: str, shown: str = "{}") -> str:

@@ -12,9 +12,11 @@ from matplotlib.axis import Axis
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
+from ablate.analysis.components import Component
 from ablate.analysis.figures.metric_panels import legend_entries, resimulation_line, shown_name
 from ablate.analysis.figures.style import PAGE_IN, colour_of, house_style, new_figure, save_figure
 from ablate.analysis.statistics.work_precision import pareto_front
+from ablate.analysis.tables import resimulation_note
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.stored_names import BOUNDS
 
@@ -55,6 +57,7 @@ def error_vs_runtime(
     floors: Mapping[str, float] | None = None,
     hardware: str = "",
     parts: pd.DataFrame | None = None,
+    components: Sequence[Component] = (),
 ) -> list[Path]:
     """Draw error against time, a panel a metric, with the Pareto front, re-simulation and the paper's times.
 
@@ -73,6 +76,8 @@ def error_vs_runtime(
     parts : DataFrame, optional
         Columns series, setting, part (a key of `_PARTS`), ms: a last panel shows what the time is spent on, of a
         trained run in its fastest setting.
+    components : sequence of Component
+        Changes of these are written in short.
 
     Raises
     ------
@@ -98,7 +103,7 @@ def error_vs_runtime(
         legend_in = 0.0 if "legend" in cells else 0.6
         figure = new_figure(PAGE_IN if across == 2 else PAGE_IN * 0.62, sum(heights) + legend_in)
         grid = figure.subplot_mosaic(rows, height_ratios=heights)
-        runs = [name for name in dict.fromkeys(points["series"]) if name not in SIMULATOR]
+        runs = {name: shown_name(name, components) for name in points["series"] if name not in SIMULATOR}
         for metric in metrics:
             _diagram(grid[metric], points[points["metric"] == metric], metric, (floors or {}).get(metric), runs)
         handles = _legend([grid[metric] for metric in metrics], points)
@@ -109,7 +114,7 @@ def error_vs_runtime(
         else:
             figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=across + 1, **style)
         if bars is not None:
-            _time_of_parts(grid["parts"], bars)
+            _time_of_parts(grid["parts"], bars, runs)
         if hardware:
             figure.supxlabel(f"times measured on {hardware}", fontsize=7, color="#555555")
         return save_figure(figure, stem)
@@ -130,25 +135,25 @@ def _marker(colour: str, marker: str, engine: str) -> dict[str, Any]:
     return style | ({"markerfacecoloralt": "white"} if fill == "left" else {})
 
 
-def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None, runs: Sequence[str]) -> None:
-    """Every point of one metric."""
+def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None, runs: Mapping[str, str]) -> None:
+    """Every point of one metric; `runs` has the shown name of every trained run."""
     for name, (colour, marker, line, size) in SIMULATOR.items():
-        of = points[points["series"] == name]
-        if of.empty:
+        drawn = points[points["series"] == name]
+        if drawn.empty:
             continue
-        face = "none" if name in _HOLLOW else colour
-        axes.plot(of["ms"], of["error"], marker=marker, ls=line, ms=size, lw=0.8, color=colour, mfc=face, label=name)
-        for _, end in of.iloc[[0, -1]].iterrows() if name in _LABELLED else ():
+        style: dict[str, Any] = {"marker": marker, "ls": line, "ms": size, "lw": 0.8, "color": colour, "label": name}
+        axes.plot(drawn["ms"], drawn["error"], mfc="none" if name in _HOLLOW else colour, **style)
+        for _, end in drawn.iloc[[0, -1]].iterrows() if name in _LABELLED else ():
             shift: dict[str, Any] = {"xytext": (4, 3), "textcoords": "offset points"}
             axes.annotate(str(end["setting"]), (end["ms"], end["error"]), fontsize=6, color=colour, **shift)
     for k, name in enumerate(runs):
         for point in points[points["series"] == name].to_dict("records"):
             engine = next((e for e in _ENGINE_FILL if e in str(point["setting"])), "exported")
-            style = _marker(colour_of(name, runs), _RUN_MARKERS[k % len(_RUN_MARKERS)], engine)
+            style = _marker(colour_of(name, list(runs)), _RUN_MARKERS[k % len(_RUN_MARKERS)], engine)
             if "lower" in point:
                 span = [[point["ms"] - point["lower"]], [point["upper"] - point["ms"]]]
                 axes.errorbar(point["ms"], point["error"], xerr=span, color=style["color"], lw=0.8, capsize=1.5)
-            axes.plot(point["ms"], point["error"], ls="none", label=shown_name(name), **style)
+            axes.plot(point["ms"], point["error"], ls="none", label=runs[name], **style)
     error = points["error"].to_numpy(dtype=np.float64)
     positive = error[error > 0]
     decibels = metric_of(metric).better is Direction.higher  # PSNR is a logarithm already
@@ -193,9 +198,9 @@ def _bars(parts: pd.DataFrame) -> pd.DataFrame:
     return wide.loc[[place for place in wide.index if place[0] in SIMULATOR or place in places]]
 
 
-def _time_of_parts(axes: Axes, bars: pd.DataFrame) -> None:
+def _time_of_parts(axes: Axes, bars: pd.DataFrame, runs: Mapping[str, str]) -> None:
     """Draw a bar a row, a section for each part that takes time."""
-    names = [_bar_name(*place) for place in bars.index]
+    names = [_bar_name(series, setting, runs) for series, setting in bars.index]
     left = np.zeros(len(bars))
     for name, (colour, hatch) in _PARTS.items():
         if name in bars:
@@ -211,8 +216,18 @@ def _time_of_parts(axes: Axes, bars: pd.DataFrame) -> None:
     axes.legend(frameon=False, fontsize=6.5, loc="lower left", bbox_to_anchor=(0, 1), ncols=6)
 
 
-def _bar_name(series: str, setting: str) -> str:
+def _bar_name(series: str, setting: str, runs: Mapping[str, str]) -> str:
     if series in SIMULATOR:
         return f"{series.removeprefix('simulator, ')} {setting}"
     shown = [p for p in setting.split(", ") if p.startswith("width") or p in ("fp32", "bf16", *_ENGINE_FILL)]
-    return ", ".join([shown_name(series), *shown])
+    return ", ".join([runs.get(series, series), *shown])
+
+
+def runtime_caption(metrics: Sequence[str]) -> str:
+    """Caption of `error_vs_runtime`."""
+    return (
+        "Error on the test frames against the median time per frame, with the maps that the network reads, on the "
+        "machine that the figure names. Bars are quartiles over rounds in which all networks took turns. The grey line "
+        f"is the Pareto front; no point is on it for a time that differs by less than the bars. The paper does "
+        f"not name the GPU of its times. {resimulation_note(list(metrics))}"
+    )

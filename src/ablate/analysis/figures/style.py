@@ -9,7 +9,7 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from ablate.analysis.order import REFERENCE, RESIMULATION
+from ablate.analysis.scored import REFERENCE, RESIMULATION
 from ablate.storage import written_whole
 
 COLUMN_IN, PAGE_IN = 3.5, 7.16  # widths of a column and a page of an IEEE paper, inches

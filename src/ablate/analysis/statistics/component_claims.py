@@ -8,9 +8,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.order import REFERENCE, RESIMULATION, judged_metrics, ordered_variants
+from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, judged_metrics, ordered_variants
 from ablate.analysis.statistics.paired import holm_where_known
-from ablate.analysis.values import finite_values
 
 FEWEST_SEEDS = 3
 

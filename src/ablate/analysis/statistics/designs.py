@@ -1,17 +1,18 @@
 """Which experiment the runs of a study make up: a factorial, a fraction of one, or one change at a time."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.order import REFERENCE, RESIMULATION, judged_metrics
+from ablate.analysis.components import short_keys
+from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, judged_metrics
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.statistics.effects import EFFECT_COLUMNS, defining_relation, factorial_effects
 from ablate.analysis.statistics.paired import holm_where_known
-from ablate.analysis.values import finite_values
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +22,8 @@ class Design:
     Attributes
     ----------
     cells : DataFrame
-        One row a label, indexed by it: a categorical column for each component that varies, the reference's level
-        first.
+        One row a label, indexed by it: a categorical column for each component that varies, named by its dotted
+        configuration key, the reference's level first.
     reading : str
         What its effects mean, and what they cannot be told from.
     left_out : tuple of str
@@ -36,62 +37,65 @@ class Design:
 
     @property
     def factors(self) -> list[str]:
-        """Components that vary."""
+        """Dotted keys of the components that vary."""
         return list(self.cells.columns)
 
 
 def find_design(
-    components: Mapping[str, Mapping[str, object]], factors: tuple[str, ...], reference: str = REFERENCE
+    runs: Mapping[str, Mapping[str, object]], factors: Sequence[str], reference: str = REFERENCE
 ) -> Design | None:
     """Find the design that the labels of a study make up around its reference; None if no component varies.
 
     Parameters
     ----------
-    components : mapping of str to mapping
-        By label, everything its network was made from.
-    factors : tuple of str
+    runs : mapping of str to mapping
+        By label, everything that a run was made from, by dotted configuration key.
+    factors : sequence of str
         Keys of it that count as components. A label that differs from the reference in another key that both have is
         left out.
     reference : str
         Where it is missing, the label that most others are one change away from stands in for it.
     """
-    if not components:
+    if not runs:
         return None
-    if reference not in components:
-        near = {
-            label: sum(_changes(made, other) == 1 for other in components.values())
-            for label, made in components.items()
-        }
+    if reference not in runs:
+        near = {label: sum(_changes(run, other) == 1 for other in runs.values()) for label, run in runs.items()}
         reference = max(near, key=lambda label: near[label])
-    base = components[reference]
-    alike = [
-        label
-        for label, made in components.items()
-        if all(made[key] == base[key] for key in made.keys() & base.keys() - set(factors))
-    ]
+    base = runs[reference]
+    alike = {
+        label: {factor: _level(run[factor]) for factor in factors if factor in run}
+        for label, run in runs.items()
+        if all(run[key] == base[key] for key in run.keys() & base.keys() - set(factors))
+    }
     levels = {}
-    for factor in factors:
-        others = [components[label][factor] for label in alike if components[label][factor] != base[factor]]
+    for factor, level in alike[reference].items():
+        others = [run[factor] for run in alike.values() if run.get(factor, level) != level]
         if others:
-            levels[factor] = [base[factor], max(dict.fromkeys(others), key=others.count)]
-    kept = [label for label in alike if all(components[label][f] in pair for f, pair in levels.items())]
-    kept.sort(key=lambda label: label != reference)
+            levels[factor] = [level, max(dict.fromkeys(others), key=others.count)]
     if not levels:
         return None
+    kept = [label for label, run in alike.items() if all(run.get(f) in pair for f, pair in levels.items())]
+    kept.sort(key=lambda label: label != reference)
     cells = pd.DataFrame(
-        {f: pd.Categorical([components[label][f] for label in kept], pair) for f, pair in levels.items()}, index=kept
+        {f: pd.Categorical([alike[label][f] for label in kept], pair) for f, pair in levels.items()}, index=kept
     )
     cells, name, reading = _read(cells)
-    return Design(cells, name, reading, tuple(label for label in components if label not in cells.index))
+    return Design(cells, name, reading, tuple(label for label in runs if label not in cells.index))
 
 
 def _changes(a: Mapping[str, object], b: Mapping[str, object]) -> int:
     return sum(a.get(key) != b.get(key) for key in {*a, *b})
 
 
+def _level(value: object) -> object:
+    """A configuration value as a level of a factor: lists, mappings and null as text."""
+    return value if isinstance(value, str | Real) else "null" if value is None else str(value)
+
+
 def _read(cells: pd.DataFrame) -> tuple[pd.DataFrame, str, str]:
     """The cells that make up a design, what it is called, and how its effects are read."""
     factors = list(cells.columns)
+    short = short_keys(factors)
     full = 2 ** len(factors)
     changed = pd.DataFrame({factor: cells[factor].cat.codes for factor in cells})
     even = changed.sum(axis=1) % 2 == 0
@@ -100,11 +104,12 @@ def _read(cells: pd.DataFrame) -> tuple[pd.DataFrame, str, str]:
     codes = changed.to_numpy()
     count = len(np.unique(codes, axis=0))
     if count == full:
-        reading = "An effect is averaged over all combinations of the other components."
         if len(factors) == 1:
-            return cells, f"with and without one component ({factors[0]})", "Nothing else differs between these runs."
+            name = f"with and without one component ({short[factors[0]]})"
+            return cells, name, "Nothing else differs between these runs."
+        reading = "An effect is averaged over all combinations of the other components."
         return cells, f"full factorial of {_components(factors)} ({count} cells)", reading
-    words = defining_relation(cells, factors)
+    words = defining_relation(cells.rename(columns=short), list(short.values()))
     if len(words) == 1 and 2 * count == full:
         order = words[0].count(":") + 1
         reading = (

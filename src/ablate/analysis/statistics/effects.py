@@ -48,6 +48,17 @@ class LinearModel:
         """A weighted sum of the effects and its standard error; `weights` is (len(terms),) float."""
         return float(weights @ self.effects), float(np.sqrt(weights @ self.covariance @ weights))
 
+    def interval(self, weights: np.ndarray, level: float) -> tuple[float, float, float]:
+        """A weighted sum of the effects with the ends of its interval, which covers with probability `level`."""
+        effect, error = self.contrast(weights)
+        reach = float(stats.t.ppf((1 + level) / 2, self.dof)) * error
+        return effect, effect - reach, effect + reach
+
+    def p_value(self, weights: np.ndarray) -> float:
+        """The two-sided p-value of Student's t-test that a weighted sum of the effects is zero."""
+        effect, error = self.contrast(weights)
+        return float(2 * stats.t.sf(abs(effect) / error, self.dof)) if error > 0 else float(effect == 0)
+
 
 def fit_effects(
     runs: pd.DataFrame,
@@ -127,14 +138,11 @@ def factorial_effects(
     model = fit_effects(runs, factors, value, block)
     rows = []
     for k, term in enumerate(model.terms):
-        effect, error = model.contrast(np.eye(len(model.terms))[k])
-        row: dict[str, object] = {"effect": ":".join(term), "estimate": effect, "lower": None, "upper": None, "p": None}
+        one = np.eye(len(model.terms))[k]
+        known: tuple[float | None, ...] = (None, None, None)
         if model.dof > 0 and model.runs[k].min() >= FEWEST_SEEDS:
-            reach = float(stats.t.ppf((1 + level) / 2, model.dof)) * error
-            ratio = abs(effect) / error if error > 0 else np.inf
-            p = float(2 * stats.t.sf(ratio, model.dof)) if effect else 1.0
-            row |= {"lower": effect - reach, "upper": effect + reach, "p": p}
-        rows.append(row | {"dof": model.dof, "aliases": model.aliases[term]})
+            known = (*model.interval(one, level)[1:], model.p_value(one))
+        rows.append((":".join(term), model.effects[k], *known, model.dof, model.aliases[term]))
     return pd.DataFrame(rows, columns=list(EFFECT_COLUMNS))
 
 

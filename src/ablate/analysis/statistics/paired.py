@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.order import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
-from ablate.analysis.values import require_columns
+from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants, require_columns
 from ablate.metrics.stored_names import PER_IMAGE_COLUMNS
 
 PAIRED_COLUMNS = (

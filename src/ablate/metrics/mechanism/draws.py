@@ -4,6 +4,10 @@ from itertools import combinations
 
 import numpy as np
 
+from ablate.metrics.fidelity import check_shapes
+from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
+from ablate.metrics.pair import Pair
+
 
 def check_draws(draws: np.ndarray, mask: np.ndarray) -> None:
     """Raise ValueError unless `draws` are (k >= 2, H, W) with the shape of `mask`."""
@@ -53,10 +57,29 @@ def crps(draws: np.ndarray, target: np.ndarray, mask: np.ndarray) -> float | Non
         When there are fewer than two draws or shapes do not fit.
     """
     check_draws(draws, mask)
-    if target.shape != mask.shape:
-        raise ValueError(f"target must be {mask.shape}, got {target.shape}")
+    check_shapes(mask, target=target)
     if not mask.any():
         return None
     values = [draw[mask].astype(np.int16) for draw in draws]
     between = np.mean([np.abs(a - b).mean() for a, b in combinations(values, 2)])
     return float(np.abs(values[0] - target[mask]).mean() - between / 2)
+
+
+def _crps(pair: Pair) -> float | None:
+    return None if pair.draws is None or pair.tissue_mask is None else crps(pair.draws, pair.target, pair.tissue_mask)
+
+
+def _noise_sd(pair: Pair) -> float | None:
+    return None if pair.draws is None or pair.tissue_mask is None else noise_sd(pair.draws, pair.tissue_mask)
+
+
+CRPS = Metric(
+    *("crps", "CRPS", "grey levels", Direction.lower, Resimulation.floor, Group.mechanism, 2, Shown.drawn),
+    of_draws=_crps,
+    place=100,
+)
+NOISE_SD = Metric(
+    *("noise_sd", "Noise sd", "grey levels", Direction.none, Resimulation.level, Group.mechanism, 1, Shown.drawn),
+    of_draws=_noise_sd,
+    place=110,
+)

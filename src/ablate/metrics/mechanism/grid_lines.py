@@ -4,6 +4,7 @@ import numpy as np
 from scipy.fft import rfft2
 
 from ablate.metrics.fidelity import check_pair
+from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
 from ablate.metrics.patch_histograms import as_patches, patches_inside
 
 BLOCK = 32  # px, of the spectra
@@ -79,3 +80,10 @@ def nyquist_excess(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray,
     found, right = line_power(prediction, blocks, period_px), line_power(target, blocks, period_px)
     added = [np.mean(np.maximum(on - around, 0.0) / right[1]) for on, around in (found, right)]
     return float(abs(10.0 * np.log10((1.0 + added[0]) / (1.0 + added[1]))))
+
+
+NYQUIST_EXCESS = Metric(
+    *("nyquist_excess", "Nyquist excess", "dB", Direction.lower, Resimulation.floor, Group.mechanism, 2, Shown.drawn),
+    of_image=lambda pair: nyquist_excess(pair.prediction, pair.target, pair.mask) if pair.mask.any() else None,
+    place=80,
+)

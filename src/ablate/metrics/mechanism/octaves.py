@@ -3,7 +3,9 @@
 import numpy as np
 from scipy.ndimage import convolve1d
 
-from ablate.metrics.fidelity import check_pair
+from ablate.metrics.fidelity import check_pair, check_shapes
+from ablate.metrics.metric import Direction, Group, Metric, Resimulation
+from ablate.metrics.pair import Pair
 
 OCTAVES = 4
 FEWEST_PIXELS = 100  # of tissue in a band
@@ -55,9 +57,21 @@ def octave_sd(prediction: np.ndarray, target: np.ndarray, tissue_mask: np.ndarra
         When shapes or dtypes do not fit.
     """
     check_pair(prediction, target)
-    if tissue_mask.shape != target.shape:
-        raise ValueError(f"tissue_mask must be {target.shape}, got {tissue_mask.shape}")
+    check_shapes(target, tissue_mask=tissue_mask)
     found, right = (np.array(octave_variances(image, tissue_mask)) for image in (prediction, target))
     if not len(right):
         return None
     return float(np.abs(10.0 * np.log10((found + ROUNDING) / (right + ROUNDING))).mean())
+
+
+def _octave_sd(pair: Pair) -> float | None:
+    if pair.tissue_mask is None:
+        return None
+    return octave_sd(pair.prediction, pair.target, pair.tissue_mask & pair.mask)
+
+
+OCTAVE_SD = Metric(
+    *("octave_sd", "Octave sd", "dB", Direction.lower, Resimulation.floor, Group.mechanism, 2),
+    of_image=_octave_sd,
+    place=90,
+)

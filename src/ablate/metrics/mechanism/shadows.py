@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from ablate.metrics.fidelity import check_pair
+from ablate.metrics.fidelity import check_pair, check_shapes
+from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
+from ablate.metrics.pair import Pair
 
 SHADOW, ENHANCEMENT = 0.6, 1.4  # of the median attenuation at a depth
 MEDIAN_BIN_MM = 1.0  # of depth, in which that median is taken
@@ -67,9 +69,7 @@ def shadow_contrast(
         When shapes or dtypes do not fit.
     """
     check_pair(prediction, target)
-    for name, array in (("attenuation", attenuation), ("mask", mask), ("labels", labels), ("depth_mm", depth_mm)):
-        if array.shape != target.shape:
-            raise ValueError(f"{name} must be {target.shape}, got {array.shape}")
+    check_shapes(target, attenuation=attenuation, mask=mask, labels=labels, depth_mm=depth_mm)
     relative = relative_attenuation(attenuation, mask, depth_mm)
     compared = mask & (labels > 0) & ((relative < SHADOW) | (relative > ENHANCEMENT))
     depth_bin = np.clip(depth_mm[compared] / COMPARED_BIN_MM, 0, np.iinfo(np.uint8).max).astype(np.intp)
@@ -85,3 +85,18 @@ def shadow_contrast(
     if min(m.sum(), n.sum()) < FEWEST_PIXELS:
         return None
     return float(abs(np.average(shadow / m - enhanced / n, weights=m * n / (m + n))))
+
+
+def _shadow_contrast(pair: Pair) -> float | None:
+    if pair.attenuation is None or pair.tissue_mask is None or pair.segmentation is None or pair.depth_mm is None:
+        return None
+    labels = np.where(pair.tissue_mask, pair.segmentation, 0)
+    return shadow_contrast(pair.prediction, pair.target, pair.attenuation, pair.mask, labels, pair.depth_mm)
+
+
+SHADOW_CONTRAST = Metric(
+    *("shadow_contrast", "Shadow contrast", "grey levels", Direction.lower, Resimulation.floor, Group.mechanism, 1),
+    shown=Shown.drawn | Shown.report,
+    of_image=_shadow_contrast,
+    place=50,
+)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.fft import fft, irfft2, next_fast_len, rfft2
 
 from ablate.metrics.fidelity import check_pair
+from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
 
 SMOOTH_SIGMA_MM = 1.5
 SMOOTH_SIGMA_PX = 4.0  # where the size of a pixel is not known
@@ -65,3 +66,12 @@ def _gaussian_transfer(shape: tuple[int, int], sigma_px: tuple[float, ...]) -> t
         lengths.append(next_fast_len(length + reach, real=True))
         transfers.append(fft(np.bincount(offsets % lengths[-1], taps / taps.sum(), lengths[-1])).real)
     return tuple(lengths), np.outer(transfers[0], transfers[1][: lengths[1] // 2 + 1]).astype(np.float32)
+
+
+MAE_SMOOTH = Metric(
+    *("mae_smooth", "Smooth MAE", "grey levels", Direction.lower, Resimulation.level, Group.mechanism, 2, Shown.drawn),
+    of_image=lambda pair: (
+        mae_smooth(pair.prediction, pair.target, pair.mask, pair.pixel_mm) if pair.mask.any() else None
+    ),
+    place=60,
+)

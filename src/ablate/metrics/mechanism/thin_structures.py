@@ -3,7 +3,9 @@
 import numpy as np
 from scipy.ndimage import distance_transform_edt, find_objects, label
 
-from ablate.metrics.fidelity import check_pair
+from ablate.metrics.fidelity import check_pair, check_shapes
+from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
+from ablate.metrics.pair import Pair
 
 BAND_MM = 2.0  # of bone below its surface
 RING_MM = (2.0, 5.0)  # from the band, of its surround
@@ -68,9 +70,7 @@ def thin_contrast(
         When shapes or dtypes do not fit.
     """
     check_pair(prediction, target)
-    for name, array in (("mask", mask), ("bone", bone), ("depth_mm", depth_mm)):
-        if array.shape != target.shape:
-            raise ValueError(f"{name} must be {target.shape}, got {array.shape}")
+    check_shapes(target, mask=mask, bone=bone, depth_mm=depth_mm)
     bone = bone & mask
     if min(target.shape) < 2 or not bone.any():
         return None
@@ -89,3 +89,17 @@ def thin_contrast(
             errors.append(abs(error[window][band].mean() - error[window][around].mean()))
             weights.append(band.sum())
     return float(np.average(errors, weights=weights)) if errors else None
+
+
+def _thin_contrast(pair: Pair) -> float | None:
+    if pair.bone_mask is None or pair.depth_mm is None or pair.pixel_mm is None:
+        return None
+    return thin_contrast(pair.prediction, pair.target, pair.mask, pair.bone_mask, pair.depth_mm, pair.pixel_mm)
+
+
+THIN_CONTRAST = Metric(
+    *("thin_contrast", "Thin contrast", "grey levels", Direction.lower, Resimulation.floor, Group.mechanism, 1),
+    shown=Shown.drawn,
+    of_image=_thin_contrast,
+    place=70,
+)

@@ -1,14 +1,16 @@
-"""The order in which variants and metrics are shown, the same everywhere."""
+"""The two tables that every comparison starts from, and the order in which variants and metrics are shown."""
 
 from collections.abc import Sequence
 
+import numpy as np
+import pandas as pd
+
 from ablate.metrics import METRICS, Group, metric_of
-from ablate.networks import COMPONENTS
+from ablate.metrics.stored_names import SCALAR_COLUMNS
 
 REFERENCE = "sa2h"
 RESIMULATION = "re-simulation"  # shown among the variants
 CHANGED = 3
-COMPONENT_LABELS = {component.name: component.label for component in COMPONENTS}
 
 
 def ordered_variants(variants: Sequence[str], reference: str = REFERENCE) -> list[str]:
@@ -30,3 +32,17 @@ def ordered_metrics(metrics: Sequence[str]) -> list[str]:
 def judged_metrics(metrics: Sequence[str]) -> list[str]:
     """Metrics that claims are made about, in the same order: all but what a network costs."""
     return [name for name in ordered_metrics(metrics) if metric_of(name).group is not Group.cost]
+
+
+def require_columns(frame: pd.DataFrame, columns: Sequence[str], name: str) -> None:
+    """Raise ValueError where a table lacks columns; the message calls it by `name`."""
+    missing = [column for column in columns if column not in frame.columns]
+    if missing:
+        raise ValueError(f"{name} lacks the columns {missing}, it has {list(frame.columns)}")
+
+
+def finite_values(per_image: pd.DataFrame, scalars: pd.DataFrame | None = None) -> pd.DataFrame:
+    """The finite values of both tables, with the columns variant, seed, metric, value, and data where they have it."""
+    columns = [*SCALAR_COLUMNS, *({"data"} & set(per_image))]
+    values = per_image[columns] if scalars is None else pd.concat([per_image[columns], scalars[columns]])
+    return values[np.isfinite(values["value"])]

@@ -1,0 +1,262 @@
+"""The comparison table: mean and spread of every metric of every variant; in print, and as the paper's Table II."""
+
+from enum import StrEnum
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ablate.analysis.scored import (
+    REFERENCE,
+    RESIMULATION,
+    ordered_metrics,
+    ordered_variants,
+    require_columns,
+    variant_group,
+)
+from ablate.metrics import Direction, Resimulation, metric_of
+from ablate.metrics.stored_names import BOUNDS, FRAME_TIME, PER_IMAGE_COLUMNS, SCALAR_COLUMNS
+
+NOTHING = "–"  # where a variant has no value
+ARROWS = {Direction.higher: "↑", Direction.lower: "↓", Direction.zero: "→0", Direction.none: ""}
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "χ²": r"$\chi^2$",
+    "±": r"$\pm$",
+    "µ": r"$\mu$",
+    "↑": r"$\uparrow$",
+    "↓": r"$\downarrow$",
+    "→": r"$\to$",
+    NOTHING: "--",
+    **{sign: rf"\{sign}" for sign in "_%&#${}"},
+}
+
+
+def comparison_table(
+    per_image: pd.DataFrame, scalars: pd.DataFrame | None = None, reference: str = REFERENCE
+) -> pd.DataFrame:
+    """Mean and spread of every metric for every variant.
+
+    Parameters
+    ----------
+    per_image : DataFrame
+        Columns variant, seed, frame, site, metric, value: one row a metric of a frame of a run.
+    scalars : DataFrame, optional
+        Columns variant, seed, metric, value and perhaps lower, upper: one row a metric of a run, as fd_speckle or
+        parameters.
+    reference : str
+        Variant shown first after the re-simulation.
+
+    Returns
+    -------
+    DataFrame
+        One row a variant and metric: columns variant, metric, mean (NaN without one finite value), sd (over frames, as
+        the paper has it; over seeds for scalars; half of upper minus lower for times), seed_sd (of the seeds' means;
+        None with one seed, and for times), seeds, n, dropped (values left out: infinite ones, of identical images, and
+        NaN), lower, upper (where runs carry an interval of their own: the mean of its bounds), best (of the networks;
+        the re-simulation does not compete; all times that the fastest one's spread reaches are best).
+
+    Raises
+    ------
+    ValueError
+        When a column is missing.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from ablate.analysis import comparison_table
+    >>> values = {"sa2h": [18.0, 20.0], "sa2h-att": [15.0, 17.0]}
+    >>> rows = [(v, 0, k, k, "psnr", x) for v, xs in values.items() for k, x in enumerate(xs)]
+    >>> names = ["variant", "seed", "frame", "site", "metric", "value"]
+    >>> comparison_table(pd.DataFrame(rows, columns=names))[["variant", "mean", "n", "best"]]
+        variant  mean  n   best
+    0      sa2h  19.0  2   True
+    1  sa2h-att  16.0  2  False
+    """
+    require_columns(per_image, PER_IMAGE_COLUMNS, "per_image")
+    parts = [per_image[[*SCALAR_COLUMNS]]]
+    if scalars is not None and len(scalars):
+        require_columns(scalars, SCALAR_COLUMNS, "scalars")
+        parts.append(scalars[[c for c in (*SCALAR_COLUMNS, *BOUNDS) if c in scalars]])
+    values = pd.concat(parts, ignore_index=True)
+    rows = []
+    for (variant, metric), cell in values.groupby(["variant", "metric"], sort=False):
+        finite = cell[np.isfinite(cell["value"])]
+        seed_means = finite.groupby("seed")["value"].mean()
+        sd = float(finite["value"].std(ddof=1)) if len(finite) > 1 else None
+        seed_sd = float(seed_means.std(ddof=1)) if len(seed_means) > 1 else None
+        # The mean over runs of the bounds of their intervals, where runs carry some.
+        bounds = [float(cell[b].mean()) if b in cell and cell[b].notna().any() else None for b in BOUNDS]
+        if metric == FRAME_TIME and None not in bounds:
+            sd, seed_sd = (bounds[1] - bounds[0]) / 2, None
+        counts = (int(cell["seed"].nunique()), len(finite), len(cell) - len(finite))
+        rows.append((variant, metric, float(finite["value"].mean()), sd, seed_sd, *counts, *bounds))
+    columns = ["variant", "metric", "mean", "sd", "seed_sd", "seeds", "n", "dropped", *BOUNDS]
+    table = pd.DataFrame(rows, columns=columns)
+    table["best"] = False
+    for metric, group in table[table["variant"] != RESIMULATION].groupby("metric"):
+        scores = group["mean"].map(lambda value, metric=metric: metric_of(str(metric)).badness(value))
+        if scores.notna().any() and len(group) > 1:
+            best = scores == scores.min()
+            if metric == FRAME_TIME:
+                best |= group["lower"].astype(float) <= group.loc[best, "upper"].astype(float).max()
+            table.loc[scores.index[best], "best"] = True
+    variants = {name: k for k, name in enumerate(ordered_variants(list(table["variant"]), reference))}
+    metrics = {name: k for k, name in enumerate(ordered_metrics(list(table["metric"])))}
+    keys = table["variant"].map(variants) * (len(metrics) + 1) + table["metric"].map(metrics)
+    return table.iloc[np.argsort(keys.to_numpy(), kind="stable")].reset_index(drop=True)
+
+
+def wide_table(table: pd.DataFrame) -> pd.DataFrame:
+    """A `comparison_table` with one row a variant, for `table.csv`.
+
+    Its columns are variant, seeds, `<metric>_mean`, `_sd`, `_seed_sd`, `_lower`, `_upper`; those without a value are
+    left out.
+    """
+    rows: dict[str, dict[str, object]] = {}
+    seeds = table.groupby("variant")["seeds"].max()
+    for cell in table.to_dict("records"):
+        row = rows.setdefault(cell["variant"], {"variant": cell["variant"], "seeds": int(seeds[cell["variant"]])})
+        row |= {f"{cell['metric']}_{part}": cell[part] for part in ("mean", "sd", "seed_sd", *BOUNDS)}
+    return pd.DataFrame(list(rows.values())).dropna(axis="columns", how="all")
+
+
+class Spread(StrEnum):
+    """What stands behind the ± of a cell."""
+
+    frames = "sd"  # standard deviation over test frames, as the paper prints it
+    seeds = "seed_sd"  # standard deviation of the means of the seeds: how far another training would be off
+
+
+def cell_texts(
+    table: pd.DataFrame, spread: Spread = Spread.frames
+) -> tuple[list[str], list[str], dict[tuple[str, str], tuple[str, str, bool]]]:
+    """Variants, metrics, and (mean, spread, best) as text by variant and metric, in the order of a `comparison_table`.
+
+    The spread is empty where there is none.
+    """
+    variants, metrics = (list(dict.fromkeys(table[name])) for name in ("variant", "metric"))
+    cells = dict.fromkeys(product(variants, metrics), (NOTHING, "", False))
+    for row in table.to_dict("records"):
+        decimals = metric_of(row["metric"]).decimals
+        sd = "" if pd.isna(row[spread.value]) else f"{row[spread.value]:.{decimals}f}"
+        mean = NOTHING if pd.isna(row["mean"]) else f"{row['mean']:.{decimals}f}"
+        if row["metric"] == "parameters":
+            mean, sd = f"{row['mean'] / 1e6:.3g}M", ""
+        cells[row["variant"], row["metric"]] = (mean, sd, bool(row["best"]))
+    return variants, metrics, cells
+
+
+def head(metric: str) -> str:
+    """Title of a metric's column, with an arrow to what is better."""
+    return f"{metric_of(metric).title} {ARROWS[metric_of(metric).better]}".strip()
+
+
+def resimulation_note(metrics: list[str]) -> str:
+    """One sentence on what the re-simulation row means for these metrics."""
+    floor, level = (
+        ", ".join(metric_of(m).label for m in metrics if metric_of(m).resimulation is kind)
+        for kind in (Resimulation.floor, Resimulation.level)
+    )
+    parts = []
+    if floor:
+        parts.append(f"It is the floor for {floor}.")
+    if level:
+        parts.append(f"It is the level of a perfect stochastic renderer for {level}, which a network can exceed.")
+    return " ".join(
+        ["Re-simulation is the same frame with other scatterers and ray paths.", *(parts or ["It is not judged."])]
+    )
+
+
+def to_text(table: pd.DataFrame) -> str:
+    """A `comparison_table` for a console: aligned lines, never truncated, and a note on the re-simulation.
+
+    The best network of a column carries a star.
+    """
+    variants, metrics, cells = cell_texts(table)
+    lines = [["variant", *map(head, metrics)]]
+    for variant in variants:
+        texts = [cells[variant, metric] for metric in metrics]
+        lines.append(
+            [variant, *(f"{mean}{' ± ' + sd if sd else ''}{'*' if best else ' '}" for mean, sd, best in texts)]
+        )
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    text = [
+        "  ".join([line[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(line[1:], widths[1:], strict=True))])
+        for line in lines
+    ]
+    text.insert(1, "-" * len(text[0]))
+    if RESIMULATION in variants:
+        text += ["", resimulation_note(metrics)]
+    return "\n".join(text) + "\n"
+
+
+def to_markdown(table: pd.DataFrame, spread: Spread = Spread.frames) -> str:
+    """A `comparison_table` as a pipe table, with the number of seeds; the best network of a column is in bold."""
+    variants, metrics, cells = cell_texts(table, spread)
+    seeds = table.groupby("variant")["seeds"].max()
+    lines = [["variant", "seeds", *map(head, metrics)]]
+    lines.append(["---", *["---:"] * (len(metrics) + 1)])
+    for variant in variants:
+        texts = [cells[variant, metric] for metric in metrics]
+        printed = [(f"**{mean}**" if best else mean) + (f" ± {sd}" if sd else "") for mean, sd, best in texts]
+        lines.append([variant, NOTHING if variant == RESIMULATION else str(seeds[variant]), *printed])
+    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines) + "\n"
+
+
+def latex_text(text: str) -> str:
+    """Text that LaTeX prints as it stands."""
+    text = text.replace("χ²", "\0")
+    return "".join(_SPECIAL.get(sign, sign) for sign in text).replace("\0", _SPECIAL["χ²"])
+
+
+def to_latex(table: pd.DataFrame, reference: str = REFERENCE, label: str = "tab:comparison") -> str:
+    r"""A `comparison_table` as a `table*` float that needs the package booktabs, caption included.
+
+    `\ref` calls it `label`. Cells hold mean and standard deviation; the best network is bold, and the re-simulation
+    stands above all. Metrics with one value a frame take two columns, those with one value a run take one.
+    """
+    variants, metrics, cells = cell_texts(table)
+    per_frame = table[(table["n"] > table["seeds"]) & table["sd"].notna()]
+    double = set(per_frame["metric"])
+    titles: dict[str, str] = {}
+    columns: dict[tuple[str, str], list[str]] = {}
+    for metric in metrics:
+        texts, title = [cells[variant, metric] for variant in variants], latex_text(head(metric))
+        means = [rf"\textbf{{{mean}}}" if best else latex_text(mean) for mean, _, best in texts]
+        if metric in double:
+            titles[metric] = title
+            columns |= {(metric, "mean"): means, (metric, "sd"): [sd for _, sd, _ in texts]}
+        else:
+            titles[metric] = rf"\multicolumn{{1}}{{c}}{{{title}}}"
+            columns[metric, ""] = means
+    shown = pd.DataFrame(columns, [latex_text(variant) for variant in variants]).rename(columns=titles, level=0)
+    if not double:
+        shown = shown.droplevel(1, axis="columns")
+    styler = shown.style.set_table_styles([{"selector": "footnotesize", "props": ":;"}])
+    caption, form = latex_text(_caption(table, per_frame, metrics)), "l" + "r" * len(columns)
+    layout: dict[str, Any] = {"environment": "table*", "position_float": "centering", "multicol_align": "c"}
+    lines = styler.to_latex(column_format=form, caption=caption, label=label, hrules=True, **layout).splitlines()
+    # Styler has no rules below titles that span columns, and none between blocks of rows.
+    first = lines.index(r"\midrule") + 1
+    groups = [variant_group(variant, reference) for variant in variants]
+    for k in range(len(groups) - 1, 0, -1):
+        if groups[k] != groups[k - 1]:
+            lines.insert(first + k, r"\midrule")
+    spans = [k for k, (_, below) in enumerate(columns, start=2) if below == "mean"]
+    if spans:
+        lines.insert(first - 2, " ".join(rf"\cmidrule(lr){{{k}-{k + 1}}}" for k in spans))
+    return "\n".join([r"% needs \usepackage{booktabs}", *lines]) + "\n"
+
+
+def _caption(table: pd.DataFrame, per_frame: pd.DataFrame, metrics: list[str]) -> str:
+    networks = table[table["variant"] != RESIMULATION]
+    few, many = (int(f(networks["seeds"])) if len(networks) else 0 for f in (min, max))
+    seeds = f"{many} seed{'' if many == 1 else 's'}" if few == many else f"{few} to {many} seeds"
+    frames = int((per_frame["n"] / per_frame["seeds"]).max()) if len(per_frame) else 0
+    said = f"Mean and standard deviation over {frames} test frames of unseen probe sites, {seeds} a network. "
+    said += "Bold is the best network."
+    return f"{said} {resimulation_note(metrics)}" if RESIMULATION in set(table["variant"]) else said

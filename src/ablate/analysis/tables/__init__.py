@@ -1,1 +1,0 @@
-"""The comparison table and its formats."""

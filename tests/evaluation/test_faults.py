@@ -1,0 +1,97 @@
+"""Nothing is silently wrong where scores are made, and where they are read back."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from ablate.dataset import Part, counted_clipping, decode_grey_levels
+from ablate.evaluation import ImageSource, Scores, check_stored_scores, score_run
+from ablate.metrics.stored_names import STORED_COLUMNS
+
+FAN = torch.ones(10, 100, dtype=torch.bool)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_no_grey_level(value: float) -> None:
+    image = torch.zeros(10, 100)
+    image[3, 4] = value
+    with pytest.raises(ValueError, match="the generator's output holds NaN or infinite values"):
+        decode_grey_levels(image, FAN)
+    with pytest.raises(ValueError, match="NaN or infinite"):
+        decode_grey_levels(image.bfloat16(), FAN)
+
+
+def notes_of(images_of: ImageSource) -> tuple[str, ...]:
+    """The notes of a run whose scores themselves are left out."""
+
+    def score(_part: Part, images_of: ImageSource, _draws_noise: bool) -> Scores:
+        images_of(np.arange(4), 0)
+        return Scores(pd.DataFrame(columns=["frame", "site", "metric", "value"]), {}, ("fid: not computed.",))
+
+    pairs = SimpleNamespace(maps=frozenset(), frames=lambda _part: np.arange(4))
+    notes = score_run(SimpleNamespace(score=score, pairs=pairs), images_of, False).notes
+    assert notes[0] == "fid: not computed."
+    return notes[1:]
+
+
+@pytest.mark.parametrize(
+    ("beyond", "share"),
+    [(0, ""), (1, ""), (20, "in 2 % of the pixels"), (1000, "in 1e+02 % of the pixels")],
+    ids=["none", "too few", "some", "all"],
+)
+def test_clipped_values_are_counted_once_a_run(beyond: int, share: str) -> None:
+    image = torch.zeros(1000)
+    image[:beyond] = 100.0
+
+    def images_of(frames: np.ndarray, _draw: int) -> np.ndarray:
+        return np.stack([decode_grey_levels(image.reshape(10, 100), FAN).numpy() for _ in frames])
+
+    notes = notes_of(images_of)
+    assert len(notes) == bool(share)
+    assert share in " ".join(notes)
+
+
+def test_rounding_and_what_lies_outside_the_fan_is_not_clipped() -> None:
+    with counted_clipping() as clipping:
+        assert clipping.share == 0
+        decode_grey_levels(torch.full((10, 100), 1.003), FAN)
+        decode_grey_levels(torch.full((10, 100), -7.0), FAN & (torch.arange(100) < 0))
+        assert clipping.share == 0
+        decode_grey_levels(torch.full((10, 100), -1.01), FAN)
+    decode_grey_levels(torch.full((10, 100), -1.01), FAN)
+    assert clipping.share == 0.5
+
+
+def test_a_generator_that_renders_the_same_differently_is_noted() -> None:
+    rng = np.random.default_rng(0)
+
+    def images_of(frames: np.ndarray, _draw: int) -> np.ndarray:
+        return rng.integers(0, 60, (len(frames), 10, 100)).astype(np.uint8)
+
+    (note,) = notes_of(images_of)
+    assert note.startswith("The generator renders frame 0 differently each time with the same noise, by up to 5")
+    rounded = iter(range(100))
+    assert notes_of(lambda frames, _: np.full((len(frames), 10, 100), 7 + next(rounded) % 2, np.uint8)) == ()
+
+
+ROW = {"frame": 3, "site": 1, "metric": "psnr", "value": 19.5, "source": "model", "split": "test"}
+ROW |= {"variant": "sa2h", "seed": 0}
+
+
+def test_stored_scores_have_their_types_and_are_there_once(tmp_path) -> None:
+    rows = [ROW | {"metric": metric, "frame": frame} for metric in ("psnr", "mae") for frame in (3, 4)]
+    table = pd.DataFrame([*rows, ROW | {"source": "resimulation"}, ROW | {"split": "validation"}])
+    table.to_parquet(tmp_path / "per_image.parquet")
+    read = pd.read_parquet(tmp_path / "per_image.parquet")
+    assert check_stored_scores(read[list(STORED_COLUMNS)]) == ""
+    assert check_stored_scores(read.assign(value=np.nan)) == "", "a metric may have no value"
+    assert check_stored_scores(read.drop(columns=["site", "seed"])) == "lacks the columns site, seed"
+    for name, kind in (("value", "numbers"), ("frame", "whole numbers"), ("site", "whole numbers")):
+        wrong = check_stored_scores(read.assign(**{name: "many"}))
+        assert wrong == f"has something else than {kind} in the column {name}"
+    assert "text in the column metric" in check_stored_scores(read.assign(metric=1))
+    assert check_stored_scores(pd.concat([read, read])).startswith("6 rows are there twice (psnr of frame 3)")
+    assert check_stored_scores(read.assign(site=range(6))) == "has a frame of two probe sites"
