@@ -1,115 +1,150 @@
-"""Everything that a GPU is needed for, in half an hour of one: tests, times, a small study. docs/gpu.md tells how.
+"""Is the GPU used, and does it compute what the CPU computes?   python benchmarks/gpu.py
 
-python benchmarks/gpu.py carry carried                # where the project is installed: writes what travels
-python benchmarks/gpu.py run carried gpu-results      # on the machine with the GPU, once or in pieces
-
-`run` needs no network, neither Embree nor Numba, and no MLflow, Hydra, Zarr or trimesh. It measures, in this order:
-(a) the tests of the suite that need a GPU; (b) the image of the signal chain against the CPU's, and its stages;
-(c) images a second of a training at the paper's size, against a plain loop and the rate of bf16 matrix products;
-(d) a generated frame at the paper's size; (e) the study of docs/study.md at 512 x 710; (f) SA2H against SA2H-att at
-the paper's size in the minutes that are left. Whatever stops it, the same command goes on behind the last finished
-measurement; a machine that starts empty each time needs the results so far copied to it.
+Prints a table: a simulated frame, the first training step, and a frame of the generator that comes with the package,
+each on the CPU and on the GPU, with the largest difference that is allowed and the times. Ends with 1 where a
+difference is larger. Without a GPU it says so in one line and ends with 0.
 """
 
 import argparse
-import json
-import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "src"))
-from ablate.tracking import hardware  # noqa: E402
-from ablate.training import chosen_device  # noqa: E402
-from gpu_carried import Carried, make_carried  # noqa: E402
-from gpu_parts import Place, measure, names  # noqa: E402
-from gpu_results import HEAD, add_rows, draw, read_rows  # noqa: E402
+import numpy as np
+import torch
+from torch import Tensor
 
-_LEAST_S = 20  # that a measurement is begun with
-_FAILED = "failed"
+import ablate
+from ablate.anatomy import fetal_abdomen, fetal_planes
+from ablate.dataset import network_inputs
+from ablate.networks import Generator, GeneratorSpec
+from ablate.training import TrainingPrecision, TrainingSettings, generate, train
+from ablate.ultrasound import Simulator, SimulatorSettings
 
-
-def carry(arguments: argparse.Namespace) -> None:
-    """Write what travels, and say how large it is."""
-    make_carried(arguments.carried, arguments.study_frames, arguments.paper_frames, arguments.tiny)
-    size = sum(file.stat().st_size for file in arguments.carried.rglob("*") if file.is_file())
-    print(f"{arguments.carried}: {size / 2**20:.0f} MiB")
-
-
-def run(arguments: argparse.Namespace) -> None:
-    """Measure what is missing, one process a measurement, until the time is up."""
-    end = time.monotonic() + 60 * arguments.minutes
-    out, device, about = arguments.out, chosen_device(arguments.device), hardware()
-    out.mkdir(parents=True, exist_ok=True)
-    arguments.working.mkdir(parents=True, exist_ok=True)
-    wanted = [(p, n) for p, n in names(Carried(arguments.carried), device) if p in arguments.parts]
-    for part, name in wanted:
-        if any(row[:2] == (part, name) or (part == row[0] == "a") for row in read_rows(out)):
-            continue
-        left = end - time.monotonic()
-        if left < _LEAST_S:
-            print("The time is up: run the same command again.")
-            return
-        rows = in_own_process(arguments, part, name, left)
-        if rows is None:
-            return
-        add_rows(out / "gpu.csv", HEAD, [(part, *row, about) for row in rows])
-        for row in rows:
-            print(part, *row, flush=True)
-        draw(out, about)
-    print(f"All is measured: {out}")
+# Estimated, no GPU has measured them: float32 in another order, TF32 in cuDNN's convolutions (10 bits), bf16 (7 bits).
+APART_PIXELS = 0.001  # of a simulated frame, more than one grey level apart
+APART_LOSS = 0.01  # relative, of the first step
+APART_LEVELS = {TrainingPrecision.fp32: 1.0, TrainingPrecision.bf16: 4.0}  # mean over a generated frame
+_WARM_UP, _REPEATS = 3, 10
 
 
-def in_own_process(arguments: argparse.Namespace, part: str, name: str, left: float) -> list[list[object]] | None:
-    """The rows of a measurement; a row `failed` where it failed, None where the time was up first."""
-    given = [str(arguments.carried), str(arguments.out), "--working", str(arguments.working)]
-    one = ["--device", arguments.device, "--one", part, name, "--minutes", str(left / 60)]
-    command = [sys.executable, __file__, "run", *given, *one]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=left)
-    except subprocess.TimeoutExpired:
-        print(f"The time was up within {part}, {name}: run the same command again.")
-        return None
-    if done.returncode:
-        with (arguments.out / "gpu.log").open("a") as log:
-            log.write(f"\n{part} {name}\n{done.stderr[-4000:]}\n")
-        return [[name, _FAILED, 1, (done.stderr.strip().splitlines() or ["?"])[-1][:200]]]
-    rows: list[list[object]] = json.loads(done.stdout.splitlines()[-1])
-    return rows
+@dataclass(frozen=True)
+class Check:
+    """One comparison of a device with the CPU: the difference, the largest allowed one, and the times of both."""
+
+    name: str
+    difference: float
+    allowed: float
+    unit: str
+    cpu_ms: float
+    device_ms: float
+
+    @property
+    def passes(self) -> bool:
+        return self.difference <= self.allowed
+
+    def row(self) -> str:
+        """A row of the table."""
+        verdict = "ok" if self.passes else "DIFFERS"
+        difference = f"{self.difference:.2g} {self.unit} | {self.allowed:g}"
+        return f"| {self.name} | {difference} | {verdict} | {self.cpu_ms:.1f} | {self.device_ms:.1f} |"
 
 
-def one(arguments: argparse.Namespace) -> None:
-    """Measure one thing; prints its rows as JSON."""
-    device = chosen_device(arguments.device)
-    carried = Carried(arguments.carried)
-    place = Place(carried, arguments.out, arguments.working, device, 60 * arguments.minutes)
-    print(json.dumps(measure(place, *arguments.one)))
+def check_simulator(device: str, settings: SimulatorSettings, triangles: int) -> Check:
+    """Compare a simulated frame; rays are traced on the CPU in both, the signal chain is on the device."""
+    scene, pose = fetal_abdomen(triangles), fetal_planes()["abdomen"]
+    images, times = [], []
+    for place in ("cpu", device):
+        simulator = Simulator(scene, settings=replace(settings, device=place))
+        images.append(simulator.image(pose).astype(int))
+        times.append(median_ms(lambda simulator=simulator: simulator.image(pose)))
+    apart = float((np.abs(images[0] - images[1]) > 1).mean())
+    return Check("simulated frame", apart, APART_PIXELS, "of the pixels", times[0], times[1])
 
 
-def main() -> None:
-    """Parse the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    verbs = parser.add_subparsers(required=True)
-    there = verbs.add_parser("run", help="measure what is missing")
-    there.add_argument("carried", type=Path)
-    there.add_argument("out", type=Path)
-    there.add_argument("--minutes", type=float, default=9.0, help="of this call")
-    there.add_argument("--parts", default="abcdef", help="those to measure, such as bcd")
-    there.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
-    there.add_argument("--working", type=Path, default=Path(tempfile.gettempdir()) / "ablate-gpu")
-    there.add_argument("--one", nargs=2, metavar=("PART", "NAME"), help=argparse.SUPPRESS)
-    there.set_defaults(act=run)
-    here = verbs.add_parser("carry", help="write what travels")
-    here.add_argument("carried", type=Path)
-    here.add_argument("--study-frames", type=int, default=48, help="of each of the two anatomies")
-    here.add_argument("--paper-frames", type=int, default=10)
-    here.add_argument("--tiny", action="store_true", help="for a dry run on a CPU")
-    here.set_defaults(act=carry)
-    arguments = parser.parse_args()
-    (one if getattr(arguments, "one", None) else arguments.act)(arguments)
+def check_training(device: str, spec: GeneratorSpec, settings: TrainingSettings) -> Check:
+    """Compare the losses of the first training step in fp32; the time is that of a step after the first ones."""
+    losses, times = [], []
+    for place in ("cpu", device):
+        clock: list[float] = []
+        metrics: list[dict[str, float]] = []
+
+        def sink(step: dict[str, float], _: int, clock: list[float] = clock, metrics: list = metrics) -> None:
+            clock.append(time.perf_counter())
+            metrics.append(step)
+
+        with tempfile.TemporaryDirectory() as folder:
+            here = replace(settings, device=place, log_every=1, precision=TrainingPrecision.fp32)
+            train(spec, here, lambda start, stop, here=here: batches(here, start, stop), Path(folder), sink)
+        losses.append({name: value for name, value in metrics[0].items() if name in ("train/loss_g", "train/loss_d")})
+        times.append(1e3 * median(end - begin for begin, end in pairwise(clock)))
+    apart = max(abs(losses[1][name] / value - 1) for name, value in losses[0].items())
+    return Check("training step, losses", apart, APART_LOSS, "relative", times[0], times[1])
+
+
+def batches(settings: TrainingSettings, start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+    """Random maps and targets, the same for the same step."""
+    shape = (settings.batch_size, 1, settings.crop, settings.crop)
+    for step in range(start, stop):
+        random = torch.Generator().manual_seed(step)
+        batch = {name: torch.rand(shape, generator=random) for name in ("segmentation", "attenuation", "target")}
+        yield batch | {"mask": torch.ones(shape), "noise_seed": torch.arange(settings.batch_size) + step}
+
+
+def check_generator(device: str, settings: SimulatorSettings, triangles: int) -> Iterator[Check]:
+    """Compare a generated frame in fp32 and in bf16 with that of the CPU in fp32."""
+    renderer, scene, pose = ablate.load("sa2h"), fetal_abdomen(triangles), fetal_planes()["abdomen"]
+    segmentation, attenuation = Simulator(scene, settings=settings).maps(pose)
+    mask = segmentation > 0
+    values = np.array([-1.0, *(renderer.values[tissue.name] for tissue in scene.tissues)], np.float32)
+    maps = {"segmentation": segmentation[None], "attenuation": attenuation[None]}
+    inputs = network_inputs(maps, values, mask)
+
+    def frame(generator: Generator, precision: TrainingPrecision) -> np.ndarray:
+        return generate(generator, inputs, torch.from_numpy(mask), torch.tensor([0]), precision)[0]
+
+    expected = frame(renderer.generator, TrainingPrecision.fp32).astype(int)
+    cpu_ms = median_ms(lambda: frame(renderer.generator, TrainingPrecision.fp32))
+    generator = renderer.generator.to(device)
+    for precision, allowed in APART_LEVELS.items():
+        apart = float(np.abs(frame(generator, precision) - expected)[mask].mean())
+        device_ms = median_ms(lambda precision=precision: frame(generator, precision))
+        yield Check(f"generated frame, {precision}", apart, allowed, "grey levels", cpu_ms, device_ms)
+
+
+def median_ms(work: Callable[[], object]) -> float:
+    """Time some work whose result comes back to the CPU, in milliseconds."""
+    times = []
+    for _ in range(_WARM_UP + _REPEATS):
+        begin = time.perf_counter()
+        work()
+        times.append(1e3 * (time.perf_counter() - begin))
+    return median(times[_WARM_UP:])
+
+
+def main() -> int:
+    """Print the table; 1 where a difference is larger than allowed."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+    if not torch.cuda.is_available():
+        print(
+            f"No GPU: PyTorch {torch.__version__} finds none, so there is nothing to check; ablate computes on the CPU."
+        )
+        return 0
+    print(f"{torch.cuda.get_device_name()}, PyTorch {torch.__version__}, CUDA {torch.version.cuda}\n")
+    print("| check | difference | allowed | | CPU (ms) | GPU (ms) |\n| --- | --- | --- | --- | --- | --- |")
+    settings, triangles = SimulatorSettings(), 160_000
+    checks = [check_simulator("cuda", settings, triangles)]
+    checks.append(check_training("cuda", GeneratorSpec(width=0.25), TrainingSettings(steps=8, crop=256)))
+    checks += check_generator("cuda", replace(settings, rays=1, layers=1), triangles)
+    for check in checks:
+        print(check.row())
+    return 0 if all(check.passes for check in checks) else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

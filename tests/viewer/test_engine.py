@@ -129,7 +129,7 @@ def test_many_probes_do_not_pile_up(body: Scene, state: State) -> None:
     engine = Engine(body)
     for depth in range(50, 62):
         engine.render(replace(state, probe=ConvexProbe(depth_mm=float(depth))), Quality.full)
-    assert len(engine._simulators) <= 6
+    assert engine._simulator.cache_info().currsize <= 6
 
 
 def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not_know(

@@ -18,7 +18,7 @@ pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultras
 from ablate.jobs.compose import jobs_of
 from ablate.settings.study import ConfigurationError, Task
 from ablate.ultrasound import Simulator
-from ablate.viewer.page.server import HOST, open_server
+from ablate.viewer.page.server import HOST, check_server
 from ablate.viewer.task import Viewer
 from ablate.viewer.worker import REST_S
 from support.viewer_client import Client, ConnectionClosed
@@ -140,14 +140,6 @@ def test_off_the_body_is_said(client: Client, viewer: Viewer) -> None:
     np.testing.assert_array_equal(viewer.session.state.pose, pose)
 
 
-@pytest.mark.parametrize("value", [1e9, float("nan"), float("-inf")])
-def test_what_no_slider_can_send_changes_nothing_and_is_said(client: Client, viewer: Viewer, value: float) -> None:
-    before = viewer.session.state
-    client.set("Depth (mm)" if value > 0 else "Gain (dB)", value)
-    client.until(lambda: "allowed are" in client.texts() or "cannot convert" in client.texts(), within_s=10.0)
-    assert viewer.session.state is before
-
-
 @pytest.mark.parametrize("content", [b"", b"\xff" * 40, b"\x81\xa4type\xa4What"])
 def test_nonsense_closes_its_connection_and_the_viewer_lives_on(viewer: Viewer, content: bytes) -> None:
     with Client(viewer.page.settings.viewer.port) as odd:
@@ -186,13 +178,13 @@ def test_a_port_in_use_is_one_sentence(viewer: Viewer) -> None:
     with pytest.raises(
         ConfigurationError, match=rf"^viewer.port={port}: in use; give another one, such as {port + 1}$"
     ):
-        open_server(port)
+        check_server(port)
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ablate.viewer.page.server.find_spec", lambda _: None)
     with pytest.raises(ConfigurationError, match=r"pip install 'ablate-ultrasound\[view\]'"):
-        open_server(8090)
+        check_server(8090)
 
 
 def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer: Viewer) -> None:

@@ -7,7 +7,7 @@ from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.viewer.pictures import (
     difference_picture,
     empty_picture,
-    grey_picture,
+    framed,
     label_at,
     label_picture,
     marked,
@@ -25,7 +25,7 @@ def middle(picture: np.ndarray) -> tuple[int, ...]:
 
 
 def test_grey_levels_and_colours_are_those_of_the_maps() -> None:
-    assert middle(grey_picture(np.full(SHAPE, 90, np.uint8), MASK, PROBE)) == (90, 90, 90)
+    assert middle(framed(np.full(SHAPE, 90, np.uint8), MASK, PROBE)) == (90, 90, 90)
     labels = np.where(MASK, np.uint8(2), np.uint8(0))
     assert middle(label_picture(labels, [(0, 0, 0), (1.0, 0.2, 0.0)], PROBE)) == (255, 51, 0)
     bright, dark = (np.sum(middle(share_picture(np.full(SHAPE, v), MASK, PROBE))) for v in (1.0, 0.05))
@@ -42,7 +42,7 @@ def test_a_difference_is_red_where_the_first_is_brighter_and_blue_where_the_seco
 
 
 def test_ticks_of_the_scale_lie_ten_millimetres_apart() -> None:
-    picture = grey_picture(np.zeros(SHAPE, np.uint8), MASK, PROBE)
+    picture = framed(np.zeros(SHAPE, np.uint8), MASK, PROBE)
     rows = np.flatnonzero(picture[:, 2].any(axis=-1))
     assert len(rows) == 16  # 0 to 150 mm
     assert np.diff(rows).mean() == pytest.approx(10 * SHAPE[0] / 157.23, rel=0.02)
@@ -72,5 +72,5 @@ def test_outside_the_fan_the_picture_in_space_is_transparent() -> None:
 
 def test_words_stand_in_for_a_picture_of_the_same_size() -> None:
     words = empty_picture("no trained network yet\nmake sweep", SHAPE)
-    assert words.shape == grey_picture(np.zeros(SHAPE, np.uint8), MASK, PROBE).shape
+    assert words.shape == framed(np.zeros(SHAPE, np.uint8), MASK, PROBE).shape
     assert words.max() > 100

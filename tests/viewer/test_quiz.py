@@ -34,9 +34,9 @@ def test_each_plane_is_asked_for_once_before_any_comes_again() -> None:
     asked = [quiz.ask() for _ in range(4)]
     assert sorted(asked) == list("abcd")
     assert quiz.ask() != asked[-1]
-    assert quiz.judge(np.eye(4)).found
+    assert miss(np.eye(4), quiz.pose).found
 
 
 def test_an_answer_without_a_question_is_a_sentence() -> None:
     with pytest.raises(ValueError, match="no plane has been asked for"):
-        Quiz({"a": np.eye(4)}).judge(np.eye(4))
+        _ = Quiz({"a": np.eye(4)}).pose

@@ -100,15 +100,6 @@ def test_reset_is_the_beginning_with_the_runs_that_are_picked(start: Start, stat
     np.testing.assert_array_equal(asked[-1].pose, session.presets["front"])
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_hold_that_is_no_number_is_refused(start: Start, value: float) -> None:
-    session, asked = start()
-    before = len(asked)
-    with pytest.raises(ValueError, match="finite"):
-        session.move(height_mm=value)
-    assert len(asked) == before
-
-
 def test_settings_that_no_scanner_has_change_nothing(start: Start) -> None:
     session, asked = start()
     before = session.state

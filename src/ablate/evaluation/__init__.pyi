@@ -1,4 +1,3 @@
-from .run_scores import check_stored_scores as check_stored_scores
 from .run_scores import resimulation_images as resimulation_images
 from .run_scores import score_run as score_run
 from .scorer import ImageSource as ImageSource
@@ -8,4 +7,3 @@ from .scorer import describes_fan as describes_fan
 from .scorer import tissue_labels as tissue_labels
 from .set_scores import inception_for as inception_for
 from .settings import EvaluationSettings as EvaluationSettings
-from .stored_scores import check_stored_scores as check_stored_scores

@@ -13,7 +13,7 @@ import numpy as np
 from ablate.anatomy import Scene
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_polar
-from ablate.viewer.generators import Trained, open_generator
+from ablate.viewer.generators import open_generator
 from ablate.viewer.state import Moving, Quality, State, Views
 
 T = TypeVar("T")
@@ -31,22 +31,22 @@ def coarse(settings: SimulatorSettings) -> SimulatorSettings:
 class Engine:
     """Renders the views of a scene. The triangles are given to Embree once, whatever the probe.
 
-    It is used by one thread at a time.
+    Only one thread may use it at a time. The last few simulators and generators are kept.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self._first: Simulator | None = None
-        self._simulators: dict[Hashable, Simulator] = {}
-        self._generators: dict[Path, Trained] = {}
+        self._simulator = lru_cache(_KEPT_SIMULATORS)(self._new_simulator)
+        self._generator = lru_cache(_KEPT_GENERATORS)(lambda folder: open_generator(folder, scene.tissues))
         self._took: dict[str, tuple[Hashable, float]] = {}
         self._images: dict[Path, tuple[Hashable, np.ndarray, float]] = {}
 
     def render(self, state: State, quality: Quality) -> Views:
-        """All views of a state.
+        """Render all views of a state.
 
-        At full quality the target is that of `Simulator.render`, bit for bit. What goes wrong with a run is said in
-        the notes.
+        At full quality the target is that of `Simulator.render`, bit for bit. The notes say why a generator could not
+        render.
 
         Raises
         ------
@@ -84,7 +84,7 @@ class Engine:
         )
 
     def _timed(self, ms: dict[str, float], name: str, key: Hashable, work: Callable[[], T]) -> T:
-        """Do some work and note its milliseconds; those of the first time where the same was asked for again."""
+        """Do some work and note its milliseconds; if the same was asked for again, those of the first time."""
         begun = time.perf_counter()
         result = work()
         if name not in self._took or self._took[name][0] != key:
@@ -92,50 +92,41 @@ class Engine:
         ms[name] = self._took[name][1]
         return result
 
-    def _simulator(self, probe: Probe, settings: SimulatorSettings) -> Simulator:
-        """The simulator of a probe and settings; the last few are kept."""
-        key = (probe, settings)
-        if key not in self._simulators:
-            while len(self._simulators) >= _KEPT_SIMULATORS:
-                self._simulators.pop(next(iter(self._simulators)))
-            self._simulators[key] = Simulator(self.scene, probe, settings, beside=self._first)
-            self._first = self._first or self._simulators[key]
-        self._simulators[key] = self._simulators.pop(key)  # the last one used is dropped last
-        return self._simulators[key]
+    def _new_simulator(self, probe: Probe, settings: SimulatorSettings) -> Simulator:
+        simulator = Simulator(self.scene, probe, settings, beside=self._first)
+        self._first = self._first or simulator
+        return simulator
 
     def _generated(
         self, folder: Path, state: State, segmentation: np.ndarray, attenuation: np.ndarray
     ) -> tuple[np.ndarray, float, str]:
-        """Image of a run, its milliseconds and a reservation. A state at rest has the image that it had moving."""
-        if folder not in self._generators:
-            while len(self._generators) >= _KEPT_GENERATORS:
-                self._generators.pop(next(iter(self._generators)))
-            self._generators[folder] = open_generator(folder, self.scene.tissues)
-        run = self._generators[folder]
+        """Image of a generator, its milliseconds and a reservation. A state at rest keeps the image it had moving."""
+        trained = self._generator(folder)
+        fan, depth = _fan(state.probe, state.simulator.image_shape)
         key = (state.pose.tobytes(), state.probe, state.simulator, state.seed)
         if folder not in self._images or self._images[folder][0] != key:
             maps = {"segmentation": segmentation, "attenuation": attenuation}
-            if run.reads_low:
+            if "low" in trained.reads:
                 low = replace(state.simulator, rays=1, layers=1)
                 maps["low"] = _quietly(self._simulator(state.probe, low), replace(state, display=None)).image
             begun = time.perf_counter()
-            image = run.render(maps, _fan(state.probe, state.simulator.image_shape)[0], state.probe, state.seed)
-            self._images = {kept: v for kept, v in self._images.items() if kept in state.runs}
+            image = trained.render(maps, fan, state.probe, state.seed)
+            self._images = {run: kept for run, kept in self._images.items() if run in state.runs}
             self._images[folder] = key, image, 1e3 * (time.perf_counter() - begun)
         _, image, ms = self._images[folder]
         if state.display is not None:
-            image = state.display.shown(image, _fan(state.probe, state.simulator.image_shape)[1], state.simulator)
-        return image, ms, run.reservation(state)
+            image = state.display.shown(image, depth, state.simulator)
+        return image, ms, trained.reservation(state)
 
 
 @lru_cache(maxsize=4)
 def _fan(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """The fan's pixels, (H, W) bool, and the depth of each pixel as a share of the probe's, (H, W)."""
+    """Mask of the fan, (H, W) bool, and the depth of each pixel as a share of the imaging depth, (H, W)."""
     return fan_mask(probe, shape), pixel_polar(probe, shape)[0] / probe.depth_mm
 
 
 def _quietly(simulator: Simulator, state: State) -> Frame:
-    """A frame without the warning of a probe that touches nothing: the viewer says it in its own words."""
+    """Render a frame without the warning that the probe touches nothing, which the viewer says in its own words."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         return simulator.render(state.pose, state.seed, state.display)

@@ -1,4 +1,7 @@
-"""A generator on the fastest engine that this machine has: it is exported while it is already in use."""
+"""A generator on the fastest engine that this machine has: it is exported while it is already in use.
+
+The process that exports imports this file, so it imports little.
+"""
 
 import logging
 import pickle
@@ -22,7 +25,7 @@ from ablate.training import Engine, OpenEngine, TrainingPrecision, generate, mis
 
 _LOG = logging.getLogger(__name__)
 _FRAMES_BEFORE = 5  # of one size, before it is worth an export
-_KEPT = 3  # sizes: a file that is open takes some hundred MB of memory
+_KEPT = 3  # sizes: an open file takes some hundred MB of memory
 
 
 class FastGenerator:
@@ -46,15 +49,15 @@ class FastGenerator:
         size = (mask.shape[0], mask.shape[1])
         self._rendered[size] += 1
         if self._exports and size not in self._opened and self._rendered[size] > _FRAMES_BEFORE:
-            self._go_on(size)
+            self._advance_export(size)
         if (opened := self._opened.get(size)) is None:
             image: np.ndarray = generate(self.generator, maps, mask, seed, TrainingPrecision.fp32)[0]
             return image
         levels: np.ndarray = decode_grey_levels(opened(maps, seed)[0, 0], mask).numpy()
         return levels
 
-    def _go_on(self, size: tuple[int, int]) -> None:
-        """Start an export where none runs, and open the file of one that has ended."""
+    def _advance_export(self, size: tuple[int, int]) -> None:
+        """Start an export if none runs, and open the file of one that has ended."""
         if self._export is None:
             content = pickle.dumps((_export, (self.generator, self._path(size), *size)))
             process = get_context("spawn").Process(target=work_for_parent, args=(content,), daemon=True)
@@ -62,14 +65,14 @@ class FastGenerator:
                 process.start()
             self._export = size, process
             return
-        made, process = self._export
+        exported, process = self._export
         if process.is_alive():
             return
         self._export = None
         if process.exitcode == 0:
             while len(self._opened) >= _KEPT:
                 self._opened.pop(next(iter(self._opened)))
-            self._opened[made] = open_exported(self.generator, self._path(made), TrainingPrecision.fp32)
+            self._opened[exported] = open_exported(self.generator, self._path(exported), TrainingPrecision.fp32)
         else:
             self._exports = False
             _LOG.warning("the generator could not be exported and is rendered by torch, which is slower")

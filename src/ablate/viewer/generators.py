@@ -9,12 +9,12 @@ import torch
 
 from ablate import pretrained
 from ablate.anatomy import Tissue
-from ablate.comparison.results import finished_runs
+from ablate.settings.study import StudySettings, build
 from ablate.dataset import label_values, network_inputs
 from ablate.networks import conditions
-from ablate.settings.study import StudySettings
-from ablate.settings.values import build
+from ablate.pretrained import Renderer
 from ablate.storage import read_json
+from ablate.comparison.results import finished_runs
 from ablate.training import LAST, load_generator
 from ablate.ultrasound import Probe, compensated_attenuation
 from ablate.ultrasound.probe import pixel_size_mm
@@ -30,9 +30,9 @@ def pickable(folder: Path) -> dict[str, Path]:
     A run is named by its study, variant and seed; the folder may be a run, a study or a folder of studies.
     """
     depths = ("*/*/seed*", "*/seed*", ".")
-    found = sorted({path.parent.resolve() for depth in depths for path in folder.glob(f"{depth}/result.json")})
-    studies = dict.fromkeys(path.parents[1] for path in found)
-    runs = [run for study in studies for run in finished_runs(study) if run.folder.resolve() in found]
+    folders = sorted({path.parent.resolve() for depth in depths for path in folder.glob(f"{depth}/result.json")})
+    studies = dict.fromkeys(path.parents[1] for path in folders)
+    runs = [run for study in studies for run in finished_runs(study) if run.folder.resolve() in folders]
     named = {f"{run.folder.parents[1].name}: {run.name}": run.folder for run in runs if (run.folder / LAST).exists()}
     return named | {f"comes with ablate: {name}": _SHIPPED / name for name in pretrained.NAMES}
 
@@ -44,54 +44,50 @@ def is_shipped(picked: Path) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A generator with what it was trained on.
+    """A generator that looks at a scene.
 
-    `values`, (labels,) float32, is what it reads for each label of the scene that is looked at; `unknown` names the
-    tissues of that scene that it was not trained on.
+    `values`, (labels,) float32, is what it reads for each label of the scene; `unknown` names the tissues of the scene
+    that it was not trained on.
     """
 
+    renderer: Renderer
     engine: FastGenerator
-    probe: Probe
-    tgc_db_cm_mhz: float
-    image_shape: tuple[int, int]
     values: np.ndarray
     unknown: tuple[str, ...]
 
     @property
-    def reads_low(self) -> bool:
-        return "low" in self.reads
-
-    @property
     def reads(self) -> tuple[str, ...]:
-        return conditions(self.engine.generator.spec)
+        return conditions(self.renderer.generator.spec)
 
     def render(self, maps: Mapping[str, np.ndarray], mask: np.ndarray, probe: Probe, seed: int) -> np.ndarray:
-        """The image, (H, W) uint8, from `segmentation`, `attenuation` and, where it reads it, `low`, (H, W) each.
+        """Render (H, W) uint8 from `segmentation`, `attenuation` and, where it reads it, `low`, (H, W) each.
 
         `mask`, (H, W) bool, is the fan.
         """
-        read = {name: value[None] for name, value in maps.items()}
+        batch = {name: value[None] for name, value in maps.items()}
         if "compensated" in self.reads:
-            read["compensated"] = compensated_attenuation(read["attenuation"], probe, self.tgc_db_cm_mhz)
-        inputs = network_inputs(read, self.values, mask)
+            batch["compensated"] = compensated_attenuation(batch["attenuation"], probe, self.renderer.tgc_db_cm_mhz)
+        inputs = network_inputs(batch, self.values, mask)
         return self.engine.render(inputs, torch.from_numpy(mask), torch.tensor([seed]))
 
     def reservation(self, state: State) -> str:
-        """What this state has that the training had not; empty where nothing."""
-        said = []
-        if state.probe != self.probe:
-            said.append(f"trained with {self.probe.depth_mm:g} mm at {self.probe.frequency_mhz:g} MHz")
-        here = pixel_size_mm(state.probe, state.simulator.image_shape)
-        there = pixel_size_mm(self.probe, self.image_shape)
-        if not np.allclose(here, there, rtol=0.05):
-            said.append(f"trained with pixels of {there[0]:.2f} mm, here they are {here[0]:.2f} mm")
+        """Say in what a state differs from the training; empty if it does not."""
+        reservations, probe = [], self.renderer.probe
+        if state.probe != probe:
+            reservations.append(f"trained with {probe.depth_mm:g} mm at {probe.frequency_mhz:g} MHz")
+        shown = pixel_size_mm(state.probe, state.simulator.image_shape)
+        trained = pixel_size_mm(probe, self.renderer.image_shape)
+        if not np.allclose(shown, trained, rtol=0.05):
+            reservations.append(f"trained with pixels of {trained[0]:.2f} mm, here they are {shown[0]:.2f} mm")
         if self.unknown:
-            said.append(f"not trained on {', '.join(name.replace('_', ' ') for name in self.unknown)}")
-        return "; ".join(said)
+            reservations.append(f"not trained on {', '.join(name.replace('_', ' ') for name in self.unknown)}")
+        return "; ".join(reservations)
 
 
 def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
     """Load a generator, to look at a scene with these tissues.
+
+    Tissues that the generator was not trained on have the values of their places in this scene's own order.
 
     Raises
     ------
@@ -99,43 +95,34 @@ def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
         In a sentence, when the run has been deleted or its files are damaged.
     """
     if is_shipped(picked):
-        shipped = pretrained.load(picked.name)
-        values, unknown = _values(shipped.values, label_values(tissues, StudySettings.encoding), tissues)
-        made_for = shipped.probe, shipped.tgc_db_cm_mhz, shipped.image_shape
-        return Trained(FastGenerator(shipped.generator), *made_for, values, unknown)
-    try:
-        settings = build(StudySettings, read_json(picked / "spec.json")["settings"])
-        data = str(read_json(picked / "result.json")["data"])
-        generator = load_generator(picked / LAST)
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"this run is gone: {picked} has no {Path(str(error.filename)).name}") from error
-    encoding = settings.encoding, settings.encoding_seed
-    trained_on = _trained_tissues(picked.parents[2] / "data" / data / "about.json", tissues)
-    known = dict(zip((t.name for t in trained_on), label_values(trained_on, *encoding)[1:].tolist(), strict=True))
-    values, unknown = _values(known, label_values(tissues, *encoding), tissues)
-    simulator = settings.simulator
-    return Trained(
-        FastGenerator(generator), settings.probe, simulator.tgc_db_cm_mhz, simulator.image_shape, values, unknown
-    )
+        renderer, own = pretrained.load(picked.name), label_values(tissues, StudySettings.encoding)
+    else:
+        renderer, own = _renderer_of_run(picked, tissues)
+    known = [renderer.values.get(tissue.name, value) for tissue, value in zip(tissues, own[1:], strict=True)]
+    unknown = tuple(tissue.name for tissue in tissues if tissue.name not in renderer.values)
+    return Trained(renderer, FastGenerator(renderer.generator), np.array([own[0], *known], np.float32), unknown)
 
 
-def _values(
-    known: Mapping[str, float], own: np.ndarray, tissues: Sequence[Tissue]
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """What a network reads for each label, by the names of the tissues, and those that it does not know.
+def _renderer_of_run(folder: Path, tissues: Sequence[Tissue]) -> tuple[Renderer, np.ndarray]:
+    """The generator of a run with its setting, and the values that its encoding gives to `tissues`.
 
-    These have the values of their places in this scene's own order.
+    Where its data set has been deleted, `tissues` are taken for those that it was trained on.
     """
-    of_scene = [known.get(tissue.name, value) for tissue, value in zip(tissues, own[1:], strict=True)]
-    unknown = tuple(tissue.name for tissue in tissues if tissue.name not in known)
-    return np.array([own[0], *of_scene], np.float32), unknown
-
-
-def _trained_tissues(about: Path, otherwise: Sequence[Tissue]) -> Sequence[Tissue]:
-    """The tissues of a data set; those of the scene that is looked at where the data set has been deleted."""
     try:
-        return [build(Tissue, entry) for entry in read_json(about)["tissues"]]
+        settings = build(StudySettings, read_json(folder / "spec.json")["settings"])
+        data = str(read_json(folder / "result.json")["data"])
+        generator = load_generator(folder / LAST)
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"this run is gone: {folder} has no {Path(str(error.filename)).name}") from error
+    about = folder.parents[2] / "data" / data / "about.json"
+    try:
+        trained_on = [build(Tissue, entry) for entry in read_json(about)["tissues"]]
     except FileNotFoundError:
-        return otherwise
+        trained_on = list(tissues)
     except (KeyError, TypeError) as error:
         raise ValueError(f"{about} is damaged: {error}") from error
+    encoding, simulator = (settings.encoding, settings.encoding_seed), settings.simulator
+    levels = label_values(trained_on, *encoding)[1:].tolist()
+    values = {tissue.name: level for tissue, level in zip(trained_on, levels, strict=True)}
+    renderer = Renderer(generator, values, settings.probe, simulator.tgc_db_cm_mhz, simulator.image_shape, {})
+    return renderer, label_values(tissues, *encoding)

@@ -30,7 +30,7 @@ class Hold:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A pose, (4, 4) float64, mm, and what is wrong with it in words; empty where the face touches the skin."""
+    """A pose, (4, 4) float64, mm, and in `words` what is wrong with it; empty if the face lies on the skin."""
 
     pose: np.ndarray
     words: str = ""
@@ -68,10 +68,10 @@ class Hand:
 
     def place(self, hold: Hold) -> Held | None:
         """Press the probe on the skin; None where the body has no skin at that height and angle."""
-        found = self._contact(hold.height_mm, hold.angle_deg)
-        if found is None:
+        contact = self._contact(hold.height_mm, hold.angle_deg)
+        if contact is None:
             return None
-        point, inward = found
+        point, inward = contact
         turned = Rotation.from_euler("ZYX", (hold.roll_deg, hold.rock_deg, hold.tilt_deg), degrees=True)
         pose = np.eye(4)
         pose[:3, :3] = self._frame(inward) @ turned.as_matrix()
@@ -80,7 +80,7 @@ class Hand:
         return Held(pressed.poses[0], _words(bool(pressed.on_body[0]), bool(pressed.hard[0])))
 
     def judge(self, pose: np.ndarray) -> str:
-        """What is wrong with the contact of a pose that was not pressed, in words."""
+        """Say what is wrong with the contact of a pose that was not pressed; empty if nothing is."""
         face = to_world(pose, face_points(self._probe))
         inwards = np.tile(pose[:3, 2], (len(face), 1))
         depth = self._skin.depth(face, inwards)
@@ -88,15 +88,15 @@ class Hand:
         return _words(bool(np.isfinite(depth).all() and depth.max() > 0), hard)
 
     def hold_of(self, pose: np.ndarray) -> Hold:
-        """The hold whose pose comes nearest to a pose: the same turn, the face as near as pressing allows."""
+        """Find the hold that comes nearest to a pose: the same turn, the face as near as pressing allows."""
         target = pose[:3, 3]
         aim = target.copy()
         for _ in range(_SEARCHES):
             height, angle = self.site_of(aim)
-            found = self._contact(height, angle)
-            if found is None:
+            contact = self._contact(height, angle)
+            if contact is None:
                 return Hold(height, angle)
-            inward = found[1]
+            inward = contact[1]
             hold = self._hold(height, angle, inward, pose[:3, :3])
             held = self.place(hold)
             assert held is not None
@@ -105,12 +105,12 @@ class Hand:
         return hold
 
     def turned(self, hold: Hold, rotation: np.ndarray) -> Hold:
-        """The hold at the same place whose pose has a rotation, (3, 3), from probe to world."""
-        found = self._contact(hold.height_mm, hold.angle_deg)
-        return hold if found is None else self._hold(hold.height_mm, hold.angle_deg, found[1], rotation)
+        """Turn a hold at its place so that its pose has a rotation, (3, 3), from probe to world."""
+        contact = self._contact(hold.height_mm, hold.angle_deg)
+        return hold if contact is None else self._hold(hold.height_mm, hold.angle_deg, contact[1], rotation)
 
     def site_of(self, point: np.ndarray) -> tuple[float, float]:
-        """Height, mm, and angle, degrees, under which a point is seen from the axis."""
+        """Height along the axis, mm, and angle about it, degrees, of a point."""
         off = point - self._skin.centre
         return float(point @ self.axis), float(np.rad2deg(np.arctan2(off @ self._side, off @ self.front)))
 
@@ -136,6 +136,5 @@ def _words(on_body: bool, hard: bool) -> str:
     return "in bone or gas: the face lies in what lets hardly any sound out" if hard else ""
 
 
-def _unit(v: np.ndarray) -> np.ndarray:
-    length: float = float(np.linalg.norm(v))
-    return v / length
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / float(np.linalg.norm(vector))

@@ -1,7 +1,7 @@
 """From views to pictures with a scale: RGB arrays, ready to be shown or saved."""
 
 from collections.abc import Sequence
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from matplotlib import colormaps
@@ -19,25 +19,29 @@ _PAPER = (16, 18, 22)
 _MOST_DIFFERENCE = 128.0  # grey levels, fully red or blue
 
 
-def grey_picture(image: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
-    """A B-mode image, (H, W) uint8, with its scale, (h, w, 3) uint8."""
-    return _framed(image, mask, probe)
+def framed(colours: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
+    """Grey levels, (H, W), or colours, (H, W, 3), of the fan, with a scale of depth and the mark of one side.
+
+    The picture is (h, w, 3) uint8.
+    """
+    size = _size(mask.shape)
+    shown = colours.copy()
+    shown[~mask] = 0
+    picture = Image.fromarray(shown.astype(np.uint8)).resize(size, Image.Resampling.BILINEAR).convert("RGB")
+    picture.paste(*_scale(probe, size))
+    return np.asarray(picture)
 
 
 def label_picture(labels: np.ndarray, colours: Sequence[Colour], probe: Probe) -> np.ndarray:
     """A segmentation, (H, W) uint8, each tissue in its colour."""
     table = (255 * np.array([(0.0, 0.0, 0.0), *colours])).astype(np.uint8)
-    return _framed(table[labels], labels > 0, probe)
+    return framed(table[labels], labels > 0, probe)
 
 
 def share_picture(shares: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
     """A map of shares in [0, 1], (H, W), from dark violet (0) to yellow (1)."""
-    return _framed(_violet_to_yellow()[(255 * np.clip(shares, 0, 1)).astype(np.uint8)], mask, probe)
-
-
-@cache
-def _violet_to_yellow() -> np.ndarray:
-    return (255 * colormaps["inferno"](np.linspace(0, 1, 256))[:, :3]).astype(np.uint8)
+    levels = (255 * np.clip(shares, 0, 1)).astype(np.uint8)
+    return framed(colormaps["inferno"](levels, bytes=True)[..., :3], mask, probe)
 
 
 def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
@@ -45,11 +49,11 @@ def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Pr
     share = np.clip((a.astype(np.float32) - b) / _MOST_DIFFERENCE, -1, 1)[..., None]
     red, blue = np.array([178, 24, 43]), np.array([33, 102, 172])
     ink = np.where(share > 0, red, blue)
-    return _framed((245 + np.abs(share) * (ink - 245.0)).astype(np.uint8), mask, probe)
+    return framed((245 + np.abs(share) * (ink - 245.0)).astype(np.uint8), mask, probe)
 
 
 def on_fan(image: np.ndarray, mask: np.ndarray, rows: int = 160) -> np.ndarray:
-    """An image to be put on the fan, transparent outside of it, (rows, w, 4) uint8."""
+    """An image to lay on the fan in 3-D, transparent outside of it, (rows, w, 4) uint8."""
     size = max(1, round(image.shape[1] * rows / image.shape[0])), rows
     grey = Image.fromarray(image).resize(size, Image.Resampling.BILINEAR)
     inside = Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).resize(size, Image.Resampling.NEAREST)
@@ -57,7 +61,7 @@ def on_fan(image: np.ndarray, mask: np.ndarray, rows: int = 160) -> np.ndarray:
 
 
 def empty_picture(words: str, shape: tuple[int, int]) -> np.ndarray:
-    """Words in place of a picture that there is not, as large as the pictures of images of this shape."""
+    """Words in place of a missing picture, as large as the picture of an image of this shape."""
     canvas = Image.new("RGB", _size(shape), _PAPER)
     draw, font = ImageDraw.Draw(canvas), _font(_size(shape)[1])
     lines = words.split("\n")
@@ -99,19 +103,9 @@ def _size(shape: tuple[int, int]) -> tuple[int, int]:
     return max(1, round(shape[1] * rows / shape[0])), rows
 
 
-def _framed(colours: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
-    """Grey levels, (H, W), or colours, (H, W, 3), of the fan alone, with a scale of depth and the mark of one side."""
-    size = _size(mask.shape)
-    shown = colours.copy()
-    shown[~mask] = 0
-    picture = Image.fromarray(shown.astype(np.uint8)).resize(size, Image.Resampling.BILINEAR).convert("RGB")
-    picture.paste(*_scale(probe, size))
-    return np.asarray(picture)
-
-
 @lru_cache(maxsize=8)
 def _scale(probe: Probe, size: tuple[int, int]) -> tuple[Image.Image, tuple[int, int], Image.Image]:
-    """A picture of the scale alone, where it goes, and a mask of what is drawn."""
+    """A picture of the scale alone, the corner to paste it at, and a mask of what is drawn."""
     canvas = Image.new("RGB", size)
     draw, font = ImageDraw.Draw(canvas), _font(size[1])
     rows = pixel_coordinates_mm(probe, (size[1], size[0]))[1]
@@ -121,8 +115,8 @@ def _scale(probe: Probe, size: tuple[int, int]) -> tuple[Image.Image, tuple[int,
         draw.line((0, row, 12 if long else 6, row), fill=_SCALE)
         if long and depth:
             words = f"{depth} mm" if depth == _LABEL_MM else f"{depth}"
-            at = 15, min(row, size[1] - int(font.size))
-            draw.text(at, words, fill=_SCALE, font=font, anchor="lm", stroke_width=2, stroke_fill=_PAPER)
+            place = 15, min(row, size[1] - int(font.size))
+            draw.text(place, words, fill=_SCALE, font=font, anchor="lm", stroke_width=2, stroke_fill=_PAPER)
     radius = size[1] // 60
     x, y = size[0] // 9, size[1] // 14
     draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=_MARK)

@@ -28,19 +28,19 @@ class Miss:
 
     @property
     def points(self) -> int:
-        """100 for the exact pose, half of it where both are at the limit of what counts as found, down to 0."""
+        """100 for the exact pose, 50 where distance and angle are at the limits of `found`, down to 0."""
         return round(100 * 0.5 ** ((self.distance_mm / _FOUND_MM + self.angle_deg / _FOUND_DEG) / 2))
 
 
 def miss(pose: np.ndarray, wanted: np.ndarray) -> Miss:
-    """How far a pose is from the wanted one, (4, 4) each, mm."""
+    """Measure how far a pose is from the wanted one, (4, 4) each, mm."""
     left = Rotation.from_matrix(wanted[:3, :3]).inv() * Rotation.from_matrix(pose[:3, :3])
     angle = min(left.magnitude(), (_TURNED_ROUND * left).magnitude())
     return Miss(float(np.linalg.norm(pose[:3, 3] - wanted[:3, 3])), float(np.rad2deg(angle)))
 
 
 class Quiz:
-    """Asks for presets in random order, each once before any is asked for again."""
+    """Asks for presets in random order, each once before any is asked for again; `wanted` is the name of the last."""
 
     def __init__(self, presets: Mapping[str, np.ndarray], seed: int | None = None) -> None:
         self._presets, self._random = dict(presets), random.Random(seed)
@@ -48,15 +48,16 @@ class Quiz:
         self.wanted: str | None = None
 
     def ask(self) -> str:
-        """The next plane to find."""
+        """Choose the next plane to find, and return its name."""
         if not self._left:
             self._left = [name for name in self._presets if name != self.wanted or len(self._presets) == 1]
             self._random.shuffle(self._left)
         self.wanted = self._left.pop()
         return self.wanted
 
-    def judge(self, pose: np.ndarray) -> Miss:
-        """How far a pose is from the plane that was asked for; a ValueError before anything was."""
+    @property
+    def pose(self) -> np.ndarray:
+        """The plane that was asked for; a ValueError before the first question."""
         if self.wanted is None:
             raise ValueError("no plane has been asked for yet")
-        return miss(pose, self._presets[self.wanted])
+        return self._presets[self.wanted]

@@ -1,22 +1,24 @@
-"""What is kept of a session: the last seconds, a sweep of the probe, and single frames on disk."""
+"""What is kept of a session: the last seconds, a sweep of the probe, single frames on disk, and command lines."""
 
 import json
-import time
+import shlex
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from ablate.setting import plain
+from ablate.settings.study import SceneKind, StudySettings, json_ready
 from ablate.storage import written_whole
-from ablate.viewer.pictures import grey_picture
+from ablate.jobs.compose import jobs_of
+from ablate.viewer.pictures import framed
 from ablate.viewer.state import State, Views
 
 LOOP_S = 5.0
 _LOOP_BYTES = 256e6
-_MOST_POSES = 10_000  # of a recorded sweep
+_SECTIONS = ("scene", "probe", "simulator", "dataset")
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,20 +36,24 @@ class CineLoop:
 
     frames: deque[Shown] = field(default_factory=deque)
 
-    def add(self, state: State, views: Views, at_s: float | None = None) -> None:
+    def add(self, shown: Shown) -> None:
         """Keep a frame and forget those that are too old."""
-        now = time.monotonic() if at_s is None else at_s
-        self.frames.append(Shown(state, views, now))
-        most = max(1, int(_LOOP_BYTES / _bytes(views)))
-        while len(self.frames) > most or now - self.frames[0].at_s > LOOP_S:
+        self.frames.append(shown)
+        most = max(1, int(_LOOP_BYTES / _bytes(shown.views)))
+        while len(self.frames) > most or shown.at_s - self.frames[0].at_s > LOOP_S:
             self.frames.popleft()
 
-    def before(self, seconds: float) -> Shown | None:
-        """The frame that was shown so long before the last one; None where there is no frame."""
+    def before(self, seconds: float) -> Shown:
+        """The frame that was shown so long before the last one; a ValueError where there is no frame."""
         if not self.frames:
-            return None
+            raise ValueError("there is no frame yet")
         wanted = self.frames[-1].at_s - seconds
         return min(self.frames, key=lambda shown: abs(shown.at_s - wanted))
+
+
+def _bytes(views: Views) -> int:
+    arrays = (views.target, views.segmentation, views.attenuation, views.mask, *views.generated)
+    return sum(array.nbytes for array in arrays if array is not None)
 
 
 @dataclass(eq=False)
@@ -58,21 +64,22 @@ class Sweep:
     pictures: list[np.ndarray] = field(default_factory=list)
     times_s: list[float] = field(default_factory=list)
 
-    def add(self, state: State, views: Views) -> None:
+    def add(self, shown: Shown) -> None:
         """Record a frame; at rest its full quality replaces the coarse one."""
+        state, views = shown.state, shown.views
         image = views.target if views.target is not None else views.generated[0]
         if image is None:
             return
-        picture = grey_picture(image, views.mask, state.probe)
+        picture = framed(image, views.mask, state.probe)
         if self.poses and np.array_equal(self.poses[-1], state.pose):
             self.pictures[-1] = picture
-        elif len(self.poses) < _MOST_POSES:
-            self.poses.append(state.pose.copy())
+        else:
+            self.poses.append(state.pose)
             self.pictures.append(picture)
-            self.times_s.append(time.monotonic())
+            self.times_s.append(shown.at_s)
 
     def save(self, folder: Path) -> Path:
-        """Write `poses.npy`, (n, 4, 4) float64, and `sweep.gif` at the speed of the recording.
+        """Write `sweep.gif` at the speed of the recording and `poses.npy`, (n, 4, 4) float64, and return its path.
 
         Raises
         ------
@@ -83,58 +90,81 @@ class Sweep:
         """
         if not self.poses:
             raise ValueError("nothing was recorded: move the probe while recording")
-        folder.mkdir(parents=True, exist_ok=True)
-        with written_whole(folder / "poses.npy") as partial, partial.open("wb") as partial_file:
-            np.save(partial_file, np.stack(self.poses))
+        file = save_poses(folder / "poses.npy", np.stack(self.poses))
         height, width = self.pictures[0].shape[:2]  # another depth may have another width
         images = [Image.fromarray(picture).resize((width, height)) for picture in self.pictures]
         spans_ms = [max(20, round(1e3 * span)) for span in (*np.diff(self.times_s), 0.5)]
         with written_whole(folder / "sweep.gif") as partial:
             images[0].save(partial, "GIF", save_all=True, append_images=images[1:], duration=spans_ms, loop=0)
-        return folder
+        return file
 
 
-def save_frame(folder: Path, state: State, views: Views) -> Path:
+def save_frame(folder: Path, state: State, views: Views) -> None:
     """Write the frame as `simulated.png`, `segmentation.png`, `attenuation.png` (65535 is 1) and `generated_<k>.png`.
 
     `frame.json` beside them has pose, probe, settings, display, seed and runs, and `pose.npy` the pose alone. The
-    folder is made, and returned.
+    folder is made.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    save_poses(folder / "pose.npy", state.pose)
     maps = {"simulated": views.target, "segmentation": views.segmentation}
     maps["attenuation"] = np.rint(65535 * views.attenuation).astype(np.uint16)
     maps |= {f"generated_{k}": image for k, image in enumerate(views.generated)}
     for name, image in ((name, image) for name, image in maps.items() if image is not None):
         with written_whole(folder / f"{name}.png") as partial:
             Image.fromarray(image).save(partial, "PNG")
-    with written_whole(folder / "pose.npy") as partial, partial.open("wb") as partial_file:
-        np.save(partial_file, state.pose)
+    described = {name: json_ready(getattr(state, name)) for name in ("hold", "probe", "simulator", "display", "seed")}
+    described |= {"runs": [str(run) for run in state.runs], "quality": views.quality.value}
     with written_whole(folder / "frame.json") as partial:
-        partial.write_text(json.dumps(described(state) | {"quality": views.quality.value}, indent=2), "utf-8")
-    return folder
+        partial.write_text(json.dumps({"pose": state.pose.tolist()} | described, indent=2), "utf-8")
+
+
+def save_poses(file: Path, poses: np.ndarray) -> Path:
+    """Write poses, (4, 4) or (n, 4, 4), as NumPy's own file into a folder that is made, and return its path."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(file) as partial:
+        np.save(partial, poses)
+    return file
 
 
 def next_folder(parent: Path, name: str) -> Path:
-    """The first of `name_1`, `name_2`, ... that there is not yet."""
+    """The first of `name_1`, `name_2`, ... that does not exist yet."""
     number = 1
     while (folder := parent / f"{name}_{number}").exists():
         number += 1
     return folder
 
 
-def described(state: State) -> dict[str, object]:
-    """Everything that decides a frame but the scene, JSON-ready."""
-    return {
-        "pose": state.pose.tolist(),
-        "hold": plain(state.hold),
-        "probe": plain(state.probe),
-        "simulator": plain(state.simulator),
-        "display": plain(state.display),
-        "seed": state.seed,
-        "runs": [str(folder) for folder in state.runs],
-    }
+def render_command(settings: StudySettings, state: State, poses: Path) -> str:
+    """The command that renders a file of poses with the scene, probe, settings and seed of a state.
+
+    `settings` are those that the viewer was started with.
+    """
+    dataset = replace(settings.dataset, seed=state.seed)
+    return _command(replace(settings, dataset=dataset), state, ["task=render", f"pose={poses}"])
 
 
-def _bytes(views: Views) -> int:
-    arrays = (views.target, views.segmentation, views.attenuation, views.mask, *views.generated)
-    return sum(array.nbytes for array in arrays if array is not None)
+def data_command(settings: StudySettings, state: State, poses: Path, count: int) -> str:
+    """The command that makes a data set of pairs of a file of poses."""
+    return _command(settings, state, ["task=simulate", f"dataset.poses={poses}", f"dataset.frames={count}"])
+
+
+def _command(settings: StudySettings, state: State, words: Sequence[str]) -> str:
+    """A command line that is composed to the same scene, probe and simulator."""
+    wanted = replace(settings, probe=state.probe, simulator=state.simulator)
+    overrides = [f"preset={wanted.preset}", f"scene={wanted.scene.kind}"]
+    if wanted.scene.kind is SceneKind.folder:
+        overrides.append(f"scene.folder={Path(wanted.scene.folder or '').resolve()}")
+    if wanted.runs_dir != StudySettings.runs_dir:
+        overrides.append(f"runs_dir={wanted.runs_dir}")
+    (plain,) = jobs_of([*overrides, "task=describe"])
+    for section in _SECTIONS:
+        overrides += _differences(section, getattr(wanted, section), getattr(plain.settings, section))
+    return shlex.join(["python", "-m", "ablate", *words, *overrides])
+
+
+def _differences(section: str, wanted: object, plain: object) -> Iterator[str]:
+    names = ["seed", "press_mm"] if section == "dataset" else json_ready(wanted)
+    for name in names:
+        if name not in ("kind", "folder") and getattr(wanted, name) != getattr(plain, name):
+            value = json_ready(getattr(wanted, name))
+            yield f"{section}.{name}={value if isinstance(value, str) else json.dumps(value, separators=(',', ':'))}"

@@ -1,14 +1,12 @@
 """What the operator has set, whatever page it was set on; every change asks the worker for new views."""
 
-import threading
 from collections.abc import Callable, Mapping
-from dataclasses import fields, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from ablate.ultrasound import Probe, SimulatorSettings
+from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import fan_size_mm
 from ablate.viewer.hand import Hand, Hold
 from ablate.viewer.state import State
@@ -20,7 +18,7 @@ FROZEN = "frozen: the picture is held; the probe moves on"
 class Session:
     """The probe as it is held, the scanner as it is set, and whether the picture is frozen.
 
-    It may be called from several threads.
+    Only one thread at a time may call it.
 
     Parameters
     ----------
@@ -36,9 +34,6 @@ class Session:
         self, hand: Hand, state: State, poses: Mapping[str, np.ndarray], submit: Callable[[State], object]
     ) -> None:
         self.hand, self.presets, self._submit = hand, dict(poses), submit
-        self._lock = threading.RLock()
-        self._shape = state.simulator.image_shape
-        self._own_probe = state.probe
         self.state = self.start = state
         self.frozen = False
         self.words = ""
@@ -48,31 +43,25 @@ class Session:
 
     def move(self, **changes: float) -> None:
         """Change the hold: keys are those of `Hold`. Off the body the probe stays where it was."""
-        with self._lock:
-            self.put(replace(self.hold, **changes))
+        self.put(replace(self.hold, **changes))
 
     def nudge(self, **steps: float) -> None:
         """Change the hold by steps."""
-        with self._lock:
-            self.move(**{name: getattr(self.hold, name) + step for name, step in steps.items()})
+        self.move(**{name: getattr(self.hold, name) + step for name, step in steps.items()})
 
     def turn_to(self, rotation: np.ndarray) -> None:
         """Turn the probe where it stands, to a rotation (3, 3) from probe to world."""
-        with self._lock:
-            self.put(self.hand.turned(self.hold, rotation))
+        self.put(self.hand.turned(self.hold, rotation))
 
     def put(self, hold: Hold) -> None:
-        """Hold the probe in another way; values that are not finite are a ValueError."""
-        if not all(np.isfinite(getattr(hold, field.name)) for field in fields(hold)):
-            raise ValueError(f"the hold must be finite numbers, not {hold}")
-        with self._lock:
-            held = self.hand.place(hold)
-            if held is None:
-                self.words = OFF_BODY
-                self._tell()
-                return
-            self.hold, self.words = hold, held.words
-            self._become(replace(self.state, pose=held.pose, hold=hold))
+        """Hold the probe in another way."""
+        held = self.hand.place(hold)
+        if held is None:
+            self.words = OFF_BODY
+            self._tell()
+            return
+        self.hold, self.words = hold, held.words
+        self._become(replace(self.state, pose=held.pose, hold=hold))
 
     def to_preset(self, name: str) -> None:
         """Hold the probe as a preset does, exactly."""
@@ -80,51 +69,42 @@ class Session:
 
     def to_pose(self, pose: np.ndarray) -> None:
         """Hold the probe at a pose, (4, 4), mm; the hold is the one that comes nearest."""
-        with self._lock:
-            self.hold, self.words = self.hand.hold_of(pose), self.hand.judge(pose)
-            self._become(replace(self.state, pose=pose, hold=self.hold))
+        self.hold, self.words = self.hand.hold_of(pose), self.hand.judge(pose)
+        self._become(replace(self.state, pose=pose, hold=self.hold))
 
     def scan(self, **changes: float) -> None:
         """Change the probe: keys are those of its kind. Pixels stay square, and there are as many rows."""
-        with self._lock:
-            probe: Probe = replace(self.state.probe, **changes)  # type: ignore[arg-type]  # the keys are those of its kind
-            settings = replace(self.state.simulator, image_shape=self._shape_for(probe))
-            self._become(replace(self.state, probe=probe, simulator=settings))
+        probe: Probe = replace(self.state.probe, **changes)  # type: ignore[arg-type]  # keys of its kind
+        settings = replace(self.state.simulator, image_shape=self._shape_for(probe))
+        self._become(replace(self.state, probe=probe, simulator=settings))
 
     def simulate(self, **changes: Any) -> None:
         """Change settings of the simulator."""
-        with self._lock:
-            self._become(replace(self.state, simulator=replace(self.state.simulator, **changes)))
+        self._become(replace(self.state, simulator=replace(self.state.simulator, **changes)))
 
     def show(self, **changes: Any) -> None:
         """Change the display, the seed or the runs: keys are those of `State`."""
-        with self._lock:
-            self._become(replace(self.state, **changes))
+        self._become(replace(self.state, **changes))
 
     def new_speckle(self) -> None:
         """Draw other scatterers, and other noise of the generators."""
-        with self._lock:
-            self.show(seed=self.state.seed + 1)
+        self.show(seed=self.state.seed + 1)
 
     def freeze(self, frozen: bool) -> None:
         """Hold the picture, or let it follow the probe again."""
-        with self._lock:
-            self.frozen = frozen
-            self._become(self.state)
+        self.frozen = frozen
+        self._become(self.state)
 
     def reset(self) -> None:
         """Back to the scanner's settings, the seed and the place of the beginning; runs stay picked."""
-        with self._lock:
-            self.state = replace(self.start, runs=self.state.runs)
-            self.to_preset(next(iter(self.presets)))
+        self.state = replace(self.start, runs=self.state.runs)
+        self.to_preset(next(iter(self.presets)))
 
     def _shape_for(self, probe: Probe) -> tuple[int, int]:
-        if probe == self._own_probe:
-            return self._shape
-        height, width = fan_size_mm(probe)
-        own_height, own_width = fan_size_mm(self._own_probe)
-        rows, columns = self._shape
-        return rows, max(1, round(columns * (width / height) / (own_width / own_height)))
+        """Rows and columns of an image whose pixels have the proportions of those at the start."""
+        rows, columns = self.start.simulator.image_shape
+        (height, width), (first_height, first_width) = fan_size_mm(probe), fan_size_mm(self.start.probe)
+        return rows, max(1, round(columns * (width / height) / (first_width / first_height)))
 
     def _become(self, state: State) -> None:
         self.state = state
@@ -135,8 +115,3 @@ class Session:
     def _tell(self) -> None:
         for listener in self.listeners:
             listener()
-
-
-def first_state(probe: Probe, simulator: SimulatorSettings, seed: int, runs: tuple[Path, ...]) -> State:
-    """The state before the probe is put anywhere."""
-    return State(np.eye(4), probe, simulator, seed=seed, runs=runs)

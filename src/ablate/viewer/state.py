@@ -20,8 +20,8 @@ class Quality(StrEnum):
 class Moving(StrEnum):
     """What is rendered while the probe moves: a coarse simulation and the generators, or the generators `alone`."""
 
-    both = "both"
-    alone = "alone"
+    both = "simulator and generator"
+    alone = "generator alone"
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,36 +3,42 @@
 import threading
 import time
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ablate.dataset import read_poses
+from ablate.anatomy import Scene, SiteGrid, fetal_planes
+from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
+from ablate.dataset import place_probe, read_poses
 from ablate.runs.job import Job
 from ablate.runs.simulated import build_scene
-from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.viewer.engine import Engine
 from ablate.viewer.generators import pickable
 from ablate.viewer.hand import Hand
+from ablate.viewer.page.compare_tab import add_compare_tab
+from ablate.viewer.page.keep_tab import add_keep_tab
+from ablate.viewer.page.operate_tabs import add_hands, add_learn_tab, add_move_tab, add_row, add_scan_tab
+from ablate.viewer.page.page import IMAGES_PX, Page
 from ablate.viewer.page.server import HOST, check_server, open_server
-from ablate.viewer.presets import presets
-from ablate.viewer.session import Session, first_state
+from ablate.viewer.session import Session
 from ablate.viewer.state import State, Views
 from ablate.viewer.worker import Worker
 
 _LOOK_EVERY_S = 3600.0
+_CONTROLS_PX = 290
+_MOST_SITES = 60  # of a list that can be searched by eye
 
 
 def view(jobs: Sequence[Job]) -> int:
     """Show the page of the first job's scene until the program is stopped."""
     settings = jobs[0].settings
-    port = settings.viewer.port
-    check_server(port)
     with refusing():  # a mesh with a hole, a pose that is not rigid, ...
         viewer = Viewer(settings)
-    address = f"http://{HOST}:{port}"
+    address = f"http://{HOST}:{settings.viewer.port}"
     print(f"{address}  (Ctrl-C ends it)", flush=True)
     if settings.viewer.open:
         webbrowser.open(address)
@@ -59,20 +65,20 @@ class Viewer:
     def __init__(self, settings: StudySettings) -> None:
         check_server(settings.viewer.port)
         scene, grid = build_scene(settings)
-        places = presets(settings, scene, grid)
-        offered = offered_generators(settings)
-        engine = Engine(scene)
-        self.worker: Worker[State, Views] = Worker(engine.render)
+        poses = presets(settings, scene, grid)
+        folder = settings.results if settings.runs is None else Path(settings.runs)
+        if settings.runs is not None and not folder.is_dir():
+            allowed = "a run, a study or a folder of studies"
+            raise ConfigurationError(f"runs={settings.runs}: no such folder; allowed is {allowed}")
+        picked = tuple(pickable(folder).values())[:1]
         hand = Hand(scene, grid.axis, grid.front, settings.dataset.press_mm, settings.probe)
-        picked = tuple(list(offered.values())[:1])
-        start = first_state(settings.probe, settings.simulator, settings.dataset.seed, picked)
-        self.session = Session(hand, start, places, self.worker.submit)
-        if (pose := _first_pose(settings, places)) is not None:
+        self.worker: Worker[State, Views] = Worker(Engine(scene).render)
+        start = State(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed, runs=picked)
+        self.session = Session(hand, start, poses, self.worker.submit)
+        if (pose := _first_pose(settings, poses)) is not None:
             self.session.to_pose(pose)
         self.server = open_server(settings.viewer.port)
-        from ablate.viewer.page.whole import build_page
-
-        self.page = build_page(self.server, settings, scene, self.session, self.worker, offered)
+        self.page = _page(self.server, settings, scene, self.session, folder)
         self._lock = threading.Lock()
         self.worker.pause()
         self.worker.start(self.page.show, self.page.fail)
@@ -81,7 +87,7 @@ class Viewer:
         self.server.on_client_disconnect(self._follow_pages)
 
     def close(self) -> None:
-        """Stop the server and the worker."""
+        """Stop the server, the worker and the thread that draws."""
         self.server.stop()
         self.worker.close()
         self.page.close()
@@ -95,23 +101,58 @@ class Viewer:
                 self.worker.resume()
 
 
-def offered_generators(settings: StudySettings) -> dict[str, Path]:
-    """The generators that can be picked, by name; a ConfigurationError for `runs` that hold none."""
-    if settings.runs is None:
-        return pickable(settings.results)
-    folder = Path(settings.runs)
-    if not folder.is_dir():
-        allowed = "a run, a study or a folder of studies"
-        raise ConfigurationError(f"runs={settings.runs}: no such folder; allowed is {allowed}")
-    return pickable(folder)
+def _page(server: Any, settings: StudySettings, scene: Scene, session: Session, runs: Path) -> Page:
+    """Build the page: the controls on the left, the body in the middle, the images on the right."""
+    gui = server.gui
+    gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+    gui.set_panel_label(f"ablate: {settings.scene_name}")
+    page = Page(server, settings, scene, session)
+    add_row(page)
+    tabs = gui.add_tab_group()
+    contents: dict[str, Callable[[Page], None]] = {"Move": add_move_tab, "Scan": add_scan_tab}
+    contents |= {"Compare": partial(add_compare_tab, runs=runs), "Keep": add_keep_tab, "Learn": add_learn_tab}
+    for name, add_content in contents.items():
+        with tabs.add_tab(name):
+            add_content(page)
+    add_hands(page)
+    gui.main_panel.dock_left()
+    gui.main_panel.set_width(_CONTROLS_PX)
+    page.images.dock_right()
+    page.images.set_width(IMAGES_PX)
+    page.refresh()
+    return page
 
 
-def _first_pose(settings: StudySettings, places: dict[str, np.ndarray]) -> np.ndarray | None:
+def presets(settings: StudySettings, scene: Scene, grid: SiteGrid) -> dict[str, np.ndarray]:
+    """Poses to start from, (4, 4) float64, mm, by name: standard planes of the built-in anatomy, or probe sites.
+
+    If a grid has many sites, they are evenly spaced ones. At a site the probe stands upright on the skin, and its plane
+    is the first of the grid's rolls.
+
+    Raises
+    ------
+    ValueError
+        When the scene has no structure or no probe site of it can be used.
+    """
+    if settings.scene.kind is SceneKind.fetal:
+        planes = fetal_planes(settings.scene.anatomy_seed, settings.dataset.press_mm)
+        return {name.replace("_", " "): pose for name, pose in planes.items()}
+    upright = replace(grid, tilts_deg=(0.0,), rolls_deg=grid.rolls_deg[:1])
+    placed = place_probe(scene, upright, settings.dataset.press_mm, settings.probe).poses
+    steps = np.linspace(0, len(placed) - 1, min(len(placed), _MOST_SITES)).round().astype(int)
+    named = {}
+    for pose in (placed[i] for i in steps):
+        height, angle = divmod(pose.site, len(grid.angles_deg))
+        named[f"{grid.heights_mm[height]:.0f} mm, {grid.angles_deg[angle]:.0f} degrees"] = pose.probe_to_world
+    return named
+
+
+def _first_pose(settings: StudySettings, poses: dict[str, np.ndarray]) -> np.ndarray | None:
     if settings.pose:
         return np.asarray(read_poses(Path(settings.pose), "pose")[0][0])
     if settings.plane:
         name = settings.plane.replace("_", " ")
-        if name not in places:
-            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(places)}")
-        return places[name]
+        if name not in poses:
+            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(poses)}")
+        return poses[name]
     return None

@@ -28,7 +28,7 @@ class Worker(Generic[S, V]):
         self._slot: S | None = None
         self._last: S | None = None
         self._asked = 0.0
-        self._paused = self._closed = self._waits = False
+        self.paused = self._closed = self._waits = False
         self.computed = dict.fromkeys(Quality, 0)
         self._thread: threading.Thread | None = None
 
@@ -51,23 +51,19 @@ class Worker(Generic[S, V]):
     def pause(self) -> None:
         """Compute nothing until `resume`, whatever is submitted."""
         with self._changed:
-            self._paused = True
+            self.paused = True
 
     def resume(self) -> None:
         """Go on, with the last state that was submitted."""
         with self._changed:
-            self._paused, self._slot = False, self._last
+            self.paused, self._slot = False, self._last
             self._changed.notify_all()
-
-    @property
-    def paused(self) -> bool:
-        return self._paused
 
     @property
     def idle(self) -> bool:
         """Whether nothing is computed, and nothing is to be."""
         with self._changed:
-            return self._waits and (self._slot is None or self._paused)
+            return self._waits and (self._slot is None or self.paused)
 
     def close(self) -> None:
         """End the thread, after what it computes now."""
@@ -86,7 +82,7 @@ class Worker(Generic[S, V]):
         """Wait for a state and take it; None when closed."""
         with self._changed:
             self._waits = True
-            self._changed.wait_for(lambda: self._closed or (self._slot is not None and not self._paused))
+            self._changed.wait_for(lambda: self._closed or (self._slot is not None and not self.paused))
             self._waits = False
             state, self._slot = self._slot, None
             return None if self._closed else state
@@ -95,7 +91,7 @@ class Worker(Generic[S, V]):
         """Wait until the state has rested; False when another has come, or nothing is to be computed."""
         with self._changed:
             left = self._asked + self._rest_s - time.monotonic()
-            return not self._changed.wait_for(self._interrupted, max(left, 0.0)) and not self._paused
+            return not self._changed.wait_for(self._interrupted, max(left, 0.0)) and not self.paused
 
     def _interrupted(self) -> bool:
         return self._closed or self._slot is not None

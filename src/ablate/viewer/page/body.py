@@ -12,7 +12,6 @@ from ablate.analysis.figures.tissue_colours import Colour
 from ablate.anatomy import Scene, TissueKind, bounds_mm
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_sag_mm, fan_outline, fan_size_mm
-from ablate.viewer.page.coarser import fewer_triangles
 from ablate.viewer.pictures import on_fan
 from ablate.viewer.state import Quality, State, Views
 
@@ -28,7 +27,21 @@ _FAN_ROWS = {Quality.coarse: 128, Quality.full: 256}
 
 
 class Body:
-    """The 3-D part of the page."""
+    """The 3-D part of the page.
+
+    Attributes
+    ----------
+    grabbed : callable
+        Called with the phase of a drag of the probe and the point where the pointer is, mm.
+    turned : callable
+        Called with a rotation (3, 3), probe to world, when the rings are turned.
+    clicked : callable
+        Called with origin and direction, mm, of the line of sight of a click on the fan.
+    """
+
+    grabbed: Callable[[str, np.ndarray], object]
+    turned: Callable[[np.ndarray], object]
+    clicked: Callable[[np.ndarray, np.ndarray], object]
 
     def __init__(self, server: Any, scene: Scene, colours: Sequence[Colour], axis: np.ndarray, front: np.ndarray):
         self._server, self._axis, self._front = server, axis, front
@@ -41,9 +54,12 @@ class Body:
         _add_structures(server, scene, colours)
         self._frame = server.scene.add_frame("/probe", show_axes=False)
         self.rings = server.scene.add_transform_controls(
-            "/rings", scale=0.55, disable_axes=True, disable_sliders=True, depth_test=False
+            "/rings", scale=0.55, disable_axes=True, disable_sliders=True, depth_test=False, visible=False
         )
-        self._look_from_front()
+        self.rings.on_update(self._turn)
+        server.scene.set_up_direction(tuple(axis))
+        server.initial_camera.position, server.initial_camera.look_at = self._front_view()
+        server.initial_camera.up, server.initial_camera.fov = tuple(axis), np.deg2rad(40.0)
 
     def hold(self, state: State) -> None:
         """Put the probe where it is held, before there is an image of it."""
@@ -61,27 +77,19 @@ class Body:
         if image is not None and state.probe == self._probe:
             self.fan.image = on_fan(image, views.mask, _FAN_ROWS[views.quality])
 
-    def on_turn(self, turned: Callable[[np.ndarray], object]) -> None:
-        """Call with a rotation (3, 3), probe to world, when the rings are turned."""
+    async def _turn(self, event: Any) -> None:  # async, as all of these three, so that phases stay in order
+        self._turning = event.phase != "end"
+        self.turned(Rotation.from_quat(self.rings.wxyz, scalar_first=True).as_matrix())
 
-        async def update(event: Any) -> None:  # async: phases stay in order
-            self._turning = event.phase != "end"
-            turned(Rotation.from_quat(self.rings.wxyz, scalar_first=True).as_matrix())
+    async def _grab(self, event: Any) -> None:
+        self.grabbed(event.phase, np.array(event.end_position) * _UNIT_MM)
 
-        self.rings.on_update(update)
-
-    def on_grab(self, grabbed: Callable[[str, np.ndarray], object]) -> None:
-        """Call with the phase of a drag of the probe and the point where the pointer is, mm."""
-        self._grabbed = grabbed
-
-    def on_fan_click(self, clicked: Callable[[np.ndarray, np.ndarray], object]) -> None:
-        """Call with origin and direction, mm, of the line of sight of a click on the fan."""
-        self._clicked = clicked
+    async def _click(self, event: Any) -> None:
+        self.clicked(np.array(event.ray_origin) * _UNIT_MM, np.array(event.ray_direction))
 
     def face(self, client: Any, pose: np.ndarray) -> None:
         """Turn a browser's camera so that the fan is seen as the image is."""
-        if self._probe is None:
-            return
+        assert self._probe is not None
         height, width = fan_size_mm(self._probe)
         middle = pose[:3, 3] + 0.45 * height * pose[:3, 2]
         share = 2 * np.tan(client.camera.fov / 2)  # of the distance, that is seen
@@ -92,13 +100,6 @@ class Body:
         """Turn a browser's camera back to the body's front."""
         position, look_at = self._front_view()
         _look(client, position * _UNIT_MM, look_at * _UNIT_MM, self._axis)
-
-    def _look_from_front(self) -> None:
-        self._server.scene.set_up_direction(tuple(self._axis))
-        camera = self._server.initial_camera
-        camera.position, camera.look_at = self._front_view()
-        camera.up = tuple(self._axis)
-        camera.fov = np.deg2rad(40.0)
 
     def _front_view(self) -> tuple[np.ndarray, np.ndarray]:
         middle, size = self._bounds.mean(axis=0), float(np.linalg.norm(np.ptp(self._bounds, axis=0)))
@@ -128,14 +129,8 @@ class Body:
             receive_shadow=False,
         )
 
-        async def grab(event: Any) -> None:  # async: phases stay in order
-            self._grabbed(event.phase, np.array(event.end_position) * _UNIT_MM)
-
-        async def click(event: Any) -> None:
-            self._clicked(np.array(event.ray_origin) * _UNIT_MM, np.array(event.ray_direction))
-
-        body.on_drag(grab)
-        self.fan.on_click(click)
+        body.on_drag(self._grab)
+        self.fan.on_click(self._click)
 
 
 def _look(client: Any, position: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> None:
@@ -146,9 +141,9 @@ def _look(client: Any, position: np.ndarray, look_at: np.ndarray, up: np.ndarray
 
 
 def _add_structures(server: Any, scene: Scene, colours: Sequence[Colour]) -> None:
-    """All structures as meshes, one for each tissue and opacity, the largest first.
+    """Add all structures as meshes, one for each tissue and opacity, the largest first.
 
-    Their far walls alone are drawn, as of something cut open: so the fan is seen, and what lies in them.
+    Only their far walls are drawn, as of a body cut open, so that the fan and the organs inside are seen.
     """
     whole = np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).prod()
     share = min(1.0, _TRIANGLES / max(1, sum(len(s.mesh.faces) for s in scene.structures)))
@@ -183,3 +178,23 @@ def _add(
 
 def _wxyz(rotation: Rotation) -> np.ndarray:
     return np.asarray(rotation.as_quat(scalar_first=True))
+
+
+def fewer_triangles(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
+    """A mesh with `most` triangles or fewer to look at; the simulator keeps them all.
+
+    Vertices that share a cube become their mean, in larger and larger cubes. A mesh that has few enough is returned as
+    it is.
+    """
+    cube = float(np.sqrt(4 * mesh.area / most)) / 2
+    result = mesh
+    while len(result.faces) > most:
+        cells = np.floor((mesh.vertices - mesh.bounds[0]) / cube).astype(np.int64)
+        _, owner = np.unique(cells, axis=0, return_inverse=True)
+        owner = owner.ravel()
+        points = np.stack([np.bincount(owner, x) for x in mesh.vertices.T], axis=-1) / np.bincount(owner)[:, None]
+        faces = owner[mesh.faces]
+        faces = faces[(np.diff(np.sort(faces, axis=1)) > 0).all(axis=1)]  # the others have shrunk to a line or point
+        result = trimesh.Trimesh(points, faces, process=False)
+        cube *= 1.2
+    return result

@@ -4,8 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,11 @@ from ablate.analysis.figures.tissue_colours import tissue_colours
 from ablate.anatomy import Scene
 from ablate.settings.study import StudySettings
 from ablate.viewer.page.body import Body
-from ablate.viewer.page.caption import BAD, GOOD, caption, line
-from ablate.viewer.page.screen import Layout, screen
+from ablate.viewer.page.screen import BAD, GOOD, Layout, caption, line, screen
 from ablate.viewer.pictures import empty_picture
 from ablate.viewer.records import CineLoop, Shown, Sweep
 from ablate.viewer.session import FROZEN, Session
 from ablate.viewer.state import State, Views
-from ablate.viewer.worker import Worker
 
 _JPEG_QUALITY = 88
 IMAGES_PX = 640  # width of the images in a window of 1366 px
@@ -29,95 +26,102 @@ _PLACING_S = 30.0
 _FIRST = "The first picture is on its way:\nthe simulator is being compiled,\nwhich takes up to a minute."
 
 
-@dataclass(eq=False)
 class Page:
-    """What all parts of the page share.
+    """What all parts of the page share; it follows the session.
 
-    `refreshers` are called when what is set has changed, `painters` with every frame that is shown.
+    Attributes
+    ----------
+    folder : Path
+        Where frames and sweeps are kept.
+    sweep : Sweep or None
+        The sweep that is being recorded.
+    shown : Shown or None
+        The frame on the page: the last one, or one of the cine loop.
+    refreshers, painters : list of callables
+        Called when a setting has changed, and with every frame that is shown.
     """
 
-    server: Any
-    settings: StudySettings
-    scene: Scene
-    session: Session
-    worker: Worker[State, Views]
-    body: Body
-    layout: Layout = Layout()
-    loop: CineLoop = field(default_factory=CineLoop)
-    sweep: Sweep | None = None
-    shown: Shown | None = None
-    refreshers: list[Callable[[], object]] = field(default_factory=list)
-    painters: list[Callable[[State, Views], object]] = field(default_factory=list)
-    lock: threading.RLock = field(default_factory=threading.RLock)
-    _words: str = ""
-    _fitted: bool = False
-    _images_px: float = IMAGES_PX
-
-    def __post_init__(self) -> None:
-        self.colours = tissue_colours(self.scene.tissues)
-        self._paper = threading.RLock()
+    def __init__(self, server: Any, settings: StudySettings, scene: Scene, session: Session) -> None:
+        self.server, self.settings, self.scene, self.session = server, settings, scene, session
+        self.folder = settings.results / "view"
+        self.colours = tissue_colours(scene.tissues)
+        self.body = Body(server, scene, self.colours, session.hand.axis, session.hand.front)
+        self.layout, self.loop = Layout(), CineLoop()
+        self.sweep: Sweep | None = None
+        self.shown: Shown | None = None
+        self.refreshers: list[Callable[[], object]] = []
+        self.painters: list[Callable[[Shown], object]] = []
+        self.lock, self._paper = threading.RLock(), threading.RLock()
         self._pencil = ThreadPoolExecutor(1, "pencil")
         self._drawing = self._pencil.submit(lambda: None)
-        self.session.listeners.append(self.refresh)
-
-    @property
-    def folder(self) -> Path:
-        """Where frames and sweeps are kept."""
-        return self.settings.results / "view"
-
-    def add_screen(self) -> None:
-        """The place of all images, in a window of its own."""
-        self.images = self.server.gui.add_panel()
+        self._words = ""
+        self._end_of_placing: float | None = None
+        self._images_px = float(IMAGES_PX)
+        self.images = server.gui.add_panel()
         with self.images.add_tab("Images"):
-            shape = self.session.state.simulator.image_shape
-            first = np.tile(empty_picture(_FIRST, shape), (2, 2, 1))
-            self._screen = self.server.gui.add_image(first, format="jpeg", jpeg_quality=_JPEG_QUALITY)
-            self._caption = self.server.gui.add_html("")
+            first = np.tile(empty_picture(_FIRST, session.state.simulator.image_shape), (2, 2, 1))
+            self._screen = server.gui.add_image(first, format="jpeg", jpeg_quality=_JPEG_QUALITY)
+            self._caption = server.gui.add_html("")
+        self._status = server.gui.add_html("")
+        session.listeners.append(self.refresh)
+
+    def add_slider(
+        self,
+        label: str,
+        bounds: tuple[float, float, float],
+        read: Callable[[], float],
+        write: Callable[[float], object],
+        hint: str | None = None,
+    ) -> None:
+        """Add a slider with bounds (lowest, highest, step); it shows what `read` gives, and moving it calls `write`."""
+        lowest, highest, step = bounds
+        whole = all(isinstance(value, int) for value in bounds)
+
+        def shown() -> float:
+            value = min(max(read(), lowest), highest)
+            return round(value) if whole else round(value / step) * step  # as many digits as a step has
+
+        slider = self.server.gui.add_slider(label, min=lowest, max=highest, step=step, initial_value=shown(), hint=hint)
+        slider.on_update(self.does(lambda _: write(slider.value)))
+        self.keep_equal(slider, shown)
+
+    def add_button(self, label: str, work: Callable[[], object]) -> None:
+        """Add a button that does some work."""
+        self.server.gui.add_button(label).on_click(self.does(lambda _: work()))
+
+    def add_key(self, key: str, words: str, work: Callable[[], object]) -> None:
+        """Add a key that does some work."""
+        self.server.gui.add_command(words, hotkey=key).on_trigger(self.does(lambda _: work()))
+
+    def keep_equal(self, control: Any, read: Callable[[], object]) -> None:
+        """Have a control show what `read` gives."""
+        self.refreshers.append(lambda: setattr(control, "value", read()))
 
     def fit(self, client: Any) -> None:
-        """Share the first window among body and images while the browser places the panels, and then leave it alone."""
-        if not self._fitted:
-            self._fitted, end = True, time.monotonic() + _PLACING_S
+        """Share the first window between body and images while the browser places the panels; later leave it alone."""
+        if self._end_of_placing is not None:
+            return
+        self._end_of_placing = end = time.monotonic() + _PLACING_S
 
-            def share(camera: Any) -> None:
-                if time.monotonic() < end:
-                    self._share(camera.image_width)
+        def share(camera: Any) -> None:
+            spare_px = camera.image_width + self._images_px - _BODY_PX - IMAGES_PX
+            width = IMAGES_PX + min(max(0.6 * spare_px, 0.0), _MOST_SPARE_PX)
+            if time.monotonic() < end and round(width) != round(self._images_px):
+                self._images_px = width
+                self.images.set_width(width)
 
-            client.camera.on_update(share)
-
-    def _share(self, body_px: float) -> None:
-        """Make the images as wide as both have room for, where the body has so many px now."""
-        spare = body_px + self._images_px - _BODY_PX - IMAGES_PX
-        width = IMAGES_PX + min(max(0.6 * spare, 0.0), _MOST_SPARE_PX)
-        if round(width) != round(self._images_px):
-            self._images_px = width
-            self.images.set_width(width)
-
-    def add_status(self) -> None:
-        """The place of words: how the probe lies, and what could not be done."""
-        self._status = self.server.gui.add_html("")
-
-    def say(self, words: str) -> None:
-        """Tell something; empty words take back what was told."""
-        self._words = " ".join(words.split())
-        self._write_status()
+        client.camera.on_update(share)
 
     def does(self, work: Callable[[Any], object]) -> Callable[[Any], None]:
-        """A callback for what a browser sends; what cannot be done is told in a sentence.
+        """Make a callback for events of a browser, which gives the event to `work`.
 
-        Changes that the program makes itself are no wish of anybody, and are not answered.
+        Errors are shown as in `tells`. Changes that the program makes itself call it too, and are left out.
         """
-
-        told = self.tells(work)
-
-        def answer(event: Any) -> None:
-            if event.client is not None:
-                told(event)
-
-        return answer
+        answer = self.tells(work)
+        return lambda event: None if event.client is None else answer(event)
 
     def tells(self, work: Callable[..., object]) -> Callable[..., None]:
-        """The same work, one at a time, which tells in a sentence what goes wrong and does not raise."""
+        """Do the same work, one at a time; what goes wrong is shown in a sentence and not raised."""
 
         def answer(*arguments: Any) -> None:
             with self.lock:
@@ -125,13 +129,22 @@ class Page:
                     self.say("")
                     work(*arguments)
                 except Exception as error:  # the viewer lives on, whatever it is
-                    self.say(str(error) or type(error).__name__)
+                    self.fail(None, error)
                     self.refresh()
 
         return answer
 
+    def say(self, words: str) -> None:
+        """Show some words in the status; empty words take back the last ones."""
+        self._words = " ".join(words.split())
+        self._write_status()
+
+    def fail(self, _: State | None, error: Exception) -> None:
+        """Show why a state could not be rendered, or why a wish could not be met."""
+        self.say(str(error) or type(error).__name__)
+
     def refresh(self) -> None:
-        """Bring the probe and all controls to what is set."""
+        """Bring the probe and all controls to the state of the session."""
         self.body.hold(self.session.state)
         for refresher in self.refreshers:
             refresher()
@@ -139,21 +152,21 @@ class Page:
 
     def show(self, state: State, views: Views) -> None:
         """Keep a frame that the worker rendered, and have it drawn while the worker renders the next one."""
-        frame = self.shown = Shown(state, views, 0.0)
-        self.loop.add(state, views)
+        shown = self.shown = Shown(state, views, time.monotonic())
+        self.loop.add(shown)
         if self.sweep is not None:
-            self.sweep.add(state, views)
+            self.sweep.add(shown)
         self._drawing.result()  # of two frames none is left out, so the last one is drawn last
-        self._drawing = self._pencil.submit(self._draw, frame)
+        self._drawing = self._pencil.submit(self._draw, shown)
 
-    def _draw(self, frame: Shown) -> None:
+    def _draw(self, shown: Shown) -> None:
         try:
-            self.paint(frame.state, frame.views)
+            self.paint(shown)
         except Exception as error:  # as for what the worker itself cannot do
-            self.fail(frame.state, error)
+            self.fail(shown.state, error)
 
     def close(self) -> None:
-        """Draw no more."""
+        """End the thread that draws, after the frame that it draws now."""
         self._pencil.shutdown()
 
     @property
@@ -161,43 +174,25 @@ class Page:
         """Whether all that was shown has been drawn."""
         return self._drawing.done()
 
-    def paint(self, state: State, views: Views) -> None:
+    def paint(self, shown: Shown) -> None:
         """Draw a frame, a new one or one of the cine loop."""
         with self._paper:
-            picture = screen(state, views, self.colours, self.layout)
+            picture = screen(shown.state, shown.views, self.colours, self.layout)
             with self.server.atomic():
                 self._screen.image = picture
-                self._caption.content = caption(state, views, self.scene, self.colours)
-            self.body.show(state, views)
+                self._caption.content = caption(shown.state, shown.views, self.scene, self.colours)
+            self.body.show(shown.state, shown.views)
             for painter in self.painters:
-                painter(state, views)
-
-    def repaint(self) -> None:
-        """Draw the last frame again, in another layout."""
-        if self.shown is not None:
-            self.paint(self.shown.state, self.shown.views)
+                painter(shown)
 
     def lay_out(self, **changes: Any) -> None:
-        """Change the layout of the images."""
+        """Change the layout of the images, and draw the last frame again."""
         self.layout = replace(self.layout, **changes)
-        self.repaint()
-
-    def layout_names(self, names: tuple[str, ...]) -> None:
-        """Say what the generators of the next states are called."""
-        self.layout = replace(self.layout, names=names)
-
-    def fail(self, _: State, error: Exception) -> None:
-        """Tell why a state could not be rendered."""
-        self.say(str(error) or type(error).__name__)
+        if self.shown is not None:
+            self.paint(self.shown)
 
     def _write_status(self) -> None:
         contact = self.session.words
-        colour = BAD if contact else GOOD
-        lines = [(colour, contact or "the probe lies on the skin")]
-        if self.session.frozen:
-            lines.append((BAD, FROZEN))
-        if self._words:
-            lines.append((BAD, self._words))
-        content = "".join(line(words, colour) for colour, words in lines)
-        if content != self._status.content:
-            self._status.content = content
+        lines = [line(contact or "the probe lies on the skin", BAD if contact else GOOD)]
+        lines += [line(words, BAD) for words in (FROZEN if self.session.frozen else "", self._words) if words]
+        self._status.content = "".join(lines)

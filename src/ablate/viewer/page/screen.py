@@ -1,26 +1,24 @@
-"""All images of one state in one picture, so that what stands side by side was seen at the same moment."""
+"""All images of one state in one picture, so that what stands side by side was seen at the same moment; its caption."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ablate.analysis.figures.tissue_colours import Colour
-from ablate.viewer.pictures import (
-    difference_picture,
-    empty_picture,
-    grey_picture,
-    label_picture,
-    marked,
-    share_picture,
-)
+from ablate.anatomy import Scene
+from ablate.viewer.pictures import difference_picture, empty_picture, framed, label_picture, marked, share_picture
 from ablate.viewer.state import Quality, State, Views
 
 _COLUMNS = 2
 _BAR_PX, _GAP_PX = 30, 6
 _PAPER, _INK, _DIM = (16, 18, 22), (235, 238, 242), (140, 150, 160)
-_WORDS_PER_LINE = 42  # characters
+_LINE = 42  # characters
+GOOD, BAD, DIM = "#2f9e44", "#e8590c", "#868e96"
+_LEAST_SHARE = 0.002  # of the fan, or a tissue is not named
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ def screen(state: State, views: Views, colours: Sequence[Colour], layout: Layout
     if views.target is None:
         simulated = empty_picture("the simulator rests while the probe moves", shape)
     else:
-        simulated = grey_picture(views.target, mask, probe)
+        simulated = framed(views.target, mask, probe)
     how = "coarse" if views.quality is Quality.coarse else "full quality"
     tiles = [_Tile("simulated B-mode", f"{how}, {ms['target']:.0f} ms" if "target" in ms else "", simulated)]
     generated = [_generated(state, views, number, name) for number, name in enumerate(layout.names)]
@@ -71,8 +69,8 @@ def _generated(state: State, views: Views, number: int, name: str) -> _Tile:
     image = views.generated[number] if number < len(views.generated) else None
     if image is None:
         words = views.notes.get(key, "this generator has not rendered yet")
-        return _Tile(f"generated: {name}", "", empty_picture(_wrapped(words), views.mask.shape))
-    return _Tile(f"generated: {name}", f"{views.ms[key]:.0f} ms", grey_picture(image, views.mask, state.probe))
+        return _Tile(f"generated: {name}", "", empty_picture(textwrap.fill(words, _LINE), views.mask.shape))
+    return _Tile(f"generated: {name}", f"{views.ms[key]:.0f} ms", framed(image, views.mask, state.probe))
 
 
 def _difference(state: State, views: Views) -> _Tile:
@@ -80,9 +78,8 @@ def _difference(state: State, views: Views) -> _Tile:
     if first is None or views.target is None:
         words = "a difference needs a simulated\nand a generated image"
         return _Tile("difference", "", empty_picture(words, views.mask.shape))
-    title = "generated - simulated"
     picture = difference_picture(first, views.target, views.mask, state.probe)
-    return _Tile(title, "red: brighter, blue: darker", picture)
+    return _Tile("generated - simulated", "red: brighter, blue: darker", picture)
 
 
 def _mosaic(tiles: Sequence[_Tile]) -> np.ndarray:
@@ -103,11 +100,29 @@ def _mosaic(tiles: Sequence[_Tile]) -> np.ndarray:
     return np.asarray(canvas)
 
 
-def _wrapped(words: str) -> str:
-    lines, line = [], ""
-    for word in words.split():
-        if line and len(line) + len(word) > _WORDS_PER_LINE:
-            lines.append(line)
-            line = ""
-        line = f"{line} {word[:60]}".strip()
-    return "\n".join([*lines, line])
+def caption(state: State, views: Views, scene: Scene, colours: Sequence[Colour]) -> str:
+    """The lines under the images: pose and probe in words, reservations, and a legend of the tissues that are seen."""
+    words = [f"{state.probe.depth_mm:g} mm deep", f"{state.probe.frequency_mhz:g} MHz", f"speckle {state.seed}"]
+    if (hold := state.hold) is not None:
+        place = [f"height {hold.height_mm:.1f} mm", f"around {hold.angle_deg:.1f}°", f"turn {hold.roll_deg:.1f}°"]
+        words = [*place, f"rock {hold.rock_deg:.1f}°", f"tilt {hold.tilt_deg:.1f}°", *words]
+    notes = "".join(line(note, BAD) for note in dict.fromkeys(views.notes.values()))
+    return line(" · ".join([*words, views.quality.value]), DIM) + notes + _legend(views, scene, colours)
+
+
+def line(words: str, colour: str) -> str:
+    """A line of HTML; the words are shown as they are."""
+    style = f"color:{colour};font-size:0.85em;line-height:1.35;padding:0 0.8em 0.2em;overflow-wrap:anywhere"
+    return f'<div style="{style}">{escape(words)}</div>'
+
+
+def _legend(views: Views, scene: Scene, colours: Sequence[Colour]) -> str:
+    counts = np.bincount(views.segmentation.ravel(), minlength=len(scene.tissues) + 1)[1:]
+    chips = []
+    for index in np.argsort(-counts, kind="stable"):
+        if counts[index] > _LEAST_SHARE * counts.sum():
+            red, green, blue = (round(255 * c) for c in colours[index])
+            box = f'<span style="background:rgb({red},{green},{blue});padding:0 0.5em;border-radius:2px"></span>'
+            name = escape(scene.tissues[index].name.replace("_", " "))
+            chips.append(f'<span style="white-space:nowrap;margin-right:0.9em">{box} {name}</span>')
+    return f'<div style="font-size:0.8em;line-height:1.6;padding:0.2em 1em">{" ".join(chips)}</div>'

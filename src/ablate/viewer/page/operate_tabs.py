@@ -1,0 +1,184 @@
+"""What the operator does: the row above the tabs, the tabs Move, Scan and Learn, the keys, and the probe by hand."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ablate.ultrasound import Display
+from ablate.viewer.page.page import Page
+from ablate.viewer.quiz import Quiz, miss
+from ablate.viewer.state import Moving
+
+_PLACE = "a plane ..."
+#: Keys of the probe, what each does, and its step of the hold, mm or degrees.
+_KEYS = (
+    ("I", "towards the head", {"height_mm": 4.0}),
+    ("K", "towards the feet", {"height_mm": -4.0}),
+    ("J", "around the body, to the left on the page", {"angle_deg": -3.0}),
+    ("L", "around the body, to the right on the page", {"angle_deg": 3.0}),
+    ("U", "turn anticlockwise", {"roll_deg": -5.0}),
+    ("O", "turn clockwise", {"roll_deg": 5.0}),
+    ("Y", "rock to the left", {"rock_deg": -3.0}),
+    ("H", "rock to the right", {"rock_deg": 3.0}),
+    ("T", "tilt up", {"tilt_deg": -3.0}),
+    ("G", "tilt down", {"tilt_deg": 3.0}),
+)
+_HINTS = (
+    '<div style="font-size:0.8em;color:#868e96;padding:0.3em 0.8em;line-height:1.5">'
+    "<b>By hand:</b> drag the probe over the skin; drag elsewhere to turn the body, wheel to come closer.<br>"
+    "<b>Keys:</b> I K up and down, J L around, U O turn, Y H rock, T G tilt, F freeze, N new speckle, "
+    "R reset, 1 to 9 planes.</div>"
+)
+_TGC_SLIDERS = 5
+_RULES = (
+    "Find a plane with the probe, then let it be judged. The score falls with the distance of the probe's face and "
+    "with the angle to the plane; found is what is within 15 mm and 12 degrees."
+)
+
+
+def add_row(page: Page) -> None:
+    """Add what is at hand whatever tab is open: freeze, new speckle, reset; also by keys."""
+    session, gui = page.session, page.server.gui
+    frozen = gui.add_checkbox("Freeze (F)", initial_value=False, hint="holds the picture; the probe moves on")
+    frozen.on_update(page.does(lambda _: session.freeze(frozen.value)))
+    page.keep_equal(frozen, lambda: session.frozen)
+    actions = {"Speckle": session.new_speckle, "Reset": session.reset}
+    group = gui.add_button_group("New (N, R)", tuple(actions), hint="other scatterers; everything as at first")
+    group.on_click(page.does(lambda _: actions[group.value]()))
+    page.add_key("F", "Freeze, or let the picture move", lambda: session.freeze(not session.frozen))
+    page.add_key("N", "New speckle", session.new_speckle)
+    page.add_key("R", "Reset", session.reset)
+
+
+def add_move_tab(page: Page) -> None:
+    """Add presets, a slider for each degree of freedom, and views of the body."""
+    session, gui = page.session, page.server.gui
+    chosen = gui.add_dropdown("Plane", (_PLACE, *session.presets), initial_value=_PLACE, hint="goes there at once")
+
+    def go(_: Any) -> None:
+        if chosen.value in session.presets:
+            session.to_preset(chosen.value)
+
+    def held() -> str:
+        names = (name for name, pose in session.presets.items() if np.array_equal(pose, session.state.pose))
+        return next(names, _PLACE)
+
+    chosen.on_update(page.does(go))
+    page.keep_equal(chosen, held)
+
+    def add(name: str, label: str, lowest: float, highest: float, hint: str) -> None:
+        bounds = lowest, highest, 1.0
+        page.add_slider(
+            label, bounds, lambda: getattr(session.hold, name), lambda value: session.move(**{name: value}), hint
+        )
+
+    low, high = session.hand.heights_mm
+    add("height_mm", "Height (mm)", round(low), round(high), "along the body: keys I and K")
+    add("angle_deg", "Around (°)", -180.0, 180.0, "about the body's axis, from the front: keys J and L")
+    add("roll_deg", "Turn (°)", -180.0, 180.0, "0 is transverse, 90 sagittal: keys U and O")
+    add("rock_deg", "Rock (°)", -60.0, 60.0, "within the image plane: keys Y and H")
+    add("tilt_deg", "Tilt (°)", -60.0, 60.0, "out of the image plane: keys T and G")
+    looks = {"plane": lambda client: page.body.face(client, session.state.pose), "body": page.body.face_body}
+    look = gui.add_button_group("Look at", tuple(looks), hint="turns the 3-D view")
+    look.on_click(page.does(lambda event: looks[look.value](event.client)))
+    rings = gui.add_checkbox("Rings to turn the probe", initial_value=False)
+    rings.on_update(page.does(lambda _: setattr(page.body.rings, "visible", rings.value)))
+    gui.add_html(_HINTS)
+
+
+def add_hands(page: Page) -> None:
+    """Let the probe be moved by keys, dragged over the skin, and turned by its rings."""
+    session = page.session
+    for key, words, step in _KEYS:
+        page.add_key(key, f"Probe: {words}", partial(session.nudge, **step))
+    for number, name in enumerate(list(session.presets)[:9], start=1):
+        page.add_key(str(number), f"Plane: {name}", partial(session.to_preset, name))
+    offset: dict[str, float] = {}  # from the point that was grabbed to the hold of the probe
+
+    def grab(phase: str, point: np.ndarray) -> None:
+        height, angle = session.hand.site_of(point)
+        if phase == "start" or not offset:
+            offset.update(height_mm=session.hold.height_mm - height, angle_deg=session.hold.angle_deg - angle)
+        angle_deg = (offset["angle_deg"] + angle + 180) % 360 - 180
+        session.move(height_mm=offset["height_mm"] + height, angle_deg=angle_deg)
+        if phase == "end":
+            offset.clear()
+
+    page.body.grabbed, page.body.turned = page.tells(grab), page.tells(session.turn_to)
+
+
+def add_scan_tab(page: Page) -> None:
+    """Add sliders of the probe, of the simulator and of the picture."""
+    session, gui = page.session, page.server.gui
+
+    def display() -> Display:
+        return session.state.display or Display()
+
+    def show(**changes: Any) -> None:
+        session.show(display=replace(display(), **changes))
+
+    def levels() -> tuple[float, ...]:
+        return display().tgc_db or (0.0,) * _TGC_SLIDERS
+
+    def set_level(number: int, level: float) -> None:
+        show(tgc_db=(*levels()[:number], level, *levels()[number + 1 :]))
+
+    page.add_slider(
+        "Depth (mm)", (40, 240, 5), lambda: session.state.probe.depth_mm, lambda value: session.scan(depth_mm=value)
+    )
+    page.add_slider(
+        "Frequency (MHz)",
+        (1.0, 12.0, 0.5),
+        lambda: session.state.probe.frequency_mhz,
+        lambda value: session.scan(frequency_mhz=value),
+    )
+    page.add_slider(
+        "Rays", (1, 64, 1), lambda: session.state.simulator.rays, lambda value: session.simulate(rays=round(value))
+    )
+    page.add_slider("Gain (dB)", (-30.0, 30.0, 1.0), lambda: display().gain_db, lambda value: show(gain_db=value))
+    page.add_slider(
+        "Dynamic range (dB)",
+        (20.0, 100.0, 5.0),
+        lambda: display().dynamic_range_db or session.state.simulator.dynamic_range_db,
+        lambda value: show(dynamic_range_db=value),
+    )
+    with gui.add_folder("Time gain (dB), by depth", expand_by_default=False):
+        for number in range(_TGC_SLIDERS):
+            label = f"at {round(100 * number / (_TGC_SLIDERS - 1))} %"
+            read = lambda number=number: levels()[number]  # noqa: E731
+            page.add_slider(label, (-20.0, 20.0, 1.0), read, partial(set_level, number))
+    moving = gui.add_dropdown("Moving", tuple(map(str, Moving)), hint="what is rendered while the probe moves")
+    moving.on_update(page.does(lambda _: session.show(moving=Moving(moving.value))))
+
+    def reset() -> None:
+        start = session.start
+        session.scan(depth_mm=start.probe.depth_mm, frequency_mhz=start.probe.frequency_mhz)
+        session.simulate(rays=start.simulator.rays)
+        session.show(display=start.display)
+
+    page.add_button("Scanner as at first", reset)
+
+
+def add_learn_tab(page: Page) -> None:
+    """Add the quiz: buttons to ask for a plane, to judge the probe, and to show the plane."""
+    quiz, points, session = Quiz(page.session.presets), list[int](), page.session
+    answer = page.server.gui.add_markdown(_RULES)
+
+    def ask() -> None:
+        answer.content = f"Find: **{quiz.ask()}**"
+
+    def judge() -> None:
+        result = miss(session.state.pose, quiz.pose)
+        points.append(result.points)
+        found = "found" if result.found else "not yet"
+        how = f"{result.distance_mm:.0f} mm and {result.angle_deg:.0f} degrees away"
+        mean = sum(points) / len(points)
+        answer.content = (
+            f"**{quiz.wanted}**: {found}, {how}: **{result.points} of 100** points. Mean of {len(points)}: {mean:.0f}."
+        )
+
+    page.add_button("Ask for a plane", ask)
+    page.add_button("Judge the probe", judge)
+    page.add_button("Show the plane", lambda: session.to_pose(quiz.pose))
