@@ -1,0 +1,126 @@
+"""Code of the user's own, named by a dotted path: loaded, and known by a digest of its source files."""
+
+import ast
+import hashlib
+import sys
+from contextlib import suppress
+from functools import lru_cache
+from importlib import import_module
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec, resolve_name
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+_PACKAGE = Path(__file__).parent
+_INSTALLED = {"site-packages", "dist-packages"}
+
+
+def load(path: str) -> Any:
+    """Import a module and return what a dotted path names in it.
+
+    Parameters
+    ----------
+    path : str
+        The module and the name in it, for example `my_package.MyGenerator`.
+
+    Raises
+    ------
+    ValueError
+        When the path names no module, the import fails, or the module does not have the name. The message says why in
+        one line; the caller puts the key of the setting before it.
+
+    Examples
+    --------
+    >>> load("math.pi")
+    3.141592653589793
+    >>> load("math.tau2")
+    Traceback (most recent call last):
+    ValueError: AttributeError: module 'math' has no attribute 'tau2'
+    """
+    module, _, name = path.rpartition(".")
+    if not module:
+        raise ValueError("names no module")
+    try:
+        return getattr(import_module(module), name)
+    except (Exception, SystemExit) as error:  # whatever the user's module does
+        raise ValueError(in_one_line(error)) from error
+
+
+def in_one_line(error: BaseException) -> str:
+    """Describe an error of the user's code: its type and at most 200 characters of its message."""
+    return f"{type(error).__name__}: {' '.join(str(error).split()):.200}"
+
+
+def source_digest(path: str) -> str:
+    """Compute the SHA-256 of the source code behind a dotted path, hexadecimal.
+
+    The code is that of the module that holds the name, and of every module of the user's own that it imports, directly
+    or through others. A module is the user's own if its file lies neither in the standard library, nor among the
+    installed packages (`site-packages`, `dist-packages`), nor in `ablate`. Names of modules and contents of files enter
+    the digest, folders do not. An import whose name is computed when the program runs is not followed.
+
+    The files are read once for as long as the module stays loaded: a file that is edited later is not what runs.
+
+    Raises
+    ------
+    ValueError
+        As `load`.
+    """
+    value = load(path)
+    holders = (path.rpartition(".")[0], getattr(value, "__module__", None))
+    return _digest(*(sys.modules[name] for name in dict.fromkeys(holders) if name in sys.modules))
+
+
+@lru_cache
+def _digest(*holders: ModuleType) -> str:
+    files = {module.__name__: Path(module.__file__) for module in holders if getattr(module, "__file__", None)}
+    to_read = list(files)
+    while to_read:
+        name = to_read.pop()
+        for imported in _imports(name, files[name]):
+            file = _own_file(imported)
+            if file is not None and imported not in files:
+                files[imported] = file
+                to_read.append(imported)
+    digest = hashlib.sha256()
+    for name in sorted(files):
+        digest.update(name.encode() + hashlib.sha256(files[name].read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _imports(name: str, file: Path) -> set[str]:
+    """Names of modules that a source file may import, with the packages that are run for them."""
+    names = {name}
+    package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+    tree = ast.Module([], [])
+    with suppress(SyntaxError, ValueError):  # a compiled module, or a file for another version of Python
+        tree = ast.parse(file.read_bytes())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            module = "." * node.level + (node.module or "")
+            module = resolve_name(module, package) if node.level else module
+            names |= {module} | {f"{module}.{alias.name}" for alias in node.names}  # a module, or a name in one
+    parts = [name.split(".") for name in names]
+    return {".".join(part[:count]) for part in parts for count in range(1, len(part) + 1)}
+
+
+def _own_file(name: str) -> Path | None:
+    """File of a module of the user's own; None for other modules, and for a name that is no module."""
+    top = name.partition(".")[0]
+    try:
+        if top in sys.stdlib_module_names or _is_installed(find_spec(top)):  # what others made is not imported for this
+            return None
+        spec = find_spec(name)
+    except (Exception, SystemExit):  # a name in a module that is no package, or a package that cannot be imported
+        return None
+    has_file = spec is not None and spec.has_location and spec.origin and not _is_installed(spec)
+    return Path(str(spec.origin)) if spec is not None and has_file else None
+
+
+def _is_installed(spec: ModuleSpec | None) -> bool:
+    """Whether a module's file lies among the installed packages or in this one."""
+    file = Path(spec.origin) if spec is not None and spec.origin else None
+    return file is not None and (bool(_INSTALLED & set(file.parts)) or file.is_relative_to(_PACKAGE))
