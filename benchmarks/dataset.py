@@ -20,8 +20,7 @@ from numcodecs import Blosc, Zstd
 
 from ablate.config import DatasetSettings
 from ablate.dataset import CropLoader, Crops, CropSettings, Encoding, Pairs, Part, label_values
-from ablate.dataset.attenuation_bits import decode_attenuation, encode_attenuation
-from ablate.dataset.pairs import FORMATS
+from ablate.dataset.map_formats import FORMATS, decode_attenuation, encode_attenuation
 from ablate.studies.jobs.compose import jobs_of
 from ablate.studies.jobs.job import Job
 from ablate.studies.pairs.data import Data, maps_needed, prepare_data

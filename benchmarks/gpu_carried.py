@@ -16,7 +16,7 @@ import numpy as np
 from ablate.anatomy import Tissue
 from ablate.config import build
 from ablate.dataset import CropSettings, Part
-from ablate.dataset.attenuation_bits import decode_attenuation
+from ablate.dataset.map_formats import decode_attenuation
 from ablate.networks import GeneratorSpec
 from ablate.training import TrainingSettings
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
@@ -58,8 +58,8 @@ class CarriedPairs:
     def frames(self, part: Part) -> np.ndarray:
         return np.flatnonzero(self._arrays["split"] == part)
 
-    def stored(self, name: str, frame: int) -> np.ndarray:
-        return self._arrays[name][frame]
+    def stored(self, name: str, frames: Any) -> np.ndarray:
+        return self._arrays[name][np.asarray(frames)]
 
     def read(self, name: str, frames: Any) -> np.ndarray:
         stack = self._arrays[name][np.asarray(frames)]
@@ -175,7 +175,7 @@ def _jobs(folder: Path, arguments: list[str], most: int | None) -> list[dict[str
 
 def _write_pairs(folder: Path, pairs: Any, tissues: tuple[Tissue, ...], probe: ConvexProbe) -> None:
     folder.mkdir()
-    stacks = {name: np.stack([pairs.stored(name, i) for i in range(len(pairs))]) for name in _MAPS}
+    stacks = {name: pairs.stored(name, range(len(pairs))) for name in _MAPS}
     stacks |= {"mask": pairs.mask(), "sites": pairs.sites, "split": pairs.split}
     np.savez_compressed(folder / "pairs.npz", **stacks)
     about = {"tissues": [asdict(tissue) for tissue in tissues], "probe": asdict(probe)}

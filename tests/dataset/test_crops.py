@@ -73,7 +73,7 @@ class Numbered:
     def mask(self) -> np.ndarray:
         return self.fan
 
-    def stored(self, name: str, frame: int) -> np.ndarray:
+    def stored(self, name: str, frame: np.int64) -> np.ndarray:
         if name == "attenuation":
             return (1 + np.arange(self.fan.size, dtype=np.uint16)).reshape(self.fan.shape)
         return np.where(self.fan, frame + 1, 0).astype(np.uint8)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from ablate.dataset.attenuation_bits import decode_attenuation
 from ablate.dataset.encoding import encode_grey_levels
+from ablate.dataset.map_formats import decode_attenuation
 from ablate.dataset.seeds import crop_generator
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class Crops:
             raise ValueError(f"{pairs.folder}: no pixel of the frames lies in the fan")
         bytes_needed = len(frames) * sum(pairs.stored(n, frames[0]).nbytes for n in self.names)
         fits = bytes_needed <= in_memory_bytes
-        self._held = {n: np.stack([pairs.stored(n, i) for i in frames]) for n in self.names} if fits else None
+        self._held = {n: pairs.stored(n, frames) for n in self.names} if fits else None
 
     def __getitem__(self, step: int) -> dict[str, torch.Tensor]:
         shape = self.settings.batch_size, 1, self.settings.size, self.settings.size
