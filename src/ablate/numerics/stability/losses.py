@@ -14,7 +14,7 @@ from ablate.networks.layers import convolutions
 from ablate.numerics.stability.checks import BFLOAT16, FLOAT32, Case, Check, finite, labelled, refused
 from ablate.numerics.stability.networks import gradients_of, in_double, maps_of
 from ablate.training import AdversarialLoss, DivergenceError, PairGAN, TrainingSettings
-from ablate.training.divergence import DivergenceGuard
+from ablate.training.losses import DivergenceGuard
 
 SPEC = GeneratorSpec(depth=2, width=0.1, noise_start=0.1)
 ADVERSARIAL = (AdversarialLoss.nonsaturating, AdversarialLoss.minimax)
