@@ -18,16 +18,13 @@ import numpy as np
 import torch
 from numcodecs import Blosc, Zstd
 
-from ablate.dataset import CropLoader, Crops, CropSettings, Encoding, Pairs, Part, label_values
-from ablate.dataset.attenuation_bits import decode_attenuation, encode_attenuation
-from ablate.dataset.pairs import FORMATS
-from ablate.jobs.compose import jobs_of
-from ablate.runs.data_set import DataSet as Data
-from ablate.runs.data_set import maps_needed
-from ablate.runs.job import Job
-from ablate.runs.prepare import prepare_data
-from ablate.runs.simulated import build_scene
 from ablate.settings.study import DatasetSettings
+from ablate.dataset import CropLoader, Crops, CropSettings, Encoding, Pairs, Part, label_values
+from ablate.dataset.map_formats import FORMATS, decode_attenuation, encode_attenuation
+from ablate.jobs.compose import jobs_of
+from ablate.runs.job import Job
+from ablate.runs.data import Data, maps_needed, prepare_data
+from ablate.runs.simulated import build_scene
 from ablate.tracking import hardware
 from ablate.ultrasound import Simulator
 from yardstick import Yardstick
@@ -69,7 +66,7 @@ def simulated(job: Job) -> Data:
     """Simulate the frames and print what they cost."""
     started = time.time()
     maps = maps_needed([job.settings.model])
-    data = prepare_data(job, maps)
+    data = prepare_data(job.settings, maps)
     pairs = data.pairs
     done = np.zeros(pairs.shards)
     size = dict.fromkeys(sorted(maps), 0)

@@ -11,7 +11,7 @@ import dataclasses
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from statistics import median
 
 import numpy as np
@@ -38,9 +38,9 @@ REPEATS = 5
 class Repeated(Pairs):
     """A few frames on disk that pass for many, all of them unseen."""
 
-    def stored(self, name: str, frame: int) -> np.ndarray:
+    def stored(self, name: str, frames: int | Sequence[int] | np.ndarray) -> np.ndarray:
         unseen = np.flatnonzero(self.split[:SIMULATED] != Part.train)
-        return super().stored(name, int(unseen[frame % len(unseen)]))
+        return super().stored(name, unseen[np.asarray(frames) % len(unseen)])
 
     def frames(self, part: Part) -> np.ndarray:
         return np.arange(len(self) if part is Part.test else 0)

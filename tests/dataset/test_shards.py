@@ -10,10 +10,9 @@ import zarr
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ablate.dataset import DamagedShardError, Pairs, Part, create_pairs, fill_pairs, remove_damaged
-from ablate.dataset.attenuation_bits import decode_attenuation, encode_attenuation
-from ablate.dataset.pairs import FORMATS
-from ablate.dataset.shards import frame_array, write_shard
+from ablate.dataset import DamagedShardError, Pairs, Part, create_pairs, fill_pairs
+from ablate.dataset.filling import frame_array, write_shard
+from ablate.dataset.map_formats import FORMATS, decode_attenuation, encode_attenuation
 
 SHAPE, SLOTS = (21, 13), 4
 
@@ -79,17 +78,6 @@ def test_a_damaged_frame_costs_only_itself(pairs: Pairs, shard: Path) -> None:
         except DamagedShardError:
             damaged.append(k)
     assert len(damaged) == 1
-
-
-def test_a_shard_with_fewer_frames_than_expected_is_noticed(pairs: Pairs, shard: Path) -> None:
-    """Zarr reads zeros in place of a frame that was never written."""
-    write_shard(shard, frames("target", 3)[:2], SLOTS, FORMATS["target"])
-    for attempt in (lambda: pairs.check("target", 0), lambda: pairs.stored("target", 2)):
-        with pytest.raises(DamagedShardError, match="frame 2 of the shard is absent"):
-            attempt()
-    np.testing.assert_array_equal(pairs.stored("target", 1), frames("target", 3)[1])
-    assert len(remove_damaged(pairs, frozenset({"target"}))) == 1
-    assert pairs.missing(frozenset({"target"})) == (0,)
 
 
 def test_a_full_disk_leaves_what_was_there(shard: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -101,7 +101,7 @@ def test_what_an_engine_lacks_is_said_before_it_is_used(
     with pytest.raises(RuntimeError, match="engine=compiled: needs a C\\+\\+ compiler \\(no-such-compiler\\)"):
         median_ms_per_frame(drawn(spec), batch(0), engine=Engine.compiled)
     monkeypatch.setattr(
-        "ablate.training.engines.find_spec", lambda name: None if name == "openvino" else find_spec(name)
+        "ablate.training.inference.find_spec", lambda name: None if name == "openvino" else find_spec(name)
     )
     with pytest.raises(RuntimeError, match=r"engine=exported: needs the package openvino: pip install 'ablate-ul"):
         open_engine(drawn(spec), 8, 8, engine=Engine.exported)

@@ -22,7 +22,7 @@ from ablate.training import (
     read_checkpoint,
     train,
 )
-from ablate.training.divergence import DivergenceGuard
+from ablate.training.losses import DivergenceGuard
 
 
 def test_metrics_come_by_images_seen(

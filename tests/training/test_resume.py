@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from functools import cache
@@ -26,6 +27,7 @@ from ablate.training import (
     Loader,
     Schedule,
     TrainingSettings,
+    interruption,
     load_generator,
     read_checkpoint,
     train,
@@ -289,6 +291,21 @@ def test_a_signal_that_is_passed_over_stops_the_training_all_the_same(
     finally:
         signal.signal(signal.SIGTERM, previous)
     assert read_checkpoint(tmp_path / LAST)["steps_done"] in (4, 5)
+
+
+def test_a_signal_whose_exception_was_lost_stops_the_training_after_a_step(
+    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = threading.Event()
+    asked.set()
+    monkeypatch.setattr(interruption, "stop_requested", asked)
+    previous = signal.signal(signal.SIGTERM, lambda *_: None)
+    try:
+        with pytest.raises(InterruptedError, match=f"SIGTERM after step 1 of {settings.steps}"):
+            train(spec, settings, loader, tmp_path)
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    assert read_checkpoint(tmp_path / LAST)["steps_done"] == 1
 
 
 def test_a_finished_run_is_not_trained_again_and_a_longer_one_goes_on(

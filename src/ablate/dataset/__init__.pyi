@@ -10,10 +10,10 @@ from .encoding import label_values as label_values
 from .encoding import network_inputs as network_inputs
 from .filling import fill_pairs as fill_pairs
 from .filling import remove_damaged as remove_damaged
+from .map_formats import DERIVED as DERIVED
 from .own_poses import Sweep as Sweep
 from .own_poses import read_poses as read_poses
 from .own_poses import sweep as sweep
-from .pairs import DERIVED as DERIVED
 from .pairs import PAIRS_VERSION as PAIRS_VERSION
 from .pairs import DamagedShardError as DamagedShardError
 from .pairs import Pairs as Pairs

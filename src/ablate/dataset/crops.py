@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from ablate.dataset.attenuation_bits import decode_attenuation
 from ablate.dataset.encoding import encode_grey_levels
+from ablate.dataset.map_formats import decode_attenuation
 from ablate.dataset.seeds import crop_generator
 
 if TYPE_CHECKING:
@@ -46,7 +46,8 @@ class Crops:
     (N, 1, size, size) float32; and `noise_seed`, (N,) int64.
 
     Crops are drawn from `frames`, (k,) int. `maps` says which maps are included besides, `values` come from
-    `label_values`. Frames that take at most `in_memory_bytes` are kept in memory, as `Pairs.stored` has them.
+    `label_values`. As many frames as fit into `in_memory_bytes` are kept in memory, as `Pairs.stored` has them: Zarr
+    takes longer to find a frame than the crop is cut in.
 
     Raises
     ------
@@ -70,9 +71,8 @@ class Crops:
         self.mask = pairs.mask()
         if not self.mask.any():
             raise ValueError(f"{pairs.folder}: no pixel of the frames lies in the fan")
-        bytes_needed = len(frames) * sum(pairs.stored(n, frames[0]).nbytes for n in self.names)
-        fits = bytes_needed <= in_memory_bytes
-        self._held = {n: np.stack([pairs.stored(n, i) for i in frames]) for n in self.names} if fits else None
+        self._kept = in_memory_bytes // sum(pairs.stored(name, frames[0]).nbytes for name in self.names)
+        self._in_memory = {name: pairs.stored(name, self.frames[: self._kept]) for name in self.names}
 
     def __getitem__(self, step: int) -> dict[str, torch.Tensor]:
         shape = self.settings.batch_size, 1, self.settings.size, self.settings.size
@@ -101,7 +101,7 @@ class Crops:
         return int(rng.integers(2**62))
 
     def _frame(self, name: str, item: int) -> np.ndarray:
-        return self._held[name][item] if self._held else self.pairs.stored(name, self.frames[item])
+        return self._in_memory[name][item] if item < self._kept else self.pairs.stored(name, self.frames[item])
 
     def _window(self, rng: np.random.Generator) -> tuple[int, int]:
         """Top left corner of a crop with enough of the fan in it; where none is found, of the best one seen."""

@@ -2,14 +2,18 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zarr
 from filelock import FileLock, Timeout
+from zarr.codecs import BloscCodec, Crc32cCodec
+from zarr.storage import MemoryStore
 
-from ablate.dataset.attenuation_bits import encode_attenuation
-from ablate.dataset.pairs import FORMATS, DamagedShardError, Pairs
-from ablate.dataset.shards import frame_array, write_shard
+from ablate.dataset.map_formats import FORMATS, FrameFormat, encode_attenuation
+from ablate.dataset.pairs import DamagedShardError, Pairs
+from ablate.storage import remove_partial, written_whole
 
 #: Makes the wanted maps of some frames.
 MakeFrames = Callable[[np.ndarray, frozenset[str]], Mapping[str, np.ndarray]]
@@ -39,6 +43,35 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
                 for name in sorted(names):
                     _write(pairs, name, shard, made[name])
                 yield len(frames)
+
+
+def frame_array(frames: int, shape: tuple[int, int], slots: int, how: FrameFormat) -> dict[str, object]:
+    """Arguments of `create_array` for an array of frames (n, H, W), `slots` of them a shard."""
+    return {
+        "shape": (frames, *shape),
+        "dtype": how.dtype,
+        "chunks": (1, *shape),
+        "shards": (slots, *shape),
+        "compressors": [
+            BloscCodec(cname="zstd", clevel=3, shuffle=how.shuffle, typesize=np.dtype(how.dtype).itemsize),
+            Crc32cCodec(),
+        ],
+        "config": {"write_empty_chunks": True},  # a black frame is stored too, with its checksum
+    }
+
+
+def write_shard(path: Path, stack: np.ndarray, slots: int, how: FrameFormat) -> None:
+    """Write the first frames, (n, H, W) of `how.dtype`, of a shard that has room for `slots`: whole, or not at all.
+
+    Only one process at a time may write a shard; what others left half-written is removed. On a full disk OSError is
+    raised and nothing is left.
+    """
+    encoded: dict[str, Any] = {}
+    zarr.create_array(MemoryStore(encoded), **frame_array(len(stack), stack.shape[1:], slots, how))[...] = stack
+    path.parent.mkdir(parents=True, exist_ok=True)
+    remove_partial(path)
+    with written_whole(path) as partial:
+        partial.write_bytes(encoded["c/0/0/0"].to_bytes())
 
 
 def unclaimed(pairs: Pairs, maps: frozenset[str]) -> tuple[int, ...]:

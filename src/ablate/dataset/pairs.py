@@ -11,24 +11,13 @@ import zarr
 from filelock import FileLock
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from ablate.dataset.attenuation_bits import ATTENUATION_SCALE, decode_attenuation
-from ablate.dataset.shards import FrameFormat, absent_frames, read_frame
+from ablate.dataset.map_formats import ATTENUATION_SCALE, DERIVED, FORMATS, decode_attenuation
 from ablate.dataset.split import Part
 from ablate.storage import written_whole
 from ablate.ultrasound import Probe, compensated_attenuation
 
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
 PAIRS_VERSION = 4
-# Labels repeat as whole bytes; grey levels and 16-bit values pack better with bits, or bytes, of like place together.
-FORMATS = {
-    "segmentation": FrameFormat("uint8", "noshuffle"),
-    "attenuation": FrameFormat("uint16", "shuffle"),
-    "target": FrameFormat("uint8", "bitshuffle"),
-    "low": FrameFormat("uint8", "bitshuffle"),
-    "resimulation": FrameFormat("uint8", "bitshuffle"),
-}
-#: What is not stored but made from a stored map when it is read, by the name of that map.
-DERIVED = {"compensated": "attenuation"}
 _MEND = "`python -m ablate task=simulate` with the same settings"
 
 
@@ -109,62 +98,52 @@ class Pairs:
 
     def check(self, name: str, shard: int) -> None:
         """Compare one shard of one map with its checksums; raises as `stored` does."""
-        frames = self.frames_of_shard(shard)
-        self._stored(name, frames[0], frames[-1] + 1)
+        self.stored(name, self.frames_of_shard(shard))
 
-    def stored(self, name: str, frame: int) -> np.ndarray:
-        """One frame of one map as it is stored, (H, W) uint8 or, of attenuation, uint16.
+    def stored(self, name: str, frames: int | Sequence[int] | np.ndarray) -> np.ndarray:
+        """Frames of one map as they are stored, uint8 or, of attenuation, uint16.
 
+        The result is (H, W) for one number and (k, H, W) for several, of which those of one shard are read at once.
         `compensated` is `compensated_attenuation` in steps of 1/65535.
 
         Raises
         ------
         DamagedShardError
-            When it is not as it was written, or its shard was written without it.
+            When a frame is not as it was written.
         FileNotFoundError
             When it has not been made.
         """
-        if name == "compensated":
-            return self._compensated(frame)
-        shard, slot = divmod(int(frame), self.shard)
-        file = self.shard_file(name, shard)
-        try:
-            return read_frame(file, slot, self.shard, FORMATS[name], self.shape)
-        except FileNotFoundError as error:
-            raise FileNotFoundError(f"{file}: not made yet; {_MEND} makes it") from error
-        except ValueError as error:
-            frames = self.frames_of_shard(shard)
-            where = f"{file}, '{name}' of frames {frames[0]} to {frames[-1]}"
-            raise DamagedShardError(f"{where}, is damaged: {error}") from error
+        numbers = np.atleast_1d(np.asarray(frames, np.int64))
+        stack = np.empty((len(numbers), *self.shape), FORMATS[DERIVED.get(name, name)].dtype)
+        shards = numbers // self.shard
+        for shard in np.unique(shards):
+            first, last = numbers[shards == shard].min(), numbers[shards == shard].max()
+            stack[shards == shard] = self._of_shard(name, shard, slice(first, last + 1))[
+                numbers[shards == shard] - first
+            ]
+        return stack if np.ndim(frames) else stack[0]
 
-    def _compensated(self, frame: int) -> np.ndarray:
-        if self.probe is None or self.tgc_db_cm_mhz is None:
-            raise ValueError(f"{self.folder}: compensated attenuation needs the probe and the TGC of the simulation")
-        attenuation = decode_attenuation(self.stored(DERIVED["compensated"], frame))
-        shares = compensated_attenuation(attenuation, self.probe, self.tgc_db_cm_mhz)
-        return np.rint(shares * ATTENUATION_SCALE).astype(np.uint16)
-
-    def _stored(self, name: str, first: int, stop: int) -> np.ndarray:
-        """Frames `first` to `stop` - 1, all of one shard, (k, H, W)."""
-        shard = int(first) // self.shard
+    def _of_shard(self, name: str, shard: int, frames: slice) -> np.ndarray:
+        """A range of frames, all of one shard, (k, H, W)."""
+        if name in DERIVED:
+            return self._compensated(self._of_shard(DERIVED[name], shard, frames))
         file = self.shard_file(name, shard)
         if not file.exists():  # Zarr would read zeros
             raise FileNotFoundError(f"{file}: not made yet; {_MEND} makes it")
         if name not in self._arrays:
             self._arrays[name] = zarr.open_array(self.folder / "pairs.zarr" / name, mode="r")
-        frames = self.frames_of_shard(shard)
-        where = f"{file}, '{name}' of frames {frames[0]} to {frames[-1]}, is damaged"
         try:
-            stack = np.asarray(self._arrays[name][int(first) : int(stop)])
+            return np.asarray(self._arrays[name][frames])
         except (ValueError, RuntimeError) as error:
-            raise DamagedShardError(f"{where}: it does not match its checksum") from error
-        absent = np.flatnonzero(absent_frames(file, self.shard)[first - frames[0] : stop - frames[0]])
-        if len(absent):  # Zarr has read zeros
-            raise DamagedShardError(f"{where}: frame {first - frames[0] + absent[0]} of the shard is absent")
-        return stack
+            numbers = self.frames_of_shard(shard)
+            what = f"{file}, '{name}' of frames {numbers[0]} to {numbers[-1]}, is damaged"
+            raise DamagedShardError(f"{what}: it does not match its checksum") from error
 
-    def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in vars(self).items() if name != "_arrays"}  # each process opens its own
+    def _compensated(self, attenuation: np.ndarray) -> np.ndarray:
+        if self.probe is None or self.tgc_db_cm_mhz is None:
+            raise ValueError(f"{self.folder}: compensated attenuation needs the probe and the TGC of the simulation")
+        shares = compensated_attenuation(decode_attenuation(attenuation), self.probe, self.tgc_db_cm_mhz)
+        return np.rint(shares * ATTENUATION_SCALE).astype(np.uint16)
 
     @cached_property
     def _arrays(self) -> dict[str, zarr.Array]:
@@ -173,7 +152,7 @@ class Pairs:
 
     def read(self, name: str, frames: Sequence[int] | np.ndarray) -> np.ndarray:
         """Frames of one map, (k, H, W): of attenuation float32 in [0, 1], others as stored. Raises as `stored`."""
-        stack = np.stack([self.stored(name, i) for i in frames])
+        stack = self.stored(name, frames)
         return decode_attenuation(stack) if stack.dtype == np.uint16 else stack
 
     def mask(self) -> np.ndarray:

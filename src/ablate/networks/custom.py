@@ -1,16 +1,13 @@
 """A network of the user's as a generator: its class is named by a dotted path."""
 
-import hashlib
-import inspect
 from collections.abc import Sequence
-from importlib import import_module
-from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 from torch.nn.parameter import UninitializedParameter
 
 from ablate.networks.spec import GeneratorSpec, inputs
+from ablate.user_code import in_one_line, load, source_digest
 
 
 class CustomNetwork(nn.Module):
@@ -25,41 +22,41 @@ class CustomNetwork(nn.Module):
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
         self.target = str(spec.target)
-        made = custom_class(self.target)
+        network_class = custom_class(self.target)
         channels = len(inputs(spec))
         try:
-            self.inner: nn.Module = made(channels)
+            self.inner: nn.Module = network_class(channels)
         except (Exception, SystemExit) as error:  # whatever the user's class does
-            raise ValueError(f"target={self.target}: {self.target}({channels}) fails: {_said(error)}") from error
+            raise ValueError(f"target={self.target}: {self.target}({channels}) fails: {in_one_line(error)}") from error
 
     def forward(self, stacked: Tensor, _maps: Sequence[Tensor | None], _noise: Sequence[Tensor | None]) -> Tensor:
         """Render (N, inputs, H, W) to (N, 1, H, W); H and W are multiples of 2^depth."""
         image = self.inner(stacked)
-        wanted = (len(stacked), 1, *stacked.shape[-2:])
-        if not isinstance(image, Tensor) or image.shape != wanted:
-            found = tuple(image.shape) if isinstance(image, Tensor) else type(image).__name__
-            raise ValueError(f"target={self.target}: returns {found} for {tuple(stacked.shape)}, allowed is {wanted}")
+        allowed = (len(stacked), 1, *stacked.shape[-2:])
+        if not isinstance(image, Tensor) or image.shape != allowed:
+            returned = tuple(image.shape) if isinstance(image, Tensor) else type(image).__name__
+            shape = tuple(stacked.shape)
+            raise ValueError(f"target={self.target}: returns {returned} for {shape}, allowed is {allowed}")
         return image
 
 
 def custom_class(path: str) -> type[nn.Module]:
     """Import the class of a dotted path; a ValueError names the path and what is wrong."""
-    module, _, name = path.rpartition(".")
-    if not module:
-        raise ValueError(f"target={path}: allowed is the path of a class, as my_package.MyGenerator")
     try:
-        found = getattr(import_module(module), name)
-    except (Exception, SystemExit) as error:  # whatever the user's module does
-        raise ValueError(f"target={path}: {_said(error)}; allowed is the path of a class") from error
-    if not (isinstance(found, type) and issubclass(found, nn.Module)):
+        loaded = load(path)
+    except ValueError as error:
+        raise ValueError(
+            f"target={path}: {error}; allowed is the path of a class, as my_package.MyGenerator"
+        ) from error
+    if not (isinstance(loaded, type) and issubclass(loaded, nn.Module)):
         raise ValueError(f"target={path}: is no class of torch.nn.Module")
-    return found
+    return loaded
 
 
 def custom_source(path: str) -> str:
-    """SHA-256 of the file that defines a class, so that a run is known by the code of its network."""
-    file = inspect.getsourcefile(custom_class(path))
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+    """SHA-256 of the source code of a class and of the user's modules behind it, so that a run is known by its code."""
+    custom_class(path)
+    return source_digest(path)
 
 
 def check_custom(spec: GeneratorSpec, side: int) -> None:
@@ -76,10 +73,13 @@ def check_custom(spec: GeneratorSpec, side: int) -> None:
         wrong = _wrong_with(image)
         if not wrong:
             image.mean().backward()
+            wrong = _wrong_with(network.eval()(maps, [], []))  # as it renders once it is trained
     except ValueError:
         raise
     except (Exception, SystemExit) as error:  # whatever the user's class does
-        raise ValueError(f"target={spec.target}: two images of {side} x {side} px fail: {_said(error)}") from error
+        raise ValueError(
+            f"target={spec.target}: two images of {side} x {side} px fail: {in_one_line(error)}"
+        ) from error
     if wrong:
         raise ValueError(f"target={spec.target}: returns {wrong}, allowed are float32 numbers in [-1, 1]")
 
@@ -90,7 +90,3 @@ def _wrong_with(image: Tensor) -> str:
     if not image.requires_grad:
         return "an image that does not depend on its parameters"
     return "" if bool(image.isfinite().all()) else "numbers that are not finite"
-
-
-def _said(error: BaseException) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split()):.200}"

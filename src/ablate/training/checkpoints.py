@@ -1,17 +1,15 @@
 """`last.ckpt`: written whole or not at all, loaded without running code, resumed exactly."""
 
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
-from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from ablate.networks import Generator
 from ablate.storage import remove_partial, written_whole
-from ablate.training.divergence import DivergenceError
 from ablate.training.interruption import Interruption
+from ablate.training.losses import DivergenceError
 from ablate.training.module import PairGAN
 from ablate.training.settings import TRAINING_VERSION, Schedule, as_builtins
 
@@ -19,16 +17,6 @@ LAST = "last.ckpt"
 # Settings that may differ between a run and its continuation: they say how long is trained, and where. Another device
 # or number of threads adds numbers in another order, so weights differ by rounding.
 _FREE = frozenset({"steps", "device", "threads", "checkpoint_every", "validate_every", "log_every"})
-
-
-class PlainFile(TorchCheckpointIO):
-    """Writes a checkpoint to its file. Lightning's own way goes through the system's folder for temporary files."""
-
-    def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any = None) -> None:  # noqa: ARG002, Lightning gives it
-        """Write the content; a full disk is an OSError."""
-        content = BytesIO()
-        torch.save(checkpoint, content)
-        Path(path).write_bytes(content.getbuffer())
 
 
 class LastCheckpoint(Callback):
@@ -45,13 +33,13 @@ class LastCheckpoint(Callback):
         assert isinstance(module, PairGAN)
         step = module.steps_done
         is_due = self.every > 0 and step % self.every == 0
-        trainer.should_stop = trainer.should_stop or self.interruption.signal is not None
+        trainer.should_stop = trainer.should_stop or self.interruption.is_asked_for
         if is_due or step == module.settings.steps or trainer.should_stop:
             if not module.is_finite():
                 raise DivergenceError(f"step {step}: weights are not finite, {self.path} holds the last good ones")
             remove_partial(self.path)  # one process trains a run
             with written_whole(self.path) as partial:
-                trainer.save_checkpoint(partial)
+                torch.save(module.checkpoint(), partial)
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:

@@ -1,24 +1,130 @@
-"""Full frames from a trained generator, and how long one takes."""
+"""Full frames from a generator, and their time: by torch as it is, by its compiler, or by OpenVINO from a file."""
 
 import math
+import os
+import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from enum import StrEnum
+from importlib.util import find_spec
+from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ablate.dataset import decode_grey_levels
-from ablate.networks import Generator, conditions
+from ablate.networks import Generator, conditions, export_onnx
 from ablate.threads import in_parts, without_teams
-from ablate.training.engines import Engine, OpenEngine, open_engine
-from ablate.training.hardware import autocast
+from ablate.training.hardware import autocast, chosen_precision
 from ablate.training.settings import TrainingPrecision
 
+# Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
+OpenEngine = Callable[[Mapping[str, Tensor], Tensor], Tensor]
+# On a CPU torch 2.13 tiles loops over fewer channels than a vector holds wrongly, and the image is another.
+_COMPILER: dict[str, dict[str, Any]] = {
+    "cpu": {"options": {"cpp.enable_tiling_heuristics": False}},
+    "cuda": {"mode": "reduce-overhead"},
+}
 # Frames of at most so many pixels are rendered side by side. Larger ones would take too much memory, and a team of
 # threads has enough to do with each of them.
 _SMALL_FRAME_PX = 1 << 18
+
+
+class Engine(StrEnum):
+    """`eager`: torch; `compiled`: `torch.compile`; `exported`: OpenVINO, on a CPU, from the ONNX file."""
+
+    eager = "eager"
+    compiled = "compiled"
+    exported = "exported"
+
+
+def missing_for(engine: Engine, device: torch.device) -> str | None:
+    """Say in a few words what this machine lacks to run an engine on a device; None if nothing."""
+    if engine is Engine.exported:
+        if device.type != "cpu":
+            return "a CPU: on a GPU, take the exported file to TensorRT or ONNX Runtime"
+        lacking = [name for name in ("onnx", "onnxscript", "openvino") if find_spec(name) is None]
+        return f"the package {lacking[0]}: pip install 'ablate-ultrasound[export]'" if lacking else None
+    if engine is Engine.compiled:
+        if device.type != "cpu":
+            return None if find_spec("triton") else "the package triton, which writes torch's compiled GPU code"
+        compiler = os.environ.get("CXX", "g++")
+        return None if shutil.which(compiler) else f"a C++ compiler ({compiler}), which torch.compile calls"
+    return None
+
+
+def open_engine(
+    generator: Generator,
+    height: int,
+    width: int,
+    precision: TrainingPrecision = TrainingPrecision.auto,
+    engine: Engine = Engine.eager,
+) -> OpenEngine:
+    """Make a function that renders one frame of `height` x `width` px, on the generator's device.
+
+    Compiling and exporting take their time here or at the first frame. A compiled generator on a GPU replays a
+    CUDA graph: an image is overwritten by the next one.
+
+    Returns
+    -------
+    callable
+        (maps, seed) -> image; maps beyond `conditions(generator.spec)` are not read.
+
+    Raises
+    ------
+    RuntimeError
+        Where the machine lacks what the engine needs.
+    """
+    device = next(generator.parameters()).device
+    lacking = missing_for(engine, device)
+    if lacking is not None:
+        raise RuntimeError(f"engine={engine}: needs {lacking}")
+    if engine is Engine.exported:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "model.onnx"
+            export_onnx(generator, path, height, width)
+            return open_exported(generator, path, precision)
+    if engine is Engine.compiled:
+        generator = deepcopy(generator)
+        torch.compiler.reset()  # else the eighth network of a process is not compiled any more, without a word
+        generator.network.compile(dynamic=False, **_COMPILER[device.type])
+    names = conditions(generator.spec)
+
+    @torch.inference_mode()
+    def render(maps: Mapping[str, Tensor], seed: Tensor) -> Tensor:
+        with autocast(precision, device):
+            return generator(**{name: maps[name] for name in names}, noise_seed=seed)
+
+    return render
+
+
+def open_exported(
+    generator: Generator, path: Path, precision: TrainingPrecision = TrainingPrecision.auto
+) -> OpenEngine:
+    """Make a function that renders with OpenVINO from a file of `export_onnx`, on as many threads as torch has.
+
+    The generator draws the noise, of which the file is given the fields; its weights are not used.
+    """
+    import openvino
+
+    hint = "bf16" if chosen_precision(precision, torch.device("cpu")) is TrainingPrecision.bf16 else "f32"
+    options = {"INFERENCE_PRECISION_HINT": hint, "INFERENCE_NUM_THREADS": torch.get_num_threads()}
+    compiled = openvino.Core().compile_model(path, "CPU", options | {"PERFORMANCE_HINT": "LATENCY"})
+    names = conditions(generator.spec)
+
+    @torch.inference_mode()
+    def render(maps: Mapping[str, Tensor], seed: Tensor) -> Tensor:
+        given = {name: maps[name] for name in names}
+        fields = generator.draw_noise(seed, *given[names[0]].shape[-2:])
+        image = compiled({name: value.numpy() for name, value in {**given, **fields}.items()})
+        return torch.from_numpy(image[0])
+
+    return render
 
 
 def generate(

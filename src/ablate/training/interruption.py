@@ -4,14 +4,16 @@ import signal
 import threading
 from typing import Any
 
-from lightning.pytorch import Callback
-
 # SIGHUP: the terminal is closed; SIGUSR2: submitit's notice that a job's time is up. Windows has neither.
 _NAMES = ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2")
 _SIGNALS = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 
+#: Set by a signal handler of the process that cannot be sure of its exception: Python drops what a handler raises while
+#: it runs the callback of a weak reference. A training that sees it after a step stops as after SIGTERM.
+stop_requested = threading.Event()
 
-class Interruption(Callback):
+
+class Interruption:
     """Remember the first signal in `signal`; the step then ends, and `LastCheckpoint` stops the training.
 
     A second Ctrl-C stops at once. A signal that the process is told to ignore, as by `nohup`, stays ignored.
@@ -19,12 +21,12 @@ class Interruption(Callback):
 
     def __init__(self) -> None:
         self.signal: int | None = None
-        found = {number: signal.getsignal(number) for number in _SIGNALS}
-        self._previous = {k: handler for k, handler in found.items() if handler is not signal.SIG_IGN}
+        handlers = {number: signal.getsignal(number) for number in _SIGNALS}
+        self._previous = {number: handler for number, handler in handlers.items() if handler is not signal.SIG_IGN}
         self._in_main_thread = threading.current_thread() is threading.main_thread()
 
-    def on_train_start(self, *_: Any) -> None:
-        """Take over the signals, from Lightning's handlers too; only a main thread can."""
+    def take_over(self) -> None:
+        """Receive the signals from now on, in place of Lightning's handlers too; only a main thread can."""
         if self._in_main_thread:
             for number in self._previous:
                 signal.signal(number, self._receive)
@@ -34,6 +36,13 @@ class Interruption(Callback):
         if self._in_main_thread:
             for number, handler in self._previous.items():
                 signal.signal(number, handler)
+
+    @property
+    def is_asked_for(self) -> bool:
+        """Whether the training is to stop: a signal came, or `stop_requested` is set, which counts as SIGTERM."""
+        if self.signal is None and stop_requested.is_set():
+            self.signal = signal.SIGTERM
+        return self.signal is not None
 
     def _receive(self, number: int, _: Any) -> None:
         if self.signal == signal.SIGINT == number:

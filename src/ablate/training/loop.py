@@ -11,14 +11,15 @@ from typing import Any
 
 import torch
 from lightning.pytorch import Callback, Trainer
+from lightning.pytorch.callbacks import LambdaCallback
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from torch import Tensor
 
 from ablate.networks import Generator, GeneratorSpec
-from ablate.training.checkpoints import LAST, LastCheckpoint, PlainFile, resume
-from ablate.training.divergence import DivergenceGuard
+from ablate.training.checkpoints import LAST, LastCheckpoint, resume
 from ablate.training.hardware import chosen_device, chosen_precision, keep_freed_memory
 from ablate.training.interruption import Interruption
+from ablate.training.losses import DivergenceGuard
 from ablate.training.module import PairGAN
 from ablate.training.reporting import MetricSink, Report, Validate, Validation
 from ablate.training.settings import TrainingPrecision, TrainingSettings
@@ -93,7 +94,10 @@ def train(
         interruption = Interruption()
         # The order matters: signals are taken over before the first validation, losses are checked before weights are
         # written.
-        callbacks: list[Callback] = [interruption, Report(sink, DivergenceGuard(settings.log_every, epoch))]
+        callbacks: list[Callback] = [
+            LambdaCallback(on_train_start=lambda *_: interruption.take_over()),
+            Report(sink, DivergenceGuard(settings.log_every, epoch)),
+        ]
         if validation is not None and settings.validate_every:
             callbacks.append(Validate(validation, settings.validate_every, sink))
         callbacks.append(LastCheckpoint(run_dir, settings.checkpoint_every, interruption))
@@ -119,7 +123,7 @@ def _fit(
             accelerator="gpu" if device.type == "cuda" else "cpu",
             devices=1,
             # A SLURM allocation does not matter here: there is one process with one device.
-            plugins=[LightningEnvironment(), PlainFile()],
+            plugins=LightningEnvironment(),
             precision=_TRAINER_PRECISION[module.settings.precision],  # type: ignore[arg-type]
             max_epochs=1,
             callbacks=callbacks,

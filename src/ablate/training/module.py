@@ -144,10 +144,15 @@ class PairGAN(LightningModule):
         norms = torch._foreach_norm([parameter.detach() for parameter in self.parameters()])
         return bool(torch.stack([norm.float() for norm in norms]).isfinite().all())
 
-    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add the number of batches seen, and the version of the code that saw them."""
-        checkpoint["steps_done"] = self.steps_done
-        checkpoint["training_version"] = TRAINING_VERSION
+    def checkpoint(self) -> dict[str, Any]:
+        """What a training is continued from: weights, optimisers, steps done, and what and which code made them."""
+        return {
+            "state_dict": self.state_dict(),
+            "optimizer_states": [optimizer.state_dict() for optimizer in self._listed_optimizers()],
+            "steps_done": self.steps_done,
+            "hyper_parameters": dict(self.hparams),
+            "training_version": TRAINING_VERSION,
+        }
 
     def restore(self, checkpoint: Mapping[str, Any]) -> None:
         """Continue from a checkpoint: weights and step now, optimisers when they are made."""
@@ -155,10 +160,14 @@ class PairGAN(LightningModule):
         self.steps_done = checkpoint["steps_done"]
         self._optimizer_states = checkpoint["optimizer_states"]
 
+    def _listed_optimizers(self) -> Sequence[Optimizer | LightningOptimizer]:
+        """The optimisers, the generator's first; Lightning gives a single one without a list around it."""
+        optimizers = self.optimizers()
+        return optimizers if isinstance(optimizers, Sequence) else [optimizers]
+
     def _optimizers_at_this_step(self) -> Sequence[Optimizer | LightningOptimizer]:
         """Set the learning rate of the step; the generator's optimiser is first."""
-        found = self.optimizers()  # Lightning gives a single one without a list around it
-        optimizers = found if isinstance(found, Sequence) else [found]
+        optimizers = self._listed_optimizers()
         for optimizer in optimizers:
             for group in optimizer.param_groups:
                 group["lr"] = self.settings.learning_rate_at(self.steps_done)

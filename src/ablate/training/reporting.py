@@ -11,7 +11,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from tqdm import tqdm
 
 from ablate.networks import Generator
-from ablate.training.divergence import DivergenceGuard
+from ablate.training.losses import DivergenceGuard
 from ablate.training.module import PairGAN
 
 # Takes metrics and the number of images seen; a Lightning logger's `log_metrics` is one.

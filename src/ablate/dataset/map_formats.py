@@ -1,9 +1,31 @@
-"""How attenuation is stored: in 16 bits, of which the leading ones are kept."""
+"""How each map of a data set is stored: its type, its order of bytes or bits, and attenuation in 16 bits."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
 ATTENUATION_SCALE = np.float32(65535)
 _ATTENUATION_BITS = 9
+
+
+@dataclass(frozen=True)
+class FrameFormat:
+    """How the frames of one map are stored: NumPy's name of the dtype, Blosc's name of the shuffle."""
+
+    dtype: str
+    shuffle: str
+
+
+# Labels repeat as whole bytes; grey levels and 16-bit values pack better with bits, or bytes, of like place together.
+FORMATS = {
+    "segmentation": FrameFormat("uint8", "noshuffle"),
+    "attenuation": FrameFormat("uint16", "shuffle"),
+    "target": FrameFormat("uint8", "bitshuffle"),
+    "low": FrameFormat("uint8", "bitshuffle"),
+    "resimulation": FrameFormat("uint8", "bitshuffle"),
+}
+#: What is not stored but made from a stored map when it is read, by the name of that map.
+DERIVED = {"compensated": "attenuation"}
 
 
 def encode_attenuation(values: np.ndarray) -> np.ndarray:

@@ -1,0 +1,81 @@
+"""Code of the user's own is known by its sources: all that a module imports of them, and nothing else."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from ablate.user_code import load, source_digest
+
+FILES = {
+    "mine/__init__.py": "from mine.model import Model\n",
+    "mine/model.py": "import json, numpy\nfrom . import helper\nclass Model:\n    def go(self):\n        import late\n",
+    "mine/helper.py": "from constants import SCALE\n",
+    "constants.py": "try:\n    import of_another_python\nexcept SyntaxError:\n    SCALE = 2\n",
+    "of_another_python.py": "print 2\n",
+    "late.py": "import mine.model\n",
+    "unused.py": "\n",
+    "site-packages/installed.py": "\n",
+}
+
+OWN = ("mine", "constants", "late", "of_another_python")
+
+
+def write(folder: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+def digest(folder: Path, changes: dict[str, str], path: str = "mine.Model") -> str:
+    """Digest of the files with some of them changed, as a new process computes it."""
+    write(folder, FILES | changes)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        patch.syspath_prepend(folder / "site-packages")
+        for name in [name for name in sys.modules if name.partition(".")[0] in OWN]:
+            patch.delitem(sys.modules, name)
+        found = source_digest(path)
+        for name in [name for name in sys.modules if name.partition(".")[0] in OWN]:
+            del sys.modules[name]
+    return found
+
+
+@pytest.mark.parametrize("file", ["mine/__init__.py", "mine/model.py", "mine/helper.py", "constants.py", "late.py"])
+def test_a_change_of_any_module_behind_the_path_changes_the_digest(tmp_path: Path, file: str) -> None:
+    before = digest(tmp_path / "a", {})
+    assert digest(tmp_path / "b", {file: FILES[file] + "# changed\n"}) != before
+    assert digest(tmp_path / "c", {}) == before, "the folder does not enter"
+
+
+def test_installed_packages_and_modules_that_are_not_imported_do_not_enter(tmp_path: Path) -> None:
+    imports = {"constants.py": "import installed\nSCALE = 2\n"}
+    before = digest(tmp_path / "a", imports)
+    other = {"site-packages/installed.py": "VERSION = 2\n", "unused.py": "VERSION = 2\n"}
+    assert digest(tmp_path / "b", imports | other) == before
+
+
+def test_what_is_loaded_keeps_its_digest_while_its_file_is_edited(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A training takes hours; its result is stored under the code that ran."""
+    write(tmp_path, {"edited_later.py": "def measure(): pass\n"})
+    monkeypatch.syspath_prepend(tmp_path)
+    before = source_digest("edited_later.measure")
+    write(tmp_path, {"edited_later.py": "def measure(): return 1\n"})
+    assert source_digest("edited_later.measure") == before
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("Toy", "names no module"),
+        ("no_such_module.Toy", "ModuleNotFoundError: No module named 'no_such_module'"),
+        ("math.Toy", "AttributeError: module 'math' has no attribute 'Toy'"),
+    ],
+)
+def test_what_cannot_be_loaded_is_said_in_one_line(path: str, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        load(path)
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        source_digest(path)
