@@ -16,15 +16,15 @@ from statistics import median
 
 import numpy as np
 import torch
+from ablate.runs.data import Data, maps_needed, prepare_data
 from numcodecs import Blosc, Zstd
 
-from ablate.settings.study import DatasetSettings
 from ablate.dataset import CropLoader, Crops, CropSettings, Encoding, Pairs, Part, label_values
 from ablate.dataset.map_formats import FORMATS, decode_attenuation, encode_attenuation
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
-from ablate.runs.data import Data, maps_needed, prepare_data
 from ablate.runs.simulated import build_scene
+from ablate.settings.study import DatasetSettings
 from ablate.tracking import hardware
 from ablate.ultrasound import Simulator
 from yardstick import Yardstick

@@ -14,10 +14,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from ablate.runs.data import dataset_folder, open_data
 from mlflow import MlflowClient
 
-from ablate.settings.study import ConfigurationError
 from ablate.dataset import Part, label_values, network_inputs
+from ablate.jobs.compose import jobs_of
 from ablate.metrics import mae, psnr
 from ablate.numerics.precision import generated, simulated, summary
 from ablate.numerics.precision import task as module
@@ -31,10 +32,9 @@ from ablate.numerics.precision.bench import (
     relative_change,
     render_all,
 )
-from ablate.jobs.compose import jobs_of
-from ablate.runs.data import dataset_folder, open_data
 from ablate.runs.simulated import build_scene
 from ablate.runs.train import run_job
+from ablate.settings.study import ConfigurationError
 from ablate.tracking import default_uri
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings

@@ -9,12 +9,12 @@ import torch
 
 from ablate import pretrained
 from ablate.anatomy import Tissue
-from ablate.settings.study import StudySettings, build
+from ablate.comparison.results import finished_runs
 from ablate.dataset import label_values, network_inputs
 from ablate.networks import conditions
 from ablate.pretrained import Renderer
+from ablate.settings.study import StudySettings, build
 from ablate.storage import read_json
-from ablate.comparison.results import finished_runs
 from ablate.training import LAST, load_generator
 from ablate.ultrasound import Probe, compensated_attenuation
 from ablate.ultrasound.probe import pixel_size_mm

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from ablate.jobs.compose import jobs_of
 from ablate.settings.study import SceneKind, StudySettings, json_ready
 from ablate.storage import written_whole
-from ablate.jobs.compose import jobs_of
 from ablate.viewer.pictures import framed
 from ablate.viewer.state import State, Views
 

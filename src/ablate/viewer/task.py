@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from ablate.anatomy import Scene, SiteGrid, fetal_planes
-from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
 from ablate.dataset import place_probe, read_poses
 from ablate.runs.job import Job
 from ablate.runs.simulated import build_scene
+from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
 from ablate.viewer.engine import Engine
 from ablate.viewer.generators import pickable
 from ablate.viewer.hand import Hand

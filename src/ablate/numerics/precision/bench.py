@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 
 from ablate.anatomy import Scene
-from ablate.settings.study import StudySettings
 from ablate.dataset import Part, equally_spaced
 from ablate.metrics import METRICS, Pair, evaluate_image
-from ablate.storage import remove_partial, write_text
 from ablate.runs.data import dataset_folder, open_data
 from ablate.runs.simulated import build_scene, lay_out
 from ablate.runs.timed_maps import TimedMaps, nudged
+from ablate.settings.study import StudySettings
+from ablate.storage import remove_partial, write_text
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.ultrasound.stages import Stage, stage_times

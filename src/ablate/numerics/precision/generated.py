@@ -9,13 +9,13 @@ from statistics import median
 import numpy as np
 import torch
 
-from ablate.settings.study import StudySettings, build
+from ablate.comparison.results import Finished, finished_runs
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.networks import Generator, conditions
 from ablate.numerics.precision.bench import Bench, CsvTable, Frames, make_inputs, mean_errors
-from ablate.storage import digest
-from ablate.comparison.results import Finished, finished_runs
 from ablate.runs.data import about_data
+from ablate.settings.study import StudySettings, build
+from ablate.storage import digest
 from ablate.training import (
     LAST,
     Engine,

@@ -8,15 +8,15 @@ import torch
 from tqdm import tqdm
 
 from ablate.analysis import RESIMULATION, error_vs_runtime, order_figure
-from ablate.settings.study import ConfigurationError, StudySettings
+from ablate.comparison.results import Finished
 from ablate.numerics.precision.bench import Bench, CsvTable, bench_of
 from ablate.numerics.precision.generated import comparable_runs, executions, measure_generators, schedule_of
 from ablate.numerics.precision.simulated import RAYS_SERIES, ladders, measure_simulator, series_name, work
 from ablate.numerics.precision.summary import as_text, floors, orders, tables, time_of_parts, verdict
-from ablate.storage import write_text
-from ablate.comparison.results import Finished
-from ablate.runs.store_copy import open_store
 from ablate.runs.job import Job
+from ablate.runs.store_copy import open_store
+from ablate.settings.study import ConfigurationError, StudySettings
+from ablate.storage import write_text
 from ablate.tracking import TaskRecord, git_state, hardware, recorded_task
 from ablate.ultrasound.render_plan import plan_scene
 

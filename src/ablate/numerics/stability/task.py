@@ -12,9 +12,9 @@ from tqdm import tqdm
 
 from ablate.numerics.stability import extremes, losses, metrics, networks, shapes, sound  # noqa: F401 (their cases)
 from ablate.numerics.stability.checks import CASES, Case, Check
-from ablate.storage import write_text, written_whole
-from ablate.runs.store_copy import open_store
 from ablate.runs.job import Job
+from ablate.runs.store_copy import open_store
+from ablate.storage import write_text, written_whole
 from ablate.tracking import Status, git_state, hardware, recorded_task
 from ablate.training import chosen_device
 
