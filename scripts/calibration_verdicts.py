@@ -11,12 +11,12 @@ import pandas as pd
 from tqdm import trange
 
 from ablate.analysis import Answer, Design, find_design, run_means, verdict_table
-from ablate.comparison.answers import FACTORS
+from ablate.comparison.blocks import levels_of
 from ablate.jobs.compose import jobs_of
-from ablate.networks import COMPONENTS
+from ablate.settings.components import components
 from ablate.setting import plain
 
-NAMES = tuple(component.name for component in COMPONENTS)
+NAMES = tuple(component.name for component in components())
 EFFECTS = (0.5, 1.0, 1.5, 2.0, 3.0)
 BANDS = (0.5, 1.0, 1.5, 2.0)
 
@@ -31,12 +31,12 @@ def answer_runs() -> tuple[pd.DataFrame, Design]:
     Design
     """
     jobs = [*jobs_of(["+study=answer"]), *jobs_of(["-m", "+study=answer_beside", "variant=sa2h", "seed=1,2"])]
-    made = {job.label: {**plain(job.settings.model), "encoding": job.settings.encoding.name} for job in jobs}
-    design = find_design(made, FACTORS)
+    made = {job.label: levels_of(job.semantic) for job in jobs}
+    design = find_design(made, [component.key for component in components()])
     assert design is not None
     rows = [
         (job.label, job.settings.seed, "0", "0", metric, 0.0, str(job.settings.scene.anatomy_seed))
-        for metric in dict.fromkeys(component.metric for component in COMPONENTS)
+        for metric in dict.fromkeys(component.metric for component in components())
         for job in jobs
     ]
     columns = ["variant", "seed", "frame", "site", "metric", "value", "data"]
@@ -58,10 +58,10 @@ def verdicts(runs: pd.DataFrame, design: Design, effects: Mapping[str, float], b
         Of the chance.
     """
     values = np.random.default_rng(seed).normal(size=len(runs))
-    for component in COMPONENTS:
-        on = runs[component.field] == design.cells.loc["sa2h", component.field]
+    for component in components():
+        on = runs[component.key] == design.cells.loc["sa2h", component.key]
         values -= effects.get(component.name, 0.0) * (on & (runs["metric"] == component.metric))
-    return verdict_table(runs.assign(value=values), design, bands=dict.fromkeys(NAMES, band)).set_index("component")
+    return verdict_table(runs.assign(value=values), design, [replace(c, band=band) for c in components()]).set_index("component")
 
 
 def shares(

@@ -17,7 +17,7 @@ from ablate.analysis.figures.style import PAGE_IN, colour_of, house_style, new_f
 from ablate.dataset import Part, label_values
 from ablate.evaluation.run_scores import resimulation_scores
 from ablate.metrics import metric_of
-from ablate.networks import COMPONENTS, draws_noise
+from ablate.networks import draws_noise
 from ablate.runs.train import generated_images, scorer
 from ablate.settings.study import StudySettings
 from ablate.settings.values import build
@@ -71,17 +71,15 @@ def as_table(table: pd.DataFrame) -> pd.DataFrame:
 def distances(study: Path) -> pd.DataFrame:
     """What separates the runs of a study from re-simulation on all validation frames, in the primary metrics."""
     columns: dict[str, dict[str, float]] = {}
-    for run in sorted(study.glob("*/seed*")):
-        spec = json.loads((run / "spec.json").read_text())
-        settings = build(StudySettings, spec["settings"])
-        data = open_data(dataset_folder(settings))
+    for run in runs_of(study):
+        settings, data = run.settings, run.data_set
         judge = scorer(settings, data)
         values = label_values(data.tissues, settings.encoding, settings.encoding_seed)
-        images = generated_images(load_generator(run / "last.ckpt"), data, values, settings.training.precision)
+        images = generated_images(load_generator(run.checkpoint), data, values, settings.training.precision)
         if not columns:
             columns["re-simulation"] = resimulation_scores(judge, Part.validation).scalars
-        columns[spec["label"]] = judge.score(Part.validation, images, draws_noise(settings.model)).scalars
-    table = pd.DataFrame(columns).loc[list(dict.fromkeys(str(c.metric) for c in COMPONENTS))]
+        columns[run.label] = judge.score(Part.validation, images, draws_noise(settings.model)).scalars
+    table = pd.DataFrame(columns).loc[list(dict.fromkeys(str(c.metric) for c in components()))]
     table["a tenth of the distance to sa2h"] = (table["sa2h"] - table["re-simulation"]) / 10
     return table.rename(index=lambda name: metric_of(name).title)
 

@@ -8,7 +8,7 @@ from ablate.analysis import RESIMULATION, Answer, Verdict
 from ablate.analysis.statistics.verdicts import ALPHA
 from ablate.analysis.tables import NOTHING, head
 from ablate.metrics import Direction, metric_of
-from ablate.networks import COMPONENTS
+from ablate.settings.components import components
 
 # What the full model is to reach, from its mean and that of re-simulation.
 BARS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
@@ -17,7 +17,7 @@ BARS: dict[str, tuple[str, Callable[[float, float], bool]]] = {
     "fd_speckle": ("below 1", lambda value, _: value < 1),
     "noise_sd": ("above half of re-simulation", lambda value, level: value > level / 2),
 }
-NAMES = {component.field: component.name for component in COMPONENTS}
+NAMES = {component.key: component.name for component in components()}
 
 
 def pipe_table(head_cells: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> str:
@@ -125,7 +125,7 @@ def interaction_rows(pairs: pd.DataFrame, verdicts: pd.DataFrame) -> str:
     if pairs.empty:
         return ""
     metrics = dict(zip(verdicts["component"], verdicts["metric"], strict=True))
-    names = [c.name for c in COMPONENTS if c.name in {*pairs["component"], *pairs["other"]}]
+    names = [c.name for c in components() if c.name in {*pairs["component"], *pairs["other"]}]
     cells = {(row["component"], row["other"]): row for row in pairs.to_dict("records")}
 
     def cell(name: str, other: str) -> str:

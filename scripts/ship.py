@@ -13,22 +13,21 @@ from ablate.runs.run import Run
 from ablate.settings.study import StudySettings
 from ablate.settings.values import build
 from ablate.storage import read_json
-from ablate.training import LAST, load_generator
+from ablate.training import load_generator
 
 SHIPPED = Path(__file__).parents[1] / "src/ablate/pretrained"
 
 
 def renderer_of(folder: Path) -> Renderer:
     """The generator of a finished run, with the setting that it was trained in."""
-    run = Run(folder, read_json(folder / "spec.json"), read_json(folder / "result.json"))
-    s = build(StudySettings, run.spec["settings"])
-    tissues = data_of([run]).tissues
+    run = Run(folder)
+    s, tissues = run.settings, run.data_set.tissues
     values = label_values(tissues, s.encoding, s.encoding_seed)[1:].tolist()
     made = {"study": s.study, "variant": run.label, "seed": str(run.seed), "hash": str(run.result["hash"])}
     made |= {"commit": provenance([run]).get("git_commit", "")}
     known = dict(zip((tissue.name for tissue in tissues), values, strict=True))
     simulator = s.simulator
-    generator = load_generator(folder / LAST)
+    generator = load_generator(run.checkpoint)
     return Renderer(generator, known, s.probe, simulator.tgc_db_cm_mhz, simulator.image_shape, made)
 
 

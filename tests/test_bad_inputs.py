@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 
 from ablate.__main__ import main
 from ablate.jobs.compose import jobs_of
-from ablate.jobs.launch import Launch
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.settings.values import build
@@ -51,7 +50,7 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         assert (line[:8], newline, rest) == ("ablate: ", "\n", ""), printed.err
         return line[8:]
 
-    monkeypatch.setattr(Launch, "__call__", starts)
+    monkeypatch.setattr("ablate.tasks.run_task.study", starts)
     monkeypatch.chdir(tmp_path)
     return call
 
@@ -105,7 +104,6 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["metrics=[psnr,fid]"], r"metrics=fid: needs evaluation.inception="),
     (["metrics=fid"], r"metrics=fid: name one that every image has too"),
     (["evaluation.inception=nowhere.pt"], r"nowhere\.pt"),
-    (["--config-name", "mine"], r"--config-name: not taken"),
     # Text in place of a name, or a name in place of text.
     (["preset=null"], r"preset=null: allowed are laptop, paper, quick"),
     (["variant=[1,2]"], r"variant=\[1,2\]: allowed are .*sa2h"),
@@ -113,28 +111,28 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["variant="], r"variant"),
     (["variant=[sa2h"], r"."),
     # Out of range, or not together.
-    (["seed=-1"], r"seed=-1: allowed are 0 and more"),
-    (["-m", "seed=0,-1"], r"seed=-1: allowed are 0 and more"),
-    (["seed=99999999999999999999"], r"seed=99999999999999999999: allowed are whole numbers below 2\^63"),
-    (["model.depth=9"], r"depth=9: allowed are 1 to 8"),
+    (["seed=-1"], r"seed=-1: allowed are whole numbers from 0"),
+    (["-m", "seed=0,-1"], r"seed=-1: allowed are whole numbers from 0"),
+    (["seed=99999999999999999999"], r"seed=9+: allowed are whole numbers from 0"),
+    (["model.depth=9"], r"model\.depth=9: allowed are whole numbers from 1 to 8"),
     (["simulator.image_shape=[]"], r"image_shape"),
-    (["simulator.image_shape=[100000,100000]"], r"image_shape must be a whole number of at most 16384, not 100000"),
+    (["simulator.image_shape=[100000,100000]"], r"simulator\.image_shape=\[100000, 100000\]: allowed are 2 whole numbers from 1 to 16384"),
     (["training.crop=4096"], r"training\.crop=4096: at most 356, which covers an image of 256 x 355 px"),
-    (["simulator.rays=1000000000"], r"rays must be a whole number of at most 1048576, not 1000000000"),
+    (["simulator.rays=1000000000"], r"simulator\.rays=1000000000: allowed are whole numbers from 1 to 1048576"),
     (["variant=sa2h-gan", "training.l1_weight=0"], r"l1_weight=0 with loss=none"),
     (["training.batch_size=1000"], r"training\.batch_size=1000: more than the \d+ training frames"),
     (["dataset.frames=99999999"], r"dataset\.frames=99999999: at most \d+, the poses"),
-    (["dataset.grid=[1,2]"], r"dataset\.grid=\[1, 2\]: four counts"),
-    (["training.device=tpu"], r"device='tpu': allowed are auto, cpu, cuda"),
+    (["dataset.grid=[1,2]"], r"dataset\.grid=\[1, 2\]: allowed are 4 whole numbers from 1, or null"),
+    (["training.device=tpu"], r"training\.device='tpu': allowed are auto, cpu, cuda"),
     (["model.noise_start=0.1", "model.noise=none"], r"noise_start=0.1 with noise=none: allowed is 0"),
     (["probe=matrix"], r"probe=matrix: allowed are c5-2v, convex, l11-5v, linear, p4-2v, phased"),
     (["probe=linear", "probe.radius_mm=50"], r"probe\.radius_mm=50\.0: a linear probe has width_mm, depth_mm"),
     (["probe=linear", "probe.width=50"], r"unknown key 'probe\.width'; did you mean 'width_mm'\? allowed in probe: "),
-    (["probe=phased", "probe.fov_deg=180"], r"fov_deg must be between 0\.001 and 170, not 180"),
-    (["probe=l11-5v", "probe.depth_mm=0"], r"depth_mm must be between 1e-06 and 1e\+06, not 0"),
+    (["probe=phased", "probe.fov_deg=180"], r"probe\.fov_deg=180\.0: allowed are numbers from 0\.001 to 170"),
+    (["probe=l11-5v", "probe.depth_mm=0"], r"probe\.depth_mm=0\.0: allowed are numbers from 1e-06 to 1000000"),
     # Jobs.
     (["variant=sa2h,nsa2h"], r"asks for several jobs: add -m"),
-    (["-m", "training.steps=1,2"], r"share the place .*study_name"),
+    (["-m", "training.threads=1,2"], r"share the place .*study_name"),
     (["hydra/launcher=joblib"], r"hydra/launcher=joblib starts the jobs of a sweep: add -m"),
     (["-m", "hydra/sweeper=mine", "seed=0,1"], r"hydra/sweeper=mine"),
     (["-m", "seed=range(3,0)"], r"seed=range\(3,0\): a sweep without a job"),
@@ -163,7 +161,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["metrics=[[psnr]]"], r"metrics=\['psnr'\]: is no name; allowed are"),
     (["metrics=[leaves.f]"], r"metrics=leaves\.f: SystemExit: 0; allowed are"),
     (["variant=custom", "model.target=leaves.F"], r"model\.target=leaves\.F: SystemExit: 0; allowed is"),
-    (["dataset.press_mm=nan"], r"dataset\.press_mm must be .*not nan"),
+    (["dataset.press_mm=nan"], r"dataset\.press_mm=nan: allowed are numbers from 0 to 1000"),
     (["dataset.poses=archive.npy"], r"dataset\.poses=archive\.npy: is an archive \(\.npz\), allowed is one array"),
     (["dataset.poses=semicolons.csv"], r"no column x; the columns are 'x;y;z', and x, .* are needed, with commas"),
     (["dataset.poses=site.csv"], r"row 0: allowed are numbers, and whole ones as site, not '.*9999"),
@@ -280,27 +278,6 @@ def test_a_value_of_a_wrong_type(key: str) -> None:
     assert "\n" not in str(error.value)
 
 
-# The least and the largest value that are allowed, and an open end where a bound itself is refused.
-LEAST: dict[str, float] = {
-    **dict.fromkeys(("seed", "encoding_seed", "scene.anatomy_seed", "dataset.seed", "simulator.path_seed"), 0),
-    **dict.fromkeys(("dataset.frames", "dataset.shard", "training.steps", "training.batch_size"), 1),
-    **dict.fromkeys(("training.log_every", "evaluation.pictures", "evaluation.timed_frames"), 1),
-    **dict.fromkeys(("simulator.rays", "simulator.layers", "simulator.scanlines", "simulator.axial_samples"), 1),
-    **dict.fromkeys(("training.threads", "training.checkpoint_every", "training.validate_every"), 0),
-    **dict.fromkeys(("dataset.workers", "crops.workers", "training.l1_weight", "training.ema_decay"), 0),
-    **dict.fromkeys(("training.beta1", "training.beta2", "simulator.tgc_db_cm_mhz", "simulator.aperture_mm"), 0),
-    **{"training.crop": 32, "evaluation.noise_draws": 2, "model.depth": 1, "simulator.dynamic_range_db": 1},
-    **{"simulator.noise_floor_db": -1000, "simulator.scatterer_level_db": -300, "probe.fov_deg": 1e-3},
-}
-LARGEST: dict[str, float] = {
-    **{"model.depth": 8, "probe.fov_deg": 179, "probe.frequency_mhz": 1000, "probe.radius_mm": 1e6},
-    **{"simulator.noise_floor_db": 0, "simulator.dynamic_range_db": 1000, "simulator.scatterer_level_db": 100},
-    **{"evaluation.noise_draws": 1000, "evaluation.pictures": 1000, "dataset.press_mm": 1000},
-    **{"simulator.rays": 2**20, "simulator.layers": 2**10, "simulator.scanlines": 2**14},
-    **{"simulator.axial_samples": 2**18, "training.crop": 2**14, "training.threads": 2**12},
-}
-ABOVE_0 = ("training.learning_rate", "model.width", "dataset.validation", "dataset.test", "probe.depth_mm")
-BELOW_1 = ("training.beta1", "training.beta2", "training.ema_decay", "dataset.test")
 DEFAULTS = plain(StudySettings())
 
 
@@ -308,27 +285,6 @@ def with_value(key: str, value: float) -> dict[str, Any]:
     """The paper's settings as plain values, with one of them changed."""
     group, _, name = key.rpartition(".")
     return {**DEFAULTS, group: {**DEFAULTS[group], name: value}} if group else {**DEFAULTS, name: value}
-
-
-def just_outside() -> Iterator[tuple[str, float]]:
-    for bounds, sign, closed in ((LEAST, -1, 1), (LARGEST, 1, 1), (dict.fromkeys(ABOVE_0, 0.0), -1, 0)):
-        for key, bound in bounds.items():
-            beyond = bound + sign if KEYS[key] is int else math.nextafter(bound, sign * math.inf) if closed else bound
-            yield key, beyond
-    yield from ((key, 1.0) for key in BELOW_1)
-
-
-def test_a_bound_itself_is_allowed() -> None:
-    for key, bound in (*LEAST.items(), *LARGEST.items()):
-        if key != "training.l1_weight":  # 0 has a condition
-            build(StudySettings, with_value(key, int(bound) if KEYS[key] is int else float(bound)))
-
-
-@pytest.mark.parametrize(("key", "value"), sorted(just_outside()))
-def test_a_value_just_outside_its_range(key: str, value: float) -> None:
-    with pytest.raises(ValueError, match=re.escape(key.rpartition(".")[2])) as error:
-        build(StudySettings, with_value(key, value))
-    assert "\n" not in str(error.value)
 
 
 NUMBERS = sorted(key for key, kind in KEYS.items() if kind in (int, float))

@@ -35,8 +35,8 @@ def test_a_process_ends_with_one_line_and_exit_code_2(tmp_path: Path) -> None:
 def test_a_command_line_is_checked_without_what_runs_it() -> None:
     """Neither the settings nor the composition of a sweep load what a job needs."""
     code = (
-        "import sys; import ablate.settings.study; from ablate.jobs.compose import read_command_line;"
-        "assert len(read_command_line(['-m', 'variant=sa2h,nsa2h', 'seed=0,1']).jobs) == 4;"
+        "import sys; import ablate.tasks.command; from ablate.jobs.compose import jobs_of;"
+        "assert len(jobs_of(['-m', 'variant=sa2h,nsa2h', 'seed=0,1'])) == 4;"
         "print(sorted({name.partition('.')[0] for name in sys.modules}))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
@@ -45,22 +45,22 @@ def test_a_command_line_is_checked_without_what_runs_it() -> None:
 
 
 def test_a_job_that_fails_is_shown_where_it_happened_and_the_next_one_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    def study(jobs: list[Job], launch: Launch, elsewhere: bool) -> int:
-        assert not elsewhere
-        launch(jobs, broken)
+    def study(jobs: list[Job], launch: Launch) -> int:
+        assert not launch.elsewhere
+        launch.start(jobs, broken)
         return 0
 
     def broken(job: Job) -> None:
         raise FloatingPointError(f"{job.name}: the loss is not finite")
 
-    monkeypatch.setattr("ablate.tasks.study", study)
+    monkeypatch.setattr("ablate.tasks.run_task.study", study)
     monkeypatch.setattr("sys.argv", ["ablate", "-m", "variant=sa2h,nsa2h", f"runs_dir={tmp_path}"])
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == 0
-    shown = capsys.readouterr().err
+    shown = capfd.readouterr().err
     assert shown.count("in broken") == 2
     assert "sa2h/seed0: the loss is not finite" in shown
     assert "nsa2h/seed0: the loss is not finite" in shown
@@ -75,11 +75,11 @@ def test_a_full_disk_is_one_line_for_a_job_and_for_the_program(
     def full(*_: object) -> None:
         raise FULL
 
-    def study(jobs: list[Job], launch: Launch, elsewhere: bool) -> int:  # noqa: ARG001
-        launch(jobs, full)
+    def study(jobs: list[Job], launch: Launch) -> int:
+        launch.start(jobs, full)
         raise FULL
 
-    monkeypatch.setattr("ablate.tasks.study", study)
+    monkeypatch.setattr("ablate.tasks.run_task.study", study)
     monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path}"])
     with pytest.raises(SystemExit, match=r"^ablate: \[Errno 28\] .*'last\.ckpt'; the same command continues"):
         main()
@@ -87,7 +87,7 @@ def test_a_full_disk_is_one_line_for_a_job_and_for_the_program(
 
 
 def test_want_of_memory_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ablate.tasks.run_task", lambda _: np.empty(2**50))
+    monkeypatch.setattr("ablate.tasks.run_task.run_task", lambda *_: np.empty(2**50))
     monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path}"])
     with pytest.raises(SystemExit, match=r"^ablate: out of memory: Unable to allocate .*; the same command") as end:
         main()
@@ -100,13 +100,13 @@ def test_a_signal_that_ends_the_program_is_said_and_what_is_open_is_closed(
 ) -> None:
     closed = []
 
-    def signalled(_: object) -> None:
+    def signalled(*_: object) -> None:
         try:
             os.kill(os.getpid(), number)
         finally:
             closed.append(number)
 
-    monkeypatch.setattr("ablate.tasks.run_task", signalled)
+    monkeypatch.setattr("ablate.tasks.run_task.run_task", signalled)
     monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path}"])
     before = signal.signal(number, signal.SIG_DFL)
     try:
@@ -127,7 +127,7 @@ def test_a_tracking_uri_without_a_password_is_taken(uri: str) -> None:
 
 
 def test_a_screen_without_the_signs_of_a_table_is_written_to() -> None:
-    code = "import sys, ablate.__main__ as m; m.read_command_line = lambda _: None; m.main(); print('20.1 ± 0.3, χ²')"
+    code = "import sys, ablate.__main__ as m; m.execute = lambda _: 0; m.sys.exit = lambda _: None; m.main(); print('20.1 ± 0.3, χ²')"
     ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=ascii_only, timeout=60)

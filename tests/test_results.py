@@ -13,14 +13,16 @@ import pandas as pd
 import pytest
 
 from ablate.analysis import paper_effects
+from ablate.comparison.blocks import levels_of
 from ablate.jobs.compose import jobs_of
-from ablate.metrics import METRICS, METRICS_VERSION
-from ablate.networks import COMPONENTS, Component
-from ablate.runs.identity import semantic
+from ablate.metrics import METRICS
+from ablate.analysis import Component
+from ablate.settings.components import components
 from ablate.runs.job import Job
-from ablate.runs.place import finished_run
-from ablate.setting import plain
+from ablate.runs.place import claim_place, finished_run
 from ablate.storage import digest
+
+from support.finished_runs import result_of
 
 FRAMES, SITES = 8, 8
 PLAN = ("answer", "answer_beside")
@@ -64,9 +66,7 @@ def pretend(job: Job) -> None:
     s, rng = job.settings, np.random.default_rng(job.settings.seed)
     anatomy = s.scene.anatomy_seed
     mean = 20 + 5 * anatomy + rng.normal(scale=0.1) + EFFECT * (s.model.attenuation == "none")
-    job.folder.mkdir(parents=True)
-    spec = {"label": job.label, "hash": config_hash(s), "semantic": semantic(s)}
-    (job.folder / "spec.json").write_text(json.dumps({**spec, "settings": plain(s)}))
+    claim_place(job)
     rows = [
         {"frame": 300 + f, "site": f % SITES, "metric": m, "value": v + rng.normal(scale=0.01), "source": o, "split": p}
         for m in PER_IMAGE
@@ -79,9 +79,8 @@ def pretend(job: Job) -> None:
     scalars = {"parameters_generator": 1e6, "parameters_discriminator": 2e6, "seconds": 30.0}
     scalars |= {f"test/{name}": 0.5 + 0.01 * mean for name in SCALARS}
     scalars |= {f"test/floor_{name}": 0.1 for name in SCALARS}
-    result = {"hash": spec["hash"], "label": job.label, "seed": s.seed, "data": f"fetal-{anatomy}"}
-    result |= {"metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
-    (job.folder / "result.json").write_text(json.dumps({**result, "mlflow_run_id": "x", "scalars": scalars}))
+    result = result_of(job, data=f"fetal-{anatomy}", scalars=scalars)
+    (job.folder / "result.json").write_text(json.dumps(result))
     (job.folder / "provenance").mkdir()
     made_with = {"git_commit": "0123456789", "git_dirty": "false", "hardware": f"machine {anatomy}"}
     (job.folder / "provenance" / "made_with.json").write_text(json.dumps(made_with))
@@ -192,7 +191,7 @@ def test_the_page_of_a_whole_study(study: Path, script: ModuleType, tmp_path: Pa
     assert stored.loc["att", "verdict"] == "earns"
     assert stored.loc["depth", "verdict"] == "does_not", "chance, far below the band"
     shown = rows_of(text, "verdicts.png)")
-    assert set(shown) - {"component", "---"} == {component.name for component in COMPONENTS}
+    assert set(shown) - {"component", "---"} == {component.name for component in components()}
     for name, row in stored.iterrows():
         assert shown[str(name)][2].strip("*") == row["verdict"].replace("_", " ")
     assert stored["p_holm"].notna().all()
@@ -207,16 +206,16 @@ def test_effects_are_those_of_least_squares_by_hand(whole: Path, script: ModuleT
     found = importlib.import_module("results_page").numbers_of(whole)
     assert script is not None
     verdicts = found.answers.verdicts.set_index("component")
-    for component in (c for c in COMPONENTS if c.metric in set(found.answers.means["metric"])):
+    for component in (c for c in components() if c.metric in set(found.answers.means["metric"])):
         runs = found.answers.means.query("metric == @component.metric")
-        on = {c.field: np.where(runs[c.field].astype(str) == level(c), 1.0, -1.0) for c in COMPONENTS}
+        on = {c.key: np.where(runs[c.key].astype(str) == level(c), 1.0, -1.0) for c in components()}
         names = [(name,) for name in on] + list(combinations(on, 2))
         columns = [np.prod([on[name] for name in term], axis=0) / 2 for term in names]
         block = (runs["data"] == runs["data"].iloc[0]).to_numpy(float)
         found_by_hand = np.linalg.lstsq(np.column_stack([np.ones(len(runs)), block, *columns]), runs["value"])[0][2:]
-        of = {term: value for term, value in zip(names, found_by_hand, strict=True) if component.field in term}
+        of = {term: value for term, value in zip(names, found_by_hand, strict=True) if component.key in term}
         row = verdicts.loc[component.name]
-        assert row["effect"] == pytest.approx(of[component.field,])
+        assert row["effect"] == pytest.approx(of[component.key,])
         assert row["full_effect"] == pytest.approx(sum(of.values()))
     att = verdicts.loc["att"]
     assert att["lower"] < -EFFECT < att["upper"]
@@ -268,7 +267,7 @@ def test_bars_and_living_noise(whole: Path, script: ModuleType) -> None:
     shift = means.loc["mae", "sa2h-att"] - means.loc["mae", "sa2h"]
     assert differences["sa2h-att"][place] == f"**+{shift:.2f}**"
     assert differences["sa2h-gan"][place] == "0.00"
-    injecting = [run for run in found.usable.all if components_of(run)["noise"] == "inject"]
+    injecting = [run for run in found.usable.all if levels_of(run.spec["semantic"])["model.noise"] == "inject"]
     assert f"{len(injecting)} runs inject noise." in text
 
 

@@ -138,7 +138,7 @@ def _load_scene(job: "Job", rng: random.Random) -> None:
 
 def _prepare(job: "Job") -> None:
     from ablate.runs.data_set import maps_needed
-from ablate.runs.prepare import prepare_data
+    from ablate.runs.prepare import prepare_data
 
     prepare_data(job, maps_needed([job.settings.model]))
 
@@ -255,7 +255,7 @@ def _scene_caches(_: Path, place: Path) -> Attempt:
 
 def _names(_: Path, place: Path) -> Attempt:
     """Names on the command line, composed and checked."""
-    from ablate.jobs.compose import read_command_line
+    from ablate.jobs.compose import jobs_of
     from ablate.jobs.preflight import check
 
     keys = ("study_name", "variant", "reference", "metrics", "tracking.experiment", "tracking.register", "scene.folder")
@@ -265,10 +265,7 @@ def _names(_: Path, place: Path) -> Attempt:
         arguments = [*_TINY, f"runs_dir={place / 'runs'}", "task=plan", word]
         if word.startswith("scene.folder"):
             arguments.append("scene=folder")
-        sys.argv = ["ablate", *arguments]  # Hydra reads it
-        command = read_command_line(arguments)
-        if command is not None:
-            check(command.jobs)
+        check(jobs_of(arguments))
 
     return attempt
 

@@ -9,8 +9,7 @@ import types
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
-from functools import cache
-from numbers import Integral, Real
+from numbers import Real
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from ablate.validation import shown
@@ -115,7 +114,6 @@ class Setting:
         return f"{words}, or null" if self.optional else words
 
 
-@cache
 def settings_of(cls: type[Any]) -> tuple[Setting, ...]:
     """The settings that a dataclass declares, in their order; fields that are dataclasses themselves are left out."""
     hints = get_type_hints(cls)
@@ -177,9 +175,7 @@ def _is_number(value: object, kind: type) -> bool:
     """Whether a value is a finite number of the kind `int` or `float`; a float without decimals is a whole number."""
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         return False
-    if kind is int:
-        return (isinstance(value, Integral) or float(value).is_integer()) and abs(value) <= _LARGEST
-    return True
+    return kind is not int or (float(value).is_integer() and abs(int(value)) <= _LARGEST)
 
 
 def plain(value: Any) -> Any:

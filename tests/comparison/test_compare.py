@@ -13,17 +13,18 @@ import pytest
 from matplotlib.figure import Figure
 
 from ablate.analysis import RESIMULATION, find_design
-from ablate.comparison.answers import FACTORS
+from ablate.comparison.blocks import levels_of
 from ablate.comparison.compare import compare_study, write_comparison
 from ablate.comparison.frame_times import FrameTime, write_times
 from ablate.comparison.results import labelled_networks
 from ablate.comparison.usable_runs import usable_runs
 from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
-from ablate.networks import COMPONENTS
+from ablate.settings.components import components
 from ablate.runs.run import Run, runs_of
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import digest
+from support.finished_runs import WHOLE
 from support.studies import study_group
 
 MODEL = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
@@ -35,7 +36,8 @@ VARIANTS = {
     "nsa2h": {"family": "unet", "extra_input": "noise"},
 }
 FRAMES, SITES = 24, 8
-METRICS = ("psnr", "mae", "pchi2", str(COMPONENTS[0].metric))  # the last one is what `att` is judged by
+FACTORS = [component.key for component in components()]
+METRICS = ("psnr", "mae", "pchi2", str(components()[0].metric))  # the last one is what `att` is judged by
 
 
 def write_run(
@@ -55,19 +57,18 @@ def write_run(
     pd.DataFrame(rows).assign(variant=label, seed=seed).to_parquet(folder / "per_image.parquet")
     model = MODEL | VARIANTS.get(label.partition(".")[0], {})
     encoding = {"order": "arbitrary" if ".encoding" in label else "echogenicity"}
-    pairs = {"scene": {"seed": anatomy}, "dataset": {"frames": frames}}
+    pairs = {"scene": {"anatomy_seed": anatomy}, "dataset": {"frames": frames}}
     loss = "none" if label.startswith("sa2h-gan") else "nonsaturating"
     training = {"steps": 9, "seed": seed, "loss": loss}
     semantic = {"model": model, "encoding": encoding, "data": pairs, "training": training}
-    spec = {"label": label, "hash": digest(semantic), "semantic": semantic}
-    (folder / "spec.json").write_text(json.dumps({**spec, "settings": {"model": model}}))
+    spec = {"label": label, "hash": digest(semantic), "changed": {}, "semantic": semantic}
+    (folder / "spec.json").write_text(json.dumps({**spec, "settings": {"model": model, "seed": seed}}))
     scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_lower": 2.0, "test/fd_speckle_upper": 5.0 + seed}
     scalars |= {"test/floor_fd_speckle": 0.1, "test/psnr": 20.0, "test/floor_psnr": 22.0}
     scalars |= {"parameters_generator": 1e6, "parameters_discriminator": 2e6}
-    result = {"hash": spec["hash"], "label": label, "seed": seed, "data": data}
-    result["metrics_version"] = METRICS_VERSION
+    result = {**WHOLE, "hash": spec["hash"], "label": label, "seed": seed, "data": data, "scalars": scalars}
     notes = ["FID: no Inception weights were given."]
-    (folder / "result.json").write_text(json.dumps({**result, "scalars": scalars, "notes": notes}))
+    (folder / "result.json").write_text(json.dumps({**result, "notes": notes}))
     return folder
 
 
@@ -122,7 +123,7 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert names >= {"report.html", "table.csv", "table.tex", "table.md", "paired.csv", "claims.csv", "effects.csv"}
     assert names >= {"verdicts.csv", "runs.csv", "paper.csv"}
-    assert pd.read_csv(folder / "runs.csv").set_index(["variant", "seed"]).loc[("sa2h-att", 1), "attenuation"] == "none"
+    assert pd.read_csv(folder / "runs.csv").set_index(["variant", "seed"]).loc[("sa2h-att", 1), "model.attenuation"] == "none"
     figures = {"verdicts", "boxplots", "seeds", "effects", "error_vs_runtime", *(f"boxplot_{m}" for m in METRICS)}
     assert names >= {f"{name}.{kind}" for name in figures for kind in ("png", "pdf")}
     assert not (study / "comparison.partial").exists()
@@ -137,7 +138,7 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
         assert set(runs.loc["sa2h", name]) == {expected}
     assert table.loc["sa2h", "ms_per_frame_sd"] == 0.5
     assert list(pd.read_csv(folder / "times.csv")["machine"].unique()) == ["a machine"]
-    assert set(pd.read_csv(folder / "effects.csv")["effect"]) == {"attenuation", "upsampling"}
+    assert set(pd.read_csv(folder / "effects.csv")["effect"]) == {"model.attenuation", "model.upsampling"}
     claims = pd.read_csv(folder / "claims.csv")
     assert set(claims["metric"]) == {*METRICS, "fd_speckle"}
     assert set(claims["seeds"]) == {3}
@@ -350,8 +351,7 @@ def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: 
 )
 def test_study_groups_are_recognised_as_the_designs_they_are(group: str, name: str) -> None:
     jobs = study_group(group)
-    components = {job.label: {**plain(job.settings.model), "encoding": job.settings.encoding.name} for job in jobs}
-    design = find_design(components, FACTORS)
+    design = find_design({job.label: levels_of(job.semantic) for job in jobs}, FACTORS)
     assert design is not None
     assert design.name.startswith(name)
 
@@ -362,11 +362,11 @@ def test_a_start_of_noise_that_is_not_injected_and_a_seed_of_training_make_no_ot
         folder = write_run(tmp_path / "s", label, len(made))
         spec = json.loads((folder / "spec.json").read_text())
         spec["semantic"]["model"] |= {"noise": noise, "noise_start": start}
-        made[label] = components_of(Run(folder, spec, {}))
+        made[label] = levels_of(spec["semantic"])
     design = find_design(made, FACTORS)
     assert design is not None
-    assert (design.factors, design.left_out) == (["attenuation", "noise"], ())
-    made["sa2h-quiet"] = made["sa2h"] | {"noise_start": 0.0}
+    assert (design.factors, design.left_out) == (["model.attenuation", "model.noise"], ())
+    made["sa2h-quiet"] = made["sa2h"] | {"model.noise_start": 0.0}
     made["sa2h-long"] = made["sa2h"] | {"training.steps": 99}
     design = find_design(made, FACTORS)
     assert design is not None

@@ -17,7 +17,8 @@ from ablate.comparison.frame_times import FrameTime, network_of, read_times, wri
 from ablate.comparison.results import scored_frames, timed_on
 from ablate.comparison.timing import time_networks
 from ablate.runs.run import Run, runs_of
-from ablate.storage import write_json
+from ablate.storage import digest, write_json
+from support.finished_runs import PARAMETERS, WHOLE
 
 if TYPE_CHECKING:
     from support.studies import TinyStudy
@@ -30,7 +31,7 @@ def timed(*whole: float) -> FrameTime:
 
 def semantic(width: float, seed: int = 0, anatomy: int = 0) -> dict[str, object]:
     training = {"precision": "fp32", "seed": seed, "steps": 9 + seed}
-    return {"model": {"width": width}, "training": training, "data": {"scene": {"seed": anatomy}, "frames": 3}}
+    return {"model": {"width": width, "family": "local"}, "training": training, "data": {"scene": {"anatomy_seed": anatomy}, "frames": 3}}
 
 
 def write_run(study: Path, label: str, width: float, seed: int = 0, checkpoint: bool = True) -> None:
@@ -39,12 +40,11 @@ def write_run(study: Path, label: str, width: float, seed: int = 0, checkpoint: 
     folder.mkdir(parents=True)
     rows = [{"frame": k, "site": k, "metric": "mae", "value": 9.0, "source": "model", "split": "test"} for k in (0, 1)]
     pd.DataFrame(rows).assign(variant=label, seed=seed).to_parquet(folder / "per_image.parquet")
-    spec = {"label": label, "hash": f"{label}{seed}", "semantic": semantic(width, seed), "settings": {}}
-    write_json(folder / "spec.json", spec)
-    scalars = {"ms_per_frame": 666.0, "parameters_generator": 1.0, "parameters_discriminator": 1.0}
-    write_json(
-        folder / "result.json", {"hash": spec["hash"], "label": label, "seed": seed, "data": "d", "scalars": scalars}
-    )
+    content = semantic(width, seed)
+    known_by = {"label": label, "hash": digest(content), "changed": {}}
+    write_json(folder / "spec.json", {**known_by, "semantic": content, "settings": {"seed": seed}})
+    scalars = {"ms_per_frame": 666.0, **PARAMETERS}
+    write_json(folder / "result.json", {**WHOLE, "hash": digest(content), "label": label, "seed": seed, "scalars": scalars})
     if checkpoint:
         (folder / "last.ckpt").write_text("weights")
 
@@ -110,7 +110,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[set[str]]:
             device, threads = "cpu", 1
 
     monkeypatch.setattr(timing, "_in_turns", in_turns)
-    monkeypatch.setattr(timing, "_settings_of", lambda _: Settings)
+    monkeypatch.setattr(Run, "settings", Settings)
     return calls
 
 
@@ -161,6 +161,9 @@ def test_a_custom_network_is_timed_with_its_weights_only(study: Path, measured: 
         write_run(study, label, 3.0 + checkpoint, checkpoint=checkpoint)
         spec = json.loads((study / label / "seed0" / "spec.json").read_text())
         spec["semantic"]["model"]["family"] = "custom"
+        spec["hash"] = digest(spec["semantic"])
+        result = json.loads((study / label / "seed0" / "result.json").read_text())
+        write_json(study / label / "seed0" / "result.json", result | {"hash": spec["hash"]})
         write_json(study / label / "seed0" / "spec.json", spec)
     time_networks(study, runs_of(study))
     assert measured == [{"sa2h/seed0", "nsa2h/seed0", "theirs/seed0"}]

@@ -52,9 +52,9 @@ def loaded(registered: tuple[Path, Job]) -> Any:
 def test_it_renders_what_the_study_renders(registered: tuple[Path, Job], loaded: Any) -> None:
     job = registered[1]
     finished = runs_of(job.settings.study_dir)
-    data = data_of(finished)
+    data = finished[0].data_set
     values = label_values(data.tissues, job.settings.encoding)
-    render = generated_images(load_generator(finished[0].folder / LAST), data, values, job.settings.training.precision)
+    render = generated_images(load_generator(finished[0].checkpoint), data, values, job.settings.training.precision)
     frame = data.pairs.frames(Part.test)[:1]
     maps = {name: data.pairs.read(name, frame) for name in ("segmentation", "attenuation")}
     image = loaded.predict(maps, params={"seed": int(noise_seeds(frame, 0)[0])})

@@ -1,27 +1,41 @@
-"""A launcher, whichever it is, gets every job once, composed, and brings it to a process where it runs."""
+"""A launcher, whichever it is, gets every job of a sweep once, and brings it to a process where it runs."""
 
 import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 import pytest
 from omegaconf import DictConfig
 
-from ablate.jobs.compose import CommandLine, read_command_line
+from ablate.jobs.launch import Launch
 from ablate.runs.job import Job
+from ablate.settings.study import ConfigurationError
+from ablate.tasks import command
+from ablate.tasks.command import execute
+
+Work = Callable[[Job], object]
 
 
-def composed(*arguments: str) -> CommandLine:
-    command = read_command_line(arguments)
-    assert command is not None
-    return command
+@pytest.fixture
+def launched(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
+    """Runs a command line as the program does, with work of the test's in place of a task."""
+
+    def call(work: Work, *arguments: str, skip: int = 0) -> int:
+        def do(jobs: Sequence[Job], launch: Launch) -> int:
+            launch.start(jobs[skip:], work)
+            return 0
+
+        monkeypatch.setattr(command, "_do", do)
+        return execute([*arguments, f"runs_dir={tmp_path / 'runs'}"])
+
+    return call
 
 
-def leave_a_note(folder: Path) -> Callable[[Job], None]:
+def leave_a_note(folder: Path) -> Work:
     """Work that writes a file. A local function is pickled whole: the processes of a launcher cannot import tests."""
 
     def work(job: Job) -> None:
@@ -34,18 +48,17 @@ def notes(folder: Path) -> dict[str, str]:
     return {path.name: path.read_text() for path in folder.iterdir() if path.is_file()}
 
 
-@pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local"])
-def test_every_launcher_carries_the_jobs(launcher: str, tmp_path: Path) -> None:
-    """joblib and submitit pickle what they start, and have no part in how it was composed."""
-    line = ["-m", "variant=sa2h,nsa2h", "seed=0,1", "training.steps=7", f"hydra/launcher={launcher}"]
-    command = composed(*line, f"runs_dir={tmp_path / 'runs'}")
+def test_a_process_each_carries_the_jobs_that_are_left(launched: Callable[..., int], tmp_path: Path) -> None:
     (tmp_path / "notes").mkdir()
-    command.launch(command.jobs[1:], leave_a_note(tmp_path / "notes"))
+    work = leave_a_note(tmp_path / "notes")
+    assert launched(work, "-m", "variant=sa2h,nsa2h", "seed=0,1", "training.steps=7", skip=1) == 0
     assert notes(tmp_path / "notes") == {"sa2h-1": "7", "nsa2h-0": "7", "nsa2h-1": "7"}
 
 
-def test_a_process_that_is_killed_takes_no_other_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As the system does when memory runs out; with joblib's own pool the other processes were ended too."""
+def test_a_process_that_is_killed_takes_no_other_with_it(
+    launched: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the system does when memory runs out; with joblib's own pool the other processes are ended too."""
     folder = str(tmp_path)
 
     def work(job: Job) -> None:
@@ -59,11 +72,10 @@ def test_a_process_that_is_killed_takes_no_other_with_it(tmp_path: Path, capsys:
         time.sleep(1)
         (Path(folder) / str(job.settings.seed)).touch()
 
-    command = composed("-m", "seed=0,1,2", "hydra/launcher=joblib", f"runs_dir={tmp_path / 'runs'}")
-    command.launch(command.jobs, work)
+    launched(work, "-m", "seed=0,1,2")
     assert notes(tmp_path).keys() == {"1", "2"}
     (told,) = capsys.readouterr().err.splitlines()
-    assert told.startswith(f"seed=0 runs_dir={tmp_path / 'runs'}: its process was ended by SIGKILL")
+    assert told.startswith("sa2h/seed0: its process was ended by SIGKILL")
 
 
 @pytest.fixture
@@ -75,7 +87,7 @@ def heard() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("heard")
-def test_after_ctrl_c_every_process_saves_what_it_is_at(tmp_path: Path) -> None:
+def test_after_ctrl_c_every_process_saves_what_it_is_at(launched: Callable[..., int], tmp_path: Path) -> None:
     """The launcher is interrupted alone: its processes are told by SIGTERM, and it waits for them."""
     folder = str(tmp_path)
 
@@ -93,9 +105,6 @@ def test_after_ctrl_c_every_process_saves_what_it_is_at(tmp_path: Path) -> None:
         (Path(folder) / f"begun{job.settings.seed}").touch()
         time.sleep(60)
 
-    command = composed(
-        "-m", "seed=0,1", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", f"runs_dir={tmp_path}/runs"
-    )
     begun = [tmp_path / "begun0", tmp_path / "begun1"]
 
     def interrupt() -> None:
@@ -105,24 +114,24 @@ def test_after_ctrl_c_every_process_saves_what_it_is_at(tmp_path: Path) -> None:
 
     threading.Thread(target=interrupt, daemon=True).start()
     with pytest.raises(KeyboardInterrupt):
-        command.launch(command.jobs, work)
+        launched(work, "-m", "seed=0,1", "hydra.launcher.n_jobs=2")
     assert (tmp_path / "saved0").exists()
     assert (tmp_path / "saved1").exists()
 
 
-def test_a_single_job_and_batches_need_no_numbers(tmp_path: Path) -> None:
-    single = composed("variant=nsa2h", f"runs_dir={tmp_path}")
-    single.launch(single.jobs, leave_a_note(tmp_path))
-    sweep = composed("-m", "seed=1,2,3", "hydra.sweeper.max_batch_size=2", f"runs_dir={tmp_path / 'runs'}")
-    sweep.launch(sweep.jobs, leave_a_note(tmp_path))
-    assert set(notes(tmp_path)) == {"nsa2h-0", "sa2h-1", "sa2h-2", "sa2h-3"}
+def test_a_single_job_runs_in_this_process_and_sweeps_run_in_batches(
+    launched: Callable[..., int], tmp_path: Path
+) -> None:
+    here = []
+    launched(here.append, "variant=nsa2h")
+    assert [job.label for job in here] == ["nsa2h"]
+    launched(leave_a_note(tmp_path), "-m", "seed=1,2,3", "hydra.sweeper.max_batch_size=2")
+    assert set(notes(tmp_path)) == {"sa2h-1", "sa2h-2", "sa2h-3"}
 
 
-def test_a_launcher_that_fails_is_shown_and_ends_the_launch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = composed("-m", "seed=0,1", "hydra.sweep.dir=/dev/null/nowhere", f"runs_dir={tmp_path}")
-    command.launch(command.jobs, leave_a_note(tmp_path))
-    assert "/dev/null/nowhere" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
+def test_no_process_at_all_is_refused(launched: Callable[..., int]) -> None:
+    with pytest.raises(ConfigurationError, match=r"hydra\.launcher\.n_jobs=0: allowed are 1 and more"):
+        launched(print, "-m", "seed=0,1", "hydra.launcher.n_jobs=0")
 
 
 class Recorder:
@@ -136,18 +145,24 @@ class Recorder:
             raise AttributeError(name)
         return partial(self._note, name)
 
-    def _note(self, name: str, config: DictConfig, **_: object) -> None:
+    def _note(self, name: str, config: DictConfig | None = None, **_: object) -> None:
         with self.path.open("a") as stream:
-            stream.write(f"{name} {config.seed}\n")
+            stream.write(f"{name} {config.seed if config is not None else ''}\n")
 
 
-def test_callbacks_and_the_folder_of_a_sweep_are_those_that_are_asked_for(tmp_path: Path) -> None:
+def test_callbacks_and_the_folder_of_a_sweep_are_those_that_are_asked_for(
+    launched: Callable[..., int], tmp_path: Path
+) -> None:
     told = tmp_path / "told"
-    where = [f"runs_dir={tmp_path}", f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.sweep.subdir=${variant}"]
-    callback = f"+hydra.callbacks.note={{_target_:{__name__}.Recorder,path:{told}}}"
-    sweep = composed("-m", "seed=4,5", *where, callback)
-    sweep.launch(sweep.jobs, leave_a_note(tmp_path))
-    assert told.read_text().splitlines() == [
+    where = [f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.sweep.subdir=${variant}"]
+    callback = f"+hydra.callbacks.note={{_target_:test_launch.Recorder,path:{told}}}"
+    with pytest.MonkeyPatch.context() as patch:
+        path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+        patch.setenv("PYTHONPATH", path)
+        patch.syspath_prepend(str(Path(__file__).parent))
+        launched(leave_a_note(tmp_path), "-m", "seed=4,5", "hydra.launcher.n_jobs=1", *where, callback)
+    lines = [line for line in told.read_text().splitlines() if not line.startswith("on_compose_config")]
+    assert lines == [
         "on_multirun_start 0",
         "on_job_start 4",
         "on_job_end 4",
@@ -156,3 +171,14 @@ def test_callbacks_and_the_folder_of_a_sweep_are_those_that_are_asked_for(tmp_pa
         "on_multirun_end 0",
     ]
     assert (tmp_path / "sweep" / "sa2h").is_dir()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local"])
+def test_launchers_of_others_run_each_job_and_then_the_study_is_compared(launcher: str, tmp_path: Path) -> None:
+    """joblib's and submitit's own, as they are installed: each job composes and runs by itself."""
+    line = ["-m", "preset=tiny", "variant=sa2h,sa2h-att", f"hydra/launcher={launcher}", f"runs_dir={tmp_path / 'runs'}"]
+    assert execute(line) == 0
+    study = tmp_path / "runs" / "tiny-fetal"
+    assert {path.parts[-3] for path in study.glob("*/*/result.json")} == {"sa2h", "sa2h-att"}
+    assert (study / "comparison" / "table.csv").exists()

@@ -5,16 +5,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
+from hydra_plugins.ablate_plugins import QueueLauncher
 
-from ablate import tasks
-from ablate.jobs.compose import jobs_of, read_command_line
-from ablate.jobs.schema import register
-from ablate.jobs.slurm import QueueLauncher, queued, wait_for
+from ablate.jobs.compose import composed, jobs_of
+from ablate.jobs.launch import Launch
+from ablate.jobs.slurm import queued, wait_for
 from ablate.runs.job import Job
-from ablate.settings.conf_folder import configuration_dir
 from ablate.settings.study import ConfigurationError
+from ablate.tasks import command as program
+from ablate.tasks import run_task as tasks
+from ablate.tasks.command import execute
 from support.studies import here
 
 TINY = [
@@ -43,12 +44,22 @@ def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
     return make
 
 
+@pytest.fixture(autouse=True)
+def only_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sweep starts its jobs and does nothing else."""
+
+    def start(jobs: list[Job], launch: Launch) -> int:
+        assert launch.elsewhere
+        launch.start(jobs, print)
+        return 0
+
+    monkeypatch.setattr(program, "_do", start)
+
+
 def launcher(tmp_path: Path, *overrides: str) -> QueueLauncher:
     """What conf/ has of the launcher, ready to submit."""
-    register()
-    with initialize_config_dir(str(configuration_dir()), version_base="1.3"):
-        choice = ["hydra/launcher=slurm", f"runs_dir={tmp_path / 'runs'}", "hydra.job.num=0", "hydra.job.id=0"]
-        config = compose("config", [*choice, *overrides], return_hydra_config=True)
+    choice = ["hydra/launcher=slurm", f"runs_dir={tmp_path / 'runs'}", "hydra.job.num=0", "hydra.job.id=0"]
+    config = composed([*choice, *overrides])
     made = instantiate(config.hydra.launcher)
     assert isinstance(made, QueueLauncher)
     made.setup(hydra_context=None, task_function=None, config=config)
@@ -73,23 +84,12 @@ def test_the_keys_of_the_launcher_reach_sbatch(tmp_path: Path, command: Command)
     assert f"#SBATCH --output={tmp_path}/runs/slurm/%j/%j_0_log.out" in lines
 
 
-def cluster(line: list[str]) -> Path | None:
-    """Where the jobs of a command line print that SLURM runs."""
-    command = read_command_line(line)
-    assert command is not None
-    return command.launch.cluster
-
-
-def test_a_launcher_without_a_sweep_or_a_cluster_is_refused(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_launcher_without_a_sweep_or_a_cluster_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigurationError, match=r"hydra/launcher=slurm.* add -m"):
-        jobs_of(["hydra/launcher=slurm"])
-    line = ["-m", "hydra/launcher=slurm", "variant=sa2h,nsa2h"]
-    command("srun", "exit 1")
-    assert cluster(line) == Path("runs/slurm")
-    assert cluster(["-m", "variant=sa2h,nsa2h"]) is None
+        execute(["hydra/launcher=slurm"])
     monkeypatch.setenv("PATH", "/nowhere")
     with pytest.raises(ConfigurationError, match=r"hydra/launcher=slurm.*srun"):
-        cluster(line)
+        execute(["-m", "hydra/launcher=slurm", "variant=sa2h,nsa2h"])
 
 
 def test_a_job_that_the_queue_does_not_list_has_ended(command: Command, tmp_path: Path) -> None:
@@ -133,9 +133,9 @@ def test_pairs_made_elsewhere_are_reported_and_what_is_missing_is_said(
 ) -> None:
     jobs = filling("seed=0,1", f"runs_dir={tmp_path}")
 
-    assert tasks.simulate(jobs, lambda *_: None) == 1  # all were killed
+    assert tasks.simulate(jobs, Launch(lambda *_: None, elsewhere=True)) == 1  # all were killed
     assert "not finished" in capsys.readouterr().err
-    assert tasks.simulate(jobs, here) == 0
+    assert tasks.simulate(jobs, Launch(here, elsewhere=True)) == 0
     assert capsys.readouterr().out.count("6 frames in") == 1
 
 
@@ -145,4 +145,4 @@ def test_a_study_elsewhere_leaves_the_simulating_to_its_jobs(tmp_path: Path) -> 
     def launch(*_: object) -> None:
         assert not (tmp_path / "data").exists()
 
-    assert tasks.study(jobs, launch, elsewhere=True) == 1
+    assert tasks.study(jobs, Launch(launch, elsewhere=True)) == 1

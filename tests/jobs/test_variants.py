@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from ablate.dataset import Encoding
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.variants import leave_one_out, variant_names
 from ablate.metrics import METRICS
-from ablate.networks import COMPONENTS, GeneratorSpec
+from ablate.networks import GeneratorSpec
+from ablate.settings.components import components
+from ablate.settings.values import keys
 from ablate.settings.study import StudySettings
 from ablate.training import AdversarialLoss
 
@@ -40,17 +41,20 @@ def test_ablations_equal_the_generated_leave_one_out() -> None:
 
 
 def test_components_name_levels_and_metrics_that_exist() -> None:
-    assert COMPONENTS[-1].levels == tuple(Encoding)
-    for component in COMPONENTS:
-        assert component.on in component.levels
-        assert component.off in component.levels
-        assert component.metric is None or component.metric in METRICS
+    allowed = {key.name: key.setting for key in keys()}
+    assert [c.name for c in components()] == ["att", "concat", "conv", "noise", "depth", "encoding"]
+    for component in components():
+        setting = allowed[component.key]
+        for level in (component.on, component.off):
+            assert level in tuple(setting.kind) if isinstance(level, str) else setting.declared.holds(level)
+        assert component.metric in METRICS
+        assert component.band
 
 
 def test_the_page_of_the_networks_prints_the_table_of_components() -> None:
     page = (Path(__file__).parents[2] / "docs" / "networks.md").read_text()
-    for c in COMPONENTS:
-        assert f"| {c.name} | `{c.field}` | {c.on} | {c.off} | {f'`{c.metric}` |' if c.metric else '|'}\n" in page
+    for c in components():
+        assert f"| {c.name} | `{c.key}` | {c.on} | {c.off} | `{c.metric}` | {c.band:g} |\n" in page
 
 
 @pytest.mark.parametrize(

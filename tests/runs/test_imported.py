@@ -58,7 +58,7 @@ def simulated(tiny_study: TinyStudy, tmp_path_factory: pytest.TempPathFactory) -
 
 
 def data_of(runs: Path) -> Pairs:
-    return open_data(next(runs.glob("data/*/about.json")).parent).pairs
+    return DataSet(next(runs.glob("data/*/about.json")).parent).pairs
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +147,7 @@ def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenua
 def test_depths_are_known_only_where_the_fan_is_that_of_the_probe(folder: Path, tmp_path: Path) -> None:
     where = ["scene=pairs", f"scene.folder={folder}", f"runs_dir={tmp_path}", "probe.depth_mm=100"]
     assert run("task=simulate", *TINY, *where) == 0
-    data = open_data(next(tmp_path.glob("data/*")))
+    data = DataSet(next(tmp_path.glob("data/*")))
     assert any("depth_mm=100, so depths are not known" in line for line in data.left_out)
 
 

@@ -14,12 +14,17 @@ from ablate.storage import write_json
 PARAMETERS = {"parameters_generator": 1.0, "parameters_discriminator": 1.0}
 
 
+#: What every result.json has besides what names the run.
+WHOLE: dict[str, Any] = {
+    **{"data": "fetal-0", "pixels": "0", "scalars": PARAMETERS, "notes": []},
+    **dict.fromkeys(("started", "ended", "first_scored"), "2026-01-01T00:00:00+00:00"),
+    **{"metrics": ["all"], "sources": {}, "metrics_version": METRICS_VERSION, "inception": None},
+}
+
+
 def result_of(job: Job, **changes: Any) -> dict[str, Any]:
     """A result as a run writes it."""
-    about = {"hash": job.hash, "label": job.label, "seed": job.settings.seed, "data": "fetal-0", "pixels": "0"}
-    times = dict.fromkeys(("started", "ended", "first_scored"), "2026-01-01T00:00:00+00:00")
-    scored = {"metrics": ["all"], "sources": {}, "metrics_version": METRICS_VERSION, "inception": None, "notes": []}
-    return {**about, **times, **scored, "scalars": dict(PARAMETERS), **changes}
+    return {**WHOLE, "hash": job.hash, "label": job.label, "seed": job.settings.seed, **changes}
 
 
 def scores_of(job: Job, values: Mapping[str, float] | None = None, frames: int = 1) -> pd.DataFrame:

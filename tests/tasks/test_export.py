@@ -105,7 +105,7 @@ def test_dicom_is_valid_and_calibrated(
 
 
 def test_the_format_does_not_decide_the_data_set(arguments: list[str]) -> None:
-    plain, dicom = (dataset_hash(jobs_of([*arguments, *more])[0].settings) for more in ([], ["dataset.format=dicom"]))
+    plain, dicom = (jobs_of([*arguments, *more])[0].data for more in ([], ["dataset.format=dicom"]))
     assert plain == dicom
 
 

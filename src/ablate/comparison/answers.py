@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from ablate import analysis
-from ablate.analysis import REFERENCE, Design
-from ablate.analysis.components import Component
+from ablate.analysis import REFERENCE, Component, Design
 from ablate.comparison.blocks import anatomy_of, factors_of, levels_of
 from ablate.comparison.results import scored_frames
 from ablate.metrics.stored_names import BOUNDS, FRAME_TIME
@@ -48,9 +47,9 @@ def answers(runs: Sequence[Run], table: pd.DataFrame, reference: str = REFERENCE
 
     `table` is the `comparison_table` that tells the distance from the reference to re-simulation.
     """
-    levels = {run.label: levels_of(run) for run in runs}
+    levels = {run.label: levels_of(run.spec["semantic"]) for run in runs}
     factors = factors_of(runs)
-    judged = components_of(runs)
+    judged = analysis.with_undeclared(components(), factors)
     block = {run.data: anatomy_of(run) for run in runs}
     per_image, scalars = (scored.assign(data=scored["data"].map(block)) for scored in scored_frames(runs))
     design = analysis.find_design(levels, factors, reference)
@@ -72,14 +71,6 @@ def answers(runs: Sequence[Run], table: pd.DataFrame, reference: str = REFERENCE
     )
 
 
-def components_of(runs: Sequence[Run]) -> tuple[Component, ...]:
-    """The declared components, then one without a metric or a band for every other key that was swept."""
-    declared = components()
-    known = {component.key for component in declared}
-    swept = [key for key in factors_of(runs) if key not in known]
-    return (*declared, *(Component(key.rpartition(".")[2], key) for key in swept))
-
-
 def _spreads(scalars: pd.DataFrame) -> dict[str, float]:
     """By cost, the spread of what was measured of a run: half the distance of the quartiles of its times."""
     times = scalars[scalars["metric"] == FRAME_TIME]
@@ -95,7 +86,7 @@ def _wide(runs: Sequence[Run], factors: Sequence[str]) -> pd.DataFrame:
     if len(times := scalars[scalars["metric"] == FRAME_TIME]):
         bounds = times.set_index(run)[list(BOUNDS)].add_prefix(f"{FRAME_TIME}_")
         wide = wide.join(bounds.astype("float64"), on=run)
-    levels = {one.label: levels_of(one) for one in runs}
+    levels = {one.label: levels_of(one.spec["semantic"]) for one in runs}
     for place, factor in enumerate(factors, start=len(run)):
         wide.insert(place, factor, [levels[label].get(factor) for label in wide["variant"]])
     return wide

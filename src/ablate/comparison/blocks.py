@@ -36,13 +36,13 @@ def is_block(run: Run, other: Run, factors: Collection[str]) -> bool:
     return all(key in varied for key, _, _ in unlike)
 
 
-def levels_of(run: Run) -> dict[str, object]:
+def levels_of(semantic: Mapping[str, Any]) -> dict[str, object]:
     """What can make a run differ from another one of its study: every dotted key that decides its result.
 
-    Where no noise is injected, the weight that it would start with says nothing and is left out; seeds and the anatomy
+    `semantic` is that of the run or of its job. Where no noise is injected, the weight that it would start with says nothing and is left out; seeds and the anatomy
     are no components.
     """
-    content = dict(flat(run.spec["semantic"]))
+    content = dict(flat(dict(semantic)))
     if content["model.noise"] != "inject":
         content.pop("model.noise_start", None)
     levels = {key: value for key, value in content.items() if key not in (*_SEEDS, _ANATOMY)}

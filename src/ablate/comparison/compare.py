@@ -126,6 +126,7 @@ def write_comparison(
         paired,
         claims=claims,
         verdicts=found.verdicts,
+        components=found.components,
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
         left_out=_left_out(runs),
         provenance=provenance(usable.all),
@@ -202,6 +203,6 @@ def _left_out(runs: Sequence[Run]) -> list[str]:
     except (OSError, ValueError, KeyError):
         said = []  # the pairs have been deleted
     said += dict.fromkeys(str(note) for run in runs for note in run.result.get("notes", ()))
-    if not any(levels_of(run).get("model.extra_input") == "low" for run in runs):
+    if not any(levels_of(run.spec["semantic"]).get("model.extra_input") == "low" for run in runs):
         said.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
     return said

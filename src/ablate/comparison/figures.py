@@ -44,19 +44,22 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
     def add(paths: Sequence[Path], caption: str) -> None:
         made.extend((path, caption) for path in paths)
 
-    design, means, effects = numbers.answers.design, numbers.answers.means, numbers.answers.effects
-    tables = numbers.answers.verdicts, analysis.improvements(means, design), analysis.interactions(means, design)
-    add(analysis.forest_figure(*tables, folder / "verdicts"), analysis.verdicts_caption(design, reference))
+    answers, components = numbers.answers, numbers.answers.components
+    design, means, effects = answers.design, answers.means, answers.effects
+    runs = analysis.improvements(means, design, components)
+    pairs = analysis.interactions(means, design, components)
+    paths = analysis.forest_figure(answers.verdicts, runs, pairs, components, folder / "verdicts")
+    add(paths, analysis.verdicts_caption(design, reference))
     page = analysis.frames_a_page(len(frames[0].predictions)) if frames else 1
     for k, start in enumerate(range(0, len(frames), page)):
-        paths = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}")
+        paths = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}", components)
         add(paths, analysis.qualitative_caption(reference))
     boxes = [name for name in shown_in(Shown.headline) if name in set(per_image["metric"])]
-    drawn = analysis.boxplot_panels(per_image, boxes, folder / "boxplots", reference, numbers.paired)
+    drawn = analysis.boxplot_panels(per_image, boxes, folder / "boxplots", reference, numbers.paired, components)
     add(drawn, analysis.boxplot_caption(boxes, reference))
     panels = shown_in(Shown.panels)
     add(
-        analysis.seed_plot(per_image, numbers.scalars, panels, folder / "seeds", reference),
+        analysis.seed_plot(per_image, numbers.scalars, panels, folder / "seeds", reference, components),
         analysis.seeds_caption(panels, reference),
     )
     if design is not None and len(effects):
@@ -64,12 +67,14 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
         drawn = analysis.effects_plot(effects, panels, folder / "effects", gaps)
         add(drawn, analysis.effects_caption(design, effects, reference if gaps else None))
     for k, frame in enumerate(frames):
-        add(analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}"), analysis.chi2_caption(frame.name))
+        add(analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}", components), analysis.chi2_caption(frame.name))
     points, floors = runtime_points(numbers.table)
     if len(points):
-        paths = analysis.error_vs_runtime(points, folder / "error_vs_runtime", floors, numbers.timed_on)
+        paths = analysis.error_vs_runtime(
+            points, folder / "error_vs_runtime", floors, numbers.timed_on, components=components
+        )
         add(paths, analysis.runtime_caption(list(dict.fromkeys(points["metric"]))))
-    for metric, paths in analysis.paired_boxplots(per_image, folder, reference, numbers.paired).items():
+    for metric, paths in analysis.paired_boxplots(per_image, folder, reference, numbers.paired, components).items():
         add(paths, analysis.boxplot_caption([metric], reference))
     return made
 

@@ -199,9 +199,12 @@ class Run:
         except (OSError, ValueError, KeyError) as error:  # pyarrow's are ValueErrors
             return State.resumable, f"unreadable ({type(error).__name__}: {self.scores_file.name}): start it again"
         if (set(self.scores["variant"]), set(self.scores["seed"])) != ({self.label}, {self.seed}):
-            wrong_scores = "values of another run"
+            wrong_scores = "it holds values of another run"
         if wrong_scores:
-            return State.unusable, f"with {wrong_scores} in {self.scores_file.name}: start it again"
+            return (
+                State.unusable,
+                f"with a {self.scores_file.name} that cannot be used ({wrong_scores}): start it again",
+            )
         return State.finished, ""
 
     def copied_state(self) -> str:

@@ -9,17 +9,16 @@ import torch
 
 from ablate import pretrained
 from ablate.anatomy import Tissue
-from ablate.comparison.results import finished_runs
 from ablate.dataset import label_values, network_inputs
 from ablate.networks import conditions
 from ablate.pretrained import Renderer
-from ablate.settings.study import StudySettings, build
-from ablate.storage import read_json
-from ablate.training import LAST, load_generator
+from ablate.runs.run import Run, State
+from ablate.settings.study import StudySettings
+from ablate.training import load_generator
 from ablate.ultrasound import Probe, compensated_attenuation
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.viewer.exported import FastGenerator
-from ablate.viewer.state import State
+from ablate.viewer.state import State as ViewState
 
 _SHIPPED = Path("pretrained")
 
@@ -29,11 +28,9 @@ def pickable(folder: Path) -> dict[str, Path]:
 
     A run is named by its study, variant and seed; the folder may be a run, a study or a folder of studies.
     """
-    depths = ("*/*/seed*", "*/seed*", ".")
-    folders = sorted({path.parent.resolve() for depth in depths for path in folder.glob(f"{depth}/result.json")})
-    studies = dict.fromkeys(path.parents[1] for path in folders)
-    runs = [run for study in studies for run in finished_runs(study) if run.folder.resolve() in folders]
-    named = {f"{run.folder.parents[1].name}: {run.name}": run.folder for run in runs if (run.folder / LAST).exists()}
+    folders = sorted({path.resolve() for depth in ("*/*/seed*", "*/seed*", ".") for path in folder.glob(depth)})
+    runs = [run for run in map(Run, folders) if run.state is State.finished and run.checkpoint.exists()]
+    named = {f"{run.folder.parents[1].name}: {run.name}": run.folder for run in runs}
     return named | {f"comes with ablate: {name}": _SHIPPED / name for name in pretrained.NAMES}
 
 
@@ -70,7 +67,7 @@ class Trained:
         inputs = network_inputs(batch, self.values, mask)
         return self.engine.render(inputs, torch.from_numpy(mask), torch.tensor([seed]))
 
-    def reservation(self, state: State) -> str:
+    def reservation(self, state: ViewState) -> str:
         """Say in what a state differs from the training; empty if it does not."""
         reservations, probe = [], self.renderer.probe
         if state.probe != probe:
@@ -108,19 +105,11 @@ def _renderer_of_run(folder: Path, tissues: Sequence[Tissue]) -> tuple[Renderer,
 
     Where its data set has been deleted, `tissues` are taken for those that it was trained on.
     """
-    try:
-        settings = build(StudySettings, read_json(folder / "spec.json")["settings"])
-        data = str(read_json(folder / "result.json")["data"])
-        generator = load_generator(folder / LAST)
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"this run is gone: {folder} has no {Path(str(error.filename)).name}") from error
-    about = folder.parents[2] / "data" / data / "about.json"
-    try:
-        trained_on = [build(Tissue, entry) for entry in read_json(about)["tissues"]]
-    except FileNotFoundError:
-        trained_on = list(tissues)
-    except (KeyError, TypeError) as error:
-        raise ValueError(f"{about} is damaged: {error}") from error
+    run = Run(folder)
+    if run.state is not State.finished:
+        raise FileNotFoundError(f"this run is gone: {folder} is {run.state} {run.why}".rstrip())
+    settings, generator = run.settings, load_generator(run.checkpoint)
+    trained_on = run.data_set.tissues if run.data_set.exists else tuple(tissues)
     encoding, simulator = (settings.encoding, settings.encoding_seed), settings.simulator
     levels = label_values(trained_on, *encoding)[1:].tolist()
     values = {tissue.name: level for tissue, level in zip(trained_on, levels, strict=True)}

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ablate.jobs.compose import jobs_of
-from ablate.settings.study import SceneKind, StudySettings, json_ready
+from ablate.jobs.compose import job_of
+from ablate.setting import plain
+from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import written_whole
 from ablate.viewer.pictures import framed
 from ablate.viewer.state import State, Views
@@ -112,7 +113,7 @@ def save_frame(folder: Path, state: State, views: Views) -> None:
     for name, image in ((name, image) for name, image in maps.items() if image is not None):
         with written_whole(folder / f"{name}.png") as partial:
             Image.fromarray(image).save(partial, "PNG")
-    described = {name: json_ready(getattr(state, name)) for name in ("hold", "probe", "simulator", "display", "seed")}
+    described = {name: plain(getattr(state, name)) for name in ("hold", "probe", "simulator", "display", "seed")}
     described |= {"runs": [str(run) for run in state.runs], "quality": views.quality.value}
     with written_whole(folder / "frame.json") as partial:
         partial.write_text(json.dumps({"pose": state.pose.tolist()} | described, indent=2), "utf-8")
@@ -156,15 +157,15 @@ def _command(settings: StudySettings, state: State, words: Sequence[str]) -> str
         overrides.append(f"scene.folder={Path(wanted.scene.folder or '').resolve()}")
     if wanted.runs_dir != StudySettings.runs_dir:
         overrides.append(f"runs_dir={wanted.runs_dir}")
-    (plain,) = jobs_of([*overrides, "task=describe"])
+    unchanged = job_of([*overrides, "task=describe"]).settings
     for section in _SECTIONS:
-        overrides += _differences(section, getattr(wanted, section), getattr(plain.settings, section))
+        overrides += _differences(section, getattr(wanted, section), getattr(unchanged, section))
     return shlex.join(["python", "-m", "ablate", *words, *overrides])
 
 
-def _differences(section: str, wanted: object, plain: object) -> Iterator[str]:
-    names = ["seed", "press_mm"] if section == "dataset" else json_ready(wanted)
+def _differences(section: str, wanted: object, unchanged: object) -> Iterator[str]:
+    names = ["seed", "press_mm"] if section == "dataset" else plain(wanted)
     for name in names:
-        if name not in ("kind", "folder") and getattr(wanted, name) != getattr(plain, name):
-            value = json_ready(getattr(wanted, name))
+        if name not in ("kind", "folder") and getattr(wanted, name) != getattr(unchanged, name):
+            value = plain(getattr(wanted, name))
             yield f"{section}.{name}={value if isinstance(value, str) else json.dumps(value, separators=(',', ':'))}"

@@ -12,10 +12,9 @@ import pandas as pd
 from ablate.anatomy import Scene
 from ablate.dataset import Part, equally_spaced
 from ablate.metrics import METRICS, Pair, evaluate_image
-from ablate.runs.data import dataset_folder, open_data
+from ablate.runs.job import Job
 from ablate.runs.simulated import build_scene, lay_out
 from ablate.runs.timed_maps import TimedMaps, nudged
-from ablate.settings.study import StudySettings
 from ablate.storage import remove_partial, write_text
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_size_mm
@@ -57,15 +56,15 @@ class Bench:
         return fan_mask(self.probe, self.simulator.image_shape)
 
 
-def bench_of(settings: StudySettings) -> Bench:
+def bench_of(job: Job) -> Bench:
     """Choose `evaluation.timed_frames` test frames of the study's data set, which need not be simulated yet.
 
     The settings are those of the data set with a fixed number of rays. It raises ValueError when a mesh or all poses
     cannot be used.
     """
+    settings, data = job.settings, job.data
     scene, grid = build_scene(settings)
-    folder = dataset_folder(settings)
-    known = open_data(folder).pairs if (folder / "about.json").exists() else lay_out(settings, scene, grid)
+    known = data.pairs if data.exists else lay_out(settings, scene, grid)
     frames = equally_spaced(np.flatnonzero(known.split == Part.test), settings.evaluation.timed_frames)
     fixed = replace(settings.simulator, tolerance=None)
     return Bench(scene, settings.probe, fixed, frames, known.poses[frames], settings.dataset.seed)

@@ -9,15 +9,14 @@ from statistics import median
 import numpy as np
 import torch
 
-from ablate.comparison.results import Finished, finished_runs
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.networks import Generator, conditions
 from ablate.numerics.precision.bench import Bench, CsvTable, Frames, make_inputs, mean_errors
-from ablate.runs.data import about_data
-from ablate.settings.study import StudySettings, build
+from ablate.runs.job import Job
+from ablate.runs.run import Run, State, runs_of
+from ablate.settings.study import StudySettings
 from ablate.storage import digest
 from ablate.training import (
-    LAST,
     Engine,
     TrainingPrecision,
     chosen_device,
@@ -39,19 +38,19 @@ class Execution:
     engine: Engine
 
 
-def comparable_runs(settings: StudySettings) -> tuple[list[Finished], str]:
+def comparable_runs(job: Job) -> tuple[list[Run], str]:
     """List the finished runs of all studies in `runs_dir` that can be compared, and say how many are left out.
 
     A run that was trained on other data has seen some of these test frames, or frames of another kind. A run without a
     checkpoint cannot be executed.
     """
-    about = about_data(settings)
-    studies = sorted({path.parents[2] for path in settings.results.glob("*/*/seed*/result.json")})
-    runs = [run for study in studies for run in finished_runs(study)]
+    results = job.settings.results
+    studies = sorted(path for path in results.glob("*") if path.is_dir())
+    runs = [run for study in studies for run in runs_of(study) if run.state is State.finished]
     if not runs:
-        return [], f"no trained run in {settings.results}: the simulator alone"
-    same = [run for run in runs if run.spec["semantic"]["data"] == about]
-    fit = [run for run in same if (run.folder / LAST).exists()]
+        return [], f"no trained run in {results}: the simulator alone"
+    same = [run for run in runs if run.spec["semantic"]["data"] == job.semantic["data"]]
+    fit = [run for run in same if run.checkpoint.exists()]
     said = f"{len(fit)} trained runs"
     if others := len(runs) - len(same):
         said += f"; {others} left out, they learned from other data"
@@ -78,7 +77,7 @@ def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...
     return [Execution(p, e) for e in engines for p in precisions], tuple(notes)
 
 
-def schedule_of(runs: list[Finished], settings: StudySettings) -> list[tuple[Finished, list[Execution]]]:
+def schedule_of(runs: list[Run], settings: StudySettings) -> list[tuple[Run, list[Execution]]]:
     """Choose the precisions and engines for each run.
 
     Every run is executed in eager mode in all precisions. Compiling and exporting take up to a minute each, so only the
@@ -97,7 +96,7 @@ def schedule_of(runs: list[Finished], settings: StudySettings) -> list[tuple[Fin
 
 def measure_generators(
     bench: Bench,
-    planned: list[tuple[Finished, list[Execution]]],
+    planned: list[tuple[Run, list[Execution]]],
     settings: StudySettings,
     reference: Frames,
     points: CsvTable,
@@ -119,7 +118,7 @@ def measure_generators(
             setting = _setting(run, execution, settings)
             advance()
             try:
-                generator = load_generator(run.folder / LAST).to(device)
+                generator = load_generator(run.checkpoint).to(device)
                 rendered, network_ms = _render(run, generator, maps, bench, execution)
             except Exception as failure:
                 _LOG.warning("left out, %s, %s: %s", run.label, setting, " ".join(str(failure).split())[:300])
@@ -135,7 +134,7 @@ def measure_generators(
             details.add_each("limit", f"{run.label}, against fp32 eager", setting, values=errors)
 
 
-def _setting(run: Finished, execution: Execution, settings: StudySettings) -> str:
+def _setting(run: Run, execution: Execution, settings: StudySettings) -> str:
     """Name an execution among those of a label; the study is named if it is not the present one."""
     width = run.spec["settings"]["model"]["width"]
     study = run.folder.parents[1].name
@@ -145,10 +144,10 @@ def _setting(run: Finished, execution: Execution, settings: StudySettings) -> st
 
 @torch.inference_mode()
 def _render(
-    run: Finished, generator: Generator, maps: dict[str, np.ndarray], bench: Bench, execution: Execution
+    run: Run, generator: Generator, maps: dict[str, np.ndarray], bench: Bench, execution: Execution
 ) -> tuple[Frames, float]:
     """Render every frame, and measure the median milliseconds from stored maps to grey levels, after a warm-up."""
-    trained = build(StudySettings, run.spec["settings"])
+    trained = run.settings
     values = label_values(bench.scene.tissues, trained.encoding, trained.encoding_seed)
     stored = {name: maps[name] for name in conditions(generator.spec)}
     device = next(generator.parameters()).device

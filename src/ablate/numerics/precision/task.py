@@ -8,12 +8,12 @@ import torch
 from tqdm import tqdm
 
 from ablate.analysis import RESIMULATION, error_vs_runtime, order_figure
-from ablate.comparison.results import Finished
 from ablate.numerics.precision.bench import Bench, CsvTable, bench_of
 from ablate.numerics.precision.generated import comparable_runs, executions, measure_generators, schedule_of
 from ablate.numerics.precision.simulated import RAYS_SERIES, ladders, measure_simulator, series_name, work
 from ablate.numerics.precision.summary import as_text, floors, orders, tables, time_of_parts, verdict
 from ablate.runs.job import Job
+from ablate.runs.run import Run
 from ablate.runs.store_copy import open_store
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_text
@@ -25,8 +25,8 @@ def precision(jobs: Sequence[Job]) -> int:
     """Error against run time of the simulator and of the trained runs on disk, for the first job's data set."""
     settings = jobs[0].settings
     try:
-        runs, found = comparable_runs(settings)
-        bench = bench_of(settings)
+        runs, found = comparable_runs(jobs[0])
+        bench = bench_of(jobs[0])
     except (ValueError, FileNotFoundError) as error:  # a mesh with a hole, no usable pose, ...
         raise ConfigurationError(str(error)) from error
     about = _about(settings, bench, found, executions(settings)[1] if runs else ())
@@ -63,7 +63,7 @@ def _about(settings: StudySettings, bench: Bench, found: str, lacking: Sequence[
     ]
 
 
-def _measure(settings: StudySettings, bench: Bench, runs: list[Finished], points: CsvTable, details: CsvTable) -> None:
+def _measure(settings: StudySettings, bench: Bench, runs: list[Run], points: CsvTable, details: CsvTable) -> None:
     planned = schedule_of(runs, settings)
     steps = work(bench.simulator, len(bench.frames))
     steps += len(bench.frames) * bool(planned) + sum(len(its_executions) for _, its_executions in planned)
