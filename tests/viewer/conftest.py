@@ -1,6 +1,7 @@
 """A body that renders in milliseconds, and a port for a page."""
 
 import socket
+from collections.abc import Callable
 from contextlib import closing
 
 import numpy as np
@@ -35,8 +36,12 @@ def state() -> State:
 
 
 @pytest.fixture(scope="session")
-def free_port() -> int:
-    """A port that nothing listens on."""
-    with closing(socket.socket()) as trial:
-        trial.bind(("127.0.0.1", 0))
-        return int(trial.getsockname()[1])
+def free_port() -> Callable[[], int]:
+    """Finds a port that nothing listens on, another one each time."""
+
+    def find() -> int:
+        with closing(socket.socket()) as trial:
+            trial.bind(("127.0.0.1", 0))
+            return int(trial.getsockname()[1])
+
+    return find

@@ -28,12 +28,6 @@ def start(body: Scene, state: State) -> Start:
     return make
 
 
-def test_it_starts_at_the_first_preset(start: Start) -> None:
-    session, asked = start()
-    np.testing.assert_array_equal(asked[-1].pose, session.presets["front"])
-    assert session.words == ""
-
-
 def test_a_preset_is_the_exact_pose_and_the_next_step_goes_on_from_there(start: Start) -> None:
     session, asked = start()
     session.to_preset("side")

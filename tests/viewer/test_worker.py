@@ -97,7 +97,7 @@ def test_what_fails_is_told_and_the_next_state_is_computed() -> None:
     recorder.worker.submit(3)
     until(lambda: (3, Quality.full) in recorder.shown)
     recorder.worker.close()
-    assert len(recorder.failed) == 1
+    assert recorder.failed == ["no such state: -1"]
 
 
 def test_a_paused_worker_computes_nothing_and_goes_on_with_the_last_state() -> None:
@@ -111,14 +111,6 @@ def test_a_paused_worker_computes_nothing_and_goes_on_with_the_last_state() -> N
     until(lambda: (2, Quality.full) in recorder.shown)
     recorder.worker.close()
     assert recorder.shown == [(2, Quality.coarse), (2, Quality.full)]
-
-
-def test_a_closed_worker_has_no_thread() -> None:
-    before = threading.active_count()
-    recorder = Recorder(takes_s=0.0)
-    assert threading.active_count() == before + 1
-    recorder.worker.close()
-    assert threading.active_count() == before
 
 
 @pytest.mark.parametrize("quality", list(Quality))

@@ -64,6 +64,18 @@ class Renderer:
         ------
         ValueError
             For a tissue that the generator was not trained on.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from ablate.anatomy import load_tissues
+        >>> from ablate.ultrasound import ConvexProbe, fan_mask
+        >>> mask = fan_mask(ConvexProbe(), (64, 89))
+        >>> nothing = np.zeros((64, 89), np.uint8)
+        >>> frame = Frame(mask.astype(np.uint8), 0.5 * mask.astype(np.float32), nothing, mask, nothing)
+        >>> image = load("sa2h").render(frame, [load_tissues()["soft_tissue"]])
+        >>> image.shape, image.dtype, bool((image[~mask] == 0).all())
+        ((64, 89), dtype('uint8'), True)
         """
         unknown = [tissue.name for tissue in tissues if tissue.name not in self.values]
         if unknown:
@@ -77,8 +89,7 @@ class Renderer:
         read = {name: maps[name] for name in conditions(self.generator.spec)}
         inputs, mask = network_inputs(read, values, frame.mask), torch.from_numpy(frame.mask)
         noise_seed = torch.tensor([seed], dtype=torch.int64)
-        image: np.ndarray = generate(self.generator, inputs, mask, noise_seed, TrainingPrecision.fp32)[0]
-        return image
+        return generate(self.generator, inputs, mask, noise_seed, TrainingPrecision.fp32)[0]
 
 
 def load(name: str | Path) -> Renderer:
@@ -88,6 +99,13 @@ def load(name: str | Path) -> Renderer:
     ------
     ValueError
         For another name, and where a file is not one of a trained generator.
+
+    Examples
+    --------
+    >>> import ablate
+    >>> renderer = ablate.load("sa2h")
+    >>> renderer.image_shape, renderer.probe.depth_mm, str(renderer.generator.spec.family)
+    ((256, 355), 150.0, 'local')
     """
     path = _FOLDER / f"{name}.pt" if name in NAMES else Path(name)
     if not path.is_file():
@@ -103,7 +121,17 @@ def load(name: str | Path) -> Renderer:
 
 
 def save(renderer: Renderer, path: Path) -> None:
-    """Write a trained generator to a file that `load` reads; the file holds no code."""
+    """Write a trained generator to a file that `load` reads; the file holds no code.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     save(load("sa2h"), Path(folder, "mine.pt"))
+    ...     load(Path(folder, "mine.pt")).made["variant"]
+    'sa2h'
+    """
     content = {
         "spec": as_builtins(renderer.generator.spec),
         "weights": renderer.generator.state_dict(),

@@ -51,10 +51,8 @@ class FastGenerator:
         if self._exports and size not in self._opened and self._rendered[size] > _FRAMES_BEFORE:
             self._advance_export(size)
         if (opened := self._opened.get(size)) is None:
-            image: np.ndarray = generate(self.generator, maps, mask, seed, TrainingPrecision.fp32)[0]
-            return image
-        levels: np.ndarray = decode_grey_levels(opened(maps, seed)[0, 0], mask).numpy()
-        return levels
+            return generate(self.generator, maps, mask, seed, TrainingPrecision.fp32)[0]
+        return decode_grey_levels(opened(maps, seed)[0, 0], mask).numpy()
 
     def _advance_export(self, size: tuple[int, int]) -> None:
         """Start an export if none runs, and open the file of one that has ended."""

@@ -41,7 +41,7 @@ def is_shipped(picked: Path) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A generator that looks at a scene.
+    """A generator, ready to render frames of a scene.
 
     `values`, (labels,) float32, is what it reads for each label of the scene; `unknown` names the tissues of the scene
     that it was not trained on.

@@ -45,18 +45,11 @@ class Hand:
         Long axis of the body, and the side that angle 0 looks at.
     press_mm : float
         How far the deepest part of the face is pressed into the skin.
-
-    Raises
-    ------
-    ValueError
-        When the scene has no structure.
     """
 
     def __init__(
         self, scene: Scene, axis: tuple[float, ...], front: tuple[float, ...], press_mm: float, probe: Probe
     ) -> None:
-        if not scene.structures:
-            raise ValueError(f"scene '{scene.name}' has no structure to put a probe on")
         self._skin, self._press_mm, self._probe = Skin(scene), press_mm, probe
         self.axis = _unit(np.asarray(axis, float))
         across = np.asarray(front, float)

@@ -40,7 +40,9 @@ class CineLoop:
     def add(self, shown: Shown) -> None:
         """Keep a frame and forget those that are too old."""
         self.frames.append(shown)
-        most = max(1, int(_LOOP_BYTES / _bytes(shown.views)))
+        views = shown.views
+        arrays = (views.target, views.segmentation, views.attenuation, views.mask, *views.generated)
+        most = max(1, int(_LOOP_BYTES / sum(array.nbytes for array in arrays if array is not None)))
         while len(self.frames) > most or shown.at_s - self.frames[0].at_s > LOOP_S:
             self.frames.popleft()
 
@@ -50,11 +52,6 @@ class CineLoop:
             raise ValueError("there is no frame yet")
         wanted = self.frames[-1].at_s - seconds
         return min(self.frames, key=lambda shown: abs(shown.at_s - wanted))
-
-
-def _bytes(views: Views) -> int:
-    arrays = (views.target, views.segmentation, views.attenuation, views.mask, *views.generated)
-    return sum(array.nbytes for array in arrays if array is not None)
 
 
 @dataclass(eq=False)

@@ -30,7 +30,7 @@ class Worker(Generic[S, V]):
         self._asked = 0.0
         self.paused = self._closed = self._waits = False
         self.computed = dict.fromkeys(Quality, 0)
-        self._thread: threading.Thread | None = None
+        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
 
     def start(self, show: Callable[[S, V], object], fail: Callable[[S, Exception], object]) -> None:
         """Start the thread, which calls `show` with a state and its views.
@@ -38,7 +38,6 @@ class Worker(Generic[S, V]):
         It calls `fail` when computing or showing raises, and goes on with the next state.
         """
         self._show, self._fail = show, fail
-        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
         self._thread.start()
 
     def submit(self, state: S) -> None:
@@ -70,8 +69,7 @@ class Worker(Generic[S, V]):
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        if self._thread is not None:
-            self._thread.join()
+        self._thread.join()
 
     def _run(self) -> None:
         while (state := self._next()) is not None:

@@ -22,7 +22,7 @@ _LARGE = 0.03  # of the scene's bounds: what fills more of them surrounds the re
 _ENVELOPE = 0.12  # opacity of what surrounds the rest; organs and bones are opaque
 _HOUSING, _FACE, _MARK, _OUTLINE = (69, 77, 92), (204, 212, 222), (44, 160, 44), (255, 176, 0)
 #: Turns viser's plane of an image, whose rows run along y, to that of the fan, where they run along z.
-_UPRIGHT = Rotation.from_euler("X", 90, degrees=True)
+_UPRIGHT = Rotation.from_euler("X", 90, degrees=True).as_quat(scalar_first=True)
 _FAN_ROWS = {Quality.coarse: 128, Quality.full: 256}
 
 
@@ -66,7 +66,7 @@ class Body:
         if state.probe != self._probe:
             self._add_probe(state.probe)
         position = state.pose[:3, 3] / _UNIT_MM
-        turn = _wxyz(Rotation.from_matrix(state.pose[:3, :3]))
+        turn = Rotation.from_matrix(state.pose[:3, :3]).as_quat(scalar_first=True)
         self._frame.position, self._frame.wxyz = position, turn
         if not self._turning:
             self.rings.position, self.rings.wxyz = position, turn
@@ -87,10 +87,9 @@ class Body:
     async def _click(self, event: Any) -> None:
         self.clicked(np.array(event.ray_origin) * _UNIT_MM, np.array(event.ray_direction))
 
-    def face(self, client: Any, pose: np.ndarray) -> None:
+    def face(self, client: Any, state: State) -> None:
         """Turn a browser's camera so that the fan is seen as the image is."""
-        assert self._probe is not None
-        height, width = fan_size_mm(self._probe)
+        pose, (height, width) = state.pose, fan_size_mm(state.probe)
         middle = pose[:3, 3] + 0.45 * height * pose[:3, 2]
         share = 2 * np.tan(client.camera.fov / 2)  # of the distance, that is seen
         away = 1.1 * max(height / share, width / (share * max(client.camera.aspect, 0.1)))
@@ -123,7 +122,7 @@ class Body:
             width / _UNIT_MM,
             height / _UNIT_MM,
             format="png",
-            wxyz=_wxyz(_UPRIGHT),
+            wxyz=_UPRIGHT,
             position=(0.0, 0.0, (height / 2 - face_sag_mm(probe)) / _UNIT_MM),
             cast_shadow=False,
             receive_shadow=False,
@@ -174,10 +173,6 @@ def _add(
         cast_shadow=False,
         receive_shadow=False,
     )
-
-
-def _wxyz(rotation: Rotation) -> np.ndarray:
-    return np.asarray(rotation.as_quat(scalar_first=True))
 
 
 def fewer_triangles(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:

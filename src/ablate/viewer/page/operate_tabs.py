@@ -80,7 +80,7 @@ def add_move_tab(page: Page) -> None:
     add("roll_deg", "Turn (°)", -180.0, 180.0, "0 is transverse, 90 sagittal: keys U and O")
     add("rock_deg", "Rock (°)", -60.0, 60.0, "within the image plane: keys Y and H")
     add("tilt_deg", "Tilt (°)", -60.0, 60.0, "out of the image plane: keys T and G")
-    looks = {"plane": lambda client: page.body.face(client, session.state.pose), "body": page.body.face_body}
+    looks = {"plane": lambda client: page.body.face(client, session.state), "body": page.body.face_body}
     look = gui.add_button_group("Look at", tuple(looks), hint="turns the 3-D view")
     look.on_click(page.does(lambda event: looks[look.value](event.client)))
     rings = gui.add_checkbox("Rings to turn the probe", initial_value=False)
@@ -122,6 +122,9 @@ def add_scan_tab(page: Page) -> None:
     def levels() -> tuple[float, ...]:
         return display().tgc_db or (0.0,) * _TGC_SLIDERS
 
+    def level(number: int) -> float:
+        return levels()[number]
+
     def set_level(number: int, level: float) -> None:
         show(tgc_db=(*levels()[:number], level, *levels()[number + 1 :]))
 
@@ -147,8 +150,7 @@ def add_scan_tab(page: Page) -> None:
     with gui.add_folder("Time gain (dB), by depth", expand_by_default=False):
         for number in range(_TGC_SLIDERS):
             label = f"at {round(100 * number / (_TGC_SLIDERS - 1))} %"
-            read = lambda number=number: levels()[number]  # noqa: E731
-            page.add_slider(label, (-20.0, 20.0, 1.0), read, partial(set_level, number))
+            page.add_slider(label, (-20.0, 20.0, 1.0), partial(level, number), partial(set_level, number))
     moving = gui.add_dropdown("Moving", tuple(map(str, Moving)), hint="what is rendered while the probe moves")
     moving.on_update(page.does(lambda _: session.show(moving=Moving(moving.value))))
 
