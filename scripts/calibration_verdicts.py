@@ -14,7 +14,6 @@ from ablate.analysis import Answer, Design, find_design, run_means, verdict_tabl
 from ablate.comparison.blocks import levels_of
 from ablate.jobs.compose import jobs_of
 from ablate.settings.components import components
-from ablate.setting import plain
 
 NAMES = tuple(component.name for component in components())
 EFFECTS = (0.5, 1.0, 1.5, 2.0, 3.0)
@@ -61,7 +60,9 @@ def verdicts(runs: pd.DataFrame, design: Design, effects: Mapping[str, float], b
     for component in components():
         on = runs[component.key] == design.cells.loc["sa2h", component.key]
         values -= effects.get(component.name, 0.0) * (on & (runs["metric"] == component.metric))
-    return verdict_table(runs.assign(value=values), design, [replace(c, band=band) for c in components()]).set_index("component")
+    return verdict_table(runs.assign(value=values), design, [replace(c, band=band) for c in components()]).set_index(
+        "component"
+    )
 
 
 def shares(

@@ -7,7 +7,6 @@ Scores are those of the last checkpoints, so this can be called while the pilot 
 """
 
 import argparse
-import json
 from pathlib import Path
 
 import pandas as pd
@@ -19,8 +18,6 @@ from ablate.evaluation.run_scores import resimulation_scores
 from ablate.metrics import metric_of
 from ablate.networks import draws_noise
 from ablate.runs.train import generated_images, scorer
-from ablate.settings.study import StudySettings
-from ablate.settings.values import build
 from ablate.training import load_generator
 from numerics import fill, markdown
 

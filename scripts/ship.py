@@ -10,9 +10,6 @@ from ablate.comparison.results import provenance
 from ablate.dataset import label_values
 from ablate.pretrained import Renderer, save
 from ablate.runs.run import Run
-from ablate.settings.study import StudySettings
-from ablate.settings.values import build
-from ablate.storage import read_json
 from ablate.training import load_generator
 
 SHIPPED = Path(__file__).parents[1] / "src/ablate/pretrained"

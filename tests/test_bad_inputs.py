@@ -116,7 +116,10 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["seed=99999999999999999999"], r"seed=9+: allowed are whole numbers from 0"),
     (["model.depth=9"], r"model\.depth=9: allowed are whole numbers from 1 to 8"),
     (["simulator.image_shape=[]"], r"image_shape"),
-    (["simulator.image_shape=[100000,100000]"], r"simulator\.image_shape=\[100000, 100000\]: allowed are 2 whole numbers from 1 to 16384"),
+    (
+        ["simulator.image_shape=[100000,100000]"],
+        r"simulator\.image_shape=\[100000, 100000\]: allowed are 2 whole numbers from 1 to 16384",
+    ),
     (["training.crop=4096"], r"training\.crop=4096: at most 356, which covers an image of 256 x 355 px"),
     (["simulator.rays=1000000000"], r"simulator\.rays=1000000000: allowed are whole numbers from 1 to 1048576"),
     (["variant=sa2h-gan", "training.l1_weight=0"], r"l1_weight=0 with loss=none"),

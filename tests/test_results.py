@@ -12,16 +12,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ablate.analysis import paper_effects
+from ablate.analysis import Component, paper_effects
 from ablate.comparison.blocks import levels_of
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS
-from ablate.analysis import Component
-from ablate.settings.components import components
 from ablate.runs.job import Job
 from ablate.runs.place import claim_place, finished_run
+from ablate.settings.components import components
 from ablate.storage import digest
-
 from support.finished_runs import result_of
 
 FRAMES, SITES = 8, 8

@@ -3,7 +3,6 @@
 import json
 import random
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -150,7 +149,6 @@ def _pngs(unbroken: Path, place: Path) -> Attempt:
 
     from ablate.dataset import Part
     from ablate.jobs.preflight import check
-    from ablate.runs.data_set import DataSet
     from ablate.settings.study import refusing
 
     pairs = open_data(next(unbroken.glob("data/*/about.json")).parent).pairs

@@ -19,9 +19,8 @@ from ablate.comparison.frame_times import FrameTime, write_times
 from ablate.comparison.results import labelled_networks
 from ablate.comparison.usable_runs import usable_runs
 from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
+from ablate.runs.run import runs_of
 from ablate.settings.components import components
-from ablate.runs.run import Run, runs_of
-from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import digest
 from support.finished_runs import WHOLE
@@ -123,7 +122,10 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert names >= {"report.html", "table.csv", "table.tex", "table.md", "paired.csv", "claims.csv", "effects.csv"}
     assert names >= {"verdicts.csv", "runs.csv", "paper.csv"}
-    assert pd.read_csv(folder / "runs.csv").set_index(["variant", "seed"]).loc[("sa2h-att", 1), "model.attenuation"] == "none"
+    assert (
+        pd.read_csv(folder / "runs.csv").set_index(["variant", "seed"]).loc[("sa2h-att", 1), "model.attenuation"]
+        == "none"
+    )
     figures = {"verdicts", "boxplots", "seeds", "effects", "error_vs_runtime", *(f"boxplot_{m}" for m in METRICS)}
     assert names >= {f"{name}.{kind}" for name in figures for kind in ("png", "pdf")}
     assert not (study / "comparison.partial").exists()

@@ -31,7 +31,11 @@ def timed(*whole: float) -> FrameTime:
 
 def semantic(width: float, seed: int = 0, anatomy: int = 0) -> dict[str, object]:
     training = {"precision": "fp32", "seed": seed, "steps": 9 + seed}
-    return {"model": {"width": width, "family": "local"}, "training": training, "data": {"scene": {"anatomy_seed": anatomy}, "frames": 3}}
+    return {
+        "model": {"width": width, "family": "local"},
+        "training": training,
+        "data": {"scene": {"anatomy_seed": anatomy}, "frames": 3},
+    }
 
 
 def write_run(study: Path, label: str, width: float, seed: int = 0, checkpoint: bool = True) -> None:
@@ -44,7 +48,9 @@ def write_run(study: Path, label: str, width: float, seed: int = 0, checkpoint: 
     known_by = {"label": label, "hash": digest(content), "changed": {}}
     write_json(folder / "spec.json", {**known_by, "semantic": content, "settings": {"seed": seed}})
     scalars = {"ms_per_frame": 666.0, **PARAMETERS}
-    write_json(folder / "result.json", {**WHOLE, "hash": digest(content), "label": label, "seed": seed, "scalars": scalars})
+    write_json(
+        folder / "result.json", {**WHOLE, "hash": digest(content), "label": label, "seed": seed, "scalars": scalars}
+    )
     if checkpoint:
         (folder / "last.ckpt").write_text("weights")
 

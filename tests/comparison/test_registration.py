@@ -20,7 +20,7 @@ from ablate.runs.store_texts import register_reference
 from ablate.runs.train import generated_images, run_job
 from ablate.settings.study import ConfigurationError
 from ablate.tracking import default_uri
-from ablate.training import LAST, load_generator
+from ablate.training import load_generator
 
 TINY = [
     "preset=tiny",

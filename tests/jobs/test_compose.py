@@ -1,6 +1,5 @@
 """The command line: what it stands for, and how it is refused."""
 
-import json
 import math
 from itertools import combinations
 from pathlib import Path

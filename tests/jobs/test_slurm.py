@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 from hydra.utils import instantiate
-from hydra_plugins.ablate_plugins import QueueLauncher
 
 from ablate.jobs.compose import composed, jobs_of
 from ablate.jobs.launch import Launch
@@ -16,6 +15,7 @@ from ablate.settings.study import ConfigurationError
 from ablate.tasks import command as program
 from ablate.tasks import run_task as tasks
 from ablate.tasks.command import execute
+from hydra_plugins.ablate_plugins import QueueLauncher
 from support.studies import here
 
 TINY = [

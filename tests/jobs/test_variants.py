@@ -11,8 +11,8 @@ from ablate.jobs.variants import leave_one_out, variant_names
 from ablate.metrics import METRICS
 from ablate.networks import GeneratorSpec
 from ablate.settings.components import components
-from ablate.settings.values import keys
 from ablate.settings.study import StudySettings
+from ablate.settings.values import keys
 from ablate.training import AdversarialLoss
 
 
