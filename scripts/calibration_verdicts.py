@@ -5,6 +5,7 @@ python scripts/calibration_verdicts.py    # the tables of docs/statistics.md, in
 
 import argparse
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd

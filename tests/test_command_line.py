@@ -127,7 +127,10 @@ def test_a_tracking_uri_without_a_password_is_taken(uri: str) -> None:
 
 
 def test_a_screen_without_the_signs_of_a_table_is_written_to() -> None:
-    code = "import sys, ablate.__main__ as m; m.execute = lambda _: 0; m.sys.exit = lambda _: None; m.main(); print('20.1 ± 0.3, χ²')"
+    code = (
+        "import ablate.__main__ as m; m.execute = lambda _: 0; m.sys.exit = lambda _: None;"
+        "m.main(); print('20.1 ± 0.3, χ²')"
+    )
     ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii", "LC_ALL": "C"}
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=ascii_only, timeout=60)

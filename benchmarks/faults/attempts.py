@@ -151,7 +151,7 @@ def _pngs(unbroken: Path, place: Path) -> Attempt:
     from ablate.jobs.preflight import check
     from ablate.settings.study import refusing
 
-    pairs = open_data(next(unbroken.glob("data/*/about.json")).parent).pairs
+    pairs = DataSet(next(unbroken.glob("data/*/about.json")).parent).pairs
     for map_name, folder in {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation"}.items():
         (place / "in" / folder).mkdir()
         for i in range(len(pairs)):

@@ -1,4 +1,4 @@
-"""Probes as the command line takes them: their frames, their data sheets, and that a convex one is known as before."""
+"""Probes as the command line takes them: their frames, their data sheets, and what they are known by."""
 
 from dataclasses import replace
 from math import asin, degrees
@@ -22,11 +22,11 @@ def composed(*arguments: str) -> StudySettings:
     return jobs_of(arguments)[0].settings
 
 
-def test_a_convex_probe_is_known_as_before_there_were_others() -> None:
+def test_a_probe_is_known_by_its_kind_and_its_values() -> None:
     with_default, named = composed(), composed("probe=convex")
     assert with_default == named
     probe: dict[str, Any] = about_simulated(named)["probe"]
-    assert probe == {"radius_mm": 40.0, "fov_deg": 70.0, "depth_mm": 150.0, "frequency_mhz": 3.0}
+    assert probe == {"kind": "convex", "radius_mm": 40.0, "fov_deg": 70.0, "depth_mm": 150.0, "frequency_mhz": 3.0}
     assert composed("preset=paper").probe == ConvexProbe()
 
 

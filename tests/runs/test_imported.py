@@ -11,10 +11,12 @@ import pandas as pd
 import pytest
 from skimage.io import imsave
 
-from ablate import tasks
+from ablate.jobs.launch import Launch
+from ablate.tasks import run_task as tasks
 from ablate.__main__ import main
 from ablate.dataset import Pairs, Part
 from ablate.jobs.compose import jobs_of
+from ablate.runs.data_set import DataSet
 from ablate.settings.study import ConfigurationError
 from support.studies import TINY, TinyStudy, run
 
@@ -99,7 +101,7 @@ def test_exported_pairs_come_back_bit_for_bit_and_train_the_same_networks(
     assert "pairs made elsewhere cannot be simulated again" in report
     assert "re-simulation" not in next(runs.glob("*/comparison/table.csv")).read_text()
     before = {p: p.stat().st_mtime_ns for p in runs.rglob("*") if p.is_file()}
-    assert tasks.study(jobs_of(arguments), lambda *_: pytest.fail("all is finished")) == 0
+    assert tasks.study(jobs_of(arguments), Launch(lambda *_: pytest.fail("all is finished"))) == 0
     kept = [p for p in before if p.suffix in {".json", ".ckpt", ".parquet", ".csv", ".html"} or p.name == "0"]
     assert all(p.stat().st_mtime_ns == before[p] for p in kept)
 

@@ -15,7 +15,8 @@ import pandas as pd
 import pytest
 from mlflow import MlflowClient
 
-from ablate import tasks
+from ablate.jobs.launch import Launch
+from ablate.tasks import run_task as tasks
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
 from ablate.runs.train import run_job
@@ -117,7 +118,7 @@ def test_paired_differences_are_those_of_the_per_image_values(finished: Path) ->
 
 def test_the_same_command_again_repeats_nothing(finished: Path) -> None:
     before = state(finished)
-    assert tasks.study(sweep(finished), lambda *_: pytest.fail("nothing is left to launch")) == 0
+    assert tasks.study(sweep(finished), Launch(lambda *_: pytest.fail("nothing is left to launch"))) == 0
     assert state(finished) == before
 
 
@@ -137,7 +138,7 @@ def test_a_killed_scoring_loses_no_result(finished: Path, monkeypatch: pytest.Mo
         with pytest.raises(SystemExit):
             run_job(job)
     assert before[str(per_image)] == per_image.stat().st_mtime
-    assert tasks.study(sweep(finished), here) == 0
+    assert tasks.study(sweep(finished), Launch(here)) == 0
     assert json.loads(result.read_text())["scalars"].keys() == whole["scalars"].keys()
 
 
@@ -145,7 +146,7 @@ def test_the_studys_run_is_closed_where_the_comparison_is_kept(finished: Path) -
     """Another command has finished the last job meanwhile, and compared."""
     result = sweep(finished)[0].folder / "result.json"
     before = result.rename(result.with_suffix(".away"))
-    assert tasks.study(sweep(finished), lambda *_: before.rename(result) and None) == 0
+    assert tasks.study(sweep(finished), Launch(lambda *_: before.rename(result) and None)) == 0
     client = MlflowClient(default_uri(finished))
     assert {run.info.status for run in client.search_runs(["1"])} == {"FINISHED"}
 
@@ -187,7 +188,7 @@ def test_a_job_that_fails_is_said_and_the_others_are_compared(
         with pytest.raises(FloatingPointError):
             work(jobs[1])
 
-    assert tasks.study(jobs, launch) == 1
+    assert tasks.study(jobs, Launch(launch)) == 1
     printed = capsys.readouterr()
     assert "There is one variant" in printed.out
     assert "not finished: sa2h-att/seed0" in printed.err

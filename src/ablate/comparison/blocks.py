@@ -39,8 +39,8 @@ def is_block(run: Run, other: Run, factors: Collection[str]) -> bool:
 def levels_of(semantic: Mapping[str, Any]) -> dict[str, object]:
     """What can make a run differ from another one of its study: every dotted key that decides its result.
 
-    `semantic` is that of the run or of its job. Where no noise is injected, the weight that it would start with says nothing and is left out; seeds and the anatomy
-    are no components.
+    `semantic` is that of the run or of its job. Where no noise is injected, the weight that it would start with says
+    nothing and is left out; seeds and the anatomy are no components.
     """
     content = dict(flat(dict(semantic)))
     if content["model.noise"] != "inject":
