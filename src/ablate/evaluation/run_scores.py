@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -126,7 +126,7 @@ def check_stored_scores(frame: pd.DataFrame) -> str:
     """
     if missing := [name for name in STORED_COLUMNS if name not in frame]:
         return f"lacks the columns {', '.join(missing)}"
-    kinds: dict[str, tuple[Callable[[object], bool], str]] = {
+    kinds: dict[str, tuple[Callable[[Any], bool], str]] = {
         **dict.fromkeys(("frame", "site", "seed"), (is_integer_dtype, "whole numbers")),
         "value": (is_float_dtype, "numbers"),
     }
