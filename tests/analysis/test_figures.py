@@ -20,7 +20,6 @@ from ablate.analysis import (
     frames_a_page,
     paired_boxplots,
     paired_table,
-    pareto_front,
     qualitative_caption,
     qualitative_figure,
     runtime_caption,
@@ -31,17 +30,6 @@ from ablate.analysis.figures.metric_panels import shown_name
 from ablate.analysis.figures.style import COLOURS
 from ablate.metrics import patch_chi2
 from support.components import COMPONENTS
-
-
-def assert_written(paths):
-    assert [path.suffix for path in paths] == [".png", ".pdf"]
-    picture = imread(paths[0])
-    assert picture.shape[1] >= 600
-    assert picture[..., :3].std() > 0.01, "a blank page"
-    page = paths[1].read_bytes()
-    assert page.startswith(b"%PDF")
-    assert b"/FontFile2" in page, "journals want TrueType fonts"
-    return picture
 
 
 @pytest.fixture
@@ -58,16 +46,61 @@ def figures(monkeypatch):
     return drawn
 
 
+@pytest.fixture(scope="module")
+def written(study, pictures, tmp_path_factory):
+    """Every figure as it is written, once: its files by name."""
+    folder = tmp_path_factory.mktemp("figures")
+    effects = pd.DataFrame({"effect": ["a"], "estimate": [1.0], "lower": [0.5], "upper": [2.0], "metric": ["psnr"]})
+    bare = FramePictures("frame 8", pictures.target, {"sa2h": pictures.target})
+    boxes = paired_boxplots(study, folder, paired=paired_table(study, resamples=50))
+    return {
+        **{f"box of {metric}": paths for metric, paths in boxes.items()},
+        "seeds": seed_plot(study, None, ["psnr", "pchi2"], folder / "seeds"),
+        "effects": effects_plot(effects, ["psnr"], folder / "effects"),
+        "forest": forest_figure(verdicts_of(), NOTHING, NOTHING, COMPONENTS, folder / "verdicts"),
+        "pictures": qualitative_figure([pictures, bare], folder / "deep" / "qualitative_0"),
+        "maps": chi2_maps_figure(pictures, folder / "pchi2_maps_0"),
+        "runtime": error_vs_runtime(runtime_points(), folder / "error_vs_runtime", {"mae": 0.2}, "a test"),
+    }
+
+
+FIGURES = ("box of psnr", "box of pchi2", "seeds", "effects", "forest", "pictures", "maps", "runtime")
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_figures_are_written_whole_in_both_formats(name, written):
+    assert set(written) == set(FIGURES)
+    paths = written[name]
+    assert [path.suffix for path in paths] == [".png", ".pdf"]
+    picture = imread(paths[0])
+    assert picture.shape[1] >= 600
+    assert picture[..., :3].std() > 0.01, "a blank page"
+    page = paths[1].read_bytes()
+    assert page.startswith(b"%PDF")
+    assert b"/FontFile2" in page, "journals want TrueType fonts"
+    assert {path.name for path in paths[0].parent.iterdir()} >= {path.name for path in paths}
+
+
+def runtime_points():
+    rows = [("simulator, rays", r, 10.0 * r, metric, 1 / r) for r in (1, 2, 4) for metric in ("mae", "psnr")]
+    rows += [("sa2h", "fp32", 5.0, "mae", 0.4), ("sa2h", "bf16", 3.0, "mae", np.inf), ("sa2h", "int8", 0.0, "mae", 1)]
+    return pd.DataFrame(rows, columns=["series", "setting", "ms", "metric", "error"])
+
+
+def test_what_cannot_be_drawn_is_refused(pictures, tmp_path):
+    with pytest.raises(ValueError, match="no frame"):
+        qualitative_figure([], tmp_path / "none")
+    with pytest.raises(ValueError, match="no prediction"):
+        chi2_maps_figure(FramePictures("empty", pictures.target), tmp_path / "none")
+    points = runtime_points()
+    with pytest.raises(ValueError, match="lack the columns"):
+        error_vs_runtime(points.drop(columns="ms"), tmp_path / "none")
+    with pytest.raises(ValueError, match="no finite point"):
+        error_vs_runtime(points[points["ms"] == 0], tmp_path / "none")
+
+
 def legend_of(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-
-
-def test_boxplots_one_a_metric(study, tmp_path):
-    written = paired_boxplots(study, tmp_path, paired=paired_table(study, resamples=50))
-    assert set(written) == {"psnr", "pchi2"}
-    assert {path.name for path in tmp_path.iterdir()} >= {"boxplot_psnr.png", "boxplot_pchi2.pdf"}
-    for paths in written.values():
-        assert_written(paths)
 
 
 def test_boxplots_without_pairs_draw_nothing(study_of, tmp_path):
@@ -131,10 +164,7 @@ def test_effects_are_filled_where_their_interval_excludes_nought(figures, tmp_pa
     assert effects_plot(effects, ["mae"], tmp_path / "none") == []
 
 
-def test_written_seed_and_effects_figures(study, tmp_path):
-    assert_written(seed_plot(study, None, ["psnr", "pchi2"], tmp_path / "seeds"))
-    effects = pd.DataFrame({"effect": ["a"], "estimate": [1.0], "lower": [0.5], "upper": [2.0], "metric": ["psnr"]})
-    assert_written(effects_plot(effects, ["psnr"], tmp_path / "effects"))
+NOTHING = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])  # of runs, or of interactions
 
 
 def verdicts_of(**more):
@@ -177,26 +207,12 @@ def test_the_forest_is_in_units_of_what_is_missing_and_says_the_verdict(figures,
 
 
 def test_a_forest_of_one_run_a_side_has_no_interval_and_none_without_an_effect(figures, tmp_path):
-    nothing = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])
     alone = verdicts_of(lower=np.nan, upper=np.nan, ms_per_frame=np.nan, verdict="undecided").iloc[:2]
-    assert forest_figure(alone, nothing, nothing, COMPONENTS, tmp_path / "verdicts")
+    assert forest_figure(alone, NOTHING, NOTHING, COMPONENTS, tmp_path / "verdicts")
     forest, beside = figures["verdicts"].axes
     assert not [line for line in forest.lines if line.get_linewidth() > 2]
     assert [text.get_text() for text in beside.texts][3:] == ["undecided", "–", "−2k"]
-    assert forest_figure(alone.iloc[1:], nothing, nothing, COMPONENTS, tmp_path / "none") == []
-
-
-def test_written_forest(tmp_path):
-    nothing = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])
-    assert_written(forest_figure(verdicts_of(), nothing, nothing, COMPONENTS, tmp_path / "verdicts"))
-
-
-def test_qualitative_grid_with_and_without_everything(pictures, tmp_path):
-    bare = FramePictures("frame 8", pictures.target, {"sa2h": pictures.target})
-    assert_written(qualitative_figure([pictures, bare], tmp_path / "qualitative_0"))
-    assert_written(qualitative_figure([bare], tmp_path / "deep" / "qualitative_1"))
-    with pytest.raises(ValueError, match="no frame"):
-        qualitative_figure([], tmp_path / "none")
+    assert forest_figure(alone.iloc[1:], NOTHING, NOTHING, COMPONENTS, tmp_path / "none") == []
 
 
 @pytest.mark.parametrize(("predictions", "frames"), [(1, 4), (6, 4), (7, 2), (13, 2), (14, 1)])
@@ -213,12 +229,6 @@ def test_a_page_holds_fewer_frames_of_more_variants(predictions, frames, picture
         assert width <= 7.17
         assert height <= 9.6
         assert min(axes.get_position().width * width for axes in shown) > 1.5, "inches: narrower, speckle is lost"
-
-
-def test_chi2_maps(pictures, tmp_path):
-    assert_written(chi2_maps_figure(pictures, tmp_path / "pchi2_maps_0"))
-    with pytest.raises(ValueError, match="no prediction"):
-        chi2_maps_figure(FramePictures("empty", pictures.target), tmp_path / "none")
 
 
 @pytest.mark.parametrize(("networks", "across", "empty"), [(4, 5, 0), (5, 3, 0), (6, 4, 1), (7, 4, 0), (8, 5, 1)])
@@ -272,28 +282,6 @@ def test_captions_tell_a_floor_from_a_level():
     assert "fewer than 3 trainings" in texts[-1]
     assert "floor" in chi2_caption("frame 7")
     assert "other scatterers" in qualitative_caption()
-
-
-def test_pareto_front_against_brute_force():
-    rng = np.random.default_rng(0)
-    for n in (0, 1, 30):
-        ms, error = rng.integers(1, 12, (2, n)).astype(float)
-        points = set(zip(ms, error, strict=True))
-        expected = {p for p in points if not any(q != p and q[0] <= p[0] and q[1] <= p[1] for q in points)}
-        front = pareto_front(ms, error)
-        assert {(ms[k], error[k]) for k in front} == expected
-        assert len(front) == len(expected)
-
-
-def test_error_against_runtime(tmp_path):
-    rows = [("simulator, rays", r, 10.0 * r, metric, 1 / r) for r in (1, 2, 4) for metric in ("mae", "psnr")]
-    rows += [("sa2h", "fp32", 5.0, "mae", 0.4), ("sa2h", "bf16", 3.0, "mae", np.inf), ("sa2h", "int8", 0.0, "mae", 1)]
-    points = pd.DataFrame(rows, columns=["series", "setting", "ms", "metric", "error"])
-    assert_written(error_vs_runtime(points, tmp_path / "error_vs_runtime", {"mae": 0.2}, "a test"))
-    with pytest.raises(ValueError, match="lack the columns"):
-        error_vs_runtime(points.drop(columns="ms"), tmp_path / "none")
-    with pytest.raises(ValueError, match="no finite point"):
-        error_vs_runtime(points[points["ms"] == 0], tmp_path / "none")
 
 
 def test_neighbouring_colours_differ_in_grey():

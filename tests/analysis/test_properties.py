@@ -74,17 +74,6 @@ def test_frames_have_no_order(data: tuple[np.ndarray, np.ndarray], random: np.ra
 
 
 @PROPERTY
-@given(compared())
-def test_the_other_way_round_is_the_opposite(data: tuple[np.ndarray, np.ndarray]) -> None:
-    values, sites = data
-    other = np.arange(len(values)) % 5.0
-    there, back = (paired_difference(a, b, sites, resamples=2) for a, b in ((values, other), (other, values)))
-    assert there.shift == -back.shift
-    assert there.effect == -back.effect
-    assert there.p == back.p
-
-
-@PROPERTY
 @given(st.lists(st.floats(0, 1), max_size=30), st.randoms(use_true_random=False))
 def test_holm_is_monotone_and_no_less(p: list[float], random: np.random.Generator) -> None:
     adjusted = holm(p)

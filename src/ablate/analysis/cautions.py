@@ -63,38 +63,38 @@ def _about_seeds(networks: pd.DataFrame, reference: str) -> list[str]:
 
 
 def _about_frames(networks: pd.DataFrame) -> list[str]:
-    said = []
+    texts = []
     sites = networks["site"].nunique()
     if 0 < sites < FEW_SITES:
         text = f"Only {sites} probe site{'' if sites == 1 else 's'}: intervals over sites are rough"
         if sites < FEWEST_SITES:
             text += f", and a test over fewer than {FEWEST_SITES} sites can show nothing"
-        said.append(f"{text}.")
+        texts.append(f"{text}.")
     sites_of = networks.groupby("frame")["site"].nunique()
     if moved := [str(frame) for frame in sites_of.index[sites_of > 1]]:
-        said.append(f"Runs name different probe sites for frame {listed(moved)}: intervals over sites mean nothing.")
+        texts.append(f"Runs name different probe sites for frame {listed(moved)}: intervals over sites mean nothing.")
     frames: dict[str, int] = {}
-    for keys, of in networks.groupby(["variant", "seed"]):
-        frames["{}/seed{}".format(*keys)] = of["frame"].nunique()
+    for keys, of_run in networks.groupby(["variant", "seed"]):
+        frames["{}/seed{}".format(*keys)] = of_run["frame"].nunique()
     most = max(frames.values(), default=0)
     short = [f"{run} ({count})" for run, count in frames.items() if count < most]
     if short:
-        said.append(f"Not all runs have all {most} test frames: {listed(short)}; pairs are of frames that both have.")
-    return said
+        texts.append(f"Not all runs have all {most} test frames: {listed(short)}; pairs are of frames that both have.")
+    return texts
 
 
 def _about_values(per_image: pd.DataFrame) -> list[str]:
-    said = []
+    texts = []
     for metric in ordered_metrics(list(per_image["metric"])):
-        of = per_image[per_image["metric"] == metric]
-        missing, infinite = of[of["value"].isna()], of[np.isinf(of["value"])]
+        rows = per_image[per_image["metric"] == metric]
+        missing, infinite = rows[rows["value"].isna()], rows[np.isinf(rows["value"])]
         name = metric_of(metric).label
         if len(infinite):
             why = "identical images: " if metric in METRICS else ""  # of the package's, PSNR alone is ever infinite
-            said.append(f"{name}: {len(infinite)} infinite value{_s(infinite)} left out ({why}{_where(infinite)}).")
+            texts.append(f"{name}: {len(infinite)} infinite value{_s(infinite)} left out ({why}{_where(infinite)}).")
         if len(missing):
-            said.append(f"{name}: {len(missing)} NaN{_s(missing)} left out ({_where(missing)}).")
-    return said
+            texts.append(f"{name}: {len(missing)} NaN{_s(missing)} left out ({_where(missing)}).")
+    return texts
 
 
 def _s(rows: pd.DataFrame) -> str:

@@ -89,11 +89,11 @@ def comparison_table(
         sd = float(finite["value"].std(ddof=1)) if len(finite) > 1 else None
         seed_sd = float(seed_means.std(ddof=1)) if len(seed_means) > 1 else None
         # The mean over runs of the bounds of their intervals, where runs carry some.
-        bounds = [float(cell[b].mean()) if b in cell and cell[b].notna().any() else None for b in BOUNDS]
-        if metric == FRAME_TIME and None not in bounds:
-            sd, seed_sd = (bounds[1] - bounds[0]) / 2, None
+        lower, upper = (float(cell[b].mean()) if b in cell and cell[b].notna().any() else None for b in BOUNDS)
+        if metric == FRAME_TIME and lower is not None and upper is not None:
+            sd, seed_sd = (upper - lower) / 2, None
         counts = (int(cell["seed"].nunique()), len(finite), len(cell) - len(finite))
-        rows.append((variant, metric, float(finite["value"].mean()), sd, seed_sd, *counts, *bounds))
+        rows.append((variant, metric, float(finite["value"].mean()), sd, seed_sd, *counts, lower, upper))
     columns = ["variant", "metric", "mean", "sd", "seed_sd", "seeds", "n", "dropped", *BOUNDS]
     table = pd.DataFrame(rows, columns=columns)
     table["best"] = False

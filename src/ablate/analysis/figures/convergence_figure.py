@@ -42,8 +42,8 @@ def _rays_panel(axes: Axes, points: pd.DataFrame) -> None:
     """Draw errors relative to that of one ray, so that all lines start at 1."""
     styles = zip(("o", "s", "^", "v", "D"), ("-", "--", "-.", ":", "-"), COLOURS, strict=False)
     for metric, (marker, line, colour) in zip(dict.fromkeys(points["metric"]), styles, strict=False):
-        of = points[points["metric"] == metric]
-        rays, error = of["setting"].astype(int).to_numpy(), of["error"].to_numpy(float)
+        drawn = points[points["metric"] == metric]
+        rays, error = drawn["setting"].astype(int).to_numpy(), drawn["error"].to_numpy(float)
         fit = observed_order(rays, error, metric)
         if metric == "psnr":
             error = 10 ** (-error / 20)
@@ -66,14 +66,14 @@ def _grids_panel(axes: Axes, table: pd.DataFrame, base: dict[str, int]) -> None:
     for k, name in enumerate(dict.fromkeys(table["series"])):
         marker = SIMULATOR[name][1]
         for metric, line in (("mae_smooth", "-"), ("pchi2", ":")):
-            of = table[(table["series"] == name) & (table["quantity"] == metric)].set_index("setting")["value"]
-            if _LEVEL not in of.index or not of[_LEVEL] > 0:
+            errors = table[(table["series"] == name) & (table["quantity"] == metric)].set_index("setting")["value"]
+            if _LEVEL not in errors.index or not errors[_LEVEL] > 0:
                 continue
-            level = of.pop(_LEVEL)
-            values = np.array([int(v) for v in of.index]) / base[name]
+            level = errors.pop(_LEVEL)
+            values = np.array([int(v) for v in errors.index]) / base[name]
             label = f"{name.removeprefix('simulator, ')}, {metric_of(metric).label}"
             style: dict[str, Any] = {"marker": marker, "ls": line, "ms": 3.5, "lw": 0.8, "color": COLOURS[k]}
-            axes.loglog(values, of.to_numpy(float) / level, label=label, **style)
+            axes.loglog(values, errors.to_numpy(float) / level, label=label, **style)
     axes.axhline(1.0, color=FLOOR_COLOUR, ls="--", lw=0.9)
     where: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "xytext": (0, -8), "textcoords": "offset points"}
     axes.annotate("another draw of the speckle", (0.02, 1.0), fontsize=6.5, color=FLOOR_COLOUR, **where)

@@ -80,11 +80,11 @@ def _draw_forest(
         reach = abs(scale) * row["band"]
         label = "too small to matter"
         axes.fill_between([-reach, reach], place - 0.44, place + 0.44, color=BAND_COLOUR, lw=0, zorder=0, label=label)
-        of = runs[runs["component"] == name]
+        dots = runs[runs["component"] == name]
         for on, fill, label in ((True, RUN_COLOUR, "run with it"), (False, "white", "run without it")):
-            values = 100 * of.loc[of["on"] == on, "improvement"] / units[name]
-            at = np.full(len(values), place + (0.24 if on else -0.24))
-            axes.plot(values, at, "o", ms=3.2, mfc=fill, mec=RUN_COLOUR, mew=0.7, label=label, zorder=2)
+            values = 100 * dots.loc[dots["on"] == on, "improvement"] / units[name]
+            heights = np.full(len(values), place + (0.24 if on else -0.24))
+            axes.plot(values, heights, "o", ms=3.2, mfc=fill, mec=RUN_COLOUR, mew=0.7, label=label, zorder=2)
         if pd.notna(row["lower"]):
             ends = [scale * row["lower"], scale * row["upper"]]
             axes.plot(ends, [place] * 2, color="black", lw=2.2, solid_capstyle="butt", zorder=3)
@@ -108,13 +108,8 @@ def _write_beside(axes: Axes, shown: pd.DataFrame) -> None:
     for k, row in enumerate(shown.to_dict("records")):
         place, word = len(shown) - k, Answer(row["verdict"])
         axes.text(0.03, place, WORDS[word], va="center", weight="bold", color=COLOURS[word])
-        axes.text(
-            0.66,
-            place,
-            _signed(row["ms_per_frame"], 1 if abs(row["ms_per_frame"]) < 10 else 0),
-            ha="right",
-            va="center",
-        )
+        time = _signed(row["ms_per_frame"], 1 if abs(row["ms_per_frame"]) < 10 else 0)
+        axes.text(0.66, place, time, ha="right", va="center")
         axes.text(1.0, place, _signed(row["parameters"] / 1000, 0, "k"), ha="right", va="center")
 
 
@@ -130,10 +125,10 @@ def _draw_map(
     axes: Axes, shown: pd.DataFrame, pairs: pd.DataFrame, units: Mapping[str, float], labels: Mapping[str, str]
 ) -> None:
     names = list(shown["component"])
-    of = pairs[pairs["component"].isin(names) & pairs["other"].isin(names)]
+    shown_pairs = pairs[pairs["component"].isin(names) & pairs["other"].isin(names)]
     share = np.full((len(names), len(names)), np.nan)
     strength = np.full(share.shape, FAINT)
-    for row in of.to_dict("records"):
+    for row in shown_pairs.to_dict("records"):
         place = names.index(row["component"]), names.index(row["other"])
         share[place] = 100 * row["improvement"] / units[row["component"]]
         star = "*" if row["q"] < ALPHA else ""
@@ -152,13 +147,8 @@ def _draw_map(
 
 def _explain_map(axes: Axes) -> None:
     axes.set_axis_off()
-    lines = (
-        "Half of the difference between",
-        "a component's improvement",
-        "(row) with and without another",
-        "component (column),",
-    )
-    text = "\n".join((*lines, "in the unit of (a).", "", "* and strong colour: false", "discovery rate < 5 %"))
+    half = "Half of the difference between a component's improvement (row) with and without another component (column),"
+    text = "\n".join([*wrap(half, 31), "in the unit of (a).", "", "* and strong colour: false", "discovery rate < 5 %"])
     axes.text(0.03, 0.5, text, va="center", color="#444444", transform=axes.transAxes, linespacing=1.4)
 
 

@@ -60,12 +60,14 @@ def seed_plot(
             for k, variant in enumerate(rows):
                 if (metric, variant) not in means.index:
                     continue
-                of = means[metric, variant].to_numpy()
-                at = np.full(len(of), len(rows) - k)
-                axes.plot(of, at, "o", ms=4, mfc="none", mec="black", mew=0.8, label="one training")
-                axes.plot(of.mean(keepdims=True), at[:1], "|", ms=9, color="#0072B2", mew=1.8, label="mean", zorder=1)
+                scores = means[metric, variant].to_numpy()
+                heights = np.full(len(scores), len(rows) - k)
+                axes.plot(scores, heights, "o", ms=4, mfc="none", mec="black", mew=0.8, label="one training")
+                axes.plot(
+                    scores.mean(keepdims=True), heights[:1], "|", ms=9, color="#0072B2", mew=1.8, label="mean", zorder=1
+                )
                 if variant == reference:
-                    axes.axvspan(of.min(), of.max(), color="#E3E3E3", zorder=0, label=f"range of {reference}")
+                    axes.axvspan(scores.min(), scores.max(), color="#E3E3E3", zorder=0, label=f"range of {reference}")
             draw_resimulation(axes, metric, floors.get(metric, np.nan))
             axes.set_xlabel(axis_title(metric))
         one_legend(figure, panels, 5)

@@ -15,7 +15,7 @@ FEWEST_SEEDS = 3
 
 
 class Verdict(StrEnum):
-    """What seeds allow to be said about a component."""
+    """What the seeds of a study say about a component."""
 
     not_claimable = "not claimable"
     no_difference_found = "no difference found"
@@ -57,6 +57,14 @@ def component_claim(
         Test mean of each seed, with and without the change. At least three on either side must be finite.
     level : float
         Coverage of the interval; `differs` when it excludes 0.
+
+    Examples
+    --------
+    >>> from ablate.analysis import component_claim
+    >>> print(component_claim([18.1, 18.3, 18.2], [17.0, 17.3, 17.1]))
+    differs (p = 0.0011, 3 seeds)
+    >>> print(component_claim([18.1, 18.3], [17.0, 17.3]))
+    not claimable, 2 seeds
     """
     sides = [np.asarray(side, dtype=np.float64) for side in (values, reference)]
     a, b = (side[np.isfinite(side)] for side in sides)

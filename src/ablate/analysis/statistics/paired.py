@@ -138,6 +138,13 @@ def paired_difference(
     ------
     ValueError
         When lengths differ, a value is NaN or finite beyond 1e100, or no pair is finite.
+
+    Examples
+    --------
+    >>> from ablate.analysis import paired_difference
+    >>> found = paired_difference([18.0, 19.5, 21.0, 20.0], [17.0, 18.0, 20.0, 18.5], clusters=[0, 0, 1, 1])
+    >>> found.shift, found.effect, found.clusters
+    (1.25, 1.0, 2)
     """
     values, reference = np.asarray(values, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     labels = np.arange(values.size) if clusters is None else np.asarray(clusters)
@@ -184,6 +191,12 @@ def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
     ------
     ValueError
         When a value lies outside [0, 1].
+
+    Examples
+    --------
+    >>> from ablate.analysis import holm
+    >>> holm([0.01, 0.04, 0.5]).tolist()
+    [0.03, 0.08, 0.5]
     """
     p = np.asarray(p, dtype=np.float64)
     if not ((p >= 0) & (p <= 1)).all():
@@ -253,10 +266,10 @@ def paired_table(
             value, base = pairs["value"].to_numpy(), pairs["reference"].to_numpy()
             if not (np.isfinite(value) & np.isfinite(base)).any():
                 continue
-            found = paired_difference(value, base, pairs["site"].to_numpy(), resamples=resamples, seed=seed)
-            rows.append({"variant": variant, "reference": reference, "metric": metric, **vars(found)})
-    renamed = {"p": "p_holm", "p_sites": "p_sites_holm", "clusters": "sites"}
-    table = pd.DataFrame([{renamed.get(k, k): v for k, v in row.items()} for row in rows], columns=list(PAIRED_COLUMNS))
+            difference = paired_difference(value, base, pairs["site"].to_numpy(), resamples=resamples, seed=seed)
+            rows.append({"variant": variant, "reference": reference, "metric": metric, **vars(difference)})
+    table = pd.DataFrame(rows, columns=["variant", "reference", "metric", *PairedDifference.__annotations__])
+    table = table.rename(columns={"p": "p_holm", "p_sites": "p_sites_holm", "clusters": "sites"})[list(PAIRED_COLUMNS)]
     for family in (table["variant"] == RESIMULATION, table["variant"] != RESIMULATION):
         for p in ("p_holm", "p_sites_holm"):
             if family.any():
