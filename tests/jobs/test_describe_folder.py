@@ -8,7 +8,7 @@ import trimesh
 from ablate.anatomy import validate_scene_folder
 from ablate.jobs.compose import jobs_of
 from ablate.settings.study import ConfigurationError
-from ablate.tasks import describe
+from ablate.tasks.run_task import describe
 
 
 def test_a_folder_without_scene_yaml_gets_a_proposal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

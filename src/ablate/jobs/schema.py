@@ -1,14 +1,14 @@
 """The frozen settings of `ablate.settings.study` as the typed schema that Hydra composes it into."""
 
 import dataclasses
-from dataclasses import MISSING, field
-from functools import cache
+from dataclasses import field
 from typing import Any, get_type_hints
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig, OmegaConf
 
 from ablate.jobs.scale import register_resolvers
+from ablate.setting import is_group
 from ablate.settings.study import StudySettings
 from ablate.settings.values import build
 from ablate.ultrasound.probe_kinds import PROBE_KEYS, Probe, ProbeKind
@@ -17,41 +17,48 @@ from ablate.ultrasound.probe_kinds import PROBE_KEYS, Probe, ProbeKind
 def register() -> None:
     """Make the schema known to Hydra as `schema`, the first entry of conf/config.yaml, and conf/'s resolvers."""
     register_resolvers()
-    ConfigStore.instance().store(name="schema", node=_study_schema())
-
-
-@cache
-def _study_schema() -> type:
-    return _schema(StudySettings)
+    ConfigStore.instance().store(name="schema", node=_STUDY)
 
 
 def _schema(cls: type) -> type:
     """A mutable dataclass with the fields of a frozen one, as OmegaConf needs it for typed configurations."""
     hints = get_type_hints(cls)
     fields: list[tuple[str, Any, Any]] = []
-    for f in dataclasses.fields(cls):
-        hint = hints[f.name]
-        if hint == Probe or (dataclasses.is_dataclass(hint) and isinstance(hint, type)):
-            made = _probe_schema() if hint == Probe else _schema(hint)
-            fields.append((f.name, made, field(default_factory=made)))
-        elif f.default is not MISSING:
-            fields.append((f.name, hint, field(default_factory=_constant(f.default))))
+    for one in dataclasses.fields(cls):
+        hint = hints[one.name]
+        if hint == Probe:
+            values = {"kind": ProbeKind.convex, **PROBE_KEYS}
+            own = [(name, _optional(value), field(default=value)) for name, value in values.items()]
+            fields.append((one.name, probe := _made("Probe", own), field(default_factory=probe)))
+        elif is_group(hint):
+            fields.append((one.name, group := _schema(hint), field(default_factory=group)))
         else:
-            fields.append((f.name, hint, field(default="???")))
-    return dataclasses.make_dataclass(cls.__name__, fields)
+            fields.append((one.name, hint, field(default_factory=_constant(one.default))))
+    return _made(cls.__name__, fields)
 
 
-def _probe_schema() -> type:
-    """A mutable dataclass with the values of all kinds of probe; null where a kind has none."""
-    own: list[tuple[str, Any, Any]] = [
-        (name, float | None if default is None else float, field(default=default))
-        for name, default in PROBE_KEYS.items()
-    ]
-    return dataclasses.make_dataclass("Probe", [("kind", ProbeKind, field(default=ProbeKind.convex)), *own])
+def _optional(value: Any) -> Any:
+    """The type of a value of some probe; null where not all kinds have it."""
+    return float | None if value is None else type(value)
+
+
+def _made(name: str, fields: list[tuple[str, Any, Any]]) -> type:
+    """A dataclass that is an attribute of this module.
+
+    Launchers pickle it, and take a class that a module has by its name. Of another one cloudpickle takes the contents,
+    and writes them over the class of this process when a job's configuration comes back.
+    """
+    made = dataclasses.make_dataclass(f"{name}Schema", fields)
+    made.__module__ = __name__
+    globals()[made.__name__] = made
+    return made
 
 
 def _constant(value: Any) -> Any:
     return lambda: list(value) if isinstance(value, tuple) else value
+
+
+_STUDY = _schema(StudySettings)
 
 
 def settings(config: DictConfig) -> StudySettings:
