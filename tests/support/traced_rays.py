@@ -1,4 +1,4 @@
-"""Rays of a scene, followed to their last echo."""
+"""Rays of a scene, followed to their last echo, and a tilted pose."""
 
 import numpy as np
 
@@ -43,3 +43,10 @@ def follow(
 def illumination(nodes: Nodes, settings: SimulatorSettings) -> np.ndarray:
     """Linear illumination of each group at each millimetre."""
     return nodes.amplitude / settings.rays
+
+
+def tilted(degrees: float) -> np.ndarray:
+    """A pose at the world's origin, turned about the probe's y."""
+    angle, pose = np.radians(degrees), np.eye(4)
+    pose[0, 0], pose[0, 2], pose[2, 0], pose[2, 2] = np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)
+    return pose

@@ -9,10 +9,7 @@ from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 from ablate.ultrasound.maps.slices import beside
 from ablate.ultrasound.probe import fan_size_mm, pixel_coordinates_mm
 
-
-@pytest.fixture
-def paper_size() -> SimulatorSettings:
-    return SimulatorSettings()
+PAPER_SIZE = SimulatorSettings()
 
 
 def segment(scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, pose: np.ndarray) -> np.ndarray:
@@ -31,11 +28,11 @@ def test_the_papers_image_size_follows_from_its_probe() -> None:
     assert z[0] - height / 2000 == pytest.approx(-7.234, abs=1e-3)
 
 
-def test_a_sphere_is_a_disc(gel, tissue, ball, probe, paper_size, ahead) -> None:
+def test_a_sphere_is_a_disc(gel, tissue, ball, probe, ahead) -> None:
     """Every pixel farther in than the nearest facet's plane, and none outside the sphere that holds the vertices."""
     structure = ball(tissue, (5.0, 3.0, 80.0), 25.0)
-    labels = segment(Scene((structure,), gel, "s"), probe, paper_size, ahead)
-    x, z = grid(probe, paper_size)
+    labels = segment(Scene((structure,), gel, "s"), probe, ahead)
+    x, z = grid(probe, PAPER_SIZE)
     distance = np.sqrt((x - 5) ** 2 + 3**2 + (z - 80) ** 2)
     a, b, c = structure.mesh.triangles.transpose(1, 0, 2) - (5.0, 3.0, 80.0)
     normal = np.cross(b - a, c - a)
@@ -46,15 +43,15 @@ def test_a_sphere_is_a_disc(gel, tissue, ball, probe, paper_size, ahead) -> None
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_box_is_exact_to_the_pixel(gel, tissue, probe, paper_size, seed) -> None:
+def test_a_box_is_exact_to_the_pixel(gel, tissue, probe, seed) -> None:
     """Six tilted planes, seen from anywhere, against the box's own coordinates of each pixel's centre."""
     random = np.random.default_rng(seed)
     pose, place = (trimesh.transformations.random_rotation_matrix(random.random(3)) for _ in range(2))
     pose[:3, 3], place[:3, 3] = random.uniform(-500, 500, 3), random.uniform((-30, -5, 40), (30, 5, 110))
     size = random.uniform(20, 80, 3)
     box = trimesh.creation.box(size).apply_transform(pose @ place)
-    labels = segment(Scene((Structure(box, tissue),), gel, "s"), probe, paper_size, pose)
-    x, z = grid(probe, paper_size)
+    labels = segment(Scene((Structure(box, tissue),), gel, "s"), probe, PAPER_SIZE, pose)
+    x, z = grid(probe, PAPER_SIZE)
     inside = (size / 2 - np.abs((np.stack([x, 0 * x, z], axis=-1) - place[:3, 3]) @ place[:3, :3])).min(axis=-1)
     certain = (labels > 0) & (np.abs(inside) > 1e-4)  # rays are float32
     assert ((labels == 2) == (inside > 0))[certain].all()

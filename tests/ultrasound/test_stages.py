@@ -2,14 +2,13 @@
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import Simulator, SimulatorSettings
-from ablate.ultrasound.stages import Stage, observe_stages, stage_times
+from ablate.ultrasound.stages import Stage, stage_times
 
 SETTINGS = SimulatorSettings(scanlines=48, axial_samples=512, rays=4, image_shape=(128, 178))
 
@@ -36,16 +35,3 @@ def test_every_stage_is_timed_and_the_frame_is_the_same(simulator: Simulator) ->
     assert 0 < total <= whole
     simulator.render(moved)
     assert total == sum(sum(times) for times in taken.values()), "nothing is timed after the context"
-
-
-def test_an_observer_sees_arguments_and_results(simulator: Simulator) -> None:
-    seen = {}
-
-    def note(which: Stage, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
-        seen[which] = args, function(*args)
-        return seen[which][1]
-
-    with observe_stages(note):
-        simulator.render(np.eye(4))
-    assert set(seen) == set(Stage)
-    assert seen[Stage.pixel_labels][1].shape == SETTINGS.image_shape

@@ -62,6 +62,22 @@ class Simulator:
     ------
     ValueError
         When a mesh is open, empty or not finite, the scene has more than 254 tissues, or a pose is not rigid.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trimesh
+    >>> from ablate.anatomy import Scene, Structure, load_tissues
+    >>> from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
+    >>> tissues = load_tissues()
+    >>> box = trimesh.creation.box((200, 200, 100)).apply_translation((0, 0, 53))
+    >>> scene = Scene((Structure(box, tissues["liver"]),), tissues["coupling_gel"], "a block of liver")
+    >>> settings = SimulatorSettings.low_quality(scanlines=32, axial_samples=256, image_shape=(64, 89))
+    >>> frame = Simulator(scene, ConvexProbe(), settings).render(np.eye(4), seed=0)
+    >>> frame.image.shape, frame.envelope.shape
+    ((64, 89), (256, 32))
+    >>> np.unique(frame.segmentation).tolist()  # outside the fan, gel, liver
+    [0, 1, 2]
     """
 
     def __init__(

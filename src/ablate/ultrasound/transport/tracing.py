@@ -68,35 +68,21 @@ def trace(
             number = np.arange(view.rays)
             chosen = begin * view.rays + np.flatnonzero((number >= first) & (number < last[begin:end, None]))
         rays, sets = start_rays(bundle, inside, chosen, view), inside[chosen].copy()
-        n, received = len(rays), [np.empty(0, ECHO)]
-        if geometry.address:
-            return _to_the_end(geometry.address, rays, sets, view, draws, nodes)
+        n, rows, count, echoes = len(rays), 0, 0, np.empty(4 * len(rays), ECHO)
+        while n and geometry.address:  # compiled code asks Embree, and comes back for more of the table of draws
+            rows += 1
+            given = view, draws.table(rows), rows, nodes, echoes, count
+            rays, sets, n, echoes, count = _bounces(geometry.address, rays, sets, n, *given)
         while n:
-            rays, sets = _with_room(rays, 2 * n), _with_room(sets, 2 * n)
+            rays, sets, echoes = _grown(rays, 2 * n), _grown(sets, 2 * n), _grown(echoes, count + n)
             origins, directions = (np.ascontiguousarray(rays[column][:n]) for column in ("origin", "direction"))
             hits = geometry.closest(origins, directions, rays["reach_mm"][:n])
-            echoes = np.empty(n, ECHO)
             table = draws.table(int(rays["interfaces"][:n].max()) + 1)
-            n, count = _advance(rays, sets, hits, view, table, nodes, echoes)
-            received.append(echoes[:count].copy())
-        return np.concatenate(received)
+            n, received = _advance(rays, sets, hits, view, table, nodes, echoes[count:])
+            count += received
+        return echoes[:count]
 
     return np.concatenate(in_parts(part, len(bundle.starts), _GROUPS_OF_A_PART))
-
-
-def _to_the_end(address: int, rays: np.ndarray, sets: np.ndarray, view: View, draws: Draws, nodes: Nodes) -> np.ndarray:
-    """The echoes of rays, asking Embree from compiled code; it comes back for more of the table of draws."""
-    n, rows, count, echoes = len(rays), 0, 0, np.empty(4 * len(rays), ECHO)
-    while n:
-        rows += 1
-        table = draws.table(rows)
-        rays, sets, n, echoes, count = _bounces(address, rays, sets, n, view, table, rows, nodes, echoes, count)
-    return echoes[:count]
-
-
-def _with_room(rows: np.ndarray, count: int) -> np.ndarray:
-    """The same rows, with at least `count` of them; those added are not initialised."""
-    return rows if len(rows) >= count else np.concatenate([rows, np.empty((count, *rows.shape[1:]), rows.dtype)])
 
 
 @compiled
