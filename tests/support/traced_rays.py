@@ -9,7 +9,7 @@ from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.transport.draws import Draws
 from ablate.ultrasound.transport.lines import Nodes
 from ablate.ultrasound.transport.rays import View, at_pose, leave_probe, probe_rays
-from ablate.ultrasound.transport.tracing import trace
+from ablate.ultrasound.transport.tracing import Paths, trace
 
 
 def follow(
@@ -37,7 +37,7 @@ def follow(
         gain_db_mm=0.0,
         step_mm=geometry.step_mm,
     )
-    return trace(geometry, view, draws, bundle, inside, nodes).view(np.recarray), nodes
+    return trace(Paths(geometry, view, draws, bundle, inside, nodes)).view(np.recarray), nodes
 
 
 def illumination(nodes: Nodes, settings: SimulatorSettings) -> np.ndarray:

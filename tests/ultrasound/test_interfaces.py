@@ -10,7 +10,6 @@ from ablate.ultrasound.media import tabulate
 from ablate.ultrasound.settings import DepthMode
 from ablate.ultrasound.transport.interfaces import (
     facing,
-    mirrored,
     refracted,
     rough_normal,
     scatter_about,
@@ -41,12 +40,6 @@ def test_snell_in_closed_form(c1: float, c2: float, angle: float) -> None:
     assert cos_t == pytest.approx(math.cos(math.asin(sine)), abs=1e-12)
     onward = refracted(at(angle), UP, math.cos(angle), cos_t, c2 / c1)
     np.testing.assert_allclose(onward, (sine, 0, math.sqrt(1 - sine**2)), atol=1e-12)
-
-
-@pytest.mark.parametrize("angle", ANGLES)
-def test_mirror_law(angle: float) -> None:
-    x, _, z = at(angle)
-    np.testing.assert_allclose(mirrored(at(angle), UP, math.cos(angle)), (x, 0, -z), atol=1e-15)
 
 
 @pytest.mark.parametrize(("c1", "c2"), [(1540.0, 2600.0), (1540.0, 1540.0), (1540.0, 1100.0)])

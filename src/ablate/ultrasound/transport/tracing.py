@@ -16,6 +16,7 @@ have the weight 1 / |R_p|, and would appear as isolated dots in dark fluid. Russ
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Geometry, Hits, asked_ray, closest_of, empty_hits, normal_in
 from ablate.ultrasound.surfaces.line_walk import next_step, owner, toggle
 from ablate.ultrasound.transport.bounce import (
+    SMALLEST_REFLECTION,
     connect,
     cross_thickness,
     echo,
@@ -33,7 +35,6 @@ from ablate.ultrasound.transport.bounce import (
     hit_at,
     medium_at,
     move_to_surface,
-    reflection_probability,
     segment_ahead,
     spawn,
 )
@@ -45,22 +46,25 @@ from ablate.ultrasound.transport.rays import Bundle, View, start_rays
 _GROUPS_OF_A_PART = 96
 
 
+class Paths(NamedTuple):
+    """The rays of a frame, what they travel through, and what they add to."""
+
+    geometry: Geometry
+    view: View
+    draws: Draws
+    bundle: Bundle
+    inside: np.ndarray  # (rays, words) uint32, the sets that they start inside of
+    nodes: Nodes
+
+
 @stage(Stage.tracing)
-def trace(
-    geometry: Geometry,
-    view: View,
-    draws: Draws,
-    bundle: Bundle,
-    inside: np.ndarray,
-    nodes: Nodes,
-    first: int = 0,
-    last: np.ndarray | None = None,
-) -> np.ndarray:
+def trace(paths: Paths, first: int = 0, last: np.ndarray | None = None) -> np.ndarray:
     """The echoes, (n,) ECHO, of the rays of a frame until they are deeper than the image; `nodes` are accumulated.
 
     Of each group's rays those from number `first` on are traced, to one before `last`, (groups,), or all of them. What
     becomes of a ray does not depend on which others are traced.
     """
+    geometry, view, draws, bundle, inside, nodes = paths
 
     def part(begin: int, end: int) -> np.ndarray:
         chosen: slice | np.ndarray = slice(begin * view.rays, end * view.rays)
@@ -188,7 +192,8 @@ def _advance(
                 continue
 
             ray.interfaces += 1
-            probability = reflection_probability(abs(scattering.pressure))
+            # That a ray is reflected which is not split: then it keeps its weight, else 1 + |R_p| times that goes on.
+            probability = abs(scattering.pressure) if abs(scattering.pressure) >= SMALLEST_REFLECTION else 0.0
             if direct and probability > 0:  # the level is interpolated between nodes: keep it up to the surface
                 energy = scattering.pressure * scattering.pressure
                 accumulate(nodes, group, segment_ahead(ray, medium, nodes.spacing_mm), weight * energy)
