@@ -45,7 +45,7 @@ def test_the_papers_image_size_follows_from_its_probe() -> None:
 def test_a_sphere_is_a_disc(gel, tissue, ball, probe, ahead) -> None:
     """Every pixel farther in than the nearest facet's plane, and none outside the sphere that holds the vertices."""
     structure = ball(tissue, (5.0, 3.0, 80.0), 25.0)
-    labels = segment(Scene((structure,), gel, "s"), probe, ahead)
+    labels = segment(Scene((structure,), gel, "s"), probe, PAPER_SIZE, ahead)
     x, z = grid(probe, PAPER_SIZE)
     distance = np.sqrt((x - 5) ** 2 + 3**2 + (z - 80) ** 2)
     a, b, c = structure.mesh.triangles.transpose(1, 0, 2) - (5.0, 3.0, 80.0)
