@@ -1,4 +1,4 @@
-"""Rays of a scene, followed to their last echo."""
+"""Rays of a scene, followed to their last echo, and a tilted pose."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.transport.draws import Draws
 from ablate.ultrasound.transport.lines import Nodes
 from ablate.ultrasound.transport.rays import View, at_pose, leave_probe, probe_rays
-from ablate.ultrasound.transport.tracing import trace
+from ablate.ultrasound.transport.tracing import Paths, trace
 
 
 def follow(
@@ -37,9 +37,16 @@ def follow(
         gain_db_mm=0.0,
         step_mm=geometry.step_mm,
     )
-    return trace(geometry, view, draws, bundle, inside, nodes).view(np.recarray), nodes
+    return trace(Paths(geometry, view, draws, bundle, inside, nodes)).view(np.recarray), nodes
 
 
 def illumination(nodes: Nodes, settings: SimulatorSettings) -> np.ndarray:
     """Linear illumination of each group at each millimetre."""
     return nodes.amplitude / settings.rays
+
+
+def tilted(degrees: float) -> np.ndarray:
+    """A pose at the world's origin, turned about the probe's y."""
+    angle, pose = np.radians(degrees), np.eye(4)
+    pose[0, 0], pose[0, 2], pose[2, 0], pose[2, 2] = np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)
+    return pose

@@ -7,18 +7,12 @@ import pytest
 
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import ConvexProbe, DepthMode, Simulator, SimulatorSettings
+from support.traced_rays import tilted
 
 HARD = Tissue("hard", 1540, 6.0, 0.0, 0.0, 0.0, 0.0, roughness=0.0, specularity=0.0)
 GAS = Tissue("gas", 1540, 1e-6, 0.0, 0.0, 0.0, 0.0, roughness=0.0, specularity=0.0)
 LINES = 65
 ANGLES = np.linspace(-1, 1, LINES) * np.radians(35)
-
-
-def tilted(degrees: float) -> np.ndarray:
-    angle = np.radians(degrees)
-    pose = np.eye(4)
-    pose[0, 0], pose[0, 2], pose[2, 0], pose[2, 2] = np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)
-    return pose
 
 
 def scanline(line: int, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import pytest
 
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import ConvexProbe, DepthMode, Simulator, SimulatorSettings
+from support.traced_rays import tilted
 
 AHEAD = np.eye(4)
 
@@ -18,13 +19,6 @@ AHEAD = np.eye(4)
 def anechoic(name: str, impedance: float, speed: float = 1540, loss: float = 0.0, **more: float) -> Tissue:
     """A tissue without scatterers, with a mirror-like surface."""
     return Tissue(name, speed, impedance, loss, 0.0, 0.0, 0.0, **{"roughness": 0.0, **more})
-
-
-def tilted(degrees: float) -> np.ndarray:
-    angle = np.radians(degrees)
-    pose = np.eye(4)
-    pose[0, 0], pose[0, 2], pose[2, 0], pose[2, 2] = np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)
-    return pose
 
 
 def spikiness(density: float) -> float:

@@ -10,6 +10,7 @@ from scipy import integrate
 
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import Simulator
+from support.traced_rays import tilted
 
 SEEDS = range(4)
 FACES_MM = (30.0, 60.0, 100.0)  # no path that is reflected thrice ends within 10 mm of the last
@@ -104,8 +105,7 @@ def test_mean_over_rough_normals(rough, pencil, apart, amplitudes, impedance, sp
 def test_oblique_faces_follow_fresnel(gel, slab, pencil, apart, amplitudes, degrees, impedance, speed) -> None:
     """Echo |R| cos(2 t)^n and transmission 1 - R^2, beyond the critical angle (36 degrees for 2600 m/s) too."""
     angle = np.radians(degrees)
-    pose = np.eye(4)
-    pose[0, 0], pose[0, 2], pose[2, 0], pose[2, 2] = np.cos(angle), np.sin(angle), -np.sin(angle), np.cos(angle)
+    pose = tilted(degrees)
     behind = Tissue("behind", speed, impedance, 0.0, 0.6, 0.0, 1.0)
     front = replace(gel, specularity=2.0)
     same = replace(front, speed_m_s=speed, impedance_mrayl=impedance)

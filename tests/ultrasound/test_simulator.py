@@ -1,5 +1,6 @@
 """Frames as a whole: repeatable, finite, and the same whatever the plan leaves out."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import torch
 
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import PlanMode, Simulator
-from ablate.ultrasound.stages import Stage, observe_stages
+from ablate.ultrasound.stages import Stage, observe_stages, stage_times
 
 BODY = Tissue("body", 1540, 1.6, 0.5, 0.6, 0.0, 0.8, texture_contrast_db=2.0)
 BONE = Tissue("bone", 2600, 4.2, 5.0, 0.6, 0.0, 0.2, roughness=0.05, thickness_mm=0.1)
@@ -218,3 +219,23 @@ def test_poses_that_are_not_rigid(empty, probe, small, pose, message) -> None:
 def test_settings_that_cannot_be(small, change, message) -> None:
     with pytest.raises(ValueError, match=message):
         replace(small, **change)
+
+
+def test_every_stage_is_timed_and_the_frame_is_the_same(scene, probe, small) -> None:
+    simulator = Simulator(scene, probe, small)
+    unobserved = simulator.render(np.eye(4))
+    moved = np.eye(4)
+    moved[0, 3] = 1.0
+    simulator.render(moved)
+    with stage_times() as taken:
+        start = time.perf_counter()
+        timed = simulator.render(np.eye(4))
+        whole = 1e3 * (time.perf_counter() - start)
+    assert np.array_equal(unobserved.image, timed.image)
+    counts = {name: len(taken[name]) for name in Stage}
+    twice = {Stage.scan_conversion: 2, Stage.probe_rays: 2}  # A is converted, too; scanlines, then rays
+    assert counts == dict.fromkeys(Stage, 1) | twice
+    total = sum(sum(times) for times in taken.values())
+    assert 0 < total <= whole
+    simulator.render(moved)
+    assert total == sum(sum(times) for times in taken.values()), "nothing is timed after the context"

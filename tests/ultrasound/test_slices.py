@@ -4,15 +4,26 @@ import numpy as np
 import pytest
 import trimesh
 
-from ablate.anatomy import Scene, Structure, Tissue
+from ablate.anatomy import Scene, Structure, Tissue, check_scene
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 from ablate.ultrasound.maps.slices import beside
 from ablate.ultrasound.probe import fan_size_mm, pixel_coordinates_mm
 
-
-@pytest.fixture
-def paper_size() -> SimulatorSettings:
-    return SimulatorSettings()
+PAPER_SIZE = SimulatorSettings()
+BALL = trimesh.creation.icosphere(subdivisions=4, radius=40.0).apply_translation((3.0, 2.0, 60.0))
+CORNERS = BALL.triangles.reshape(-1, 3)
+SHAKEN = CORNERS + np.random.default_rng(0).uniform(-1e-5, 1e-5, CORNERS.shape)
+ONE_EACH = np.arange(len(CORNERS)).reshape(-1, 3)
+CUT = BALL.subdivide(face_index=np.arange(0, len(BALL.faces), 7))
+#: Meshes that are not what a modeller would draw, but enclose the same.
+SAME = {
+    "inside out": (BALL.vertices, BALL.faces[:, ::-1]),
+    "every triangle twice": (BALL.vertices, np.concatenate([BALL.faces, BALL.faces[:, ::-1]])),
+    "some three times": (BALL.vertices, np.concatenate([BALL.faces, BALL.faces[:900], BALL.faces[:900]])),
+    "vertices not shared": (CORNERS, ONE_EACH),
+    "vertices nearly shared": (SHAKEN, ONE_EACH),
+    "t-junctions": (CUT.vertices, CUT.faces),
+}
 
 
 def segment(scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, pose: np.ndarray) -> np.ndarray:
@@ -31,11 +42,11 @@ def test_the_papers_image_size_follows_from_its_probe() -> None:
     assert z[0] - height / 2000 == pytest.approx(-7.234, abs=1e-3)
 
 
-def test_a_sphere_is_a_disc(gel, tissue, ball, probe, paper_size, ahead) -> None:
+def test_a_sphere_is_a_disc(gel, tissue, ball, probe, ahead) -> None:
     """Every pixel farther in than the nearest facet's plane, and none outside the sphere that holds the vertices."""
     structure = ball(tissue, (5.0, 3.0, 80.0), 25.0)
-    labels = segment(Scene((structure,), gel, "s"), probe, paper_size, ahead)
-    x, z = grid(probe, paper_size)
+    labels = segment(Scene((structure,), gel, "s"), probe, PAPER_SIZE, ahead)
+    x, z = grid(probe, PAPER_SIZE)
     distance = np.sqrt((x - 5) ** 2 + 3**2 + (z - 80) ** 2)
     a, b, c = structure.mesh.triangles.transpose(1, 0, 2) - (5.0, 3.0, 80.0)
     normal = np.cross(b - a, c - a)
@@ -46,15 +57,15 @@ def test_a_sphere_is_a_disc(gel, tissue, ball, probe, paper_size, ahead) -> None
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_box_is_exact_to_the_pixel(gel, tissue, probe, paper_size, seed) -> None:
+def test_a_box_is_exact_to_the_pixel(gel, tissue, probe, seed) -> None:
     """Six tilted planes, seen from anywhere, against the box's own coordinates of each pixel's centre."""
     random = np.random.default_rng(seed)
     pose, place = (trimesh.transformations.random_rotation_matrix(random.random(3)) for _ in range(2))
     pose[:3, 3], place[:3, 3] = random.uniform(-500, 500, 3), random.uniform((-30, -5, 40), (30, 5, 110))
     size = random.uniform(20, 80, 3)
     box = trimesh.creation.box(size).apply_transform(pose @ place)
-    labels = segment(Scene((Structure(box, tissue),), gel, "s"), probe, paper_size, pose)
-    x, z = grid(probe, paper_size)
+    labels = segment(Scene((Structure(box, tissue),), gel, "s"), probe, PAPER_SIZE, pose)
+    x, z = grid(probe, PAPER_SIZE)
     inside = (size / 2 - np.abs((np.stack([x, 0 * x, z], axis=-1) - place[:3, 3]) @ place[:3, :3])).min(axis=-1)
     certain = (labels > 0) & (np.abs(inside) > 1e-4)  # rays are float32
     assert ((labels == 2) == (inside > 0))[certain].all()
@@ -89,3 +100,14 @@ def test_a_line_is_moved_off_itself_whatever_its_direction() -> None:
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     moved = beside(directions)
     assert (np.linalg.norm(np.cross(moved, directions), axis=-1) > 0.4).all()
+
+
+@pytest.mark.parametrize("name", SAME)
+def test_the_same_ball_has_the_same_labels(gel, tissue, probe, small, ahead, name: str) -> None:
+    def labels(mesh: trimesh.Trimesh) -> np.ndarray:
+        scene = Scene((Structure(mesh, tissue),), gel, "s")
+        check_scene(scene, probe.depth_mm)
+        return Simulator(scene, probe, small).maps(ahead)[0]
+
+    odd = labels(trimesh.Trimesh(*SAME[name], process=False))
+    np.testing.assert_array_equal(odd, labels(BALL))

@@ -20,7 +20,7 @@ FACE_HALF_WIDTH_MM = 6.0
 
 
 class _Fan(NamedTuple):
-    """The shape of a probe's fan; the position of a scanline is its angle, rad, or x, mm, where scanlines are parallel."""
+    """The shape of a probe's fan; the position of a scanline is its angle, rad, or its x, mm, if all are parallel."""
 
     size_mm: tuple[float, float]  # height and width of the bounding box
     sag_mm: float  # along z from the middle of the face to its edges

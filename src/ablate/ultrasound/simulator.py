@@ -31,7 +31,7 @@ from ablate.ultrasound.transport.lines import (
     transmit_beam,
 )
 from ablate.ultrasound.transport.rays import View, at_pose, leave_probe, probe_rays
-from ablate.ultrasound.transport.tracing import trace
+from ablate.ultrasound.transport.tracing import Paths, trace
 
 #: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
 #: rays in 3 layers, spread over its surroundings, an echo of this level is 61 dB under white.
@@ -62,6 +62,22 @@ class Simulator:
     ------
     ValueError
         When a mesh is open, empty or not finite, the scene has more than 254 tissues, or a pose is not rigid.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import trimesh
+    >>> from ablate.anatomy import Scene, Structure, load_tissues
+    >>> from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
+    >>> tissues = load_tissues()
+    >>> box = trimesh.creation.box((200, 200, 100)).apply_translation((0, 0, 53))
+    >>> scene = Scene((Structure(box, tissues["liver"]),), tissues["coupling_gel"], "a block of liver")
+    >>> settings = SimulatorSettings.low_quality(scanlines=32, axial_samples=256, image_shape=(64, 89))
+    >>> frame = Simulator(scene, ConvexProbe(), settings).render(np.eye(4), seed=0)
+    >>> frame.image.shape, frame.envelope.shape
+    ((64, 89), (256, 32))
+    >>> np.unique(frame.segmentation).tolist()  # outside the fan, gel, liver
+    [0, 1, 2]
     """
 
     def __init__(
@@ -220,12 +236,12 @@ class Simulator:
             self._warned.add(words)
             warnings.warn(words, stacklevel=3)
         nodes = empty_nodes(plan.media.anechoic[labels], probe.depth_mm)
-        order = self._geometry, view, self._draws, bundle, inside, nodes
+        paths = Paths(self._geometry, view, self._draws, bundle, inside, nodes)
         if settings.tolerance is None:
             send()
-            echoes, counts = trace(*order), np.full(len(bundle.starts), settings.rays)
+            echoes, counts = trace(paths), np.full(len(bundle.starts), settings.rays)
         else:
-            echoes, counts = trace_to_tolerance(*order, self._shown(labels, nodes), settings.tolerance, send)
+            echoes, counts = trace_to_tolerance(paths, self._shown(labels, nodes), settings.tolerance, send)
         weights = layer_weights(probe, settings)[1]
         where = weights, counts, probe.depth_mm, shape
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)

@@ -129,13 +129,13 @@ def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, 
     """Make the inputs of generators, (n, H, W) each, and measure the median milliseconds of each, as `TimedMaps`."""
     make = TimedMaps(bench.scene, bench.probe, bench.simulator, bench.poses, low=True)
     make(nudged(bench.poses[0]), bench.seed)
-    made, times = [], []
+    inputs, times = [], []
     for pose in bench.poses:
         maps, taken = make(pose, bench.seed)
-        made.append(maps)
+        inputs.append(maps)
         times.append(taken)
         advance()
-    arrays = {name: np.stack([maps[name] for maps in made]) for name in made[0]}
+    arrays = {name: np.stack([maps[name] for maps in inputs]) for name in inputs[0]}
     return arrays, {name: median(taken[name] for taken in times) for name in times[0]}
 
 
@@ -158,16 +158,16 @@ def mean_errors(rendered: Frames, reference: Frames, probe: Probe) -> dict[str, 
     pixels whatever the grid of samples. PSNR of identical images is infinite; they are left out of its mean, unless all
     are.
     """
-    found: dict[str, list[float]] = {}
+    errors: dict[str, list[float]] = {}
     here, there = rendered.envelopes, reference.envelopes
     if here is not None and there is not None and here.shape == there.shape:
-        found[ENVELOPE] = [envelope_rms(a, b) for a, b in zip(here, there, strict=True)]
+        errors[ENVELOPE] = [envelope_rms(a, b) for a, b in zip(here, there, strict=True)]
     shape = (reference.images.shape[1], reference.images.shape[2])
     mask, pixel_mm = fan_mask(probe, shape), pixel_size_mm(probe, shape)
     for image, target in zip(rendered.images, reference.images, strict=True):
         for name, error in evaluate_image(Pair(image, target, mask, pixel_mm=pixel_mm), IMAGE_ERRORS).items():
-            found.setdefault(name, []).append(error)
-    return {name: _mean(values) for name, values in found.items()}
+            errors.setdefault(name, []).append(error)
+    return {name: _mean(values) for name, values in errors.items()}
 
 
 def _mean(values: list[float]) -> float:

@@ -51,12 +51,12 @@ def comparable_runs(job: Job) -> tuple[list[Run], str]:
         return [], f"no trained run in {results}: the simulator alone"
     same = [run for run in runs if run.spec["semantic"]["data"] == job.semantic["data"]]
     fit = [run for run in same if run.checkpoint.exists()]
-    said = f"{len(fit)} trained runs"
+    counts = f"{len(fit)} trained runs"
     if others := len(runs) - len(same):
-        said += f"; {others} left out, they learned from other data"
+        counts += f"; {others} left out, they learned from other data"
     if bare := len(same) - len(fit):
-        said += f"; {bare} left out, without a checkpoint"
-    return fit, said
+        counts += f"; {bare} left out, without a checkpoint"
+    return fit, counts
 
 
 def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...]]:

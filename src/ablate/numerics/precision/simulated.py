@@ -79,8 +79,8 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
         full = [replace(settings, plan=PlanMode.full) for settings in planned] if name == "rays" else []
         most = planned[-1].rays
         adaptive = [replace(base, rays=most, tolerance=t) for t in TOLERANCES] if name == "rays" else []
-        found = render_all(bench, planned + full + adaptive, seeds, advance)
-        for value, settings, ((rendered, other), ms) in zip(ladder, planned, found, strict=False):
+        measured = render_all(bench, planned + full + adaptive, seeds, advance)
+        for value, settings, ((rendered, other), ms) in zip(ladder, planned, measured, strict=False):
             errors = mean_errors(rendered, reference, bench.probe)
             points.add_each(series_name(name), value, ms, values=errors)
             setting = f"{name.replace('_', ' ')} {value}"
@@ -90,9 +90,11 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
                 to_half = mean_errors(rendered, half, bench.probe)
                 changes = {metric: relative_change(metric, errors[metric], to_half[metric]) for metric in errors}
                 details.add_each("reference", RAYS_SERIES, value, values=changes)
-        for tolerance, ((rendered, _), ms) in zip(TOLERANCES, found[len(planned) + len(full) :], strict=False):
+        for tolerance, ((rendered, _), ms) in zip(TOLERANCES, measured[len(planned) + len(full) :], strict=False):
             points.add_each(TOLERANCE_SERIES, tolerance, ms, values=mean_errors(rendered, reference, bench.probe))
-        for value, ((rendered, _), ms), ((as_planned, _), _) in zip(ladder, found[len(planned) :], found, strict=False):
+        for value, ((rendered, _), ms), ((as_planned, _), _) in zip(
+            ladder, measured[len(planned) :], measured, strict=False
+        ):
             points.add_each(FULL_SERIES, value, ms, values=mean_errors(rendered, reference, bench.probe))
             apart = np.abs(rendered.images.astype(np.int16) - as_planned.images).max()
             details.add("plan", FULL_SERIES, value, "largest grey difference to planned", int(apart))
@@ -113,8 +115,8 @@ def _converging(bench: Bench, name: str, details: CsvTable, advance: Callable[[]
     base = replace(bench.simulator, rays=_FINER * bench.simulator.rays)
     finest = _changed(base, name, _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name))
     (((fine, other), _),) = render_all(bench, [finest], (bench.seed, bench.seed + 1), advance)
-    found: dict[object, Frames] = {"other scatterers": other}
+    by_setting: dict[object, Frames] = {"other scatterers": other}
     for value, settings in ladders(base)[name].items():
-        (((found[value],), _),) = render_all(bench, [settings], (bench.seed,), advance)
-    for setting, rendered in found.items():
+        (((by_setting[value],), _),) = render_all(bench, [settings], (bench.seed,), advance)
+    for setting, rendered in by_setting.items():
         details.add_each("convergence", series_name(name), setting, values=mean_errors(rendered, fine, bench.probe))

@@ -32,8 +32,9 @@ def time_of_parts(details: pd.DataFrame) -> pd.DataFrame:
 def orders(points: pd.DataFrame) -> pd.DataFrame:
     """Fit the observed order p of the simulator, error ~ rays^-p: columns metric, p, standard_error."""
     rows = []
-    for metric, of in points[points["series"] == RAYS_SERIES].groupby("metric", sort=False):
-        fit = observed_order(of["setting"].astype(float).to_numpy(), of["error"].to_numpy(float), str(metric))
+    for metric, group in points[points["series"] == RAYS_SERIES].groupby("metric", sort=False):
+        rays = group["setting"].astype(float).to_numpy()
+        fit = observed_order(rays, group["error"].to_numpy(float), str(metric))
         if fit is not None:
             rows.append({"metric": str(metric), "p": fit.order, "standard_error": fit.standard_error})
     return pd.DataFrame(rows, columns=["metric", "p", "standard_error"])
@@ -41,15 +42,15 @@ def orders(points: pd.DataFrame) -> pd.DataFrame:
 
 def floors(points: pd.DataFrame, rays: int) -> dict[str, float]:
     """Find the re-simulation's error by metric: other scatterers, and otherwise the data set's settings."""
-    of = points[(points["series"] == OTHER_SERIES) & (points["setting"] == f"rays {rays}")]
-    return dict(zip(of["metric"], of["error"].astype(float), strict=True))
+    resimulated = points[(points["series"] == OTHER_SERIES) & (points["setting"] == f"rays {rays}")]
+    return dict(zip(resimulated["metric"], resimulated["error"].astype(float), strict=True))
 
 
 def verdict(details: pd.DataFrame) -> str:
     """Say whether the reference is converged."""
-    of = details[details["table"] == "reference"].assign(value=lambda d: d["value"].astype(float))
-    places = [f"{metric_of(q).label} at {s} rays" for q, s in zip(of["quantity"], of["setting"], strict=True)]
-    shares = dict(zip(places, of["value"], strict=True))
+    halved = details[details["table"] == "reference"].assign(value=lambda d: d["value"].astype(float))
+    places = [f"{metric_of(q).label} at {s} rays" for q, s in zip(halved["quantity"], halved["setting"], strict=True)]
+    shares = dict(zip(places, halved["value"], strict=True))
     worst = max(shares, key=lambda place: shares[place])
     change = f"{shares[worst]:.1%} ({worst})"
     text = f"With half of its {REFERENCE_RAYS} rays the reference changes the errors by at most {change}."
@@ -63,26 +64,26 @@ def tables(points: pd.DataFrame, details: pd.DataFrame) -> dict[str, pd.DataFram
     `points` has the columns series, setting, ms, metric, error; `details` table, series, setting, quantity, value.
     """
 
-    def of(table: str) -> pd.DataFrame:
+    def rows_of(table: str) -> pd.DataFrame:
         return details[details["table"] == table]
 
-    stages = of("stage")
+    stages = rows_of("stage")
     simulated = stages["series"].str.startswith("simulator")
     halved = f"By how much halving the reference's {REFERENCE_RAYS} rays moves these errors"
     grids = "Error of a grid to a finer one, and of another draw of the speckle on that"
     limits = "Single precision, bf16 and engines: how far they move a frame"
-    made = {
+    by_heading = {
         "Error to the reference": _errors(points[points["series"] != OTHER_SERIES]),
-        halved: _spread_out(of("reference"), lambda _, share: f"{share:.1%}"),
+        halved: _spread_out(rows_of("reference"), lambda _, share: f"{share:.1%}"),
         "Observed order p, error ~ rays^-p": _orders(points),
-        grids: _spread_out(of("convergence"), _cell),
-        limits: _spread_out(_worst(of("limit")), lambda _, value: f"{value:.2g}"),
-        "What the plan saves": _plan(points, of("plan")),
+        grids: _spread_out(rows_of("convergence"), _cell),
+        limits: _spread_out(_worst(rows_of("limit")), lambda _, value: f"{value:.2g}"),
+        "What the plan saves": _plan(points, rows_of("plan")),
         "The best within a budget": _budgets(points),
         "Stages of a simulated frame, ms": _stages(stages[simulated]),
         "Stages of a generated frame, ms": _stages(stages[~simulated]).T,
     }
-    return {heading: table for heading, table in made.items() if len(table)}
+    return {heading: table for heading, table in by_heading.items() if len(table)}
 
 
 def as_text(tables: dict[str, pd.DataFrame]) -> str:
@@ -148,9 +149,9 @@ def _budgets(points: pd.DataFrame) -> pd.DataFrame:
     names = list(dict.fromkeys(points["series"]))
     same = [n for n in names if n.startswith("simulator") and n not in (OTHER_SERIES, FULL_SERIES)]
     runs = [n for n in names if not n.startswith("simulator")]
-    found = budget_table(points, {_SAME: same, _OTHER: [OTHER_SERIES], _RUN: runs}, (_OTHER, _RUN))
+    best = budget_table(points, {_SAME: same, _OTHER: [OTHER_SERIES], _RUN: runs}, (_OTHER, _RUN))
     rows = []
-    for row in found.to_dict("records"):
+    for row in best.to_dict("records"):
         cells: dict[str, str] = {}
         for group in (_SAME, _OTHER, _RUN):
             name = row[group].replace("simulator, ", "").replace("other scatterers: ", "")

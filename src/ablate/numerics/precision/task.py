@@ -25,11 +25,11 @@ def precision(jobs: Sequence[Job]) -> int:
     """Error against run time of the simulator and of the trained runs on disk, for the first job's data set."""
     settings = jobs[0].settings
     try:
-        runs, found = comparable_runs(jobs[0])
+        runs, counts = comparable_runs(jobs[0])
         bench = bench_of(jobs[0])
     except (ValueError, FileNotFoundError) as error:  # a mesh with a hole, no usable pose, ...
         raise ConfigurationError(str(error)) from error
-    about = _about(settings, bench, found, executions(settings)[1] if runs else ())
+    about = _about(settings, bench, counts, executions(settings)[1] if runs else ())
     print("\n".join(about), flush=True)
     folder = settings.results / "precision"
     points = CsvTable(folder / "precision.csv", "series setting ms metric error")
@@ -47,7 +47,7 @@ def precision(jobs: Sequence[Job]) -> int:
     return 0
 
 
-def _about(settings: StudySettings, bench: Bench, found: str, lacking: Sequence[str]) -> list[str]:
+def _about(settings: StudySettings, bench: Bench, counts: str, lacking: Sequence[str]) -> list[str]:
     """Say what is measured, on what hardware, and what is left out."""
     s = bench.simulator
     triangles = sum(len(structure.mesh.faces) for structure in bench.scene.structures)
@@ -57,7 +57,7 @@ def _about(settings: StudySettings, bench: Bench, found: str, lacking: Sequence[
         f"{settings.scene_name}, {triangles:,} triangles; {len(bench.frames)} test frames of "
         f"{s.image_shape[0]} x {s.image_shape[1]} pixels; {s.rays} rays, {s.layers} layers, {s.scanlines} scanlines, "
         f"{s.axial_samples} axial samples unless a series says otherwise.",
-        f"{found}.",
+        f"{counts}.",
         *(f"left out, {note}." for note in lacking),
         *(f"left out by the plan: {note}." for note in left_out),
     ]

@@ -40,7 +40,7 @@ def _widening_of_a_phased_probe(probe: PhasedProbe, settings: SimulatorSettings,
 #: straight ahead in `focus_mm`.
 _LATERAL_WIDENING: dict[type, Callable[[Any, SimulatorSettings, np.ndarray], np.ndarray]] = {
     ConvexProbe: lambda _, settings, depth_mm: beam_widening(settings, depth_mm)[:, None],
-    LinearProbe: lambda _, settings, depth_mm: np.ones((len(depth_mm), 1)),
+    LinearProbe: lambda _, __, depth_mm: np.ones((len(depth_mm), 1)),
     PhasedProbe: _widening_of_a_phased_probe,
 }
 

@@ -18,11 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from ablate.ultrasound.surfaces.embree import Geometry
-from ablate.ultrasound.transport.draws import Draws
 from ablate.ultrasound.transport.lines import Nodes
-from ablate.ultrasound.transport.rays import Bundle, View
-from ablate.ultrasound.transport.tracing import trace
+from ablate.ultrasound.transport.tracing import Paths, trace
 
 #: Rays of each of the two halves that are traced first.
 HALF = 2
@@ -41,35 +38,27 @@ class Shown(NamedTuple):
 
 
 def trace_to_tolerance(
-    geometry: Geometry,
-    view: View,
-    draws: Draws,
-    bundle: Bundle,
-    inside: np.ndarray,
-    nodes: Nodes,
-    shown: Shown,
-    tolerance: float,
-    send: Callable[[np.ndarray], None],
+    paths: Paths, shown: Shown, tolerance: float, send: Callable[[np.ndarray], None]
 ) -> tuple[np.ndarray, np.ndarray]:
     """The echoes of as many rays as each group needs, (n,) ECHO, and these numbers, (groups,); accumulates `nodes`.
 
     `send` lets rays leave the probe, by their numbers in the frame.
     """
-    groups = len(bundle.starts)
-    number = np.arange(groups * view.rays) % view.rays
-    if groups == 1 or view.rays <= 2 * HALF:
+    groups, rays, nodes = len(paths.bundle.starts), paths.view.rays, paths.nodes
+    number = np.arange(groups * rays) % rays
+    if groups == 1 or rays <= 2 * HALF:
         send(np.arange(len(number)))
-        return trace(geometry, view, draws, bundle, inside, nodes), np.full(groups, view.rays)
+        return trace(paths), np.full(groups, rays)
     send(np.flatnonzero(number < 2 * HALF))
     halves = []
     for first in (0, HALF):
         own = nodes._replace(amplitude=np.zeros_like(nodes.amplitude))
-        echoes = trace(geometry, view, draws, bundle, inside, own, first, np.full(groups, first + HALF))
+        echoes = trace(paths._replace(nodes=own), first, np.full(groups, first + HALF))
         nodes.amplitude[:] += own.amplitude
         halves.append((echoes, _amplitude(echoes, own, shown)))
-    counts = rays_needed(halves[0][1], halves[1][1], shown, tolerance, view.rays)
-    send(np.flatnonzero((number >= 2 * HALF) & (number < np.repeat(counts, view.rays))))
-    more = trace(geometry, view, draws, bundle, inside, nodes, 2 * HALF, counts)
+    counts = rays_needed(halves[0][1], halves[1][1], shown, tolerance, rays)
+    send(np.flatnonzero((number >= 2 * HALF) & (number < np.repeat(counts, rays))))
+    more = trace(paths, 2 * HALF, counts)
     return np.concatenate([halves[0][0], halves[1][0], more]), counts
 
 

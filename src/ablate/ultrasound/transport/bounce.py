@@ -161,15 +161,6 @@ def go_on(
 
 
 @compiled
-def reflection_probability(reflection: float) -> float:
-    """Probability that a surface of this |R_p| reflects a ray that it does not split; 0 where it reflects none.
-
-    At |R_p| a reflection keeps the weight, and a transmission multiplies it by 1 + |R_p|.
-    """
-    return reflection if reflection >= SMALLEST_REFLECTION else 0.0
-
-
-@compiled
 def _surviving(weight: float, luck: float, faint_db: float, roulette_db: float, often_reflected: bool) -> float:
     """Weight after Russian roulette: it grows by the inverse of the probability to survive, without bias, or is 0."""
     level_db = 20 * math.log10(max(weight, 1e-30)) - faint_db

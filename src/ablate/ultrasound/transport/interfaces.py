@@ -87,12 +87,6 @@ def pressure_reflection(impedance_1: float, impedance_2: float, cos_i: float, co
 
 
 @compiled
-def mirrored(direction: Vector, normal: Vector, cos_i: float) -> Vector:
-    """Direction of reflection, d + 2 cos i n."""
-    return along(direction, normal, 2 * cos_i)
-
-
-@compiled
 def refracted(direction: Vector, normal: Vector, cos_i: float, cos_t: float, speed_ratio: float) -> Vector:
     """Direction of transmission, eta d + (eta cos i - cos t) n with eta = c2 / c1.
 
@@ -126,13 +120,13 @@ def scatter_about(
 ) -> tuple[Scattering, float, bool]:
     """Mirror, Snell and Fresnel about a normal; also cos i, and whether the reflection is total."""
     cos_i = -dot(direction, normal)
-    cos_t, transmitted = cos_i, direction
+    cos_t, transmitted, mirrored = cos_i, direction, along(direction, normal, 2 * cos_i)
     if media.refracts:
         speed_1, speed_2 = float(media.speed_m_s[before]), float(media.speed_m_s[after])
         cos_t = transmission_cosine(cos_i, speed_1, speed_2)
         transmitted = refracted(direction, normal, cos_i, cos_t, speed_2 / speed_1)
         if cos_t == 0 and speed_1 != speed_2:  # total, along the surface too, where R_p is 0 / 0
-            return Scattering(mirrored(direction, normal, cos_i), transmitted, 1.0), cos_i, True
+            return Scattering(mirrored, transmitted, 1.0), cos_i, True
     impedance_1, impedance_2 = float(media.impedance_mrayl[before]), float(media.impedance_mrayl[after])
     pressure = pressure_reflection(impedance_1, impedance_2, cos_i, cos_t)
-    return Scattering(mirrored(direction, normal, cos_i), transmitted, pressure), cos_i, cos_t == 0
+    return Scattering(mirrored, transmitted, pressure), cos_i, cos_t == 0

@@ -16,6 +16,7 @@ have the weight 1 / |R_p|, and would appear as isolated dots in dark fluid. Russ
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Geometry, Hits, asked_ray, closest_of, empty_hits, normal_in
 from ablate.ultrasound.surfaces.line_walk import next_step, owner, toggle
 from ablate.ultrasound.transport.bounce import (
+    SMALLEST_REFLECTION,
     connect,
     cross_thickness,
     echo,
@@ -33,7 +35,6 @@ from ablate.ultrasound.transport.bounce import (
     hit_at,
     medium_at,
     move_to_surface,
-    reflection_probability,
     segment_ahead,
     spawn,
 )
@@ -45,22 +46,25 @@ from ablate.ultrasound.transport.rays import Bundle, View, start_rays
 _GROUPS_OF_A_PART = 96
 
 
+class Paths(NamedTuple):
+    """The rays of a frame, what they travel through, and what they add to."""
+
+    geometry: Geometry
+    view: View
+    draws: Draws
+    bundle: Bundle
+    inside: np.ndarray  # (rays, words) uint32, the sets that they start inside of
+    nodes: Nodes
+
+
 @stage(Stage.tracing)
-def trace(
-    geometry: Geometry,
-    view: View,
-    draws: Draws,
-    bundle: Bundle,
-    inside: np.ndarray,
-    nodes: Nodes,
-    first: int = 0,
-    last: np.ndarray | None = None,
-) -> np.ndarray:
+def trace(paths: Paths, first: int = 0, last: np.ndarray | None = None) -> np.ndarray:
     """The echoes, (n,) ECHO, of the rays of a frame until they are deeper than the image; `nodes` are accumulated.
 
     Of each group's rays those from number `first` on are traced, to one before `last`, (groups,), or all of them. What
     becomes of a ray does not depend on which others are traced.
     """
+    geometry, view, draws, bundle, inside, nodes = paths
 
     def part(begin: int, end: int) -> np.ndarray:
         chosen: slice | np.ndarray = slice(begin * view.rays, end * view.rays)
@@ -68,35 +72,21 @@ def trace(
             number = np.arange(view.rays)
             chosen = begin * view.rays + np.flatnonzero((number >= first) & (number < last[begin:end, None]))
         rays, sets = start_rays(bundle, inside, chosen, view), inside[chosen].copy()
-        n, received = len(rays), [np.empty(0, ECHO)]
-        if geometry.address:
-            return _to_the_end(geometry.address, rays, sets, view, draws, nodes)
+        n, rows, count, echoes = len(rays), 0, 0, np.empty(4 * len(rays), ECHO)
+        while n and geometry.address:  # compiled code asks Embree, and comes back for more of the table of draws
+            rows += 1
+            given = view, draws.table(rows), rows, nodes, echoes, count
+            rays, sets, n, echoes, count = _bounces(geometry.address, rays, sets, n, *given)
         while n:
-            rays, sets = _with_room(rays, 2 * n), _with_room(sets, 2 * n)
+            rays, sets, echoes = _grown(rays, 2 * n), _grown(sets, 2 * n), _grown(echoes, count + n)
             origins, directions = (np.ascontiguousarray(rays[column][:n]) for column in ("origin", "direction"))
             hits = geometry.closest(origins, directions, rays["reach_mm"][:n])
-            echoes = np.empty(n, ECHO)
             table = draws.table(int(rays["interfaces"][:n].max()) + 1)
-            n, count = _advance(rays, sets, hits, view, table, nodes, echoes)
-            received.append(echoes[:count].copy())
-        return np.concatenate(received)
+            n, received = _advance(rays, sets, hits, view, table, nodes, echoes[count:])
+            count += received
+        return echoes[:count]
 
     return np.concatenate(in_parts(part, len(bundle.starts), _GROUPS_OF_A_PART))
-
-
-def _to_the_end(address: int, rays: np.ndarray, sets: np.ndarray, view: View, draws: Draws, nodes: Nodes) -> np.ndarray:
-    """The echoes of rays, asking Embree from compiled code; it comes back for more of the table of draws."""
-    n, rows, count, echoes = len(rays), 0, 0, np.empty(4 * len(rays), ECHO)
-    while n:
-        rows += 1
-        table = draws.table(rows)
-        rays, sets, n, echoes, count = _bounces(address, rays, sets, n, view, table, rows, nodes, echoes, count)
-    return echoes[:count]
-
-
-def _with_room(rows: np.ndarray, count: int) -> np.ndarray:
-    """The same rows, with at least `count` of them; those added are not initialised."""
-    return rows if len(rows) >= count else np.concatenate([rows, np.empty((count, *rows.shape[1:]), rows.dtype)])
 
 
 @compiled
@@ -202,7 +192,8 @@ def _advance(
                 continue
 
             ray.interfaces += 1
-            probability = reflection_probability(abs(scattering.pressure))
+            # That a ray is reflected which is not split: then it keeps its weight, else 1 + |R_p| times that goes on.
+            probability = abs(scattering.pressure) if abs(scattering.pressure) >= SMALLEST_REFLECTION else 0.0
             if direct and probability > 0:  # the level is interpolated between nodes: keep it up to the surface
                 energy = scattering.pressure * scattering.pressure
                 accumulate(nodes, group, segment_ahead(ray, medium, nodes.spacing_mm), weight * energy)
