@@ -74,7 +74,7 @@ def source_digest(path: str) -> str:
 
 @lru_cache
 def _digest(*holders: ModuleType) -> str:
-    files = {module.__name__: Path(module.__file__) for module in holders if getattr(module, "__file__", None)}
+    files = {module.__name__: Path(str(module.__file__)) for module in holders if getattr(module, "__file__", None)}
     to_read = list(files)
     while to_read:
         name = to_read.pop()
