@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skimage.io import imread, imsave
+from PIL import Image
+from skimage.io import imread
 
 from ablate.dataset import Pairs, fill_pairs, write_contact_sheet
 
@@ -22,14 +23,14 @@ def filled(blank: Callable[..., Pairs], tmp_path: Path) -> Pairs:
 
 
 def test_two_jobs_draw_it_at_the_same_moment(filled: Pairs, monkeypatch: pytest.MonkeyPatch) -> None:
-    picture = filled.folder / "contact_sheet.png"
+    picture, save = filled.folder / "contact_sheet.png", Image.Image.save
 
-    def while_the_other_does_too(path: Path, image: np.ndarray, **options: object) -> None:
-        imsave(path, image, **options)
-        monkeypatch.setattr("ablate.dataset.contact_sheet.imsave", imsave)
+    def while_the_other_does_too(image: Image.Image, path: Path) -> None:
+        save(image, path)
+        monkeypatch.setattr(Image.Image, "save", save)
         write_contact_sheet(filled, picture)
 
-    monkeypatch.setattr("ablate.dataset.contact_sheet.imsave", while_the_other_does_too)
+    monkeypatch.setattr(Image.Image, "save", while_the_other_does_too)
     write_contact_sheet(filled, picture)
     assert imread(picture).std() > 0
     assert list(filled.folder.glob("*.png")) == [picture]

@@ -61,7 +61,7 @@ def launcher(tmp_path: Path, *overrides: str) -> QueueLauncher:
     choice = ["hydra/launcher=slurm", f"runs_dir={tmp_path / 'runs'}", "hydra.job.num=0", "hydra.job.id=0"]
     config = composed([*choice, *overrides])
     made = instantiate(config.hydra.launcher)
-    assert isinstance(made, QueueLauncher)
+    assert type(made).__name__ == "QueueLauncher"  # Hydra loads the file of a plugin anew
     made.setup(hydra_context=None, task_function=None, config=config)
     return made
 

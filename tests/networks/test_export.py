@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from ablate.networks import Generator, GeneratorSpec, conditions, export_onnx
+from support.variants import UNET
 
 onnx = pytest.importorskip("onnx")
 openvino = pytest.importorskip("openvino")
 
-UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none"}
 VARIANTS = {
     "sa2h": {"noise_start": 0.5},
     "sa2h-att": {"attenuation": "none"},

@@ -7,21 +7,7 @@ from torch.nn import functional as F
 
 from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, discriminator_channels, inputs
 from ablate.networks.layers import OneChannelConvolution, instance_norm
-
-UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none"}
-VARIANTS = {
-    "sa2h": {},
-    "att": {"attenuation": "none"},
-    "compensated": {"attenuation": "compensated"},
-    "compensated-unet": {**UNET, "attenuation": "compensated", "extra_input": "low"},
-    "concat": {"concat": "input"},
-    "conv": {"upsampling": "transposed"},
-    "noise-input": {"noise": "input"},
-    "noise-none": {"noise": "none"},
-    "low": {"extra_input": "low"},
-    "lsa2h": {**UNET, "extra_input": "low"},
-    "nsa2h": {**UNET, "extra_input": "noise"},
-}
+from support.variants import VARIANTS
 
 
 def make(seed: int = 0, **changes: object) -> Generator:

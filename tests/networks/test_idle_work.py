@@ -8,9 +8,9 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from ablate.networks import Generator, GeneratorSpec
+from support.variants import UNET
 
 DEPTH = 3
-UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none"}
 SIZE = (16, 24)
 
 # Operations by what they are for: resized attenuation maps, noise fields drawn (one cosine each), noise injected.

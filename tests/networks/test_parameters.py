@@ -3,8 +3,8 @@
 import pytest
 
 from ablate.networks import Generator, GeneratorSpec, count_discriminator, count_generator, count_parameters
+from support.variants import UNET
 
-UNET = {"family": "unet", "depth": 8, "concat": "input", "upsampling": "transposed", "noise": "none"}
 # Both networks together; the paper prints them in millions, to one digit.
 TABLE = {
     "sa2h": ({}, 14_450_964, 14.5),
@@ -13,8 +13,8 @@ TABLE = {
     "sa2h-concat": ({"concat": "input"}, 14_384_130, 14.4),
     "sa2h-conv": ({"upsampling": "transposed"}, 16_164_308, 16.2),
     "sa2h-noise": ({"noise": "input"}, 14_450_388, 14.5),
-    "lsa2h": ({**UNET, "extra_input": "low"}, 57_171_266, 57.2),
-    "nsa2h": ({**UNET, "extra_input": "noise"}, 57_170_242, 57.2),
+    "lsa2h": ({**UNET, "depth": 8, "extra_input": "low"}, 57_171_266, 57.2),
+    "nsa2h": ({**UNET, "depth": 8, "extra_input": "noise"}, 57_170_242, 57.2),
 }
 
 

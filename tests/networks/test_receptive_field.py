@@ -7,8 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, patch_size, receptive_field
-
-UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none"}
+from support.variants import UNET
 
 
 def measured_extent(gradient: Tensor) -> int:

@@ -3,8 +3,7 @@
 import pytest
 
 from ablate.networks import GeneratorSpec, Noise, conditions, draws_noise, inputs
-
-UNET = {"family": "unet", "depth": 8, "concat": "input", "upsampling": "transposed", "noise": "none"}
+from support.variants import UNET
 
 
 def test_plain_strings_become_enums_and_equal_specs_compare_equal() -> None:

@@ -12,11 +12,10 @@ from torch.nn.functional import binary_cross_entropy_with_logits as bce
 from ablate.networks import Attenuation, GeneratorSpec
 from ablate.training import AdversarialLoss, Loader, PairGAN, TrainingSettings, train
 from ablate.training.losses import second_seeds
+from support.variants import UNET
 
 ADVERSARIAL = [loss for loss in AdversarialLoss if loss is not AdversarialLoss.none]
 PAPER = {"reconstruction": "l1", "schedule": "constant"}
-
-UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none", "noise_start": 0.0}
 
 
 @pytest.mark.parametrize(("level", "read"), [("integral", "attenuation"), ("compensated", "compensated")])
@@ -127,9 +126,9 @@ def test_the_error_falls(spec: GeneratorSpec, settings: TrainingSettings, loader
         {"noise": "input", "noise_start": 0.0},
         {"attenuation": "none"},
         {"extra_input": "low", "concat": "input", "upsampling": "transposed", "noise": "none", "noise_start": 0.0},
-        UNET,
+        {**UNET, "noise_start": 0.0},
         {"attenuation": "compensated"},
-        {**UNET, "attenuation": "compensated"},
+        {**UNET, "noise_start": 0.0, "attenuation": "compensated"},
     ],
 )
 def test_every_kind_of_variant_trains(

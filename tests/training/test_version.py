@@ -9,19 +9,11 @@ from torch import Tensor
 
 from ablate.networks import GeneratorSpec
 from ablate.training import TRAINING_VERSION, PairGAN, TrainingSettings
+from support.variants import UNET
 
 # In float64 all processors agree to about 1e-7: without vector instructions, with AVX2 and AVX-512, with and without
 # oneDNN. In float32, rounding grows from step to step, and the bound would have to hide small changes.
 RELATIVE, ABSOLUTE = 2e-6, 1e-6
-UNET = {
-    "family": "unet",
-    "depth": 5,
-    "concat": "input",
-    "upsampling": "transposed",
-    "noise": "none",
-    "noise_start": 0.0,
-    "extra_input": "noise",
-}
 CASES: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     "of the paper": ({}, {}),
     "two draws": ({}, {"reconstruction": "crps", "ema_decay": 0.0}),
@@ -29,7 +21,7 @@ CASES: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     "minimax": ({"attenuation": "compensated", "noise": "input", "noise_start": 0.0}, {"loss": "minimax"}),
     "transposed": ({"upsampling": "transposed", "concat": "input"}, {}),
     "resize": ({"upsampling": "resize"}, {}),
-    "U-Net": (UNET, {}),
+    "U-Net": ({**UNET, "depth": 5, "noise_start": 0.0, "extra_input": "noise"}, {}),
 }
 ADAM = {"lr": 2e-4, "betas": (0.5, 0.999), "eps": 1e-8, "weight_decay": 0, "amsgrad": False}
 PINNED: dict[str, dict[str, float]] = {

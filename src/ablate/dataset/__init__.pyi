@@ -1,4 +1,3 @@
-from .contact_sheet import write_contact_sheet as write_contact_sheet
 from .crops import CropLoader as CropLoader
 from .crops import Crops as Crops
 from .crops import CropSettings as CropSettings
@@ -8,6 +7,7 @@ from .encoding import decode_grey_levels as decode_grey_levels
 from .encoding import encode_grey_levels as encode_grey_levels
 from .encoding import label_values as label_values
 from .encoding import network_inputs as network_inputs
+from .export_formats import write_contact_sheet as write_contact_sheet
 from .filling import fill_pairs as fill_pairs
 from .filling import remove_damaged as remove_damaged
 from .map_formats import DERIVED as DERIVED
@@ -28,12 +28,12 @@ from .processes import end_with_parent as end_with_parent
 from .seeds import noise_seeds as noise_seeds
 from .simulate import Recipe as Recipe
 from .simulate import simulate_pairs as simulate_pairs
-from .site_grid import resample_grid as resample_grid
 from .sites import Dropped as Dropped
 from .sites import Placement as Placement
 from .sites import Pose as Pose
 from .sites import place_probe as place_probe
 from .sites import probe_poses as probe_poses
+from .sites import resample_grid as resample_grid
 from .split import Part as Part
 from .split import SplitBy as SplitBy
 from .split import choose_frames as choose_frames

@@ -6,6 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ablate.ultrasound.probe import check_pose
 from ablate.validation import shown
@@ -72,7 +73,8 @@ def sweep(first: np.ndarray, last: np.ndarray, kind: Sweep, count: int) -> np.nd
         When a fan has no angle, or a rotation does anything but turn about the probe's z.
     """
     turn = last[:3, :3] @ first[:3, :3].T
-    axis, angle = _axis_angle(turn)
+    turn_vector = Rotation.from_matrix(turn).as_rotvec()
+    angle = float(np.linalg.norm(turn_vector))
     moved = last[:3, 3] - first[:3, 3]
     if kind is Sweep.rotation:
         tilted = math.acos(np.clip(first[:3, 2] @ last[:3, 2], -1, 1))
@@ -85,12 +87,12 @@ def sweep(first: np.ndarray, last: np.ndarray, kind: Sweep, count: int) -> np.nd
         raise ValueError(f"dataset.sweep={kind}: the two poses do not differ by an angle; allowed is linear")
     poses = np.tile(first, (count, 1, 1))
     for pose, part in zip(poses, np.linspace(0, 1, count), strict=True):
-        partial = _rotation(axis, part * angle)
+        partial = Rotation.from_rotvec(part * turn_vector).as_matrix()
         pose[:3, :3] = partial @ first[:3, :3]
         if kind is Sweep.linear:
             pose[:3, 3] = first[:3, 3] + part * moved
         else:  # about the axis of the screw that takes the first to the last (Chasles)
-            shift = last[:3, 3] - turn @ first[:3, 3]
+            axis, shift = turn_vector / angle, last[:3, 3] - turn @ first[:3, 3]
             along = axis * (axis @ shift)
             centre = (shift - along + np.cross(axis, shift) / math.tan(angle / 2)) / 2
             pose[:3, 3] = centre + partial @ (first[:3, 3] - centre) + part * along
@@ -101,11 +103,11 @@ def _of_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:  # Excel begins a file with a mark
             reader = csv.DictReader(stream)
-            found, rows = list(reader.fieldnames or []), list(reader)
+            named, rows = list(reader.fieldnames or []), list(reader)
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{where}: not readable as .csv in UTF-8: {' '.join(str(error).split())}") from None
-    if missing := [name for name in COLUMNS if name not in found]:
-        columns = f"the columns are {shown(', '.join(found))}, and {', '.join(COLUMNS)} are needed, with commas between"
+    if missing := [name for name in COLUMNS if name not in named]:
+        columns = f"the columns are {shown(', '.join(named))}, and {', '.join(COLUMNS)} are needed, with commas between"
         raise ValueError(f"{where}: no column {missing[0]}; {columns}")
     if not rows:
         raise ValueError(f"{where}: no row below the names of the columns")
@@ -122,29 +124,6 @@ def _of_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
         length = math.hypot(*quaternion)
         if not abs(length - 1) < 1e-3:
             raise ValueError(f"{where}: row {i}: the quaternion must have length 1, not {length:.4g}")
-        w, *vector = (part / length for part in quaternion)
-        half = math.atan2(math.hypot(*vector), w)
-        poses[i, :3, :3] = _rotation(np.array(vector) / (math.hypot(*vector) or 1.0), 2 * half)
+        poses[i, :3, :3] = Rotation.from_quat([*quaternion[1:], quaternion[0]]).as_matrix()  # SciPy has w last
         poses[i, :3, 3] = x, y, z
     return poses, sites
-
-
-def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:
-    """Rodrigues' formula, (3, 3)."""
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
-
-
-def _axis_angle(rotation: np.ndarray) -> tuple[np.ndarray, float]:
-    """Unit axis, (3,), and angle in [0, pi] of a rotation; at pi the axis is a column of R + 1."""
-    doubled = np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    angle = math.atan2(float(np.linalg.norm(doubled)), float(np.trace(rotation)) - 1)
-    if angle > math.pi - 1e-6:
-        columns = rotation + np.eye(3)
-        axis = columns[:, np.argmax(np.linalg.norm(columns, axis=0))]
-    else:
-        axis = doubled if angle > 0 else np.array([0.0, 0.0, 1.0])
-    return axis / (np.linalg.norm(axis) or 1.0), angle

@@ -56,7 +56,7 @@ def job_of(words: Sequence[str], swept: Collection[str] = (), fixed: Sequence[st
         made = settings(config)
         declared = {component.key for component in components()}
         changed = changed_keys(parsed(words), made, {*swept, *declared}, _base_of(tuple(fixed)))
-    return Job(made, label_of(made, changed), tuple(sorted(changed.items())))
+        return Job(made, label_of(made, changed), tuple(sorted(changed.items())))
 
 
 def _base_of(fixed: tuple[str, ...]) -> Callable[[tuple[str, ...]], StudySettings]:

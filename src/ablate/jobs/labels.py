@@ -1,7 +1,7 @@
 """A run's label: its variant, and what was changed beside it, such as `sa2h.depth-8`."""
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from hydra.core.override_parser.types import Override
@@ -25,42 +25,29 @@ def changed_keys(
     """The dotted keys that a command line changes beside the variant, with their values.
 
     These are the keys of the network and of other declared components, and those in `named`, if their value is another
-    than without them; `base` gives the settings that words stand for. Keys that decide no result are left out.
+    than without them; `base` gives the settings that words stand for. Keys that decide no result are left out. Of
+    groups of conf/, a swept probe is named, and presets and scenes are where they share the name of a study.
     """
     deciding = {key.name for key in keys() if not key.setting.declared.incidental} - _IN_NO_LABEL
     wanted = {*named, *_LIKE_A_COMPONENT, *(key for key in deciding if key.startswith("model."))}
+    groups = {"probe"} if settings.study_name is None else {"probe", "preset", "scene"}
+    changed = {o.key_or_group: o.value() for o in overrides if o.key_or_group in groups & set(named)}
 
     def changes(override: Override) -> set[str]:
-        return {key for key in _keys_of(override) if _is_named(key, wanted) and _group_or(key, deciding)}
+        own = _keys_of(override)
+        return {key for key in own & deciding if key in wanted or key.partition(".")[0] in wanted}
 
-    candidates = {key for override in overrides for key in changes(override)}
-    if not candidates:
-        return {}
-    plain_words = tuple(str(o.input_line) for o in overrides if not changes(o))
-    without = base(plain_words)
-    before, after = dict(flat(plain(without))), dict(flat(plain(settings)))
-    changed = {key: after[key] for key in candidates & after.keys() if before.get(key) != after[key]}
-    groups = {key for key in candidates - after.keys() if settings.study_dir == without.study_dir}
-    values = {o.key_or_group: o.value() for o in overrides}
-    return changed | {key: values[key] for key in groups}
+    if candidates := {key for override in overrides for key in changes(override)}:
+        without = base(tuple(str(o.input_line) for o in overrides if not changes(o)))
+        before, after = dict(flat(plain(without))), dict(flat(plain(settings)))
+        changed |= {key: after[key] for key in candidates if before.get(key) != after.get(key)}
+    return changed
 
 
-def _keys_of(override: Override) -> Iterator[str]:
+def _keys_of(override: Override) -> set[str]:
     """`model.depth=8` sets model.depth, and `model={depth:8,noise:input}` both of its keys."""
     key, value = override.key_or_group, override.value()
-    if isinstance(value, dict):
-        yield from (f"{key}.{name}" for name in value)
-    else:
-        yield key
-
-
-def _is_named(key: str, wanted: Collection[str]) -> bool:
-    return key in wanted or key.partition(".")[0] in wanted
-
-
-def _group_or(key: str, deciding: Collection[str]) -> bool:
-    """Whether a key decides a result, or names a group of conf/ such as `probe`, which is no variant."""
-    return key in deciding or key in ("probe", "scene", "preset")
+    return {f"{key}.{name}" for name in value} if isinstance(value, dict) else {key}
 
 
 def label_of(settings: StudySettings, changed: Mapping[str, Any]) -> str:

@@ -23,6 +23,13 @@ class Generator(nn.Module):
     """Renders a B-mode image from the segmentation and the other inputs of its specification.
 
     It has no parameter, and computes nothing, that its variant does not use.
+
+    Examples
+    --------
+    >>> generator = Generator(GeneratorSpec(width=0.05))
+    >>> maps = {"segmentation": torch.zeros(1, 1, 48, 64), "attenuation": torch.zeros(1, 1, 48, 64)}
+    >>> generator(**maps, noise_seed=torch.tensor([7])).shape
+    torch.Size([1, 1, 48, 64])
     """
 
     def __init__(self, spec: GeneratorSpec) -> None:

@@ -88,7 +88,8 @@ def with_earlier_metrics(job: Job) -> StudySettings:
 
     Of those only the package's: a path in `result.json` may come from anybody, and importing it runs code.
     """
-    s, before = job.settings, job.run.result if job.run.hash == job.hash else {}
+    s, run = job.settings, job.run
+    before = {} if run.hash != job.hash or run.state is State.unusable else run.result
     earlier = {name for name in before.get("metrics", ()) if name in METRICS}
     inception = s.evaluation.inception or before.get("inception")
     # By name: a set such as `all` may have more of them when the run is looked at again.

@@ -262,6 +262,8 @@ def _unusable_keys(result: Mapping[str, Any]) -> list[str]:
     wrong = [key for key, kind in _KINDS.items() if not isinstance(result.get(key), kind)]
     if wrong:
         return wrong
+    if wrong := [key for key in ("metrics", "notes") if not all(isinstance(text, str) for text in result[key])]:
+        return wrong
     scalars = result["scalars"]
     if not all(isinstance(value, int | float) for value in scalars.values()):
         return ["scalars"]

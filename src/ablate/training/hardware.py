@@ -14,7 +14,13 @@ _LARGEST_TRIM, _LARGEST_MMAP = 2**31 - 1, 32 * 2**20
 
 
 def chosen_device(device: str) -> torch.device:
-    """Turn `auto`, `cpu` or `cuda` into a device; RuntimeError where `cuda` is asked for and there is none."""
+    """Turn `auto`, `cpu` or `cuda` into a device; RuntimeError where `cuda` is asked for and there is none.
+
+    Examples
+    --------
+    >>> chosen_device("cpu")
+    device(type='cpu')
+    """
     if device == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if device == "cuda" and not torch.cuda.is_available():

@@ -155,6 +155,14 @@ def generate(
         Where a map that the generator reads is missing.
     ValueError
         Where the generator's output holds NaN or infinite values.
+
+    Examples
+    --------
+    >>> from ablate.networks import GeneratorSpec
+    >>> generator = Generator(GeneratorSpec(attenuation="none", depth=2, width=0.05))
+    >>> frames = generate(generator, {"segmentation": torch.zeros(2, 1, 16, 24)}, torch.ones(16, 24), torch.arange(2))
+    >>> frames.shape, frames.dtype
+    ((2, 16, 24), dtype('uint8'))
     """
     device = next(generator.parameters()).device
     given = {name: maps[name] for name in conditions(generator.spec)}

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ablate.anatomy import Scene, bounds_mm
-from ablate.dataset.contact import Skin, press
+from ablate.dataset.sites import Skin, press
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_points, to_world
 
