@@ -9,7 +9,7 @@ from ablate.validation import check_name, check_number, shown
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1, 1.5, "1", None])
 def test_numbers_outside_their_range(value: object) -> None:
-    with pytest.raises(ValueError, match="^share=.*: allowed are numbers from 0 to 1$"):
+    with pytest.raises(ValueError, match=r"^share=.*: allowed are numbers from 0 to 1$"):
         check_number("share", value, 0, 1)
 
 

@@ -149,6 +149,7 @@ def _pngs(unbroken: Path, place: Path) -> Attempt:
 
     from ablate.dataset import Part
     from ablate.jobs.preflight import check
+    from ablate.runs.data_set import DataSet
     from ablate.settings.study import refusing
 
     pairs = DataSet(next(unbroken.glob("data/*/about.json")).parent).pairs

@@ -11,13 +11,13 @@ import pandas as pd
 import pytest
 from skimage.io import imsave
 
-from ablate.jobs.launch import Launch
-from ablate.tasks import run_task as tasks
 from ablate.__main__ import main
 from ablate.dataset import Pairs, Part
 from ablate.jobs.compose import jobs_of
+from ablate.jobs.launch import Launch
 from ablate.runs.data_set import DataSet
 from ablate.settings.study import ConfigurationError
+from ablate.tasks import run_task as tasks
 from support.studies import TINY, TinyStudy, run
 
 FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}

@@ -15,12 +15,12 @@ import pandas as pd
 import pytest
 from mlflow import MlflowClient
 
-from ablate.jobs.launch import Launch
-from ablate.tasks import run_task as tasks
 from ablate.jobs.compose import jobs_of
+from ablate.jobs.launch import Launch
 from ablate.runs.job import Job
 from ablate.runs.train import run_job
 from ablate.settings.study import StudySettings
+from ablate.tasks import run_task as tasks
 from ablate.tracking import default_uri
 from support.studies import SWEEP, TINY, TinyStudy, here, run
 

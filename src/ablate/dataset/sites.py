@@ -10,8 +10,7 @@ from ablate.anatomy import Scene, SiteGrid, TissueKind, bounds_mm
 from ablate.ultrasound import ConvexProbe, Probe
 from ablate.ultrasound.probe import face_points, fan_lines
 from ablate.ultrasound.surfaces.embree import Geometry
-from ablate.ultrasound.surfaces.line_walk import inside_at
-from ablate.ultrasound.surfaces.line_walk import owners
+from ablate.ultrasound.surfaces.line_walk import inside_at, owners
 
 _PATCH_MM = 12.0  # half-width of the skin patch whose mean normal the probe follows
 _LINES = 32  # of a fan that is asked whether it meets something
