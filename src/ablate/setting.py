@@ -175,7 +175,8 @@ def _is_number(value: object, kind: type) -> bool:
     """Whether a value is a finite number of the kind `int` or `float`; a float without decimals is a whole number."""
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         return False
-    return kind is not int or (float(value).is_integer() and abs(float(value)) <= _LARGEST)
+    whole = int(value)  # type: ignore[call-overload]  # every real number has one
+    return kind is not int or (whole == value and abs(whole) <= _LARGEST)
 
 
 def plain(value: Any) -> Any:

@@ -87,7 +87,7 @@ def structure(**values: object) -> dict[str, object]:
         ({"tissues": ["fat"]}, r": tissues=\['fat'\]: allowed are mappings of names"),
         ({"tissues": {"fat": {"speed": 1}}}, r": tissues\.fat: key='speed' \(did you mean speed_m_s"),
         ({"tissues": {"fat": {"speed_m_s": "fast"}}}, r": tissues\.fat\.speed_m_s='fast': allowed are finite numbers"),
-        ({"tissues": {"fat": {"speed_m_s": -1}}}, r": tissues: tissue 'fat': speed_m_s must be between"),
+        ({"tissues": {"fat": {"speed_m_s": -1}}}, r": tissues: tissue 'fat': speed_m_s=-1.0: allowed are numbers from"),
         ({"tissues": {"fat": {"texture_mm": 1}}}, r": tissues\.fat\.texture_mm=1: allowed are lists of 3 numbers"),
         ({"sites": {"height": [1]}}, r": sites: key='height' \(did you mean heights"),
         ({"sites": {"heights": {"range": [1, 2]}}}, r": sites\.heights\.count=None: allowed are whole numbers from 1"),

@@ -200,7 +200,10 @@ def test_another_anatomy_is_a_block_of_effects_and_no_part_of_any_pair(study: Pa
             set_values(run, "psnr", lambda t: t["frame"] >= 0, 1000.0 - 5 * (label == "sa2h-att"))
     folder, report, _ = compared(study)
     assert {name: (folder / name).read_text() for name in alone} == alone
-    assert "6 runs on another anatomy than fetal-0 take part in effects and verdicts only: sa2h/seed3," in report
+    assert (
+        "6 runs on another anatomy or data set than fetal-0 take part in effects and verdicts only: sa2h/seed3,"
+        in report
+    )
     together = pd.read_csv(folder / "effects.csv")
     assert (together["dof"] == effects["dof"] + 6 - 1).all(), "six more runs and one more block"
     shift = together.set_index(["metric", "effect"])["estimate"]["psnr", "attenuation"]
@@ -238,8 +241,8 @@ def test_runs_that_cannot_be_read(study: Path) -> None:
     change(study / "sa2h-conv" / "seed0", hash="another")
     (study / "sa2h-conv" / "seed1" / "spec.json").write_text("[]")
     folder, _, notes = compared(study)
-    assert "1 run left aside, unreadable (ArrowInvalid): nsa2h/seed0." in notes
-    assert "1 run left aside, unreadable (FileNotFoundError): nsa2h/seed1." in notes
+    assert "1 run left aside, unreadable (ArrowInvalid: per_image.parquet): start it again: nsa2h/seed0." in notes
+    assert "1 run left aside, unreadable (FileNotFoundError: per_image.parquet): start it again: nsa2h/seed1." in notes
     assert "with a result of another configuration: sa2h-conv/seed0." in notes
     assert "sa2h-conv/seed1" in notes
     assert "nsa2h" not in set(pd.read_csv(folder / "table.csv")["variant"])
@@ -250,7 +253,7 @@ def test_a_run_made_by_an_earlier_version_is_left_aside_in_words(study: Path) ->
     table = pd.read_parquet(path)
     table.replace({"source": {"resimulation": "floor"}}).to_parquet(path)
     (note,) = usable_runs(study).notes
-    assert note.startswith("1 run left aside, made by an earlier version (source floor in per_image.parquet)")
+    assert note.startswith("1 run left aside, with a per_image.parquet that cannot be used (source floor)")
 
 
 def test_a_run_that_another_version_of_the_metrics_scored_is_left_aside_in_words(study: Path) -> None:
@@ -263,7 +266,7 @@ def test_a_run_that_another_version_of_the_metrics_scored_is_left_aside_in_words
 
 def test_a_result_with_the_label_of_another_variant_leaves_its_run_aside(study: Path) -> None:
     change(study / "nsa2h" / "seed0", label="other")
-    said = "1 run left aside, with values of another run in per_image.parquet: start it again: nsa2h/seed0."
+    said = "1 run left aside, with a result of another configuration: nsa2h/seed0."
     assert said in compared(study)[2]
 
 
@@ -412,7 +415,10 @@ def test_a_spec_that_is_not_what_its_hash_says_leaves_its_run_aside(study: Path)
     spec = json.loads(path.read_text())
     spec["semantic"]["model"]["depth"] = {"a": 3}  # which the search for a design cannot compare
     path.write_text(json.dumps(spec))
-    assert "1 run left aside, with a spec.json that is not what its hash says: sa2h/seed0" in compared(study)[2]
+    assert (
+        "1 run left aside, with a spec.json that is damaged, or not what its hash says: sa2h/seed0"
+        in compared(study)[2]
+    )
 
 
 def test_a_metric_that_is_no_name_draws_no_figure_elsewhere(study: Path) -> None:
@@ -420,7 +426,7 @@ def test_a_metric_that_is_no_name_draws_no_figure_elsewhere(study: Path) -> None
     table = pd.read_parquet(path)
     table.replace({"metric": {"mae": "x/../../../stolen"}}).to_parquet(path)
     _, _, notes = compared(study)
-    assert "left aside, unreadable (ValueError): nsa2h/seed0" in notes
+    assert "left aside, unreadable (ValueError: per_image.parquet): start it again: nsa2h/seed0" in notes
 
 
 def test_an_uncommitted_change_that_is_not_utf_8_is_in_the_report(study: Path) -> None:

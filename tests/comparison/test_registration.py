@@ -11,12 +11,12 @@ import pytest
 from mlflow.exceptions import MlflowException
 
 from ablate.comparison.compare import compare_study
+from ablate.comparison.parent_run import register_reference
 from ablate.dataset import Part, label_values, noise_seeds
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
 from ablate.runs.run import runs_of
 from ablate.runs.store_copy import copy_study
-from ablate.runs.store_texts import register_reference
 from ablate.runs.train import generated_images, run_job
 from ablate.settings.study import ConfigurationError
 from ablate.tracking import default_uri

@@ -327,7 +327,7 @@ def test_what_cannot_be_computed_is_refused_first(tmp_path: Path, change: str, m
 def test_metrics_added_later_are_computed_without_training(runs: Path, network: Path) -> None:
     few = job(runs, "metrics=[mae,psnr]")
     run_job(few)
-    result = finished_run(few)
+    result = finished_run(few).result
     assert result is not None
     assert {"test/mae", "test/psnr", "train/seconds", "seconds"} <= result["scalars"].keys()
     assert "test/pchi2" not in result["scalars"]

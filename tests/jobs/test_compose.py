@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ablate.dataset import Encoding
-from ablate.jobs.compose import jobs_of
+from ablate.jobs.compose import cells, jobs_of
 from ablate.jobs.variants import variant_names
 from ablate.networks import Family
 from ablate.runs.identity import not_shared
@@ -147,9 +147,12 @@ def test_the_answer_and_the_runs_beside_it_are_one_study(answer: list[Job]) -> N
 
 
 def test_cells_of_a_study_take_more_keys() -> None:
-    jobs = jobs_of(["+study=answer", "preset=tiny", "training.steps=2,3", "study_name=s${training.steps}"])
-    assert len({job.folder for job in jobs}) == 64
-    assert {job.settings.preset for job in jobs} == {"tiny"}
+    lines = cells({"variant": "sa2h", "cells": "seed=0 model={}\nseed=1 model={noise:input}"}, ["training.steps=2,3"])
+    assert lines == [
+        ["variant=sa2h", f"seed={seed}", f"model={model}", f"training.steps={steps}"]
+        for seed, model in ((0, "{}"), (1, "{noise:input}"))
+        for steps in (2, 3)
+    ]
 
 
 def test_table_2_is_the_papers_variants_and_the_one_of_depth() -> None:

@@ -20,7 +20,7 @@ def test_plain_strings_become_enums_and_equal_specs_compare_equal() -> None:
             {"attenuation": "none", "extra_input": "attenuation"},
             "extra_input='attenuation': allowed are none, low, noise",
         ),
-        ({"depth": 0}, "depth=0: allowed are 1 to 8"),
+        ({"depth": 0}, "depth=0: allowed are whole numbers from 1 to 8"),
         ({"depth": 9}, "depth=9"),
         ({"depth": 3.5}, "depth=3.5: allowed are whole numbers"),
         ({"width": 0.0}, "width=0.0"),

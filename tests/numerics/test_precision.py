@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from ablate.runs.data import dataset_folder, open_data
 from mlflow import MlflowClient
 
 from ablate.dataset import Part, label_values, network_inputs
@@ -124,7 +123,7 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
 def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
     s = job.settings
-    pairs = open_data(dataset_folder(s)).pairs
+    pairs = job.data.pairs
     frames = pairs.frames(Part.test)[[0, -1]]
     scene, _ = build_scene(s)
     changed = {n: getattr(s.simulator, n) for n in s.simulator.__dataclass_fields__}
@@ -151,7 +150,7 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
 
 def test_the_compensated_attenuation_is_that_of_the_pairs_and_costs_more_than_the_integral_one(trained: Path) -> None:
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
-    bench, pairs = bench_of(job.settings), open_data(dataset_folder(job.settings)).pairs
+    bench, pairs = bench_of(job), job.data.pairs
     maps, ms = make_inputs(bench, lambda: None)
     stored = pairs.read("compensated", bench.frames)
     steps = 2 * 20 * np.log10(1 + 2**-9) / 72 + 1e-4  # A is stored with nine bits
@@ -172,10 +171,10 @@ def test_an_engine_that_fails_costs_its_points_alone(
     monkeypatch.setattr(generated, "open_engine", fails)
     monkeypatch.setattr(generated, "chosen_precision", lambda *_: TrainingPrecision.bf16)
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
-    bench = bench_of(job.settings)
+    bench = bench_of(job)
     ((reference,), _) = render_all(bench, [bench.simulator], (bench.seed,), lambda: None)[0]
     points, details = CsvTable(tmp_path / "p.csv", POINTS), CsvTable(tmp_path / "d.csv", DETAILS)
-    planned = generated.schedule_of(generated.comparable_runs(job.settings)[0], job.settings)
+    planned = generated.schedule_of(generated.comparable_runs(job)[0], job.settings)
     generated.measure_generators(bench, planned, job.settings, reference, points, details, lambda: None)
     assert "left out, sa2h, width 0.05, bf16, eager, seed 0: no such kernel" in caplog.text
     table = points.table()

@@ -9,7 +9,7 @@ import pytest
 
 from ablate.comparison import compare
 from ablate.jobs.compose import jobs_of
-from ablate.runs import identity
+from ablate.runs import place
 from ablate.runs.job import Job
 from ablate.runs.place import claim_place
 from ablate.settings.study import ConfigurationError
@@ -34,13 +34,13 @@ def at_once(*calls: Callable[[], object]) -> list[object]:
 def test_of_two_configurations_that_claim_a_fresh_study_at_once_one_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    check = identity.check_place
+    check = place.check_place
 
     def slow(job: Job) -> None:
         check(job)
         time.sleep(A_WHILE_S)
 
-    monkeypatch.setattr(identity, "check_place", slow)
+    monkeypatch.setattr(place, "check_place", slow)
     one, other = (
         jobs_of([f"variant={variant}", f"training.steps={steps}", f"runs_dir={tmp_path}", *TINY])[0]
         for variant, steps in (("sa2h", 6), ("sa2h-att", 9))

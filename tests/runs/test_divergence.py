@@ -2,7 +2,6 @@
 
 import math
 import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,8 +9,10 @@ import pytest
 import torch
 from mlflow import MlflowClient
 
-from ablate.__main__ import main
 from ablate.dataset import CropLoader
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.launch import Launch, start_here
+from ablate.tasks.run_task import run_task
 from ablate.tracking import default_uri
 from ablate.training import LAST, load_generator, read_checkpoint
 from support.studies import TinyStudy
@@ -42,10 +43,7 @@ def test_one_job_diverges_and_the_other_finishes(
 ) -> None:
     shutil.copytree(tiny_study.runs / "data", runs / "data")
     monkeypatch.setattr("ablate.runs.train.CropLoader", BrokenLoader)
-    monkeypatch.setattr(sys, "argv", ["ablate", *SWEEP, f"runs_dir={runs}"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 1
+    assert run_task(jobs_of([*SWEEP, f"runs_dir={runs}"]), Launch(start_here)) == 1
     said = capsys.readouterr().err
     # The training frames are an epoch of two or three steps, so that losses are looked at after each.
     assert "training has failed at step 10: train/loss_d is nan" in said

@@ -232,7 +232,7 @@ def test_a_damaged_spec_of_another_run_stops_nothing_and_ones_own_only_before_tr
         (each.folder / "spec.json").write_text("")
     check_place(mine)
     (mine.folder / "last.ckpt").touch()
-    with pytest.raises(ConfigurationError, match=r"spec\.json is damaged .* remove .*seed0 to start again"):
+    with pytest.raises(ConfigurationError, match=r"spec\.json is damaged: .* remove .*seed0 to start again"):
         claim_place(mine)
     write_json(mine.folder / "result.json", result_of(mine))  # it names the configuration as well
     claim_place(mine)

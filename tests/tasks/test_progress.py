@@ -1,29 +1,20 @@
 """What `task=plan` expects, against times written down here."""
 
-import json
 import math
 from pathlib import Path
 
-import pandas as pd
 import pytest
 import torch
 
 from ablate.jobs.compose import jobs_of
-from ablate.metrics import METRICS_VERSION
 from ablate.runs.job import Job
 from ablate.tasks.plan import duration, progress, show_progress
+from support.finished_runs import PARAMETERS
+from support.finished_runs import finish as write_finished
 
 
 def finish(job: Job, seconds: float | None) -> None:
-    job.folder.mkdir(parents=True)
-    scalars = {"parameters_generator": 1.0, "parameters_discriminator": 1.0}
-    scalars |= {} if seconds is None else {"seconds": seconds}
-    pd.DataFrame({"metric": []}).to_parquet(job.folder / "per_image.parquet")
-    result = {"hash": job.hash, "label": job.label, "seed": job.settings.seed, "scalars": scalars}
-    result |= {"data": "fetal-0", "mlflow_run_id": "none"}
-    result |= {"metrics": ["all"], "metrics_version": METRICS_VERSION, "inception": None}
-    (job.folder / "result.json").write_text(json.dumps(result))
-    (job.folder / "spec.json").write_text(json.dumps({"hash": result["hash"]}))
+    write_finished(job, scalars=PARAMETERS | ({} if seconds is None else {"seconds": seconds}))
 
 
 @pytest.fixture
@@ -46,7 +37,7 @@ def test_time_is_the_median_of_the_label_or_of_the_study(jobs: list[Job]) -> Non
     sa2h[2].folder.mkdir()
     torch.save({"steps_done": 75}, sa2h[2].folder / "last.ckpt")
     table = progress(jobs).set_index("job")
-    assert table.loc["sa2h/seed2", ["state", "done", "seconds"]].tolist() == ["resumes", 0.75, 0.25 * 120]
+    assert table.loc["sa2h/seed2", ["state", "done", "seconds"]].tolist() == ["resumable", 0.75, 0.25 * 120]
     assert table.loc["nsa2h/seed2", ["state", "seconds"]].tolist() == ["missing", 30.0]
     assert table.loc["sa2h-att/seed0", "seconds"] == 100.0
     assert table.loc["sa2h/seed0", ["state", "seconds"]].tolist() == ["finished", 0.0]
@@ -58,7 +49,7 @@ def test_a_damaged_checkpoint_is_named_and_stops_nothing(jobs: list[Job], capsys
     assert show_progress(jobs) == 0
     printed = capsys.readouterr()
     assert "last.ckpt: not a readable checkpoint" in printed.err
-    assert printed.out.count(" damaged ") == 1
+    assert printed.out.count(" unusable ") == 1
     assert printed.out.count(" missing ") == len(jobs) - 1
 
 

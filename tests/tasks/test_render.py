@@ -12,7 +12,8 @@ from PIL import Image, ImageSequence
 from ablate.dataset import open_pairs
 from ablate.settings.study import ConfigurationError
 from ablate.settings.values import build
-from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
+from ablate.ultrasound import Simulator, SimulatorSettings
+from ablate.ultrasound.probe_kinds import probe_from
 from support.studies import run
 
 
@@ -62,13 +63,13 @@ def test_what_is_written_is_enough_to_make_the_frame_again(
     from ablate.anatomy import load_scene
 
     scene = load_scene(said["scene"]["folder"])
-    simulator = Simulator(scene, build(ConvexProbe, said["probe"]), build(SimulatorSettings, said["simulator"]))
+    simulator = Simulator(scene, probe_from(said["probe"]), build(SimulatorSettings, said["simulator"]))
     frame = simulator.render(np.array(said["poses"][0]), seed=said["seed"])
     with np.load(folder / "frame.npz") as held:
         assert np.array_equal(held["envelope"], frame.envelope)
         assert np.array_equal(held["image"], frame.image)
     assert said["labels"] == {"0": "outside the fan", "1": "coupling_gel", "2": "liver"}
-    probe = build(ConvexProbe, said["probe"])
+    probe = probe_from(said["probe"])
     width = 2 * (probe.radius_mm + probe.depth_mm) * np.sin(np.deg2rad(probe.fov_deg) / 2)
     assert 89 * said["pixel_mm"]["width"] == pytest.approx(width)
 

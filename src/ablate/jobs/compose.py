@@ -52,7 +52,7 @@ def job_of(words: Sequence[str], swept: Collection[str] = (), fixed: Sequence[st
     itself, such as its search path.
     """
     config = composed([*fixed, *words])
-    with in_one_line(words):
+    with in_one_line():
         made = settings(config)
         declared = {component.key for component in components()}
         changed = changed_keys(parsed(words), made, {*swept, *declared}, _base_of(tuple(fixed)))
@@ -79,7 +79,7 @@ def jobs_of(arguments: Sequence[str]) -> list[Job]:
     ['sa2h/seed0', 'nsa2h/seed0']
     """
     words = [word for word in arguments if word not in _MULTIRUN]
-    with in_one_line(words):
+    with in_one_line():
         overrides = parsed(words)
     fixed = [str(o.input_line) for o in overrides if not o.is_sweep_override()]
     master = composed(fixed)
@@ -101,7 +101,7 @@ def cells(params: DictConfig | Mapping[str, Any] | None, words: Sequence[str]) -
     assert isinstance(given, dict)
     lines = str(given.pop(_CELLS, "")).splitlines() or [""]
     swept = [f"{key!s}={value}" for key, value in given.items()]
-    with in_one_line(words):
+    with in_one_line():
         jobs = [job for line in lines for job in _product(parsed([*swept, *line.split(), *words]))]
     if not jobs:
         empty = ", ".join(word for word in words if parsed([word])[0].is_sweep_override())

@@ -10,7 +10,7 @@ import hydra.experimental.callback
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from ablate.jobs.compose import CONFIG, VERSION_BASE, job_of, parsed, swept_keys, without_repetitions
 from ablate.jobs.launch import Launch, Work, start_here
@@ -25,6 +25,10 @@ Do = Callable[[Sequence[Job], Launch], int]
 _OURS = ("processes", "slurm")  # launchers that are given all jobs, and compare them when they have ended
 
 register()  # on import: a launcher's process unpickles `run_one`, which imports this module, before it composes
+
+
+class NotFinishedError(RuntimeError):
+    """A job of a sweep has not finished; what stopped it was printed where it ran."""
 
 
 class _Raised(BaseException):
@@ -45,9 +49,13 @@ def execute(arguments: Sequence[str]) -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"
     command = hydra.main(version_base=VERSION_BASE, config_path=str(conf_folder()), config_name=CONFIG)(run_one)
     words = [word for word in arguments if not word.startswith("-")]
-    with _argv(arguments), in_one_line(words):
+    # Hydra's parser wants all of a command's overrides on one side of `-m`.
+    ordered = sorted(arguments, key=lambda word: word not in ("-m", "--multirun"))
+    with _argv(ordered), in_one_line(words):
         try:
             command()
+        except NotFinishedError:
+            return 1
         except _Raised as raised:
             error = raised.error
         except SystemExit as end:  # `--help` of Hydra's parser, a word that it does not know, or jobs that failed
@@ -79,19 +87,25 @@ def run_one(config: DictConfig) -> float | None:
     is_sweep = own.mode is RunMode.MULTIRUN
     launcher = own.runtime.choices["hydra/launcher"]
     try:
-        if not is_sweep and _names_a_launcher(own.overrides.hydra):
+        if not is_sweep and _names_a_launcher(_words(own, "hydra")):
             raise ConfigurationError(f"hydra/launcher={launcher} starts the jobs of a sweep: add -m")
-        job = job_of(list(own.overrides.task), [str(key) for key in own.sweeper.params or ()] if is_sweep else ())
+        job = job_of(_words(own, "task"), [str(key) for key in own.sweeper.params or ()] if is_sweep else ())
         code = _do([job], Launch(start_here, compares=not is_sweep))
     except Exception as error:
         if is_sweep:  # its launcher and its sweeper are told, as Hydra documents it
             raise
         raise _Raised(error) from error
     if code and is_sweep:
-        raise RuntimeError(f"{job.name}: not finished")
+        raise NotFinishedError(f"{job.name}: not finished")
     if code:
         raise SystemExit(code)
     return objective(job)
+
+
+def _words(hydra_node: DictConfig, kind: str) -> list[str]:
+    """Words of the command line as they were given: `${levels:8}` in one is resolved where the job is composed."""
+    words = OmegaConf.to_container(hydra_node.overrides[kind], resolve=False)
+    return [str(word) for word in words] if isinstance(words, list) else []
 
 
 def _names_a_launcher(words: Sequence[str]) -> bool:
@@ -110,8 +124,8 @@ def run_sweep(
     `master` is what Hydra composed of the words that all jobs share.
     """
     lines = [list(line) for line in job_overrides]
-    swept = swept_keys(lines, list(master.hydra.overrides.task))
-    made = [job_of(line, swept, list(master.hydra.overrides.hydra)) for line in lines]
+    swept, fixed = swept_keys(lines, _words(master.hydra, "task")), _words(master.hydra, "hydra")
+    made = [job_of(line, swept, fixed) for line in lines]
 
     def start_some(jobs: Sequence[Job], work: Work) -> None:
         numbers = [made.index(job) for job in jobs]
@@ -157,7 +171,7 @@ class Comparison(hydra.experimental.callback.Callback):
         """Compare what lies on disk when all jobs have ended."""
         if config.hydra.runtime.choices["hydra/launcher"] in _OURS or config.objective is not None:
             return
-        fixed = [str(o.input_line) for o in parsed(list(config.hydra.overrides.task)) if not o.is_sweep_override()]
+        fixed = [str(o.input_line) for o in parsed(_words(config.hydra, "task")) if not o.is_sweep_override()]
         job = job_of([*fixed, "task=compare"])
         if job.settings.study_dir.is_dir():
             _do([job], Launch(start_here))
