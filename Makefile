@@ -4,12 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 # Processes of `make test`: two, because each takes up to 2 GiB of memory.
 JOBS ?= 2
-PYTEST = OMP_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist loadfile
+PYTEST = OMP_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist worksteal
 STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
 
 .DEFAULT_GOAL := help
-.PHONY: help sweep answer docs notebooks test test-all check lint ui precision bench-simulator bench-bands bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start bench-viewer view chaos
+.PHONY: help sweep quick test-random answer docs notebooks test test-all check lint ui precision bench-simulator bench-bands bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start bench-viewer view chaos
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
@@ -22,12 +22,12 @@ $(STAMP): pyproject.toml constraints.txt
 	@touch $@
 
 sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 5 to 13 minutes on two cores
-	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h hydra/launcher=joblib
+	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h
 
 answer: $(STAMP) ## which components earn their keep: 32 runs of a factorial in two anatomies and the runs beside it, kept in docs/results; resumable
 	$(BIN)/python scripts/results.py restore
-	$(BIN)/python -m ablate +study=answer hydra/launcher=joblib
-	$(BIN)/python -m ablate +study=answer_beside hydra/launcher=joblib
+	$(BIN)/python -m ablate +study=answer
+	$(BIN)/python -m ablate +study=answer_beside
 	$(BIN)/python scripts/results.py keep runs/answer
 	$(BIN)/python scripts/results.py table
 
@@ -43,6 +43,14 @@ test: $(STAMP) check ## style, types and tests
 
 test-all: $(STAMP) check ## the same with the slow tests
 	$(PYTEST)
+
+test-random: $(STAMP) ## the tests in a random order; ARGS="-p randomly -p 'randomly_seed=7'" repeats one
+	$(PYTEST) -m "not slow" -p randomly $(ARGS)
+
+quick: $(STAMP) ## style, types and tests of what changed, under a minute; ROOM=metrics tests one sub-package
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy & types=$$!; OMP_NUM_THREADS=1 $(BIN)/python scripts/quick.py $(ROOM); tests=$$?; wait $$types && exit $$tests
 
 check: $(STAMP)
 	$(BIN)/ruff check

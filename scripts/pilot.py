@@ -1,6 +1,6 @@
 """How long must a training be, and what is too small to matter? Validation curves and scores of the pilot study.
 
-python -m ablate +study=pilot hydra/launcher=joblib    # first: train the pilot
+python -m ablate +study=pilot    # first: train the pilot
 python scripts/pilot.py                                # docs/pilot.csv, docs/pilot.png, and the tables of docs/study.md
 
 Scores are those of the last checkpoints, so this can be called while the pilot still trains.

@@ -19,7 +19,7 @@ SWEEP = (
     *(f"training.steps={STEPS}", "training.checkpoint_every=5", "training.validate_every=20", "training.log_every=1"),
     *("evaluation.pictures=1", "evaluation.timed_frames=1", "metrics=[psnr,mae]"),
 )
-LAUNCHERS = {"basic": (), "joblib": ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")}
+LAUNCHERS = {"basic": ("hydra/launcher=basic",), "processes": ("hydra.launcher.n_jobs=2",)}
 
 
 @dataclass(frozen=True)

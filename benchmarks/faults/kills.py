@@ -22,7 +22,7 @@ def at_random_moments(bench: Bench, rng: random.Random, number: int) -> Round:
     """Kill a sweep that begins with nothing up to four times, all of its processes; then let it finish."""
     runs = bench.place() / "runs"
     how = (Start.cold, Start.warm)[number % 2]
-    line = [*SWEEP, *LAUNCHERS[("basic", "joblib")[number // 2 % 2]], f"runs_dir={runs}"]
+    line = [*SWEEP, *LAUNCHERS[("basic", "processes")[number // 2 % 2]], f"runs_dir={runs}"]
     seconds, count = max(bench.seconds, 1.0), 0
     for _ in range(rng.randint(1, _MOST_KILLS)):
         command = ablate(line, runs.parent, how)
@@ -112,7 +112,7 @@ def _parent_run(runs: Path) -> None:
 def of_the_parent(bench: Bench, _: random.Random, number: int) -> Round:
     """Kill the process that started a sweep of two workers, 0, 0.5 ... 15 s after its start."""
     runs = bench.runs()
-    line = [*SWEEP, *LAUNCHERS["joblib"], "training.steps=100000", "training.validate_every=0", f"runs_dir={runs}"]
+    line = [*SWEEP, *LAUNCHERS["processes"], "training.steps=100000", "training.validate_every=0", f"runs_dir={runs}"]
     command = ablate(line, runs.parent, Start.cold)
     time.sleep(number * _PARENT_EVERY_S)
     os.kill(command.pid, signal.SIGKILL)

@@ -18,7 +18,7 @@ _EVERY = {True: "training.checkpoint_every=1", False: "training.checkpoint_every
 def stop(how: str, bench: Bench, rng: random.Random, number: int) -> Round:
     """Stop a sweep at a random step, then let the same command finish it; every second round side by side."""
     runs = bench.runs()
-    launcher = ("basic", "joblib")[number % 2]
+    launcher = ("basic", "processes")[number % 2]
     is_sudden = how in ("SIGKILL", "memory")
     line = [*SWEEP, *LAUNCHERS[launcher], _EVERY[is_sudden], f"runs_dir={runs}"]
     command = ablate(line, runs.parent)
@@ -28,7 +28,7 @@ def stop(how: str, bench: Bench, rng: random.Random, number: int) -> Round:
     ended = command.wait()
     logged = {variant: last_step(_folder(runs, variant)) for variant in VARIANTS}
     finished = result_files(runs)
-    others = [v for v in VARIANTS if v != victim and is_sudden and launcher == "joblib"]
+    others = [v for v in VARIANTS if v != victim and is_sudden and launcher == "processes"]
     wrong = [f"{v} did not finish" for v in others if f"{v}/seed0" not in finished]
     was_ended = is_sudden and ended.code < 0  # by the system; it could say nothing
     if len(finished) < len(VARIANTS) and not was_ended:

@@ -9,6 +9,7 @@ from io import TextIOWrapper
 
 from ablate.settings.study import ConfigurationError
 from ablate.tasks.command import execute
+from ablate.training.interruption import stop_requested
 
 
 class _Stopped(KeyboardInterrupt):
@@ -50,6 +51,7 @@ def _stopping_at_signals() -> Iterator[None]:
     """Raise `_Stopped` at SIGTERM, and at SIGHUP, which closes a terminal; a signal that is ignored stays ignored."""
 
     def stop(number: int, _: object) -> None:
+        stop_requested.set()  # Python drops what is raised here while it runs the callback of a weak reference
         raise _Stopped(number)
 
     there = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has one
@@ -59,6 +61,7 @@ def _stopping_at_signals() -> Iterator[None]:
     try:
         yield
     finally:
+        stop_requested.clear()
         for number in watched:
             signal.signal(number, signal.SIG_DFL)
 

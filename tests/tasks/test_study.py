@@ -37,7 +37,7 @@ def state(runs: Path) -> dict[str, float]:
 
 
 def command(runs: Path, *more: str) -> list[str]:
-    return [sys.executable, "-m", "ablate", *SWEEP, "hydra/launcher=joblib", f"runs_dir={runs}", *more]
+    return [sys.executable, "-m", "ablate", *SWEEP, f"runs_dir={runs}", *more]
 
 
 @pytest.fixture

@@ -66,6 +66,7 @@ def _base_of(fixed: tuple[str, ...]) -> Callable[[tuple[str, ...]], StudySetting
 
 @cache
 def _settings_of(words: tuple[str, ...]) -> StudySettings:
+    """Composed once for all jobs of a sweep, which mostly share what their labels are told from."""
     return settings(composed(words))
 
 

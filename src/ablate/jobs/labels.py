@@ -38,7 +38,8 @@ def changed_keys(
         return {key for key in own & deciding if key in wanted or key.partition(".")[0] in wanted}
 
     if candidates := {key for override in overrides for key in changes(override)}:
-        without = base(tuple(str(o.input_line) for o in overrides if not changes(o)))
+        kept = (o for o in overrides if not changes(o) and o.key_or_group not in _IN_NO_LABEL)
+        without = base(tuple(str(o.input_line) for o in kept))
         before, after = dict(flat(plain(without))), dict(flat(plain(settings)))
         changed |= {key: after[key] for key in candidates if before.get(key) != after.get(key)}
     return changed

@@ -21,6 +21,7 @@ from ablate.settings.study import StudySettings
 from ablate.settings.values import build
 from ablate.storage import digest, digest_of_files, read_json, remove_partial, write_json, written_whole
 from ablate.tracking import LocalLog
+from ablate.validation import check_name
 
 #: The checkpoint of a training; `ablate.training.LAST`, whose import loads PyTorch.
 CHECKPOINT = "last.ckpt"
@@ -152,10 +153,7 @@ class Run:
 
     @property
     def pictures(self) -> dict[int, np.ndarray]:
-        """Rendered frames, (H, W) uint8, by their number in the data set.
-
-        None where the file is missing; a ValueError where it is damaged.
-        """
+        """Rendered frames, (H, W) uint8, by their number in the data set; a ValueError where the file is damaged."""
         path = self.folder / "pictures.npz"
         try:
             with np.load(path) as kept:
@@ -196,10 +194,14 @@ class Run:
             return state, f"scored by version {version} of the metrics, not {METRICS_VERSION}: {newer}"
         try:
             wrong_scores = check_stored_scores(self.scores)
+            for metric in set(self.scores["metric"]):
+                check_name("metric", str(metric))  # it becomes part of the name of a figure's file
         except (OSError, ValueError, KeyError) as error:  # pyarrow's are ValueErrors
             return State.resumable, f"unreadable ({type(error).__name__}: {self.scores_file.name}): start it again"
         if (set(self.scores["variant"]), set(self.scores["seed"])) != ({self.label}, {self.seed}):
             wrong_scores = "it holds values of another run"
+        if not (self.scores["split"] == "test").any():
+            wrong_scores = "it holds no value on the test frames"
         if wrong_scores:
             return (
                 State.unusable,

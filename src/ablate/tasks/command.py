@@ -112,10 +112,9 @@ def run_sweep(
     lines = [list(line) for line in job_overrides]
     swept = swept_keys(lines, list(master.hydra.overrides.task))
     made = [job_of(line, swept, list(master.hydra.overrides.hydra)) for line in lines]
-    place = {job: number for number, job in enumerate(made)}
 
     def start_some(jobs: Sequence[Job], work: Work) -> None:
-        numbers = [place[job] for job in jobs]
+        numbers = [made.index(job) for job in jobs]
         start(jobs, [lines[n] for n in numbers], [first_number + n for n in numbers], work)
 
     launch = Launch(start_some, elsewhere, compares=made[0].settings.objective is None)

@@ -3,6 +3,7 @@
 import math
 import warnings
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -36,6 +37,13 @@ from ablate.ultrasound.transport.tracing import Paths, trace
 #: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
 #: rays in 3 layers, spread over its surroundings, an echo of this level is 61 dB under white.
 _ROULETTE_DB = 8.0
+
+
+def _on_a_device(settings: SimulatorSettings) -> SimulatorSettings:
+    """The settings with a device in place of `auto`: a GPU if there is one."""
+    if settings.device != "auto":
+        return settings
+    return replace(settings, device="cuda" if torch.cuda.is_available() else "cpu")
 
 
 class Simulator:
@@ -94,7 +102,7 @@ class Simulator:
             check_scene(scene, probe.depth_mm)
         elif beside.scene is not scene:
             raise ValueError(f"beside: a simulator of scene {beside.scene.name!r}, allowed is one of the same scene")
-        self.settings = settings = settings or SimulatorSettings()
+        self.settings = settings = _on_a_device(settings or SimulatorSettings())
         self._plan = plan_scene(scene, probe, settings, poses)
         self.left_out = self._plan.left_out
         bounds = bounds_mm(s.mesh for s in scene.structures)

@@ -1,0 +1,84 @@
+"""Any key is a component: what a sweep gives several values is one study with effects, interactions and verdicts."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from ablate import analysis
+from ablate.comparison.answers import Answers, answers
+from ablate.comparison.blocks import check_pixels
+from ablate.comparison.results import scored_frames
+from ablate.comparison.usable_runs import usable_runs
+from ablate.jobs.compose import jobs_of
+from ablate.runs.job import Job
+from ablate.runs.run import Run
+from ablate.settings.study import ConfigurationError
+from support.finished_runs import finish
+
+
+def swept(runs: Path, *words: str) -> list[Job]:
+    return jobs_of(["-m", "preset=tiny", *words, "seed=0,1,2", f"runs_dir={runs}"])
+
+
+def answered(jobs: Sequence[Job]) -> tuple[Answers, tuple[Run, ...]]:
+    """The answers of a study whose runs score 20 by default, and 1 more a changed key."""
+    for number, job in enumerate(jobs):
+        value = 20 + len(job.changed) + 0.01 * (number % 3)
+        metrics = dict.fromkeys(("psnr", "mae", "shadow_contrast", "crps"), value)
+        finish(job, metrics, data=job.data.name)
+    usable = usable_runs(jobs[0].settings.study_dir)
+    per_image, scalars = scored_frames(usable.runs)
+    return answers(usable.all, analysis.comparison_table(per_image, scalars)), usable.all
+
+
+@pytest.mark.parametrize(
+    ("word", "labels"),
+    [
+        ("training.reconstruction=crps,l1", ["sa2h", "sa2h.reconstruction-l1"]),
+        ("training.learning_rate=4e-4,1e-4", ["sa2h", "sa2h.learning_rate-0.0001"]),
+        ("dataset.frames=12,10", ["sa2h", "sa2h.frames-10"]),
+        ("simulator.rays=2,3", ["sa2h", "sa2h.rays-3"]),
+        ("crops.flip=true,false", ["sa2h", "sa2h.flip-False"]),
+    ],
+)
+def test_a_key_that_nobody_declared_has_effects_and_no_verdict(tmp_path: Path, word: str, labels: list[str]) -> None:
+    jobs = swept(tmp_path, word)
+    assert sorted({job.label for job in jobs}) == sorted(labels)
+    assert len({job.folder for job in jobs}) == 6
+    found, runs = answered(jobs)
+    key = word.partition("=")[0]
+    assert found.design is not None
+    assert (found.design.factors, len(runs)) == ([key], 6)
+    effects = found.effects.set_index("metric")
+    assert abs(effects.loc["psnr", "estimate"]) == pytest.approx(1.0)
+    verdict = found.verdicts.set_index("component").loc[key.rpartition(".")[2]]
+    assert (verdict["verdict"], pd.isna(verdict["band"])) == ("undecided", True)
+    assert "declared" in verdict["why"]
+
+
+def test_it_interacts_with_declared_components(tmp_path: Path) -> None:
+    jobs = swept(tmp_path, "training.reconstruction=crps,l1", "model.attenuation=integral,none")
+    found, _ = answered(jobs)
+    assert found.design is not None
+    assert set(found.design.factors) == {"model.attenuation", "training.reconstruction"}
+    assert "training.reconstruction:model.attenuation" in set(found.effects["effect"]) or (
+        "model.attenuation:training.reconstruction" in set(found.effects["effect"])
+    )
+    att = found.verdicts.set_index("component").loc["att"]
+    assert abs(att["effect"]) == pytest.approx(1.0)
+
+
+def test_a_key_that_decides_nothing_is_no_component(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="share the place"):
+        swept(tmp_path, "training.threads=1,2")
+
+
+def test_two_data_sets_of_one_recipe_are_never_mixed(tmp_path: Path) -> None:
+    jobs = swept(tmp_path, "variant=sa2h,nsa2h")
+    runs = [finish(job, pixels="of one processor") for job in jobs]
+    check_pixels(runs)
+    runs[-1] = finish(jobs[-1], pixels="of another processor")
+    with pytest.raises(ConfigurationError, match=r"two data sets of one recipe.*remove one of the two"):
+        usable_runs(jobs[0].settings.study_dir)
