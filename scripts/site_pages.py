@@ -16,6 +16,7 @@ from nbconvert import MarkdownExporter
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ("anatomy", "ultrasound", "networks", "metrics", "dataset", "training", "pretrained", "evaluation", "analysis")
+GROUPS = {"preset": "preset=", "scene": "scene=", "probe": "probe=", "variant": "variant=", "study": "+study="}
 BESIDE_README = ("CONTRIBUTING.md", "CHANGELOG.md", "LICENSE", "CITATION.cff")
 
 
@@ -75,9 +76,10 @@ def command_line() -> str:
         "    python -m ablate -m key=value,value ...          # a job for each combination of values\n",
         "[Hydra](https://hydra.cc/docs/advanced/override_grammar/basic/) has the grammar. "
         "`python -m ablate --cfg job` shows what a command line composes to; `task=plan` shows what it would run.\n",
-        f"## All keys\n\n```yaml\n{read('conf/config.yaml')}```\n",
+        "[All settings](settings.md) has every key with its range and what it decides.\n",
+        f"## conf/config.yaml\n\n```yaml\n{read('conf/config.yaml')}```\n",
     ]
-    for group, how in (("preset", "preset="), ("scene", "scene="), ("variant", "variant="), ("study", "+study=")):
+    for group, how in GROUPS.items():
         lines.append(f"## {group.capitalize()}\n\n| key | what it is |\n| --- | --- |")
         for file in sorted((ROOT / "conf" / group).glob("*.yaml")):
             comments = [line for line in file.read_text().splitlines() if line.startswith("#")]

@@ -1,0 +1,28 @@
+"""docs/settings.md is what scripts/settings_page.py prints."""
+
+import importlib.util
+from pathlib import Path
+
+from ablate.settings.values import keys
+
+ROOT = Path(__file__).parents[1]
+spec = importlib.util.spec_from_file_location("settings_page", ROOT / "scripts" / "settings_page.py")
+assert spec is not None
+assert spec.loader is not None
+script = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(script)
+
+
+def test_the_page_is_what_the_script_prints() -> None:
+    assert (ROOT / "docs" / "settings.md").read_text("utf-8") == script.page()
+
+
+def test_every_key_has_a_row() -> None:
+    page = script.page()
+    assert not [key.name for key in keys() if f"| `{key.name}` |" not in page]
+
+
+def test_values_are_written_as_the_command_line_takes_them() -> None:
+    assert [script.written(value) for value in (None, True, (1, 2), 2e-4, 70.0, "all")] == [
+        *("null", "true", "[1,2]", "0.0002", "70", "all")
+    ]
