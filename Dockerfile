@@ -20,4 +20,4 @@ RUN pip install --no-cache-dir $PIP_OPTIONS -c constraints.txt '.[parallel]'
 
 WORKDIR /data
 ENTRYPOINT ["python", "-m", "ablate"]
-CMD ["-m", "variant=sa2h,sa2h-att,nsa2h", "hydra/launcher=joblib"]
+CMD ["-m", "variant=sa2h,sa2h-att,nsa2h"]

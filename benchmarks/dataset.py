@@ -16,13 +16,14 @@ from statistics import median
 
 import numpy as np
 import torch
-from ablate.runs.data import Data, maps_needed, prepare_data
 from numcodecs import Blosc, Zstd
 
 from ablate.dataset import CropLoader, Crops, CropSettings, Encoding, Pairs, Part, label_values
 from ablate.dataset.map_formats import FORMATS, decode_attenuation, encode_attenuation
 from ablate.jobs.compose import jobs_of
+from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job
+from ablate.runs.prepare import prepare_data
 from ablate.runs.simulated import build_scene
 from ablate.settings.study import DatasetSettings
 from ablate.tracking import hardware
@@ -62,11 +63,11 @@ def milliseconds(call: Callable[..., object], *arguments: object) -> float:
     return 1e3 * (time.perf_counter() - start)
 
 
-def simulated(job: Job) -> Data:
+def simulated(job: Job) -> DataSet:
     """Simulate the frames and print what they cost."""
     started = time.time()
     maps = maps_needed([job.settings.model])
-    data = prepare_data(job.settings, maps)
+    data = prepare_data(job, maps)
     pairs = data.pairs
     done = np.zeros(pairs.shards)
     size = dict.fromkeys(sorted(maps), 0)
@@ -123,7 +124,7 @@ def codecs(job: Job, pairs: Pairs) -> None:
     print(f"9 bits of attenuation: off by {kept:.5f} at most")
 
 
-def reading(data: Data) -> None:
+def reading(data: DataSet) -> None:
     """Print how fast crops come from disk, and what that does to memory."""
     pairs = data.pairs
     values = label_values(data.tissues, Encoding.echogenicity)

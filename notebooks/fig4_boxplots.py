@@ -21,8 +21,8 @@ from tempfile import mkdtemp
 from IPython.display import Image, display
 
 from ablate.analysis import boxplot_panels, cautions, paired_table
-from ablate.metrics import Group, Shown, metric_of, shown_in
 from ablate.comparison.reading import open_study
+from ablate.metrics import Group, Shown, metric_of, shown_in
 
 study = open_study()
 folder, paired = Path(mkdtemp()), paired_table(study.per_image, study.reference)

@@ -29,10 +29,10 @@ from scipy.ndimage import maximum_filter1d
 from ablate.analysis.figures.body_view import draw_body
 from ablate.analysis.figures.tissue_colours import tissue_colours
 from ablate.anatomy import bounds_mm
-from ablate.settings.study import SceneKind
-from ablate.dataset import Part
 from ablate.comparison.reading import open_study
+from ablate.dataset import Part
 from ablate.runs.simulated import build_scene
+from ablate.settings.study import SceneKind
 from ablate.ultrasound import Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.imaging.point_spread import blur
 from ablate.ultrasound.maps.slices import sample_lines

@@ -18,8 +18,8 @@
 from IPython.display import Markdown
 
 from ablate.analysis import paired_table, resimulation_note, to_latex, to_markdown
-from ablate.metrics import Shown, shown_in
 from ablate.comparison.reading import open_study
+from ablate.metrics import Shown, shown_in
 
 study = open_study()
 columns = shown_in(Shown.table)

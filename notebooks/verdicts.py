@@ -24,9 +24,9 @@ from tempfile import mkdtemp
 from IPython.display import Image, display
 
 from ablate.analysis import forest_figure, improvements, interactions, verdicts_caption
-from ablate.metrics import metric_of
-from ablate.networks import COMPONENTS
 from ablate.comparison.reading import ANSWER, open_study
+from ablate.metrics import metric_of
+from ablate.settings.components import components
 
 study = open_study(ANSWER, "make answer")
 answers = study.answers
@@ -104,5 +104,5 @@ if len(effects):
 # %%
 open_questions = answers.verdicts[answers.verdicts["verdict"] == "undecided"]
 for row in open_questions.to_dict("records"):
-    label = next(component.label for component in COMPONENTS if component.name == row["component"])
+    label = next(component.label for component in components() if component.name == row["component"])
     print(f"{label} ({metric_of(row['metric']).label}): {row['why']}")

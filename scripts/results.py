@@ -24,8 +24,7 @@ from ablate.analysis import RESIMULATION
 from ablate.comparison.frame_times import TIMES
 from ablate.comparison.results import pictures
 from ablate.comparison.usable_runs import usable_runs
-from ablate.runs.identity import scored_by
-from ablate.runs.run import Run
+from ablate.runs.run import Run, State
 from ablate.storage import write_json
 from results_page import FRAME, PICTURES, named, write_page
 
@@ -66,7 +65,7 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
             before = json.loads(there.read_text())
             if before["hash"] != run.result["hash"]:
                 raise ValueError(f"{folder} holds another configuration of {run.name}: remove it or keep it elsewhere")
-            if scored_by(before) == scored_by(run.result):
+            if before.get("metrics_version") == run.result["metrics_version"]:
                 continue
         folder.mkdir(parents=True, exist_ok=True)
         own = {"runs_dir": "runs", "tracking": {**run.spec["settings"].get("tracking", {}), "uri": None}}
@@ -144,7 +143,11 @@ def restore(kept: Path = KEPT, runs_dir: Path = Path("runs")) -> list[str]:
         A line a run.
     """
     said = []
-    for result in sorted(kept.glob("*/*/seed*/result.json")):
+    results = sorted(kept.glob("*/*/seed*/result.json"))
+    if older := [result for result in results if Run(result.parent).state is not State.finished]:
+        why = Run(older[0].parent).why
+        said.append(f"{len(older)} kept runs stay where they are: they are of an older version of ablate ({why})")
+    for result in (result for result in results if result not in older):
         name = result.parent.relative_to(kept)
         target = runs_dir / name
         if (target / "result.json").exists() or _hash(target) not in ("", _hash(result.parent)):

@@ -21,7 +21,6 @@ Write a setting on the command line as `key=value`. A key of a group has a dot: 
 - **Decides**: "yes" means that the setting decides the result of a run and is a part of its identity. "no" means that
   it does not: a device, a path, how often something is reported, or a name that chooses other settings, such as
   `preset`. Of files, the contents decide and not the path."""
-DECIDE_NOTHING = ("tracking.", "viewer.")  # groups that no identity of a run has
 COLUMNS = ("key", "values", "default", "unit", "decides", "about")
 
 
@@ -43,7 +42,7 @@ def page() -> str:
 
 def cells(name: str, one: Setting) -> tuple[str, ...]:
     """The cells of one key, in the order of `COLUMNS`."""
-    decides = "no" if one.declared.incidental or name.startswith(DECIDE_NOTHING) else "yes"
+    decides = "no" if one.declared.incidental else "yes"
     return f"`{name}`", one.allowed, f"`{written(one.default)}`", one.declared.unit, decides, one.declared.about
 
 

@@ -50,7 +50,8 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         assert (line[:8], newline, rest) == ("ablate: ", "\n", ""), printed.err
         return line[8:]
 
-    monkeypatch.setattr("ablate.tasks.run_task.study", starts)
+    monkeypatch.setattr("ablate.tasks.command.start_here", starts)
+    monkeypatch.setattr("ablate.jobs.processes._start", starts)
     monkeypatch.chdir(tmp_path)
     return call
 

@@ -44,8 +44,9 @@ class CellSweeper(Sweeper):
     composing the jobs to the launcher.
     """
 
-    def __init__(self, max_batch_size: int | None = None, params: Any = None) -> None:
+    def __init__(self, max_batch_size: int | None = None, params: Any = None, swept: Any = None) -> None:
         self.max_batch_size, self.params = max_batch_size, params
+        del swept  # for the jobs: see `sweep`
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Make the launcher that the command line names."""
@@ -55,10 +56,15 @@ class CellSweeper(Sweeper):
         )
 
     def sweep(self, arguments: list[str]) -> list[Sequence[JobReturn]]:
-        """Launch the jobs, in batches of `max_batch_size`; what a job raised is raised here."""
-        from ablate.jobs.compose import cells
+        """Launch the jobs, in batches of `max_batch_size`; what a job raised is raised here.
+
+        Each job is told which keys are swept, because its label names them, wherever it is composed.
+        """
+        from ablate.jobs.compose import cells, swept_keys
 
         jobs = cells(self.config.hydra.sweeper.params, arguments)
+        swept = ",".join(sorted(swept_keys(jobs, arguments)))
+        jobs = [[*job, f"hydra.sweeper.swept=[{swept}]"] for job in jobs]
         size = self.max_batch_size or len(jobs)
         batches = []
         for start in range(0, len(jobs), size):

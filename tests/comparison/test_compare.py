@@ -206,8 +206,8 @@ def test_another_anatomy_is_a_block_of_effects_and_no_part_of_any_pair(study: Pa
     )
     together = pd.read_csv(folder / "effects.csv")
     assert (together["dof"] == effects["dof"] + 6 - 1).all(), "six more runs and one more block"
-    shift = together.set_index(["metric", "effect"])["estimate"]["psnr", "attenuation"]
-    alone_shift = effects.set_index(["metric", "effect"])["estimate"]["psnr", "attenuation"]
+    shift = together.set_index(["metric", "effect"])["estimate"]["psnr", "model.attenuation"]
+    alone_shift = effects.set_index(["metric", "effect"])["estimate"]["psnr", "model.attenuation"]
     # Two differences of two means, over 3 + 3 and over 2 + 2 runs; 900 dB between anatomies are in neither.
     assert shift == pytest.approx((3 * alone_shift + 2 * -5) / 5)
 

@@ -69,7 +69,7 @@ def launcher(tmp_path: Path, *overrides: str) -> QueueLauncher:
 def test_the_keys_of_the_launcher_reach_sbatch(tmp_path: Path, command: Command) -> None:
     command("srun", "exit 1")
     command("sbatch", f'cp "$1" {tmp_path / "script"}; echo kept >&2; exit 1')
-    with pytest.raises(Exception, match="kept"):
+    with pytest.raises(BaseException, match="kept"):
         launcher(tmp_path, "hydra.launcher.partition=gpu", "hydra.launcher.gres=gpu:a100:1").launch([["seed=0"]], 0)
     lines = (tmp_path / "script").read_text().splitlines()
     assert {

@@ -151,14 +151,18 @@ class TrackingSettings:
     Settings are stored and shown, so `uri` may hold no password: MLflow takes it from the environment.
     """
 
-    uri: str | None = setting(None, "MLflow's store; null is the SQLite file `mlflow.db` in `runs_dir`.")
-    experiment: str = setting("ablate", "MLflow's experiment.")
-    register: str | None = setting(
-        None, "Model in MLflow's registry that the reference variant's generator becomes a version of."
+    uri: str | None = setting(
+        None, "MLflow's store; null is the SQLite file `mlflow.db` in `runs_dir`.", incidental=True
     )
-    provenance: Provenance = setting(Provenance.full, "What a run stores of what it was made with.")
+    experiment: str = setting("ablate", "MLflow's experiment.", incidental=True)
+    register: str | None = setting(
+        None,
+        "Model in MLflow's registry that the reference variant's generator becomes a version of.",
+        incidental=True,
+    )
+    provenance: Provenance = setting(Provenance.full, "What a run stores of what it was made with.", incidental=True)
     system_metrics: bool = setting(
-        False, "Whether processor, memory, disk, network and GPU are logged through each training."
+        False, "Whether processor, memory, disk, network and GPU are logged through each training.", incidental=True
     )
 
     def __post_init__(self) -> None:
@@ -176,8 +180,8 @@ class TrackingSettings:
 class ViewerSettings:
     """Where `task=view` shows its page, always on this machine alone."""
 
-    port: int = setting(8090, "Of the page.", least=1, most=65535)
-    open: bool = setting(True, "Whether a browser is started.")
+    port: int = setting(8090, "Port of the page.", least=1, most=65535, incidental=True)
+    open: bool = setting(True, "Whether a browser is started.", incidental=True)
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import hydra
 import hydra.experimental.callback
@@ -89,7 +90,8 @@ def run_one(config: DictConfig) -> float | None:
     try:
         if not is_sweep and _names_a_launcher(_words(own, "hydra")):
             raise ConfigurationError(f"hydra/launcher={launcher} starts the jobs of a sweep: add -m")
-        job = job_of(_words(own, "task"), [str(key) for key in own.sweeper.params or ()] if is_sweep else ())
+        swept = [str(key) for key in (own.sweeper.get("swept") or own.sweeper.get("params") or ())]
+        job = job_of(_words(own, "task"), swept if is_sweep else ())
         code = _do([job], Launch(start_here, compares=not is_sweep))
     except Exception as error:
         if is_sweep:  # its launcher and its sweeper are told, as Hydra documents it
@@ -102,7 +104,7 @@ def run_one(config: DictConfig) -> float | None:
     return objective(job)
 
 
-def _words(hydra_node: DictConfig, kind: str) -> list[str]:
+def _words(hydra_node: Any, kind: str) -> list[str]:
     """Words of the command line as they were given: `${levels:8}` in one is resolved where the job is composed."""
     words = OmegaConf.to_container(hydra_node.overrides[kind], resolve=False)
     return [str(word) for word in words] if isinstance(words, list) else []
@@ -123,13 +125,13 @@ def run_sweep(
 
     `master` is what Hydra composed of the words that all jobs share.
     """
-    lines = [list(line) for line in job_overrides]
+    lines = [[word for word in line if not word.startswith("hydra.")] for line in job_overrides]
     swept, fixed = swept_keys(lines, _words(master.hydra, "task")), _words(master.hydra, "hydra")
     made = [job_of(line, swept, fixed) for line in lines]
 
     def start_some(jobs: Sequence[Job], work: Work) -> None:
         numbers = [made.index(job) for job in jobs]
-        start(jobs, [lines[n] for n in numbers], [first_number + n for n in numbers], work)
+        start(jobs, [job_overrides[n] for n in numbers], [first_number + n for n in numbers], work)
 
     launch = Launch(start_some, elsewhere, compares=made[0].settings.objective is None)
     try:
