@@ -7,10 +7,10 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "benchmarks"))
-import gpu
-from ablate.networks import GeneratorSpec
-from ablate.training import TrainingPrecision, TrainingSettings
-from ablate.ultrasound import SimulatorSettings
+import gpu  # noqa: E402
+from ablate.networks import GeneratorSpec  # noqa: E402
+from ablate.training import TrainingPrecision, TrainingSettings  # noqa: E402
+from ablate.ultrasound import SimulatorSettings  # noqa: E402
 
 SMALL = SimulatorSettings(scanlines=24, axial_samples=256, rays=2, image_shape=(64, 89))
 

@@ -70,7 +70,7 @@ def network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A small network that passes for Inception."""
 
     class Means(torch.nn.Module):
-        def forward(self, x: torch.Tensor, return_features: bool = False) -> torch.Tensor:
+        def forward(self, x: torch.Tensor, return_features: bool = False) -> torch.Tensor:  # noqa: ARG002
             return torch.nn.functional.adaptive_avg_pool2d(x[:, :1].float(), (2, 2)).flatten(1)
 
     path = tmp_path / "net.pt"

@@ -17,9 +17,9 @@ if _CHROMIUM is None or _DRIVER is None:
 pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultrasound[view]'")
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium, of the extra `dev`")
 
-from ablate.jobs.compose import jobs_of
-from ablate.viewer.page.server import HOST
-from ablate.viewer.task import Viewer
+from ablate.jobs.compose import jobs_of  # noqa: E402
+from ablate.viewer.page.server import HOST  # noqa: E402
+from ablate.viewer.task import Viewer  # noqa: E402
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")]
 _FLAGS = ("--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")

@@ -64,7 +64,7 @@ def file_named(name: Any, suffixes: tuple[str, ...], folder: Path, where: str) -
     """The file of this name in the folder of the `scene.yaml`, if it is there and ends in one of the suffixes."""
     if not isinstance(name, str) or not name.lower().endswith(suffixes):
         raise refusal(where, name, f"names of files that end in {', '.join(suffixes)}")
-    if not os.path.isfile(folder / name):
+    if not os.path.isfile(folder / name):  # noqa: PTH113, it is False for a name that is too long
         raise FileNotFoundError(f"{where}: no file {shown(name)} in {folder}")
     return folder / name
 

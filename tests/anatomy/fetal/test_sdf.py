@@ -74,9 +74,9 @@ def test_shrinking_a_ball_takes_its_radius() -> None:
 
 def test_ripple_has_the_given_size_and_follows_its_seed() -> None:
     points = np.random.default_rng(1).uniform(-500, 500, (3, 40_000))
-    flat = sdf.rippled(lambda x, y, z: 0.0 * x, seed=5, amplitude_mm=1.5, wavelength_mm=20.0)
-    again = sdf.rippled(lambda x, y, z: 0.0 * x, seed=5, amplitude_mm=1.5, wavelength_mm=20.0)
-    other = sdf.rippled(lambda x, y, z: 0.0 * x, seed=6, amplitude_mm=1.5, wavelength_mm=20.0)
+    flat = sdf.rippled(lambda x, y, z: 0.0 * x, seed=5, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
+    again = sdf.rippled(lambda x, y, z: 0.0 * x, seed=5, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
+    other = sdf.rippled(lambda x, y, z: 0.0 * x, seed=6, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
     assert flat(*points).std() == pytest.approx(1.5, rel=0.02)
     assert (flat(*points) == again(*points)).all()
     assert not np.allclose(flat(*points), other(*points))

@@ -59,7 +59,7 @@ class Stepped(PairGAN):
         self._precision = torch.autocast(torch.device(device).type, torch.bfloat16, enabled=dtype == "bfloat16")
         self._pair = self.configure_optimizers()
 
-    def optimizers(self, use_pl_optimizer: bool = True) -> list[Adam]:  # type: ignore[override]
+    def optimizers(self, use_pl_optimizer: bool = True) -> list[Adam]:  # type: ignore[override]  # noqa: ARG002
         return list(self._pair)
 
     def manual_backward(self, loss: Tensor, *_: object, **__: object) -> None:
