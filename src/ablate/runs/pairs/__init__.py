@@ -1,1 +1,0 @@
-"""The pairs that a study reads: simulated or imported."""
