@@ -1,32 +1,13 @@
-"""How far two images are from each other, pixel by pixel: PSNR and mean absolute error."""
+"""How far two images are from each other: PSNR, mean absolute error, and the entries of patch chi-square."""
 
 import math
 
 import numpy as np
 
+from ablate.metrics.images import PEAK, check_pair
 from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
-
-PEAK = 255.0
-
-
-def check_pair(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> None:
-    """Raise ValueError unless `a` and `b` are (H, W) uint8 and `mask`, (H, W) bool, leaves a pixel to compare."""
-    for name, image in (("a", a), ("b", b)):
-        if image.dtype != np.uint8 or image.ndim != 2:
-            raise ValueError(f"image {name} must be (H, W) uint8, got {image.shape} {image.dtype}")
-    if a.shape != b.shape:
-        raise ValueError(f"images must have one shape, got {a.shape} and {b.shape}")
-    if mask is not None and (mask.dtype != np.bool_ or mask.shape != a.shape):
-        raise ValueError(f"mask must be {a.shape} bool, got {mask.shape} {mask.dtype}")
-    if a.size == 0 or (mask is not None and not mask.any()):
-        raise ValueError("no pixel to compare: the image or the mask is empty")
-
-
-def check_shapes(target: np.ndarray, /, **maps: np.ndarray | None) -> None:
-    """Raise ValueError unless every map that is given has the shape of `target`."""
-    for name, array in maps.items():
-        if array is not None and array.shape != target.shape:
-            raise ValueError(f"{name} must be {target.shape}, got {array.shape}")
+from ablate.metrics.pair import Pair
+from ablate.metrics.patch_histograms import patches_inside, rms
 
 
 def _difference(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
@@ -103,3 +84,19 @@ FAN_MAE = Metric(
     of_image=lambda pair: mae(pair.prediction, pair.target, pair.mask) if pair.mask.any() else None,
     place=21,
 )
+
+
+def _in_tissue(pair: Pair) -> float | None:
+    return None if pair.tissue_mask is None else rms(pair.chi2_map, patches_inside(pair.tissue_mask & pair.mask))
+
+
+_CHI2 = ("", Direction.lower, Resimulation.floor)
+PCHI2 = Metric(
+    *("pchi2", "pχ²", *_CHI2, Group.patch, 3, Shown.everywhere), of_image=lambda pair: rms(pair.chi2_map), place=30
+)
+FAN_PCHI2 = Metric(
+    *("pchi2_fan", "pχ² in fan", *_CHI2, Group.patch, 3),
+    of_image=lambda pair: rms(pair.chi2_map, patches_inside(pair.mask)),
+    place=31,
+)
+TISSUE_PCHI2 = Metric(*("pchi2_tissue", "pχ² in tissue", *_CHI2, Group.mechanism, 3), of_image=_in_tissue, place=32)

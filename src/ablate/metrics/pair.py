@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ablate.metrics.fidelity import check_pair, check_shapes
+from ablate.metrics.images import check_pair, check_shapes
 from ablate.metrics.patch_histograms import patch_chi2
 
 

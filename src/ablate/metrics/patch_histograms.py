@@ -1,16 +1,8 @@
 """Patch chi-square: how far apart the grey-level histograms of small patches are."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from ablate.metrics.fidelity import PEAK, check_pair
-from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
-
-if TYPE_CHECKING:
-    from ablate.metrics.pair import Pair  # only here: a pair computes its map of patch chi-square
+from ablate.metrics.images import PEAK, check_pair
 
 
 def as_patches(image: np.ndarray, patch: int) -> np.ndarray:
@@ -102,19 +94,3 @@ def rms(chi2_map: np.ndarray, patches: np.ndarray | None = None) -> float | None
         raise ValueError(f"patches must be {chi2_map.shape} as the map, got {patches.shape}")
     values = chi2_map.ravel() if patches is None else chi2_map[patches]
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else None
-
-
-def _in_tissue(pair: Pair) -> float | None:
-    return None if pair.tissue_mask is None else rms(pair.chi2_map, patches_inside(pair.tissue_mask & pair.mask))
-
-
-_LOWER = ("", Direction.lower, Resimulation.floor)
-PCHI2 = Metric(
-    *("pchi2", "pχ²", *_LOWER, Group.patch, 3, Shown.everywhere), of_image=lambda pair: rms(pair.chi2_map), place=30
-)
-FAN_PCHI2 = Metric(
-    *("pchi2_fan", "pχ² in fan", *_LOWER, Group.patch, 3),
-    of_image=lambda pair: rms(pair.chi2_map, patches_inside(pair.mask)),
-    place=31,
-)
-TISSUE_PCHI2 = Metric(*("pchi2_tissue", "pχ² in tissue", *_LOWER, Group.mechanism, 3), of_image=_in_tissue, place=32)

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ablate.metrics.fidelity import check_shapes
+from ablate.metrics.images import check_shapes
 from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
 from ablate.metrics.pair import Pair
 

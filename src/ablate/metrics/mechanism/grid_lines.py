@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.fft import rfft2
 
-from ablate.metrics.fidelity import check_pair
+from ablate.metrics.images import check_pair
 from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
 from ablate.metrics.patch_histograms import as_patches, patches_inside
 

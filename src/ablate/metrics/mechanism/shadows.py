@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ablate.metrics.fidelity import check_pair, check_shapes
+from ablate.metrics.images import check_pair, check_shapes
 from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
 from ablate.metrics.pair import Pair
 

@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import fft, irfft2, next_fast_len, rfft2
 
-from ablate.metrics.fidelity import check_pair
+from ablate.metrics.images import check_pair
 from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
 
 SMOOTH_SIGMA_MM = 1.5
