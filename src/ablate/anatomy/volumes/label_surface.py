@@ -7,7 +7,8 @@ changes hands.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -40,57 +41,35 @@ def label_surface(
     spacing_mm
         Sides of a voxel.
     """
-    blocks = _Blocks(order, number, box, spacing_mm)
-    level = 0.0
-    for sought in _LEVELS:
-        level = _level_of_volume(blocks, level + max(spacing_mm) * sought, int((order[tuple(box)] == number).sum()))
+    blocks = _blocks(order, number, box, _margin(spacing_mm))
+    level, voxels = 0.0, int((order[tuple(box)] == number).sum())
+    for steps in _LEVELS:
+        level = _level_of_volume(blocks, number, spacing_mm, level + max(spacing_mm) * steps, voxels)
     parts, corners, count = [], [], 0
-    for start, field, _ in blocks.fields():
-        vertices, faces = _triangles(field, level, start)
+    for start, block in blocks:
+        vertices, faces = _triangles(_fields(block, number, spacing_mm)[0], level, start)
         parts.append(vertices)
         corners.append(faces + count)
         count += len(vertices)
     return np.round(np.concatenate(parts) / _FRACTION) * _FRACTION, np.concatenate(corners)
 
 
-def _level_of_volume(blocks: "_Blocks", levels: np.ndarray, voxels: int) -> float:
+def _level_of_volume(
+    blocks: Sequence[tuple[np.ndarray, np.ndarray]],
+    number: int,
+    spacing_mm: Sequence[float],
+    levels: np.ndarray,
+    voxels: int,
+) -> float:
     """The level at which the volume that a structure owns is that of its voxels, from rising levels (n,), mm."""
     volumes = np.zeros(len(levels))
-    for start, field, later in blocks.fields():
+    for start, block in blocks:
+        field, later = _fields(block, number, spacing_mm)
         for i, level in enumerate(levels):
             visible = field - level if later is None else np.minimum(field - level, -later)
             volumes[i] += _volume(*_triangles(visible, 0.0, start))
     # the cube root, because it is nearly linear; volumes fall with the level
     return float(np.interp(np.cbrt(voxels), np.cbrt(np.abs(volumes[::-1])), levels[::-1]))
-
-
-class _Blocks:
-    """The blocks that a surface can pass, found once.
-
-    A block has its last voxels in common with the next one, so that no cell lies between two blocks.
-    """
-
-    def __init__(self, order: np.ndarray, number: int, box: Sequence[slice], spacing_mm: Sequence[float]) -> None:
-        self._order, self._number, self._spacing_mm = order, number, spacing_mm
-        self._margin = _margin(spacing_mm)
-        lower = np.array([side.start for side in box]) - self._margin
-        self._upper = np.array([side.stop for side in box]) + self._margin
-        places = [range(int(a), int(b) - 1, BLOCK) for a, b in zip(lower, self._upper, strict=True)]
-        starts = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 3)
-        self._starts = [start for start in starts if self._is_passed(start)]
-
-    def fields(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None]]:
-        """First voxel, (3,), of each block, and its fields."""
-        for start in self._starts:
-            yield start, *_fields(self._content(start), self._number, self._spacing_mm)
-
-    def _is_passed(self, start: np.ndarray) -> bool:
-        own = self._content(start) == self._number
-        return bool(own.any() and not own.all())
-
-    def _content(self, start: np.ndarray) -> np.ndarray:
-        stop = np.minimum(start + BLOCK + 1, self._upper)
-        return _padded(self._order, start - self._margin, stop + self._margin)
 
 
 def _margin(spacing_mm: Sequence[float]) -> np.ndarray:
@@ -99,12 +78,25 @@ def _margin(spacing_mm: Sequence[float]) -> np.ndarray:
     return np.array([math.ceil(_REACH * max(spacing_mm) / side) + smoothing for side in spacing_mm])
 
 
-def _padded(order: np.ndarray, start: np.ndarray, stop: np.ndarray) -> np.ndarray:
-    """Voxels from start to stop, 0 beyond the volume."""
-    inside = tuple(slice(max(a, 0), max(b, 0)) for a, b in zip(start, stop, strict=True))
-    cut = np.ascontiguousarray(order[inside])
-    before = np.maximum(-start, 0)
-    return np.pad(cut, [(a, n - a - m) for a, n, m in zip(before, stop - start, cut.shape, strict=True)])
+def _blocks(
+    order: np.ndarray, number: int, box: Sequence[slice], margin: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """First voxel, (3,), and content, with margins, of each block that the surface can pass.
+
+    A block has its last voxels in common with the next one, so that no cell lies between two blocks.
+    """
+    lower, upper = (np.array([getattr(side, end) for side in box]) for end in ("start", "stop"))
+    first, stop = lower - 2 * margin, upper + 2 * margin
+    inside = np.ascontiguousarray(order[tuple(slice(max(a, 0), b) for a, b in zip(first, stop, strict=True))])
+    before = np.maximum(-first, 0)
+    content = np.pad(inside, np.stack([before, stop - first - before - inside.shape], axis=1))  # 0 beyond the volume
+    blocks = []
+    for start in product(*(range(0, int(n), BLOCK) for n in stop - first - 2 * margin - 1)):
+        block = content[tuple(slice(s, s + BLOCK + 1 + 2 * m) for s, m in zip(start, margin, strict=True))]
+        is_own = block == number
+        if is_own.any() and not is_own.all():
+            blocks.append((lower - margin + start, block))
+    return blocks
 
 
 def _fields(block: np.ndarray, number: int, spacing_mm: Sequence[float]) -> tuple[np.ndarray, np.ndarray | None]:
