@@ -200,7 +200,9 @@ def design_lines(found: Numbers, design: Design) -> Iterator[str]:
             'its own size. If the paper\'s difference lies outside our 95 % interval, the column "excluded" says '
             "whether our effect is smaller (less here) or larger (more here). It names both intervals if they disagree."
         )
-    if table := interaction_rows(interactions(found.answers.means, design), found.answers.verdicts):
+    if table := interaction_rows(
+        interactions(found.answers.means, design, found.answers.components), found.answers.verdicts
+    ):
         yield "### Interactions"
         yield table
         yield (
@@ -224,12 +226,12 @@ def figures(study: Path, found: Numbers) -> list[Path]:
     with TemporaryDirectory() as folder:
         tables = (
             found.answers.verdicts,
-            improvements(found.answers.means, found.answers.design),
-            interactions(found.answers.means, found.answers.design),
+            improvements(found.answers.means, found.answers.design, found.answers.components),
+            interactions(found.answers.means, found.answers.design, found.answers.components),
         )
-        made = forest_figure(*tables, Path(folder) / "verdicts")
+        made = forest_figure(*tables, found.answers.components, Path(folder) / "verdicts")
         if frame := kept_frame(study, named(found.usable.runs)):
-            made += qualitative_figure([frame], Path(folder) / "qualitative")
+            made += qualitative_figure([frame], Path(folder) / "qualitative", found.answers.components)
         for path in made:
             if path.suffix == ".png":
                 kept.append(study / path.name)

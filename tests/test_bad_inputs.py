@@ -114,7 +114,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     # Out of range, or not together.
     (["seed=-1"], r"seed=-1: allowed are whole numbers from 0"),
     (["-m", "seed=0,-1"], r"seed=-1: allowed are whole numbers from 0"),
-    (["seed=99999999999999999999"], r"seed=9+: allowed are whole numbers from 0"),
+    (["seed=99999999999999999999"], r"seed=99999999999999999999: allowed are whole numbers below 2\^63"),
     (["model.depth=9"], r"model\.depth=9: allowed are whole numbers from 1 to 8"),
     (["simulator.image_shape=[]"], r"image_shape"),
     (

@@ -50,6 +50,7 @@ def whole(planned: list[Job]) -> Path:
     """The whole study, as if trained."""
     for job in planned:
         pretend(job)
+    (planned[0].settings.study_dir / ".claim.lock").unlink()
     return planned[0].settings.study_dir
 
 
@@ -236,9 +237,9 @@ def test_the_papers_differences_are_excluded_where_ours_are_far_from_them(whole:
     assert by_cell["att", "PSNR"][2] == "less here", "the map makes PSNR smaller by 6"
     assert by_cell["att", "MAE"][2] == "more here", "and MAE too"
     shifted = found.answers.means.copy()
-    on = (shifted["metric"] == "psnr") & (shifted["attenuation"] == "integral")
+    on = (shifted["metric"] == "psnr") & (shifted["model.attenuation"] == "integral")
     shifted.loc[on, "value"] += EFFECT + 3.15
-    rows = rows_of(f"x\n{tables.paper_rows(paper_effects(shifted, found.answers.design))}", "x")
+    rows = rows_of(f"x\n{tables.paper_rows(paper_effects(shifted, found.answers.design, components()))}", "x")
     assert next(row for row in rows.values() if row[:2] == ["att", "PSNR (dB) ↑"])[2] == "no"
     assert script is not None
 

@@ -9,13 +9,12 @@ import types
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from ablate.validation import shown
 
 _METADATA = "setting"
-_LARGEST = 2**63 - 1  # neither torch nor NumPy takes larger whole numbers
 
 
 @dataclass(frozen=True)
@@ -175,8 +174,7 @@ def _is_number(value: object, kind: type) -> bool:
     """Whether a value is a finite number of the kind `int` or `float`; a float without decimals is a whole number."""
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         return False
-    whole = int(value)  # type: ignore[call-overload]  # every real number has one
-    return kind is not int or (whole == value and abs(whole) <= _LARGEST)
+    return kind is not int or isinstance(value, Integral) or float(value).is_integer()
 
 
 def plain(value: Any) -> Any:

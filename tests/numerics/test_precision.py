@@ -34,6 +34,7 @@ from ablate.numerics.precision.bench import (
 from ablate.runs.simulated import build_scene
 from ablate.runs.train import run_job
 from ablate.settings.study import ConfigurationError
+from ablate.storage import digest
 from ablate.tracking import default_uri
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
@@ -69,7 +70,10 @@ def trained(tmp_path_factory: pytest.TempPathFactory, _small: None) -> Path:
     shutil.copytree(job.folder, elsewhere)
     spec = json.loads((elsewhere / "spec.json").read_text())
     spec["semantic"]["data"]["dataset"]["seed"] = 1
+    spec["hash"] = digest(spec["semantic"])
     (elsewhere / "spec.json").write_text(json.dumps(spec))
+    result = json.loads((elsewhere / "result.json").read_text()) | {"hash": spec["hash"]}
+    (elsewhere / "result.json").write_text(json.dumps(result))
     shutil.copytree(job.folder, runs / "bare" / job.label / "seed0", ignore=shutil.ignore_patterns("*.ckpt"))
     with (runs / "said.txt").open("w") as file, redirect_stdout(file):
         assert run(f"runs_dir={runs}") == 0

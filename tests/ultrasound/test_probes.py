@@ -291,19 +291,19 @@ def test_faces_and_fans_have_their_sizes() -> None:
 def test_plain_values_are_read_back(probe) -> None:
     values = plain(probe)
     assert probe_from(values) == probe
-    assert ("kind" in values) != isinstance(probe, ConvexProbe)
+    assert values["kind"] == type(probe).kind
 
 
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"kind": "linear", "radius_mm": 40.0}, "probe.radius_mm=40.0: a linear probe has width_mm, depth_mm"),
-        ({"kind": "matrix"}, "probe.kind='matrix': allowed are convex, linear, phased"),
-        ({"width_mm": 3.0}, "probe.width_mm=3.0: a convex probe has radius_mm, fov_deg"),
-        ({"kind": "phased", "fov_deg": 175.0}, "fov_deg must be between 0.001 and 170"),
-        ({"kind": "linear", "width_mm": 0.0}, "width_mm must be between"),
-        ({"kind": "phased", "aperture_mm": float("nan")}, "aperture_mm must be between"),
-        ({"kind": "linear", "depth_mm": -1.0}, "depth_mm must be between"),
+        ({"kind": "linear", "radius_mm": 40.0}, "radius_mm=40.0: a linear probe has width_mm, depth_mm"),
+        ({"kind": "matrix"}, "kind='matrix': allowed are convex, linear, phased"),
+        ({"width_mm": 3.0}, "width_mm=3.0: a convex probe has radius_mm, fov_deg"),
+        ({"kind": "phased", "fov_deg": 175.0}, "fov_deg=175.0: allowed are numbers from 0.001 to 170"),
+        ({"kind": "linear", "width_mm": 0.0}, "width_mm="),
+        ({"kind": "phased", "aperture_mm": float("nan")}, "aperture_mm="),
+        ({"kind": "linear", "depth_mm": -1.0}, "depth_mm="),
     ],
 )
 def test_what_a_probe_has_not_is_named(values, said) -> None:

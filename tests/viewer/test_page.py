@@ -226,7 +226,7 @@ def test_with_the_last_page_closed_nothing_is_computed(viewer: Viewer) -> None:
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (["viewer.port=0"], "viewer.port=0: allowed are 1 to 65535"),
+        (["viewer.port=0"], "viewer.port=0: allowed are whole numbers from 1 to 65535"),
         (["runs=no/such/folder"], "runs=no/such/folder: no such folder"),
         (["plane=nothing"], "plane=nothing: allowed are"),
         (["pose=none.npy"], "none.npy"),

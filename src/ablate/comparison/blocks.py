@@ -24,9 +24,10 @@ def anatomy_of(run: Run) -> str:
 
 
 def factors_of(runs: Sequence[Run]) -> tuple[str, ...]:
-    """The dotted keys that count as components: the declared ones, then those that labels name."""
+    """The dotted keys that count as components: the declared ones, then those in labels; no anatomy."""
     declared = (component.key for component in components())
-    return tuple(dict.fromkeys([*declared, *sorted(key for run in runs for key in run.changed)]))
+    swept = sorted({key for run in runs for key in run.changed} - {_ANATOMY.removeprefix("data.")})
+    return tuple(dict.fromkeys([*declared, *swept]))
 
 
 def is_block(run: Run, other: Run, factors: Collection[str]) -> bool:

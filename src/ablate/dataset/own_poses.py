@@ -6,7 +6,6 @@ from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ablate.ultrasound.probe import check_pose
 from ablate.validation import shown
@@ -73,6 +72,8 @@ def sweep(first: np.ndarray, last: np.ndarray, kind: Sweep, count: int) -> np.nd
         When a fan has no angle, or a rotation does anything but turn about the probe's z.
     """
     turn = last[:3, :3] @ first[:3, :3].T
+    from scipy.spatial.transform import Rotation  # not for the settings, which name a sweep
+
     turn_vector = Rotation.from_matrix(turn).as_rotvec()
     angle = float(np.linalg.norm(turn_vector))
     moved = last[:3, 3] - first[:3, 3]
@@ -100,6 +101,8 @@ def sweep(first: np.ndarray, last: np.ndarray, kind: Sweep, count: int) -> np.nd
 
 
 def _of_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
+    from scipy.spatial.transform import Rotation
+
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:  # Excel begins a file with a mark
             reader = csv.DictReader(stream)

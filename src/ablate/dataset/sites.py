@@ -9,8 +9,6 @@ import numpy as np
 from ablate.anatomy import Scene, SiteGrid, TissueKind, bounds_mm
 from ablate.ultrasound import ConvexProbe, Probe
 from ablate.ultrasound.probe import face_points, fan_lines
-from ablate.ultrasound.surfaces.embree import Geometry
-from ablate.ultrasound.surfaces.line_walk import inside_at, owners
 
 _PATCH_MM = 12.0  # half-width of the skin patch whose mean normal the probe follows
 _LINES = 32  # of a fan that is asked whether it meets something
@@ -21,6 +19,8 @@ class Skin:
     """The outside of a scene with at least one structure, to be met by rays; `centre` is that of its bounds, mm."""
 
     def __init__(self, scene: Scene) -> None:
+        from ablate.ultrasound.surfaces.embree import Geometry  # pairs made elsewhere need no Embree
+
         bounds = bounds_mm(s.mesh for s in scene.structures)
         self.centre = bounds.mean(axis=0)
         reach = float(np.linalg.norm(bounds[1] - bounds[0]))
@@ -41,6 +41,8 @@ class Skin:
 
     def hard_at(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Whether bone or gas owns points that are reached from outside along `directions`, (n,) bool."""
+        from ablate.ultrasound.surfaces.line_walk import inside_at, owners
+
         return self._hard[owners(inside_at(self._geometry, points - self.centre, directions))]
 
     def within(self, starts: np.ndarray, directions: np.ndarray, reach_mm: float) -> np.ndarray:

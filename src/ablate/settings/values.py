@@ -9,6 +9,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 from ablate.setting import Setting, is_group, settings_of
 from ablate.settings.study import StudySettings
 from ablate.ultrasound.probe_kinds import PROBES, Probe, probe_from
+from ablate.validation import shown
 
 T = TypeVar("T")
 
@@ -22,6 +23,9 @@ def build(cls: type[T], values: dict[str, Any], prefix: str = "") -> T:
     unknown = sorted(values.keys() - hints.keys())
     if unknown:
         raise ValueError(f"unknown key '{prefix}{unknown[0]}'; allowed: {', '.join(sorted(hints))}")
+    for name, value in values.items():
+        if isinstance(value, int) and abs(value) >= 2**63:  # neither torch nor NumPy takes it
+            raise ValueError(f"{prefix}{name}={shown(value)}: allowed are whole numbers below 2^63")
     groups = {k: _group(hints[k], v, f"{prefix}{k}.") for k, v in values.items() if is_group(hints[k])}
     try:
         return cls(**{**values, **groups})

@@ -2,6 +2,7 @@ from .background import Background as Background
 from .background import within as within
 from .database import default_uri as default_uri
 from .local_log import LocalLog as LocalLog
+from .local_log import Status as Status
 from .local_log import logged_images as logged_images
 from .local_log import read_log as read_log
 from .provenance import environment as environment
@@ -10,7 +11,6 @@ from .provenance import hardware as hardware
 from .provenance import packages as packages
 from .provenance import source_digest as source_digest
 from .store import UNAVAILABLE as UNAVAILABLE
-from .store import Status as Status
 from .store import Store as Store
 from .store import artifact_page as artifact_page
 from .store import child_run as child_run

@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Iterator, Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +11,15 @@ import numpy as np
 from PIL import Image
 
 from ablate.storage import written_whole
-from ablate.tracking.store import Status
+
+
+class Status(StrEnum):
+    """The state of a run, in MLflow's words."""
+
+    running = "RUNNING"
+    finished = "FINISHED"
+    failed = "FAILED"
+    killed = "KILLED"
 
 
 class Point(NamedTuple):

@@ -5,7 +5,6 @@ import logging
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from urllib.parse import quote
 
@@ -46,15 +45,6 @@ def reason(error: Exception) -> str:
     return _REFUSED.get(getattr(error, "error_code", ""), f"{type(error).__name__}: {said:.200}")
 
 
-class Status(StrEnum):
-    """The state of a run, in MLflow's words."""
-
-    running = "RUNNING"
-    finished = "FINISHED"
-    failed = "FAILED"
-    killed = "KILLED"
-
-
 @dataclass(frozen=True)
 class Store:
     """An open tracking store."""
@@ -87,8 +77,20 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
             make_default_database(runs)
         else:
             make_database(uri)
-        client = MlflowClient(uri or default_uri(runs))
-        known = _experiment(client, experiment, runs, location)
+        why = ""
+        try:
+            client = MlflowClient(uri or default_uri(runs))
+            known = client.get_experiment_by_name(experiment)
+            if location and known and _is_own(known) and known.artifact_location != location:
+                why = "the folder of runs was moved or copied since it was made"
+        except MlflowException as error:
+            if location is None or error.error_code == "TEMPORARILY_UNAVAILABLE":
+                raise
+            why = f"MLflow cannot read it ({reason(error)})"
+        if why:  # such as another version of MLflow: the default store is not mended, but filled again
+            set_aside(runs, why)
+            make_default_database(runs)
+            client, known = MlflowClient(default_uri(runs)), None
         if known is None:
             identity = _new_experiment(client, experiment, location)
         else:
@@ -96,26 +98,6 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
             if known.lifecycle_stage == "deleted":
                 client.restore_experiment(identity)
         return Store(uri or default_uri(runs), identity, lock, _owner(runs) if uri else None)
-
-
-def _experiment(client: MlflowClient, name: str, runs: Path, location: str | None) -> Experiment | None:
-    """The experiment of this name; None where there is none, or where the default store had to be made anew.
-
-    That is so where it is of another version of MLflow, or where the folder of runs was moved or copied: the places of
-    artifacts in it are then those of the old folder. `location` is the place of artifacts of the default store.
-    """
-    why = "the folder of runs was moved or copied since it was made"
-    try:
-        known: Experiment | None = client.get_experiment_by_name(name)
-        if known is None or location is None or known.artifact_location == location or not _is_own(known):
-            return known
-    except MlflowException as error:
-        if location is None or error.error_code == "TEMPORARILY_UNAVAILABLE":
-            raise
-        why = f"MLflow cannot read it ({reason(error)})"
-    set_aside(runs, why)
-    make_default_database(runs)
-    return None
 
 
 def _new_experiment(client: MlflowClient, name: str, location: str | None) -> str:

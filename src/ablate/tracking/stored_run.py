@@ -11,8 +11,8 @@ import numpy as np
 from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelOutput, Metric, Param, RunTag
 from PIL import Image
 
-from ablate.tracking.local_log import Point, logged_images, points, read_log
-from ablate.tracking.store import Status, Store
+from ablate.tracking.local_log import Point, Status, logged_images, points, read_log
+from ablate.tracking.store import Store
 
 STATE = "copied"  # a tag: the digest of what was on disk when all of it had been copied
 _BATCH = 500

@@ -11,7 +11,8 @@ from typing import Any
 
 from ablate.storage import digest, read_json, write_json
 from ablate.tracking.background import Background
-from ablate.tracking.store import Status, Store, task_run
+from ablate.tracking.local_log import Status
+from ablate.tracking.store import Store, task_run
 from ablate.tracking.stored_run import STATE, StoredRun
 
 _LOG = logging.getLogger(__name__)

@@ -28,7 +28,7 @@ def pickable(folder: Path) -> dict[str, Path]:
 
     A run is named by its study, variant and seed; the folder may be a run, a study or a folder of studies.
     """
-    folders = sorted({path.resolve() for depth in ("*/*/seed*", "*/seed*", ".") for path in folder.glob(depth)})
+    folders = sorted({path.resolve() for path in (folder, *folder.glob("*/seed*"), *folder.glob("*/*/seed*"))})
     runs = [run for run in map(Run, folders) if run.state is State.finished and run.checkpoint.exists()]
     named = {f"{run.folder.parents[1].name}: {run.name}": run.folder for run in runs}
     return named | {f"comes with ablate: {name}": _SHIPPED / name for name in pretrained.NAMES}
