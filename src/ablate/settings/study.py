@@ -81,8 +81,8 @@ class SceneSettings:
     """Which anatomy."""
 
     kind: SceneKind = setting(SceneKind.fetal, "Where scene or pairs come from.")
-    folder: str | None = setting(None, "Your own scene, or your pairs.")
-    triangles: int = setting(675_000, "Of the built-in anatomy.", least=FEWEST_TRIANGLES)
+    folder: str | None = setting(None, "Folder of your own scene, or of your pairs.")
+    triangles: int = setting(675_000, "Triangles of the built-in anatomy.", least=FEWEST_TRIANGLES)
     anatomy_seed: int = setting(0, "Which patient the built-in anatomy is.", least=0)
 
     def __post_init__(self) -> None:
@@ -93,16 +93,18 @@ class SceneSettings:
 class DatasetSettings:
     """Which pairs are simulated and how they are split; the paper's 6,669 frames, 6,000 of them for training."""
 
-    frames: int = setting(6669, "Fewer where the probe sites offer fewer usable poses.", least=1)
+    frames: int = setting(
+        6669, "Frames of the data set; fewer where the probe sites offer fewer usable poses.", least=1
+    )
     grid: tuple[int, int, int, int] | None = setting(
         (13, 19, 9, 3),
         "Counts of heights, angles, tilts and rolls of the probe sites; null takes the scene's own.",
         least=1,
     )
     split: SplitBy = setting(SplitBy.site, "What is kept on one side: probe sites, or (as the paper did) frames.")
-    validation: float = setting(0.05, "Share of the sites or frames.", above=0, below=1)
-    test: float = setting(0.1, "Share of the sites or frames.", above=0, below=1)
-    seed: int = setting(0, "Of scatterers, chosen frames and split.", least=0)
+    validation: float = setting(0.05, "Share of the sites or frames that validate.", above=0, below=1)
+    test: float = setting(0.1, "Share of the sites or frames that test.", above=0, below=1)
+    seed: int = setting(0, "Seed of scatterers, chosen frames and split.", least=0)
     press_mm: float = setting(8.0, "How far the probe is pressed in.", least=0, most=1000, unit="mm")
     shard: int = setting(16, "Frames a file.", least=1, incidental=True)
     workers: int = setting(0, "Processes that simulate; 0 is one a core.", least=0, incidental=True)
@@ -192,11 +194,11 @@ class StudySettings:
     """A whole job, as the rooms take it. `model` is the composed generator; see conf/ for every value."""
 
     task: Task = setting(Task.study, "What the program does.", incidental=True)
-    preset: str = setting("paper", "Sizes; a file of conf/preset.", incidental=True)
+    preset: str = setting("paper", "Sizes of frames, networks and training; a file of conf/preset.", incidental=True)
     variant: str = setting("sa2h", "The network; a file of conf/variant.", incidental=True)
-    seed: int = setting(0, "Of the networks and crops.", least=0)
+    seed: int = setting(0, "Seed of the networks and crops.", least=0)
     encoding: Encoding = setting(Encoding.echogenicity, "Order of the tissue labels.")
-    encoding_seed: int = setting(0, "Of the order with `encoding=arbitrary`.", least=0)
+    encoding_seed: int = setting(0, "Seed of the order with `encoding=arbitrary`.", least=0)
     reference: str = setting("sa2h", "The variant that all others are compared with.", incidental=True)
     scene: SceneSettings = SceneSettings()
     probe: Probe = ConvexProbe()

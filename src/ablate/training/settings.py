@@ -54,10 +54,10 @@ class TrainingSettings:
     )
     batch_size: int = setting(4, "Crops of a step.", least=1)
     crop: int = setting(512, "Side of the square crops.", least=SMALLEST_CROP, most=2**14, unit="px")
-    learning_rate: float = setting(2e-4, "Of Adam, for both networks.", above=0)
+    learning_rate: float = setting(2e-4, "Learning rate of Adam, for both networks.", above=0)
     schedule: Schedule = setting(Schedule.constant, "How the learning rate falls.")
-    beta1: float = setting(0.5, "Of Adam.", least=0, below=1)
-    beta2: float = setting(0.999, "Of Adam.", least=0, below=1)
+    beta1: float = setting(0.5, "Decay of Adam's average of gradients.", least=0, below=1)
+    beta2: float = setting(0.999, "Decay of Adam's average of squared gradients.", least=0, below=1)
     l1_weight: float = setting(100.0, "Lambda, the weight of `reconstruction`, an error of images in [-1, 1].", least=0)
     reconstruction: Reconstruction = setting(Reconstruction.l1, "The error of an image in the fan.")
     loss: AdversarialLoss = setting(
@@ -67,7 +67,7 @@ class TrainingSettings:
     )
     ema_decay: float = setting(
         0.0,
-        "Of the running average of the generator's weights that is evaluated in its place; 0 for none, as the paper.",
+        "Decay of the running average of the generator's weights that is evaluated in its place; 0 for none, as the paper.",
         least=0,
         below=1,
     )
@@ -75,16 +75,18 @@ class TrainingSettings:
         None, "Multiplier of the discriminator's channels; null takes the generator's.", above=0
     )
     precision: TrainingPrecision = setting(TrainingPrecision.auto, "Arithmetic of the convolutions.")
-    device: str = setting("auto", "`auto` is a GPU if there is one.", choices=DEVICES, incidental=True)
+    device: str = setting(
+        "auto", "Where networks are trained; `auto` is a GPU if there is one.", choices=DEVICES, incidental=True
+    )
     threads: int = setting(
         0,
-        "Of torch on a CPU; 0 leaves torch's choice. Parallel jobs want 1. With another number, sums are rounded in "
+        "Threads of torch on a CPU; 0 leaves torch's choice. Parallel jobs want 1. With another number, sums are rounded in "
         "another order, and training makes such differences grow.",
         least=0,
         most=2**12,
         incidental=True,
     )
-    seed: int = setting(0, "Of the initial weights. Crops and noise come from the seed of the batches.", least=0)
+    seed: int = setting(0, "Seed of the initial weights. Crops and noise come from the seed of the batches.", least=0)
     checkpoint_every: int = setting(
         1000, "Steps between two checkpoints; 0 for one at the end alone.", least=0, incidental=True
     )

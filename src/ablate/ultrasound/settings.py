@@ -44,11 +44,13 @@ class SimulatorSettings:
     that is not allowed is a ValueError that names it and what is allowed.
     """
 
-    scanlines: int = setting(192, "Of a frame.", least=1, most=2**14)
-    axial_samples: int = setting(3072, "Of a scanline.", least=1, most=2**18)
-    rays: int = setting(32, "Of a scanline and layer; with `tolerance` the most.", least=1, most=2**20)
+    scanlines: int = setting(192, "Scanlines of a frame.", least=1, most=2**14)
+    axial_samples: int = setting(3072, "Samples of a scanline.", least=1, most=2**18)
+    rays: int = setting(32, "Rays of a scanline and layer; with `tolerance` the most.", least=1, most=2**20)
     layers: int = setting(3, "Elevational layers, within `layer_extent_mm`.", least=1, most=2**10)
-    image_shape: tuple[int, int] = setting((1000, 1386), "Rows and columns.", least=1, most=2**14, unit="px")
+    image_shape: tuple[int, int] = setting(
+        (1000, 1386), "Rows and columns of the image.", least=1, most=2**14, unit="px"
+    )
     tgc_db_cm_mhz: float = setting(
         0.4, "Time gain, one way; twice this is applied.", least=0, most=1e3, unit="dB/cm/MHz"
     )
@@ -71,11 +73,15 @@ class SimulatorSettings:
     aperture_mm: float = setting(
         0.2, "Half width within which the rays of a scanline start.", least=0, most=1e3, unit="mm"
     )
-    elevational_aperture_mm: float = setting(1.5, "The same across the plane.", least=0, most=1e3, unit="mm")
+    elevational_aperture_mm: float = setting(
+        1.5, "Half width across the plane within which rays start.", least=0, most=1e3, unit="mm"
+    )
     layer_extent_mm: float = setting(
         1.5, "The layers' planes lie within this distance of the image plane.", least=0, most=1e3, unit="mm"
     )
-    scatterer_pitch_mm: float = setting(0.1, "Of the lattice of scatterers.", least=1e-6, most=1e3, unit="mm")
+    scatterer_pitch_mm: float = setting(
+        0.1, "Distance of neighbours in the lattice of scatterers.", least=1e-6, most=1e3, unit="mm"
+    )
     scatterer_level_db: float = setting(
         -50.0,
         "Amplitude of a scatterer of unit variance against the echo of a flat perfect reflector seen face on (assumed: "
@@ -86,11 +92,14 @@ class SimulatorSettings:
     )
     depth_mode: DepthMode = setting(DepthMode.geometric, "Where an echo is drawn.")
     plan: PlanMode = setting(PlanMode.auto, "Whether what a scene does not need is left out.", incidental=True)
-    precision: SimulatorPrecision = setting(SimulatorPrecision.float32, "Of the signal chain.")
+    precision: SimulatorPrecision = setting(SimulatorPrecision.float32, "Floating point of the signal chain.")
     device: str = setting(
-        "cpu", "Of the signal chain; `auto` is a GPU if there is one.", choices=("auto", "cpu", "cuda"), incidental=True
+        "cpu",
+        "Device of the signal chain; `auto` is a GPU if there is one.",
+        choices=("auto", "cpu", "cuda"),
+        incidental=True,
     )
-    path_seed: int = setting(0, "Of the Monte-Carlo paths.", least=0)
+    path_seed: int = setting(0, "Seed of the Monte-Carlo paths.", least=0)
     tolerance: float | None = setting(
         None,
         "Each scanline of each layer gets as many rays as it needs, `rays` at most, for this root mean square error of "
