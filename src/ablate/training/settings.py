@@ -67,7 +67,8 @@ class TrainingSettings:
     )
     ema_decay: float = setting(
         0.0,
-        "Decay of the running average of the generator's weights that is evaluated in its place; 0 for none, as the paper.",
+        "Decay of the running average of the generator's weights that is evaluated in its place; 0 for none, as in the "
+        "paper.",
         least=0,
         below=1,
     )
@@ -80,8 +81,8 @@ class TrainingSettings:
     )
     threads: int = setting(
         0,
-        "Threads of torch on a CPU; 0 leaves torch's choice. Parallel jobs want 1. With another number, sums are rounded in "
-        "another order, and training makes such differences grow.",
+        "Threads of torch on a CPU; 0 leaves torch's choice. Parallel jobs want 1. With another number, sums are rounded "
+        "in another order, and training makes such differences grow.",
         least=0,
         most=2**12,
         incidental=True,
