@@ -81,8 +81,8 @@ class TrainingSettings:
     )
     threads: int = setting(
         0,
-        "Threads of torch on a CPU; 0 leaves torch's choice. Parallel jobs want 1. With another number, sums are rounded "
-        "in another order, and training makes such differences grow.",
+        "Threads of torch on a CPU; 0 leaves torch's choice. Parallel jobs want 1. With another number, sums are "
+        "rounded in another order, and training makes such differences grow.",
         least=0,
         most=2**12,
         incidental=True,
