@@ -30,6 +30,7 @@ def built(folder: Path) -> Path:
     return wheel
 
 
+@pytest.mark.slow
 def test_an_installed_wheel_describes_the_variants_from_anywhere(tmp_path: Path) -> None:
     wheel = built(tmp_path)
     venv.create(tmp_path / "env", with_pip=False)
