@@ -67,6 +67,10 @@ class DataSet:
     def contact_sheet(self) -> Path:
         return self.folder / "contact_sheet.png"
 
+    def forget_pixels(self) -> None:
+        """Remove the kept digest: frames are made again, perhaps on another kind of processor."""
+        (self.folder / "pixels.json").unlink(missing_ok=True)
+
     def lacks(self, maps: frozenset[str]) -> bool:
         """Whether pairs of these maps are missing."""
         return not self.exists or bool(self.pairs.missing(maps))

@@ -16,6 +16,7 @@ def prepare_data(job: Job, maps: frozenset[str]) -> DataSet:
     """Simulate, or import, what is missing of the job's pairs; returns at once when nothing is."""
     settings, data = job.settings, job.data
     if data.lacks(wanted := _offered(job, maps)):
+        data.forget_pixels()
         if settings.scene.kind is SceneKind.pairs:
             import_data(settings, data.folder, wanted)
         else:
