@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 from ablate.dataset.encoding import HALF_RANGE
-from ablate.jobs.variants import variant_model
+from ablate.jobs.compose import variant_model
 from ablate.networks import Generator, conditions, count_generator, export_onnx
 from ablate.tracking import hardware
 from ablate.training import (

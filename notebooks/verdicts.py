@@ -26,7 +26,7 @@ from IPython.display import Image, display
 from ablate.analysis import forest_figure, improvements, interactions, verdicts_caption
 from ablate.comparison.reading import ANSWER, open_study
 from ablate.metrics import metric_of
-from ablate.settings.components import components
+from ablate.settings.conf import components
 
 study = open_study(ANSWER, "make answer")
 answers = study.answers

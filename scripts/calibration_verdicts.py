@@ -12,9 +12,9 @@ import pandas as pd
 from tqdm import trange
 
 from ablate.analysis import Answer, Design, find_design, run_means, verdict_table
-from ablate.comparison.blocks import levels_of
+from ablate.comparison.usable_runs import levels_of
 from ablate.jobs.compose import jobs_of
-from ablate.settings.components import components
+from ablate.settings.conf import components
 
 NAMES = tuple(component.name for component in components())
 EFFECTS = (0.5, 1.0, 1.5, 2.0, 3.0)

@@ -19,7 +19,7 @@ from ablate.metrics import metric_of
 from ablate.networks import draws_noise
 from ablate.runs.run import runs_of
 from ablate.runs.train import generated_images, scorer
-from ablate.settings.components import components
+from ablate.settings.conf import components
 from ablate.training import load_generator
 from numerics import fill, markdown
 

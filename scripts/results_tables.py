@@ -8,7 +8,7 @@ from ablate.analysis import RESIMULATION, Answer, Verdict
 from ablate.analysis.statistics.verdicts import ALPHA
 from ablate.analysis.tables import NOTHING, head
 from ablate.metrics import Direction, metric_of
-from ablate.settings.components import components
+from ablate.settings.conf import components
 
 # What the full model is to reach, from its mean and that of re-simulation.
 BARS: dict[str, tuple[str, Callable[[float, float], bool]]] = {

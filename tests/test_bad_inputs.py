@@ -51,7 +51,7 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         return line[8:]
 
     monkeypatch.setattr("ablate.tasks.command.start_here", starts)
-    monkeypatch.setattr("ablate.jobs.processes._start", starts)
+    monkeypatch.setattr("ablate.jobs.launch._start", starts)
     monkeypatch.chdir(tmp_path)
     return call
 

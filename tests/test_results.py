@@ -13,12 +13,12 @@ import pandas as pd
 import pytest
 
 from ablate.analysis import Component, paper_effects
-from ablate.comparison.blocks import levels_of
+from ablate.comparison.usable_runs import levels_of
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS
 from ablate.runs.job import Job
 from ablate.runs.place import claim_place, finished_run
-from ablate.settings.components import components
+from ablate.settings.conf import components
 from ablate.storage import digest
 from support.finished_runs import result_of
 

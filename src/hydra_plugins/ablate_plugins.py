@@ -20,7 +20,7 @@ except ImportError:  # the extra `slurm` is not installed
 
 
 class ProcessLauncher(Launcher):
-    """`hydra/launcher=processes`: a process for each job on this machine; see `ablate.jobs.processes`."""
+    """`hydra/launcher=processes`: a process for each job on this machine; see `ablate.jobs.launch`."""
 
     def __init__(self, n_jobs: int = -1) -> None:
         self.n_jobs = n_jobs
@@ -31,7 +31,7 @@ class ProcessLauncher(Launcher):
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> list[JobReturn]:
         """Check all jobs, make their pairs, run them side by side and compare their study."""
-        from ablate.jobs.processes import start_processes
+        from ablate.jobs.launch import start_processes
         from ablate.tasks.command import run_sweep
 
         return run_sweep(self.config, job_overrides, initial_job_idx, start_processes(self))

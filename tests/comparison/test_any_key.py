@@ -8,9 +8,8 @@ import pytest
 
 from ablate import analysis
 from ablate.comparison.answers import Answers, answers
-from ablate.comparison.blocks import check_pixels
 from ablate.comparison.results import scored_frames
-from ablate.comparison.usable_runs import usable_runs
+from ablate.comparison.usable_runs import check_pixels, usable_runs
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
 from ablate.runs.run import Run

@@ -13,14 +13,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from ablate.analysis import RESIMULATION, find_design
-from ablate.comparison.blocks import levels_of
 from ablate.comparison.compare import compare_study, write_comparison
 from ablate.comparison.frame_times import FrameTime, write_times
 from ablate.comparison.results import labelled_networks
-from ablate.comparison.usable_runs import usable_runs
+from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
 from ablate.runs.run import runs_of
-from ablate.settings.components import components
+from ablate.settings.conf import components
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import digest
 from support.finished_runs import WHOLE

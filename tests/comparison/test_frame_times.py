@@ -12,10 +12,9 @@ import pandas as pd
 import pytest
 
 from ablate.analysis import comparison_table, pareto_front
-from ablate.comparison import timing
-from ablate.comparison.frame_times import FrameTime, network_of, read_times, write_times
+from ablate.comparison import frame_times
+from ablate.comparison.frame_times import FrameTime, network_of, read_times, time_networks, write_times
 from ablate.comparison.results import scored_frames, timed_on
-from ablate.comparison.timing import time_networks
 from ablate.runs.run import Run, runs_of
 from ablate.storage import digest, write_json
 from support.finished_runs import PARAMETERS, WHOLE
@@ -115,7 +114,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[set[str]]:
         class training:
             device, threads = "cpu", 1
 
-    monkeypatch.setattr(timing, "_in_turns", in_turns)
+    monkeypatch.setattr(frame_times, "_in_turns", in_turns)
     monkeypatch.setattr(Run, "settings", Settings)
     return calls
 
@@ -138,7 +137,7 @@ def test_another_machine_is_timed_anew_and_the_old_one_kept(
     study: Path, measured: list[set[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     time_networks(study, runs_of(study))
-    monkeypatch.setattr(timing, "hardware", lambda: "another machine")
+    monkeypatch.setattr(frame_times, "hardware", lambda: "another machine")
     time_networks(study, runs_of(study))
     assert len(measured) == 2
     assert len(read_times(study)) == 2

@@ -4,8 +4,8 @@ import pytest
 
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.describe import described, description
-from ablate.jobs.variants import variant_names
 from ablate.networks import GeneratorSpec, count_discriminator
+from ablate.settings.conf import variant_names
 
 TOTALS = {
     "lsa2h": 57_171_266,

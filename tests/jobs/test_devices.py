@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from ablate.jobs.launch import Launch
-from ablate.jobs.processes import VISIBLE, devices_to_share, least_busy
+from ablate.jobs.launch import VISIBLE, Launch, devices_to_share, least_busy
 from ablate.runs.job import Job
 from ablate.tasks import command
 from ablate.tasks.command import execute

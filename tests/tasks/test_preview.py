@@ -13,7 +13,7 @@ from ablate.analysis import Preview
 from ablate.analysis.figures import body_view
 from ablate.dataset import open_pairs
 from ablate.settings.study import ConfigurationError
-from ablate.tasks import preview as module
+from ablate.tasks import render as module
 from support.studies import run
 
 TINY = ["preset=tiny", "simulator.image_shape=[64,89]"]

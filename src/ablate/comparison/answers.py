@@ -7,11 +7,11 @@ import pandas as pd
 
 from ablate import analysis
 from ablate.analysis import REFERENCE, Component, Design
-from ablate.comparison.blocks import anatomy_of, factors_of, levels_of
 from ablate.comparison.results import scored_frames
+from ablate.comparison.usable_runs import anatomy_of, factors_of, levels_of
 from ablate.metrics.stored_names import BOUNDS, FRAME_TIME
 from ablate.runs.run import Run
-from ablate.settings.components import components
+from ablate.settings.conf import components
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,13 +12,11 @@ from filelock import FileLock
 from ablate import analysis
 from ablate.analysis import REFERENCE, Spread
 from ablate.comparison.answers import answers
-from ablate.comparison.blocks import levels_of
 from ablate.comparison.figures import Numbers, draw_figures, stored_pictures
-from ablate.comparison.frame_times import TIMES, all_times, untimed
+from ablate.comparison.frame_times import TIMES, all_times, time_networks, untimed
 from ablate.comparison.parent_run import describe_study, register_reference
 from ablate.comparison.results import appendix, frame_times, labelled_networks, provenance, scored_frames, timed_on
-from ablate.comparison.timing import time_networks
-from ablate.comparison.usable_runs import UsableRuns, usable_runs
+from ablate.comparison.usable_runs import UsableRuns, levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Shown, shown_in
 from ablate.metrics.stored_names import FRAME_TIME
 from ablate.runs.job import COMPARISON

@@ -1,19 +1,34 @@
-"""How long a frame takes with each network of a study, as it is kept: in `times.json`, machine by machine."""
+"""How long a frame takes with each network of a study: timed in turns in one process, kept machine by machine."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import torch
+from tqdm import tqdm
 
-from ablate.comparison.blocks import without_anatomy
+from ablate import dataset
+from ablate.comparison.usable_runs import without_anatomy
+from ablate.dataset import Part, equally_spaced
 from ablate.metrics.stored_names import BOUNDS, FRAME_TIME
+from ablate.networks import Family, Generator, conditions
+from ablate.runs.data_set import DataSet
+from ablate.runs.run import Run
+from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest, read_json, write_json
+from ablate.tracking import hardware
+from ablate.training import chosen_device, generate, load_generator
 
 TIMES = "times.json"  # in the folder of a study
 NETWORK = "network"  # the part of a frame's time that is not one of its maps
+
+_FEWEST_ROUNDS = 8  # quartiles of fewer say nothing
+Maps = tuple[dict[str, np.ndarray], dict[str, float]]  # (H, W) each, and the milliseconds that each took
 
 
 @dataclass(frozen=True)
@@ -125,3 +140,103 @@ def untimed(study_dir: Path, labels: Mapping[str, str]) -> list[str]:
         f"({f'timed on {machine}, see times.csv' if machine else 'not timed'})."
         for machine, names in missing.items()
     ]
+
+
+def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
+    """Time the networks of the runs, unless this machine has timed all of them before.
+
+    Times of different moments do not compare well, so where one is missing all are measured again. Without a checkpoint
+    a network is timed with the weights that it starts with, which takes as long; a custom one is not, because how long
+    it takes may depend on them. Returns why nothing could be measured, a sentence, or an empty string.
+    """
+    found = {network_of(run.spec["semantic"]): run for run in reversed(runs) if _is_there(run)}
+    if not found:
+        return ""
+    try:
+        settings = {network: run.settings for network, run in found.items()}
+        training = next(iter(settings.values())).training
+        device = chosen_device(training.device)
+        with _threads(training.threads) as threads:
+            machine = f"{hardware()}, {device.type}, {threads} thread{'' if threads == 1 else 's'}"
+            times = read_times(study_dir)
+            before = times.pop(machine, {})
+            if found.keys() <= before.keys():
+                return ""
+            measured = _in_turns(found, settings, device)
+    except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:  # no pairs, no GPU, no Embree, ...
+        return f"Times were not measured: {' '.join(str(error).split())}."
+    write_times(study_dir, {**times, machine: {**before, **measured}})
+    return ""
+
+
+def _is_there(run: Run) -> bool:
+    """Whether the run's network can be had: custom ones need their checkpoint."""
+    return run.checkpoint.is_file() or run.spec["semantic"]["model"].get("family") != Family.custom.value
+
+
+def _generator(run: Run, settings: StudySettings) -> Generator:
+    """The trained network, or the same with the weights that a training starts with."""
+    return load_generator(run.checkpoint) if run.checkpoint.is_file() else Generator(settings.model).eval()
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[int]:
+    """Use as many threads as the study's settings say, where they do."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield torch.get_num_threads()
+    finally:
+        torch.set_num_threads(before)
+
+
+def _in_turns(
+    runs: Mapping[str, Run], settings: Mapping[str, StudySettings], device: torch.device
+) -> dict[str, FrameTime]:
+    """Times of each network, `evaluation.timed_frames` rounds or `_FEWEST_ROUNDS` after one that does not count.
+
+    A round makes the maps of one frame once, for all networks, and then renders it with each of them; the next round
+    takes them in the opposite order. The frames are those of the first anatomy whose pairs are here.
+    """
+    first = next((network for network, run in runs.items() if run.data_set.exists), next(iter(runs)))
+    data = runs[first].data_set
+    generators = {network: _generator(run, settings[network]).to(device) for network, run in runs.items()}
+    read = {network: conditions(generator.spec) for network, generator in generators.items()}
+    values = {k: dataset.label_values(data.tissues, s.encoding, s.encoding_seed) for k, s in settings.items()}
+    rounds = max(settings[first].evaluation.timed_frames, _FEWEST_ROUNDS)
+    make = _map_maker(settings[first], data, {name for names in read.values() for name in names})
+    mask = data.pairs.mask()
+    frames = equally_spaced(data.pairs.frames(Part.test), rounds)
+    taken: dict[str, dict[str, list[float]]] = {network: {} for network in runs}
+    turns = list(runs)
+    with tqdm(total=(rounds + 1) * len(runs), unit="frame", desc="time", mininterval=1.0, leave=False) as bar:
+        for number in range(rounds + 1):
+            frame = int(frames[number % len(frames)])
+            maps, map_ms = make(frame, number)
+            for network in turns:
+                given = {name: maps[name][None] for name in read[network]}
+                seed = torch.from_numpy(dataset.noise_seeds(np.array([frame]), number))
+                start = time.perf_counter()
+                inputs = dataset.network_inputs(given, values[network], mask)
+                precision = settings[network].training.precision
+                generate(generators[network], inputs, torch.from_numpy(mask), seed, precision)  # waits for a GPU
+                parts = {name: map_ms[name] for name in read[network] if name in map_ms}
+                parts[NETWORK] = 1e3 * (time.perf_counter() - start)
+                for name, ms in parts.items() if number else ():
+                    taken[network].setdefault(name, []).append(ms)
+                bar.update()
+            turns.reverse()
+    return {network: FrameTime(parts) for network, parts in taken.items()}
+
+
+def _map_maker(settings: StudySettings, data: DataSet, names: set[str]) -> Callable[[int, int], Maps]:
+    """A function of frame and round that makes maps. Where pairs were made elsewhere they are read and take no time."""
+    if settings.scene.kind is SceneKind.pairs:
+        return lambda frame, _: ({name: data.pairs.read(name, [frame])[0] for name in names}, {})
+
+    from ablate.runs.simulated import build_scene
+    from ablate.runs.timed_maps import TimedMaps, nudged
+
+    scene, _ = build_scene(settings)
+    make = TimedMaps(scene, settings.probe, settings.simulator, data.pairs.poses, low="low" in names)
+    return lambda frame, number: make(nudged(data.pairs.poses[frame], number), settings.dataset.seed)

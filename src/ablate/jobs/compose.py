@@ -1,8 +1,12 @@
-"""From words of a command line to jobs: what Hydra composes of them, as frozen settings with a label."""
+"""From words of a command line to jobs: what Hydra composes of them, as frozen settings with a label.
+
+A label is the variant and what was changed beside it, such as `sa2h.depth-8`.
+"""
 
 import itertools
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from functools import cache
 from typing import Any
 
@@ -12,32 +16,32 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf
 
-from ablate.jobs.labels import changed_keys, label_of
 from ablate.jobs.refusals import in_one_line
 from ablate.jobs.schema import register, settings
+from ablate.networks import GeneratorSpec
 from ablate.runs.job import Job
-from ablate.settings.components import components
-from ablate.settings.conf_folder import conf_folder
+from ablate.setting import flat, plain
+from ablate.settings.conf import CUSTOM, components, conf_folder
 from ablate.settings.study import ConfigurationError, StudySettings, Task
+from ablate.settings.values import keys
 
 CONFIG = "config"
 VERSION_BASE = "1.3"
 _CELLS = "cells"
 _MULTIRUN = ("-m", "--multirun")
+# The width is a size of the whole study, like the number of steps; seeds and variants have places of their own.
+_IN_NO_LABEL = frozenset({"model.width", "model.target", "seed", "training.seed"})
+_LIKE_A_COMPONENT = ("training.loss",)
 
 
 def composed(overrides: Sequence[str]) -> DictConfig:
     """The whole configuration of one job, its node `hydra` included; what cannot be composed is refused in one line."""
     register()
-    with in_one_line(overrides), _initialised():
+    with in_one_line(overrides), ExitStack() as stack:
+        if not GlobalHydra.instance().is_initialized():  # as the command line does it
+            folder = str(conf_folder())
+            stack.enter_context(initialize_config_dir(folder, version_base=VERSION_BASE, job_name="ablate"))
         return compose(CONFIG, list(overrides), return_hydra_config=True)
-
-
-def _initialised() -> AbstractContextManager[object]:
-    """Hydra as the command line has initialised it, or else with the folder conf/."""
-    if GlobalHydra.instance().is_initialized():
-        return nullcontext()
-    return initialize_config_dir(str(conf_folder()), version_base=VERSION_BASE, job_name="ablate")
 
 
 def parsed(words: Sequence[str]) -> list[Override]:
@@ -54,20 +58,61 @@ def job_of(words: Sequence[str], swept: Collection[str] = (), fixed: Sequence[st
     config = composed([*fixed, *words])
     with in_one_line():
         made = settings(config)
-        declared = {component.key for component in components()}
-        changed = changed_keys(parsed(words), made, {*swept, *declared}, _base_of(tuple(fixed)))
+        changed = changed_keys(parsed(words), made, {*swept, *(c.key for c in components())}, fixed)
         return Job(made, label_of(made, changed), tuple(sorted(changed.items())))
-
-
-def _base_of(fixed: tuple[str, ...]) -> Callable[[tuple[str, ...]], StudySettings]:
-    """A function that gives the settings without the words that change a component."""
-    return lambda words: _settings_of((*fixed, *words))
 
 
 @cache
 def _settings_of(words: tuple[str, ...]) -> StudySettings:
     """Composed once for all jobs of a sweep, which mostly share what their labels are told from."""
     return settings(composed(words))
+
+
+def variant_model(name: str) -> GeneratorSpec:
+    """The generator of a variant as conf/variant has it."""
+    return job_of([f"variant={name}"]).settings.model
+
+
+def changed_keys(
+    overrides: Sequence[Override], made: StudySettings, named: Collection[str], fixed: Sequence[str] = ()
+) -> dict[str, Any]:
+    """The dotted keys that a command line changes beside the variant, with their values.
+
+    These are the keys of the network and of other declared components, and those in `named`, if their value is another
+    than without them; `fixed` are words for Hydra itself. Keys that decide no result are left out. Of groups of conf/,
+    a swept probe is named, and presets and scenes are where they share the name of a study.
+    """
+    deciding = {key.name for key in keys() if not key.setting.declared.incidental} - _IN_NO_LABEL
+    wanted = {*named, *_LIKE_A_COMPONENT, *(key for key in deciding if key.startswith("model."))}
+    groups = {"probe"} if made.study_name is None else {"probe", "preset", "scene"}
+    changed = {o.key_or_group: o.value() for o in overrides if o.key_or_group in groups & set(named)}
+
+    def changes(override: Override) -> set[str]:
+        key, value = override.key_or_group, override.value()
+        own = {f"{key}.{name}" for name in value} if isinstance(value, dict) else {key}  # `model={depth:8,noise:input}`
+        return {key for key in own & deciding if key in wanted or key.partition(".")[0] in wanted}
+
+    if candidates := {key for override in overrides for key in changes(override)}:
+        kept = (o for o in overrides if not changes(o) and o.key_or_group not in _IN_NO_LABEL)
+        without = _settings_of((*fixed, *(str(o.input_line) for o in kept)))
+        before, after = dict(flat(plain(without))), dict(flat(plain(made)))
+        changed |= {key: after[key] for key in candidates if before.get(key) != after.get(key)}
+    return changed
+
+
+def label_of(settings: StudySettings, changed: Mapping[str, Any]) -> str:
+    """The variant, then the last part of each changed key with its value; a network of the user's has its class name.
+
+    Examples
+    --------
+    >>> label_of(StudySettings(), {"model.depth": 8, "training.reconstruction": "crps"})
+    'sa2h.depth-8.reconstruction-crps'
+    """
+    variant = settings.variant
+    if variant == CUSTOM:
+        variant = str(settings.model.target).rpartition(".")[2]
+    named = sorted(f"{key.rpartition('.')[2]}-{value}" for key, value in changed.items())
+    return ".".join([variant, *(re.sub(r"[^A-Za-z0-9.+_-]", "_", name) for name in named)])
 
 
 def jobs_of(arguments: Sequence[str]) -> list[Job]:

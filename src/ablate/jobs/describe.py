@@ -9,9 +9,9 @@ import pandas as pd
 from ablate import networks
 from ablate.jobs.compose import job_of
 from ablate.jobs.scale import PAPER_CROP, PAPER_ROWS, paper_levels
-from ablate.jobs.variants import OF_THE_NETWORK, variant_names
 from ablate.networks import ExtraInput, GeneratorSpec, Noise, PatchDiscriminator
 from ablate.runs.job import Job, parameters
+from ablate.settings.conf import components_of_networks, variant_names
 from ablate.settings.study import StudySettings
 from ablate.ultrasound.probe import fan_size_mm
 from ablate.ultrasound.probe_kinds import ConvexProbe
@@ -33,10 +33,10 @@ def described(jobs: Sequence[Job]) -> pd.DataFrame:
 
 def description(jobs: Sequence[Job]) -> str:
     """`described` as text of at most 120 columns (with the variants of conf/), and what is the same for all of them."""
-    table = described(jobs)
+    table = described(jobs).map(_cell).reset_index()
     paper = "in the paper: "
     parts = (
-        {name: name for name in ("family", *(c.name for c in OF_THE_NETWORK.values()), "inputs")},
+        {name: name for name in ("family", *(c.name for c in components_of_networks().values()), "inputs")},
         {
             **{"depth": "levels", "field_px": "px", "field_mm": "mm", "field_percent": "%"},
             **{"paper_depth": paper + "levels", "paper_field_px": "px", "paper_field_mm": "mm"},
@@ -52,12 +52,12 @@ def description(jobs: Sequence[Job]) -> str:
         "receptive field of the generator: px, mm, and % of the frame's height",
         "parameters, in the paper with width 1 and the paper's levels",
     )
-    shown = [
-        f"{title}\n{_text(table[list(columns)].rename(columns=columns))}"
+    tables = [
+        f"{title}\n{table[['variant', *columns]].rename(columns=columns).to_string(index=False)}"
         for title, columns in zip(titles, parts, strict=True)
     ]
     same = dict.fromkeys(line for job in jobs for line in _same_for_all(job.settings))
-    return "\n\n".join([*shown, "\n".join(same)])
+    return "\n\n".join([*tables, "\n".join(same)])
 
 
 def _variants(jobs: Sequence[Job]) -> list[tuple[str, StudySettings]]:
@@ -76,7 +76,7 @@ def _row(settings: StudySettings) -> dict[str, object]:
     at_paper = paper_levels(spec.depth, rows)
     row: dict[str, object] = {
         "family": spec.family.value,
-        **{component.name: _level(spec, field) for field, component in OF_THE_NETWORK.items()},
+        **{component.name: _level(spec, field) for field, component in components_of_networks().items()},
         "inputs": "+".join(networks.inputs(spec)),
         **_field(spec, "field", rows, fan_size_mm(settings.probe)[0]),
         "total_here": sum(parameters(settings).values()),
@@ -122,14 +122,10 @@ def _level(spec: GeneratorSpec, field: str) -> object:
     """Whether a component with two levels is on, or else its level."""
     level = getattr(spec, field)
     if isinstance(level, StrEnum) and len(type(level)) == 2:
-        return bool(level == OF_THE_NETWORK[field].on)
+        return bool(level == components_of_networks()[field].on)
     if field == "noise" and spec.extra_input is ExtraInput.noise:
         return Noise.input.value
     return str(level) if isinstance(level, str) else level
-
-
-def _text(table: pd.DataFrame) -> str:
-    return table.map(_cell).reset_index().to_string(index=False)
 
 
 def _cell(value: object) -> str:

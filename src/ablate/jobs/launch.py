@@ -1,14 +1,36 @@
-"""How jobs are started, and what a process does with its own."""
+"""How jobs are started: one after another here, or each in a process of its own with `hydra/launcher=processes`."""
 
+import multiprocessing
+import os
+import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import wait
+from multiprocessing.context import SpawnProcess
+from typing import Any
 
+import cloudpickle
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.singleton import Singleton
+from hydra.core.utils import run_job, setup_globals
+from hydra.types import HydraContext
+from omegaconf import DictConfig, open_dict
+
+from ablate.dataset.processes import allotted_cores, work_for_parent
+from ablate.jobs.schema import register
 from ablate.runs.job import Job
 from ablate.settings.study import ConfigurationError
 
+VISIBLE = "CUDA_VISIBLE_DEVICES"
+_GRACE_S = 3.0  # after Ctrl-C, which reaches every process of a terminal
+# What libraries of numerics read when they are loaded.
+_THREADS = ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMBA", "NUMEXPR")
 Work = Callable[[Job], object]
+Start = Callable[[Sequence[Job], Sequence[Sequence[str]], Sequence[int], Work], None]
 
 
 @dataclass(frozen=True)
@@ -50,3 +72,135 @@ def told(work: Work, job: Job) -> None:
             print(f"{job.name}: {error}", file=sys.stderr)
         else:
             traceback.print_exc()
+
+
+def start_processes(launcher: Any) -> Start:
+    """A function that starts a process for each job, `n_jobs` at a time; one that dies takes no other with it.
+
+    After Ctrl-C it waits until every process has saved the step that it is at. Processes whose launcher was killed end
+    by themselves. Each has its share of the cores as threads, unless `OMP_NUM_THREADS` and the like say otherwise.
+    Where the machine has several GPUs, each process sees one of them only, the one that fewest others have; then there
+    are no more processes than GPUs, unless `n_jobs` says so.
+    """
+    asked = launcher.n_jobs
+    if asked == 0 or not isinstance(asked, int):
+        raise ConfigurationError(
+            f"hydra.launcher.n_jobs={asked}: allowed are 1 and more, or -1 for the number of cores"
+        )
+    return partial(_start, launcher, asked if asked > 0 else max(1, allotted_cores() + 1 + asked))
+
+
+def _start(
+    launcher: Any,
+    n_jobs: int,
+    jobs: Sequence[Job],
+    overrides: Sequence[Sequence[str]],
+    numbers: Sequence[int],
+    work: Work,
+) -> None:
+    devices = devices_to_share(jobs[0].settings.training.device)
+    if devices and launcher.n_jobs < 0:
+        n_jobs = min(n_jobs, len(devices))
+    coming = list(zip(jobs, overrides, numbers, strict=True))
+    running: dict[int, tuple[SpawnProcess, str, str | None]] = {}
+    try:
+        while coming or running:
+            while coming and len(running) < n_jobs:
+                job, words, number = coming.pop(0)
+                device = least_busy(devices, [taken for _, _, taken in running.values()])
+                arguments = launcher.hydra_context, launcher.config, job, list(words), number, work
+                content = cloudpickle.dumps((run_in_process, (*arguments, Singleton.get_state())))
+                process = _started(content, n_jobs, device)
+                running[process.sentinel] = process, job.name, device
+            for sentinel in wait(list(running)):
+                process, name, _ = running.pop(int(sentinel))  # type: ignore[arg-type]
+                process.join()
+                _tell(process.exitcode or 0, name)
+    except KeyboardInterrupt:
+        wait_for_all([process for process, _, _ in running.values()])
+        raise
+
+
+def run_in_process(
+    context: HydraContext,
+    master: DictConfig,
+    job: Job,
+    overrides: list[str],
+    number: int,
+    work: Work,
+    singletons: Mapping[Any, Any],
+) -> None:
+    """Run one job of a sweep in a process of its own, as Hydra's launchers do; `singletons` are the parent's."""
+    setup_globals()
+    register()
+    Singleton.set_state(dict(singletons))
+    own = context.config_loader.load_sweep_config(master, overrides)
+    with open_dict(own):
+        own.hydra.job.id, own.hydra.job.num = f"{own.hydra.job.name}_{number}", number
+    HydraConfig.instance().set_config(own)
+    run_job(lambda _: told(work, job), own, "hydra.sweep.dir", "hydra.sweep.subdir", context)
+
+
+def _started(content: bytes, n_jobs: int, device: str | None) -> SpawnProcess:
+    """A process that runs a pickled call, with its share of the threads and its GPU."""
+    process = multiprocessing.get_context("spawn").Process(target=work_for_parent, args=(content,))
+    threads = {f"{library}_NUM_THREADS": str(max(1, allotted_cores() // n_jobs)) for library in _THREADS}
+    own = {name: count for name, count in threads.items() if name not in os.environ}
+    with _environment(own | ({} if device is None else {VISIBLE: device})):
+        process.start()
+    return process
+
+
+def wait_for_all(processes: Sequence[SpawnProcess]) -> None:
+    """Wait until processes that were interrupted have ended; those that do not know of it are told by SIGTERM."""
+    for process in processes:
+        process.join(_GRACE_S)
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        process.join()
+
+
+def _tell(code: int, name: str) -> None:
+    if code < 0:
+        by = signal.Signals(-code).name
+        why = "; SIGKILL is often the system's, out of memory: try fewer hydra.launcher.n_jobs"
+        print(f"{name}: its process was ended by {by}{why if by == 'SIGKILL' else ''}", file=sys.stderr)
+
+
+@contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Processes that are started meanwhile have these variables."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def devices_to_share(device: str) -> tuple[str, ...]:
+    """The GPUs that the jobs of a sweep are dealt to, as `CUDA_VISIBLE_DEVICES` names them.
+
+    None where there are fewer than two, or where `training.device` is the CPU.
+    """
+    if device not in ("auto", "cuda"):
+        return ()
+    import torch  # takes seconds, and a sweep on CPUs does without
+
+    visible = os.environ.get(VISIBLE)
+    count = torch.cuda.device_count()
+    named = [str(i) for i in range(count)]
+    if visible is not None:
+        named = [name.strip() for name in visible.split(",")][:count]
+    return tuple(named) if len(named) > 1 else ()
+
+
+def least_busy(devices: Sequence[str], busy: Iterable[str | None]) -> str | None:
+    """The device that fewest of the running jobs have, the first of several; None where there are no devices."""
+    taken = list(busy)
+    return min(devices, key=taken.count, default=None)

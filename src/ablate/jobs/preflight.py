@@ -10,12 +10,13 @@ import torch
 
 from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
 from ablate.dataset import Part, resample_grid
-from ablate.jobs.variants import variant_model, variant_names
+from ablate.jobs.compose import variant_model
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Attenuation, Family, check_custom, conditions
 from ablate.runs.imported import checked_folder
 from ablate.runs.job import Job
 from ablate.runs.place import check_place
+from ablate.settings.conf import variant_names
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, Task, refusing
 from ablate.training import TrainingPrecision
 from ablate.training.settings import SMALLEST_CROP

@@ -9,7 +9,7 @@ from hydra.errors import HydraException, OverrideParseException
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from yaml import YAMLError
 
-from ablate.settings.conf_folder import conf_folder
+from ablate.settings.conf import conf_folder
 from ablate.settings.study import ConfigurationError
 from ablate.settings.values import Key, keys
 from ablate.validation import shown

@@ -11,7 +11,7 @@ from contextlib import suppress
 from omegaconf import DictConfig, OmegaConf
 
 from ablate.networks.spec import DEPTHS, GeneratorSpec
-from ablate.settings.conf_folder import conf_folder
+from ablate.settings.conf import conf_folder
 from ablate.training.settings import SMALLEST_CROP, TrainingSettings
 from ablate.ultrasound.probe import fan_size_mm, square_pixels
 from ablate.ultrasound.probe_kinds import ConvexProbe, Probe, probe_from

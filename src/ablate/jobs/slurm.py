@@ -12,8 +12,7 @@ import submitit
 from hydra.core.singleton import Singleton
 from omegaconf import OmegaConf
 
-from ablate.jobs.launch import Work
-from ablate.jobs.processes import Start
+from ablate.jobs.launch import Start, Work
 from ablate.runs.job import Job
 from ablate.settings.study import ConfigurationError
 

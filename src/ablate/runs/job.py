@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from ablate.runs.run import Run
 
 COMPARISON = "comparison"  # folder beside those of the variants
-CUSTOM = "custom"  # the variant that a user's network takes the place of
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,15 +14,13 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from ablate.jobs.compose import CONFIG, VERSION_BASE, job_of, parsed, swept_keys, without_repetitions
-from ablate.jobs.launch import Launch, Work, start_here
-from ablate.jobs.processes import Start
+from ablate.jobs.launch import Launch, Start, Work, start_here
 from ablate.jobs.refusals import in_one_line
 from ablate.jobs.schema import register
 from ablate.runs.job import Job
-from ablate.settings.conf_folder import conf_folder
+from ablate.settings.conf import conf_folder
 from ablate.settings.study import ConfigurationError
 
-Do = Callable[[Sequence[Job], Launch], int]
 _OURS = ("processes", "slurm")  # launchers that are given all jobs, and compare them when they have ended
 
 register()  # on import: a launcher's process unpickles `run_one`, which imports this module, before it composes
@@ -88,7 +86,7 @@ def run_one(config: DictConfig) -> float | None:
     is_sweep = own.mode is RunMode.MULTIRUN
     launcher = own.runtime.choices["hydra/launcher"]
     try:
-        if not is_sweep and _names_a_launcher(_words(own, "hydra")):
+        if not is_sweep and any(word.startswith("hydra/launcher=") for word in _words(own, "hydra")):
             raise ConfigurationError(f"hydra/launcher={launcher} starts the jobs of a sweep: add -m")
         swept = [str(key) for key in (own.sweeper.get("swept") or own.sweeper.get("params") or ())]
         job = job_of(_words(own, "task"), swept if is_sweep else ())
@@ -108,10 +106,6 @@ def _words(hydra_node: Any, kind: str) -> list[str]:
     """Words of the command line as they were given: `${levels:8}` in one is resolved where the job is composed."""
     words = OmegaConf.to_container(hydra_node.overrides[kind], resolve=False)
     return [str(word) for word in words] if isinstance(words, list) else []
-
-
-def _names_a_launcher(words: Sequence[str]) -> bool:
-    return any(word.startswith("hydra/launcher=") for word in words)
 
 
 def run_sweep(
@@ -140,13 +134,10 @@ def run_sweep(
         raise _Raised(error) from error
     if code:
         raise SystemExit(code)
-    return [_returned(job, line) for job, line in zip(made, lines, strict=True)]
-
-
-def _returned(job: Job, words: list[str]) -> JobReturn:
-    returned = JobReturn(overrides=words, status=JobStatus.COMPLETED)
-    returned.return_value = objective(job)
-    return returned
+    returns = [JobReturn(overrides=line, status=JobStatus.COMPLETED) for line in lines]
+    for job, returned in zip(made, returns, strict=True):
+        returned.return_value = objective(job)
+    return returns
 
 
 def objective(job: Job) -> float | None:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from ablate.comparison.blocks import check_pixels
+from ablate.comparison.usable_runs import check_pixels
 from ablate.runs.job import Job
 from ablate.runs.place import finished_run
 from ablate.runs.run import State, runs_of

@@ -1,4 +1,4 @@
-"""Frames at poses of your choice as files: image, S and A, the envelope, and what they were made with."""
+"""Frames at poses of your choice as files, with what they were made with; and one drawn with its probe in 3-D."""
 
 import json
 from collections.abc import Sequence
@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from ablate.analysis import Preview, preview_figure
 from ablate.anatomy import Scene, SiteGrid, fetal_planes
-from ablate.dataset import read_poses
+from ablate.dataset import Pairs, Part, read_poses
 from ablate.runs.job import Job
-from ablate.runs.simulated import build_scene, lay_out
+from ablate.runs.simulated import Layout, build_scene, lay_out
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
 from ablate.storage import read_json, write_json, written_whole
-from ablate.tasks.preview import check_frame
 from ablate.ultrasound import SIMULATOR_VERSION, Frame, Simulator
 from ablate.ultrasound.probe import pixel_size_mm
 
+_PREVIEW = frozenset({"segmentation", "target"})
 _FRAME_MS = 50  # of a cine: 20 frames a second
 
 
@@ -120,3 +121,35 @@ def _made_with(settings: StudySettings, scene: Scene, poses: np.ndarray) -> dict
         "pixel_mm": {"height": height_mm, "width": width_mm},
         "labels": {"0": "outside the fan", **{str(i + 1): t.name for i, t in enumerate(scene.tissues)}},
     }
+
+
+def preview(jobs: Sequence[Job]) -> int:
+    """Draw frame number `frame` of the first job's data set, and print the path of the picture."""
+    with refusing():  # a mesh with a hole, no usable pose, ...
+        print(_draw(jobs[0]))
+    return 0
+
+
+def _draw(job: Job) -> Path:
+    settings, frame, data = job.settings, job.settings.frame, job.data
+    pairs = data.pairs if data.exists else None
+    check_frame(frame, settings.dataset.frames if pairs is None else len(pairs))
+    scene, grid = build_scene(settings)
+    frames: Pairs | Layout = lay_out(settings, scene, grid) if pairs is None else pairs
+    check_frame(frame, len(frames))
+    if pairs is not None and frame // pairs.shard not in pairs.missing(_PREVIEW):
+        image, segmentation = (pairs.read(name, [frame])[0] for name in ("target", "segmentation"))
+    else:
+        simulator = Simulator(scene, settings.probe, settings.simulator, poses=frames.poses)
+        rendered = simulator.render(frames.poses[frame], seed=settings.dataset.seed)  # as the data set will hold it
+        image, segmentation = rendered.image, rendered.segmentation
+    part, site = Part(frames.split[frame]).name, frames.sites[frame]
+    title = f"{settings.scene_name}: frame {frame} of {len(frames)}, {part}, site {site}"
+    shown = Preview(title, frames.poses[frame], image, segmentation, grid.axis, grid.front)
+    return preview_figure(scene, settings.probe, shown, data.folder / f"preview_{frame}.png")
+
+
+def check_frame(frame: int, frames: int) -> None:
+    """Refuse the number of a frame that a data set has not."""
+    if not 0 <= frame < frames:
+        raise ConfigurationError(f"frame={frame}: allowed are 0 to {frames - 1}")

@@ -81,7 +81,7 @@ def simulate(jobs: Sequence[Job], launch: Launch) -> int:
         for damaged in drop_damaged(job, maps):
             print(damaged, file=sys.stderr)
     if launch.elsewhere:
-        launch.start(jobs, _simulate_own)
+        launch.start(jobs, lambda job: prepare_data(job, maps_needed([job.settings.model])))
     else:
         _simulate_for(jobs)
     code = 0
@@ -92,11 +92,6 @@ def simulate(jobs: Sequence[Job], launch: Launch) -> int:
             print(f"not finished: {job.data.folder}; the same command takes it up again", file=sys.stderr)
             code = 1
     return code
-
-
-def _simulate_own(job: Job) -> None:
-    """Simulate the pairs that one job reads."""
-    prepare_data(job, maps_needed([job.settings.model]))
 
 
 def _data_sets(jobs: Sequence[Job]) -> list[tuple[Job, frozenset[str]]]:
@@ -156,7 +151,7 @@ def _look(task: Task, jobs: Sequence[Job]) -> int:
 
         return show_progress(jobs)
     if task is Task.preview:
-        from ablate.tasks.preview import preview
+        from ablate.tasks.render import preview
 
         return preview(jobs)
     if task is Task.render:

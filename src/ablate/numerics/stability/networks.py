@@ -10,10 +10,11 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 from torch.optim import Adam
 
-from ablate.jobs.variants import variant_model, variant_names
+from ablate.jobs.compose import variant_model
 from ablate.networks import Generator, GeneratorSpec, Noise, PatchDiscriminator, conditions, gaussian_field
 from ablate.networks.layers import EPSILON, convolutions, instance_norm
 from ablate.numerics.stability.checks import BFLOAT16, FLOAT32, FLOAT64, TF32, Checks, case
+from ablate.settings.conf import variant_names
 from ablate.training import PairGAN, TrainingSettings
 
 WIDTH = 0.125  # rounding errors depend on the depth of a network more than on its width
