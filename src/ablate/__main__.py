@@ -29,8 +29,8 @@ def main() -> None:
         with _stopping_at_signals():
             code = execute(sys.argv[1:])
     except ConfigurationError as error:
-        said = re.sub(r"://[^\s@]*@", "://...@", str(error))  # no password on the screen
-        print(f"ablate: {said}", file=sys.stderr)
+        message = re.sub(r"://[^\s@]*@", "://...@", str(error))  # no password on the screen
+        print(f"ablate: {message}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:  # such as a full disk; what the system did not raise has no number
         if error.errno is None:

@@ -67,12 +67,12 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def digest_of_files(paths: Iterable[Path]) -> str:
     """First 16 hexadecimal digits of the SHA-256 of the names and contents of the files that exist among `paths`."""
-    found = hashlib.sha256()
+    total = hashlib.sha256()
     for path in paths:
         if path.is_file():
             with path.open("rb") as file:
-                found.update(path.name.encode() + hashlib.file_digest(file, "sha256").digest())
-    return found.hexdigest()[:16]
+                total.update(path.name.encode() + hashlib.file_digest(file, "sha256").digest())
+    return total.hexdigest()[:16]
 
 
 def digest(value: Any) -> str:

@@ -54,6 +54,8 @@ def answers(runs: Sequence[Run], table: pd.DataFrame, reference: str = REFERENCE
     per_image, scalars = (scored.assign(data=scored["data"].map(block)) for scored in scored_frames(runs))
     design = analysis.find_design(levels, factors, reference)
     means = analysis.run_means(per_image, scalars, design)
+    times = scalars[scalars["metric"] == FRAME_TIME]  # their spread is half the distance of the quartiles
+    spreads = {FRAME_TIME: float((times["upper"] - times["lower"]).mean() / 2)} if len(times) else {}
     return Answers(
         design,
         means,
@@ -63,18 +65,12 @@ def answers(runs: Sequence[Run], table: pd.DataFrame, reference: str = REFERENCE
             design,
             judged,
             analysis.distances_to_resimulation(table, reference),
-            spreads=_spreads(scalars),
+            spreads=spreads,
         ),
         _wide(runs, factors),
         analysis.paper_effects(means, design, judged),
         judged,
     )
-
-
-def _spreads(scalars: pd.DataFrame) -> dict[str, float]:
-    """By cost, the spread of what was measured of a run: half the distance of the quartiles of its times."""
-    times = scalars[scalars["metric"] == FRAME_TIME]
-    return {FRAME_TIME: float((times["upper"] - times["lower"]).mean() / 2)} if len(times) else {}
 
 
 def _wide(runs: Sequence[Run], factors: Sequence[str]) -> pd.DataFrame:

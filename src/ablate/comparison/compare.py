@@ -49,18 +49,18 @@ def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> s
     if not usable.runs:
         raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))
     failed = time_networks(settings.study_dir, usable.all) if time_here else ""
-    said_of_times = [*([failed] if failed else []), *untimed(settings.study_dir, labelled_networks(usable.all))]
-    usable = replace(usable, notes=(*usable.notes, *said_of_times))
+    of_times = [*([failed] if failed else []), *untimed(settings.study_dir, labelled_networks(usable.all))]
+    usable = replace(usable, notes=(*usable.notes, *of_times))
     made_from = _made_from(usable, reference, settings.study_dir / TIMES)
     marker = folder / "made_from.json"
     per_image, scalars = scored_frames(usable.runs)
     table = analysis.comparison_table(per_image, scalars, reference)
-    said = None if rebuild else _kept(marker, made_from)
-    if said is None:
-        said = write_comparison(usable, folder, settings.study, reference)[1]
-        write_json(marker, {**made_from, "said": said})
+    notes = None if rebuild else _kept(marker, made_from)
+    if notes is None:
+        notes = write_comparison(usable, folder, settings.study, reference)[1]
+        write_json(marker, {**made_from, "for_readers": notes})
     try:
-        tracked = within(_TRACKING_S, lambda: _track(settings, usable.runs, table, folder, said))
+        tracked = within(_TRACKING_S, lambda: _track(settings, usable.runs, table, folder, notes))
     except UNAVAILABLE as error:
         tracked = f"\nNote: not all is in MLflow yet ({reason(error)}); the same command logs the rest."
     warnings = "\n".join(f"Note: {c}" for c in (*usable.notes, *analysis.cautions(per_image, reference)))
@@ -92,8 +92,8 @@ def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
         there = read_json(marker)
     except (OSError, ValueError):
         return None
-    said = there.pop("said", None)
-    return said if there == made_from and isinstance(said, list) else None
+    notes = there.pop("for_readers", None)
+    return notes if there == made_from and isinstance(notes, list) else None
 
 
 def write_comparison(
@@ -110,10 +110,10 @@ def write_comparison(
     per_image, scalars = scored_frames(runs)
     table = analysis.comparison_table(per_image, scalars, reference)
     paired = analysis.paired_table(per_image, reference)
-    found = answers(usable.all, table, reference)
+    judged = answers(usable.all, table, reference)
     claims = analysis.seed_claims(per_image, scalars, reference)
     frames, missing = stored_pictures(runs, reference)
-    numbers = Numbers(reference, per_image, scalars, table, paired, found, timed_on(usable.all))
+    numbers = Numbers(reference, per_image, scalars, table, paired, judged, timed_on(usable.all))
     figures = draw_figures(numbers, frames, partial)
     notes = [*usable.notes, *([missing] if missing else [])]
     report = analysis.write_report(
@@ -123,8 +123,8 @@ def write_comparison(
         table,
         paired,
         claims=claims,
-        verdicts=found.verdicts,
-        components=found.components,
+        verdicts=judged.verdicts,
+        components=judged.components,
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
         left_out=_left_out(runs),
         provenance=provenance(usable.all),
@@ -136,9 +136,9 @@ def write_comparison(
     of_the_paper = table[table["metric"].isin(shown_in(Shown.table))]
     (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
     (partial / "table.md").write_text(_markdown(table), "utf-8")
-    tables = {"paired": paired, "claims": claims, "verdicts": found.verdicts, "runs": found.runs}
+    tables = {"paired": paired, "claims": claims, "verdicts": judged.verdicts, "runs": judged.runs}
     times = all_times(folder.parent, labelled_networks(usable.all))
-    more = (("effects", found.effects), ("paper", found.paper), ("times", times))
+    more = (("effects", judged.effects), ("paper", judged.paper), ("times", times))
     tables |= {name: made for name, made in more if len(made)}
     for name, content in tables.items():
         content.to_csv(partial / f"{name}.csv", index=False)
@@ -197,10 +197,10 @@ def _markdown(table: pd.DataFrame) -> str:
 def _left_out(runs: Sequence[Run]) -> list[str]:
     """What was left out of this study, and why."""
     try:
-        said = list(runs[0].data_set.left_out)
+        notes = list(runs[0].data_set.left_out)
     except (OSError, ValueError, KeyError):
-        said = []  # the pairs have been deleted
-    said += dict.fromkeys(str(note) for run in runs for note in run.result.get("notes", ()))
+        notes = []  # the pairs have been deleted
+    notes += dict.fromkeys(str(note) for run in runs for note in run.result.get("notes", ()))
     if not any(levels_of(run.spec["semantic"]).get("model.extra_input") == "low" for run in runs):
-        said.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
-    return said
+        notes.append("The low-quality image L: no variant of this study reads it, so it was not rendered.")
+    return notes

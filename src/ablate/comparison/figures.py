@@ -63,7 +63,10 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
         analysis.seeds_caption(panels, reference),
     )
     if design is not None and len(effects):
-        gaps = _gaps(numbers.table, reference)
+        by_variant = numbers.table.pivot(index="metric", columns="variant", values="mean")
+        gaps: dict[str, float] = {}  # by metric, the re-simulation minus the reference
+        if {RESIMULATION, reference} <= set(by_variant.columns):
+            gaps = {str(m): float(gap) for m, gap in (by_variant[RESIMULATION] - by_variant[reference]).items()}
         drawn = analysis.effects_plot(effects, panels, folder / "effects", gaps)
         add(drawn, analysis.effects_caption(design, effects, reference if gaps else None))
     for k, frame in enumerate(frames):
@@ -77,11 +80,3 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
     for metric, paths in analysis.paired_boxplots(per_image, folder, reference, numbers.paired, components).items():
         add(paths, analysis.boxplot_caption([metric], reference))
     return made
-
-
-def _gaps(table: pd.DataFrame, reference: str) -> dict[str, float]:
-    """By metric, the re-simulation minus the reference."""
-    means = table.pivot(index="metric", columns="variant", values="mean")
-    if not {RESIMULATION, reference} <= set(means.columns):
-        return {}
-    return {str(metric): float(gap) for metric, gap in (means[RESIMULATION] - means[reference]).items()}

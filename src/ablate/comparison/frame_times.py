@@ -69,17 +69,17 @@ def read_times(study_dir: Path) -> Times:
 
 
 def _frame_time(parts: Mapping[str, Sequence[float]]) -> FrameTime:
-    found = FrameTime({str(name): [float(ms) for ms in values] for name, values in parts.items()})
-    if not all(np.isfinite(found.quartiles)):
+    frame_time = FrameTime({str(name): [float(ms) for ms in values] for name, values in parts.items()})
+    if not all(np.isfinite(frame_time.quartiles)):
         raise ValueError(f"{TIMES}: a time that is not finite")
-    return found
+    return frame_time
 
 
 def write_times(study_dir: Path, times: Times) -> None:
     """Keep the times of a study."""
     machines = [
-        {"name": machine, "networks": {network: dict(time.parts) for network, time in of.items()}}
-        for machine, of in times.items()
+        {"name": machine, "networks": {network: dict(time.parts) for network, time in timed.items()}}
+        for machine, timed in times.items()
     ]
     write_json(study_dir / TIMES, {"machines": machines})
 
@@ -87,7 +87,7 @@ def write_times(study_dir: Path, times: Times) -> None:
 def shown_machine(times: Times, networks: Iterable[str]) -> str | None:
     """The one machine whose times are compared: on which most of these networks were timed, and of several the last."""
     wanted = set(networks)
-    counts = {machine: len(wanted & of.keys()) for machine, of in times.items()}
+    counts = {machine: len(wanted & timed.keys()) for machine, timed in times.items()}
     most = max(counts.values(), default=0)
     return next(machine for machine in reversed(counts) if counts[machine] == most) if most else None
 
@@ -98,11 +98,11 @@ def time_rows(study_dir: Path, runs: Mapping[tuple[str, int, str], str]) -> pd.D
     The bounds are quartiles over the rounds. `runs` holds the network of each run by its variant, seed and data.
     """
     times = read_times(study_dir)
-    of = times.get(shown_machine(times, runs.values()) or "", {})
+    timed = times.get(shown_machine(times, runs.values()) or "", {})
     rows = []
     for (variant, seed, data), network in runs.items():
-        if network in of:
-            lower, middle, upper = of[network].quartiles
+        if network in timed:
+            lower, middle, upper = timed[network].quartiles
             rows.append((variant, seed, data, FRAME_TIME, middle, lower, upper))
     return pd.DataFrame(rows, columns=["variant", "seed", "data", "metric", "value", *BOUNDS])
 
@@ -113,9 +113,9 @@ def all_times(study_dir: Path, labels: Mapping[str, str]) -> pd.DataFrame:
     `labels` names the network of each variant.
     """
     rows = []
-    for machine, of in read_times(study_dir).items():
+    for machine, timed in read_times(study_dir).items():
         for variant, network in labels.items():
-            if (time := of.get(network)) is not None:
+            if (time := timed.get(network)) is not None:
                 lower, middle, upper = time.quartiles
                 parts = {f"{part}_ms": float(np.median(ms)) for part, ms in time.parts.items()}
                 rounds = len(next(iter(time.parts.values())))
@@ -133,7 +133,7 @@ def untimed(study_dir: Path, labels: Mapping[str, str]) -> list[str]:
     missing: dict[str, list[str]] = {}
     for variant, network in labels.items():
         if network not in times[shown]:
-            elsewhere = [machine for machine, of in times.items() if network in of]
+            elsewhere = [machine for machine, timed in times.items() if network in timed]
             missing.setdefault(elsewhere[-1] if elsewhere else "", []).append(variant)
     return [
         f"Times are those of {shown}; none from there: {', '.join(names)} "
@@ -149,29 +149,28 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
     a network is timed with the weights that it starts with, which takes as long; a custom one is not, because how long
     it takes may depend on them. Returns why nothing could be measured, a sentence, or an empty string.
     """
-    found = {network_of(run.spec["semantic"]): run for run in reversed(runs) if _is_there(run)}
-    if not found:
+    kept = {
+        network_of(run.spec["semantic"]): run
+        for run in reversed(runs)
+        if run.checkpoint.is_file() or run.spec["semantic"]["model"].get("family") != Family.custom.value
+    }
+    if not kept:
         return ""
     try:
-        settings = {network: run.settings for network, run in found.items()}
+        settings = {network: run.settings for network, run in kept.items()}
         training = next(iter(settings.values())).training
         device = chosen_device(training.device)
         with _threads(training.threads) as threads:
             machine = f"{hardware()}, {device.type}, {threads} thread{'' if threads == 1 else 's'}"
             times = read_times(study_dir)
             before = times.pop(machine, {})
-            if found.keys() <= before.keys():
+            if kept.keys() <= before.keys():
                 return ""
-            measured = _in_turns(found, settings, device)
+            measured = _in_turns(kept, settings, device)
     except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:  # no pairs, no GPU, no Embree, ...
         return f"Times were not measured: {' '.join(str(error).split())}."
     write_times(study_dir, {**times, machine: {**before, **measured}})
     return ""
-
-
-def _is_there(run: Run) -> bool:
-    """Whether the run's network can be had: custom ones need their checkpoint."""
-    return run.checkpoint.is_file() or run.spec["semantic"]["model"].get("family") != Family.custom.value
 
 
 def _generator(run: Run, settings: StudySettings) -> Generator:

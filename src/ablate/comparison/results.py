@@ -43,9 +43,9 @@ def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
             if metric in per_image_metrics or is_bound(metric):
                 continue
             if part == "test" and (with_floor or not is_floor):
-                of = own | ({"variant": RESIMULATION} if is_floor else {})
+                whose = own | ({"variant": RESIMULATION} if is_floor else {})
                 bounds = {side: values.get(f"{name}_{side}") for side in BOUNDS}
-                scalars.append({**of, "metric": metric, "value": value, **bounds})
+                scalars.append({**whose, "metric": metric, "value": value, **bounds})
         parameters = values["parameters_generator"] + values["parameters_discriminator"]
         scalars.append({**own, "metric": "parameters", "value": parameters})
     table = pd.DataFrame(scalars)
@@ -139,7 +139,7 @@ def appendix(runs: Sequence[Run]) -> dict[str, str]:
     for run in runs:
         diff = "\n".join(path.read_text("utf-8", "replace") for path in run.uncommitted if path.is_file())
         names.setdefault(diff, []).append(run.name)
-    return {**texts, **{f"Uncommitted changes: {', '.join(of)}": diff for diff, of in names.items() if diff}}
+    return {**texts, **{f"Uncommitted changes: {', '.join(whose)}": diff for diff, whose in names.items() if diff}}
 
 
 def _made_with(runs: Sequence[Run]) -> dict[str, str]:

@@ -28,18 +28,14 @@ def _schema(cls: type) -> type:
         hint = hints[one.name]
         if hint == Probe:
             values = {"kind": ProbeKind.convex, **PROBE_KEYS}
-            own = [(name, _optional(value), field(default=value)) for name, value in values.items()]
+            # Null where not all kinds have it.
+            own = [(n, float | None if v is None else type(v), field(default=v)) for n, v in values.items()]
             fields.append((one.name, probe := _made("Probe", own), field(default_factory=probe)))
         elif is_group(hint):
             fields.append((one.name, group := _schema(hint), field(default_factory=group)))
         else:
             fields.append((one.name, hint, field(default_factory=_constant(one.default))))
     return _made(cls.__name__, fields)
-
-
-def _optional(value: Any) -> Any:
-    """The type of a value of some probe; null where not all kinds have it."""
-    return float | None if value is None else type(value)
 
 
 def _made(name: str, fields: list[tuple[str, Any, Any]]) -> type:

@@ -1,10 +1,8 @@
 """From plain values, as Hydra composes them or JSON stores them, to frozen settings; and the table of all keys."""
 
-import dataclasses
-import types
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 from ablate.setting import Setting, is_group, settings_of
 from ablate.settings.study import StudySettings
@@ -38,16 +36,11 @@ def _group(hint: Any, values: Any, prefix: str) -> Any:
     if not isinstance(values, dict):
         return values
     if hint != Probe:
-        return build(_dataclass_of(hint), values, prefix)
+        return build(hint, values, prefix)
     try:
         return probe_from(values)
     except ValueError as error:
         raise ValueError(f"{prefix}{error}") from error
-
-
-def _dataclass_of(hint: Any) -> type[Any]:
-    kinds: tuple[Any, ...] = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    return next(kind for kind in kinds if dataclasses.is_dataclass(kind))  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ablate.dataset import Pairs, Part
+from ablate.dataset import Part
 from ablate.dataset.export_formats import write_dicom, write_nnunet, write_png
 from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job
@@ -57,15 +57,18 @@ def _check_dicom(settings: StudySettings) -> None:
 def _card(settings: StudySettings, data: DataSet) -> str:
     """A data card in Markdown."""
     pairs, about = data.pairs, data.about
+    labels = "".join(f", {i} is {name}" for i, name in enumerate(pairs.tissues, start=1))
+    simulated = "By ablate, a Monte-Carlo ray-tracing simulator of ultrasound"
+    origin = "Imported by ablate from images made elsewhere" if settings.scene.kind is SceneKind.pairs else simulated
     parts = ", ".join(f"{int((pairs.split == part).sum())} for {part.name}" for part in Part)
     made = {key: about[key] for key in ("scene", "probe", "simulator", "simulator_version", "dataset") if key in about}
     return f"""# Simulated ultrasound frames: {settings.scene_name}
 
 **What.** {len(pairs)} frames of {pairs.shape[0]} x {pairs.shape[1]} px ({parts}) at {len(np.unique(pairs.sites))} probe
-sites, as `{settings.dataset.format}`. Labels: 0 is outside the fan{_labels(pairs)}. Frames of one
+sites, as `{settings.dataset.format}`. Labels: 0 is outside the fan{labels}. Frames of one
 site look alike, so keep them on one side of a split.
 
-**How made.** {_origin(settings)}, as data set `{pairs.folder.name}`:
+**How made.** {origin}, as data set `{pairs.folder.name}`:
 
 ```json
 {json.dumps(made, indent=2)}
@@ -78,13 +81,3 @@ elsewhere, follow the licence of the anatomy or the images in it.
 
 **Not for** diagnosis, or as evidence of how a device performs on patients.
 """
-
-
-def _origin(settings: StudySettings) -> str:
-    if settings.scene.kind is SceneKind.pairs:
-        return "Imported by ablate from images made elsewhere"
-    return "By ablate, a Monte-Carlo ray-tracing simulator of ultrasound"
-
-
-def _labels(pairs: Pairs) -> str:
-    return "".join(f", {i} is {name}" for i, name in enumerate(pairs.tissues, start=1))

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from ablate.analysis import Preview, preview_figure
-from ablate.anatomy import Scene, SiteGrid, fetal_planes
+from ablate.anatomy import Scene, fetal_planes
 from ablate.dataset import Pairs, Part, read_poses
 from ablate.runs.job import Job
 from ablate.runs.simulated import Layout, build_scene, lay_out
@@ -36,7 +36,11 @@ def _rendered(job: Job) -> Path:
     settings = job.settings
     named = _named_poses(job)  # before the anatomy is built
     scene, grid = build_scene(settings)
-    name, poses = named or (f"frame_{settings.frame}", _pose_of_frame(job, scene, grid))
+    if named is None:
+        all_poses = job.data.pairs.poses if job.data.exists else lay_out(settings, scene, grid).poses
+        check_frame(settings.frame, len(all_poses))
+        named = f"frame_{settings.frame}", np.asarray(all_poses[settings.frame])[None]
+    name, poses = named
     made_with = _made_with(settings, scene, poses)
     folder = _folder_of(settings.results / "render" / f"{settings.scene_name}-{name}", made_with)
     simulator = Simulator(scene, settings.probe, settings.simulator, poses=poses)
@@ -88,13 +92,6 @@ def _named_poses(job: Job) -> tuple[str, np.ndarray] | None:
         return settings.plane, planes[settings.plane][None]
     check_frame(settings.frame, len(job.data.pairs) if job.data.exists else settings.dataset.frames)
     return None
-
-
-def _pose_of_frame(job: Job, scene: Scene, grid: SiteGrid) -> np.ndarray:
-    """The pose of a frame of the data set, (1, 4, 4)."""
-    poses = job.data.pairs.poses if job.data.exists else lay_out(job.settings, scene, grid).poses
-    check_frame(job.settings.frame, len(poses))
-    return np.asarray(poses[job.settings.frame])[None]
 
 
 def _write(folder: Path, frame: Frame, number: str) -> None:
