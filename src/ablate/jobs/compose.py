@@ -49,13 +49,15 @@ def parsed(words: Sequence[str]) -> list[Override]:
     return OverridesParser.create().parse_overrides(list(words))
 
 
-def job_of(words: Sequence[str], swept: Collection[str] = (), fixed: Sequence[str] = ()) -> Job:
+def job_of(
+    words: Sequence[str], swept: Collection[str] = (), fixed: Sequence[str] = (), config: DictConfig | None = None
+) -> Job:
     """The job that the words `key=value` of a command line stand for.
 
     `swept` are the keys that a sweep gives several values: they are part of the label. `fixed` are words for Hydra
-    itself, such as its search path.
+    itself, such as its search path. `config` is what Hydra has composed of all of them, where it has.
     """
-    config = composed([*fixed, *words])
+    config = composed([*fixed, *words]) if config is None else config
     with in_one_line():
         made = settings(config)
         changed = changed_keys(parsed(words), made, {*swept, *(c.key for c in components())}, fixed)
@@ -129,7 +131,7 @@ def jobs_of(arguments: Sequence[str]) -> list[Job]:
     fixed = [str(o.input_line) for o in overrides if not o.is_sweep_override()]
     master = composed(fixed)
     if len(words) == len(arguments) and str(master.hydra.mode or "").rpartition(".")[2] != "MULTIRUN":
-        return [job_of(words)]
+        return [job_of(words, config=master if len(fixed) == len(words) else None)]
     lines = cells(master.hydra.sweeper.params, words)
     swept = swept_keys(lines, words)
     return without_repetitions([job_of(line, swept) for line in lines])

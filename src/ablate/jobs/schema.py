@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import field
+from functools import cache
 from typing import Any, get_type_hints
 
 from hydra.core.config_store import ConfigStore
@@ -14,6 +15,7 @@ from ablate.settings.values import build
 from ablate.ultrasound.probe_kinds import PROBE_KEYS, Probe, ProbeKind
 
 
+@cache
 def register() -> None:
     """Make the schema known to Hydra as `schema`, the first entry of conf/config.yaml, and conf/'s resolvers."""
     register_resolvers()

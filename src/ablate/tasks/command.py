@@ -81,7 +81,6 @@ def run_one(config: DictConfig) -> float | None:
     Without `-m` it is the whole command. Where a launcher that is not ours runs it for each job of a sweep, the study
     is not compared: `Comparison` does this when all have ended.
     """
-    del config  # Hydra has composed it; the words give the label too
     own = HydraConfig.get()
     is_sweep = own.mode is RunMode.MULTIRUN
     launcher = own.runtime.choices["hydra/launcher"]
@@ -89,7 +88,7 @@ def run_one(config: DictConfig) -> float | None:
         if not is_sweep and any(word.startswith("hydra/launcher=") for word in _words(own, "hydra")):
             raise ConfigurationError(f"hydra/launcher={launcher} starts the jobs of a sweep: add -m")
         swept = [str(key) for key in (own.sweeper.get("swept") or own.sweeper.get("params") or ())]
-        job = job_of(_words(own, "task"), swept if is_sweep else ())
+        job = job_of(_words(own, "task"), swept if is_sweep else (), config=config)
         code = _do([job], Launch(start_here, compares=not is_sweep))
     except Exception as error:
         if is_sweep:  # its launcher and its sweeper are told, as Hydra documents it
