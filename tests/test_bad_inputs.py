@@ -1,5 +1,6 @@
 """What cannot be run is refused in one line that says what is wrong, before anything starts; no file is left behind."""
 
+import copy
 import dataclasses
 import errno
 import math
@@ -16,9 +17,12 @@ import trimesh
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from omegaconf import DictConfig, OmegaConf
 
 from ablate.__main__ import main
-from ablate.jobs.compose import jobs_of
+from ablate.jobs.compose import composed
+from ablate.jobs.refusals import in_one_line
+from ablate.jobs.schema import settings as settings_of_config
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.settings.values import build
@@ -106,23 +110,19 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["metrics=fid"], r"metrics=fid: name one that every image has too"),
     (["evaluation.inception=nowhere.pt"], r"nowhere\.pt"),
     # Text in place of a name, or a name in place of text.
-    (["preset=null"], r"preset=null: allowed are laptop, paper, quick"),
     (["variant=[1,2]"], r"variant=\[1,2\]: allowed are .*sa2h"),
-    (["variant=1.5"], r"variant=1\.5: allowed are .*sa2h"),
     (["variant="], r"variant"),
     (["variant=[sa2h"], r"."),
     # Out of range, or not together.
     (["seed=-1"], r"seed=-1: allowed are whole numbers from 0"),
     (["-m", "seed=0,-1"], r"seed=-1: allowed are whole numbers from 0"),
     (["seed=99999999999999999999"], r"seed=99999999999999999999: allowed are whole numbers below 2\^63"),
-    (["model.depth=9"], r"model\.depth=9: allowed are whole numbers from 1 to 8"),
     (["simulator.image_shape=[]"], r"image_shape"),
     (
         ["simulator.image_shape=[100000,100000]"],
         r"simulator\.image_shape=\[100000, 100000\]: allowed are 2 whole numbers from 1 to 16384",
     ),
     (["training.crop=4096"], r"training\.crop=4096: at most 356, which covers an image of 256 x 355 px"),
-    (["simulator.rays=1000000000"], r"simulator\.rays=1000000000: allowed are whole numbers from 1 to 1048576"),
     (["variant=sa2h-gan", "training.l1_weight=0"], r"l1_weight=0 with loss=none"),
     (["training.batch_size=1000"], r"training\.batch_size=1000: more than the \d+ training frames"),
     (["dataset.frames=99999999"], r"dataset\.frames=99999999: at most \d+, the poses"),
@@ -132,7 +132,6 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["probe=matrix"], r"probe=matrix: allowed are c5-2v, convex, l11-5v, linear, p4-2v, phased"),
     (["probe=linear", "probe.radius_mm=50"], r"probe\.radius_mm=50\.0: a linear probe has width_mm, depth_mm"),
     (["probe=linear", "probe.width=50"], r"unknown key 'probe\.width'; did you mean 'width_mm'\? allowed in probe: "),
-    (["probe=phased", "probe.fov_deg=180"], r"probe\.fov_deg=180\.0: allowed are numbers from 0\.001 to 170"),
     (["probe=l11-5v", "probe.depth_mm=0"], r"probe\.depth_mm=0\.0: allowed are numbers from 1e-06 to 1000000"),
     # Jobs.
     (["variant=sa2h,nsa2h"], r"asks for several jobs: add -m"),
@@ -143,29 +142,20 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["-m", "variant=sa2h,"], r"variant: Hydra cannot read the value 'sa2h,'; give it without the comma at its end"),
     # Names and folders.
     (["study_name=.."], r"study_name='\.\.': allowed are at most 200 letters, digits, blanks and _\.\+-"),
-    (["study_name=a/b"], r"study_name='a/b': allowed are"),
     (['study_name="o\'neill"'], r"study_name=.*neill.*: allowed are"),
-    (["study_name='what?'"], r"study_name='what\?': allowed are"),
-    (["study_name=100%20"], r"study_name='100%20': allowed are"),
-    (["study_name='a '"], r"study_name='a ': allowed are"),
-    (["study_name=.hydra"], r"study_name='\.hydra': allowed are"),
     ([f"study_name={300 * 'x'}"], r"study_name='x+\.\.\.x+': allowed are at most 200"),
     (["study_name=data"], r"study_name=data: the names artifacts, data, .* are taken"),
-    (["study_name=mlflow.db-wal"], r"study_name=mlflow\.db-wal: the names"),
     (["tracking.experiment="], r"tracking\.experiment='': allowed are at most 200 letters"),
     (['tracking.experiment="a\nb"'], r"tracking\.experiment='a\\+nb': allowed are"),
-    ([f"tracking.experiment={300 * 'x'}"], r"tracking\.experiment='x+\.\.\.x+': allowed are"),
     (["tracking.register=a/b"], r"tracking\.register=a/b: allowed are"),
     (["runs_dir=file/runs"], r"file/runs"),
     (["runs_dir=file", "task=plan"], r"file' is a file; allowed is a folder"),
     ([f"runs_dir={300 * 'x'}"], r"runs_dir='x+\.\.\.x+': File name too long"),
     (["study_name=été"], r"study_name: Hydra cannot read the value 'été'; give it in quotes: \"study_name='\.\.\.'\""),
-    (["runs_dir=a (b)"], r"runs_dir: Hydra cannot read the value 'a \(b\)'; give it in quotes"),
     (["tracking.uri=nonsense"], r"tracking\.uri='nonsense': allowed are http://, .*sqlite:///"),
     (["metrics=[[psnr]]"], r"metrics=\['psnr'\]: is no name; allowed are"),
     (["metrics=[leaves.f]"], r"metrics=leaves\.f: SystemExit: 0; allowed are"),
     (["variant=custom", "model.target=leaves.F"], r"model\.target=leaves\.F: SystemExit: 0; allowed is"),
-    (["dataset.press_mm=nan"], r"dataset\.press_mm=nan: allowed are numbers from 0 to 1000"),
     (["dataset.poses=archive.npy"], r"dataset\.poses=archive\.npy: is an archive \(\.npz\), allowed is one array"),
     (["dataset.poses=semicolons.csv"], r"no column x; the columns are 'x;y;z', and x, .* are needed, with commas"),
     (["dataset.poses=site.csv"], r"row 0: allowed are numbers, and whole ones as site, not '.*9999"),
@@ -271,15 +261,29 @@ KEYS = dict(keys())
 TAKES_ANY_TEXT = {"metrics"}
 
 
-def of_wrong_type(kind: Any) -> str:
-    return "[a,b]" if kind is str or str in getattr(kind, "__args__", ()) else "wrong"
+@pytest.fixture(scope="module")
+def whole() -> DictConfig:
+    """A configuration of all keys, composed once; a key is set as Hydra's overrides set it."""
+    return composed([])
 
 
-@pytest.mark.parametrize("key", sorted(KEYS.keys() - TAKES_ANY_TEXT))
-def test_a_value_of_a_wrong_type(key: str) -> None:
-    with pytest.raises(ConfigurationError, match=re.escape(key.rpartition(".")[2])) as error:
-        jobs_of([f"{key}={of_wrong_type(KEYS[key])}"])
+def take(config: DictConfig, key: str, value: object) -> None:
+    with in_one_line():
+        OmegaConf.update(config, key, value, merge=True)
+        settings_of_config(config)
+
+
+def refused_value(whole: DictConfig, key: str, value: object) -> str:
+    with pytest.raises(ConfigurationError) as error:
+        take(copy.deepcopy(whole), key, value)
     assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_a_value_of_a_wrong_type_is_refused_by_the_name_of_its_key(whole: DictConfig) -> None:
+    for key in sorted(KEYS.keys() - TAKES_ANY_TEXT):
+        takes_text = KEYS[key] is str or str in getattr(KEYS[key], "__args__", ())
+        assert key.rpartition(".")[2] in refused_value(whole, key, ["a", "b"] if takes_text else "wrong")
 
 
 DEFAULTS = plain(StudySettings())
@@ -313,9 +317,8 @@ def refusal(key: str, value: float) -> str | None:
     return None
 
 
-def test_every_choice_is_named_by_its_refusal() -> None:
+def test_every_choice_is_named_by_its_refusal(whole: DictConfig) -> None:
     for key, kind in KEYS.items():
         if isinstance(kind, type) and issubclass(kind, Enum):
-            with pytest.raises(ConfigurationError) as error:
-                jobs_of([f"{key}=wrong"])
-            assert all(member.name in str(error.value) for member in kind), key
+            said = refused_value(whole, key, "wrong")
+            assert all(member.name in said for member in kind), key

@@ -4,9 +4,11 @@ import importlib
 import json
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,13 +16,13 @@ import pytest
 
 from ablate.analysis import Component, paper_effects
 from ablate.comparison.usable_runs import levels_of
-from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS
 from ablate.runs.job import Job
 from ablate.runs.place import claim_place, finished_run
 from ablate.settings.conf import components
 from ablate.storage import digest
 from support.finished_runs import result_of
+from support.studies import study_group
 
 FRAMES, SITES = 8, 8
 PLAN = ("answer", "answer_beside")
@@ -34,15 +36,20 @@ PICTURED = {"lsa2h", "nsa2h", "sa2h", "sa2h-att", "sa2h-compensated", "sa2h-gan"
 @pytest.fixture
 def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "scripts"))
+    page = importlib.import_module("results_page")
+    monkeypatch.setattr(page, "jobs_of", lambda words: study_group(words[0].removeprefix("+study=")))
     return importlib.import_module("results")
+
+
+def jobs_in(runs: Path) -> list[Job]:
+    """Every job of the two halves of the plan, each once."""
+    jobs = {job.name: job for part in PLAN for job in study_group(part)}.values()
+    return [replace(job, settings=replace(job.settings, runs_dir=str(runs))) for job in jobs]
 
 
 @pytest.fixture(scope="module")
 def planned(tmp_path_factory: pytest.TempPathFactory) -> list[Job]:
-    """Every job of the two halves of the plan, each once."""
-    runs = tmp_path_factory.mktemp("study") / "runs"
-    jobs = [job for part in PLAN for job in jobs_of([f"+study={part}", f"runs_dir={runs}"])]
-    return list({job.name: job for job in jobs}.values())
+    return jobs_in(tmp_path_factory.mktemp("study") / "runs")
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +59,14 @@ def whole(planned: list[Job]) -> Path:
         pretend(job)
     (planned[0].settings.study_dir / ".claim.lock").unlink()
     return planned[0].settings.study_dir
+
+
+@pytest.fixture(scope="module")
+def numbers(whole: Path) -> Any:
+    """What its page is written from."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(Path(__file__).parents[1] / "scripts"))
+        return importlib.import_module("results_page").numbers_of(whole)
 
 
 @pytest.fixture
@@ -157,8 +172,8 @@ def test_a_restored_study_has_nothing_left_to_do(study: Path, script: ModuleType
     assert back == {f"answer/{name}" for name in anew}, "also what was started and has not finished"
     assert f"there already: {study.name}/sa2h/seed2" in said, "what is there is not touched"
     assert f"there already: {study.name}/lsa2h/seed0" in said, "another configuration is not touched"
-    jobs = [job for part in PLAN for job in jobs_of([f"+study={part}", f"runs_dir={tmp_path}/runs"])]
-    assert [job.name for job in jobs if finished_run(job) is None] == ["sa2h/seed2", "lsa2h/seed0"]
+    left = [job.name for job in jobs_in(tmp_path / "runs") if finished_run(job) is None]
+    assert left == ["sa2h/seed2", "lsa2h/seed0"]
     assert (study / "sa2h-att" / "seed0" / "provenance" / "made_with.json").exists()
 
 
@@ -166,12 +181,13 @@ def test_the_page_of_a_whole_study(study: Path, script: ModuleType, tmp_path: Pa
     kept, page = tmp_path / "results", tmp_path / "results.md"
     script.keep(study, kept)
     keep_frame(kept)
-    script.write_page(kept, page)
-    page.write_text(f"Before.\n{page.read_text()}\nAfter.\n")
+    markers = importlib.import_module("results_page")
+    page.write_text(f"Before.\n{markers.BEGIN}\nold\n{markers.END}\nAfter.\n")
     script.write_page(kept, page)
     text = page.read_text()
-    assert text.startswith("Before.\n# Results")
-    assert text.endswith("\nAfter.\n")
+    assert text.startswith(f"Before.\n{markers.BEGIN}")
+    assert text.endswith(f"{markers.END}\nAfter.\n")
+    assert "\nold\n" not in text
     assert text.count("## answer\n") == 1
     assert "49 of 49 runs are finished." in text
     assert "preliminary" not in text
@@ -200,13 +216,11 @@ def test_the_page_of_a_whole_study(study: Path, script: ModuleType, tmp_path: Pa
     assert {row[1] for name, row in runs.items() if name in PICTURED} == {"3"}
 
 
-def test_effects_are_those_of_least_squares_by_hand(whole: Path, script: ModuleType) -> None:
+def test_effects_are_those_of_least_squares_by_hand(numbers: Any) -> None:
     """One column for the mean, the anatomy, each component and each pair of components, +1 where it is on."""
-    found = importlib.import_module("results_page").numbers_of(whole)
-    assert script is not None
-    verdicts = found.answers.verdicts.set_index("component")
-    for component in (c for c in components() if c.metric in set(found.answers.means["metric"])):
-        runs = found.answers.means.query("metric == @component.metric")
+    verdicts = numbers.answers.verdicts.set_index("component")
+    for component in (c for c in components() if c.metric in set(numbers.answers.means["metric"])):
+        runs = numbers.answers.means.query("metric == @component.metric")
         on = {c.key: np.where(runs[c.key].astype(str) == level(c), 1.0, -1.0) for c in components()}
         names = [(name,) for name in on] + list(combinations(on, 2))
         columns = [np.prod([on[name] for name in term], axis=0) / 2 for term in names]
@@ -225,10 +239,9 @@ def level(component: Component) -> str:
     return "2" if component.name == "depth" else str(component.on)
 
 
-def test_the_papers_differences_are_excluded_where_ours_are_far_from_them(whole: Path, script: ModuleType) -> None:
-    page, tables = importlib.import_module("results_page"), importlib.import_module("results_tables")
-    found = page.numbers_of(whole)
-    rows = rows_of(f"x\n{tables.paper_rows(found.answers.paper)}", "x")
+def test_the_papers_differences_are_excluded_where_ours_are_far_from_them(numbers: Any, script: ModuleType) -> None:
+    tables = importlib.import_module("results_tables")
+    rows = rows_of(f"x\n{tables.paper_rows(numbers.answers.paper)}", "x")
     assert len(rows) == 2 + 4 * 3
     by_cell = {(row[0], row[1].split()[0]): row for row in rows.values()}
     assert by_cell["att", "PSNR"][3] == "+3.15", "28.19 - 25.04 dB"
@@ -236,37 +249,36 @@ def test_the_papers_differences_are_excluded_where_ours_are_far_from_them(whole:
     assert by_cell["conv", "pχ²"][3] == "−0.141", "0.186 - 0.327"
     assert by_cell["att", "PSNR"][2] == "less here", "the map makes PSNR smaller by 6"
     assert by_cell["att", "MAE"][2] == "more here", "and MAE too"
-    shifted = found.answers.means.copy()
+    shifted = numbers.answers.means.copy()
     on = (shifted["metric"] == "psnr") & (shifted["model.attenuation"] == "integral")
     shifted.loc[on, "value"] += EFFECT + 3.15
-    rows = rows_of(f"x\n{tables.paper_rows(paper_effects(shifted, found.answers.design, components()))}", "x")
+    rows = rows_of(f"x\n{tables.paper_rows(paper_effects(shifted, numbers.answers.design, components()))}", "x")
     assert next(row for row in rows.values() if row[:2] == ["att", "PSNR (dB) ↑"])[2] == "no"
     assert script is not None
 
 
-def test_bars_and_living_noise(whole: Path, script: ModuleType) -> None:
+def test_bars_and_living_noise(numbers: Any, script: ModuleType) -> None:
     page, tables = importlib.import_module("results_page"), importlib.import_module("results_tables")
     assert script is not None
-    found = page.numbers_of(whole)
-    rows = rows_of(f"x\n{tables.shortfalls(found.beside, ('sa2h', 'sa2h-compensated'))}", "x")
-    means = found.beside.pivot(index="metric", columns="variant", values="mean")
+    rows = rows_of(f"x\n{tables.shortfalls(numbers.beside, ('sa2h', 'sa2h-compensated'))}", "x")
+    means = numbers.beside.pivot(index="metric", columns="variant", values="mean")
     ratio = means.loc["mae_smooth", "sa2h"] / means.loc["mae_smooth", "re-simulation"]
     smooth = next(row for name, row in rows.items() if name.startswith("Smooth MAE"))
     assert smooth[5] == f"{ratio:.2f}"
     assert 1.5 < ratio < 2.5
     assert smooth[2] == "sa2h, sa2h-compensated"
     assert next(row for name, row in rows.items() if name.startswith("FD speckle"))[2] == "sa2h, sa2h-compensated"
-    worse = found.beside.copy()
+    worse = numbers.beside.copy()
     worse.loc[(worse["metric"] == "mae_smooth") & (worse["variant"] == "sa2h"), "mean"] *= 2
     rows = rows_of(f"x\n{tables.shortfalls(worse, ('sa2h', 'sa2h-compensated'))}", "x")
     assert next(row for name, row in rows.items() if name.startswith("Smooth MAE"))[2] == "sa2h-compensated"
-    text = "\n".join(page.beside_lines(found))
+    text = "\n".join(page.beside_lines(numbers))
     differences = rows_of(text, "can exceed.")
     place = next(k for k, title in enumerate(differences["variant"]) if title.startswith("MAE"))
     shift = means.loc["mae", "sa2h-att"] - means.loc["mae", "sa2h"]
     assert differences["sa2h-att"][place] == f"**+{shift:.2f}**"
     assert differences["sa2h-gan"][place] == "0.00"
-    injecting = [run for run in found.usable.all if levels_of(run.spec["semantic"])["model.noise"] == "inject"]
+    injecting = [run for run in numbers.usable.all if levels_of(run.spec["semantic"])["model.noise"] == "inject"]
     assert f"{len(injecting)} runs inject noise." in text
 
 
