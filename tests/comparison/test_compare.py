@@ -71,9 +71,14 @@ def write_run(
 
 
 @pytest.fixture(autouse=True)
-def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made, but not rendered: how they look is tested in tests/analysis."""
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No figure is drawn but where a test asks for them, and then none is rendered: tests/analysis looks at them."""
+    if "figures" not in request.fixturenames:
+        monkeypatch.setattr("ablate.comparison.compare.draw_figures", lambda *_: [])
 
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> None:
     def save(_: Figure, stem: Path) -> list[Path]:
         paths = [stem.with_suffix(".png"), stem.with_suffix(".pdf")]
         for path in paths:
@@ -121,6 +126,7 @@ def set_values(folder: Path, metric: str, where: Callable[[pd.DataFrame], pd.Ser
     table.to_parquet(folder / "per_image.parquet")
 
 
+@pytest.mark.usefixtures("figures")
 def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     folder, report, notes = compared(study)
     names = {path.name for path in folder.iterdir()}
@@ -171,6 +177,7 @@ def test_pictures_without_their_pairs_are_said_to_be_missing(study: Path) -> Non
     assert "no data set at" in report
 
 
+@pytest.mark.usefixtures("figures")
 def test_one_variant(tmp_path: Path) -> None:
     alone = tmp_path / "alone"
     write_run(alone, "sa2h", 0)
@@ -183,6 +190,7 @@ def test_one_variant(tmp_path: Path) -> None:
     assert not (folder / "boxplots.png").exists()
 
 
+@pytest.mark.usefixtures("figures")
 def test_a_missing_reference(study: Path) -> None:
     folder, report, notes = compared(study, reference="lsa2h")
     assert "The reference lsa2h is missing" in notes
@@ -279,6 +287,7 @@ def test_identical_images(study: Path) -> None:
     assert "1 infinite value left out" in report
 
 
+@pytest.mark.usefixtures("figures")
 def test_a_metric_that_is_nan_for_one_frame_or_for_all(study: Path) -> None:
     set_values(study / "nsa2h" / "seed0", "mae", lambda t: (t["frame"] == 5) & (t["split"] == "test"), np.nan)
     for seed in (0, 1, 2):
