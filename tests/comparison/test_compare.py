@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from ablate.analysis import RESIMULATION, find_design
 from ablate.comparison.compare import compare_study, write_comparison
-from ablate.comparison.frame_times import FrameTime, write_times
+from ablate.comparison.frame_times import write_times
 from ablate.comparison.results import appendix, labelled_networks, pictures
 from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
@@ -22,7 +22,7 @@ from ablate.runs.run import runs_of
 from ablate.settings.conf import components
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import digest
-from support.finished_runs import WHOLE
+from support.finished_runs import WHOLE, timed
 from support.studies import study_group
 
 MODEL = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
@@ -96,8 +96,8 @@ def study(tmp_path: Path) -> Path:
         for seed in (0, 1, 2):
             write_run(folder, label, seed)
     networks = labelled_networks(runs_of(folder))
-    times = {networks[label]: FrameTime({"network": [k + 9.0, k + 10.0, k + 11.0]}) for k, label in enumerate(VARIANTS)}
-    write_times(folder, {"a machine": times})
+    times = [timed("a machine", networks[label], k + 9.0, k + 10.0, k + 11.0) for k, label in enumerate(VARIANTS)]
+    write_times(folder, pd.concat(times))
     return folder
 
 

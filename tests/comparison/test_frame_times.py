@@ -13,19 +13,14 @@ import pytest
 
 from ablate.analysis import comparison_table, pareto_front
 from ablate.comparison import frame_times
-from ablate.comparison.frame_times import FrameTime, network_of, read_times, time_networks, write_times
+from ablate.comparison.frame_times import network_of, read_times, time_networks, write_times
 from ablate.comparison.results import scored_frames, timed_on
 from ablate.runs.run import Run, runs_of
 from ablate.storage import digest, write_json
-from support.finished_runs import PARAMETERS, WHOLE
+from support.finished_runs import PARAMETERS, WHOLE, timed
 
 if TYPE_CHECKING:
     from support.studies import TinyStudy
-
-
-def timed(*whole: float) -> FrameTime:
-    """Rounds of a map of 1 ms and the rest in the network."""
-    return FrameTime({"segmentation": [1.0] * len(whole), "network": [ms - 1 for ms in whole]})
 
 
 def semantic(width: float, seed: int = 0, anatomy: int = 0) -> dict[str, object]:
@@ -81,23 +76,23 @@ def test_a_time_that_a_run_took_by_itself_is_not_shown(study: Path) -> None:
 
 
 def test_all_seeds_have_the_median_of_their_network(study: Path) -> None:
-    write_times(
-        study, {"a machine": {network_of(semantic(1.0)): timed(9, 10, 30), network_of(semantic(2.0)): timed(5)}}
-    )
+    first, second = (network_of(semantic(width)) for width in (1.0, 2.0))
+    write_times(study, pd.concat([timed("a machine", first, 9, 10, 30), timed("a machine", second, 5)]))
     assert times_of(study) == {"sa2h/seed0": 10, "sa2h/seed1": 10, "nsa2h/seed0": 5, "nsa2h/seed1": 5}
 
 
 def test_times_of_two_machines_are_never_in_one_column(study: Path) -> None:
     write_run(study, "lsa2h", 3.0)
     first, second, third = (network_of(semantic(width)) for width in (1.0, 2.0, 3.0))
-    write_times(study, {"old": {first: timed(1), third: timed(3)}, "new": {first: timed(10), second: timed(20)}})
+    old, new = (timed("old", first, 1), timed("old", third, 3)), (timed("new", first, 10), timed("new", second, 20))
+    write_times(study, pd.concat([*old, *new]))
     assert timed_on(runs_of(study)) == "new"
     assert times_of(study) == {"sa2h/seed0": 10, "sa2h/seed1": 10, "nsa2h/seed0": 20, "nsa2h/seed1": 20}
 
 
-@pytest.mark.parametrize("damage", ["", '{"machines": 3}', '{"machines": [{"name": "a", "networks": {"n": {}}}]}'])
+@pytest.mark.parametrize("damage", ["", "machine,ms\n", "machine,network,round,part,ms\na,b,c,d,e\n"])
 def test_a_damaged_file_is_no_times(study: Path, damage: str) -> None:
-    (study / "times.json").write_text(damage)
+    (study / "frame_times.csv").write_text(damage)
     assert times_of(study) == {}
 
 
@@ -106,9 +101,9 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[set[str]]:
     """Which runs were timed at each call, in place of timing them."""
     calls: list[set[str]] = []
 
-    def in_turns(runs: dict[str, Run], *_: object) -> dict[str, FrameTime]:
+    def in_turns(runs: dict[str, Run], *_: object) -> pd.DataFrame:
         calls.append({run.name for run in runs.values()})
-        return {network: timed(10.0 * len(calls)) for network in runs}
+        return pd.concat([timed("", network, 10.0 * len(calls)) for network in runs])
 
     class Settings:
         class training:
@@ -140,7 +135,7 @@ def test_another_machine_is_timed_anew_and_the_old_one_kept(
     monkeypatch.setattr(frame_times, "hardware", lambda: "another machine")
     time_networks(study, runs_of(study))
     assert len(measured) == 2
-    assert len(read_times(study)) == 2
+    assert read_times(study)["machine"].nunique() == 2
     assert "another machine" in timed_on(runs_of(study))
     assert set(times_of(study).values()) == {20.0}
 
@@ -153,12 +148,13 @@ def test_without_a_checkpoint_a_network_is_timed_as_a_training_starts_it(study: 
 
 def test_kept_results_are_timed_where_their_pairs_are_made_again(tiny_study: TinyStudy, tmp_path: Path) -> None:
     folder = tmp_path / "tiny-fetal"
-    shutil.copytree(tiny_study.runs / folder.name, folder, ignore=shutil.ignore_patterns("*.ckpt", "times.json"))
+    shutil.copytree(tiny_study.runs / folder.name, folder, ignore=shutil.ignore_patterns("*.ckpt", "frame_times.csv"))
     assert "Times were not measured" in time_networks(folder, runs_of(folder))
     (tmp_path / "data").symlink_to(tiny_study.runs / "data")
     assert time_networks(folder, runs_of(folder)) == ""
     here, there = read_times(folder), read_times(tiny_study.runs / folder.name)
-    assert {machine: set(of) for machine, of in here.items()} == {machine: set(of) for machine, of in there.items()}
+    timed_there = ["machine", "network", "round", "part"]
+    pd.testing.assert_frame_equal(here[timed_there], there[timed_there])
 
 
 def test_a_custom_network_is_timed_with_its_weights_only(study: Path, measured: list[set[str]]) -> None:
@@ -177,7 +173,7 @@ def test_a_custom_network_is_timed_with_its_weights_only(study: Path, measured: 
 def test_what_cannot_be_timed_is_said(study: Path) -> None:
     said = time_networks(study, runs_of(study))
     assert said.startswith("Times were not measured: ")
-    assert not (study / "times.json").exists()
+    assert not (study / "frame_times.csv").exists()
 
 
 def test_times_within_their_spread_share_the_star() -> None:
@@ -207,7 +203,7 @@ def test_a_front_is_not_made_by_a_difference_in_time_that_is_none() -> None:
         assert list(pareto_front(ms, error, ms, ms)) == list(pareto_front(ms, error))
 
 
-def test_kept_times_are_plain_numbers(study: Path) -> None:
-    write_times(study, {"a machine": {"n": timed(9, 10)}})
-    (machine,) = json.loads((study / "times.json").read_text())["machines"]
-    assert machine == {"name": "a machine", "networks": {"n": {"segmentation": [1, 1], "network": [8, 9]}}}
+def test_kept_times_are_read_back_and_plain(study: Path) -> None:
+    write_times(study, timed("a, machine", "n", 9, 10.5))
+    pd.testing.assert_frame_equal(read_times(study), timed("a, machine", "n", 9, 10.5))
+    assert (study / "frame_times.csv").read_text().splitlines()[1] == '"a, machine",n,1,segmentation,1.0'

@@ -43,3 +43,13 @@ def finish(job: Job, values: Mapping[str, float] | None = None, **changes: Any) 
     scores_of(job, values).to_parquet(job.run.scores_file)
     write_json(job.folder / "result.json", result_of(job, **changes))
     return job.run
+
+
+def timed(machine: str, network: str, *whole_ms: float) -> pd.DataFrame:
+    """Rounds of a map of 1 ms and the rest in the network, as `frame_times` keeps them."""
+    rows = [
+        (machine, network, number, part, ms)
+        for number, whole in enumerate(whole_ms, start=1)
+        for part, ms in (("segmentation", 1.0), ("network", whole - 1))
+    ]
+    return pd.DataFrame(rows, columns=["machine", "network", "round", "part", "ms"])

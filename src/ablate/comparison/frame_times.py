@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,31 +19,15 @@ from ablate.networks import Family, Generator, conditions
 from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run
 from ablate.settings.study import SceneKind, StudySettings
-from ablate.storage import digest, read_json, write_json
+from ablate.storage import digest, write_text
 from ablate.tracking import hardware
 from ablate.training import chosen_device, generate, load_generator
 
-TIMES = "times.json"  # in the folder of a study
+TIMES = "frame_times.csv"  # in the folder of a study
 NETWORK = "network"  # the part of a frame's time that is not one of its maps
-
+_KEPT = {"machine": str, "network": str, "round": int, "part": str, "ms": float}
 _FEWEST_ROUNDS = 8  # quartiles of fewer say nothing
 Maps = tuple[dict[str, np.ndarray], dict[str, float]]  # (H, W) each, and the milliseconds that each took
-
-
-@dataclass(frozen=True)
-class FrameTime:
-    """Milliseconds of each part of a frame, the maps that the network reads and the network, a value a round."""
-
-    parts: Mapping[str, Sequence[float]]
-
-    @property
-    def quartiles(self) -> tuple[float, float, float]:
-        """Lower quartile, median and upper quartile of the whole frame."""
-        lower, middle, upper = np.percentile(np.sum(list(self.parts.values()), axis=0), (25, 50, 75))
-        return float(lower), float(middle), float(upper)
-
-
-Times = dict[str, dict[str, FrameTime]]  # by machine, the one timed last at the end, and by network
 
 
 def network_of(semantic: Mapping[str, Any]) -> str:
@@ -56,40 +39,34 @@ def network_of(semantic: Mapping[str, Any]) -> str:
     return digest({"model": semantic["model"], "precision": precision, "data": without_anatomy(semantic["data"])})
 
 
-def read_times(study_dir: Path) -> Times:
-    """What is kept for a study; nothing where the file is missing or damaged."""
+def read_times(study_dir: Path) -> pd.DataFrame:
+    """What is kept for a study: a row for each part of a frame in a round, the machine that was timed last at the end.
+
+    Columns are machine, network, round, part (a map that the network reads, or the network) and ms. There are no rows
+    where the file is missing or damaged.
+    """
     try:
-        machines = read_json(study_dir / TIMES)["machines"]
-        return {
-            str(machine["name"]): {str(k): _frame_time(parts) for k, parts in machine["networks"].items()}
-            for machine in machines
-        }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {}
+        return pd.read_csv(study_dir / TIMES, dtype=_KEPT)[list(_KEPT)].dropna()
+    except (OSError, ValueError, KeyError):
+        return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in _KEPT.items()})
 
 
-def _frame_time(parts: Mapping[str, Sequence[float]]) -> FrameTime:
-    frame_time = FrameTime({str(name): [float(ms) for ms in values] for name, values in parts.items()})
-    if not all(np.isfinite(frame_time.quartiles)):
-        raise ValueError(f"{TIMES}: a time that is not finite")
-    return frame_time
+def write_times(study_dir: Path, times: pd.DataFrame) -> None:
+    """Keep the times of a study, in the columns of `read_times`."""
+    write_text(study_dir / TIMES, times.to_csv(index=False))
 
 
-def write_times(study_dir: Path, times: Times) -> None:
-    """Keep the times of a study."""
-    machines = [
-        {"name": machine, "networks": {network: dict(time.parts) for network, time in timed.items()}}
-        for machine, timed in times.items()
-    ]
-    write_json(study_dir / TIMES, {"machines": machines})
-
-
-def shown_machine(times: Times, networks: Iterable[str]) -> str | None:
+def shown_machine(times: pd.DataFrame, networks: Iterable[str]) -> str | None:
     """The one machine whose times are compared: on which most of these networks were timed, and of several the last."""
-    wanted = set(networks)
-    counts = {machine: len(wanted & timed.keys()) for machine, timed in times.items()}
-    most = max(counts.values(), default=0)
-    return next(machine for machine in reversed(counts) if counts[machine] == most) if most else None
+    counts = times[times["network"].isin(set(networks))].groupby("machine", sort=False)["network"].nunique()
+    return None if counts.empty else str(counts.index[counts == counts.max()][-1])
+
+
+def _quartiles(times: pd.DataFrame) -> pd.DataFrame:
+    """Quartiles of the whole frame over rounds: columns lower, ms (the median), upper, by machine and network."""
+    frames = times.groupby(["machine", "network", "round"], sort=False)["ms"].sum()
+    quartiles = frames.groupby(["machine", "network"], sort=False).quantile([0.25, 0.5, 0.75]).unstack()
+    return quartiles.set_axis(["lower", "ms", "upper"], axis=1)
 
 
 def time_rows(study_dir: Path, runs: Mapping[tuple[str, int, str], str]) -> pd.DataFrame:
@@ -98,13 +75,17 @@ def time_rows(study_dir: Path, runs: Mapping[tuple[str, int, str], str]) -> pd.D
     The bounds are quartiles over the rounds. `runs` holds the network of each run by its variant, seed and data.
     """
     times = read_times(study_dir)
-    timed = times.get(shown_machine(times, runs.values()) or "", {})
-    rows = []
-    for (variant, seed, data), network in runs.items():
-        if network in timed:
-            lower, middle, upper = timed[network].quartiles
-            rows.append((variant, seed, data, FRAME_TIME, middle, lower, upper))
-    return pd.DataFrame(rows, columns=["variant", "seed", "data", "metric", "value", *BOUNDS])
+    columns = ["variant", "seed", "data", "metric", "value", *BOUNDS]
+    machine = shown_machine(times, runs.values())
+    if machine is None:
+        return pd.DataFrame(columns=columns)
+    timed = _quartiles(times).loc[machine].to_dict("index")
+    rows = [
+        (*run, FRAME_TIME, timed[network]["ms"], timed[network]["lower"], timed[network]["upper"])
+        for run, network in runs.items()
+        if network in timed
+    ]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def all_times(study_dir: Path, labels: Mapping[str, str]) -> pd.DataFrame:
@@ -112,29 +93,24 @@ def all_times(study_dir: Path, labels: Mapping[str, str]) -> pd.DataFrame:
 
     `labels` names the network of each variant.
     """
-    rows = []
-    for machine, timed in read_times(study_dir).items():
-        for variant, network in labels.items():
-            if (time := timed.get(network)) is not None:
-                lower, middle, upper = time.quartiles
-                parts = {f"{part}_ms": float(np.median(ms)) for part, ms in time.parts.items()}
-                rounds = len(next(iter(time.parts.values())))
-                about = {"variant": variant, "machine": machine, "ms": middle, "lower": lower, "upper": upper}
-                rows.append({**about, "rounds": rounds, **parts})
-    return pd.DataFrame(rows)
+    times = read_times(study_dir)
+    key = ["machine", "network"]
+    rounds = times.groupby(key)["round"].nunique().rename("rounds")
+    parts = times.groupby([*key, "part"], sort=False)["ms"].median().unstack().add_suffix("_ms")
+    kept = _quartiles(times)[["ms", "lower", "upper"]].join(rounds).join(parts).reset_index()
+    variants = pd.DataFrame(labels.items(), columns=["variant", "network"])
+    return kept.merge(variants, on="network").pipe(lambda t: t[["variant", *t.columns.drop(["variant", "network"])]])
 
 
 def untimed(study_dir: Path, labels: Mapping[str, str]) -> list[str]:
     """Sentences about the variants that have no time beside the others'."""
     times = read_times(study_dir)
     shown = shown_machine(times, labels.values())
-    if shown is None:
-        return []
     missing: dict[str, list[str]] = {}
     for variant, network in labels.items():
-        if network not in times[shown]:
-            elsewhere = [machine for machine, timed in times.items() if network in timed]
-            missing.setdefault(elsewhere[-1] if elsewhere else "", []).append(variant)
+        machines = times["machine"][times["network"] == network].unique().tolist()
+        if shown is not None and shown not in machines:
+            missing.setdefault(machines[-1] if machines else "", []).append(variant)
     return [
         f"Times are those of {shown}; none from there: {', '.join(names)} "
         f"({f'timed on {machine}, see times.csv' if machine else 'not timed'})."
@@ -149,33 +125,29 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
     a network is timed with the weights that it starts with, which takes as long; a custom one is not, because how long
     it takes may depend on them. Returns why nothing could be measured, a sentence, or an empty string.
     """
-    kept = {
+    to_time = {
         network_of(run.spec["semantic"]): run
         for run in reversed(runs)
         if run.checkpoint.is_file() or run.spec["semantic"]["model"].get("family") != Family.custom.value
     }
-    if not kept:
+    if not to_time:
         return ""
     try:
-        settings = {network: run.settings for network, run in kept.items()}
+        settings = {network: run.settings for network, run in to_time.items()}
         training = next(iter(settings.values())).training
         device = chosen_device(training.device)
         with _threads(training.threads) as threads:
             machine = f"{hardware()}, {device.type}, {threads} thread{'' if threads == 1 else 's'}"
             times = read_times(study_dir)
-            before = times.pop(machine, {})
-            if kept.keys() <= before.keys():
+            here = times["machine"] == machine
+            if to_time.keys() <= set(times["network"][here]):
                 return ""
-            measured = _in_turns(kept, settings, device)
+            measured = _in_turns(to_time, settings, device).assign(machine=machine)
     except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:  # no pairs, no GPU, no Embree, ...
         return f"Times were not measured: {' '.join(str(error).split())}."
-    write_times(study_dir, {**times, machine: {**before, **measured}})
+    before = times[here & ~times["network"].isin(to_time.keys())]
+    write_times(study_dir, pd.concat([times[~here], before, measured[list(_KEPT)]]))
     return ""
-
-
-def _generator(run: Run, settings: StudySettings) -> Generator:
-    """The trained network, or the same with the weights that a training starts with."""
-    return load_generator(run.checkpoint) if run.checkpoint.is_file() else Generator(settings.model).eval()
 
 
 @contextmanager
@@ -189,24 +161,28 @@ def _threads(count: int) -> Iterator[int]:
         torch.set_num_threads(before)
 
 
-def _in_turns(
-    runs: Mapping[str, Run], settings: Mapping[str, StudySettings], device: torch.device
-) -> dict[str, FrameTime]:
-    """Times of each network, `evaluation.timed_frames` rounds or `_FEWEST_ROUNDS` after one that does not count.
+def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], device: torch.device) -> pd.DataFrame:
+    """Times of each network in the columns of `read_times`, without the machine.
 
-    A round makes the maps of one frame once, for all networks, and then renders it with each of them; the next round
-    takes them in the opposite order. The frames are those of the first anatomy whose pairs are here.
+    There are `evaluation.timed_frames` rounds, or `_FEWEST_ROUNDS`, after one that does not count. A round makes the
+    maps of one frame once, for all networks, and then renders it with each of them; the next round takes them in the
+    opposite order. The frames are those of the first anatomy whose pairs are here.
     """
     first = next((network for network, run in runs.items() if run.data_set.exists), next(iter(runs)))
     data = runs[first].data_set
-    generators = {network: _generator(run, settings[network]).to(device) for network, run in runs.items()}
+    generators = {  # trained, or with the weights that a training starts with
+        network: (
+            load_generator(run.checkpoint) if run.checkpoint.is_file() else Generator(settings[network].model).eval()
+        ).to(device)
+        for network, run in runs.items()
+    }
     read = {network: conditions(generator.spec) for network, generator in generators.items()}
     values = {k: dataset.label_values(data.tissues, s.encoding, s.encoding_seed) for k, s in settings.items()}
     rounds = max(settings[first].evaluation.timed_frames, _FEWEST_ROUNDS)
     make = _map_maker(settings[first], data, {name for names in read.values() for name in names})
     mask = data.pairs.mask()
     frames = equally_spaced(data.pairs.frames(Part.test), rounds)
-    taken: dict[str, dict[str, list[float]]] = {network: {} for network in runs}
+    rows: list[tuple[str, int, str, float]] = []
     turns = list(runs)
     with tqdm(total=(rounds + 1) * len(runs), unit="frame", desc="time", mininterval=1.0, leave=False) as bar:
         for number in range(rounds + 1):
@@ -221,11 +197,11 @@ def _in_turns(
                 generate(generators[network], inputs, torch.from_numpy(mask), seed, precision)  # waits for a GPU
                 parts = {name: map_ms[name] for name in read[network] if name in map_ms}
                 parts[NETWORK] = 1e3 * (time.perf_counter() - start)
-                for name, ms in parts.items() if number else ():
-                    taken[network].setdefault(name, []).append(ms)
+                rows += [(network, number, name, ms) for name, ms in parts.items()]
                 bar.update()
             turns.reverse()
-    return {network: FrameTime(parts) for network, parts in taken.items()}
+    times = pd.DataFrame(rows, columns=["network", "round", "part", "ms"])
+    return times[times["round"] > 0]
 
 
 def _map_maker(settings: StudySettings, data: DataSet, names: set[str]) -> Callable[[int, int], Maps]:

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from pkgutil import resolve_name
 
 from ablate.jobs.describe import description
 from ablate.jobs.launch import Launch
@@ -13,6 +14,19 @@ from ablate.runs.job import Job
 from ablate.runs.place import claim_place, finished_run
 from ablate.runs.prepare import drop_damaged, made_data, prepare_data
 from ablate.settings.study import SceneKind, StudySettings, Task, refusing
+
+#: The function of each task that starts no jobs.
+_LOOKING = {
+    Task.describe: "ablate.tasks.run_task:describe",
+    Task.compare: "ablate.tasks.run_task:compare",
+    Task.plan: "ablate.tasks.plan:show_progress",
+    Task.preview: "ablate.tasks.render:preview",
+    Task.render: "ablate.tasks.render:render",
+    Task.view: "ablate.viewer.task:view",
+    Task.export: "ablate.tasks.export:export",
+    Task.precision: "ablate.numerics.precision:precision",
+    Task.stability: "ablate.numerics.stability:stability",
+}
 
 
 def run_task(jobs: Sequence[Job], launch: Launch) -> int:
@@ -24,7 +38,7 @@ def run_task(jobs: Sequence[Job], launch: Launch) -> int:
         return study(jobs, launch)
     if task is Task.simulate:
         return simulate(jobs, launch)
-    return _look(task, jobs)
+    return int(resolve_name(_LOOKING[task])(jobs))
 
 
 def study(jobs: Sequence[Job], launch: Launch) -> int:
@@ -136,40 +150,10 @@ def describe(jobs: Sequence[Job]) -> int:
     return 0
 
 
-def _look(task: Task, jobs: Sequence[Job]) -> int:
-    """Do a task that starts no jobs."""
-    if task is Task.describe:
-        return describe(jobs)
-    if task is Task.compare:
-        from ablate.comparison.compare import compare_study
+def compare(jobs: Sequence[Job]) -> int:
+    """Make the comparison of every study anew from what is on disk."""
+    from ablate.comparison.compare import compare_study
 
-        for settings in _studies(jobs):
-            print(compare_study(settings, rebuild=True))
-        return 0
-    if task is Task.plan:
-        from ablate.tasks.plan import show_progress
-
-        return show_progress(jobs)
-    if task is Task.preview:
-        from ablate.tasks.render import preview
-
-        return preview(jobs)
-    if task is Task.render:
-        from ablate.tasks.render import render
-
-        return render(jobs)
-    if task is Task.view:
-        from ablate.viewer.task import view
-
-        return view(jobs)
-    if task is Task.export:
-        from ablate.tasks.export import export
-
-        return export(jobs)
-    if task is Task.precision:
-        from ablate.numerics.precision import precision
-
-        return precision(jobs)
-    from ablate.numerics.stability import stability
-
-    return stability(jobs)
+    for settings in _studies(jobs):
+        print(compare_study(settings, rebuild=True))
+    return 0
