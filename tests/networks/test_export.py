@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ablate.networks import Generator, GeneratorSpec, conditions, export_onnx
+from ablate.networks.layers import convolutions
 from support.variants import UNET
 
 onnx = pytest.importorskip("onnx")
@@ -48,9 +49,7 @@ def rounding(generator: Generator) -> float:
     A float32 sum of K terms is off by about sqrt(K) 2^-24 of its size, which instance norm makes 1, and L layers
     by sqrt(L) times as much; five standard deviations of that.
     """
-    layers = [
-        module for module in generator.modules() if isinstance(module, torch.nn.Conv2d | torch.nn.ConvTranspose2d)
-    ]
+    layers = convolutions(generator)
     terms = max(layer.in_channels * layer.kernel_size[0] ** 2 for layer in layers)
     return 5 * (len(layers) * terms) ** 0.5 * 2.0**-24
 

@@ -1,15 +1,13 @@
-"""Full frames from a generator, and their time: by torch as it is, by its compiler, or by OpenVINO from a file."""
+"""Full frames from a generator: by torch as it is, by its compiler, or by OpenVINO from a file."""
 
 import math
 import os
 import shutil
-import time
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
-from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -180,45 +178,3 @@ def generate(
         with without_teams():
             return np.stack(in_parts(render, count, 1))
     return np.stack([render(index, index + 1) for index in range(count)])
-
-
-def median_ms_per_frame(
-    generator: Generator,
-    maps: Mapping[str, Tensor],
-    precision: TrainingPrecision = TrainingPrecision.auto,
-    repeats: int = 10,
-    warmup: int = 3,
-    engine: Engine = Engine.eager,
-) -> float:
-    """Time the generator on the first frame of maps (N, 1, H, W), its noise included, transfers not, in milliseconds.
-
-    Parameters
-    ----------
-    repeats, warmup : int
-        Frames timed, after so many that are not; compiling falls into these, so let there be one.
-
-    Raises
-    ------
-    RuntimeError
-        Where the machine lacks what the engine needs, as `missing_for` says beforehand.
-    """
-    device = next(generator.parameters()).device
-    frame = {name: maps[name][:1].to(device) for name in conditions(generator.spec)}
-    height, width = frame["segmentation"].shape[-2:]
-    render = open_engine(generator, height, width, precision, engine)
-    return median_ms(render, frame, repeats, warmup)
-
-
-def median_ms(render: OpenEngine, frame: Mapping[str, Tensor], repeats: int, warmup: int) -> float:
-    """Time what renders `frame`, maps of (1, 1, H, W) on their device, other noise each time, in milliseconds."""
-    device = next(iter(frame.values())).device
-    wait = torch.get_device_module(device).synchronize
-    times = []
-    for index in range(warmup + repeats):
-        seed = torch.tensor([index], device=device)
-        wait(device)
-        start = time.perf_counter()
-        render(frame, seed)
-        wait(device)
-        times.append(1e3 * (time.perf_counter() - start))
-    return median(times[warmup:])
