@@ -2,7 +2,8 @@
 
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -80,7 +81,11 @@ def read_log(folder: Path, start: int = 0) -> tuple[list[dict[str, Any]], int]:
     with _log(folder).open("rb") as file:
         file.seek(start)
         text, newline, _ = file.read().rpartition(b"\n")
-    return list(_parsed(text)), start + len(text) + len(newline)
+    lines = []
+    for line in text.splitlines():
+        with suppress(ValueError):  # a power cut may leave zeros
+            lines.append(json.loads(line))
+    return [line for line in lines if isinstance(line, dict)], start + len(text) + len(newline)
 
 
 def points(lines: list[dict[str, Any]]) -> list[Point]:
@@ -98,13 +103,3 @@ def logged_images(folder: Path) -> list[tuple[str, int, Path]]:
 
 def _log(folder: Path) -> Path:
     return folder / "log.jsonl"
-
-
-def _parsed(text: bytes) -> Iterator[dict[str, Any]]:
-    for line in text.splitlines():
-        try:
-            content = json.loads(line)
-        except ValueError:  # a power cut may leave zeros
-            continue
-        if isinstance(content, dict):
-            yield content
