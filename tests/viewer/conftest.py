@@ -10,7 +10,7 @@ import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
-from ablate.viewer.state import State
+from ablate.viewer.session import State
 
 SKIN = Tissue("soft_tissue", 1540, 1.6, 0.5, 0.6, 0.0, 1.0)
 BONE = Tissue("bone", 3200, 6.0, 10.0)

@@ -18,8 +18,7 @@ pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultras
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium, of the extra `dev`")
 
 from ablate.jobs.compose import jobs_of  # noqa: E402
-from ablate.viewer.page.server import HOST  # noqa: E402
-from ablate.viewer.task import Viewer  # noqa: E402
+from ablate.viewer.task import HOST, Viewer  # noqa: E402
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")]
 _FLAGS = ("--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")

@@ -18,9 +18,8 @@ from ablate.ultrasound import ConvexProbe, Display, Simulator
 from ablate.ultrasound.probe import pixel_polar
 from ablate.ultrasound.surfaces import embree
 from ablate.viewer.engine import Engine, coarse
-from ablate.viewer.exported import FastGenerator
-from ablate.viewer.generators import pickable
-from ablate.viewer.state import Quality, State
+from ablate.viewer.generators import FastGenerator, pickable
+from ablate.viewer.session import Quality, State
 
 
 @pytest.mark.parametrize("display", [None, Display()])

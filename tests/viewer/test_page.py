@@ -17,8 +17,7 @@ pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultras
 from ablate.jobs.compose import jobs_of
 from ablate.settings.study import ConfigurationError, Task
 from ablate.ultrasound import Simulator
-from ablate.viewer.page.server import check_server
-from ablate.viewer.task import Viewer
+from ablate.viewer.task import Viewer, check_server
 from ablate.viewer.worker import REST_S
 from support.viewer_client import Client, ConnectionClosed
 
@@ -152,7 +151,7 @@ def test_a_port_in_use_is_one_sentence(viewer: Viewer) -> None:
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ablate.viewer.page.server.find_spec", lambda _: None)
+    monkeypatch.setattr("ablate.viewer.task.find_spec", lambda _: None)
     with pytest.raises(ConfigurationError, match=r"pip install 'ablate-ultrasound\[view\]'"):
         check_server(8090)
 

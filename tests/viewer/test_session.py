@@ -9,8 +9,7 @@ import pytest
 from ablate.anatomy import Scene
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.viewer.hand import Hand, Hold
-from ablate.viewer.session import OFF_BODY, Session
-from ablate.viewer.state import State
+from ablate.viewer.session import OFF_BODY, Session, State
 
 Start = Callable[[], tuple[Session, list[State]]]
 

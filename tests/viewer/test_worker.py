@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from ablate.viewer.state import Quality
+from ablate.viewer.session import Quality
 from ablate.viewer.worker import Worker
 
 Shown = list[tuple[int, Quality]]
@@ -27,7 +27,7 @@ class Recorder:
         self.takes_s = takes_s
         self.shown: Shown = []
         self.failed: list[str] = []
-        self.worker: Worker[int, tuple[int, Quality]] = Worker(self.compute, REST_S)
+        self.worker: Worker = Worker(self.compute, REST_S)
         self.worker.start(self.show, self.fail)
 
     def compute(self, state: int, quality: Quality) -> tuple[int, Quality]:
@@ -40,7 +40,7 @@ class Recorder:
         assert state == views[0]
         self.shown.append(views)
 
-    def fail(self, _: int, error: Exception) -> None:
+    def fail(self, error: Exception) -> None:
         self.failed.append(str(error))
 
 
@@ -79,7 +79,7 @@ def test_views_in_full_of_a_state_that_has_been_replaced_are_dropped() -> None:
             assert go_on.wait(20)
         return state, quality
 
-    worker: Worker[int, tuple[int, Quality]] = Worker(compute, REST_S)
+    worker: Worker = Worker(compute, REST_S)
     worker.start(lambda _, views: shown.append(views), print)
     worker.submit(1)
     assert started.wait(20)
@@ -121,8 +121,8 @@ def test_a_page_that_cannot_show_does_not_end_the_worker(quality: Quality) -> No
         if views[1] is quality:
             raise RuntimeError("the tab is closed")
 
-    worker: Worker[int, tuple[int, Quality]] = Worker(lambda state, q: (state, q), REST_S)
-    worker.start(show, lambda _, error: failed.append(str(error)))
+    worker: Worker = Worker(lambda state, q: (state, q), REST_S)
+    worker.start(show, lambda error: failed.append(str(error)))
     worker.submit(1)
     until(lambda: failed == ["the tab is closed"])
     worker.submit(2)

@@ -14,7 +14,7 @@ from ablate.anatomy import Scene
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_polar
 from ablate.viewer.generators import open_generator
-from ablate.viewer.state import Moving, Quality, State, Views
+from ablate.viewer.session import Moving, Quality, State, Views
 
 T = TypeVar("T")
 

@@ -3,7 +3,6 @@
 import json
 import shlex
 from collections import deque
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,9 +12,9 @@ from PIL import Image
 from ablate.jobs.compose import job_of
 from ablate.setting import plain
 from ablate.settings.study import SceneKind, StudySettings
-from ablate.storage import written_whole
+from ablate.storage import write_json, written_whole
 from ablate.viewer.pictures import framed
-from ablate.viewer.state import State, Views
+from ablate.viewer.session import State, Views
 
 LOOP_S = 5.0
 _LOOP_BYTES = 256e6
@@ -31,27 +30,23 @@ class Shown:
     at_s: float
 
 
-@dataclass(eq=False)
-class CineLoop:
+class CineLoop(deque[Shown]):
     """The frames of the last five seconds, fewer where they are so large that they would fill the memory."""
-
-    frames: deque[Shown] = field(default_factory=deque)
 
     def add(self, shown: Shown) -> None:
         """Keep a frame and forget those that are too old."""
-        self.frames.append(shown)
+        self.append(shown)
         views = shown.views
         arrays = (views.target, views.segmentation, views.attenuation, views.mask, *views.generated)
         most = max(1, int(_LOOP_BYTES / sum(array.nbytes for array in arrays if array is not None)))
-        while len(self.frames) > most or shown.at_s - self.frames[0].at_s > LOOP_S:
-            self.frames.popleft()
+        while len(self) > most or shown.at_s - self[0].at_s > LOOP_S:
+            self.popleft()
 
     def before(self, seconds: float) -> Shown:
         """The frame that was shown so long before the last one; a ValueError where there is no frame."""
-        if not self.frames:
+        if not self:
             raise ValueError("there is no frame yet")
-        wanted = self.frames[-1].at_s - seconds
-        return min(self.frames, key=lambda shown: abs(shown.at_s - wanted))
+        return min(self, key=lambda shown: abs(self[-1].at_s - seconds - shown.at_s))
 
 
 @dataclass(eq=False)
@@ -112,8 +107,7 @@ def save_frame(folder: Path, state: State, views: Views) -> None:
             Image.fromarray(image).save(partial, "PNG")
     described = {name: plain(getattr(state, name)) for name in ("hold", "probe", "simulator", "display", "seed")}
     described |= {"runs": [str(run) for run in state.runs], "quality": views.quality.value}
-    with written_whole(folder / "frame.json") as partial:
-        partial.write_text(json.dumps({"pose": state.pose.tolist()} | described, indent=2), "utf-8")
+    write_json(folder / "frame.json", {"pose": state.pose.tolist()} | described)
 
 
 def save_poses(file: Path, poses: np.ndarray) -> Path:
@@ -132,22 +126,11 @@ def next_folder(parent: Path, name: str) -> Path:
     return folder
 
 
-def render_command(settings: StudySettings, state: State, poses: Path) -> str:
-    """The command that renders a file of poses with the scene, probe, settings and seed of a state.
+def command_line(settings: StudySettings, state: State, *words: str) -> str:
+    """A command line with these words that is composed to the same scene, probe and simulator as a state.
 
     `settings` are those that the viewer was started with.
     """
-    dataset = replace(settings.dataset, seed=state.seed)
-    return _command(replace(settings, dataset=dataset), state, ["task=render", f"pose={poses}"])
-
-
-def data_command(settings: StudySettings, state: State, poses: Path, count: int) -> str:
-    """The command that makes a data set of pairs of a file of poses."""
-    return _command(settings, state, ["task=simulate", f"dataset.poses={poses}", f"dataset.frames={count}"])
-
-
-def _command(settings: StudySettings, state: State, words: Sequence[str]) -> str:
-    """A command line that is composed to the same scene, probe and simulator."""
     wanted = replace(settings, probe=state.probe, simulator=state.simulator)
     overrides = [f"preset={wanted.preset}", f"scene={wanted.scene.kind}"]
     if wanted.scene.kind is SceneKind.folder:
@@ -156,13 +139,9 @@ def _command(settings: StudySettings, state: State, words: Sequence[str]) -> str
         overrides.append(f"runs_dir={wanted.runs_dir}")
     unchanged = job_of([*overrides, "task=describe"]).settings
     for section in _SECTIONS:
-        overrides += _differences(section, getattr(wanted, section), getattr(unchanged, section))
+        asked, known = plain(getattr(wanted, section)), plain(getattr(unchanged, section))
+        for name in ("seed", "press_mm") if section == "dataset" else sorted(asked.keys() - {"kind", "folder"}):
+            if (value := asked[name]) != known[name]:
+                text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+                overrides.append(f"{section}.{name}={text}")
     return shlex.join(["python", "-m", "ablate", *words, *overrides])
-
-
-def _differences(section: str, wanted: object, unchanged: object) -> Iterator[str]:
-    names = ["seed", "press_mm"] if section == "dataset" else plain(wanted)
-    for name in names:
-        if name not in ("kind", "folder") and getattr(wanted, name) != getattr(unchanged, name):
-            value = plain(getattr(wanted, name))
-            yield f"{section}.{name}={value if isinstance(value, str) else json.dumps(value, separators=(',', ':'))}"

@@ -52,11 +52,7 @@ def add_compare_tab(page: Page, runs: Path) -> None:
     difference = gui.add_checkbox("Difference to the simulated image", initial_value=False)
     difference.on_update(page.does(lambda _: page.lay_out(difference=difference.value)))
     numbers = gui.add_markdown("")
-
-    def paint(shown: Shown) -> None:
-        numbers.content = _distances(page.layout.names, shown)
-
-    page.painters.append(paint)
+    page.painters.append(lambda shown: setattr(numbers, "content", _distances(page.layout.names, shown)))
     page.layout = replace(page.layout, names=picked)
     _add_calipers(page)
 
@@ -69,8 +65,8 @@ def _distances(names: tuple[str, ...], shown: Shown) -> str:
             near = psnr(views.target, image, mask=views.mask)
             chi2 = rms(patch_chi2(views.target, image))
             rows.append(f"| {name} | {near:.1f} | {chi2:.3f} |")
-    head = ["| to the simulated image | PSNR (dB) | patch χ² |", "| --- | --- | --- |"]
-    return "\n".join([*head, *rows]) if rows else ""
+    head = "| to the simulated image | PSNR (dB) | patch χ² |\n| --- | --- | --- |\n"
+    return head + "\n".join(rows) if rows else ""
 
 
 def _add_calipers(page: Page) -> None:

@@ -13,12 +13,11 @@ from ablate.analysis.figures.tissue_colours import tissue_colours
 from ablate.anatomy import Scene
 from ablate.settings.study import StudySettings
 from ablate.viewer.page.body import Body
-from ablate.viewer.page.screen import BAD, GOOD, Layout, caption, line, screen
-from ablate.viewer.pictures import empty_picture
+from ablate.viewer.pictures import BAD, GOOD, Layout, caption, empty_picture, line, screen
 from ablate.viewer.records import CineLoop, Shown, Sweep
-from ablate.viewer.session import FROZEN, Session
-from ablate.viewer.state import State, Views
+from ablate.viewer.session import FROZEN, Session, State, Views
 
+Bounds = tuple[float, float, float]
 _JPEG_QUALITY = 88
 IMAGES_PX = 640  # width of the images in a window of 1366 px
 _BODY_PX, _MOST_SPARE_PX = 430, 400
@@ -66,12 +65,7 @@ class Page:
         session.listeners.append(self.refresh)
 
     def add_slider(
-        self,
-        label: str,
-        bounds: tuple[float, float, float],
-        read: Callable[[], float],
-        write: Callable[[float], object],
-        hint: str | None = None,
+        self, label: str, bounds: Bounds, read: Callable[[], float], write: Callable[[float], object], hint: str = ""
     ) -> None:
         """Add a slider with bounds (lowest, highest, step); it shows what `read` gives, and moving it calls `write`."""
         lowest, highest, step = bounds
@@ -81,8 +75,9 @@ class Page:
             value = min(max(read(), lowest), highest)
             return round(value) if whole else round(value / step) * step  # as many digits as a step has
 
-        slider = self.server.gui.add_slider(label, min=lowest, max=highest, step=step, initial_value=shown(), hint=hint)
-        slider.on_update(self.does(lambda _: write(slider.value)))
+        limits = {"min": lowest, "max": highest, "step": step, "hint": hint or None}
+        slider = self.server.gui.add_slider(label, **limits, initial_value=shown())
+        slider.on_update(self.does(lambda _: write(round(slider.value) if whole else slider.value)))
         self.keep_equal(slider, shown)
 
     def add_button(self, label: str, work: Callable[[], object]) -> None:
@@ -129,7 +124,7 @@ class Page:
                     self.say("")
                     work(*arguments)
                 except Exception as error:  # the viewer lives on, whatever it is
-                    self.fail(None, error)
+                    self.fail(error)
                     self.refresh()
 
         return answer
@@ -139,7 +134,7 @@ class Page:
         self._words = " ".join(words.split())
         self._write_status()
 
-    def fail(self, _: State | None, error: Exception) -> None:
+    def fail(self, error: Exception) -> None:
         """Show why a state could not be rendered, or why a wish could not be met."""
         self.say(str(error) or type(error).__name__)
 
@@ -163,7 +158,7 @@ class Page:
         try:
             self.paint(shown)
         except Exception as error:  # as for what the worker itself cannot do
-            self.fail(shown.state, error)
+            self.fail(error)
 
     def close(self) -> None:
         """End the thread that draws, after the frame that it draws now."""
