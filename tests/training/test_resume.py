@@ -1,17 +1,13 @@
 """A run stopped anywhere and continued equals the run that was not stopped, in every weight."""
 
 import errno
-import itertools
-import json
-import os
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +19,7 @@ from torch import Tensor
 from ablate.training import (
     LAST,
     TRAINING_VERSION,
+    Loader,
     Schedule,
     interruption,
     load_generator,
@@ -33,7 +30,33 @@ from support.tiny_training import SETTINGS, SPEC, loader
 
 
 class Stopped(BaseException):
-    """What the test's own signal handler raises."""
+    """What the test's own signal handler raises, and what stands for SIGKILL."""
+
+
+def loader_until(at: int, happens: Callable[[], object]) -> Loader:
+    """A loader with which something happens before a step."""
+
+    def load(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
+            if step == at:
+                happens()
+            yield batch
+
+    return load
+
+
+def crash() -> None:
+    raise OSError("disk gone")
+
+
+@contextmanager
+def handled_by(handler: Callable[..., object], number: int = signal.SIGTERM) -> Iterator[None]:
+    """A handler of a signal that was there before the training."""
+    previous = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, previous)
 
 
 def assert_same(first: Any, second: Any) -> None:
@@ -78,14 +101,8 @@ def test_after_a_crash_at_any_step(
 ) -> None:
     settings = replace(SETTINGS, precision=precision)
 
-    def crashing(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
-        for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
-            if step == fatal_step:
-                raise OSError("disk gone")
-            yield batch
-
     with pytest.raises(OSError, match="disk gone"):
-        train(SPEC, settings, crashing, tmp_path)
+        train(SPEC, settings, loader_until(fatal_step, crash), tmp_path)
     resumed = train(SPEC, settings, loader, tmp_path)
     assert resumed.resumed_at == (fatal_step - 1) // 3 * 3
     assert_same_state(whole(precision), tmp_path)
@@ -98,13 +115,9 @@ def test_after_a_crash_at_any_step(
 def test_after_a_stop_with_other_losses_and_learning_rates(tmp_path: Path, options: dict[str, str]) -> None:
     settings = replace(SETTINGS, **options)
 
-    def crashing(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
-        yield from itertools.islice(loader(start, stop), 6)
-        raise OSError("disk gone")
-
     train(SPEC, settings, loader, tmp_path / "whole")
     with pytest.raises(OSError, match="disk gone"):
-        train(SPEC, settings, crashing, tmp_path / "stopped")
+        train(SPEC, settings, loader_until(6, crash), tmp_path / "stopped")
     # Lightning takes one batch more than it trains on.
     assert train(SPEC, settings, loader, tmp_path / "stopped").resumed_at in (3, 6)
     assert_same_state(tmp_path / "whole", tmp_path / "stopped")
@@ -122,64 +135,25 @@ def test_a_falling_learning_rate_goes_on_with_the_same_number_of_steps_only(tmp_
         train(SPEC, settings, loader, tmp_path)
 
 
-# Trains in one process for each case, which kills itself at a step, or, without one, while the second checkpoint takes
-# its place. They are forked from a process that has imported torch and has not yet computed anything with it.
-_KILLED = """
-import json, os, signal, sys
-from pathlib import Path
-import torch
-from ablate.networks import GeneratorSpec
-from ablate.training import TrainingSettings, train
-
-folder, spec, cases = Path(sys.argv[1]), *map(json.loads, sys.argv[2:])
-replace = Path.replace
-
-def die():
-    os.kill(os.getpid(), signal.SIGKILL)
-
-def replace_or_die(path, target):
-    return die() if target.exists() else replace(path, target)
-
-def run(name, settings, fatal_step):
-    batches = torch.load(folder / "batches.pt")
-
-    def loader(start, stop):
-        for step in range(start, stop):
-            yield die() if step == fatal_step else batches[step]
-
-    if fatal_step is None:
-        Path.replace = replace_or_die
-    train(GeneratorSpec(**spec), TrainingSettings(**settings), loader, folder / name)
-
-for case in cases:
-    if not (child := os.fork()):
-        run(*case)
-        os._exit(0)
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-"""
-_CASES = [("fp32", None, 3), ("bf16", 7, 6)]
-
-
-@pytest.fixture(scope="module")
-def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folders, named by the precision, of runs whose processes were killed."""
-    folder = tmp_path_factory.mktemp("killed")
-    torch.save(list(loader(0, SETTINGS.steps)), folder / "batches.pt")
-    cases = [(precision, asdict(replace(SETTINGS, precision=precision)), fatal) for precision, fatal, _ in _CASES]
-    told = [json.dumps(value) for value in (asdict(SPEC), cases)]
-    done = subprocess.run([sys.executable, "-c", _KILLED, folder, *told], stdout=subprocess.PIPE, text=True, check=True)
-    assert [int(code) for code in done.stdout.split()] == [-signal.SIGKILL] * len(_CASES)
-    return folder
-
-
-@pytest.mark.parametrize(("precision", "resumed_at"), [(precision, resumed) for precision, _, resumed in _CASES])
-def test_after_a_process_was_killed(
-    whole: Callable[[str], Path], killed: Path, precision: str, resumed_at: int
+def test_after_a_process_was_killed_while_a_checkpoint_took_the_place_of_another(
+    whole: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    resumed = train(SPEC, replace(SETTINGS, precision=precision), loader, killed / precision)
-    assert resumed.resumed_at == resumed_at
-    assert_same_state(whole(precision), killed / precision)
-    assert sorted(path.name for path in (killed / precision).iterdir()) == [LAST]
+    replace_file = Path.replace
+
+    def killed(path: Path, target: Path) -> Path:
+        if target.exists():
+            raise Stopped
+        return replace_file(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", killed)
+        patch.setattr(Path, "unlink", lambda *_, **__: None)  # what is killed does not tidy up
+        with pytest.raises(Stopped):
+            train(SPEC, SETTINGS, loader, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+    assert train(SPEC, SETTINGS, loader, tmp_path).resumed_at == 3
+    assert_same_state(whole("fp32"), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [LAST]
 
 
 def test_moments_laid_out_otherwise_in_memory_are_the_same_moments(
@@ -200,63 +174,37 @@ def test_moments_laid_out_otherwise_in_memory_are_the_same_moments(
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR2])
 def test_a_signal_saves_the_step_and_is_handed_on(whole: Callable[[str], Path], tmp_path: Path, number: int) -> None:
-    def signalled(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
-        for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
-            if step == 4:
-                os.kill(os.getpid(), number)
-            yield batch
-
     def own_handler(*_: object) -> None:
         raise Stopped
 
-    previous = signal.signal(number, own_handler)
-    try:
+    with handled_by(own_handler, number):
         with pytest.raises(Stopped):
-            train(SPEC, SETTINGS, signalled, tmp_path / "signalled")
+            train(SPEC, SETTINGS, loader_until(4, lambda: signal.raise_signal(number)), tmp_path)
         assert signal.getsignal(number) is own_handler
-    finally:
-        signal.signal(number, previous)
-    assert read_checkpoint(tmp_path / "signalled" / LAST)["steps_done"] in (4, 5)
-    train(SPEC, SETTINGS, loader, tmp_path / "signalled")
-    assert_same_state(whole("fp32"), tmp_path / "signalled")
+    assert read_checkpoint(tmp_path / LAST)["steps_done"] in (4, 5)
+    train(SPEC, SETTINGS, loader, tmp_path)
+    assert_same_state(whole("fp32"), tmp_path)
 
 
-def test_ctrl_c_and_then_a_parent_that_asks_again_save_the_step(tmp_path: Path) -> None:
+@pytest.mark.parametrize("numbers", [(signal.SIGINT, signal.SIGTERM), (signal.SIGTERM, signal.SIGINT)])
+def test_ctrl_c_and_then_a_parent_that_asks_again_save_the_step(tmp_path: Path, numbers: tuple[int, int]) -> None:
     """A terminal sends SIGINT to all processes; whoever started this one may send SIGTERM beside it, in any order."""
-    for first, second in ((signal.SIGINT, signal.SIGTERM), (signal.SIGTERM, signal.SIGINT)):
-        folder = tmp_path / first.name
 
-        def signalled(start: int, stop: int, numbers: tuple[int, ...] = (first, second)) -> Iterator[dict[str, Tensor]]:
-            for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
-                if step == 4:
-                    for number in numbers:
-                        os.kill(os.getpid(), number)
-                yield batch
+    def both() -> None:
+        for number in numbers:
+            signal.raise_signal(number)
 
-        previous = signal.signal(signal.SIGTERM, lambda *_: None)
-        try:
-            with pytest.raises((KeyboardInterrupt, InterruptedError)):
-                train(SPEC, SETTINGS, signalled, folder)
-        finally:
-            signal.signal(signal.SIGTERM, previous)
-        assert read_checkpoint(folder / LAST)["steps_done"] in (4, 5)
+    with handled_by(lambda *_: None), pytest.raises((KeyboardInterrupt, InterruptedError)):
+        train(SPEC, SETTINGS, loader_until(4, both), tmp_path)
+    assert read_checkpoint(tmp_path / LAST)["steps_done"] in (4, 5)
 
 
 def test_a_signal_that_is_passed_over_stops_the_training_all_the_same(tmp_path: Path) -> None:
     """A cluster's launcher has such a handler; the evaluation of half a training must not follow."""
-
-    def signalled(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
-        for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
-            if step == 4:
-                os.kill(os.getpid(), signal.SIGTERM)
-            yield batch
-
-    previous = signal.signal(signal.SIGTERM, lambda *_: None)
-    try:
-        with pytest.raises(InterruptedError, match=rf"SIGTERM after step [45] of {SETTINGS.steps}"):
-            train(SPEC, SETTINGS, signalled, tmp_path)
-    finally:
-        signal.signal(signal.SIGTERM, previous)
+    stopping = loader_until(4, lambda: signal.raise_signal(signal.SIGTERM))
+    said = rf"SIGTERM after step [45] of {SETTINGS.steps}"
+    with handled_by(lambda *_: None), pytest.raises(InterruptedError, match=said):
+        train(SPEC, SETTINGS, stopping, tmp_path)
     assert read_checkpoint(tmp_path / LAST)["steps_done"] in (4, 5)
 
 
@@ -266,12 +214,9 @@ def test_a_signal_whose_exception_was_lost_stops_the_training_after_a_step(
     asked = threading.Event()
     asked.set()
     monkeypatch.setattr(interruption, "stop_requested", asked)
-    previous = signal.signal(signal.SIGTERM, lambda *_: None)
-    try:
-        with pytest.raises(InterruptedError, match=f"SIGTERM after step 1 of {SETTINGS.steps}"):
-            train(SPEC, SETTINGS, loader, tmp_path)
-    finally:
-        signal.signal(signal.SIGTERM, previous)
+    said = f"SIGTERM after step 1 of {SETTINGS.steps}"
+    with handled_by(lambda *_: None), pytest.raises(InterruptedError, match=said):
+        train(SPEC, SETTINGS, loader, tmp_path)
     assert read_checkpoint(tmp_path / LAST)["steps_done"] == 1
 
 
@@ -285,11 +230,6 @@ def test_a_finished_run_is_not_trained_again_and_a_longer_one_goes_on(
     train(SPEC, replace(SETTINGS, steps=5), forbidden, tmp_path)
     train(SPEC, SETTINGS, loader, tmp_path)
     assert_same(*(read_checkpoint(folder / LAST)["state_dict"] for folder in (tmp_path, whole("fp32"))))
-
-
-def test_the_folder_holds_the_checkpoint_and_nothing_else(tmp_path: Path) -> None:
-    trained = train(SPEC, SETTINGS, loader, tmp_path)
-    assert list(tmp_path.rglob("*")) == [trained.checkpoint] == [tmp_path / LAST]
 
 
 def test_a_checkpoint_needs_no_folder_for_temporary_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
