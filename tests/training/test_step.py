@@ -11,7 +11,7 @@ from torch.optim import Adam
 
 from ablate.networks import GeneratorSpec
 from ablate.training import AdversarialLoss, PairGAN, Reconstruction, TrainingPrecision, TrainingSettings
-from ablate.training.hardware import autocast
+from ablate.training.inference import autocast
 from support.tiny_training import SETTINGS, SPEC, batch
 from support.torch_operations import Operations
 

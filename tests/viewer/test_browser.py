@@ -19,6 +19,7 @@ webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium, of
 
 from ablate.jobs.compose import jobs_of  # noqa: E402
 from ablate.viewer.task import HOST, Viewer  # noqa: E402
+from support.viewed_body import free_port  # noqa: E402
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")]
 _FLAGS = ("--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -27,7 +28,7 @@ _PATIENCE_S = 240.0
 
 
 @pytest.fixture(scope="module")
-def viewer(tmp_path_factory: pytest.TempPathFactory, free_port: Callable[[], int]) -> Iterator[Viewer]:
+def viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Viewer]:
     words = ["task=view", "preset=tiny", "scene.triangles=20000", f"runs_dir={tmp_path_factory.mktemp('runs')}"]
     (job,) = jobs_of([*words, f"viewer.port={free_port()}"])
     made = Viewer(job.settings)

@@ -3,7 +3,7 @@
 import json
 import shlex
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from ablate.settings.study import ConfigurationError, Task
 from ablate.ultrasound import Simulator
 from ablate.viewer.task import Viewer, check_server
 from ablate.viewer.worker import REST_S
+from support.viewed_body import free_port
 from support.viewer_client import Client, ConnectionClosed
 
 # Threads of viser's server end a moment after it has been told to stop.
@@ -40,7 +41,7 @@ def arguments(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def viewer(arguments: list[str], free_port: Callable[[], int]) -> Iterator[Viewer]:
+def viewer(arguments: list[str]) -> Iterator[Viewer]:
     (job,) = jobs_of([*arguments, f"viewer.port={free_port()}"])
     made = Viewer(job.settings)
     yield made
@@ -231,8 +232,6 @@ def test_with_the_last_page_closed_nothing_is_computed(viewer: Viewer) -> None:
         (["pose=none.npy"], "none.npy"),
     ],
 )
-def test_what_cannot_be_started_is_refused_in_a_sentence(
-    arguments: list[str], free_port: Callable[[], int], given: list[str], says: str
-) -> None:
+def test_what_cannot_be_started_is_refused_in_a_sentence(arguments: list[str], given: list[str], says: str) -> None:
     with pytest.raises((ConfigurationError, ValueError, OSError), match=says.replace(".", r"\.")):
         Viewer(jobs_of([*arguments, f"viewer.port={free_port()}", *given])[0].settings)

@@ -28,20 +28,13 @@ class Recorder:
         self.shown: Shown = []
         self.failed: list[str] = []
         self.worker: Worker = Worker(self.compute, REST_S)
-        self.worker.start(self.show, self.fail)
+        self.worker.start(self.shown.append, lambda error: self.failed.append(str(error)))
 
     def compute(self, state: int, quality: Quality) -> tuple[int, Quality]:
         time.sleep(self.takes_s)
         if state < 0:
             raise ValueError(f"no such state: {state}")
         return state, quality
-
-    def show(self, state: int, views: tuple[int, Quality]) -> None:
-        assert state == views[0]
-        self.shown.append(views)
-
-    def fail(self, error: Exception) -> None:
-        self.failed.append(str(error))
 
 
 def test_a_thousand_poses_in_a_second_show_the_last_one_and_compute_a_handful() -> None:
@@ -80,7 +73,7 @@ def test_views_in_full_of_a_state_that_has_been_replaced_are_dropped() -> None:
         return state, quality
 
     worker: Worker = Worker(compute, REST_S)
-    worker.start(lambda _, views: shown.append(views), print)
+    worker.start(shown.append, print)
     worker.submit(1)
     assert started.wait(20)
     worker.submit(2)
@@ -117,7 +110,7 @@ def test_a_paused_worker_computes_nothing_and_goes_on_with_the_last_state() -> N
 def test_a_page_that_cannot_show_does_not_end_the_worker(quality: Quality) -> None:
     failed: list[str] = []
 
-    def show(_: int, views: tuple[int, Quality]) -> None:
+    def show(views: tuple[int, Quality]) -> None:
         if views[1] is quality:
             raise RuntimeError("the tab is closed")
 

@@ -1,7 +1,7 @@
-from .hardware import chosen_device as chosen_device
-from .hardware import chosen_precision as chosen_precision
 from .inference import Engine as Engine
 from .inference import OpenEngine as OpenEngine
+from .inference import chosen_device as chosen_device
+from .inference import chosen_precision as chosen_precision
 from .inference import generate as generate
 from .inference import missing_for as missing_for
 from .inference import open_engine as open_engine

@@ -1,7 +1,9 @@
 """Train one network to its last step, from the start or from its last checkpoint."""
 
+import ctypes
 import logging
 import signal
+import sys
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -17,7 +19,7 @@ from torch import Tensor
 from ablate.networks import Generator, GeneratorSpec
 from ablate.setting import plain
 from ablate.storage import remove_partial, written_whole
-from ablate.training.hardware import chosen_device, chosen_precision, keep_freed_memory
+from ablate.training.inference import chosen_device, chosen_precision
 from ablate.training.interruption import Interruption
 from ablate.training.module import PairGAN
 from ablate.training.reporting import DivergenceError, DivergenceGuard, MetricSink, Report, Validate, Validation
@@ -29,6 +31,9 @@ LAST = "last.ckpt"
 # Settings that may differ between a run and its continuation: they say how long is trained, and where. Another device
 # or number of threads adds numbers in another order, so weights differ by rounding.
 _FREE = frozenset({"steps", "device", "threads", "checkpoint_every", "validate_every", "log_every"})
+# Parameters of mallopt(3) in glibc, and the largest values that it takes.
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+_LARGEST_TRIM, _LARGEST_MMAP = 2**31 - 1, 32 * 2**20
 _TRAINER_PRECISION = {TrainingPrecision.fp32: "32-true", TrainingPrecision.bf16: "bf16-mixed"}
 
 
@@ -142,6 +147,21 @@ def _fit(
             enable_model_summary=False,
         )
         trainer.fit(module, batches)
+
+
+def keep_freed_memory() -> None:
+    """Take large blocks from the heap and never give its end back, for the rest of the process.
+
+    A step frees and asks again for the same hundreds of megabytes. By default glibc returns them to the system and
+    gets them back page by page, each one zeroed: a tenth of a step's time. Does nothing where the C library is
+    another.
+    """
+    if sys.platform != "linux":
+        return
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_MMAP_THRESHOLD, _LARGEST_MMAP)
+        mallopt(_TRIM_THRESHOLD, _LARGEST_TRIM)
 
 
 class LastCheckpoint(Callback):

@@ -17,7 +17,7 @@ from ablate.analysis.figures.tissue_colours import Colour
 from ablate.anatomy import Scene
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_sag_mm, pixel_coordinates_mm, pixel_size_mm
-from ablate.viewer.session import Quality, State, Views
+from ablate.viewer.session import Quality, Views
 
 _HEIGHT_PX = 384  # a picture has at least so many rows, for its letters, and at most twice as many
 _TICK_MM, _LABEL_MM = 10, 50
@@ -159,13 +159,13 @@ class Layout:
     points: tuple[tuple[float, float], ...] = ()
 
 
-def screen(state: State, views: Views, colours: Sequence[Colour], layout: Layout) -> np.ndarray:
+def screen(views: Views, colours: Sequence[Colour], layout: Layout) -> np.ndarray:
     """The picture of all images, (h, w, 3) uint8: the simulated one, generated ones, S, A and the difference."""
-    probe, mask, ms = state.probe, views.mask, views.ms
+    probe, mask, ms = views.state.probe, views.mask, views.ms
     how = "coarse" if views.quality is Quality.coarse else "full quality"
     taken = f"{how}, {ms['target']:.0f} ms" if "target" in ms else ""
     resting = "the simulator rests while the probe moves"
-    generated = [_generated(state, views, number, name) for number, name in enumerate(layout.names)]
+    generated = [_generated(views, number, name) for number, name in enumerate(layout.names)]
     tiles: list[_Tile] = [
         ("simulated B-mode", taken, resting if views.target is None else framed(views.target, mask, probe)),
         *(generated[:1] or [("generated", "", "no generator is picked:\nchoose one under Compare")]),
@@ -174,26 +174,26 @@ def screen(state: State, views: Views, colours: Sequence[Colour], layout: Layout
         *generated[1:],
     ]
     if layout.difference:
-        tiles.append(_difference(state, views))
+        tiles.append(_difference(views))
     pictures = [empty_picture(shown, mask.shape) if isinstance(shown, str) else shown for _, _, shown in tiles]
     pictures = [marked(picture, layout.points, probe) for picture in pictures]
     return _mosaic([(title, note, picture) for (title, note, _), picture in zip(tiles, pictures, strict=True)])
 
 
-def _generated(state: State, views: Views, number: int, name: str) -> _Tile:
+def _generated(views: Views, number: int, name: str) -> _Tile:
     key = f"generated {number}"
     image = views.generated[number] if number < len(views.generated) else None
     if image is None:
         words = views.notes.get(key, "this generator has not rendered yet")
         return f"generated: {name}", "", textwrap.fill(words, _LINE)
-    return f"generated: {name}", f"{views.ms[key]:.0f} ms", framed(image, views.mask, state.probe)
+    return f"generated: {name}", f"{views.ms[key]:.0f} ms", framed(image, views.mask, views.state.probe)
 
 
-def _difference(state: State, views: Views) -> _Tile:
+def _difference(views: Views) -> _Tile:
     first = views.generated[0] if views.generated else None
     if first is None or views.target is None:
         return "difference", "", "a difference needs a simulated\nand a generated image"
-    picture = difference_picture(first, views.target, views.mask, state.probe)
+    picture = difference_picture(first, views.target, views.mask, views.state.probe)
     return "generated - simulated", "red: brighter, blue: darker", picture
 
 
@@ -214,8 +214,9 @@ def _mosaic(tiles: Sequence[tuple[str, str, np.ndarray]]) -> np.ndarray:
     return np.asarray(canvas)
 
 
-def caption(state: State, views: Views, scene: Scene, colours: Sequence[Colour]) -> str:
+def caption(views: Views, scene: Scene, colours: Sequence[Colour]) -> str:
     """The lines under the images: pose and probe in words, reservations, and a legend of the tissues that are seen."""
+    state = views.state
     words = [f"{state.probe.depth_mm:g} mm deep", f"{state.probe.frequency_mhz:g} MHz", f"speckle {state.seed}"]
     if (hold := state.hold) is not None:
         place = [f"height {hold.height_mm:.1f} mm", f"around {hold.angle_deg:.1f}°", f"turn {hold.roll_deg:.1f}°"]

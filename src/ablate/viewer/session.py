@@ -1,5 +1,6 @@
 """What the operator has set, whatever page it was set on, and what is seen of it; a change asks for new views."""
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -65,6 +66,7 @@ class Views:
 
     Attributes
     ----------
+    state : State
     target : (H, W) uint8 or None
         The simulated B-mode image; None while the probe moves, where the generators render alone.
     segmentation : (H, W) uint8
@@ -77,8 +79,11 @@ class Views:
         What each took, milliseconds: `target`, `maps`, and `generated 0`, ...
     notes : mapping of str to str
         Sentences about what could not be shown or is shown with a reservation, by the same names.
+    at_s : float
+        When they were made, seconds of a monotonic clock.
     """
 
+    state: State
     target: np.ndarray | None
     segmentation: np.ndarray
     attenuation: np.ndarray
@@ -87,6 +92,7 @@ class Views:
     ms: dict[str, float] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
     quality: Quality = Quality.full
+    at_s: float = field(default_factory=time.monotonic)
 
 
 class Session:
@@ -133,8 +139,9 @@ class Session:
             self.words = OFF_BODY
             self._tell()
         else:
-            self.hold, self.words = hold, held.words
-            self._become(replace(self.state, pose=held.pose, hold=hold))
+            pose, self.words = held
+            self.hold = hold
+            self._become(replace(self.state, pose=pose, hold=hold))
 
     def to_preset(self, name: str) -> None:
         """Hold the probe as a preset does, exactly."""

@@ -29,8 +29,8 @@ class Worker:
         self.computed = dict.fromkeys(Quality, 0)
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
 
-    def start(self, show: Callable[[State, Views], object], fail: Callable[[Exception], object]) -> None:
-        """Start the thread, which calls `show` with a state and its views.
+    def start(self, show: Callable[[Views], object], fail: Callable[[Exception], object]) -> None:
+        """Start the thread, which calls `show` with the views of a state.
 
         It calls `fail` when computing or showing raises, and goes on with the next state.
         """
@@ -97,7 +97,7 @@ class Worker:
             views = self._compute(state, quality)
             self.computed[quality] += 1
             if quality is Quality.coarse or not self._interrupted():
-                self._show(state, views)
+                self._show(views)
         except Exception as error:
             self._fail(error)
             return False

@@ -74,10 +74,10 @@ class Body:
         if not self._turning:
             self.rings.position, self.rings.wxyz = position, turn
 
-    def show(self, state: State, views: Views) -> None:
+    def show(self, views: Views) -> None:
         """Lay the simulated image, or the generated one, on the fan."""
         image = views.target if views.target is not None else next((i for i in views.generated if i is not None), None)
-        if image is not None and state.probe == self._probe:
+        if image is not None and views.state.probe == self._probe:
             self.fan.image = on_fan(image, views.mask, _FAN_ROWS[views.quality])
 
     async def _turn(self, event: Any) -> None:  # async, as all of these three, so that phases stay in order

@@ -20,7 +20,7 @@ def add_keep_tab(page: Page) -> None:
         if page.shown is None:
             raise ValueError("there is no frame yet")
         folder = next_folder(page.folder, settings.scene_name)
-        save_frame(folder, page.shown.state, page.shown.views)
+        save_frame(folder, page.shown)
         answer.content = f"Saved in `{folder}`, with `frame.json` and `pose.npy`."
 
     def write_command() -> None:
@@ -34,7 +34,7 @@ def add_keep_tab(page: Page) -> None:
             answer.content = "Recording: every frame that is shown is a pose of the sweep."
         elif (sweep := page.sweep) is not None:
             page.sweep = None
-            file, count = sweep.save(next_folder(page.folder, "sweep")), len(sweep.poses)
+            file, count = sweep.save(next_folder(page.folder, "sweep")), len(sweep)
             answer.content = f"{count} poses in `{file.parent}`, with `sweep.gif`. The command makes pairs of them."
             if count >= _FEWEST_POSES:
                 words = "task=simulate", f"dataset.poses={file}", f"dataset.frames={count}"

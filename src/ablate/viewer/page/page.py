@@ -14,8 +14,8 @@ from ablate.anatomy import Scene
 from ablate.settings.study import StudySettings
 from ablate.viewer.page.body import Body
 from ablate.viewer.pictures import BAD, GOOD, Layout, caption, empty_picture, line, screen
-from ablate.viewer.records import CineLoop, Shown, Sweep
-from ablate.viewer.session import FROZEN, Session, State, Views
+from ablate.viewer.records import CineLoop, Sweep
+from ablate.viewer.session import FROZEN, Session, Views
 
 Bounds = tuple[float, float, float]
 _JPEG_QUALITY = 88
@@ -34,7 +34,7 @@ class Page:
         Where frames and sweeps are kept.
     sweep : Sweep or None
         The sweep that is being recorded.
-    shown : Shown or None
+    shown : Views or None
         The frame on the page: the last one, or one of the cine loop.
     refreshers, painters : list of callables
         Called when a setting has changed, and with every frame that is shown.
@@ -47,9 +47,9 @@ class Page:
         self.body = Body(server, scene, self.colours, session.hand.axis, session.hand.front)
         self.layout, self.loop = Layout(), CineLoop()
         self.sweep: Sweep | None = None
-        self.shown: Shown | None = None
+        self.shown: Views | None = None
         self.refreshers: list[Callable[[], object]] = []
-        self.painters: list[Callable[[Shown], object]] = []
+        self.painters: list[Callable[[Views], object]] = []
         self.lock, self._paper = threading.RLock(), threading.RLock()
         self._pencil = ThreadPoolExecutor(1, "pencil")
         self._drawing = self._pencil.submit(lambda: None)
@@ -145,18 +145,18 @@ class Page:
             refresher()
         self._write_status()
 
-    def show(self, state: State, views: Views) -> None:
+    def show(self, views: Views) -> None:
         """Keep a frame that the worker rendered, and have it drawn while the worker renders the next one."""
-        shown = self.shown = Shown(state, views, time.monotonic())
-        self.loop.add(shown)
+        self.shown = views
+        self.loop.add(views)
         if self.sweep is not None:
-            self.sweep.add(shown)
+            self.sweep.add(views)
         self._drawing.result()  # of two frames none is left out, so the last one is drawn last
-        self._drawing = self._pencil.submit(self._draw, shown)
+        self._drawing = self._pencil.submit(self._draw, views)
 
-    def _draw(self, shown: Shown) -> None:
+    def _draw(self, views: Views) -> None:
         try:
-            self.paint(shown)
+            self.paint(views)
         except Exception as error:  # as for what the worker itself cannot do
             self.fail(error)
 
@@ -169,16 +169,16 @@ class Page:
         """Whether all that was shown has been drawn."""
         return self._drawing.done()
 
-    def paint(self, shown: Shown) -> None:
+    def paint(self, views: Views) -> None:
         """Draw a frame, a new one or one of the cine loop."""
         with self._paper:
-            picture = screen(shown.state, shown.views, self.colours, self.layout)
+            picture = screen(views, self.colours, self.layout)
             with self.server.atomic():
                 self._screen.image = picture
-                self._caption.content = caption(shown.state, shown.views, self.scene, self.colours)
-            self.body.show(shown.state, shown.views)
+                self._caption.content = caption(views, self.scene, self.colours)
+            self.body.show(views)
             for painter in self.painters:
-                painter(shown)
+                painter(views)
 
     def lay_out(self, **changes: Any) -> None:
         """Change the layout of the images, and draw the last frame again."""
