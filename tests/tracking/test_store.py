@@ -54,32 +54,26 @@ def test_a_run_carries_what_was_logged(runs: Path) -> None:
     assert [a.path for a in client.list_artifacts(run.run_id, "provenance")] == ["provenance/a.txt"]
 
 
-def test_a_run_has_its_data_set_once_and_the_experiment_is_one_of_models(runs: Path) -> None:
+def test_a_run_has_its_data_set_and_its_model_once_and_the_scores_are_of_both(runs: Path) -> None:
     store = open_store(runs, None, "ablate")
-    run = StoredRun(store, parent_run(store, "study"))
     for _ in range(2):
+        run = StoredRun(store, parent_run(store, "study"))
         run.dataset("fetal-abc", "abc", runs / "data", 240, {"segmentation": "uint8"}, {"target": "uint8"})
-    (used,) = store.client.get_run(run.run_id).inputs.dataset_inputs
+        run.scores({"test/psnr": 17.5}, 1000, run.model("sa2h.depth-8"))
+    stored = store.client.get_run(run.run_id)
+    (used,) = stored.inputs.dataset_inputs
     assert (used.dataset.name, used.dataset.digest) == ("fetal-abc", "abc")
     assert json.loads(used.dataset.profile) == {"num_rows": 240}
     assert mlflow.data.get_source(used).uri == str(runs / "data")
     schema = TensorDatasetSchema.from_dict(json.loads(used.dataset.schema))
     assert (schema.features.input_names(), schema.targets.input_names()) == (["segmentation"], ["target"])
     assert {tag.key: tag.value for tag in used.tags} == {"mlflow.data.context": "training"}
-    assert store.client.get_experiment(store.experiment_id).tags["mlflow.experimentKind"] == "custom_model_development"
-
-
-def test_scores_are_those_of_the_runs_one_model_on_its_data_set(runs: Path) -> None:
-    store = open_store(runs, None, "ablate")
-    for _ in range(2):
-        run = StoredRun(store, parent_run(store, "study"))
-        run.dataset("fetal-abc", "abc", runs / "data", 240, {"segmentation": "uint8"}, {"target": "uint8"})
-        run.scores({"test/psnr": 17.5}, 1000, run.model("sa2h.depth-8"))
     (model,) = store.client.search_logged_models([store.experiment_id])
     assert (model.name, model.source_run_id, model.status) == ("sa2h-depth-8", run.run_id, "READY")
     (score,) = model.metrics
     assert (score.key, score.value, score.dataset_name, score.dataset_digest) == ("test/psnr", 17.5, "fetal-abc", "abc")
-    assert store.client.get_run(run.run_id).data.metrics == {"test/psnr": 17.5}
+    assert stored.data.metrics == {"test/psnr": 17.5}
+    assert store.client.get_experiment(store.experiment_id).tags["mlflow.experimentKind"] == "custom_model_development"
 
 
 def test_scores_of_a_call_that_was_given_up_and_arrived_all_the_same_are_stored_once(

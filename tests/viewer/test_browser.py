@@ -120,20 +120,6 @@ def test_a_key_moves_the_probe_and_changes_the_image(browser: Any, viewer: Viewe
     until(lambda: np.array_equal(viewer.session.state.pose, viewer.session.presets["head"]))
 
 
-def test_freeze_holds_the_image(browser: Any, viewer: Viewer) -> None:
-    settle(viewer)
-    press(browser, "f")
-    until(lambda: viewer.session.frozen)
-    settle(viewer)
-    before, angle = shown(browser), viewer.session.hold.angle_deg
-    press(browser, "l")
-    until(lambda: viewer.session.hold.angle_deg != angle)
-    settle(viewer)
-    assert shown(browser) == before
-    press(browser, "f")
-    until(lambda: not viewer.session.frozen and shown(browser) != before)
-
-
 def test_a_second_tab_sees_the_same_probe_and_closing_frees_the_worker(browser: Any, viewer: Viewer) -> None:
     first = browser.current_window_handle
     browser.switch_to.new_window("tab")

@@ -13,6 +13,8 @@ from PIL import Image
 
 from ablate.storage import written_whole
 
+_LOG = "log.jsonl"
+
 
 class Status(StrEnum):
     """The state of a run, in MLflow's words."""
@@ -39,7 +41,7 @@ class LocalLog:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.path = _log(folder)
+        self.path = folder / _LOG
         self.path.touch()
         lines, whole = read_log(folder)
         with self.path.open("r+b") as file:
@@ -76,9 +78,9 @@ class LocalLog:
 
 def read_log(folder: Path, start: int = 0) -> tuple[list[dict[str, Any]], int]:
     """The whole lines of a run's log from a byte on, and the byte after them; none where there is no log."""
-    if not _log(folder).exists():
+    if not (folder / _LOG).exists():
         return [], 0
-    with _log(folder).open("rb") as file:
+    with (folder / _LOG).open("rb") as file:
         file.seek(start)
         text, newline, _ = file.read().rpartition(b"\n")
     lines = []
@@ -99,7 +101,3 @@ def logged_images(folder: Path) -> list[tuple[str, int, Path]]:
     files = [path for path in (folder / "images").glob("*+*.png") if ".partial" not in path.name]
     split = [(path.stem.rpartition("+"), path) for path in files]
     return sorted((key.replace("~", "/"), int(step), path) for (key, _, step), path in split if step.isdigit())
-
-
-def _log(folder: Path) -> Path:
-    return folder / "log.jsonl"

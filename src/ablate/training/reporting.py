@@ -150,21 +150,18 @@ class Validate(Callback):
     def __init__(self, validation: Validation, every: int, sink: MetricSink | None) -> None:
         self.validation, self.every, self.sink = validation, every, sink
 
-    def on_train_start(self, _trainer: Trainer, module: LightningModule) -> None:
+    def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
         """Validate the untrained network, where curves begin."""
         assert isinstance(module, PairGAN)
         if module.steps_done == 0:
-            self._validate(module)
+            self.on_train_batch_end(trainer, module)
 
     def on_train_batch_end(self, _trainer: Trainer, module: LightningModule, *_: Any) -> None:
         """Validate if it is time."""
         assert isinstance(module, PairGAN)
         if module.steps_done % self.every == 0:
-            self._validate(module)
-
-    def _validate(self, module: PairGAN) -> None:
-        images_seen = module.steps_done * module.settings.batch_size
-        with torch.no_grad():
-            metrics = dict(self.validation(module.evaluated, images_seen))
-        if self.sink is not None:
-            self.sink(metrics, images_seen)
+            images_seen = module.steps_done * module.settings.batch_size
+            with torch.no_grad():
+                metrics = dict(self.validation(module.evaluated, images_seen))
+            if self.sink is not None:
+                self.sink(metrics, images_seen)

@@ -61,10 +61,10 @@ class Engine:
                 trained = self._generator(folder)
                 maps = {"segmentation": segmentation, "attenuation": attenuation}
                 if "low" in trained.reads:
-                    work = partial(_quietly, self._simulator(probe, low), replace(state, display=None))
-                    maps["low"] = self._once("low", (*place, state.seed), work)[0].image
-                work = partial(trained.render, maps, mask, probe, state.seed)
-                image, ms[name] = self._once(name, (folder, *place, state.seed), work)
+                    simulate = partial(_quietly, self._simulator(probe, low), replace(state, display=None))
+                    maps["low"] = self._once("low", (*place, state.seed), simulate)[0].image
+                render = partial(trained.render, maps, mask, probe, state.seed)
+                image, ms[name] = self._once(name, (folder, *place, state.seed), render)
                 images.append(image if state.display is None else state.display.shown(image, depth, settings))
                 notes[name] = trained.reservation(state)
             except (OSError, ValueError, KeyError) as error:

@@ -72,9 +72,9 @@ class FastGenerator:
         self._exports = missing_for(Engine.exported, torch.device("cpu")) is None
         self._rendered: Counter[tuple[int, int]] = Counter()
         self._opened: dict[tuple[int, int], OpenEngine] = {}
-        self._export: tuple[tuple[int, int], SpawnProcess] | None = None
+        self._running: dict[tuple[int, int], SpawnProcess] = {}  # the export of a size, one at a time
         self._folder = Path(mkdtemp(prefix="ablate-view-"))
-        finalize(self, rmtree, self._folder, ignore_errors=True)
+        finalize(self, _end, self._running, self._folder)
 
     def render(self, maps: Mapping[str, Tensor], mask: Tensor, seed: Tensor) -> np.ndarray:
         """Render (H, W) uint8 from maps (1, 1, H, W), a mask (H, W) and the seed of the noise, (1,) int64."""
@@ -88,17 +88,17 @@ class FastGenerator:
 
     def _advance_export(self, size: tuple[int, int]) -> None:
         """Start an export if none runs, and open the file of one that has ended."""
-        if self._export is None:
+        if not self._running:
             content = pickle.dumps((export_onnx, (self.generator, self._path(size), *size)))
             process = get_context("spawn").Process(target=work_for_parent, args=(content,), daemon=True)
             with interrupts_blocked():
                 process.start()
-            self._export = size, process
+            self._running[size] = process
             return
-        exported, process = self._export
+        ((exported, process),) = self._running.items()
         if process.is_alive():
             return
-        self._export = None
+        self._running.clear()
         if process.exitcode == 0:
             while len(self._opened) >= _KEPT:
                 self._opened.pop(next(iter(self._opened)))
@@ -109,6 +109,13 @@ class FastGenerator:
 
     def _path(self, size: tuple[int, int]) -> Path:
         return Path(self._folder, f"{size[0]}x{size[1]}.onnx")
+
+
+def _end(running: Mapping[tuple[int, int], SpawnProcess], folder: Path) -> None:
+    for process in running.values():
+        process.kill()
+        process.join()
+    rmtree(folder, ignore_errors=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,6 @@ _TICK_MM, _LABEL_MM = 10, 50
 _SCALE = (150, 160, 170)
 _MARK = (44, 160, 44)
 _PAPER = (16, 18, 22)
-_MOST_DIFFERENCE = 128.0  # grey levels, fully red or blue
 _COLUMNS = 2
 _BAR_PX, _GAP_PX = 30, 6
 _INK, _DIM = (235, 238, 242), (140, 150, 160)
@@ -62,10 +61,8 @@ def share_picture(shares: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndar
 
 def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
     """a - b of two images, (H, W) uint8 each: red where a is brighter, blue where b is, white where they agree."""
-    share = np.clip((a.astype(np.float32) - b) / _MOST_DIFFERENCE, -1, 1)[..., None]
-    red, blue = np.array([178, 24, 43]), np.array([33, 102, 172])
-    ink = np.where(share > 0, red, blue)
-    return framed((245 + np.abs(share) * (ink - 245.0)).astype(np.uint8), mask, probe)
+    levels = np.clip(a.astype(np.int16) - b + 128, 0, 255).astype(np.uint8)
+    return framed(colormaps["RdBu_r"](levels, bytes=True)[..., :3], mask, probe)
 
 
 def on_fan(image: np.ndarray, mask: np.ndarray, rows: int = 160) -> np.ndarray:
@@ -79,18 +76,13 @@ def on_fan(image: np.ndarray, mask: np.ndarray, rows: int = 160) -> np.ndarray:
 def empty_picture(words: str, shape: tuple[int, int]) -> np.ndarray:
     """Words in place of a missing picture, as large as the picture of an image of this shape."""
     canvas = Image.new("RGB", _size(shape), _PAPER)
-    draw, font = ImageDraw.Draw(canvas), _font(_size(shape)[1])
-    lines = words.split("\n")
-    for number, line in enumerate(lines):
-        y = canvas.height / 2 + (number - len(lines) / 2) * 1.6 * font.size
-        draw.text((canvas.width / 2, y), line, fill=_SCALE, font=font, anchor="mm")
+    font, middle = _font(canvas.height), (canvas.width / 2, canvas.height / 2)
+    ImageDraw.Draw(canvas).text(middle, words, _SCALE, font, "mm", spacing=0.6 * font.size, align="center")
     return np.asarray(canvas)
 
 
 def marked(picture: np.ndarray, points: Sequence[tuple[float, float]], probe: Probe) -> np.ndarray:
     """A picture with crosses at points of the image plane, x and z in mm, and lines between pairs of them."""
-    if not points:
-        return picture
     canvas = Image.fromarray(picture)
     draw = ImageDraw.Draw(canvas)
     seen = [_pixel(point, (canvas.height, canvas.width), probe) for point in points]

@@ -88,10 +88,10 @@ class Views:
     segmentation: np.ndarray
     attenuation: np.ndarray
     mask: np.ndarray
-    generated: tuple[np.ndarray | None, ...] = ()
-    ms: dict[str, float] = field(default_factory=dict)
-    notes: dict[str, str] = field(default_factory=dict)
-    quality: Quality = Quality.full
+    generated: tuple[np.ndarray | None, ...]
+    ms: dict[str, float]
+    notes: dict[str, str]
+    quality: Quality
     at_s: float = field(default_factory=time.monotonic)
 
 

@@ -151,14 +151,15 @@ class Page:
         self.loop.add(views)
         if self.sweep is not None:
             self.sweep.add(views)
-        self._drawing.result()  # of two frames none is left out, so the last one is drawn last
-        self._drawing = self._pencil.submit(self._draw, views)
 
-    def _draw(self, views: Views) -> None:
-        try:
-            self.paint(views)
-        except Exception as error:  # as for what the worker itself cannot do
-            self.fail(error)
+        def draw() -> None:
+            try:
+                self.paint(views)
+            except Exception as error:  # as for what the worker itself cannot do
+                self.fail(error)
+
+        self._drawing.result()  # of two frames none is left out, so the last one is drawn last
+        self._drawing = self._pencil.submit(draw)
 
     def close(self) -> None:
         """End the thread that draws, after the frame that it draws now."""
