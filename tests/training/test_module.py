@@ -13,28 +13,25 @@ from ablate.networks import Attenuation, gaussian_field
 from ablate.training import AdversarialLoss, PairGAN, train
 from ablate.training.module import crps_of_two_draws, mean_in_fan, second_seeds
 from support.tiny_training import SETTINGS, SPEC, batch, loader
-from support.variants import UNET
 
 ADVERSARIAL = [loss for loss in AdversarialLoss if loss is not AdversarialLoss.none]
 PAPER = {"reconstruction": "l1", "schedule": "constant"}
 
 
-@pytest.mark.parametrize(("level", "read"), [("integral", "attenuation"), ("compensated", "compensated")])
 @pytest.mark.parametrize(
-    ("loss", "options"),
+    ("loss", "options", "read"),
     [
-        *((loss, PAPER) for loss in AdversarialLoss),
-        *(
-            (loss, {**PAPER, "reconstruction": "crps"})
-            for loss in (AdversarialLoss.nonsaturating, AdversarialLoss.none)
-        ),
-        (AdversarialLoss.nonsaturating, {**PAPER, "schedule": "linear"}),
+        *((loss, PAPER, "attenuation") for loss in AdversarialLoss),
+        (AdversarialLoss.nonsaturating, {**PAPER, "reconstruction": "crps"}, "attenuation"),
+        (AdversarialLoss.none, {**PAPER, "reconstruction": "crps"}, "compensated"),
+        (AdversarialLoss.nonsaturating, {**PAPER, "schedule": "linear"}, "compensated"),
     ],
 )
 def test_training_is_what_it_is_in_plain_torch(
-    tmp_path: Path, loss: AdversarialLoss, options: dict[str, str], level: str, read: str
+    tmp_path: Path, loss: AdversarialLoss, options: dict[str, str], read: str
 ) -> None:
-    spec, settings = replace(SPEC, attenuation=Attenuation(level)), replace(SETTINGS, loss=loss, steps=4, **options)
+    level = Attenuation.integral if read == "attenuation" else Attenuation.compensated
+    spec, settings = replace(SPEC, attenuation=level), replace(SETTINGS, loss=loss, steps=4, **options)
     generator = PairGAN(spec, settings).generator.double()  # in float32 the plain formulas round more than the module
     discriminator = PairGAN(spec, replace(settings, loss=AdversarialLoss.nonsaturating)).discriminator
     assert discriminator is not None
@@ -107,23 +104,6 @@ def test_the_error_falls(tmp_path: Path) -> None:
     train(SPEC, settings, loader, tmp_path, sink=lambda metrics, _: seen.append(metrics["train/l1"]))
     assert len(seen) == 6
     assert seen[-1] < 0.5 * seen[0]
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"noise": "input", "noise_start": 0.0},
-        {"attenuation": "none"},
-        {"extra_input": "low", "concat": "input", "upsampling": "transposed", "noise": "none", "noise_start": 0.0},
-        {**UNET, "noise_start": 0.0},
-        {"attenuation": "compensated"},
-        {**UNET, "noise_start": 0.0, "attenuation": "compensated"},
-    ],
-)
-def test_every_kind_of_variant_trains(tmp_path: Path, changes: dict) -> None:
-    settings = replace(SETTINGS, steps=2, ema_decay=0.0)
-    trained = train(replace(SPEC, **changes), settings, loader, tmp_path)
-    assert all(parameter.isfinite().all() for parameter in trained.generator.parameters())
 
 
 @pytest.mark.parametrize("l1_weight", [0.0, 1e6])
