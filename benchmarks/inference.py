@@ -31,12 +31,11 @@ from ablate.training import (
     TrainingPrecision,
     chosen_device,
     chosen_precision,
-    median_ms,
     missing_for,
     open_engine,
     open_exported,
 )
-from yardstick import ABOUT, Yardstick
+from yardstick import ABOUT, Yardstick, milliseconds
 
 HEAD = (
     "width",
@@ -107,9 +106,10 @@ def measure(arguments: argparse.Namespace) -> None:
     np.save(arguments.image, image.numpy())
     peak = peak_gib(device)
     yardstick, times = Yardstick(), []
-    median_ms(render, maps, 1, warmup=0)  # does not count
-    for _ in range(arguments.repeats):
-        times.append(median_ms(render, maps, 1, warmup=0))
+    render(maps, torch.tensor([0], device=device)).cpu()  # does not count
+    for number in range(arguments.repeats):
+        seed = torch.tensor([number], device=device)
+        times.append(milliseconds(lambda seed=seed: render(maps, seed).cpu()))
         yardstick.tick()
     found = {"ms": median(times), "ready": ready, "peak": peak, "before": before, "yardstick": yardstick.text(times)}
     print(json.dumps(found))

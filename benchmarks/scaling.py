@@ -31,9 +31,9 @@ from torch import Tensor
 from ablate.anatomy import Scene, Structure, load_tissues
 from ablate.networks import Generator, GeneratorSpec, conditions
 from ablate.tracking import hardware
-from ablate.training import Engine, TrainingPrecision, TrainingSettings, chosen_device, median_ms, open_engine, train
+from ablate.training import Engine, TrainingPrecision, TrainingSettings, chosen_device, open_engine, train
 from ablate.ultrasound import Simulator, SimulatorSettings
-from yardstick import Yardstick
+from yardstick import Yardstick, milliseconds
 
 REPEATS = 3
 BUDGETS_GIB = (4.0, 24.0)
@@ -129,7 +129,13 @@ def generated_frame(pixels: float, width: float) -> Callable[[], float]:
         if name.endswith("noise_weight"):
             parameter.fill_(0.1)
     maps = {name: torch.rand(1, 1, *shape).to(device) for name in conditions(generator.spec)}
-    return lambda: median_ms(open_engine(generator, *shape, TrainingPrecision.fp32, Engine.eager), maps, REPEATS, 1)
+
+    def measure() -> float:
+        render = open_engine(generator, *shape, TrainingPrecision.fp32, Engine.eager)
+        times = [milliseconds(lambda: render(maps, torch.tensor([0], device=device)).cpu()) for _ in range(REPEATS + 1)]
+        return median(times[1:])
+
+    return measure
 
 
 def training_step(crop: float, batch: float, width: float) -> Callable[[], float]:

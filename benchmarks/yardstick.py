@@ -9,7 +9,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from statistics import median
 
@@ -75,6 +75,13 @@ class Yardstick:
         """The ratios in a table's cell."""
         conv, loop = self.ratios(times)
         return f"{conv:.2g} conv, {loop:.2g} loop"
+
+
+def milliseconds(work: Callable[[], object]) -> float:
+    """Time some work whose result comes back to the CPU."""
+    start = time.perf_counter()
+    work()
+    return 1e3 * (time.perf_counter() - start)
 
 
 @contextmanager

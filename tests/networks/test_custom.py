@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from ablate.networks import Generator, GeneratorSpec, check_custom, count_generator, custom_source, receptive_field
-from ablate.user_code import source_digest
+from ablate.networks import Generator, GeneratorSpec, check_custom, count_generator, receptive_field
 
 NETWORKS = """
 import torch
@@ -83,10 +82,6 @@ def test_a_channel_of_noise_is_its_last_input() -> None:
 def test_its_sizes() -> None:
     assert count_generator(spec("Sum")) == 2
     assert receptive_field(spec("Sum")) is None
-
-
-def test_a_run_is_known_by_the_code_of_the_class() -> None:
-    assert custom_source("networks_of_a_user.Sum") == source_digest("networks_of_a_user.Sum")
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ablate.networks.layers import JointConvolution, JointTransposedConvolution, ResizedConvolution, instance_norm
+from ablate.networks.layers import (
+    JointConvolution,
+    JointTransposedConvolution,
+    OneChannelConvolution,
+    ResizedConvolution,
+    instance_norm,
+)
 
 
 def gradients(result: Tensor, wanted: list[Tensor]) -> tuple[Tensor, ...]:
@@ -15,66 +21,46 @@ def gradients(result: Tensor, wanted: list[Tensor]) -> tuple[Tensor, ...]:
 
 @pytest.mark.parametrize("shape", [(2, 3, 40, 30), (2, 5, 31, 31), (1, 1, 1, 2), (2, 2, 64, 1), (1, 16, 64, 48)])
 @pytest.mark.parametrize("memory_format", [torch.channels_last, torch.contiguous_format])
-def test_instance_norm_has_torchs_gradient(shape: tuple[int, ...], memory_format: torch.memory_format) -> None:
+def test_instance_norm_is_torchs_in_value_and_gradient(
+    shape: tuple[int, ...], memory_format: torch.memory_format
+) -> None:
     random = torch.Generator().manual_seed(0)
     features = torch.randn(shape, generator=random, dtype=torch.float64) * 3 + 5
     features = features.to(memory_format=memory_format).requires_grad_()
+    torch.testing.assert_close(instance_norm(features), F.instance_norm(features), rtol=1e-9, atol=1e-9)
     ours, torchs = (gradients(norm(features), [features])[0] for norm in (instance_norm, F.instance_norm))
     torch.testing.assert_close(ours, torchs, rtol=1e-9, atol=1e-9)
     single = features.detach().float().requires_grad_()
     torch.testing.assert_close(gradients(instance_norm(single), [single])[0].double(), torchs, rtol=1e-3, atol=1e-4)
 
 
-@pytest.mark.parametrize("bias", [True, False])
-@pytest.mark.parametrize("maps", [0, 2])
-@pytest.mark.parametrize(
-    ("joint", "plain", "options"),
-    [
-        (JointConvolution, nn.Conv2d, {"kernel_size": 3, "padding": 1}),
-        (JointConvolution, nn.Conv2d, {"kernel_size": 3, "padding": 1, "stride": 2}),
-        (JointTransposedConvolution, nn.ConvTranspose2d, {"kernel_size": 4, "padding": 1, "stride": 2}),
-        (
-            JointTransposedConvolution,
-            nn.ConvTranspose2d,
-            {"kernel_size": 3, "padding": 1, "stride": 2, "output_padding": 1},
-        ),
-    ],
-)
-def test_joint_convolutions_are_those_of_the_concatenation(
-    joint: type, plain: type, options: dict, maps: int, bias: bool
-) -> None:
-    torch.manual_seed(0)
-    layer = joint(4 + maps, 6, bias=bias, **options).double()
-    reference = plain(4 + maps, 6, bias=bias, **options).double()
-    reference.load_state_dict(layer.state_dict())
-    features = torch.randn(2, 4, 9, 7, dtype=torch.float64, requires_grad=True)
-    beside = torch.randn(2, maps, 9, 7, dtype=torch.float64) if maps else None
-    expected = reference(features if beside is None else torch.cat((features, beside), 1))
-    result = layer(features, beside)
-    torch.testing.assert_close(result, expected, rtol=1e-12, atol=1e-12)
-    ours = gradients(result, [features, *layer.parameters()])
-    torchs = gradients(expected, [features, *reference.parameters()])
-    for one, other in zip(ours, torchs, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10)
+# A layer of `LAYERS` and what it computes in the plain way, each with its arguments beside the input channels.
+LAYERS = {
+    "joint": (JointConvolution, (6, 3, 1, 1), nn.Conv2d, (6, 3, 1, 1)),
+    "joint, stride 2": (JointConvolution, (6, 3, 2, 1), nn.Conv2d, (6, 3, 2, 1)),
+    "transposed 4x4": (JointTransposedConvolution, (6, 4, 2, 1), nn.ConvTranspose2d, (6, 4, 2, 1)),
+    "transposed 3x3": (JointTransposedConvolution, (6, 3, 2, 1, 1), nn.ConvTranspose2d, (6, 3, 2, 1, 1)),
+    "resized": (ResizedConvolution, (6,), nn.Conv2d, (6, 3, 1, 1)),
+    "one channel": (OneChannelConvolution, (3,), nn.Conv2d, (1, 3, 1, 1)),
+}
 
 
 @pytest.mark.parametrize("maps", [0, 2])
 @pytest.mark.parametrize("size", [(9, 7), (1, 1), (1, 6)])
-def test_a_resized_convolution_is_nearest_neighbour_and_a_convolution(size: tuple[int, int], maps: int) -> None:
+@pytest.mark.parametrize("name", LAYERS)
+def test_layers_are_torchs_on_the_concatenation(name: str, size: tuple[int, int], maps: int) -> None:
     torch.manual_seed(0)
-    layer = ResizedConvolution(4 + maps, 6).double()
-    reference = nn.Conv2d(4 + maps, 6, 3, padding=1).double()
+    kind, own, plain, of_plain = LAYERS[name]
+    layer, reference = kind(4 + maps, *own).double(), plain(4 + maps, *of_plain).double()
     reference.load_state_dict(layer.state_dict())
     features = torch.randn(2, 4, *size, dtype=torch.float64, requires_grad=True)
-    beside = [torch.randn(2, maps, 2 * size[0], 2 * size[1], dtype=torch.float64)] if maps else []
-    enlarged = features.repeat_interleave(2, -1).repeat_interleave(2, -2)
-    expected = reference(torch.cat((enlarged, *beside), 1))
-    result = layer(features, *beside)
+    enlarged = F.interpolate(features, scale_factor=2, mode="nearest") if kind is ResizedConvolution else features
+    beside = [torch.randn(2, maps, *enlarged.shape[-2:], dtype=torch.float64)] if maps else []
+    expected, result = reference(torch.cat((enlarged, *beside), 1)), layer(features, *beside)
     torch.testing.assert_close(result, expected, rtol=1e-12, atol=1e-12)
     ours = gradients(result, [features, *layer.parameters()])
     torchs = gradients(expected, [features, *reference.parameters()])
-    for one, other in zip(ours, torchs, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10)
+    torch.testing.assert_close(ours, torchs, rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import pytest
 
 from ablate.networks import Generator, GeneratorSpec, count_discriminator, count_generator, count_parameters
+from ablate.networks.layers import convolutions
 from support.variants import UNET
 
 # Both networks together; the paper prints them in millions, to one digit.
@@ -45,7 +46,7 @@ def test_a_variant_without_injected_noise_has_no_weight_for_it(noise: str) -> No
 
 def test_the_narrowest_network_keeps_four_channels() -> None:
     generator = Generator(GeneratorSpec(width=1e-6))
-    assert {layer.out_channels for stage in generator.network.stages().down for layer in stage} == {4}
+    assert {layer.out_channels for layer in convolutions(generator.network.down)} == {4}
 
 
 def test_the_discriminator_follows_the_generators_width_unless_told() -> None:

@@ -19,7 +19,7 @@ def measured_extent(gradient: Tensor) -> int:
 
 def make_linear(network: nn.Module, monkeypatch: pytest.MonkeyPatch) -> None:
     """Positive weights and no norm: no contribution cancels, and no statistics reach across the image."""
-    for room in ("local", "unet", "discriminator"):
+    for room in ("local", "pix2pix"):
         monkeypatch.setattr(f"ablate.networks.{room}.instance_norm", lambda features: features)
     for parameter in network.parameters():
         fan_in = parameter[0].numel() if parameter.ndim == 4 else 1

@@ -11,7 +11,6 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ablate.networks import Concat, Family, GeneratorSpec, Noise, Upsampling, conditions, discriminator_channels, inputs
-from ablate.networks.local import channels_by_level
 from ablate.networks.spec import scaled
 
 
@@ -61,7 +60,8 @@ class PlainLocal(nn.Module):
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
         self.spec = spec
-        widths = [scaled(channels, spec.width) for channels in channels_by_level(spec.depth)]
+        channels = (64, 128, 128, 256, *[512] * spec.depth)[: spec.depth + 1]
+        widths = [scaled(count, spec.width) for count in channels]
         self.fed = 0
         if spec.concat is Concat.every_level:
             self.fed = sum(name in ("segmentation", "attenuation", "compensated") for name in conditions(spec))

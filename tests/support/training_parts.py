@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ablate.networks import discriminator, layers, local, unet
+from ablate.networks import layers, local, pix2pix
 from ablate.training import loop
 
 
@@ -20,7 +20,7 @@ def _norm_by_torch(features: Tensor) -> Tensor:
 
 def without_own_gradient() -> None:
     """Instance norm is torch's group norm, with torch's gradient."""
-    for module in (local, unet, discriminator):
+    for module in (local, pix2pix):
         module.instance_norm = _norm_by_torch
 
 

@@ -1,20 +1,25 @@
-"""Runs are found again rather than made twice, also by processes that start together."""
+"""Runs are found again rather than made twice; a database that cannot be read is kept aside, and a new one filled."""
 
 import json
 import math
+import shutil
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import mlflow.data
+import mlflow.store.db.utils
 import pytest
 from mlflow import MlflowClient
 from mlflow.data.schema import TensorDatasetSchema
 from mlflow.exceptions import MlflowException
 
 from ablate.tracking import Status, StoredRun, child_run, default_uri, open_store, parent_run
+from ablate.tracking import store as store_module
 
 
 def test_opening_twice_gives_the_same_runs(runs: Path) -> None:
@@ -49,32 +54,26 @@ def test_a_run_carries_what_was_logged(runs: Path) -> None:
     assert [a.path for a in client.list_artifacts(run.run_id, "provenance")] == ["provenance/a.txt"]
 
 
-def test_a_run_has_its_data_set_once_and_the_experiment_is_one_of_models(runs: Path) -> None:
+def test_a_run_has_its_data_set_and_its_model_once_and_the_scores_are_of_both(runs: Path) -> None:
     store = open_store(runs, None, "ablate")
-    run = StoredRun(store, parent_run(store, "study"))
     for _ in range(2):
+        run = StoredRun(store, parent_run(store, "study"))
         run.dataset("fetal-abc", "abc", runs / "data", 240, {"segmentation": "uint8"}, {"target": "uint8"})
-    (used,) = store.client.get_run(run.run_id).inputs.dataset_inputs
+        run.scores({"test/psnr": 17.5}, 1000, run.model("sa2h.depth-8"))
+    stored = store.client.get_run(run.run_id)
+    (used,) = stored.inputs.dataset_inputs
     assert (used.dataset.name, used.dataset.digest) == ("fetal-abc", "abc")
     assert json.loads(used.dataset.profile) == {"num_rows": 240}
     assert mlflow.data.get_source(used).uri == str(runs / "data")
     schema = TensorDatasetSchema.from_dict(json.loads(used.dataset.schema))
     assert (schema.features.input_names(), schema.targets.input_names()) == (["segmentation"], ["target"])
     assert {tag.key: tag.value for tag in used.tags} == {"mlflow.data.context": "training"}
-    assert store.client.get_experiment(store.experiment_id).tags["mlflow.experimentKind"] == "custom_model_development"
-
-
-def test_scores_are_those_of_the_runs_one_model_on_its_data_set(runs: Path) -> None:
-    store = open_store(runs, None, "ablate")
-    for _ in range(2):
-        run = StoredRun(store, parent_run(store, "study"))
-        run.dataset("fetal-abc", "abc", runs / "data", 240, {"segmentation": "uint8"}, {"target": "uint8"})
-        run.scores({"test/psnr": 17.5}, 1000, run.model("sa2h.depth-8"))
     (model,) = store.client.search_logged_models([store.experiment_id])
     assert (model.name, model.source_run_id, model.status) == ("sa2h-depth-8", run.run_id, "READY")
     (score,) = model.metrics
     assert (score.key, score.value, score.dataset_name, score.dataset_digest) == ("test/psnr", 17.5, "fetal-abc", "abc")
-    assert store.client.get_run(run.run_id).data.metrics == {"test/psnr": 17.5}
+    assert stored.data.metrics == {"test/psnr": 17.5}
+    assert store.client.get_experiment(store.experiment_id).tags["mlflow.experimentKind"] == "custom_model_development"
 
 
 def test_scores_of_a_call_that_was_given_up_and_arrived_all_the_same_are_stored_once(
@@ -145,3 +144,68 @@ def test_what_a_database_refuses_is_raised_and_not_printed_with_a_traceback(
     with pytest.raises(MlflowException, match="no such table"):
         StoredRun(store, run).mark(Status.finished)
     assert "Traceback" not in capfd.readouterr().err
+
+
+class Killed(BaseException):
+    """In place of SIGKILL."""
+
+
+@pytest.mark.parametrize("name", ["mlflow.db", "own.db"], ids=["the default store", "a file that tracking.uri names"])
+def test_a_process_that_is_killed_while_it_makes_the_database_leaves_none(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    uri = None if name == "mlflow.db" else f"sqlite:///{tmp_path / name}"
+
+    def killed(*_: object) -> None:
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(mlflow.store.db.utils, "_upgrade_db", killed)
+        patch.setattr(Path, "unlink", lambda *_, **__: None)  # what is killed does not tidy up
+        with pytest.raises(Killed):
+            open_store(tmp_path, uri, "ablate")
+    assert list(tmp_path.glob("*.partial.db")), "nothing was begun"
+    assert not (tmp_path / name).exists()
+    store = open_store(tmp_path, uri, "ablate")
+    assert parent_run(store, "study")
+    assert not list(tmp_path.glob("*.partial.db"))
+
+
+def of_another_schema(path: Path) -> None:
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE alembic_version SET version_num = 'of the future'")
+
+
+def overwritten(path: Path) -> None:
+    path.write_bytes(b"no database" * 1000)
+
+
+def half_made(path: Path) -> None:
+    path.unlink()
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("CREATE TABLE experiments (experiment_id INTEGER)")
+
+
+@pytest.mark.parametrize("damage", [of_another_schema, overwritten, half_made])
+def test_a_database_that_cannot_be_read_is_kept_aside(
+    runs: Path,
+    empty_database: Path,
+    damage: Callable[[Path], None],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr(store_module, "_make", partial(shutil.copy, empty_database))  # the same, and seconds sooner
+    damage(runs / "mlflow.db")
+    before = (runs / "mlflow.db").read_bytes()
+    store = open_store(runs, None, "ablate")
+    assert parent_run(store, "study") == parent_run(open_store(runs, None, "ablate"), "study")
+    (aside,) = runs.glob("mlflow-*.db")
+    assert aside.read_bytes() == before
+    assert str(aside) in caplog.text
+
+
+def test_the_journal_of_a_removed_database_is_not_applied_to_the_new_one(runs: Path) -> None:
+    (runs / "mlflow.db").unlink()
+    (runs / "mlflow.db-journal").write_bytes(b"of another file")
+    assert parent_run(open_store(runs, None, "ablate"), "study")
+    assert not (runs / "mlflow.db-journal").exists()

@@ -1,7 +1,6 @@
 """Every engine renders what the network renders, and says what it lacks."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,19 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from ablate.networks import Generator, GeneratorSpec
-from ablate.training import (
-    Engine,
-    Loader,
-    TrainingPrecision,
-    TrainingSettings,
-    load_generator,
-    median_ms_per_frame,
-    missing_for,
-    open_engine,
-    open_exported,
-    train,
-)
+from ablate.networks import Generator, GeneratorSpec, export_onnx
+from ablate.training import Engine, TrainingPrecision, load_generator, missing_for, open_engine, open_exported, train
+from support.tiny_training import SETTINGS, SPEC, batch, loader
 
 CPU = torch.device("cpu")
 SEED = torch.tensor([3])
@@ -33,42 +22,39 @@ def drawn(spec: GeneratorSpec) -> Generator:
     return Generator(spec).eval()
 
 
-def cropped(batch: Callable[..., dict[str, Tensor]], height: int, width: int, size: int) -> dict[str, Tensor]:
+def cropped(height: int, width: int, size: int) -> dict[str, Tensor]:
     return {name: value[:1, :, :height, :width] for name, value in batch(0, size).items() if value.ndim == 4}
 
 
-@pytest.mark.parametrize("precision", [TrainingPrecision.fp32, TrainingPrecision.bf16])
 @pytest.mark.parametrize("engine", [Engine.eager, Engine.exported])
-def test_a_frame_by_engine_and_precision(
-    spec: GeneratorSpec, batch: Callable[..., dict[str, Tensor]], engine: Engine, precision: TrainingPrecision
-) -> None:
+def test_a_frame_by_engine_and_precision(engine: Engine, tmp_path: Path) -> None:
     if missing_for(engine, CPU):
         pytest.skip(f"needs {missing_for(engine, CPU)}")
-    generator, maps = drawn(spec), cropped(batch, 30, 27, 32)
-    render = open_engine(generator, 30, 27, precision, engine)
+    generator, maps, file = drawn(SPEC), cropped(30, 27, 32), tmp_path / "model.onnx"
+    if engine is Engine.exported:
+        export_onnx(generator, file, 30, 27)
     with torch.inference_mode():
         expected = generator(maps["segmentation"], maps["attenuation"], noise_seed=SEED)
         other = generator(maps["segmentation"], maps["attenuation"], noise_seed=SEED + 1)
-    image = render(maps, SEED).float()
-    # bf16 rounds to 8 bits: 2^-9 of a feature's size, ten layers of them.
-    tolerance = {TrainingPrecision.fp32: 1e-5, TrainingPrecision.bf16: 10 * 2.0**-9}[precision]
-    assert image.shape == (1, 1, 30, 27)
-    torch.testing.assert_close(image, expected, rtol=0, atol=tolerance)
-    torch.testing.assert_close(render(maps, SEED + 1).float(), other, rtol=0, atol=tolerance)
     assert (expected - other).abs().max() > 1e-3
+    # bf16 rounds to 8 bits: 2^-9 of a feature's size, ten layers of them.
+    for precision, tolerance in ((TrainingPrecision.fp32, 1e-5), (TrainingPrecision.bf16, 10 * 2.0**-9)):
+        eager = open_engine(generator, 30, 27, precision, Engine.eager)
+        render = eager if engine is Engine.eager else open_exported(generator, file, precision)
+        assert render(maps, SEED).shape == (1, 1, 30, 27)
+        torch.testing.assert_close(render(maps, SEED).float(), expected, rtol=0, atol=tolerance)
+        torch.testing.assert_close(render(maps, SEED + 1).float(), other, rtol=0, atol=tolerance)
 
 
 @pytest.mark.skipif(missing_for(Engine.exported, CPU) is not None, reason="needs the extra export")
-def test_the_documented_export_of_a_run(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_documented_export_of_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (Path(__file__).parents[2] / "docs" / "networks.md").read_text()
     example = re.search("```python\n(.*?)```", page, re.DOTALL)
     folder = re.search(r'Path\("(runs/.*?)"\)', page)
     assert example is not None
     assert folder is not None
     run = tmp_path / folder[1]
-    train(spec, replace(settings, steps=1), loader, run)
+    train(SPEC, replace(SETTINGS, steps=1), loader, run)
     monkeypatch.chdir(tmp_path)
     exec(example[1], {})
     generator = load_generator(run / "last.ckpt")
@@ -81,27 +67,25 @@ def test_the_documented_export_of_a_run(
 @pytest.mark.slow
 @pytest.mark.skipif(missing_for(Engine.compiled, CPU) is not None, reason="needs a C++ compiler")
 @pytest.mark.filterwarnings("ignore:.*script_method.*:DeprecationWarning")
-def test_a_compiled_network_with_fewer_channels_than_a_vector_holds(batch: Callable[..., dict[str, Tensor]]) -> None:
+def test_a_compiled_network_with_fewer_channels_than_a_vector_holds() -> None:
     """Torch 2.13 with its own choice of tiles renders another image here, up to 0.85 apart."""
-    generator, maps = drawn(GeneratorSpec(depth=2, width=0.1)), cropped(batch, 112, 144, 144)
+    generator, maps = drawn(GeneratorSpec(depth=2, width=0.1)), cropped(112, 144, 144)
     image = open_engine(generator, 112, 144, TrainingPrecision.fp32, Engine.compiled)(maps, SEED)
     with torch.inference_mode():
         expected = generator(maps["segmentation"], maps["attenuation"], noise_seed=SEED)
     torch.testing.assert_close(image, expected, rtol=0, atol=1e-4)
 
 
-def test_what_an_engine_lacks_is_said_before_it_is_used(
-    spec: GeneratorSpec, batch: Callable[..., dict[str, Tensor]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_an_engine_lacks_is_said_before_it_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     assert missing_for(Engine.eager, CPU) is None
     assert missing_for(Engine.exported, torch.device("cuda")) == (
         "a CPU: on a GPU, take the exported file to TensorRT or ONNX Runtime"
     )
     monkeypatch.setenv("CXX", "no-such-compiler")
     with pytest.raises(RuntimeError, match="engine=compiled: needs a C\\+\\+ compiler \\(no-such-compiler\\)"):
-        median_ms_per_frame(drawn(spec), batch(0), engine=Engine.compiled)
+        open_engine(drawn(SPEC), 8, 8, engine=Engine.compiled)
     monkeypatch.setattr(
         "ablate.training.inference.find_spec", lambda name: None if name == "openvino" else find_spec(name)
     )
     with pytest.raises(RuntimeError, match=r"engine=exported: needs the package openvino: pip install 'ablate-ul"):
-        open_engine(drawn(spec), 8, 8, engine=Engine.exported)
+        open_engine(drawn(SPEC), 8, 8, engine=Engine.exported)

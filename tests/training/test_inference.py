@@ -1,25 +1,23 @@
 """Full frames: black outside the fan, the seed's noise, grey levels as the images have them."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from ablate.dataset import decode_grey_levels
-from ablate.networks import Generator, GeneratorSpec
-from ablate.training import TrainingPrecision, generate, median_ms_per_frame
+from ablate.networks import Generator
+from ablate.training import TrainingPrecision, generate
+from support.tiny_training import SPEC, batch
 
 
 @pytest.fixture
-def generator(spec: GeneratorSpec) -> Generator:
+def generator() -> Generator:
     torch.manual_seed(0)
-    return Generator(spec).eval()
+    return Generator(SPEC).eval()
 
 
 @pytest.mark.parametrize("precision", [TrainingPrecision.fp32, TrainingPrecision.bf16])
-def test_frames(generator: Generator, batch: Callable[[int], dict[str, Tensor]], precision: TrainingPrecision) -> None:
+def test_frames(generator: Generator, precision: TrainingPrecision) -> None:
     given = batch(0)
     maps = {name: value[..., :30, :27] for name, value in given.items() if name != "noise_seed"}
     frames = generate(generator, maps, maps["mask"], given["noise_seed"], precision)
@@ -33,7 +31,7 @@ def test_frames(generator: Generator, batch: Callable[[int], dict[str, Tensor]],
     assert (frames != other).any()
 
 
-def test_threads_change_no_frame(generator: Generator, batch: Callable[[int], dict[str, Tensor]]) -> None:
+def test_threads_change_no_frame(generator: Generator) -> None:
     given = batch(0)
     maps = {name: torch.cat([value] * 3) for name, value in given.items() if name != "noise_seed"}
     seeds = torch.arange(6)
@@ -58,24 +56,6 @@ def test_grey_levels_round_trip_and_end_at_0_and_255() -> None:
     assert not decode_grey_levels(torch.ones(1, 4), torch.zeros(1, 4)).any()
 
 
-def test_a_missing_map_is_named(generator: Generator, batch: Callable[[int], dict[str, Tensor]]) -> None:
+def test_a_missing_map_is_named(generator: Generator) -> None:
     with pytest.raises(KeyError, match="attenuation"):
         generate(generator, {"segmentation": batch(0)["segmentation"]}, torch.ones(32, 32), None)
-
-
-def test_time_is_the_median_after_warm_up(
-    generator: Generator, batch: Callable[[int], dict[str, Tensor]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    durations = iter([50.0, 60.0, 1.0, 3.0, 2.0])
-    clock = iter(())
-
-    def fake_clock() -> float:
-        nonlocal clock
-        value = next(clock, None)
-        if value is None:
-            clock = iter((next(durations),))
-            return 0.0
-        return value
-
-    monkeypatch.setattr("ablate.training.inference.time.perf_counter", fake_clock)
-    assert median_ms_per_frame(generator, batch(0), repeats=3, warmup=2) == pytest.approx(2000.0)

@@ -3,7 +3,7 @@
 import logging
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,57 +11,42 @@ import pytest
 import torch
 from torch import Tensor
 
-from ablate.networks import Generator, GeneratorSpec
+from ablate.networks import Generator
 from ablate.training import (
     LAST,
     AdversarialLoss,
     DivergenceError,
-    Loader,
     Reconstruction,
-    TrainingSettings,
     read_checkpoint,
     train,
 )
-from ablate.training.losses import DivergenceGuard
+from ablate.training.reporting import DivergenceGuard
+from support.tiny_training import SETTINGS, SPEC, batch, loader
 
 
-def test_metrics_come_by_images_seen(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
-) -> None:
+def test_metrics_come_by_images_seen(tmp_path: Path) -> None:
     calls: list[tuple[int, dict[str, float]]] = []
-    train(spec, settings, loader, tmp_path, sink=lambda metrics, images: calls.append((images, metrics)))
+    train(SPEC, SETTINGS, loader, tmp_path, sink=lambda metrics, images: calls.append((images, metrics)))
     assert [images for images, _ in calls] == [4, 8, 12, 16]
     expected = ["images_per_second", "l1", "logit_fake", "logit_real", "loss_d", "loss_g", "noise_weight"]
     assert sorted(calls[0][1]) == [f"train/{name}" for name in expected]
     assert calls[0][1]["train/noise_weight"] == pytest.approx(0.1, abs=1e-3)
 
 
-def test_lines_are_about_ten(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    loader: Loader,
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_lines_are_about_ten(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.INFO):
-        train(spec, replace(settings, steps=40, log_every=1), loader, tmp_path)
+        train(SPEC, replace(SETTINGS, steps=40, log_every=1), loader, tmp_path)
     assert len(caplog.messages) == 10
     assert caplog.messages[-1].startswith("step 40 of 40: ")
     weights = [float(line.rpartition("noise weight ")[2]) for line in caplog.messages]
     assert weights == pytest.approx([0.1] * 10, abs=0.01), "they start at 0.1 and take 40 small steps"
 
 
-def test_without_a_discriminator_its_values_are_left_out(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    loader: Loader,
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_without_a_discriminator_its_values_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     calls: list[dict[str, float]] = []
-    settings = replace(settings, loss=AdversarialLoss.none, reconstruction=Reconstruction.crps)
+    settings = replace(SETTINGS, loss=AdversarialLoss.none, reconstruction=Reconstruction.crps)
     with caplog.at_level(logging.INFO):
-        train(spec, settings, loader, tmp_path, sink=lambda metrics, _: calls.append(metrics))
+        train(SPEC, settings, loader, tmp_path, sink=lambda metrics, _: calls.append(metrics))
     assert {f"train/{name}" for name in ("images_per_second", "l1", "crps", "noise_weight")} == calls[0].keys()
     assert re.fullmatch(
         r"step 8 of 8: [\d.]+ images/s, L1 [\d.]+, CRPS [\d.]+, noise weight [\d.]+", caplog.messages[-1]
@@ -75,9 +60,7 @@ def test_without_a_discriminator_a_loss_that_is_not_finite_still_stops() -> None
         guard.check({"train/l1": math.nan}, 100)
 
 
-def test_validation_is_called_with_the_generator_to_evaluate_from_the_start(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
-) -> None:
+def test_validation_is_called_with_the_generator_to_evaluate_from_the_start(tmp_path: Path) -> None:
     calls: list[tuple[int, dict[str, float]]] = []
 
     def validate(generator: Generator, images_seen: int) -> dict[str, float]:
@@ -85,8 +68,8 @@ def test_validation_is_called_with_the_generator_to_evaluate_from_the_start(
         return {"val/weight": float(generator.network.stem.weight.sum()), "val/seen": images_seen}
 
     train(
-        spec,
-        replace(settings, validate_every=4),
+        SPEC,
+        replace(SETTINGS, validate_every=4),
         loader,
         tmp_path,
         sink=lambda metrics, images: calls.append((images, metrics)),
@@ -99,13 +82,7 @@ def test_validation_is_called_with_the_generator_to_evaluate_from_the_start(
 
 
 @pytest.mark.parametrize("bad_step", [4, 5])
-def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    batch: Callable[[int], dict[str, Tensor]],
-    tmp_path: Path,
-    bad_step: int,
-) -> None:
+def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(tmp_path: Path, bad_step: int) -> None:
     def poisoned(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
         for step in range(start, stop):
             made = batch(step)
@@ -114,7 +91,7 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(
             yield made
 
     with pytest.raises(DivergenceError, match="step 6: "):
-        train(spec, settings, poisoned, tmp_path)
+        train(SPEC, SETTINGS, poisoned, tmp_path)
     checkpoint = read_checkpoint(tmp_path / LAST)
     assert checkpoint["steps_done"] == 3
     assert all(value.isfinite().all() for value in checkpoint["state_dict"].values())
@@ -153,16 +130,9 @@ def test_a_death_is_noticed_within_an_epoch(log_every: int, epoch: int) -> None:
 
 @pytest.mark.parametrize(("start", "rate", "warnings"), [(0.0, 2.5e-3, 1), (0.1, 2.5e-3, 0), (0.0, 2e-4, 0)])
 def test_a_dying_noise_path_is_said_at_the_end(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    loader: Loader,
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-    start: float,
-    rate: float,
-    warnings: int,
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, start: float, rate: float, warnings: int
 ) -> None:
-    train(replace(spec, noise_start=start), replace(settings, learning_rate=rate), loader, tmp_path)
+    train(replace(SPEC, noise_start=start), replace(SETTINGS, learning_rate=rate), loader, tmp_path)
     said = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     assert len(said) == warnings
     assert all("noise is 0.0" in line and "model.noise_start" in line for line in said)

@@ -1,17 +1,13 @@
 """A run stopped anywhere and continued equals the run that was not stopped, in every weight."""
 
 import errno
-import itertools
-import json
-import os
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,22 +16,47 @@ import pytest
 import torch
 from torch import Tensor
 
-from ablate.networks import GeneratorSpec
 from ablate.training import (
     LAST,
     TRAINING_VERSION,
     Loader,
     Schedule,
-    TrainingSettings,
     interruption,
     load_generator,
     read_checkpoint,
     train,
 )
+from support.tiny_training import SETTINGS, SPEC, loader
 
 
 class Stopped(BaseException):
-    """What the test's own signal handler raises."""
+    """What the test's own signal handler raises, and what stands for SIGKILL."""
+
+
+def loader_until(at: int, happens: Callable[[], object]) -> Loader:
+    """A loader with which something happens before a step."""
+
+    def load(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
+        for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
+            if step == at:
+                happens()
+            yield batch
+
+    return load
+
+
+def crash() -> None:
+    raise OSError("disk gone")
+
+
+@contextmanager
+def handled_by(handler: Callable[..., object], number: int = signal.SIGTERM) -> Iterator[None]:
+    """A handler of a signal that was there before the training."""
+    previous = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, previous)
 
 
 def assert_same(first: Any, second: Any) -> None:
@@ -61,15 +82,13 @@ def assert_same_state(first: Path, second: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def whole(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path_factory: pytest.TempPathFactory
-) -> Callable[[str], Path]:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """`whole(precision)`: folder of a run that was not stopped."""
 
     @cache
     def trained(precision: str) -> Path:
         folder = tmp_path_factory.mktemp(precision)
-        train(spec, replace(settings, precision=precision), loader, folder)
+        train(SPEC, replace(SETTINGS, precision=precision), loader, folder)
         return folder
 
     return trained
@@ -78,25 +97,13 @@ def whole(
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 @pytest.mark.parametrize("fatal_step", [1, 3, 5, 7])
 def test_after_a_crash_at_any_step(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    loader: Loader,
-    whole: Callable[[str], Path],
-    tmp_path: Path,
-    fatal_step: int,
-    precision: str,
+    whole: Callable[[str], Path], tmp_path: Path, fatal_step: int, precision: str
 ) -> None:
-    settings = replace(settings, precision=precision)
-
-    def crashing(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
-        for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
-            if step == fatal_step:
-                raise OSError("disk gone")
-            yield batch
+    settings = replace(SETTINGS, precision=precision)
 
     with pytest.raises(OSError, match="disk gone"):
-        train(spec, settings, crashing, tmp_path)
-    resumed = train(spec, settings, loader, tmp_path)
+        train(SPEC, settings, loader_until(fatal_step, crash), tmp_path)
+    resumed = train(SPEC, settings, loader, tmp_path)
     assert resumed.resumed_at == (fatal_step - 1) // 3 * 3
     assert_same_state(whole(precision), tmp_path)
 
@@ -105,20 +112,14 @@ def test_after_a_crash_at_any_step(
     "options",
     [{"loss": "none"}, {"reconstruction": "crps"}, {"schedule": "linear"}, {"loss": "none", "reconstruction": "crps"}],
 )
-def test_after_a_stop_with_other_losses_and_learning_rates(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, options: dict[str, str]
-) -> None:
-    settings = replace(settings, **options)
+def test_after_a_stop_with_other_losses_and_learning_rates(tmp_path: Path, options: dict[str, str]) -> None:
+    settings = replace(SETTINGS, **options)
 
-    def crashing(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
-        yield from itertools.islice(loader(start, stop), 6)
-        raise OSError("disk gone")
-
-    train(spec, settings, loader, tmp_path / "whole")
+    train(SPEC, settings, loader, tmp_path / "whole")
     with pytest.raises(OSError, match="disk gone"):
-        train(spec, settings, crashing, tmp_path / "stopped")
+        train(SPEC, settings, loader_until(6, crash), tmp_path / "stopped")
     # Lightning takes one batch more than it trains on.
-    assert train(spec, settings, loader, tmp_path / "stopped").resumed_at in (3, 6)
+    assert train(SPEC, settings, loader, tmp_path / "stopped").resumed_at in (3, 6)
     assert_same_state(tmp_path / "whole", tmp_path / "stopped")
     checkpoint = read_checkpoint(tmp_path / "whole" / LAST)
     has_discriminator = options.get("loss") != "none"
@@ -127,88 +128,39 @@ def test_after_a_stop_with_other_losses_and_learning_rates(
     load_generator(tmp_path / "whole" / LAST)
 
 
-def test_a_falling_learning_rate_goes_on_with_the_same_number_of_steps_only(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
-) -> None:
-    settings = replace(settings, schedule=Schedule.linear)
-    train(spec, replace(settings, steps=4), loader, tmp_path)
+def test_a_falling_learning_rate_goes_on_with_the_same_number_of_steps_only(tmp_path: Path) -> None:
+    settings = replace(SETTINGS, schedule=Schedule.linear)
+    train(SPEC, replace(settings, steps=4), loader, tmp_path)
     with pytest.raises(ValueError, match=r"of another run \(steps=4 there, 8 asked for\)"):
-        train(spec, settings, loader, tmp_path)
+        train(SPEC, settings, loader, tmp_path)
 
 
-# Trains in one process for each case, which kills itself at a step, or, without one, while the second checkpoint takes
-# its place. They are forked from a process that has imported torch and has not yet computed anything with it.
-_KILLED = """
-import json, os, signal, sys
-from pathlib import Path
-import torch
-from ablate.networks import GeneratorSpec
-from ablate.training import TrainingSettings, train
-
-folder, spec, cases = Path(sys.argv[1]), *map(json.loads, sys.argv[2:])
-replace = Path.replace
-
-def die():
-    os.kill(os.getpid(), signal.SIGKILL)
-
-def replace_or_die(path, target):
-    return die() if target.exists() else replace(path, target)
-
-def run(name, settings, fatal_step):
-    batches = torch.load(folder / "batches.pt")
-
-    def loader(start, stop):
-        for step in range(start, stop):
-            yield die() if step == fatal_step else batches[step]
-
-    if fatal_step is None:
-        Path.replace = replace_or_die
-    train(GeneratorSpec(**spec), TrainingSettings(**settings), loader, folder / name)
-
-for case in cases:
-    if not (child := os.fork()):
-        run(*case)
-        os._exit(0)
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
-"""
-_CASES = [("fp32", None, 3), ("bf16", 7, 6)]
-
-
-@pytest.fixture(scope="module")
-def killed(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
-    """Folders, named by the precision, of runs whose processes were killed."""
-    folder = tmp_path_factory.mktemp("killed")
-    torch.save(list(loader(0, settings.steps)), folder / "batches.pt")
-    cases = [(precision, asdict(replace(settings, precision=precision)), fatal) for precision, fatal, _ in _CASES]
-    told = [json.dumps(value) for value in (asdict(spec), cases)]
-    done = subprocess.run([sys.executable, "-c", _KILLED, folder, *told], stdout=subprocess.PIPE, text=True, check=True)
-    assert [int(code) for code in done.stdout.split()] == [-signal.SIGKILL] * len(_CASES)
-    return folder
-
-
-@pytest.mark.parametrize(("precision", "resumed_at"), [(precision, resumed) for precision, _, resumed in _CASES])
-def test_after_a_process_was_killed(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    loader: Loader,
-    whole: Callable[[str], Path],
-    killed: Path,
-    precision: str,
-    resumed_at: int,
+def test_after_a_process_was_killed_while_a_checkpoint_took_the_place_of_another(
+    whole: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    resumed = train(spec, replace(settings, precision=precision), loader, killed / precision)
-    assert resumed.resumed_at == resumed_at
-    assert_same_state(whole(precision), killed / precision)
-    assert sorted(path.name for path in (killed / precision).iterdir()) == [LAST]
+    replace_file = Path.replace
+
+    def killed(path: Path, target: Path) -> Path:
+        if target.exists():
+            raise Stopped
+        return replace_file(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", killed)
+        patch.setattr(Path, "unlink", lambda *_, **__: None)  # what is killed does not tidy up
+        with pytest.raises(Stopped):
+            train(SPEC, SETTINGS, loader, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+    assert train(SPEC, SETTINGS, loader, tmp_path).resumed_at == 3
+    assert_same_state(whole("fp32"), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [LAST]
 
 
 def test_moments_laid_out_otherwise_in_memory_are_the_same_moments(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, whole: Callable[[str], Path], tmp_path: Path
+    whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
     """Fused Adam reads weights and moments by their place in memory."""
-    train(spec, replace(settings, steps=5), loader, tmp_path / "resumed")
+    train(SPEC, replace(SETTINGS, steps=5), loader, tmp_path / "resumed")
     checkpoint = read_checkpoint(tmp_path / "resumed" / LAST)
     for optimizer in checkpoint["optimizer_states"]:
         for state in optimizer["state"].values():
@@ -216,136 +168,81 @@ def test_moments_laid_out_otherwise_in_memory_are_the_same_moments(
                 if state[name].ndim == 4:
                     state[name] = state[name].contiguous(memory_format=torch.channels_last)
     torch.save(checkpoint, tmp_path / "resumed" / LAST)
-    train(spec, settings, loader, tmp_path / "resumed")
+    train(SPEC, SETTINGS, loader, tmp_path / "resumed")
     assert_same_state(whole("fp32"), tmp_path / "resumed")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR2])
-def test_a_signal_saves_the_step_and_is_handed_on(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    loader: Loader,
-    whole: Callable[[str], Path],
-    tmp_path: Path,
-    number: int,
-) -> None:
-    def signalled(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
-        for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
-            if step == 4:
-                os.kill(os.getpid(), number)
-            yield batch
-
+def test_a_signal_saves_the_step_and_is_handed_on(whole: Callable[[str], Path], tmp_path: Path, number: int) -> None:
     def own_handler(*_: object) -> None:
         raise Stopped
 
-    previous = signal.signal(number, own_handler)
-    try:
+    with handled_by(own_handler, number):
         with pytest.raises(Stopped):
-            train(spec, settings, signalled, tmp_path / "signalled")
+            train(SPEC, SETTINGS, loader_until(4, lambda: signal.raise_signal(number)), tmp_path)
         assert signal.getsignal(number) is own_handler
-    finally:
-        signal.signal(number, previous)
-    assert read_checkpoint(tmp_path / "signalled" / LAST)["steps_done"] in (4, 5)
-    train(spec, settings, loader, tmp_path / "signalled")
-    assert_same_state(whole("fp32"), tmp_path / "signalled")
+    assert read_checkpoint(tmp_path / LAST)["steps_done"] in (4, 5)
+    train(SPEC, SETTINGS, loader, tmp_path)
+    assert_same_state(whole("fp32"), tmp_path)
 
 
-def test_ctrl_c_and_then_a_parent_that_asks_again_save_the_step(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("numbers", [(signal.SIGINT, signal.SIGTERM), (signal.SIGTERM, signal.SIGINT)])
+def test_ctrl_c_and_then_a_parent_that_asks_again_save_the_step(tmp_path: Path, numbers: tuple[int, int]) -> None:
     """A terminal sends SIGINT to all processes; whoever started this one may send SIGTERM beside it, in any order."""
-    for first, second in ((signal.SIGINT, signal.SIGTERM), (signal.SIGTERM, signal.SIGINT)):
-        folder = tmp_path / first.name
 
-        def signalled(start: int, stop: int, numbers: tuple[int, ...] = (first, second)) -> Iterator[dict[str, Tensor]]:
-            for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
-                if step == 4:
-                    for number in numbers:
-                        os.kill(os.getpid(), number)
-                yield batch
+    def both() -> None:
+        for number in numbers:
+            signal.raise_signal(number)
 
-        previous = signal.signal(signal.SIGTERM, lambda *_: None)
-        try:
-            with pytest.raises((KeyboardInterrupt, InterruptedError)):
-                train(spec, settings, signalled, folder)
-        finally:
-            signal.signal(signal.SIGTERM, previous)
-        assert read_checkpoint(folder / LAST)["steps_done"] in (4, 5)
+    with handled_by(lambda *_: None), pytest.raises((KeyboardInterrupt, InterruptedError)):
+        train(SPEC, SETTINGS, loader_until(4, both), tmp_path)
+    assert read_checkpoint(tmp_path / LAST)["steps_done"] in (4, 5)
 
 
-def test_a_signal_that_is_passed_over_stops_the_training_all_the_same(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
-) -> None:
+def test_a_signal_that_is_passed_over_stops_the_training_all_the_same(tmp_path: Path) -> None:
     """A cluster's launcher has such a handler; the evaluation of half a training must not follow."""
-
-    def signalled(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
-        for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
-            if step == 4:
-                os.kill(os.getpid(), signal.SIGTERM)
-            yield batch
-
-    previous = signal.signal(signal.SIGTERM, lambda *_: None)
-    try:
-        with pytest.raises(InterruptedError, match=rf"SIGTERM after step [45] of {settings.steps}"):
-            train(spec, settings, signalled, tmp_path)
-    finally:
-        signal.signal(signal.SIGTERM, previous)
+    stopping = loader_until(4, lambda: signal.raise_signal(signal.SIGTERM))
+    said = rf"SIGTERM after step [45] of {SETTINGS.steps}"
+    with handled_by(lambda *_: None), pytest.raises(InterruptedError, match=said):
+        train(SPEC, SETTINGS, stopping, tmp_path)
     assert read_checkpoint(tmp_path / LAST)["steps_done"] in (4, 5)
 
 
 def test_a_signal_whose_exception_was_lost_stops_the_training_after_a_step(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = threading.Event()
     asked.set()
     monkeypatch.setattr(interruption, "stop_requested", asked)
-    previous = signal.signal(signal.SIGTERM, lambda *_: None)
-    try:
-        with pytest.raises(InterruptedError, match=f"SIGTERM after step 1 of {settings.steps}"):
-            train(spec, settings, loader, tmp_path)
-    finally:
-        signal.signal(signal.SIGTERM, previous)
+    said = f"SIGTERM after step 1 of {SETTINGS.steps}"
+    with handled_by(lambda *_: None), pytest.raises(InterruptedError, match=said):
+        train(SPEC, SETTINGS, loader, tmp_path)
     assert read_checkpoint(tmp_path / LAST)["steps_done"] == 1
 
 
 def test_a_finished_run_is_not_trained_again_and_a_longer_one_goes_on(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, whole: Callable[[str], Path], tmp_path: Path
+    whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
     def forbidden(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
         raise AssertionError((start, stop))
 
-    train(spec, replace(settings, steps=5), loader, tmp_path)
-    train(spec, replace(settings, steps=5), forbidden, tmp_path)
-    train(spec, settings, loader, tmp_path)
+    train(SPEC, replace(SETTINGS, steps=5), loader, tmp_path)
+    train(SPEC, replace(SETTINGS, steps=5), forbidden, tmp_path)
+    train(SPEC, SETTINGS, loader, tmp_path)
     assert_same(*(read_checkpoint(folder / LAST)["state_dict"] for folder in (tmp_path, whole("fp32"))))
 
 
-def test_the_folder_holds_the_checkpoint_and_nothing_else(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
-) -> None:
-    trained = train(spec, settings, loader, tmp_path)
-    assert list(tmp_path.rglob("*")) == [trained.checkpoint] == [tmp_path / LAST]
-
-
-def test_a_checkpoint_needs_no_folder_for_temporary_files(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    loader: Loader,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_checkpoint_needs_no_folder_for_temporary_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(tempfile, "mkstemp", full)
-    train(spec, replace(settings, steps=2), loader, tmp_path)
+    train(SPEC, replace(SETTINGS, steps=2), loader, tmp_path)
     assert read_checkpoint(tmp_path / LAST)["steps_done"] == 2
 
 
-def test_the_generator_to_evaluate_is_the_average(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
-) -> None:
-    trained = train(spec, settings, loader, tmp_path)
+def test_the_generator_to_evaluate_is_the_average(tmp_path: Path) -> None:
+    trained = train(SPEC, SETTINGS, loader, tmp_path)
     loaded = load_generator(trained.checkpoint)
     assert_same(loaded.state_dict(), trained.generator.state_dict())
     state = read_checkpoint(trained.checkpoint)["state_dict"]
@@ -355,61 +252,52 @@ def test_the_generator_to_evaluate_is_the_average(
 
 
 def test_another_run_in_the_same_place_is_refused_with_the_difference(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, whole: Callable[[str], Path], tmp_path: Path
+    whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
     shutil.copy(whole("fp32") / LAST, tmp_path)
     with pytest.raises(ValueError, match=r"last.ckpt: of another run \(l1_weight=100.0 there, 10.0 asked for\)"):
-        train(spec, replace(settings, l1_weight=10.0), loader, tmp_path)
+        train(SPEC, replace(SETTINGS, l1_weight=10.0), loader, tmp_path)
     with pytest.raises(ValueError, match="depth=2 there, 3 asked for"):
-        train(replace(spec, depth=3), settings, loader, tmp_path)
+        train(replace(SPEC, depth=3), SETTINGS, loader, tmp_path)
 
 
 def test_a_checkpoint_of_another_version_of_the_training_is_refused(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, whole: Callable[[str], Path], tmp_path: Path
+    whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
     checkpoint = read_checkpoint(whole("fp32") / LAST)
     assert checkpoint.pop("training_version") == TRAINING_VERSION
-    for version in ({} if TRAINING_VERSION > 1 else {"training_version": 2}), {"training_version": 99}:
+    for version in ({}, {"training_version": 99}):
         torch.save({**checkpoint, **version}, tmp_path / LAST)
         with pytest.raises(ValueError, match=rf"this program has version {TRAINING_VERSION}; remove it to start again"):
-            train(spec, settings, loader, tmp_path)
+            train(SPEC, SETTINGS, loader, tmp_path)
 
 
 @pytest.mark.parametrize(("began", "goes_on"), [("bf16", "fp32"), ("fp32", "bf16")])
 def test_a_run_keeps_the_precision_that_automatic_stood_for(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    loader: Loader,
-    whole: Callable[[str], Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    began: str,
-    goes_on: str,
+    whole: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, began: str, goes_on: str
 ) -> None:
     def machine(precision: str) -> None:
         for probe in ("_is_avx512_bf16_supported", "_is_amx_tile_supported"):
             monkeypatch.setattr(torch.cpu, probe, lambda: precision == "bf16", raising=False)
 
-    automatic = replace(settings, precision="auto")
+    automatic = replace(SETTINGS, precision="auto")
     machine(began)
-    train(spec, replace(automatic, steps=3), loader, tmp_path)
+    train(SPEC, replace(automatic, steps=3), loader, tmp_path)
     machine(goes_on)
     with pytest.raises(ValueError, match=rf"of another run \(precision={began} there, {goes_on} asked for\)"):
-        train(spec, automatic, loader, tmp_path)
-    train(spec, replace(settings, precision=began), loader, tmp_path)
+        train(SPEC, automatic, loader, tmp_path)
+    train(SPEC, replace(SETTINGS, precision=began), loader, tmp_path)
     assert_same_state(whole(began), tmp_path)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a checkpoint"])
-def test_a_broken_checkpoint_is_named(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path, content: bytes
-) -> None:
+def test_a_broken_checkpoint_is_named(tmp_path: Path, content: bytes) -> None:
     (tmp_path / LAST).write_bytes(content)
     with pytest.raises(ValueError, match=r"last\.ckpt: not a readable checkpoint"):
-        train(spec, settings, loader, tmp_path)
+        train(SPEC, SETTINGS, loader, tmp_path)
     torch.save({"weights": torch.zeros(1)}, tmp_path / LAST)
     with pytest.raises(ValueError, match="not a checkpoint of this project"):
-        train(spec, settings, loader, tmp_path)
+        train(SPEC, SETTINGS, loader, tmp_path)
 
 
 class _Hostile:
@@ -422,12 +310,10 @@ class _Hostile:
         return Path.touch, (self.trace,)
 
 
-def test_a_hostile_checkpoint_is_refused_and_runs_nothing(
-    spec: GeneratorSpec, settings: TrainingSettings, loader: Loader, tmp_path: Path
-) -> None:
+def test_a_hostile_checkpoint_is_refused_and_runs_nothing(tmp_path: Path) -> None:
     trace = tmp_path / "ran"
     torch.save({"steps_done": 1, "state_dict": _Hostile(trace)}, tmp_path / LAST)
-    for attempt in (lambda: train(spec, settings, loader, tmp_path), lambda: load_generator(tmp_path / LAST)):
+    for attempt in (lambda: train(SPEC, SETTINGS, loader, tmp_path), lambda: load_generator(tmp_path / LAST)):
         with pytest.raises(ValueError, match=r"last\.ckpt: not a readable checkpoint"):
             attempt()
     assert not trace.exists()

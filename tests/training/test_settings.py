@@ -8,7 +8,6 @@ import torch
 
 from ablate.networks import GeneratorSpec
 from ablate.training import (
-    Loader,
     Schedule,
     TrainingPrecision,
     TrainingSettings,
@@ -16,6 +15,7 @@ from ablate.training import (
     chosen_precision,
     train,
 )
+from support.tiny_training import SETTINGS, loader
 
 
 def test_the_defaults_are_the_papers() -> None:
@@ -55,9 +55,9 @@ def test_other_values_are_refused_by_name(changes: dict, message: str) -> None:
         TrainingSettings(**changes)
 
 
-def test_a_crop_smaller_than_the_network_is_refused(settings: TrainingSettings, loader: Loader, tmp_path: Path) -> None:
+def test_a_crop_smaller_than_the_network_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="crop=32: allowed are 2\\^depth = 256 and more"):
-        train(GeneratorSpec(depth=8), settings, loader, tmp_path)
+        train(GeneratorSpec(depth=8), SETTINGS, loader, tmp_path)
 
 
 @pytest.mark.parametrize(("has_bf16", "expected"), [(True, TrainingPrecision.bf16), (False, TrainingPrecision.fp32)])

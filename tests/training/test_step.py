@@ -1,38 +1,21 @@
 """What a step costs: one fake for both networks, one fused update a network, no wait for the device."""
 
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 from torch.optim import Adam
-from torch.utils._python_dispatch import TorchDispatchMode
 
 from ablate.networks import GeneratorSpec
 from ablate.training import AdversarialLoss, PairGAN, Reconstruction, TrainingPrecision, TrainingSettings
-from ablate.training.hardware import autocast
+from ablate.training.inference import autocast
+from support.tiny_training import SETTINGS, SPEC, batch
+from support.torch_operations import Operations
 
 Batch = Callable[[int], dict[str, Tensor]]
-
-
-class Calls(TorchDispatchMode):
-    """Counts the operations that reach a device, and keeps the precision that losses are computed in."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.counts: Counter[str] = Counter()
-        self.dtypes: dict[str, set[torch.dtype]] = {}
-
-    def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        name = function.overloadpacket.__name__
-        self.counts[name] += 1
-        if args and isinstance(args[0], Tensor):
-            self.dtypes.setdefault(name, set()).add(args[0].dtype)
-        return function(*args, **(kwargs or {}))
 
 
 def module(spec: GeneratorSpec, settings: TrainingSettings, monkeypatch: pytest.MonkeyPatch) -> PairGAN:
@@ -50,38 +33,32 @@ WAITS = {"_local_scalar_dense", "is_nonzero", "nonzero", "masked_select", "equal
 
 @pytest.mark.parametrize("precision", [TrainingPrecision.fp32, TrainingPrecision.bf16])
 def test_nothing_waits_for_the_device_and_losses_are_float32(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    batch: Batch,
-    monkeypatch: pytest.MonkeyPatch,
-    precision: TrainingPrecision,
+    monkeypatch: pytest.MonkeyPatch, precision: TrainingPrecision
 ) -> None:
-    made = module(spec, settings, monkeypatch)
+    made = module(SPEC, SETTINGS, monkeypatch)
     with autocast(precision, torch.device("cpu")):
         made.training_step(batch(0), 0)
-        with Calls() as calls:
+        with Operations() as calls:
             made.training_step(batch(1), 1)
     assert not WAITS & calls.counts.keys()
     assert calls.counts["_fused_adam_"] == 2
     assert calls.counts["softplus"] == 3
     assert calls.dtypes["softplus"] == {torch.float32}
     assert calls.dtypes["abs"] == {torch.float32}
-    with Calls() as calls:
+    with Operations() as calls:
         metrics = made.drain()
     assert calls.counts["_local_scalar_dense"] <= len(metrics)
     assert made.drain() == {}
 
 
 def test_a_waiting_step_would_be_noticed() -> None:
-    with Calls() as calls:
+    with Operations() as calls:
         torch.ones(2).sum().item()
     assert WAITS & calls.counts.keys() == {"_local_scalar_dense"}
 
 
-def test_one_fake_serves_both_networks(
-    spec: GeneratorSpec, settings: TrainingSettings, batch: Batch, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = module(spec, settings, monkeypatch)
+def test_one_fake_serves_both_networks(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = module(SPEC, SETTINGS, monkeypatch)
     fakes: list[Tensor] = []
     seen: list[Tensor] = []
     made.generator.register_forward_hook(lambda _, __, result: fakes.append(result.detach()))
@@ -101,16 +78,10 @@ def test_one_fake_serves_both_networks(
 @pytest.mark.parametrize("loss", [AdversarialLoss.nonsaturating, AdversarialLoss.none])
 @pytest.mark.parametrize(("noise", "passes"), [("inject", 2), ("input", 2), ("none", 1)])
 def test_the_score_of_two_draws_renders_twice_where_draws_can_differ_and_the_first_is_judged(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    batch: Batch,
-    monkeypatch: pytest.MonkeyPatch,
-    loss: AdversarialLoss,
-    noise: str,
-    passes: int,
+    monkeypatch: pytest.MonkeyPatch, loss: AdversarialLoss, noise: str, passes: int
 ) -> None:
-    spec = replace(spec, noise=noise, noise_start=0.1 if noise == "inject" else 0.0)  # type: ignore[arg-type]
-    made = module(spec, replace(settings, loss=loss, reconstruction=Reconstruction.crps), monkeypatch)
+    spec = replace(SPEC, noise=noise, noise_start=0.1 if noise == "inject" else 0.0)  # type: ignore[arg-type]
+    made = module(spec, replace(SETTINGS, loss=loss, reconstruction=Reconstruction.crps), monkeypatch)
     fakes: list[Tensor] = []
     judged: list[Tensor] = []
     made.generator.register_forward_hook(lambda _, __, result: fakes.append(result.detach()))
@@ -128,8 +99,8 @@ def test_the_score_of_two_draws_renders_twice_where_draws_can_differ_and_the_fir
         assert found["train/crps"] < found["train/l1"] * 1.5
 
 
-def test_both_optimisers_are_fused(spec: GeneratorSpec, settings: TrainingSettings) -> None:
-    for optimizer in PairGAN(spec, settings).configure_optimizers():
+def test_both_optimisers_are_fused() -> None:
+    for optimizer in PairGAN(SPEC, SETTINGS).configure_optimizers():
         assert isinstance(optimizer, Adam)
         assert optimizer.defaults["fused"]
 
@@ -146,14 +117,8 @@ def forbidden_to_wait() -> Iterator[None]:
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 @pytest.mark.parametrize("precision", [TrainingPrecision.fp32, TrainingPrecision.bf16])
-def test_nothing_waits_for_a_gpu(
-    spec: GeneratorSpec,
-    settings: TrainingSettings,
-    batch: Batch,
-    monkeypatch: pytest.MonkeyPatch,
-    precision: TrainingPrecision,
-) -> None:
-    made = module(spec, replace(settings, device="cuda"), monkeypatch)
+def test_nothing_waits_for_a_gpu(monkeypatch: pytest.MonkeyPatch, precision: TrainingPrecision) -> None:
+    made = module(SPEC, replace(SETTINGS, device="cuda"), monkeypatch)
     batches = [{name: value.cuda() for name, value in batch(step).items()} for step in range(3)]
     with autocast(precision, torch.device("cuda")):
         made.training_step(batches[0], 0)

@@ -1,14 +1,12 @@
 """A few steps of training give the numbers that they gave before; where they do not, runs are of another version."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 import torch
-from torch import Tensor
 
-from ablate.networks import GeneratorSpec
-from ablate.training import TRAINING_VERSION, PairGAN, TrainingSettings
+from ablate.training import TRAINING_VERSION, PairGAN
+from support.tiny_training import SETTINGS, SPEC, batch
 from support.variants import UNET
 
 # In float64 all processors agree to about 1e-7: without vector instructions, with AVX2 and AVX-512, with and without
@@ -84,11 +82,9 @@ PINNED: dict[str, dict[str, float]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_training_is_of_this_version(
-    spec: GeneratorSpec, settings: TrainingSettings, batch: Callable[[int], dict[str, Tensor]], case: str
-) -> None:
+def test_training_is_of_this_version(case: str) -> None:
     of_spec, of_settings = CASES[case]
-    module = PairGAN(replace(spec, **of_spec), replace(settings, steps=6, **of_settings)).double()
+    module = PairGAN(replace(SPEC, **of_spec), replace(SETTINGS, steps=6, **of_settings)).double()
     optimizers = module.configure_optimizers()
     module.optimizers = lambda: optimizers if len(optimizers) > 1 else optimizers[0]  # type: ignore[method-assign]
     module.manual_backward = lambda loss: loss.backward()  # type: ignore[method-assign]

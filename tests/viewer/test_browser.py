@@ -18,8 +18,8 @@ pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultras
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium, of the extra `dev`")
 
 from ablate.jobs.compose import jobs_of  # noqa: E402
-from ablate.viewer.page.server import HOST  # noqa: E402
-from ablate.viewer.task import Viewer  # noqa: E402
+from ablate.viewer.task import HOST, Viewer  # noqa: E402
+from support.viewed_body import free_port  # noqa: E402
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")]
 _FLAGS = ("--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -28,7 +28,7 @@ _PATIENCE_S = 240.0
 
 
 @pytest.fixture(scope="module")
-def viewer(tmp_path_factory: pytest.TempPathFactory, free_port: Callable[[], int]) -> Iterator[Viewer]:
+def viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Viewer]:
     words = ["task=view", "preset=tiny", "scene.triangles=20000", f"runs_dir={tmp_path_factory.mktemp('runs')}"]
     (job,) = jobs_of([*words, f"viewer.port={free_port()}"])
     made = Viewer(job.settings)
@@ -118,20 +118,6 @@ def test_a_key_moves_the_probe_and_changes_the_image(browser: Any, viewer: Viewe
     until(lambda: shown(browser) not in (before, None))
     press(browser, str(list(viewer.session.presets).index("head") + 1))
     until(lambda: np.array_equal(viewer.session.state.pose, viewer.session.presets["head"]))
-
-
-def test_freeze_holds_the_image(browser: Any, viewer: Viewer) -> None:
-    settle(viewer)
-    press(browser, "f")
-    until(lambda: viewer.session.frozen)
-    settle(viewer)
-    before, angle = shown(browser), viewer.session.hold.angle_deg
-    press(browser, "l")
-    until(lambda: viewer.session.hold.angle_deg != angle)
-    settle(viewer)
-    assert shown(browser) == before
-    press(browser, "f")
-    until(lambda: not viewer.session.frozen and shown(browser) != before)
 
 
 def test_a_second_tab_sees_the_same_probe_and_closing_frees_the_worker(browser: Any, viewer: Viewer) -> None:

@@ -14,19 +14,20 @@ import trimesh
 
 import ablate
 from ablate.anatomy import Scene, Structure, Tissue, load_tissues
-from ablate.ultrasound import ConvexProbe, Display, Simulator
+from ablate.networks import Generator, GeneratorSpec
+from ablate.ultrasound import Display, Simulator
 from ablate.ultrasound.probe import pixel_polar
 from ablate.ultrasound.surfaces import embree
 from ablate.viewer.engine import Engine, coarse
-from ablate.viewer.exported import FastGenerator
-from ablate.viewer.generators import pickable
-from ablate.viewer.state import Quality, State
+from ablate.viewer.generators import FastGenerator, pickable
+from ablate.viewer.session import Quality, State
+from support.viewed_body import BODY, STATE
 
 
 @pytest.mark.parametrize("display", [None, Display()])
-def test_at_rest_it_is_the_simulators_frame_bit_for_bit(body: Scene, state: State, display: Display | None) -> None:
-    views = Engine(body).render(replace(state, display=display), Quality.full)
-    frame = Simulator(body, state.probe, state.simulator).render(state.pose, state.seed)
+def test_at_rest_it_is_the_simulators_frame_bit_for_bit(display: Display | None) -> None:
+    views = Engine(BODY).render(replace(STATE, display=display), Quality.full)
+    frame = Simulator(BODY, STATE.probe, STATE.simulator).render(STATE.pose, STATE.seed)
     np.testing.assert_array_equal(views.target, frame.image)
     np.testing.assert_array_equal(views.segmentation, frame.segmentation)
     np.testing.assert_array_equal(views.attenuation, frame.attenuation)
@@ -34,57 +35,56 @@ def test_at_rest_it_is_the_simulators_frame_bit_for_bit(body: Scene, state: Stat
     assert {"target", "maps"} == views.ms.keys()
 
 
-def test_moving_it_has_the_same_maps_and_a_coarser_image(body: Scene, state: State) -> None:
-    engine = Engine(body)
-    moving, rest = engine.render(state, Quality.coarse), engine.render(state, Quality.full)
+def test_moving_it_has_the_same_maps_and_a_coarser_image() -> None:
+    engine = Engine(BODY)
+    moving, rest = engine.render(STATE, Quality.coarse), engine.render(STATE, Quality.full)
     np.testing.assert_array_equal(moving.segmentation, rest.segmentation)
     np.testing.assert_array_equal(moving.attenuation, rest.attenuation)
-    frame = Simulator(body, state.probe, coarse(state.simulator)).render(state.pose, state.seed)
+    frame = Simulator(BODY, STATE.probe, coarse(STATE.simulator)).render(STATE.pose, STATE.seed)
     np.testing.assert_array_equal(moving.target, frame.image)
     assert (moving.target != rest.target).any()
 
 
-def test_depth_and_frequency_change_without_building_embree_again(
-    body: Scene, state: State, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_depth_and_frequency_change_without_building_embree_again(monkeypatch: pytest.MonkeyPatch) -> None:
     built, build = [], embree.Geometry.__init__
 
     def counted(geometry: embree.Geometry, *given: Any) -> None:
         built.append(1)
         build(geometry, *given)
 
-    engine = Engine(body)
+    engine = Engine(BODY)
     monkeypatch.setattr(embree.Geometry, "__init__", counted)
-    engine.render(state, Quality.full)
-    for probe in (replace(state.probe, depth_mm=90.0), replace(state.probe, frequency_mhz=5.0)):
-        views = engine.render(replace(state, probe=probe), Quality.full)
-        alone = Simulator(body, probe, state.simulator).render(state.pose, state.seed)
+    engine.render(STATE, Quality.full)
+    for probe in (replace(STATE.probe, depth_mm=90.0), replace(STATE.probe, frequency_mhz=5.0)):
+        views = engine.render(replace(STATE, probe=probe), Quality.full)
+        alone = Simulator(BODY, probe, STATE.simulator).render(STATE.pose, STATE.seed)
         np.testing.assert_array_equal(views.target, alone.image)
         np.testing.assert_array_equal(views.attenuation, alone.attenuation)
     assert len(built) == 3  # of the engine one, of the two simulators beside it one each
 
 
-def test_triangles_of_another_scene_are_refused(body: Scene) -> None:
-    other = Scene(body.structures, Tissue("gel"), "other")
+def test_triangles_of_another_scene_are_refused() -> None:
+    other = Scene(BODY.structures, Tissue("gel"), "other")
     with pytest.raises(ValueError, match="beside: a simulator of scene 'other'"):
-        Simulator(body, beside=Simulator(other))
+        Simulator(BODY, beside=Simulator(other))
 
 
-def test_gain_is_added_to_echoes_and_noise_alike(body: Scene, state: State) -> None:
+def test_gain_is_added_to_echoes_and_noise_alike() -> None:
     """10 dB more are 12.75 grey levels more of a display of 200 dB, on which nothing is black or white."""
-    engine, plain, louder = Engine(body), Display(dynamic_range_db=200.0), Display(10.0, dynamic_range_db=200.0)
-    frames = [engine.render(replace(state, display=d), Quality.full) for d in (plain, louder)]
+    engine, plain, louder = Engine(BODY), Display(dynamic_range_db=200.0), Display(10.0, dynamic_range_db=200.0)
+    frames = [engine.render(replace(STATE, display=d), Quality.full) for d in (plain, louder)]
     mask = frames[0].mask
     before, after = (frame.target[mask].astype(float) for frame in frames)
     assert before.min() > 0
     assert after.max() < 255
-    np.testing.assert_allclose(after - before, 12.75, atol=1)  # both are rounded
+    right = np.abs(after - before - 12.75) <= 1  # both are rounded
+    assert right.mean() > 0.995, "all but what is black before scan conversion, in the shadow of the bone"
 
 
-def test_tgc_sliders_brighten_their_depth_alone(body: Scene, state: State) -> None:
-    engine = Engine(body)
-    shown = [engine.render(replace(state, display=Display(tgc_db=(0, 0, db))), Quality.full).target for db in (0, 20)]
-    depth = pixel_polar(state.probe, state.simulator.image_shape)[0] / state.probe.depth_mm
+def test_tgc_sliders_brighten_their_depth_alone() -> None:
+    engine = Engine(BODY)
+    shown = [engine.render(replace(STATE, display=Display(tgc_db=(0, 0, db))), Quality.full).target for db in (0, 20)]
+    depth = pixel_polar(STATE.probe, STATE.simulator.image_shape)[0] / STATE.probe.depth_mm
     plain, deep = (image.astype(float) for image in shown)
     np.testing.assert_array_equal(plain[depth < 0.45], deep[depth < 0.45])
     assert (deep - plain)[(depth > 0.95) & (depth < 1) & (plain > 0)].mean() > 40  # 20 dB of 60 are 85 of 255
@@ -100,36 +100,27 @@ def test_controls_of_a_finished_image_are_those_of_the_simulator() -> None:
     assert shown[0, 0] == 0
 
 
-def test_a_run_that_is_gone_is_said_in_a_note(body: Scene, state: State, tmp_path: Path) -> None:
-    views = Engine(body).render(replace(state, runs=(tmp_path / "gone",)), Quality.full)
+def test_a_run_that_is_gone_is_said_in_a_note(tmp_path: Path) -> None:
+    views = Engine(BODY).render(replace(STATE, runs=(tmp_path / "gone",)), Quality.full)
     assert views.generated == (None,)
     assert "this run is gone" in views.notes["generated 0"]
     assert views.target.any()
 
 
-def test_a_probe_in_the_air_is_rendered_without_a_warning(body: Scene, state: State) -> None:
-    away = state.pose.copy()
+def test_a_probe_in_the_air_is_rendered_without_a_warning() -> None:
+    away = STATE.pose.copy()
     away[1, 3] -= 500
-    views = Engine(body).render(replace(state, pose=away), Quality.full)
+    views = Engine(BODY).render(replace(STATE, pose=away), Quality.full)
     assert set(np.unique(views.segmentation)) == {0, 1}
 
 
-def test_many_probes_do_not_pile_up(body: Scene, state: State) -> None:
-    engine = Engine(body)
-    for depth in range(50, 62):
-        engine.render(replace(state, probe=ConvexProbe(depth_mm=float(depth))), Quality.full)
-    assert engine._simulator.cache_info().currsize <= 6
-
-
-def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not_know(
-    body: Scene, state: State
-) -> None:
+def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not_know() -> None:
     picked = pickable(Path("nowhere"))
     assert list(picked) == ["comes with ablate: sa2h"]
-    views = Engine(body).render(replace(state, runs=tuple(picked.values())), Quality.full)
+    views = Engine(BODY).render(replace(STATE, runs=tuple(picked.values())), Quality.full)
     (image,) = views.generated
     assert image is not None
-    assert image.shape == state.simulator.image_shape
+    assert image.shape == STATE.simulator.image_shape
     assert (image[~views.mask] == 0).all()
     assert image[views.mask].std() > 5
     assert "not trained on gel" in views.notes["generated 0"]
@@ -137,20 +128,21 @@ def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not
     assert "MHz" not in views.notes["generated 0"]
 
 
-def test_the_image_of_a_network_is_that_of_ablate_load(state: State) -> None:
+def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
     """With tissues that it knows, against the library's own way to render."""
     renderer, table = ablate.load("sa2h"), load_tissues()
     fluid, tissue = (table[name] for name in list(renderer.values)[:2])
     known = Scene((Structure(trimesh.creation.cylinder(radius=100, height=200), tissue),), fluid, "known")
     (picked,) = pickable(Path("nowhere")).values()
-    views = Engine(known).render(replace(state, runs=(picked,), seed=3), Quality.coarse)
-    frame = Simulator(known, state.probe, state.simulator).render(state.pose)
+    views = Engine(known).render(replace(STATE, runs=(picked,), seed=3), Quality.coarse)
+    frame = Simulator(known, STATE.probe, STATE.simulator).render(STATE.pose)
     np.testing.assert_array_equal(views.generated[0], renderer.render(frame, known.tissues, seed=3))
 
 
 def test_a_generator_is_exported_while_it_is_used_and_renders_the_same_image() -> None:
     pytest.importorskip("openvino", reason="needs the extra: pip install 'ablate-ultrasound[export]'")
-    fast, mask = FastGenerator(ablate.load("sa2h").generator), torch.ones(48, 66, dtype=torch.bool)
+    small = Generator(GeneratorSpec(depth=2, width=0.1, noise_start=0.1)).eval()
+    fast, mask = FastGenerator(small), torch.ones(48, 66, dtype=torch.bool)
     generator = torch.Generator().manual_seed(0)
     maps = {name: torch.rand((1, 1, 48, 66), generator=generator) for name in ("segmentation", "attenuation")}
 

@@ -3,7 +3,7 @@
 import json
 import shlex
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +17,9 @@ pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultras
 from ablate.jobs.compose import jobs_of
 from ablate.settings.study import ConfigurationError, Task
 from ablate.ultrasound import Simulator
-from ablate.viewer.page.server import check_server
-from ablate.viewer.task import Viewer
+from ablate.viewer.task import Viewer, check_server
 from ablate.viewer.worker import REST_S
+from support.viewed_body import free_port
 from support.viewer_client import Client, ConnectionClosed
 
 # Threads of viser's server end a moment after it has been told to stop.
@@ -41,7 +41,7 @@ def arguments(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def viewer(arguments: list[str], free_port: Callable[[], int]) -> Iterator[Viewer]:
+def viewer(arguments: list[str]) -> Iterator[Viewer]:
     (job,) = jobs_of([*arguments, f"viewer.port={free_port()}"])
     made = Viewer(job.settings)
     yield made
@@ -152,7 +152,7 @@ def test_a_port_in_use_is_one_sentence(viewer: Viewer) -> None:
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ablate.viewer.page.server.find_spec", lambda _: None)
+    monkeypatch.setattr("ablate.viewer.task.find_spec", lambda _: None)
     with pytest.raises(ConfigurationError, match=r"pip install 'ablate-ultrasound\[view\]'"):
         check_server(8090)
 
@@ -232,8 +232,6 @@ def test_with_the_last_page_closed_nothing_is_computed(viewer: Viewer) -> None:
         (["pose=none.npy"], "none.npy"),
     ],
 )
-def test_what_cannot_be_started_is_refused_in_a_sentence(
-    arguments: list[str], free_port: Callable[[], int], given: list[str], says: str
-) -> None:
+def test_what_cannot_be_started_is_refused_in_a_sentence(arguments: list[str], given: list[str], says: str) -> None:
     with pytest.raises((ConfigurationError, ValueError, OSError), match=says.replace(".", r"\.")):
         Viewer(jobs_of([*arguments, f"viewer.port={free_port()}", *given])[0].settings)

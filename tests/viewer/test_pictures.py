@@ -38,7 +38,7 @@ def test_a_difference_is_red_where_the_first_is_brighter_and_blue_where_the_seco
     assert red > blue
     red, _, blue = middle(difference_picture(low, high, MASK, PROBE))
     assert red < blue
-    assert middle(difference_picture(low, low, MASK, PROBE)) == (245, 245, 245)
+    assert min(middle(difference_picture(low, low, MASK, PROBE))) > 240
 
 
 def test_ticks_of_the_scale_lie_ten_millimetres_apart() -> None:

@@ -6,24 +6,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ablate.anatomy import Scene
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.viewer.hand import Hand, Hold
-from ablate.viewer.session import OFF_BODY, Session
-from ablate.viewer.state import State
+from ablate.viewer.session import OFF_BODY, Session, State
+from support.viewed_body import BODY, STATE
 
 Start = Callable[[], tuple[Session, list[State]]]
 
 
 @pytest.fixture
-def start(body: Scene, state: State) -> Start:
+def start() -> Start:
     """A new session with two presets, and the states that it asks for."""
 
     def make() -> tuple[Session, list[State]]:
-        hand = Hand(body, (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), 5.0, state.probe)
+        hand = Hand(BODY, (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), 5.0, STATE.probe)
         places = {name: hand.place(hold) for name, hold in (("front", Hold(0, 0)), ("side", Hold(20, 60, 90, 5)))}
         asked: list[State] = []
-        return Session(hand, state, {n: h.pose for n, h in places.items() if h is not None}, asked.append), asked
+        return Session(hand, STATE, {n: h[0] for n, h in places.items() if h is not None}, asked.append), asked
 
     return make
 
@@ -81,15 +80,15 @@ def test_pixels_stay_square_whatever_the_depth(start: Start) -> None:
     assert asked[-1].simulator.image_shape == own
 
 
-def test_reset_is_the_beginning_with_the_runs_that_are_picked(start: Start, state: State, tmp_path: Path) -> None:
+def test_reset_is_the_beginning_with_the_runs_that_are_picked(start: Start, tmp_path: Path) -> None:
     session, asked = start()
     session.scan(depth_mm=80.0)
     session.show(runs=(tmp_path,))
     session.new_speckle()
     session.to_preset("side")
     session.reset()
-    assert asked[-1].probe == state.probe
-    assert asked[-1].simulator == state.simulator
+    assert asked[-1].probe == STATE.probe
+    assert asked[-1].simulator == STATE.simulator
     assert (asked[-1].seed, asked[-1].runs) == (0, (tmp_path,))
     np.testing.assert_array_equal(asked[-1].pose, session.presets["front"])
 

@@ -2,11 +2,11 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 
-from ablate.viewer.state import Quality
+from ablate.viewer.session import Quality
 from ablate.viewer.worker import Worker
 
 Shown = list[tuple[int, Quality]]
@@ -21,14 +21,15 @@ def until(holds: Callable[[], bool], within_s: float = 20.0) -> None:
 
 
 class Recorder:
-    """Computes a number in some time, and keeps what is shown and what fails."""
+    """A worker that computes a number in some time, or as it is told; what it shows, and what fails."""
 
-    def __init__(self, takes_s: float) -> None:
-        self.takes_s = takes_s
+    def __init__(self) -> None:
+        self.takes_s = 0.0
+        self.broken: Quality | None = None
         self.shown: Shown = []
         self.failed: list[str] = []
-        self.worker: Worker[int, tuple[int, Quality]] = Worker(self.compute, REST_S)
-        self.worker.start(self.show, self.fail)
+        self.worker = Worker(self.compute, REST_S)
+        self.worker.start(self.show, lambda error: self.failed.append(str(error)))
 
     def compute(self, state: int, quality: Quality) -> tuple[int, Quality]:
         time.sleep(self.takes_s)
@@ -36,16 +37,21 @@ class Recorder:
             raise ValueError(f"no such state: {state}")
         return state, quality
 
-    def show(self, state: int, views: tuple[int, Quality]) -> None:
-        assert state == views[0]
+    def show(self, views: tuple[int, Quality]) -> None:
+        if views[1] is self.broken:
+            raise RuntimeError("the tab is closed")
         self.shown.append(views)
 
-    def fail(self, _: int, error: Exception) -> None:
-        self.failed.append(str(error))
+
+@pytest.fixture
+def recorder() -> Iterator[Recorder]:
+    made = Recorder()
+    yield made
+    made.worker.close()
 
 
-def test_a_thousand_poses_in_a_second_show_the_last_one_and_compute_a_handful() -> None:
-    recorder = Recorder(takes_s=0.1)
+def test_a_thousand_poses_in_a_second_show_the_last_one_and_compute_a_handful(recorder: Recorder) -> None:
+    recorder.takes_s = 0.1
     for number in range(1000):
         recorder.worker.submit(number)
         time.sleep(0.001)
@@ -58,20 +64,19 @@ def test_a_thousand_poses_in_a_second_show_the_last_one_and_compute_a_handful() 
     assert recorder.worker.computed[Quality.full] <= 2  # one more only where the machine paused in between
 
 
-def test_a_probe_at_rest_is_seen_coarsely_first_and_then_in_full_once() -> None:
-    recorder = Recorder(takes_s=0.0)
+def test_a_probe_at_rest_is_seen_coarsely_first_and_then_in_full_once(recorder: Recorder) -> None:
     begun = time.monotonic()
     recorder.worker.submit(7)
     until(lambda: len(recorder.shown) == 2)
     assert time.monotonic() - begun >= REST_S
     time.sleep(3 * REST_S)
-    recorder.worker.close()
     assert recorder.shown == [(7, Quality.coarse), (7, Quality.full)]
 
 
-def test_views_in_full_of_a_state_that_has_been_replaced_are_dropped() -> None:
+def test_views_in_full_of_a_state_that_has_been_replaced_are_dropped(
+    recorder: Recorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     started, go_on = threading.Event(), threading.Event()
-    shown: Shown = []
 
     def compute(state: int, quality: Quality) -> tuple[int, Quality]:
         if (state, quality) == (1, Quality.full):
@@ -79,29 +84,24 @@ def test_views_in_full_of_a_state_that_has_been_replaced_are_dropped() -> None:
             assert go_on.wait(20)
         return state, quality
 
-    worker: Worker[int, tuple[int, Quality]] = Worker(compute, REST_S)
-    worker.start(lambda _, views: shown.append(views), print)
-    worker.submit(1)
+    monkeypatch.setattr(recorder.worker, "_compute", compute)
+    recorder.worker.submit(1)
     assert started.wait(20)
-    worker.submit(2)
+    recorder.worker.submit(2)
     go_on.set()
-    until(lambda: (2, Quality.full) in shown)
-    worker.close()
-    assert (1, Quality.full) not in shown
+    until(lambda: (2, Quality.full) in recorder.shown)
+    assert (1, Quality.full) not in recorder.shown
 
 
-def test_what_fails_is_told_and_the_next_state_is_computed() -> None:
-    recorder = Recorder(takes_s=0.0)
+def test_what_fails_is_told_and_the_next_state_is_computed(recorder: Recorder) -> None:
     recorder.worker.submit(-1)
     until(lambda: recorder.failed == ["no such state: -1"])
     recorder.worker.submit(3)
     until(lambda: (3, Quality.full) in recorder.shown)
-    recorder.worker.close()
     assert recorder.failed == ["no such state: -1"]
 
 
-def test_a_paused_worker_computes_nothing_and_goes_on_with_the_last_state() -> None:
-    recorder = Recorder(takes_s=0.0)
+def test_a_paused_worker_computes_nothing_and_goes_on_with_the_last_state(recorder: Recorder) -> None:
     recorder.worker.pause()
     recorder.worker.submit(1)
     recorder.worker.submit(2)
@@ -109,22 +109,13 @@ def test_a_paused_worker_computes_nothing_and_goes_on_with_the_last_state() -> N
     assert not recorder.shown
     recorder.worker.resume()
     until(lambda: (2, Quality.full) in recorder.shown)
-    recorder.worker.close()
     assert recorder.shown == [(2, Quality.coarse), (2, Quality.full)]
 
 
 @pytest.mark.parametrize("quality", list(Quality))
-def test_a_page_that_cannot_show_does_not_end_the_worker(quality: Quality) -> None:
-    failed: list[str] = []
-
-    def show(_: int, views: tuple[int, Quality]) -> None:
-        if views[1] is quality:
-            raise RuntimeError("the tab is closed")
-
-    worker: Worker[int, tuple[int, Quality]] = Worker(lambda state, q: (state, q), REST_S)
-    worker.start(show, lambda _, error: failed.append(str(error)))
-    worker.submit(1)
-    until(lambda: failed == ["the tab is closed"])
-    worker.submit(2)
-    until(lambda: len(failed) == 2)
-    worker.close()
+def test_a_page_that_cannot_show_does_not_end_the_worker(recorder: Recorder, quality: Quality) -> None:
+    recorder.broken = quality
+    recorder.worker.submit(1)
+    until(lambda: recorder.failed == ["the tab is closed"])
+    recorder.worker.submit(2)
+    until(lambda: len(recorder.failed) == 2)

@@ -1,10 +1,9 @@
 from .custom import check_custom as check_custom
-from .custom import custom_source as custom_source
-from .discriminator import PatchDiscriminator as PatchDiscriminator
-from .discriminator import discriminator_channels as discriminator_channels
 from .export import export_onnx as export_onnx
-from .gaussian_fields import gaussian_field as gaussian_field
 from .generator import Generator as Generator
+from .generator import gaussian_field as gaussian_field
+from .pix2pix import PatchDiscriminator as PatchDiscriminator
+from .pix2pix import discriminator_channels as discriminator_channels
 from .sizes import count_discriminator as count_discriminator
 from .sizes import count_generator as count_generator
 from .sizes import count_parameters as count_parameters

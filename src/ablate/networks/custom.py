@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.nn.parameter import UninitializedParameter
 
 from ablate.networks.spec import GeneratorSpec, inputs
-from ablate.user_code import in_one_line, load, source_digest
+from ablate.user_code import in_one_line, load
 
 
 class CustomNetwork(nn.Module):
@@ -21,9 +21,14 @@ class CustomNetwork(nn.Module):
 
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
-        self.target = str(spec.target)
-        network_class = custom_class(self.target)
-        channels = len(inputs(spec))
+        self.target, channels = str(spec.target), len(inputs(spec))
+        try:
+            network_class = load(self.target)
+        except ValueError as error:
+            allowed = "the path of a class, as my_package.MyGenerator"
+            raise ValueError(f"target={self.target}: {error}; allowed is {allowed}") from error
+        if not (isinstance(network_class, type) and issubclass(network_class, nn.Module)):
+            raise ValueError(f"target={self.target}: is no class of torch.nn.Module")
         try:
             self.inner: nn.Module = network_class(channels)
         except (Exception, SystemExit) as error:  # whatever the user's class does
@@ -38,25 +43,6 @@ class CustomNetwork(nn.Module):
             shape = tuple(stacked.shape)
             raise ValueError(f"target={self.target}: returns {returned} for {shape}, allowed is {allowed}")
         return image
-
-
-def custom_class(path: str) -> type[nn.Module]:
-    """Import the class of a dotted path; a ValueError names the path and what is wrong."""
-    try:
-        loaded = load(path)
-    except ValueError as error:
-        raise ValueError(
-            f"target={path}: {error}; allowed is the path of a class, as my_package.MyGenerator"
-        ) from error
-    if not (isinstance(loaded, type) and issubclass(loaded, nn.Module)):
-        raise ValueError(f"target={path}: is no class of torch.nn.Module")
-    return loaded
-
-
-def custom_source(path: str) -> str:
-    """SHA-256 of the source code of a class and of the user's modules behind it, so that a run is known by its code."""
-    custom_class(path)
-    return source_digest(path)
 
 
 def check_custom(spec: GeneratorSpec, side: int) -> None:

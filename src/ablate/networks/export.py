@@ -3,8 +3,6 @@
 import json
 import logging
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -53,7 +51,9 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int) -> No
     sizes = [(height, width)] * len(frame.maps) + list(frame.sizes.values())
     arguments = tuple(torch.zeros(1, 1, *size, device=device) for size in sizes)
     names = [*frame.maps, *frame.sizes]
-    with _quiet_exporter(), torch.no_grad():
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it tells of optional packages
+    with warnings.catch_warnings(), torch.no_grad():
+        warnings.filterwarnings("ignore", message=".*LeafSpec.*", category=FutureWarning)  # the exporter's own call
         program = torch.onnx.export(
             frame, arguments, input_names=names, output_names=["image"], opset_version=OPSET, dynamo=True, verbose=False
         )
@@ -78,17 +78,3 @@ class _Frame(nn.Module):
         """Render (1, 1, H, W)."""
         given = dict(zip(self.maps, tensors, strict=False))
         return self.generator.render(given, dict(zip(self.sizes, tensors[len(self.maps) :], strict=True)))
-
-
-@contextmanager
-def _quiet_exporter() -> Iterator[None]:
-    """Suppress the exporter's messages about optional packages and about its own deprecated calls."""
-    log = logging.getLogger("torch.onnx")
-    level = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message=".*LeafSpec.*", category=FutureWarning)
-            yield
-    finally:
-        log.setLevel(level)

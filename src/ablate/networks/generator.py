@@ -1,5 +1,6 @@
 """A generator made from its specification; images of any size are padded, rendered and cropped."""
 
+import math
 from collections.abc import Mapping
 
 import torch
@@ -7,16 +8,21 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ablate.networks.custom import CustomNetwork
-from ablate.networks.gaussian_fields import gaussian_field
 from ablate.networks.layers import draw_initial_weights, laid_out
 from ablate.networks.local import LocalNetwork
+from ablate.networks.pix2pix import UNetwork
 from ablate.networks.spec import DEPTHS, Family, GeneratorSpec, Noise, conditions, inputs, maps_of_every_level
-from ablate.networks.unet import UNetwork
 
 # The value of each map outside the fan, also used for padding.
 OUTSIDE = {"segmentation": -1.0, "attenuation": 0.0, "compensated": 0.0, "low": -1.0}
 # Number of each noise field: those injected at the levels of the decoder, and the input channel.
 FIELD_NUMBERS = {f"noise_{level}": level for level in range(DEPTHS[-1])} | {"noise": 64}
+# splitmix64: Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014;
+# the constants are those of its reference implementation, as signed 64-bit integers.
+_GOLDEN = 0x9E3779B97F4A7C15 - (1 << 64)
+_MIX_1 = 0xBF58476D1CE4E5B9 - (1 << 64)
+_MIX_2 = 0x94D049BB133111EB - (1 << 64)
+_BITS_24 = (1 << 24) - 1
 
 
 class Generator(nn.Module):
@@ -143,8 +149,7 @@ class Generator(nn.Module):
         if not fed:
             return [None for _ in levels]
         pyramid: list[Tensor | None] = [maps[:, :fed]]
-        for level in levels[1:]:
-            step = 2**level
+        for step in (2**level for level in levels[1:]):
             # Nearest: the pixel at each cell's corner, where a convolution of stride 2 is centred.
             resized = [maps[:, :1, ::step, ::step]]
             if fed == 2:
@@ -153,3 +158,57 @@ class Generator(nn.Module):
                 resized.append(F.interpolate(maps[:, 1:2], size, mode="bilinear", align_corners=False))
             pyramid.append(laid_out(torch.cat(resized, dim=1)))
         return pyramid
+
+
+def gaussian_field(seed: Tensor, level: int, height: int, width: int) -> Tensor:
+    """Draw one standard normal field for each sample, from a hash of seed, level and pixel.
+
+    There is no state. A field does not depend on the batch, on earlier draws or on the device, so a resumed training
+    gets the same noise as an uninterrupted one.
+
+    Parameters
+    ----------
+    seed : (N,) int64
+        One seed for each sample; the field is computed on its device.
+    level : int
+        Number of the field; fields of different levels are independent.
+    height, width : int
+        Pixels.
+
+    Returns
+    -------
+    (N, 1, height, width) float32
+        Values within +-5.9, because a draw has 24 bits.
+
+    Notes
+    -----
+    splitmix64 counts the pixels; the two halves of a word give a pair of normals by the transform of
+    Box and Muller, "A note on the generation of random normal deviates", 1958.
+
+    Examples
+    --------
+    >>> both = gaussian_field(torch.tensor([1, 2]), level=0, height=4, width=6)
+    >>> torch.equal(both[1:], gaussian_field(torch.tensor([2]), level=0, height=4, width=6))
+    True
+    """
+    pixels = height * width
+    pairs = (pixels + 1) // 2
+    key = _mix(_mix(seed) + level * 2 + 1)
+    counter = torch.arange(1, pairs + 1, device=seed.device, dtype=torch.int64)
+    word = _mix(key[:, None] + counter * _GOLDEN)
+    radius = ((word & _BITS_24).float().add_(0.5).mul_(2.0**-24)).log_().mul_(-2.0).sqrt_()
+    angle = _shifted(word, 40).float().mul_(2.0 * math.pi * 2.0**-24)
+    normals = torch.cat((radius * angle.cos(), radius * angle.sin()), dim=1)
+    return normals[:, :pixels].reshape(-1, 1, height, width)
+
+
+def _shifted(word: Tensor, bits: int) -> Tensor:
+    """Shift right by `bits` and fill with zeros; torch's shift of int64 copies the sign."""
+    return (word >> bits) & ((1 << (64 - bits)) - 1)
+
+
+def _mix(word: Tensor) -> Tensor:
+    """Apply the final mixing of splitmix64; products wrap modulo 2^64."""
+    word = (word ^ _shifted(word, 30)) * _MIX_1
+    word = (word ^ _shifted(word, 27)) * _MIX_2
+    return word ^ _shifted(word, 31)

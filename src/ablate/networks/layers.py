@@ -1,7 +1,5 @@
 """Layers that the networks share: convolutions, instance norm, initial weights, and a list of the layers."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, cast
 
 import torch
@@ -12,21 +10,6 @@ EPSILON = 1e-5
 # Pixels under which torch normalises channels-last maps one value at a time.
 SMALL_MAP = 1024
 Convolution = nn.Conv2d | nn.ConvTranspose2d
-
-
-@dataclass(frozen=True)
-class Stages:
-    """The convolutions of a U-shaped network, each list in the order of computation.
-
-    `down[i]` leads from level i (a grid of 2^i px) to level i + 1, and `up[i]` leads back. The encoder's features of
-    level i are concatenated after `up[i]`, and the bottleneck's output is concatenated with its input.
-    """
-
-    stem: Sequence[Convolution]
-    down: Sequence[Sequence[Convolution]]
-    bottleneck: Sequence[Convolution]
-    up: Sequence[Sequence[Convolution]]
-    head: Sequence[Convolution]
 
 
 class JointConvolution(nn.Conv2d):

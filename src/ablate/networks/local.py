@@ -12,8 +12,6 @@ from ablate.networks.layers import (
     JointTransposedConvolution,
     OneChannelConvolution,
     ResizedConvolution,
-    Stages,
-    convolutions,
     instance_norm,
 )
 from ablate.networks.spec import GeneratorSpec, Noise, Upsampling, inputs, maps_of_every_level, scaled
@@ -74,7 +72,7 @@ class LocalNetwork(nn.Module):
 
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
-        widths = [scaled(channels, spec.width) for channels in channels_by_level(spec.depth)]
+        widths = [scaled(WIDTHS[min(level, len(WIDTHS) - 1)], spec.width) for level in range(spec.depth + 1)]
         maps = len(maps_of_every_level(spec))
         self.stem = nn.Conv2d(len(inputs(spec)), widths[0], 3, padding=1)
         self.down = nn.ModuleList(DownBlock(fine, coarse, maps) for fine, coarse in pairwise(widths))
@@ -99,17 +97,6 @@ class LocalNetwork(nn.Module):
         for level, block in zip(reversed(range(len(skips))), self.up, strict=True):
             features = block(features, skips[level], maps[level + 1], maps[level], noise[level])
         return torch.tanh(self.output(features, maps[0]))
-
-    def stages(self) -> Stages:
-        """List the convolutions."""
-        down = [convolutions(block) for block in self.down]
-        up = [convolutions(block) for block in reversed(self.up)]
-        return Stages(stem=[self.stem], down=down, bottleneck=[self.bottleneck], up=up, head=[self.output])
-
-
-def channels_by_level(depth: int) -> list[int]:
-    """Channels at full resolution and after each of `depth` down blocks, at width 1."""
-    return [WIDTHS[min(level, len(WIDTHS) - 1)] for level in range(depth + 1)]
 
 
 def encoded(features: Tensor) -> Tensor:

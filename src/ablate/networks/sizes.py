@@ -1,14 +1,13 @@
 """Sizes of a network that need no memory for it: parameters, and the input region that an output pixel depends on."""
 
-from collections.abc import Iterable
-
 import torch
 from torch import nn
 
 from ablate.networks.custom import CustomNetwork
-from ablate.networks.discriminator import PatchDiscriminator, discriminator_channels
 from ablate.networks.generator import Generator
-from ablate.networks.layers import Convolution, ResizedConvolution, Stages, convolutions
+from ablate.networks.layers import Convolution, ResizedConvolution, convolutions
+from ablate.networks.local import LocalNetwork
+from ablate.networks.pix2pix import PatchDiscriminator, UNetwork, discriminator_channels
 from ablate.networks.spec import Concat, GeneratorSpec
 
 Interval = tuple[int, int]
@@ -55,10 +54,9 @@ def receptive_field(spec: GeneratorSpec) -> int | None:
         network = Generator(spec).network
     if isinstance(network, CustomNetwork):
         return None
-    stages = network.stages()
     period = 2**spec.depth
     feeds_maps = spec.concat is Concat.every_level
-    extents = (_pixels_reached(stages, period * 64 + phase, feeds_maps) for phase in range(period))
+    extents = (_pixels_reached(network, period * 64 + phase, feeds_maps) for phase in range(period))
     return max(last - first + 1 for first, last in extents)
 
 
@@ -70,12 +68,12 @@ def patch_size(discriminator: PatchDiscriminator) -> int:
     return interval[1] - interval[0] + 1
 
 
-def _pixels_reached(stages: Stages, pixel: int, feeds_maps: bool) -> Interval:
+def _pixels_reached(network: LocalNetwork | UNetwork, pixel: int, feeds_maps: bool) -> Interval:
     """Follow one output pixel back to the interval of input pixels it depends on."""
     reached: list[Interval] = []
 
-    def through(layers: Iterable[Convolution], interval: Interval, level: int) -> Interval:
-        for layer in layers:
+    def through(block: nn.Module, interval: Interval, level: int) -> Interval:
+        for layer in reversed(convolutions(block)):
             interval = _inputs_of(layer, interval)
             if layer.stride[0] == 2:
                 level += 1 if isinstance(layer, nn.ConvTranspose2d) else -1
@@ -86,14 +84,15 @@ def _pixels_reached(stages: Stages, pixel: int, feeds_maps: bool) -> Interval:
                 interval, level = (interval[0] // 2, interval[1] // 2), level + 1
         return interval
 
-    decoder = [through(stages.head, (pixel, pixel), 0)]
-    for level, layers in enumerate(stages.up):
-        decoder.append(through(reversed(layers), decoder[level], level))
-    bottom = len(stages.down)
-    encoder = _union(decoder[bottom], through(stages.bottleneck, decoder[bottom], bottom))
-    for level in reversed(range(bottom)):
-        encoder = _union(decoder[level], through(reversed(stages.down[level]), encoder, level + 1))
-    return _union(through(stages.stem, encoder, 0), *reached)
+    names = ("stem", "bottleneck", "output")  # the U-Net has none of them
+    stem, bottleneck, output = (getattr(network, name, nn.Identity()) for name in names)
+    decoder = [through(output, (pixel, pixel), 0)]
+    for level, block in enumerate(reversed(network.up)):
+        decoder.append(through(block, decoder[level], level))
+    encoder = _union(decoder[-1], through(bottleneck, decoder[-1], len(network.down)))
+    for level, block in reversed(list(enumerate(network.down))):
+        encoder = _union(decoder[level], through(block, encoder, level + 1))
+    return _union(through(stem, encoder, 0), *reached)
 
 
 def _inputs_of(layer: Convolution, outputs: Interval) -> Interval:

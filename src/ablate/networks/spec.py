@@ -109,20 +109,13 @@ class GeneratorSpec:
             )
 
 
-_ATTENUATION_MAPS: dict[Attenuation, tuple[str, ...]] = {
-    Attenuation.integral: ("attenuation",),
-    Attenuation.compensated: ("compensated",),
-    Attenuation.none: (),
-}
-
-
 def conditions(spec: GeneratorSpec) -> tuple[str, ...]:
     """Name the maps of a pair that the generator reads, in the order of its input channels.
 
     These are also what the discriminator is conditioned on, and what a dataset has to provide.
     """
-    low = ("low",) if spec.extra_input is ExtraInput.low else ()
-    return ("segmentation", *_ATTENUATION_MAPS[spec.attenuation], *low)
+    names = {Attenuation.integral: ("attenuation",), Attenuation.compensated: ("compensated",), Attenuation.none: ()}
+    return ("segmentation", *names[spec.attenuation], *(("low",) if spec.extra_input is ExtraInput.low else ()))
 
 
 def maps_of_every_level(spec: GeneratorSpec) -> tuple[str, ...]:

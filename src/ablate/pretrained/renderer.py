@@ -14,7 +14,6 @@ from ablate.networks import Generator, GeneratorSpec, conditions
 from ablate.setting import plain
 from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
-from ablate.training.settings import as_builtins
 from ablate.ultrasound import Frame, Probe, compensated_attenuation
 from ablate.ultrasound.probe_kinds import probe_from
 
@@ -133,7 +132,7 @@ def save(renderer: Renderer, path: Path) -> None:
     'sa2h'
     """
     content = {
-        "spec": as_builtins(renderer.generator.spec),
+        "spec": plain(renderer.generator.spec),
         "weights": renderer.generator.state_dict(),
         "values": dict(renderer.values),
         "probe": plain(renderer.probe),

@@ -1,6 +1,6 @@
 from .background import Background as Background
+from .background import system_metrics as system_metrics
 from .background import within as within
-from .database import default_uri as default_uri
 from .local_log import LocalLog as LocalLog
 from .local_log import Status as Status
 from .local_log import logged_images as logged_images
@@ -16,12 +16,12 @@ from .store import artifact_page as artifact_page
 from .store import child_run as child_run
 from .store import child_runs as child_runs
 from .store import comparison_page as comparison_page
+from .store import default_uri as default_uri
 from .store import open_store as open_store
 from .store import parent_run as parent_run
 from .store import reason as reason
 from .stored_run import STATE as STATE
 from .stored_run import StoredRun as StoredRun
-from .system_metrics import system_metrics as system_metrics
 from .task_record import TaskRecord as TaskRecord
 from .task_record import copy_tasks as copy_tasks
 from .task_record import recorded_task as recorded_task

@@ -1,18 +1,23 @@
-"""Work in a thread of its own, so that a store that does not answer holds nothing up."""
+"""Work in a thread of its own: a store that does not answer holds nothing up, and a busy machine is watched."""
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager, suppress
 from functools import cache
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
+from ablate.tracking.local_log import LocalLog, points, read_log
 from ablate.tracking.store import reason
 
 T = TypeVar("T")
 _LOG = logging.getLogger(__name__)
 _EVERY_S = 5.0
 _WAIT_S = 5.0
+_SAMPLED_EVERY_S = 10.0  # as MLflow itself does
+_GROUP = "system/"  # MLflow shows these on a page of their own
 
 
 class Background:
@@ -81,3 +86,37 @@ def within(seconds: float, work: Callable[[], T]) -> T:
 def _say(message: str) -> None:
     """Log a message that this process has not logged before: each job of a sweep would repeat it."""
     _LOG.warning("%s", message)
+
+
+@contextmanager
+def system_metrics(folder: Path, log: LocalLog, every_s: float = _SAMPLED_EVERY_S) -> Iterator[None]:
+    """Log how busy the machine is to the log of a run, in `folder`, for as long as the body runs.
+
+    The step counts samples. A resumed run goes on counting.
+    """
+    lines, _ = read_log(folder)
+    taken = max((point.step for point in points(lines) if point.key.startswith(_GROUP)), default=-1) + 1
+    from mlflow.system_metrics.metrics.cpu_monitor import CPUMonitor
+    from mlflow.system_metrics.metrics.disk_monitor import DiskMonitor
+    from mlflow.system_metrics.metrics.gpu_monitor import GPUMonitor
+    from mlflow.system_metrics.metrics.network_monitor import NetworkMonitor
+
+    monitors: list[Any] = [CPUMonitor(), DiskMonitor(), NetworkMonitor()]
+    with suppress(ImportError, RuntimeError):  # no NVIDIA GPU, or not its package
+        monitors.append(GPUMonitor())
+
+    def sample() -> None:
+        nonlocal taken
+        values: dict[str, float] = {}
+        for monitor in monitors:
+            monitor.collect_metrics()
+            values |= monitor.aggregate_metrics()
+            monitor.clear_metrics()
+        log.metrics({f"{_GROUP}{name}": value for name, value in values.items()}, taken)
+        taken += 1
+
+    background = Background(sample, every_s)
+    try:
+        yield
+    finally:
+        background.close()

@@ -2,7 +2,8 @@
 
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,6 +12,8 @@ import numpy as np
 from PIL import Image
 
 from ablate.storage import written_whole
+
+_LOG = "log.jsonl"
 
 
 class Status(StrEnum):
@@ -38,7 +41,7 @@ class LocalLog:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.path = _log(folder)
+        self.path = folder / _LOG
         self.path.touch()
         lines, whole = read_log(folder)
         with self.path.open("r+b") as file:
@@ -75,12 +78,16 @@ class LocalLog:
 
 def read_log(folder: Path, start: int = 0) -> tuple[list[dict[str, Any]], int]:
     """The whole lines of a run's log from a byte on, and the byte after them; none where there is no log."""
-    if not _log(folder).exists():
+    if not (folder / _LOG).exists():
         return [], 0
-    with _log(folder).open("rb") as file:
+    with (folder / _LOG).open("rb") as file:
         file.seek(start)
         text, newline, _ = file.read().rpartition(b"\n")
-    return list(_parsed(text)), start + len(text) + len(newline)
+    lines = []
+    for line in text.splitlines():
+        with suppress(ValueError):  # a power cut may leave zeros
+            lines.append(json.loads(line))
+    return [line for line in lines if isinstance(line, dict)], start + len(text) + len(newline)
 
 
 def points(lines: list[dict[str, Any]]) -> list[Point]:
@@ -94,17 +101,3 @@ def logged_images(folder: Path) -> list[tuple[str, int, Path]]:
     files = [path for path in (folder / "images").glob("*+*.png") if ".partial" not in path.name]
     split = [(path.stem.rpartition("+"), path) for path in files]
     return sorted((key.replace("~", "/"), int(step), path) for (key, _, step), path in split if step.isdigit())
-
-
-def _log(folder: Path) -> Path:
-    return folder / "log.jsonl"
-
-
-def _parsed(text: bytes) -> Iterator[dict[str, Any]]:
-    for line in text.splitlines():
-        try:
-            content = json.loads(line)
-        except ValueError:  # a power cut may leave zeros
-            continue
-        if isinstance(content, dict):
-            yield content

@@ -15,6 +15,7 @@ from mlflow.types import ParamSchema, ParamSpec, Schema, TensorSpec
 
 from ablate.dataset import network_inputs
 from ablate.networks import Generator, GeneratorSpec, conditions
+from ablate.setting import plain
 from ablate.tracking.provenance import packages
 from ablate.tracking.store import Store
 from ablate.training import TrainingPrecision, chosen_device, generate
@@ -25,22 +26,10 @@ with warnings.catch_warnings():
 
 _TYPES = {"segmentation": np.uint8, "attenuation": np.float32, "compensated": np.float32, "low": np.uint8}
 _FRAMES = (-1, -1, -1)
-_SEED = ParamSpec("seed", "long", 0)
-
-
-def write_generator(path: Path, generator: Generator, values: np.ndarray, precision: TrainingPrecision) -> None:
-    """Write a generator and all that it needs to a file that loads without running code.
-
-    `values`, (labels,) float32 from `label_values`, tell how the labels of S are read.
-    """
-    given = {k: v for k, v in vars(generator.spec).items() if v is not None}
-    spec = {k: v if isinstance(v, int | float) else str(v) for k, v in given.items()}
-    kept = {"spec": spec, "values": torch.from_numpy(values), "precision": str(precision)}
-    torch.save({**kept, "weights": generator.state_dict()}, path)
 
 
 class RegisteredGenerator:
-    """Renders frames with what `write_generator` wrote; `mlflow.pyfunc.load_model` returns a wrapper of this."""
+    """Renders frames with what `register_generator` wrote; `mlflow.pyfunc.load_model` returns a wrapper of this."""
 
     def __init__(self, path: Path) -> None:
         saved = torch.load(path, map_location="cpu", weights_only=True)
@@ -69,16 +58,6 @@ def _load_pyfunc(path: str) -> RegisteredGenerator:
     return RegisteredGenerator(Path(path))
 
 
-def signature(spec: GeneratorSpec) -> ModelSignature:
-    """The inputs and outputs of a registered generator.
-
-    Inputs are `segmentation` (n, H, W) uint8, 0 outside the fan, and, where the generator reads them, `attenuation` or
-    `compensated` float32 in [0, 1] and `low` uint8; a parameter is the integer `seed`; the output is (n, H, W) uint8.
-    """
-    inputs = [TensorSpec(np.dtype(_TYPES[name]), _FRAMES, name) for name in conditions(spec)]
-    return ModelSignature(Schema(inputs), Schema([TensorSpec(np.dtype(np.uint8), _FRAMES)]), ParamSchema([_SEED]))
-
-
 def register_generator(
     store: Store,
     name: str,
@@ -91,8 +70,12 @@ def register_generator(
 ) -> int:
     """Make a version of the registered model `name` from the generator of a run, unless one exists; returns it.
 
-    The model joins the artifacts of the run. `values` and `precision` are those of `write_generator`. `example` holds
-    the maps that the generator reads, (n, H, W) by name, small, because they are kept as text.
+    The model joins the artifacts of the run. Its file loads without running code. Its inputs are `segmentation`
+    (n, H, W) uint8, 0 outside the fan, and, where the generator reads them, `attenuation` or `compensated` float32 in
+    [0, 1] and `low` uint8; a parameter is the integer `seed`; the output is (n, H, W) uint8.
+
+    `values`, (labels,) float32 from `label_values`, tell how the labels of S are read. `example` holds the maps that
+    the generator reads, (n, H, W) by name, small, because they are kept as text.
     """
     client = store.client
     with FileLock(store.lock):
@@ -106,13 +89,16 @@ def register_generator(
             return int(found[0].version)
         with tempfile.TemporaryDirectory() as folder:
             weights, model = Path(folder, "generator.pt"), Path(folder, "model")
-            write_generator(weights, generator, values, precision)
+            kept = {"spec": plain(generator.spec), "values": torch.from_numpy(values), "precision": str(precision)}
+            torch.save({**kept, "weights": generator.state_dict()}, weights)
+            inputs = [TensorSpec(np.dtype(_TYPES[name]), _FRAMES, name) for name in conditions(generator.spec)]
+            output, seed = TensorSpec(np.dtype(np.uint8), _FRAMES), ParamSpec("seed", "long", 0)
             versions = {k: v.partition("+")[0] for k, v in packages().items() if k != "python"}
             mlflow.pyfunc.save_model(
                 str(model),
                 loader_module=__name__,
                 data_path=str(weights),
-                signature=signature(generator.spec),
+                signature=ModelSignature(Schema(inputs), Schema([output]), ParamSchema([seed])),
                 input_example=(dict(example), {"seed": 0}),
                 pip_requirements=[f"{k}=={v}" for k, v in versions.items()],
             )

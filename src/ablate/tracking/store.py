@@ -1,37 +1,41 @@
-"""MLflow runs: one parent for each study, one child for each job; an existing run is found again."""
+"""The store of runs: one parent for each study, one child for each job; an existing run is found again.
+
+The default store, an SQLite file, is a copy of what the runs have on disk. It is therefore never mended: one that
+cannot be used is set aside, and another is made and filled.
+"""
 
 import json
 import logging
+import sqlite3
 import uuid
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from urllib.parse import quote
 
 from filelock import FileLock
 from mlflow import MlflowClient
-from mlflow.entities import Experiment, Run, ViewType
 from mlflow.exceptions import MlflowException
 from sqlalchemy.exc import SQLAlchemyError
 
-from ablate.storage import write_text
-from ablate.tracking.database import default_uri, make_database, make_default_database, set_aside
+from ablate.storage import remove_partial, write_text, written_whole
 
+_LOG = logging.getLogger(__name__)
 _LOCK_S = 60.0
+_DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+_OF_TRANSACTIONS = ("-journal", "-wal", "-shm")
 _PARENT_TAG = "mlflow.parentRunId"
-_OWNER_TAG = "runs"
+_MOST_RUNS = 50_000  # of one answer, as MLflow allows
 # What is raised where a store does not answer, refuses or is full.
 UNAVAILABLE = (MlflowException, SQLAlchemyError, OSError)
-_ABOUT = (
-    "A run of the first level is a study: its description has the comparison and links to the report and to its "
-    "variants side by side. Below it (unfold with +) is a run for each variant and seed."
-)
-_EXPERIMENT_TAGS = {
+# Tags of the experiment.
+_ABOUT = {
     "mlflow.experimentKind": "custom_model_development",  # the pages then show runs and models, not prompts and traces
-    "mlflow.note.content": _ABOUT,
+    "mlflow.note.content": "A run of the first level is a study: its description has the comparison and links to the "
+    "report and to its variants side by side. Below it (unfold with +) is a run for each variant and seed.",
 }
-
-
 _REFUSED = {
     "UNAUTHENTICATED": "the server takes another user or password than MLFLOW_TRACKING_USERNAME and "
     "MLFLOW_TRACKING_PASSWORD hold",
@@ -52,7 +56,7 @@ class Store:
     uri: str
     experiment_id: str
     lock: Path  # taken around whatever looks a run up and then makes it
-    owner: str | None = None  # tells the folders of runs that share a server apart
+    owner: Mapping[str, str]  # a tag that tells the folders of runs that share a server apart
 
     @property
     def client(self) -> MlflowClient:
@@ -81,7 +85,9 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
         try:
             client = MlflowClient(uri or default_uri(runs))
             known = client.get_experiment_by_name(experiment)
-            if location and known and _is_own(known) and known.artifact_location != location:
+            found = str(known.artifact_location) if known else ""
+            is_own = found.startswith("file:") and found.endswith("/artifacts")  # and not at a server's
+            if location and is_own and found != location:
                 why = "the folder of runs was moved or copied since it was made"
         except MlflowException as error:
             if location is None or error.error_code == "TEMPORARILY_UNAVAILABLE":
@@ -91,52 +97,31 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
             set_aside(runs, why)
             make_default_database(runs)
             client, known = MlflowClient(default_uri(runs)), None
-        if known is None:
-            identity = _new_experiment(client, experiment, location)
-        else:
+        try:
+            identity = str(known.experiment_id if known else client.create_experiment(experiment, location, _ABOUT))
+        except MlflowException as error:  # somebody else has just made it
+            exists = error.error_code == "RESOURCE_ALREADY_EXISTS"
+            if not (exists and (known := client.get_experiment_by_name(experiment))):
+                raise
             identity = str(known.experiment_id)
-            if known.lifecycle_stage == "deleted":
-                client.restore_experiment(identity)
-        return Store(uri or default_uri(runs), identity, lock, _owner(runs) if uri else None)
-
-
-def _new_experiment(client: MlflowClient, name: str, location: str | None) -> str:
-    """Id of a new experiment, or of the one that somebody else has just made."""
-    try:
-        return str(client.create_experiment(name, location, _EXPERIMENT_TAGS))
-    except MlflowException as error:
-        if error.error_code != "RESOURCE_ALREADY_EXISTS" or (found := client.get_experiment_by_name(name)) is None:
-            raise
-        return str(found.experiment_id)
-
-
-def _owner(runs: Path) -> str:
-    """The name by which a server knows this folder of runs, wherever it is moved."""
-    file = runs / ".owner"
-    if not file.exists():
-        write_text(file, uuid.uuid4().hex)
-    return file.read_text("utf-8")
-
-
-def _is_own(experiment: Experiment) -> bool:
-    """Whether its artifacts lie beside the default store, and not at a server's."""
-    location = str(experiment.artifact_location)
-    return location.startswith("file:") and location.endswith("/artifacts")
+        if known and known.lifecycle_stage == "deleted":
+            client.restore_experiment(identity)
+        if uri is None:
+            return Store(default_uri(runs), identity, lock, {})
+        owner = runs / ".owner"  # the name by which a server knows this folder of runs, wherever it is moved
+        if not owner.exists():
+            write_text(owner, uuid.uuid4().hex)
+        return Store(uri, identity, lock, {"runs": owner.read_text("utf-8")})
 
 
 def parent_run(store: Store, study: str) -> str:
     """Id of the study's parent run, which is created when there is none."""
-    return _run_of_folder(store, study, {"study": study, "kind": "study"})
+    return _run(store, study, {"study": study, "kind": "study", **store.owner}, {})
 
 
 def task_run(store: Store, task: str, study: str) -> str:
     """Id of the run of a task such as `precision`, named as the task and created when there is none."""
-    return _run_of_folder(store, task, {"study": study, "kind": task})
-
-
-def _run_of_folder(store: Store, name: str, known_by: Mapping[str, str]) -> str:
-    """Id of a run that is known by its study: two people who share a server may give two studies one name."""
-    return _run(store, name, {**known_by, **({_OWNER_TAG: store.owner} if store.owner else {})})
+    return _run(store, task, {"study": study, "kind": task, **store.owner}, {})
 
 
 def child_run(
@@ -149,33 +134,23 @@ def child_run(
 
 def child_runs(store: Store, parent: str) -> dict[tuple[str, str], tuple[str, dict[str, str]]]:
     """Id and tags of all jobs' runs under `parent`, by their tags `variant` and `config_hash`."""
-    runs: list[Run] = []
-    token: str | None = ""
-    while token is not None:
-        page = store.client.search_runs(
-            [store.experiment_id], f"tags.`{_PARENT_TAG}` = '{parent}'", page_token=token or None
-        )
-        runs, token = [*runs, *page], page.token or None
+    query = f"tags.`{_PARENT_TAG}` = '{parent}'"
+    runs = store.client.search_runs([store.experiment_id], query, max_results=_MOST_RUNS)
     by = {(r.data.tags.get("variant", ""), r.data.tags.get("config_hash", "")): r for r in runs}
     return {key: (str(run.info.run_id), dict(run.data.tags)) for key, run in by.items()}
 
 
 def _run(
-    store: Store,
-    name: str,
-    known_by: Mapping[str, str],
-    tags: Mapping[str, str] | None = None,
-    start_ms: int | None = None,
+    store: Store, name: str, known_by: Mapping[str, str], tags: Mapping[str, str], start_ms: int | None = None
 ) -> str:
     """Id of the run that has the tags `known_by`, or of a new one with all tags."""
     query = " and ".join(f"tags.`{tag}` = '{value}'" for tag, value in known_by.items())
     with FileLock(store.lock, timeout=_LOCK_S):
         client = store.client
-        found = client.search_runs([store.experiment_id], query, run_view_type=ViewType.ACTIVE_ONLY, max_results=1)
+        found = client.search_runs([store.experiment_id], query, max_results=1)
         if found:
             return str(found[0].info.run_id)
-        all_tags = {**(tags or {}), **known_by}
-        made = client.create_run(store.experiment_id, start_ms, all_tags, run_name=name)
+        made = client.create_run(store.experiment_id, start_ms, {**tags, **known_by}, run_name=name)
         return str(made.info.run_id)
 
 
@@ -188,3 +163,67 @@ def comparison_page(store: Store, run_ids: Sequence[str]) -> str:
     """Link, relative to MLflow's address, to its comparison of runs: parallel coordinates, parameters, metrics."""
     runs, experiments = (quote(json.dumps(list(ids))) for ids in (run_ids, [store.experiment_id]))
     return f"#/compare-runs?runs={runs}&experiments={experiments}"
+
+
+def default_uri(runs: Path) -> str:
+    """URI of the SQLite file in the folder of all runs."""
+    return f"sqlite:///{runs / 'mlflow.db'}"
+
+
+def make_default_database(runs: Path) -> None:
+    """Make the SQLite file of the default store where there is none; one process at a time may call this.
+
+    Raises
+    ------
+    OSError
+        When another program holds the file locked for 20 s.
+    """
+    path = runs / "mlflow.db"
+    if path.exists() and not _is_whole(path):
+        set_aside(runs, "it is damaged")
+    if not path.exists():
+        _make(path)
+
+
+def set_aside(runs: Path, why: str) -> None:
+    """Give the file of the default store another name; its contents are kept, and a new one is filled from disk."""
+    path = runs / "mlflow.db"
+    aside = path.with_name(f"mlflow-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.db")
+    for suffix in ("", *_OF_TRANSACTIONS):
+        if (file := Path(f"{path}{suffix}")).exists():
+            file.rename(f"{aside}{suffix}")
+    _LOG.warning("%s: %s; it is now %s, and a new one is filled by task=compare of each study", path, why, aside)
+
+
+def make_database(uri: str) -> None:
+    """Make the SQLite file that `tracking.uri` names where there is none; other stores are left alone.
+
+    Another folder of runs may make the same file, so a lock is taken beside it.
+    """
+    path = Path(uri.removeprefix("sqlite:///"))
+    if not uri.startswith("sqlite:///") or "?" in uri or path.exists():
+        return
+    with FileLock(f"{path}.lock", timeout=_LOCK_S):
+        if not path.exists():
+            _make(path)
+
+
+def _make(path: Path) -> None:
+    """Make the file under another name, so that a kill or a full disk leaves none that cannot be opened."""
+    remove_partial(path)
+    for suffix in _OF_TRANSACTIONS:  # of a file that was removed; SQLite would apply them to the new one
+        Path(f"{path}{suffix}").unlink(missing_ok=True)
+    with written_whole(path) as partial:
+        MlflowClient(f"sqlite:///{partial}").search_experiments()
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether SQLite can read the file, and MLflow has laid it out to the end: the table of its version is the last."""
+    with closing(sqlite3.connect(path, timeout=20)) as connection:
+        try:
+            tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        except sqlite3.DatabaseError as error:
+            if error.sqlite_errorcode in _DAMAGED:
+                return False
+            raise OSError(f"{path}: {error}") from error
+    return {"alembic_version", "experiments", "runs"} <= tables

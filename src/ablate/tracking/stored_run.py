@@ -3,7 +3,7 @@
 import json
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelOutput, Metric, Param, RunTag
 from PIL import Image
 
-from ablate.tracking.local_log import Point, Status, logged_images, points, read_log
+from ablate.tracking.local_log import Status, logged_images, points, read_log
 from ablate.tracking.store import Store
 
 STATE = "copied"  # a tag: the digest of what was on disk when all of it had been copied
@@ -31,7 +31,11 @@ class StoredRun:
     def copy_log(self, folder: Path) -> None:
         """Copy what is new in the log of a run's folder: curves and images, each step once."""
         lines, end = read_log(folder, self._read)
-        self.curves(points(lines))
+        new = [point for point in points(lines) if (point.key, point.step) not in self._steps]
+        for k in range(0, len(new), _BATCH):
+            batch = new[k : k + _BATCH]
+            self._client.log_batch(self.run_id, metrics=[Metric(p.key, p.value, p.time_ms, p.step) for p in batch])
+            self._steps.update((point.key, point.step) for point in batch)
         for key, step, path in logged_images(folder):
             name = f"{key.replace('/', '~')}+step+{step}+"
             if name not in self._images:
@@ -39,14 +43,6 @@ class StoredRun:
                     self._client.log_image(self.run_id, np.asarray(image), key=key, step=step)
                 self._images.add(name)
         self._read = end
-
-    def curves(self, values: Sequence[Point]) -> None:
-        """Log the values whose key and step the run does not have."""
-        new = [point for point in values if (point.key, point.step) not in self._steps]
-        for k in range(0, len(new), _BATCH):
-            batch = new[k : k + _BATCH]
-            self._client.log_batch(self.run_id, metrics=[Metric(p.key, p.value, p.time_ms, p.step) for p in batch])
-            self._steps.update((point.key, point.step) for point in batch)
 
     def scores(self, values: Mapping[str, float], time_ms: int | None = None, model: str | None = None) -> None:
         """Log one value for each name at step 0; NaN and infinite values are left out.
@@ -62,9 +58,9 @@ class StoredRun:
         at = time_ms or int(time.time() * 1000)
         steps = {k: self._client.get_metric_history(self.run_id, k)[-1].step + 1 for k in new.keys() & known.keys()}
         of = (model, used[0].dataset.name, used[0].dataset.digest) if used else (model,)
-        for k in range(0, len(new), _BATCH):
-            batch = list(new.items())[k : k + _BATCH]
-            self._client.log_batch(self.run_id, metrics=[Metric(k, v, at, steps.get(k, 0), *of) for k, v in batch])
+        if new:
+            logged = [Metric(k, v, at, steps.get(k, 0), *of) for k, v in new.items()]
+            self._client.log_batch(self.run_id, metrics=logged)
 
     def model(self, name: str) -> str:
         """Id of the model that the run has made, for MLflow's page of models; it is created when there is none."""
@@ -116,8 +112,7 @@ class StoredRun:
 
     def tag(self, name: str) -> str | None:
         """The value of a tag, None where the run has none."""
-        value = self._client.get_run(self.run_id).data.tags.get(name)
-        return None if value is None else str(value)
+        return self._client.get_run(self.run_id).data.tags.get(name)
 
     def mark(self, status: Status, time_ms: int | None = None) -> None:
         """Open the run again, or close it; a run that is marked so already stays as it is."""

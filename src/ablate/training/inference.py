@@ -1,15 +1,14 @@
-"""Full frames from a generator, and their time: by torch as it is, by its compiler, or by OpenVINO from a file."""
+"""Full frames from a generator: the device, the arithmetic, and torch as it is, compiled, or OpenVINO from a file."""
 
 import math
 import os
 import shutil
-import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from copy import deepcopy
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
-from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -20,7 +19,6 @@ from torch import Tensor
 from ablate.dataset import decode_grey_levels
 from ablate.networks import Generator, conditions, export_onnx
 from ablate.threads import in_parts, without_teams
-from ablate.training.hardware import autocast, chosen_precision
 from ablate.training.settings import TrainingPrecision
 
 # Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
@@ -33,6 +31,42 @@ _COMPILER: dict[str, dict[str, Any]] = {
 # Frames of at most so many pixels are rendered side by side. Larger ones would take too much memory, and a team of
 # threads has enough to do with each of them.
 _SMALL_FRAME_PX = 1 << 18
+
+
+def chosen_device(device: str) -> torch.device:
+    """Turn `auto`, `cpu` or `cuda` into a device; RuntimeError where `cuda` is asked for and there is none.
+
+    Examples
+    --------
+    >>> chosen_device("cpu")
+    device(type='cpu')
+    """
+    if device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise RuntimeError("device=cuda: this machine has no usable GPU, allowed are cpu and auto")
+    return torch.device(device)
+
+
+def chosen_precision(precision: TrainingPrecision, device: torch.device) -> TrainingPrecision:
+    """Turn `auto` into bf16 where the device multiplies it in hardware, else into fp32.
+
+    On a CPU that means AVX-512 BF16 or AMX: one without them converts every operand and is slower than in fp32.
+    """
+    if precision is not TrainingPrecision.auto:
+        return precision
+    if device.type == "cuda":
+        fast = torch.cuda.is_bf16_supported(including_emulation=False)
+    else:
+        probes = ("_is_avx512_bf16_supported", "_is_amx_tile_supported")
+        fast = any(getattr(torch.cpu, probe, lambda: False)() for probe in probes)
+    return TrainingPrecision.bf16 if fast else TrainingPrecision.fp32
+
+
+def autocast(precision: TrainingPrecision, device: torch.device) -> AbstractContextManager[object]:
+    """Compute convolutions in `precision` within this context."""
+    enabled = chosen_precision(precision, device) is TrainingPrecision.bf16
+    return torch.autocast(device.type, torch.bfloat16, enabled=enabled)
 
 
 class Engine(StrEnum):
@@ -180,45 +214,3 @@ def generate(
         with without_teams():
             return np.stack(in_parts(render, count, 1))
     return np.stack([render(index, index + 1) for index in range(count)])
-
-
-def median_ms_per_frame(
-    generator: Generator,
-    maps: Mapping[str, Tensor],
-    precision: TrainingPrecision = TrainingPrecision.auto,
-    repeats: int = 10,
-    warmup: int = 3,
-    engine: Engine = Engine.eager,
-) -> float:
-    """Time the generator on the first frame of maps (N, 1, H, W), its noise included, transfers not, in milliseconds.
-
-    Parameters
-    ----------
-    repeats, warmup : int
-        Frames timed, after so many that are not; compiling falls into these, so let there be one.
-
-    Raises
-    ------
-    RuntimeError
-        Where the machine lacks what the engine needs, as `missing_for` says beforehand.
-    """
-    device = next(generator.parameters()).device
-    frame = {name: maps[name][:1].to(device) for name in conditions(generator.spec)}
-    height, width = frame["segmentation"].shape[-2:]
-    render = open_engine(generator, height, width, precision, engine)
-    return median_ms(render, frame, repeats, warmup)
-
-
-def median_ms(render: OpenEngine, frame: Mapping[str, Tensor], repeats: int, warmup: int) -> float:
-    """Time what renders `frame`, maps of (1, 1, H, W) on their device, other noise each time, in milliseconds."""
-    device = next(iter(frame.values())).device
-    wait = torch.get_device_module(device).synchronize
-    times = []
-    for index in range(warmup + repeats):
-        seed = torch.tensor([index], device=device)
-        wait(device)
-        start = time.perf_counter()
-        render(frame, seed)
-        wait(device)
-        times.append(1e3 * (time.perf_counter() - start))
-    return median(times[warmup:])

@@ -1,31 +1,39 @@
 """Train one network to its last step, from the start or from its last checkpoint."""
 
+import ctypes
 import logging
 import signal
+import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
-from lightning.pytorch import Callback, Trainer
+from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.callbacks import LambdaCallback
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from torch import Tensor
 
 from ablate.networks import Generator, GeneratorSpec
-from ablate.training.checkpoints import LAST, LastCheckpoint, resume
-from ablate.training.hardware import chosen_device, chosen_precision, keep_freed_memory
+from ablate.setting import plain
+from ablate.storage import remove_partial, written_whole
+from ablate.training.inference import chosen_device, chosen_precision
 from ablate.training.interruption import Interruption
-from ablate.training.losses import DivergenceGuard
 from ablate.training.module import PairGAN
-from ablate.training.reporting import MetricSink, Report, Validate, Validation
-from ablate.training.settings import TrainingPrecision, TrainingSettings
+from ablate.training.reporting import DivergenceError, DivergenceGuard, MetricSink, Report, Validate, Validation
+from ablate.training.settings import TRAINING_VERSION, Schedule, TrainingPrecision, TrainingSettings
 
 # Called with the first step and the one after the last; gives one batch a step, a function of the step alone.
 Loader = Callable[[int, int], Iterable[dict[str, Tensor]]]
+LAST = "last.ckpt"
+# Settings that may differ between a run and its continuation: they say how long is trained, and where. Another device
+# or number of threads adds numbers in another order, so weights differ by rounding.
+_FREE = frozenset({"steps", "device", "threads", "checkpoint_every", "validate_every", "log_every"})
+# Parameters of mallopt(3) in glibc, and the largest values that it takes.
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+_LARGEST_TRIM, _LARGEST_MMAP = 2**31 - 1, 32 * 2**20
 _TRAINER_PRECISION = {TrainingPrecision.fp32: "32-true", TrainingPrecision.bf16: "bf16-mixed"}
 
 
@@ -118,7 +126,11 @@ def train(
 def _fit(
     module: PairGAN, batches: Iterable[Any], callbacks: list[Callback], device: torch.device, folder: Path
 ) -> None:
-    with _quiet_lightning():
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # it tells of hardware, and of itself
+    with warnings.catch_warnings():
+        # SLURM matters to the caller; LeafSpec is a name that torch has deprecated and Lightning itself calls.
+        for message in ("does not have many workers", "`srun` command is available", "LeafSpec"):
+            warnings.filterwarnings("ignore", message=f".*{message}")
         trainer = Trainer(
             accelerator="gpu" if device.type == "cuda" else "cpu",
             devices=1,
@@ -137,17 +149,94 @@ def _fit(
         trainer.fit(module, batches)
 
 
-@contextmanager
-def _quiet_lightning() -> Iterator[None]:
-    """Silence Lightning's notes on hardware, loaders, SLURM (the caller's matters) and on itself."""
-    log = logging.getLogger("lightning.pytorch")
-    level = log.level
-    log.setLevel(logging.WARNING)
+def keep_freed_memory() -> None:
+    """Take large blocks from the heap and never give its end back, for the rest of the process.
+
+    A step frees and asks again for the same hundreds of megabytes. By default glibc returns them to the system and
+    gets them back page by page, each one zeroed: a tenth of a step's time. Does nothing where the C library is
+    another.
+    """
+    if sys.platform != "linux":
+        return
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_MMAP_THRESHOLD, _LARGEST_MMAP)
+        mallopt(_TRIM_THRESHOLD, _LARGEST_TRIM)
+
+
+class LastCheckpoint(Callback):
+    """Write `last.ckpt` every `every` steps, after the last one and when the process is asked to stop, and then stop.
+
+    Weights that are not finite are never written: the last good checkpoint stays.
+    """
+
+    def __init__(self, folder: Path, every: int, interruption: Interruption) -> None:
+        self.path, self.every, self.interruption = folder / LAST, every, interruption
+
+    def on_train_batch_end(self, trainer: Trainer, module: LightningModule, *_: Any) -> None:
+        """Write if it is time."""
+        assert isinstance(module, PairGAN)
+        step = module.steps_done
+        is_due = self.every > 0 and step % self.every == 0
+        trainer.should_stop = trainer.should_stop or self.interruption.is_asked_for
+        if is_due or step == module.settings.steps or trainer.should_stop:
+            norms = torch._foreach_norm([parameter.detach() for parameter in module.parameters()])
+            if not torch.stack([norm.float() for norm in norms]).isfinite().all():
+                raise DivergenceError(f"step {step}: weights are not finite, {self.path} holds the last good ones")
+            remove_partial(self.path)  # one process trains a run
+            with written_whole(self.path) as partial:
+                torch.save(module.checkpoint(), partial)
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint with `weights_only=True`.
+
+    Raises
+    ------
+    ValueError
+        Where the file is not a checkpoint of this project.
+    """
     try:
-        with warnings.catch_warnings():
-            # LeafSpec: Lightning itself calls a name that torch has deprecated.
-            for message in ("does not have many workers", "`srun` command is available", "LeafSpec"):
-                warnings.filterwarnings("ignore", message=f".*{message}")
-            yield
-    finally:
-        log.setLevel(level)
+        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise
+    except Exception as error:
+        raise ValueError(f"{path}: not a readable checkpoint, remove it to start again ({error})") from error
+    if not isinstance(checkpoint, dict) or "steps_done" not in checkpoint:
+        raise ValueError(f"{path}: not a checkpoint of this project (no steps_done)")
+    return checkpoint
+
+
+def resume(module: PairGAN, path: Path) -> None:
+    """Continue from `path`; ValueError, which names what differs, if it holds another network or another training."""
+    checkpoint = read_checkpoint(path)
+    if (version := checkpoint.get("training_version")) != TRAINING_VERSION:
+        trained = f"trained by version {version} of the training, this program has version {TRAINING_VERSION}"
+        raise ValueError(f"{path}: {trained}; remove it to start again")
+    # A falling learning rate depends on the number of steps.
+    free = _FREE if module.settings.schedule is Schedule.constant else _FREE - {"steps"}
+    for part, wanted in (("spec", plain(module.spec)), ("settings", plain(module.settings))):
+        found = checkpoint["hyper_parameters"][part]
+        differing = [key for key in wanted if key not in free and found.get(key) != wanted[key]]
+        if differing:
+            changes = ", ".join(f"{key}={found.get(key)} there, {wanted[key]} asked for" for key in differing)
+            raise ValueError(f"{path}: of another run ({changes})")
+    module.restore(checkpoint)
+
+
+def load_generator(path: Path) -> Generator:
+    """Load the generator to evaluate (the running average, where one was kept) from a checkpoint, on the CPU.
+
+    Raises
+    ------
+    ValueError
+        Where the file is not a checkpoint of this project, or its weights are not those of the network it names.
+    """
+    checkpoint = read_checkpoint(path)
+    try:
+        module = PairGAN(**checkpoint["hyper_parameters"])
+        module.load_state_dict(checkpoint["state_dict"])
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{path}: its weights are not of the network that it names ({reason:.200})") from error
+    return module.evaluated.eval()

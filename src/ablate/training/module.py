@@ -19,15 +19,11 @@ from ablate.networks import (
     discriminator_channels,
     draws_noise,
 )
-from ablate.training.losses import crps_of_two_draws, mean_in_fan, second_seeds
-from ablate.training.settings import (
-    TRAINING_VERSION,
-    AdversarialLoss,
-    Reconstruction,
-    TrainingSettings,
-    as_builtins,
-)
+from ablate.setting import plain
+from ablate.training.settings import TRAINING_VERSION, AdversarialLoss, Reconstruction, TrainingSettings
 
+# The seeds of a batch lie below 2^62 (`Crops`), so with this bit no second draw repeats a first one.
+_SECOND_DRAW = 1 << 62
 # The running average follows faster at first: min(decay, (1 + t) / (10 + t)) at step t.
 _EMA_LAG = 10
 
@@ -49,7 +45,7 @@ class PairGAN(LightningModule):
         super().__init__()
         self.spec = spec if isinstance(spec, GeneratorSpec) else GeneratorSpec(**spec)
         self.settings = settings if isinstance(settings, TrainingSettings) else TrainingSettings(**settings)
-        self.save_hyperparameters({"spec": as_builtins(self.spec), "settings": as_builtins(self.settings)})
+        self.save_hyperparameters({"spec": plain(self.spec), "settings": plain(self.settings)})
         self.automatic_optimization = False
         width = self.settings.discriminator_width
         with torch.random.fork_rng():
@@ -63,8 +59,7 @@ class PairGAN(LightningModule):
         has_average = self.settings.ema_decay > 0
         self.average = deepcopy(self.generator).requires_grad_(False) if has_average else None
         self.steps_done = 0
-        self._sums: Tensor | None = None
-        self._summed: tuple[str, ...] = ()
+        self._sums: dict[str, Tensor] = {}
         self._steps_summed = 0
         self._optimizer_states: list[dict[str, Any]] | None = None
 
@@ -95,36 +90,41 @@ class PairGAN(LightningModule):
         batch : dict of (N, 1, h, w) float
             The maps of `conditions(spec)`, `target` in [-1, 1] and `mask`; and `noise_seed`, (N,) int64.
         """
-        optimizer_g, *others = self._optimizers_at_this_step()
+        optimizer_g, *others = optimizers = self._listed_optimizers()
+        for group in (group for optimizer in optimizers for group in optimizer.param_groups):
+            group["lr"] = self.settings.learning_rate_at(self.steps_done)
         maps = {name: batch[name] for name in conditions(self.spec)}
         mask, image = batch["mask"].float(), batch["target"]
         rendered = self.generator(**maps, noise_seed=batch["noise_seed"])
         fake = _in_fan(rendered, mask)
         losses: dict[str, Tensor] = {}
-        if self.discriminator is not None:
+        if (judge := self.discriminator) is not None:
             stacked = torch.cat([maps[name].to(rendered.dtype) for name in maps], dim=1)
-            losses |= self._train_discriminator(self.discriminator, others[0], stacked, image, fake.detach())
-            self.discriminator.requires_grad_(False)
-            losses["train/loss_g"] = self._adversarial(self.discriminator(stacked, fake).float())
+            real, forged = judge(stacked, image).float(), judge(stacked, fake.detach()).float()
+            losses["train/loss_d"] = F.softplus(-real).mean() + F.softplus(forged).mean()
+            losses |= {"train/logit_real": real.mean(), "train/logit_fake": forged.mean()}
+            others[0].zero_grad()
+            self.manual_backward(losses["train/loss_d"])
+            others[0].step()
+            judge.requires_grad_(False)
+            losses["train/loss_g"] = self._adversarial(judge(stacked, fake).float())
 
         losses["train/l1"] = error = mean_in_fan((fake - image).abs(), mask)
         if self.settings.reconstruction is Reconstruction.crps and draws_noise(self.spec):
             second = _in_fan(self.generator(**maps, noise_seed=second_seeds(batch["noise_seed"])), mask)
             losses["train/crps"] = error = mean_in_fan(crps_of_two_draws(fake, second, image), mask)
-        optimizer_g.zero_grad(set_to_none=True)
+        optimizer_g.zero_grad()
         self.manual_backward(losses.get("train/loss_g", 0) + self.settings.l1_weight * error)
         optimizer_g.step()
-        if self.discriminator is not None:
-            self.discriminator.requires_grad_(True)
+        if judge is not None:
+            judge.requires_grad_(True)
 
         if self.average is not None:
             decay = min(self.settings.ema_decay, (1 + self.steps_done) / (_EMA_LAG + self.steps_done))
             with torch.no_grad():
                 torch._foreach_lerp_(list(self.average.parameters()), list(self.generator.parameters()), 1 - decay)
         self.steps_done += 1
-        values = torch.stack(list(losses.values())).detach()
-        self._sums = values if self._sums is None else self._sums + values
-        self._summed = tuple(losses)
+        self._sums = {name: self._sums.get(name, 0) + value.detach() for name, value in losses.items()}
         self._steps_summed += 1
 
     def drain(self) -> dict[str, float]:
@@ -133,16 +133,9 @@ class PairGAN(LightningModule):
         `train/l1` and, of two draws, `train/crps`; with a discriminator also `train/loss_d`, `train/loss_g`,
         `train/logit_real` and `train/logit_fake`.
         """
-        if self._sums is None:
-            return {}
-        means = (self._sums / self._steps_summed).tolist()
-        self._sums, self._steps_summed = None, 0
-        return dict(zip(self._summed, means, strict=True))
-
-    def is_finite(self) -> bool:
-        """Whether all weights are finite; this waits for the device."""
-        norms = torch._foreach_norm([parameter.detach() for parameter in self.parameters()])
-        return bool(torch.stack([norm.float() for norm in norms]).isfinite().all())
+        means = {name: float(total / self._steps_summed) for name, total in self._sums.items()}
+        self._sums, self._steps_summed = {}, 0
+        return means
 
     def checkpoint(self) -> dict[str, Any]:
         """What a training is continued from: weights, optimisers, steps done, and what and which code made them."""
@@ -165,35 +158,6 @@ class PairGAN(LightningModule):
         optimizers = self.optimizers()
         return optimizers if isinstance(optimizers, Sequence) else [optimizers]
 
-    def _optimizers_at_this_step(self) -> Sequence[Optimizer | LightningOptimizer]:
-        """Set the learning rate of the step; the generator's optimiser is first."""
-        optimizers = self._listed_optimizers()
-        for optimizer in optimizers:
-            for group in optimizer.param_groups:
-                group["lr"] = self.settings.learning_rate_at(self.steps_done)
-        return optimizers
-
-    def _train_discriminator(
-        self,
-        discriminator: PatchDiscriminator,
-        optimizer: Optimizer | LightningOptimizer,
-        maps: Tensor,
-        image: Tensor,
-        fake: Tensor,
-    ) -> dict[str, Tensor]:
-        """Take a step of the discriminator on real and generated images; returns its losses."""
-        logits_real = discriminator(maps, image).float()
-        logits_fake = discriminator(maps, fake).float()
-        loss = F.softplus(-logits_real).mean() + F.softplus(logits_fake).mean()
-        optimizer.zero_grad(set_to_none=True)
-        self.manual_backward(loss)
-        optimizer.step()
-        return {
-            "train/loss_d": loss,
-            "train/logit_real": logits_real.mean(),
-            "train/logit_fake": logits_fake.mean(),
-        }
-
     def _adversarial(self, logits_fake: Tensor) -> Tensor:
         """Compute the generator's adversarial loss: -log D, or log(1 - D), with D = sigmoid(logits)."""
         is_minimax = self.settings.loss is AdversarialLoss.minimax
@@ -211,3 +175,47 @@ def _lay_out_like_weights(optimizer: Adam) -> None:
         for name, value in state.items():
             if value.shape == parameter.shape and value.stride() != parameter.stride():
                 state[name] = torch.empty_like(parameter).copy_(value)
+
+
+def mean_in_fan(values: Tensor, mask: Tensor) -> Tensor:
+    """Average over the fan of a whole batch: every pixel of a fan weighs the same, however much of a crop it fills.
+
+    Parameters
+    ----------
+    values : (N, 1, H, W) float
+        For example errors; what lies outside the fan does not count.
+    mask : (N, 1, H, W) float
+        1 in the fan, else 0.
+
+    Returns
+    -------
+    () float
+        0 where no pixel of the batch lies in the fan.
+
+    Examples
+    --------
+    >>> mean_in_fan(torch.tensor([1.0, 2.0, 9.0]), torch.tensor([1.0, 1.0, 0.0]))
+    tensor(1.5000)
+    """
+    return (values * mask).sum() / mask.sum().clamp(min=1)
+
+
+def crps_of_two_draws(first: Tensor, second: Tensor, target: Tensor) -> Tensor:
+    """Estimate the continuous ranked probability score of each pixel from two draws, in the unit of the images.
+
+    (|x1 - y| + |x2 - y|) / 2 - |x1 - x2| / 2 is the fair (unbiased) estimate for an ensemble of two. Its expectation is
+    smallest where the draws have the distribution of the target, so draws gain by their spread. For draws that are
+    alike it is the absolute error.
+
+    Notes
+    -----
+    Gneiting and Raftery, "Strictly proper scoring rules, prediction, and estimation", JASA 2007, equation 21; Ferro,
+    "Fair scores for ensemble forecasts", QJRMS 2014. Bendel, Ahmad and Schniter, "A regularized conditional GAN for
+    posterior sampling in image recovery problems", NeurIPS 2023, train a conditional GAN with two draws.
+    """
+    return ((first - target).abs() + (second - target).abs() - (first - second).abs()) / 2
+
+
+def second_seeds(noise_seed: Tensor) -> Tensor:
+    """Derive the seeds of the second draw from those of the first, (N,) int64 both."""
+    return torch.bitwise_xor(noise_seed, _SECOND_DRAW)

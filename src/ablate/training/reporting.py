@@ -1,6 +1,7 @@
-"""Reports of a training: metrics, a progress bar or lines of text, validation."""
+"""Reports of a training: metrics, a progress bar or lines of text, validation, and that it has failed."""
 
 import logging
+import math
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -11,7 +12,6 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from tqdm import tqdm
 
 from ablate.networks import Generator
-from ablate.training.losses import DivergenceGuard
 from ablate.training.module import PairGAN
 
 # Takes metrics and the number of images seen; a Lightning logger's `log_metrics` is one.
@@ -23,14 +23,64 @@ _LOG = logging.getLogger(__name__)
 _LINES = 10
 # What a line shows of the metrics that there are.
 _SHOWN = {
-    "l1": "L1 {:.3f}",
-    "crps": "CRPS {:.3f}",
-    "loss_g": "G {:.2f}",
-    "loss_d": "D {:.2f}",
-    "noise_weight": "noise weight {:.3f}",
+    "train/images_per_second": "{:.1f} images/s",
+    "train/l1": "L1 {:.3f}",
+    "train/crps": "CRPS {:.3f}",
+    "train/loss_g": "G {:.2f}",
+    "train/loss_d": "D {:.2f}",
+    "train/noise_weight": "noise weight {:.3f}",
 }
 # Mean weight under which injected noise no longer shows in an image.
 DYING_NOISE = 0.02
+# A discriminator that cannot tell real from fake has logits of 0 and the loss 2 ln 2. One that always can has the
+# loss 0; in minimax form its gradient then vanishes too.
+_GUESSING = 2 * math.log(2)
+_LOSS_TOLERANCE, _LOGIT_TOLERANCE = 1e-6, 1e-2
+_PATIENCE = 1000
+
+
+class DivergenceError(RuntimeError):
+    """Training has failed; the message says how and when."""
+
+
+class DivergenceGuard:
+    """Look at the mean losses of intervals short enough to notice within an epoch that training has failed.
+
+    `interval` is the number of steps between two checks: `log_every`, but at most half an epoch. Training is given up
+    after `patience` checks in a row that find the discriminator dead. These are about 1000 steps, but at most an epoch
+    from the step at which it died.
+    """
+
+    def __init__(self, log_every: int, epoch: int | None = None) -> None:
+        self.interval = log_every if epoch is None else max(1, min(log_every, epoch // 2))
+        within = _PATIENCE if epoch is None else min(_PATIENCE, epoch - self.interval)
+        self.patience = max(1, within // self.interval)
+        self._dead = 0
+
+    def check(self, metrics: Mapping[str, float], step: int) -> None:
+        """Raise DivergenceError if training has failed, judged by the means of `PairGAN.drain` over the interval.
+
+        It has failed where a loss is not finite, or where the discriminator has guessed or known everything, to within
+        1e-6 of its loss, for `patience` intervals. Without a discriminator, losses are only checked to be finite.
+        """
+        for name, value in metrics.items():
+            if not math.isfinite(value):
+                raise _failure(step, f"{name} is {value}")
+        if "train/loss_d" not in metrics:
+            return
+        loss = metrics["train/loss_d"]
+        has_won = loss < _LOSS_TOLERANCE
+        logits = max(abs(metrics["train/logit_real"]), abs(metrics["train/logit_fake"]))
+        is_guessing = abs(loss - _GUESSING) < _LOSS_TOLERANCE and logits < _LOGIT_TOLERANCE
+        self._dead = self._dead + 1 if has_won or is_guessing else 0
+        if self._dead >= self.patience:
+            what = "has won, its loss is 0" if has_won else "is guessing, its loss is 2 ln 2"
+            raise _failure(step, f"the discriminator {what} for {self._dead * self.interval} steps")
+
+
+def _failure(step: int, what: str) -> DivergenceError:
+    advice = "the last good checkpoint is kept; a lower training.learning_rate or another seed may help"
+    return DivergenceError(f"training has failed at step {step}: {what}; {advice}")
 
 
 class Report(Callback):
@@ -43,7 +93,6 @@ class Report(Callback):
     def __init__(self, sink: MetricSink | None, guard: DivergenceGuard) -> None:
         self.sink, self.guard = sink, guard
         self._bar: tqdm[Any] | None = None
-        self._since, self._steps_timed = 0.0, 0
 
     def on_train_start(self, _trainer: Trainer, module: LightningModule) -> None:
         """Open the bar, start the clock."""
@@ -87,10 +136,8 @@ class Report(Callback):
             self._bar = None
 
     def _show(self, metrics: Mapping[str, float], step: int, steps: int, interval: int) -> None:
-        text = f"{metrics['train/images_per_second']:.1f} images/s"
-        for name, shown in _SHOWN.items():
-            if (value := metrics.get(f"train/{name}")) is not None:
-                text += f", {shown.format(value)}"
+        there = {shown: metrics[name] for name, shown in _SHOWN.items() if name in metrics}
+        text = ", ".join(shown.format(value) for shown, value in there.items())
         if self._bar is not None:
             self._bar.set_postfix_str(text)
         elif step == steps or step * _LINES // steps > (step - interval) * _LINES // steps:
@@ -103,21 +150,18 @@ class Validate(Callback):
     def __init__(self, validation: Validation, every: int, sink: MetricSink | None) -> None:
         self.validation, self.every, self.sink = validation, every, sink
 
-    def on_train_start(self, _trainer: Trainer, module: LightningModule) -> None:
+    def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
         """Validate the untrained network, where curves begin."""
         assert isinstance(module, PairGAN)
         if module.steps_done == 0:
-            self._validate(module)
+            self.on_train_batch_end(trainer, module)
 
     def on_train_batch_end(self, _trainer: Trainer, module: LightningModule, *_: Any) -> None:
         """Validate if it is time."""
         assert isinstance(module, PairGAN)
         if module.steps_done % self.every == 0:
-            self._validate(module)
-
-    def _validate(self, module: PairGAN) -> None:
-        images_seen = module.steps_done * module.settings.batch_size
-        with torch.no_grad():
-            metrics = dict(self.validation(module.evaluated, images_seen))
-        if self.sink is not None:
-            self.sink(metrics, images_seen)
+            images_seen = module.steps_done * module.settings.batch_size
+            with torch.no_grad():
+                metrics = dict(self.validation(module.evaluated, images_seen))
+            if self.sink is not None:
+                self.sink(metrics, images_seen)

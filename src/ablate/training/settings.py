@@ -1,8 +1,7 @@
 """How a network is trained, as values; the defaults are the paper's."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 from ablate.setting import check_settings, setting
 
@@ -111,8 +110,3 @@ class TrainingSettings:
         if self.schedule is Schedule.constant:
             return self.learning_rate
         return self.learning_rate * min(1.0, 2 * (self.steps - step) / self.steps)
-
-
-def as_builtins(value: Any) -> dict[str, Any]:
-    """Turn a settings dataclass into builtin strings and numbers, which load without running code."""
-    return {name: str(field) if isinstance(field, StrEnum) else field for name, field in asdict(value).items()}

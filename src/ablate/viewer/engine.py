@@ -4,9 +4,8 @@ import time
 import warnings
 from collections.abc import Callable, Hashable
 from dataclasses import replace
-from functools import lru_cache
-from pathlib import Path
-from typing import TypeVar
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +13,7 @@ from ablate.anatomy import Scene
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_polar
 from ablate.viewer.generators import open_generator
-from ablate.viewer.state import Moving, Quality, State, Views
-
-T = TypeVar("T")
+from ablate.viewer.session import Moving, Quality, State, Views
 
 _COARSE_RAYS = 4
 _KEPT_SIMULATORS = 6  # full, coarse and low quality, of this probe and the one before
@@ -39,84 +36,60 @@ class Engine:
         self._first: Simulator | None = None
         self._simulator = lru_cache(_KEPT_SIMULATORS)(self._new_simulator)
         self._generator = lru_cache(_KEPT_GENERATORS)(lambda folder: open_generator(folder, scene.tissues))
-        self._took: dict[str, tuple[Hashable, float]] = {}
-        self._images: dict[Path, tuple[Hashable, np.ndarray, float]] = {}
+        self._made: dict[str, tuple[Hashable, Any, float]] = {}
 
     def render(self, state: State, quality: Quality) -> Views:
         """Render all views of a state.
 
         At full quality the target is that of `Simulator.render`, bit for bit. The notes say why a generator could not
-        render.
+        render. A state at rest keeps the maps and the generated images that it had moving.
 
         Raises
         ------
         ValueError
             When the pose is not rigid, or a value is outside its range.
         """
-        ms: dict[str, float] = {}
-        notes: dict[str, str] = {}
-        full = self._simulator(state.probe, state.simulator)
-        place = (state.pose.tobytes(), state.probe, state.simulator)
-        segmentation, attenuation = self._timed(ms, "maps", place, lambda: full.maps(state.pose))
-        images = []
+        probe, settings, ms, notes = state.probe, state.simulator, dict[str, float](), dict[str, str]()
+        place = (state.pose.tobytes(), probe, settings)
+        mask, depth = _fan(probe, settings.image_shape)
+        full, low = self._simulator(probe, settings), replace(settings, rays=1, layers=1)
+        (segmentation, attenuation), ms["maps"] = self._once("maps", place, lambda: full.maps(state.pose))
+        images: list[np.ndarray | None] = []
         for number, folder in enumerate(state.runs):
             name = f"generated {number}"
             try:
-                image, ms[name], notes[name] = self._generated(folder, state, segmentation, attenuation)
+                trained = self._generator(folder)
+                maps = {"segmentation": segmentation, "attenuation": attenuation}
+                if "low" in trained.reads:
+                    simulate = partial(_quietly, self._simulator(probe, low), replace(state, display=None))
+                    maps["low"] = self._once("low", (*place, state.seed), simulate)[0].image
+                render = partial(trained.render, maps, mask, probe, state.seed)
+                image, ms[name] = self._once(name, (folder, *place, state.seed), render)
+                images.append(image if state.display is None else state.display.shown(image, depth, settings))
+                notes[name] = trained.reservation(state)
             except (OSError, ValueError, KeyError) as error:
-                image, notes[name] = None, " ".join(str(error).split())
-            images.append(image)
+                images.append(None)
+                notes[name] = " ".join(str(error).split())
         target = None
         if quality is Quality.full or state.moving is Moving.both or not state.runs:
-            settings = state.simulator if quality is Quality.full else coarse(state.simulator)
-            used = self._simulator(state.probe, settings)
-            picture = (state.pose.tobytes(), state.probe, settings, state.seed, state.display)
-            target = self._timed(ms, "target", picture, lambda: _quietly(used, state)).image
-        return Views(
-            target=target,
-            segmentation=segmentation,
-            attenuation=attenuation,
-            mask=_fan(state.probe, state.simulator.image_shape)[0],
-            generated=tuple(images),
-            ms=ms,
-            notes={name: words for name, words in notes.items() if words},
-            quality=quality,
-        )
+            settings = settings if quality is Quality.full else coarse(settings)
+            key = (*place, settings, state.seed, state.display)
+            frame, ms["target"] = self._once("target", key, partial(_quietly, self._simulator(probe, settings), state))
+            target = frame.image
+        notes = {name: words for name, words in notes.items() if words}
+        return Views(state, target, segmentation, attenuation, mask, tuple(images), ms, notes, quality)
 
-    def _timed(self, ms: dict[str, float], name: str, key: Hashable, work: Callable[[], T]) -> T:
-        """Do some work and note its milliseconds; if the same was asked for again, those of the first time."""
-        begun = time.perf_counter()
-        result = work()
-        if name not in self._took or self._took[name][0] != key:
-            self._took[name] = key, 1e3 * (time.perf_counter() - begun)
-        ms[name] = self._took[name][1]
-        return result
+    def _once(self, name: str, key: Hashable, work: Callable[[], Any]) -> tuple[Any, float]:
+        """The result of some work and its milliseconds, those of the last time where that had the same key."""
+        if name not in self._made or self._made[name][0] != key:
+            begun = time.perf_counter()
+            self._made[name] = key, work(), 1e3 * (time.perf_counter() - begun)
+        return self._made[name][1:]
 
     def _new_simulator(self, probe: Probe, settings: SimulatorSettings) -> Simulator:
         simulator = Simulator(self.scene, probe, settings, beside=self._first)
         self._first = self._first or simulator
         return simulator
-
-    def _generated(
-        self, folder: Path, state: State, segmentation: np.ndarray, attenuation: np.ndarray
-    ) -> tuple[np.ndarray, float, str]:
-        """Image of a generator, its milliseconds and a reservation. A state at rest keeps the image it had moving."""
-        trained = self._generator(folder)
-        fan, depth = _fan(state.probe, state.simulator.image_shape)
-        key = (state.pose.tobytes(), state.probe, state.simulator, state.seed)
-        if folder not in self._images or self._images[folder][0] != key:
-            maps = {"segmentation": segmentation, "attenuation": attenuation}
-            if "low" in trained.reads:
-                low = replace(state.simulator, rays=1, layers=1)
-                maps["low"] = _quietly(self._simulator(state.probe, low), replace(state, display=None)).image
-            begun = time.perf_counter()
-            image = trained.render(maps, fan, state.probe, state.seed)
-            self._images = {run: kept for run, kept in self._images.items() if run in state.runs}
-            self._images[folder] = key, image, 1e3 * (time.perf_counter() - begun)
-        _, image, ms = self._images[folder]
-        if state.display is not None:
-            image = state.display.shown(image, depth, state.simulator)
-        return image, ms, trained.reservation(state)
 
 
 @lru_cache(maxsize=4)

@@ -1,26 +1,47 @@
-"""Generators that can be picked: those of finished runs, and those that come with the package."""
+"""Generators that can be picked, of finished runs and of the package, on the fastest engine that this machine has."""
 
+import logging
+import pickle
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
+from weakref import finalize
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from ablate import pretrained
 from ablate.anatomy import Tissue
-from ablate.dataset import label_values, network_inputs
-from ablate.networks import conditions
+from ablate.dataset import decode_grey_levels, label_values, network_inputs
+from ablate.dataset.processes import interrupts_blocked, work_for_parent
+from ablate.networks import Generator, conditions, export_onnx
 from ablate.pretrained import Renderer
-from ablate.runs.run import Run, State
+from ablate.runs.run import Run
+from ablate.runs.run import State as RunState
 from ablate.settings.study import StudySettings
-from ablate.training import load_generator
+from ablate.training import (
+    Engine,
+    OpenEngine,
+    TrainingPrecision,
+    generate,
+    load_generator,
+    missing_for,
+    open_exported,
+)
 from ablate.ultrasound import Probe, compensated_attenuation
 from ablate.ultrasound.probe import pixel_size_mm
-from ablate.viewer.exported import FastGenerator
-from ablate.viewer.state import State as ViewState
+from ablate.viewer.session import State
 
+_LOG = logging.getLogger(__name__)
 _SHIPPED = Path("pretrained")
+_FRAMES_BEFORE = 5  # of one size, before it is worth an export
+_KEPT = 3  # sizes: an open file takes some hundred MB of memory
 
 
 def pickable(folder: Path) -> dict[str, Path]:
@@ -29,7 +50,7 @@ def pickable(folder: Path) -> dict[str, Path]:
     A run is named by its study, variant and seed; the folder may be a run, a study or a folder of studies.
     """
     folders = sorted({path.resolve() for path in (folder, *folder.glob("*/seed*"), *folder.glob("*/*/seed*"))})
-    runs = [run for run in map(Run, folders) if run.state is State.finished and run.checkpoint.exists()]
+    runs = [run for run in map(Run, folders) if run.state is RunState.finished and run.checkpoint.exists()]
     named = {f"{run.folder.parents[1].name}: {run.name}": run.folder for run in runs}
     return named | {f"comes with ablate: {name}": _SHIPPED / name for name in pretrained.NAMES}
 
@@ -37,6 +58,64 @@ def pickable(folder: Path) -> dict[str, Path]:
 def is_shipped(picked: Path) -> bool:
     """Whether this is a generator that comes with the package."""
     return picked.parent == _SHIPPED
+
+
+class FastGenerator:
+    """Renders with torch, and with OpenVINO from the moment that the generator has been exported for a frame's size.
+
+    A process of its own exports, so that frames go on meanwhile. Without the extra `export` torch renders all frames.
+    One thread uses it at a time.
+    """
+
+    def __init__(self, generator: Generator) -> None:
+        self.generator = generator
+        self._exports = missing_for(Engine.exported, torch.device("cpu")) is None
+        self._rendered: Counter[tuple[int, int]] = Counter()
+        self._opened: dict[tuple[int, int], OpenEngine] = {}
+        self._running: dict[tuple[int, int], SpawnProcess] = {}  # the export of a size, one at a time
+        self._folder = Path(mkdtemp(prefix="ablate-view-"))
+        finalize(self, _end, self._running, self._folder)
+
+    def render(self, maps: Mapping[str, Tensor], mask: Tensor, seed: Tensor) -> np.ndarray:
+        """Render (H, W) uint8 from maps (1, 1, H, W), a mask (H, W) and the seed of the noise, (1,) int64."""
+        size = (mask.shape[0], mask.shape[1])
+        self._rendered[size] += 1
+        if self._exports and size not in self._opened and self._rendered[size] > _FRAMES_BEFORE:
+            self._advance_export(size)
+        if (opened := self._opened.get(size)) is None:
+            return generate(self.generator, maps, mask, seed, TrainingPrecision.fp32)[0]
+        return decode_grey_levels(opened(maps, seed)[0, 0], mask).numpy()
+
+    def _advance_export(self, size: tuple[int, int]) -> None:
+        """Start an export if none runs, and open the file of one that has ended."""
+        if not self._running:
+            content = pickle.dumps((export_onnx, (self.generator, self._path(size), *size)))
+            process = get_context("spawn").Process(target=work_for_parent, args=(content,), daemon=True)
+            with interrupts_blocked():
+                process.start()
+            self._running[size] = process
+            return
+        ((exported, process),) = self._running.items()
+        if process.is_alive():
+            return
+        self._running.clear()
+        if process.exitcode == 0:
+            while len(self._opened) >= _KEPT:
+                self._opened.pop(next(iter(self._opened)))
+            self._opened[exported] = open_exported(self.generator, self._path(exported), TrainingPrecision.fp32)
+        else:
+            self._exports = False
+            _LOG.warning("the generator could not be exported and is rendered by torch, which is slower")
+
+    def _path(self, size: tuple[int, int]) -> Path:
+        return Path(self._folder, f"{size[0]}x{size[1]}.onnx")
+
+
+def _end(running: Mapping[tuple[int, int], SpawnProcess], folder: Path) -> None:
+    for process in running.values():
+        process.kill()
+        process.join()
+    rmtree(folder, ignore_errors=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +146,7 @@ class Trained:
         inputs = network_inputs(batch, self.values, mask)
         return self.engine.render(inputs, torch.from_numpy(mask), torch.tensor([seed]))
 
-    def reservation(self, state: ViewState) -> str:
+    def reservation(self, state: State) -> str:
         """Say in what a state differs from the training; empty if it does not."""
         reservations, probe = [], self.renderer.probe
         if state.probe != probe:
@@ -106,7 +185,7 @@ def _renderer_of_run(folder: Path, tissues: Sequence[Tissue]) -> tuple[Renderer,
     Where its data set has been deleted, `tissues` are taken for those that it was trained on.
     """
     run = Run(folder)
-    if run.state is not State.finished:
+    if run.state is not RunState.finished:
         raise FileNotFoundError(f"this run is gone: {folder} is {run.state} {run.why}".rstrip())
     settings, generator = run.settings, load_generator(run.checkpoint)
     trained_on = run.data_set.tissues if run.data_set.exists else tuple(tissues)

@@ -28,14 +28,6 @@ class Hold:
     tilt_deg: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Held:
-    """A pose, (4, 4) float64, mm, and in `words` what is wrong with it; empty if the face lies on the skin."""
-
-    pose: np.ndarray
-    words: str = ""
-
-
 class Hand:
     """Holds the probe on the skin of a scene.
 
@@ -59,8 +51,11 @@ class Hand:
         along = np.stack(np.meshgrid(*corners.T), axis=-1).reshape(-1, 3) @ self.axis
         self.heights_mm = float(along.min()), float(along.max())
 
-    def place(self, hold: Hold) -> Held | None:
-        """Press the probe on the skin; None where the body has no skin at that height and angle."""
+    def place(self, hold: Hold) -> tuple[np.ndarray, str] | None:
+        """Press the probe on the skin; None where the body has no skin at that height and angle.
+
+        Returns the pose, (4, 4) float64, mm, and what is wrong with it; empty if the face lies on the skin.
+        """
         contact = self._contact(hold.height_mm, hold.angle_deg)
         if contact is None:
             return None
@@ -70,7 +65,7 @@ class Hand:
         pose[:3, :3] = self._frame(inward) @ turned.as_matrix()
         pose[:3, 3] = point
         pressed = press(self._skin, self._probe, pose[None], inward[None], self._press_mm)
-        return Held(pressed.poses[0], _words(bool(pressed.on_body[0]), bool(pressed.hard[0])))
+        return pressed.poses[0], _words(bool(pressed.on_body[0]), bool(pressed.hard[0]))
 
     def judge(self, pose: np.ndarray) -> str:
         """Say what is wrong with the contact of a pose that was not pressed; empty if nothing is."""
@@ -93,7 +88,7 @@ class Hand:
             hold = self._hold(height, angle, inward, pose[:3, :3])
             held = self.place(hold)
             assert held is not None
-            off = target - held.pose[:3, 3]
+            off = target - held[0][:3, 3]
             aim = aim + off - inward * (off @ inward)
         return hold
 

@@ -1,22 +1,37 @@
-"""From views to pictures with a scale: RGB arrays, ready to be shown or saved."""
+"""From views to pictures with a scale: RGB arrays, ready to be shown or saved.
 
+All images of one state are one picture, so that what stands side by side was seen at the same moment.
+"""
+
+import textwrap
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
+from html import escape
 
 import numpy as np
 from matplotlib import colormaps
 from PIL import Image, ImageDraw, ImageFont
 
 from ablate.analysis.figures.tissue_colours import Colour
+from ablate.anatomy import Scene
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_sag_mm, pixel_coordinates_mm, pixel_size_mm
+from ablate.viewer.session import Quality, Views
 
 _HEIGHT_PX = 384  # a picture has at least so many rows, for its letters, and at most twice as many
 _TICK_MM, _LABEL_MM = 10, 50
 _SCALE = (150, 160, 170)
 _MARK = (44, 160, 44)
 _PAPER = (16, 18, 22)
-_MOST_DIFFERENCE = 128.0  # grey levels, fully red or blue
+_COLUMNS = 2
+_BAR_PX, _GAP_PX = 30, 6
+_INK, _DIM = (235, 238, 242), (140, 150, 160)
+_LINE = 42  # characters
+GOOD, BAD, DIM = "#2f9e44", "#e8590c", "#868e96"
+_LEAST_SHARE = 0.002  # of the fan, or a tissue is not named
+# Title and note of an image, and its picture or the words in its place.
+_Tile = tuple[str, str, np.ndarray | str]
 
 
 def framed(colours: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
@@ -46,10 +61,8 @@ def share_picture(shares: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndar
 
 def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
     """a - b of two images, (H, W) uint8 each: red where a is brighter, blue where b is, white where they agree."""
-    share = np.clip((a.astype(np.float32) - b) / _MOST_DIFFERENCE, -1, 1)[..., None]
-    red, blue = np.array([178, 24, 43]), np.array([33, 102, 172])
-    ink = np.where(share > 0, red, blue)
-    return framed((245 + np.abs(share) * (ink - 245.0)).astype(np.uint8), mask, probe)
+    levels = np.clip(a.astype(np.int16) - b + 128, 0, 255).astype(np.uint8)
+    return framed(colormaps["RdBu_r"](levels, bytes=True)[..., :3], mask, probe)
 
 
 def on_fan(image: np.ndarray, mask: np.ndarray, rows: int = 160) -> np.ndarray:
@@ -63,22 +76,16 @@ def on_fan(image: np.ndarray, mask: np.ndarray, rows: int = 160) -> np.ndarray:
 def empty_picture(words: str, shape: tuple[int, int]) -> np.ndarray:
     """Words in place of a missing picture, as large as the picture of an image of this shape."""
     canvas = Image.new("RGB", _size(shape), _PAPER)
-    draw, font = ImageDraw.Draw(canvas), _font(_size(shape)[1])
-    lines = words.split("\n")
-    for number, line in enumerate(lines):
-        y = canvas.height / 2 + (number - len(lines) / 2) * 1.6 * font.size
-        draw.text((canvas.width / 2, y), line, fill=_SCALE, font=font, anchor="mm")
+    font, middle = _font(canvas.height), (canvas.width / 2, canvas.height / 2)
+    ImageDraw.Draw(canvas).text(middle, words, _SCALE, font, "mm", spacing=0.6 * font.size, align="center")
     return np.asarray(canvas)
 
 
 def marked(picture: np.ndarray, points: Sequence[tuple[float, float]], probe: Probe) -> np.ndarray:
     """A picture with crosses at points of the image plane, x and z in mm, and lines between pairs of them."""
-    if not points:
-        return picture
     canvas = Image.fromarray(picture)
     draw = ImageDraw.Draw(canvas)
-    tall, wide = pixel_size_mm(probe, (canvas.height, canvas.width))
-    seen = [(x / wide + canvas.width / 2, (z + face_sag_mm(probe)) / tall) for x, z in points]
+    seen = [_pixel(point, (canvas.height, canvas.width), probe) for point in points]
     for x, y in seen:
         draw.line((x - 7, y, x + 7, y), fill="#ffd400", width=2)
         draw.line((x, y - 7, x, y + 7), fill="#ffd400", width=2)
@@ -89,12 +96,15 @@ def marked(picture: np.ndarray, points: Sequence[tuple[float, float]], probe: Pr
 
 def label_at(labels: np.ndarray, point: tuple[float, float], probe: Probe) -> int:
     """Label of a point of the image plane, x and z in mm, in a segmentation, (H, W); 0 outside the picture."""
-    tall, wide = pixel_size_mm(probe, labels.shape)
-    row = int(np.floor((point[1] + face_sag_mm(probe)) / tall))
-    column = int(np.floor(point[0] / wide + labels.shape[1] / 2))
-    if 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]:
-        return int(labels[row, column])
-    return 0
+    column, row = _pixel(point, labels.shape, probe)
+    inside = 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]
+    return int(labels[int(row), int(column)]) if inside else 0
+
+
+def _pixel(point: tuple[float, float], shape: tuple[int, int], probe: Probe) -> tuple[float, float]:
+    """Column and row, from the edges of an image of this shape, of a point, x and z in mm."""
+    tall, wide = pixel_size_mm(probe, shape)
+    return point[0] / wide + shape[1] / 2, (point[1] + face_sag_mm(probe)) / tall
 
 
 def _size(shape: tuple[int, int]) -> tuple[int, int]:
@@ -127,3 +137,99 @@ def _font(height_px: int) -> ImageFont.FreeTypeFont:
     font = ImageFont.load_default(size=max(11.0, height_px / 26))
     assert isinstance(font, ImageFont.FreeTypeFont)
     return font
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What is shown beside the simulated image, the segmentation and the attenuation.
+
+    `names` are those of the state's runs; `points` are marked, x and z in mm of the image plane.
+    """
+
+    names: tuple[str, ...] = ()
+    difference: bool = False
+    points: tuple[tuple[float, float], ...] = ()
+
+
+def screen(views: Views, colours: Sequence[Colour], layout: Layout) -> np.ndarray:
+    """The picture of all images, (h, w, 3) uint8: the simulated one, generated ones, S, A and the difference."""
+    probe, mask, ms = views.state.probe, views.mask, views.ms
+    how = "coarse" if views.quality is Quality.coarse else "full quality"
+    taken = f"{how}, {ms['target']:.0f} ms" if "target" in ms else ""
+    resting = "the simulator rests while the probe moves"
+    generated = [_generated(views, number, name) for number, name in enumerate(layout.names)]
+    tiles: list[_Tile] = [
+        ("simulated B-mode", taken, resting if views.target is None else framed(views.target, mask, probe)),
+        *(generated[:1] or [("generated", "", "no generator is picked:\nchoose one under Compare")]),
+        ("segmentation S", "", label_picture(views.segmentation, colours, probe)),
+        ("attenuation A", f"S and A: {ms['maps']:.0f} ms", share_picture(views.attenuation, mask, probe)),
+        *generated[1:],
+    ]
+    if layout.difference:
+        tiles.append(_difference(views))
+    pictures = [empty_picture(shown, mask.shape) if isinstance(shown, str) else shown for _, _, shown in tiles]
+    pictures = [marked(picture, layout.points, probe) for picture in pictures]
+    return _mosaic([(title, note, picture) for (title, note, _), picture in zip(tiles, pictures, strict=True)])
+
+
+def _generated(views: Views, number: int, name: str) -> _Tile:
+    key = f"generated {number}"
+    image = views.generated[number] if number < len(views.generated) else None
+    if image is None:
+        words = views.notes.get(key, "this generator has not rendered yet")
+        return f"generated: {name}", "", textwrap.fill(words, _LINE)
+    return f"generated: {name}", f"{views.ms[key]:.0f} ms", framed(image, views.mask, views.state.probe)
+
+
+def _difference(views: Views) -> _Tile:
+    first = views.generated[0] if views.generated else None
+    if first is None or views.target is None:
+        return "difference", "", "a difference needs a simulated\nand a generated image"
+    picture = difference_picture(first, views.target, views.mask, views.state.probe)
+    return "generated - simulated", "red: brighter, blue: darker", picture
+
+
+def _mosaic(tiles: Sequence[tuple[str, str, np.ndarray]]) -> np.ndarray:
+    height, width = tiles[0][2].shape[:2]
+    rows = -(-len(tiles) // _COLUMNS)
+    cell_height, cell_width = height + _BAR_PX + _GAP_PX, width + _GAP_PX
+    canvas = Image.new("RGB", (_COLUMNS * cell_width - _GAP_PX, rows * cell_height - _GAP_PX), _PAPER)
+    draw, font = ImageDraw.Draw(canvas), ImageFont.load_default(size=20)
+    for number, (title, note, picture) in enumerate(tiles):
+        x, y = number % _COLUMNS * cell_width, number // _COLUMNS * cell_height
+        spare = width - draw.textlength(note, font=font) - 20
+        while title and draw.textlength(title, font=font) > spare:
+            title = title[:-2].rstrip(" .") + "." if len(title) > 2 else ""
+        draw.text((x + 4, y + _BAR_PX / 2), title, fill=_INK, font=font, anchor="lm")
+        draw.text((x + width - 4, y + _BAR_PX / 2), note, fill=_DIM, font=font, anchor="rm")
+        canvas.paste(Image.fromarray(picture), (x, y + _BAR_PX))
+    return np.asarray(canvas)
+
+
+def caption(views: Views, scene: Scene, colours: Sequence[Colour]) -> str:
+    """The lines under the images: pose and probe in words, reservations, and a legend of the tissues that are seen."""
+    state = views.state
+    words = [f"{state.probe.depth_mm:g} mm deep", f"{state.probe.frequency_mhz:g} MHz", f"speckle {state.seed}"]
+    if (hold := state.hold) is not None:
+        place = [f"height {hold.height_mm:.1f} mm", f"around {hold.angle_deg:.1f}°", f"turn {hold.roll_deg:.1f}°"]
+        words = [*place, f"rock {hold.rock_deg:.1f}°", f"tilt {hold.tilt_deg:.1f}°", *words]
+    notes = "".join(line(note, BAD) for note in dict.fromkeys(views.notes.values()))
+    return line(" · ".join([*words, views.quality.value]), DIM) + notes + _legend(views, scene, colours)
+
+
+def line(words: str, colour: str) -> str:
+    """A line of HTML; the words are shown as they are."""
+    style = f"color:{colour};font-size:0.85em;line-height:1.35;padding:0 0.8em 0.2em;overflow-wrap:anywhere"
+    return f'<div style="{style}">{escape(words)}</div>'
+
+
+def _legend(views: Views, scene: Scene, colours: Sequence[Colour]) -> str:
+    counts = np.bincount(views.segmentation.ravel(), minlength=len(scene.tissues) + 1)[1:]
+    chips = []
+    for index in np.argsort(-counts, kind="stable"):
+        if counts[index] > _LEAST_SHARE * counts.sum():
+            red, green, blue = (round(255 * c) for c in colours[index])
+            box = f'<span style="background:rgb({red},{green},{blue});padding:0 0.5em;border-radius:2px"></span>'
+            name = escape(scene.tissues[index].name.replace("_", " "))
+            chips.append(f'<span style="white-space:nowrap;margin-right:0.9em">{box} {name}</span>')
+    return f'<div style="font-size:0.8em;line-height:1.6;padding:0.2em 1em">{" ".join(chips)}</div>'

@@ -3,8 +3,7 @@
 import json
 import shlex
 from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,68 +12,44 @@ from PIL import Image
 from ablate.jobs.compose import job_of
 from ablate.setting import plain
 from ablate.settings.study import SceneKind, StudySettings
-from ablate.storage import written_whole
+from ablate.storage import write_json, written_whole
 from ablate.viewer.pictures import framed
-from ablate.viewer.state import State, Views
+from ablate.viewer.session import State, Views
 
 LOOP_S = 5.0
 _LOOP_BYTES = 256e6
 _SECTIONS = ("scene", "probe", "simulator", "dataset")
 
 
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """Views of a state, and when they were shown, seconds of a monotonic clock."""
-
-    state: State
-    views: Views
-    at_s: float
-
-
-@dataclass(eq=False)
-class CineLoop:
+class CineLoop(deque[Views]):
     """The frames of the last five seconds, fewer where they are so large that they would fill the memory."""
 
-    frames: deque[Shown] = field(default_factory=deque)
-
-    def add(self, shown: Shown) -> None:
+    def add(self, views: Views) -> None:
         """Keep a frame and forget those that are too old."""
-        self.frames.append(shown)
-        views = shown.views
+        self.append(views)
         arrays = (views.target, views.segmentation, views.attenuation, views.mask, *views.generated)
         most = max(1, int(_LOOP_BYTES / sum(array.nbytes for array in arrays if array is not None)))
-        while len(self.frames) > most or shown.at_s - self.frames[0].at_s > LOOP_S:
-            self.frames.popleft()
+        while len(self) > most or views.at_s - self[0].at_s > LOOP_S:
+            self.popleft()
 
-    def before(self, seconds: float) -> Shown:
+    def before(self, seconds: float) -> Views:
         """The frame that was shown so long before the last one; a ValueError where there is no frame."""
-        if not self.frames:
+        if not self:
             raise ValueError("there is no frame yet")
-        wanted = self.frames[-1].at_s - seconds
-        return min(self.frames, key=lambda shown: abs(shown.at_s - wanted))
+        return min(self, key=lambda views: abs(self[-1].at_s - seconds - views.at_s))
 
 
-@dataclass(eq=False)
-class Sweep:
-    """Poses and pictures that are recorded one after the other; a pose that is shown twice in a row counts once."""
+class Sweep(list[tuple[np.ndarray, np.ndarray, float]]):
+    """Pose, picture and time, s, of frames one after the other; a pose that is shown twice in a row counts once."""
 
-    poses: list[np.ndarray] = field(default_factory=list)
-    pictures: list[np.ndarray] = field(default_factory=list)
-    times_s: list[float] = field(default_factory=list)
-
-    def add(self, shown: Shown) -> None:
+    def add(self, views: Views) -> None:
         """Record a frame; at rest its full quality replaces the coarse one."""
-        state, views = shown.state, shown.views
         image = views.target if views.target is not None else views.generated[0]
-        if image is None:
-            return
-        picture = framed(image, views.mask, state.probe)
-        if self.poses and np.array_equal(self.poses[-1], state.pose):
-            self.pictures[-1] = picture
-        else:
-            self.poses.append(state.pose)
-            self.pictures.append(picture)
-            self.times_s.append(shown.at_s)
+        if image is not None:
+            picture = framed(image, views.mask, views.state.probe)
+            again = bool(self) and np.array_equal(self[-1][0], views.state.pose)
+            at_s = self.pop()[2] if again else views.at_s
+            self.append((views.state.pose, picture, at_s))
 
     def save(self, folder: Path) -> Path:
         """Write `sweep.gif` at the speed of the recording and `poses.npy`, (n, 4, 4) float64, and return its path.
@@ -86,23 +61,25 @@ class Sweep:
         OSError
             When the folder cannot be written.
         """
-        if not self.poses:
+        if not self:
             raise ValueError("nothing was recorded: move the probe while recording")
-        file = save_poses(folder / "poses.npy", np.stack(self.poses))
-        height, width = self.pictures[0].shape[:2]  # another depth may have another width
-        images = [Image.fromarray(picture).resize((width, height)) for picture in self.pictures]
-        spans_ms = [max(20, round(1e3 * span)) for span in (*np.diff(self.times_s), 0.5)]
+        poses, pictures, times_s = zip(*self, strict=True)
+        file = save_poses(folder / "poses.npy", np.stack(poses))
+        height, width = pictures[0].shape[:2]  # another depth may have another width
+        images = [Image.fromarray(picture).resize((width, height)) for picture in pictures]
+        spans_ms = [max(20, round(1e3 * span)) for span in (*np.diff(times_s), 0.5)]
         with written_whole(folder / "sweep.gif") as partial:
             images[0].save(partial, "GIF", save_all=True, append_images=images[1:], duration=spans_ms, loop=0)
         return file
 
 
-def save_frame(folder: Path, state: State, views: Views) -> None:
+def save_frame(folder: Path, views: Views) -> None:
     """Write the frame as `simulated.png`, `segmentation.png`, `attenuation.png` (65535 is 1) and `generated_<k>.png`.
 
     `frame.json` beside them has pose, probe, settings, display, seed and runs, and `pose.npy` the pose alone. The
     folder is made.
     """
+    state = views.state
     save_poses(folder / "pose.npy", state.pose)
     maps = {"simulated": views.target, "segmentation": views.segmentation}
     maps["attenuation"] = np.rint(65535 * views.attenuation).astype(np.uint16)
@@ -112,8 +89,7 @@ def save_frame(folder: Path, state: State, views: Views) -> None:
             Image.fromarray(image).save(partial, "PNG")
     described = {name: plain(getattr(state, name)) for name in ("hold", "probe", "simulator", "display", "seed")}
     described |= {"runs": [str(run) for run in state.runs], "quality": views.quality.value}
-    with written_whole(folder / "frame.json") as partial:
-        partial.write_text(json.dumps({"pose": state.pose.tolist()} | described, indent=2), "utf-8")
+    write_json(folder / "frame.json", {"pose": state.pose.tolist()} | described)
 
 
 def save_poses(file: Path, poses: np.ndarray) -> Path:
@@ -132,22 +108,11 @@ def next_folder(parent: Path, name: str) -> Path:
     return folder
 
 
-def render_command(settings: StudySettings, state: State, poses: Path) -> str:
-    """The command that renders a file of poses with the scene, probe, settings and seed of a state.
+def command_line(settings: StudySettings, state: State, *words: str) -> str:
+    """A command line with these words that is composed to the same scene, probe and simulator as a state.
 
     `settings` are those that the viewer was started with.
     """
-    dataset = replace(settings.dataset, seed=state.seed)
-    return _command(replace(settings, dataset=dataset), state, ["task=render", f"pose={poses}"])
-
-
-def data_command(settings: StudySettings, state: State, poses: Path, count: int) -> str:
-    """The command that makes a data set of pairs of a file of poses."""
-    return _command(settings, state, ["task=simulate", f"dataset.poses={poses}", f"dataset.frames={count}"])
-
-
-def _command(settings: StudySettings, state: State, words: Sequence[str]) -> str:
-    """A command line that is composed to the same scene, probe and simulator."""
     wanted = replace(settings, probe=state.probe, simulator=state.simulator)
     overrides = [f"preset={wanted.preset}", f"scene={wanted.scene.kind}"]
     if wanted.scene.kind is SceneKind.folder:
@@ -156,13 +121,9 @@ def _command(settings: StudySettings, state: State, words: Sequence[str]) -> str
         overrides.append(f"runs_dir={wanted.runs_dir}")
     unchanged = job_of([*overrides, "task=describe"]).settings
     for section in _SECTIONS:
-        overrides += _differences(section, getattr(wanted, section), getattr(unchanged, section))
+        asked, known = plain(getattr(wanted, section)), plain(getattr(unchanged, section))
+        for name in ("seed", "press_mm") if section == "dataset" else sorted(asked.keys() - {"kind", "folder"}):
+            if (value := asked[name]) != known[name]:
+                text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+                overrides.append(f"{section}.{name}={text}")
     return shlex.join(["python", "-m", "ablate", *words, *overrides])
-
-
-def _differences(section: str, wanted: object, unchanged: object) -> Iterator[str]:
-    names = ["seed", "press_mm"] if section == "dataset" else plain(wanted)
-    for name in names:
-        if name not in ("kind", "folder") and getattr(wanted, name) != getattr(unchanged, name):
-            value = plain(getattr(wanted, name))
-            yield f"{section}.{name}={value if isinstance(value, str) else json.dumps(value, separators=(',', ':'))}"

@@ -1,18 +1,98 @@
-"""What the operator has set, whatever page it was set on; every change asks the worker for new views."""
+"""What the operator has set, whatever page it was set on, and what is seen of it; a change asks for new views."""
 
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ablate.ultrasound import Probe
+from ablate.ultrasound import ConvexProbe, Display, Probe, SimulatorSettings
 from ablate.ultrasound.probe import fan_size_mm
 from ablate.viewer.hand import Hand, Hold
-from ablate.viewer.state import State
 
 OFF_BODY = "off the body: there is no skin at this place, and the probe stays where it was"
 FROZEN = "frozen: the picture is held; the probe moves on"
+
+
+class Quality(StrEnum):
+    """`coarse`, while the probe moves: fewer rays and one layer; `full`, at rest: the settings as they are."""
+
+    coarse = "coarse"
+    full = "full"
+
+
+class Moving(StrEnum):
+    """What is rendered while the probe moves: a coarse simulation and the generators, or the generators `alone`."""
+
+    both = "simulator and generator"
+    alone = "generator alone"
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that decides what is seen.
+
+    Attributes
+    ----------
+    pose : (4, 4) float64
+        Probe to world, mm.
+    display : Display or None
+        None is the picture of the simulator's settings.
+    seed : int
+        Of the scatterers, and of a generator's noise.
+    runs : tuple of Path
+        Folders of finished runs, whose generators render the same frame.
+    moving : Moving
+    hold : Hold or None
+        How the probe is held at this pose, where that is known.
+    """
+
+    pose: np.ndarray
+    probe: Probe = ConvexProbe()
+    simulator: SimulatorSettings = SimulatorSettings()
+    display: Display | None = Display()
+    seed: int = 0
+    runs: tuple[Path, ...] = ()
+    moving: Moving = Moving.both
+    hold: Hold | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """What is seen of a state; (H, W) is `state.simulator.image_shape`.
+
+    Attributes
+    ----------
+    state : State
+    target : (H, W) uint8 or None
+        The simulated B-mode image; None while the probe moves, where the generators render alone.
+    segmentation : (H, W) uint8
+    attenuation : (H, W) float32
+    mask : (H, W) bool
+        The fan.
+    generated : tuple of (H, W) uint8 or None
+        One a run of the state; None where it could not be rendered.
+    ms : mapping of str to float
+        What each took, milliseconds: `target`, `maps`, and `generated 0`, ...
+    notes : mapping of str to str
+        Sentences about what could not be shown or is shown with a reservation, by the same names.
+    at_s : float
+        When they were made, seconds of a monotonic clock.
+    """
+
+    state: State
+    target: np.ndarray | None
+    segmentation: np.ndarray
+    attenuation: np.ndarray
+    mask: np.ndarray
+    generated: tuple[np.ndarray | None, ...]
+    ms: dict[str, float]
+    notes: dict[str, str]
+    quality: Quality
+    at_s: float = field(default_factory=time.monotonic)
 
 
 class Session:
@@ -43,7 +123,7 @@ class Session:
 
     def move(self, **changes: float) -> None:
         """Change the hold: keys are those of `Hold`. Off the body the probe stays where it was."""
-        self.put(replace(self.hold, **changes))
+        self._put(replace(self.hold, **changes))
 
     def nudge(self, **steps: float) -> None:
         """Change the hold by steps."""
@@ -51,17 +131,17 @@ class Session:
 
     def turn_to(self, rotation: np.ndarray) -> None:
         """Turn the probe where it stands, to a rotation (3, 3) from probe to world."""
-        self.put(self.hand.turned(self.hold, rotation))
+        self._put(self.hand.turned(self.hold, rotation))
 
-    def put(self, hold: Hold) -> None:
-        """Hold the probe in another way."""
+    def _put(self, hold: Hold) -> None:
         held = self.hand.place(hold)
         if held is None:
             self.words = OFF_BODY
             self._tell()
-            return
-        self.hold, self.words = hold, held.words
-        self._become(replace(self.state, pose=held.pose, hold=hold))
+        else:
+            pose, self.words = held
+            self.hold = hold
+            self._become(replace(self.state, pose=pose, hold=hold))
 
     def to_preset(self, name: str) -> None:
         """Hold the probe as a preset does, exactly."""
@@ -75,7 +155,10 @@ class Session:
     def scan(self, **changes: float) -> None:
         """Change the probe: keys are those of its kind. Pixels stay square, and there are as many rows."""
         probe: Probe = replace(self.state.probe, **changes)  # type: ignore[arg-type]  # keys of its kind
-        settings = replace(self.state.simulator, image_shape=self._shape_for(probe))
+        rows, columns = self.start.simulator.image_shape
+        (height, width), (first_height, first_width) = fan_size_mm(probe), fan_size_mm(self.start.probe)
+        shape = rows, max(1, round(columns * (width / height) / (first_width / first_height)))
+        settings = replace(self.state.simulator, image_shape=shape)
         self._become(replace(self.state, probe=probe, simulator=settings))
 
     def simulate(self, **changes: Any) -> None:
@@ -99,12 +182,6 @@ class Session:
         """Back to the scanner's settings, the seed and the place of the beginning; runs stay picked."""
         self.state = replace(self.start, runs=self.state.runs)
         self.to_preset(next(iter(self.presets)))
-
-    def _shape_for(self, probe: Probe) -> tuple[int, int]:
-        """Rows and columns of an image whose pixels have the proportions of those at the start."""
-        rows, columns = self.start.simulator.image_shape
-        (height, width), (first_height, first_width) = fan_size_mm(probe), fan_size_mm(self.start.probe)
-        return rows, max(1, round(columns * (width / height) / (first_width / first_height)))
 
     def _become(self, state: State) -> None:
         self.state = state

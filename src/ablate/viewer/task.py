@@ -1,11 +1,17 @@
-"""`task=view`: the probe in a browser, until it is stopped."""
+"""`task=view`: the probe in a browser, until it is stopped; on this machine alone, and without a tunnel."""
 
+import logging
+import socket
+import sys
 import threading
 import time
 import webbrowser
 from collections.abc import Callable, Sequence
+from contextlib import closing, redirect_stdout
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +29,12 @@ from ablate.viewer.page.compare_tab import add_compare_tab
 from ablate.viewer.page.keep_tab import add_keep_tab
 from ablate.viewer.page.operate_tabs import add_hands, add_learn_tab, add_move_tab, add_row, add_scan_tab
 from ablate.viewer.page.page import IMAGES_PX, Page
-from ablate.viewer.page.server import HOST, check_server, open_server
-from ablate.viewer.session import Session
-from ablate.viewer.state import State, Views
+from ablate.viewer.session import Session, State
 from ablate.viewer.worker import Worker
 
+#: Whatever the library's default, the page is shown to this machine only.
+HOST = "127.0.0.1"
+NEEDS = "task=view needs viser: pip install 'ablate-ultrasound[view]'"
 _LOOK_EVERY_S = 3600.0
 _CONTROLS_PX = 290
 _MOST_SITES = 60  # of a list that can be searched by eye
@@ -68,23 +75,47 @@ class Viewer:
         poses = presets(settings, scene, grid)
         folder = settings.results if settings.runs is None else Path(settings.runs)
         if settings.runs is not None and not folder.is_dir():
-            allowed = "a run, a study or a folder of studies"
-            raise ConfigurationError(f"runs={settings.runs}: no such folder; allowed is {allowed}")
+            allowed = "allowed is a run, a study or a folder of studies"
+            raise ConfigurationError(f"runs={settings.runs}: no such folder; {allowed}")
         picked = tuple(pickable(folder).values())[:1]
         hand = Hand(scene, grid.axis, grid.front, settings.dataset.press_mm, settings.probe)
-        self.worker: Worker[State, Views] = Worker(Engine(scene).render)
+        self.worker = Worker(Engine(scene).render)
         start = State(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed, runs=picked)
         self.session = Session(hand, start, poses, self.worker.submit)
-        if (pose := _first_pose(settings, poses)) is not None:
-            self.session.to_pose(pose)
+        if settings.pose:
+            self.session.to_pose(np.asarray(read_poses(Path(settings.pose), "pose")[0][0]))
+        elif settings.plane:
+            if (name := settings.plane.replace("_", " ")) not in poses:
+                raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(poses)}")
+            self.session.to_preset(name)
         self.server = open_server(settings.viewer.port)
-        self.page = _page(self.server, settings, scene, self.session, folder)
+        self.page = Page(self.server, settings, scene, self.session)
+        self._fill_page(folder)
         self._lock = threading.Lock()
         self.worker.pause()
         self.worker.start(self.page.show, self.page.fail)
         self.server.on_client_connect(self._follow_pages)
         self.server.on_client_connect(self.page.fit)
         self.server.on_client_disconnect(self._follow_pages)
+
+    def _fill_page(self, runs: Path) -> None:
+        """Add the controls on the left; the body is in the middle, and the images are on the right."""
+        gui, page = self.server.gui, self.page
+        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        gui.set_panel_label(f"ablate: {page.settings.scene_name}")
+        add_row(page)
+        tabs = gui.add_tab_group()
+        contents: dict[str, Callable[[Page], None]] = {"Move": add_move_tab, "Scan": add_scan_tab}
+        contents |= {"Compare": partial(add_compare_tab, runs=runs), "Keep": add_keep_tab, "Learn": add_learn_tab}
+        for name, add_content in contents.items():
+            with tabs.add_tab(name):
+                add_content(page)
+        add_hands(page)
+        gui.main_panel.dock_left()
+        gui.main_panel.set_width(_CONTROLS_PX)
+        page.images.dock_right()
+        page.images.set_width(IMAGES_PX)
+        page.refresh()
 
     def close(self) -> None:
         """Stop the server, the worker and the thread that draws."""
@@ -99,28 +130,6 @@ class Viewer:
                 self.worker.pause()
             elif self.worker.paused:
                 self.worker.resume()
-
-
-def _page(server: Any, settings: StudySettings, scene: Scene, session: Session, runs: Path) -> Page:
-    """Build the page: the controls on the left, the body in the middle, the images on the right."""
-    gui = server.gui
-    gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
-    gui.set_panel_label(f"ablate: {settings.scene_name}")
-    page = Page(server, settings, scene, session)
-    add_row(page)
-    tabs = gui.add_tab_group()
-    contents: dict[str, Callable[[Page], None]] = {"Move": add_move_tab, "Scan": add_scan_tab}
-    contents |= {"Compare": partial(add_compare_tab, runs=runs), "Keep": add_keep_tab, "Learn": add_learn_tab}
-    for name, add_content in contents.items():
-        with tabs.add_tab(name):
-            add_content(page)
-    add_hands(page)
-    gui.main_panel.dock_left()
-    gui.main_panel.set_width(_CONTROLS_PX)
-    page.images.dock_right()
-    page.images.set_width(IMAGES_PX)
-    page.refresh()
-    return page
 
 
 def presets(settings: StudySettings, scene: Scene, grid: SiteGrid) -> dict[str, np.ndarray]:
@@ -147,12 +156,51 @@ def presets(settings: StudySettings, scene: Scene, grid: SiteGrid) -> dict[str, 
     return named
 
 
-def _first_pose(settings: StudySettings, poses: dict[str, np.ndarray]) -> np.ndarray | None:
-    if settings.pose:
-        return np.asarray(read_poses(Path(settings.pose), "pose")[0][0])
-    if settings.plane:
-        name = settings.plane.replace("_", " ")
-        if name not in poses:
-            raise ConfigurationError(f"plane={settings.plane}: allowed are {', '.join(poses)}")
-        return poses[name]
-    return None
+def check_server(port: int) -> None:
+    """A ConfigurationError in one line where the extra is not installed, or the port is in use or not allowed."""
+    if find_spec("viser") is None:
+        raise ConfigurationError(NEEDS)
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            trial.bind((HOST, port))
+        except OSError as error:
+            why = "not allowed" if isinstance(error, PermissionError) else "in use"
+            raise ConfigurationError(f"viewer.port={port}: {why}; give another one, such as {port + 1}") from error
+
+
+def open_server(port: int) -> Any:
+    """A `viser.ViserServer` on this machine's own address, at this port, which `check_server` has found free."""
+    import viser
+    from viser import _messages
+
+    with redirect_stdout(StringIO()):  # it prints a table of addresses
+        server = viser.ViserServer(host=HOST, port=port, verbose=False)
+    sockets = server._websock_server
+    for request in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
+        sockets.unregister_handler(request)  # a browser could ask for a tunnel to another server
+    sockets.on_client_connect(_only_own_pages(sockets, port))
+    logging.getLogger("websockets.server").addFilter(_in_a_sentence)
+    return server
+
+
+def _only_own_pages(sockets: Any, port: int) -> Any:
+    """Close the connections that pages of other sites ask a browser for."""
+    own = [f"http://{name}:{port}".removesuffix(":80") for name in (HOST, "localhost")]
+
+    async def check(client: Any) -> None:
+        connection = sockets._live_connections[client.client_id]
+        origin = connection.request.headers.get("Origin")
+        if origin is not None and origin not in own:
+            await connection.close(1008, "another site's page")
+            print(f"ablate: a page of {origin[:100]} was refused", file=sys.stderr)
+
+    return check
+
+
+def _in_a_sentence(record: logging.LogRecord) -> bool:
+    """Shorten the traceback of what a browser sends and cannot be understood to one line."""
+    if record.exc_info and record.exc_info[1] is not None:
+        record.msg = "ablate: a browser sent what cannot be read; its connection was closed"
+        record.args, record.exc_info = (), None
+    return True

@@ -3,17 +3,14 @@
 import threading
 import time
 from collections.abc import Callable
-from typing import Generic, TypeVar
 
-from ablate.viewer.state import Quality
+from ablate.viewer.session import Quality, State, Views
 
-S = TypeVar("S")
-V = TypeVar("V")
 #: A probe that has not moved for so long is at rest.
 REST_S = 0.15
 
 
-class Worker(Generic[S, V]):
+class Worker:
     """Computes views in a thread of its own.
 
     A new state is computed coarsely at once, and in full when no other has come for `rest_s` seconds. A state that is
@@ -22,25 +19,25 @@ class Worker(Generic[S, V]):
     States may be submitted before it is started.
     """
 
-    def __init__(self, compute: Callable[[S, Quality], V], rest_s: float = REST_S) -> None:
+    def __init__(self, compute: Callable[[State, Quality], Views], rest_s: float = REST_S) -> None:
         self._compute, self._rest_s = compute, rest_s
         self._changed = threading.Condition()
-        self._slot: S | None = None
-        self._last: S | None = None
+        self._slot: State | None = None
+        self._last: State | None = None
         self._asked = 0.0
         self.paused = self._closed = self._waits = False
         self.computed = dict.fromkeys(Quality, 0)
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
 
-    def start(self, show: Callable[[S, V], object], fail: Callable[[S, Exception], object]) -> None:
-        """Start the thread, which calls `show` with a state and its views.
+    def start(self, show: Callable[[Views], object], fail: Callable[[Exception], object]) -> None:
+        """Start the thread, which calls `show` with the views of a state.
 
         It calls `fail` when computing or showing raises, and goes on with the next state.
         """
         self._show, self._fail = show, fail
         self._thread.start()
 
-    def submit(self, state: S) -> None:
+    def submit(self, state: State) -> None:
         """Ask for the views of a state in place of the one that waits."""
         with self._changed:
             self._slot = self._last = state
@@ -76,7 +73,7 @@ class Worker(Generic[S, V]):
             if self._render(state, Quality.coarse) and self._rests():
                 self._render(state, Quality.full)
 
-    def _next(self) -> S | None:
+    def _next(self) -> State | None:
         """Wait for a state and take it; None when closed."""
         with self._changed:
             self._waits = True
@@ -94,14 +91,14 @@ class Worker(Generic[S, V]):
     def _interrupted(self) -> bool:
         return self._closed or self._slot is not None
 
-    def _render(self, state: S, quality: Quality) -> bool:
+    def _render(self, state: State, quality: Quality) -> bool:
         """Compute and show; whether it could be done."""
         try:
             views = self._compute(state, quality)
             self.computed[quality] += 1
             if quality is Quality.coarse or not self._interrupted():
-                self._show(state, views)
+                self._show(views)
         except Exception as error:
-            self._fail(state, error)
+            self._fail(error)
             return False
         return True

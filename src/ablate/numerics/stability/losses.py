@@ -12,7 +12,7 @@ from ablate.networks.layers import convolutions
 from ablate.numerics.stability.checks import BFLOAT16, FLOAT32, Checks, case
 from ablate.numerics.stability.networks import SETTINGS, Stepped, gradients_of, maps_of
 from ablate.training import AdversarialLoss, DivergenceError, TrainingSettings
-from ablate.training.losses import DivergenceGuard
+from ablate.training.reporting import DivergenceGuard
 
 SPEC = GeneratorSpec(depth=2, width=0.1, noise_start=0.1)
 ADVERSARIAL = (AdversarialLoss.nonsaturating, AdversarialLoss.minimax)

@@ -13,7 +13,7 @@ from ablate.anatomy import Scene, TissueKind, bounds_mm
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_sag_mm, fan_outline, fan_size_mm
 from ablate.viewer.pictures import on_fan
-from ablate.viewer.state import Quality, State, Views
+from ablate.viewer.session import Quality, State, Views
 
 _UNIT_MM = 100.0  # of the page's 3-D space, whose near and far planes suit metres
 _TRIANGLES = 60_000  # of all structures together: a browser without a graphics card draws them too
@@ -42,12 +42,14 @@ class Body:
     grabbed: Callable[[str, np.ndarray], object]
     turned: Callable[[np.ndarray], object]
     clicked: Callable[[np.ndarray, np.ndarray], object]
+    _probe: Probe | None
 
     def __init__(self, server: Any, scene: Scene, colours: Sequence[Colour], axis: np.ndarray, front: np.ndarray):
-        self._server, self._axis, self._front = server, axis, front
-        self._bounds = bounds_mm(s.mesh for s in scene.structures)
-        self._probe: Probe | None = None
-        self._turning = False
+        self._scene, self._probe, self._turning = server.scene, None, False
+        bounds = bounds_mm(s.mesh for s in scene.structures)
+        away = front + 0.55 * np.cross(axis, front) + 0.35 * axis
+        away *= 1.35 * float(np.linalg.norm(np.ptp(bounds, axis=0))) / np.linalg.norm(away)
+        self._front_view = bounds.mean(axis=0) + away, bounds.mean(axis=0), axis
         server.scene.configure_environment_map(None)  # costs seconds without a graphics card
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.add_light_ambient("/light", intensity=1.5)
@@ -58,8 +60,9 @@ class Body:
         )
         self.rings.on_update(self._turn)
         server.scene.set_up_direction(tuple(axis))
-        server.initial_camera.position, server.initial_camera.look_at = self._front_view()
-        server.initial_camera.up, server.initial_camera.fov = tuple(axis), np.deg2rad(40.0)
+        camera = server.initial_camera
+        camera.position, camera.look_at = (place / _UNIT_MM for place in self._front_view[:2])
+        camera.up, camera.fov = tuple(axis), np.deg2rad(40.0)
 
     def hold(self, state: State) -> None:
         """Put the probe where it is held, before there is an image of it."""
@@ -71,10 +74,10 @@ class Body:
         if not self._turning:
             self.rings.position, self.rings.wxyz = position, turn
 
-    def show(self, state: State, views: Views) -> None:
+    def show(self, views: Views) -> None:
         """Lay the simulated image, or the generated one, on the fan."""
         image = views.target if views.target is not None else next((i for i in views.generated if i is not None), None)
-        if image is not None and state.probe == self._probe:
+        if image is not None and views.state.probe == self._probe:
             self.fan.image = on_fan(image, views.mask, _FAN_ROWS[views.quality])
 
     async def _turn(self, event: Any) -> None:  # async, as all of these three, so that phases stay in order
@@ -97,19 +100,12 @@ class Body:
 
     def face_body(self, client: Any) -> None:
         """Turn a browser's camera back to the body's front."""
-        position, look_at = self._front_view()
-        _look(client, position * _UNIT_MM, look_at * _UNIT_MM, self._axis)
-
-    def _front_view(self) -> tuple[np.ndarray, np.ndarray]:
-        middle, size = self._bounds.mean(axis=0), float(np.linalg.norm(np.ptp(self._bounds, axis=0)))
-        side = np.cross(self._axis, self._front)
-        away = self._front + 0.55 * side + 0.35 * self._axis
-        return (middle + 1.35 * size * away / np.linalg.norm(away)) / _UNIT_MM, middle / _UNIT_MM
+        _look(client, *self._front_view)
 
     def _add_probe(self, probe: Probe) -> None:
         self._probe = probe
-        scene, own = self._server.scene, np.eye(4)
-        body = _add(scene, "/probe/housing", probe_model.probe_body(probe, own), _HOUSING)
+        scene, own = self._scene, np.eye(4)
+        housing = _add(scene, "/probe/housing", probe_model.probe_body(probe, own), _HOUSING)
         _add(scene, "/probe/face", probe_model.probe_face(probe, own), _FACE)
         _add(scene, "/probe/mark", probe_model.first_column_mark(probe, own), _MARK)
         outline = fan_outline(probe) / _UNIT_MM
@@ -127,8 +123,7 @@ class Body:
             cast_shadow=False,
             receive_shadow=False,
         )
-
-        body.on_drag(self._grab)
+        housing.on_drag(self._grab)
         self.fan.on_click(self._click)
 
 
@@ -146,18 +141,16 @@ def _add_structures(server: Any, scene: Scene, colours: Sequence[Colour]) -> Non
     """
     whole = np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).prod()
     share = min(1.0, _TRIANGLES / max(1, sum(len(s.mesh.faces) for s in scene.structures)))
-    parts: dict[tuple[int, float], list[trimesh.Trimesh]] = {}
+    parts: dict[tuple[int, float | None], list[trimesh.Trimesh]] = {}
     pairs = zip(scene.structures, scene.structure_tissues, strict=True)
     for structure, tissue in sorted(pairs, key=lambda pair: -pair[0].mesh.extents.prod()):
         large = structure.mesh.extents.prod() > _LARGE * whole and structure.tissue.kind is not TissueKind.bone
-        opacity = _ENVELOPE if large else 1.0
+        opacity = _ENVELOPE if large else None
         mesh = fewer_triangles(structure.mesh, max(_FEWEST, int(share * len(structure.mesh.faces))))
         parts.setdefault((tissue, opacity), []).append(mesh)
-    for (tissue, opacity), meshes in parts.items():
+    for number, ((tissue, opacity), meshes) in enumerate(parts.items()):
         colour = tuple(round(255 * c) for c in colours[tissue])
-        mesh = trimesh.util.concatenate(meshes)
-        name = f"/body/{tissue}_{round(100 * opacity)}"
-        _add(server.scene, name, mesh, colour, opacity if opacity < 1 else None, side="back")
+        _add(server.scene, f"/body/{number}", trimesh.util.concatenate(meshes), colour, opacity, side="back")
 
 
 def _add(
@@ -181,12 +174,10 @@ def fewer_triangles(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
     Vertices that share a cube become their mean, in larger and larger cubes. A mesh that has few enough is returned as
     it is.
     """
-    cube = float(np.sqrt(4 * mesh.area / most)) / 2
-    result = mesh
+    cube, result = float(np.sqrt(4 * mesh.area / most)) / 2, mesh
     while len(result.faces) > most:
         cells = np.floor((mesh.vertices - mesh.bounds[0]) / cube).astype(np.int64)
-        _, owner = np.unique(cells, axis=0, return_inverse=True)
-        owner = owner.ravel()
+        owner = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
         points = np.stack([np.bincount(owner, x) for x in mesh.vertices.T], axis=-1) / np.bincount(owner)[:, None]
         faces = owner[mesh.faces]
         faces = faces[(np.diff(np.sort(faces, axis=1)) > 0).all(axis=1)]  # the others have shrunk to a line or point

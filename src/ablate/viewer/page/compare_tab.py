@@ -12,7 +12,7 @@ from ablate.ultrasound.probe import point_polar
 from ablate.viewer.generators import is_shipped, pickable
 from ablate.viewer.page.page import Page
 from ablate.viewer.pictures import label_at
-from ablate.viewer.records import Shown
+from ablate.viewer.session import Views
 
 _NONE = "none"
 _MOST_POINTS = 2
@@ -52,25 +52,21 @@ def add_compare_tab(page: Page, runs: Path) -> None:
     difference = gui.add_checkbox("Difference to the simulated image", initial_value=False)
     difference.on_update(page.does(lambda _: page.lay_out(difference=difference.value)))
     numbers = gui.add_markdown("")
-
-    def paint(shown: Shown) -> None:
-        numbers.content = _distances(page.layout.names, shown)
-
-    page.painters.append(paint)
+    page.painters.append(lambda views: setattr(numbers, "content", _distances(page.layout.names, views)))
     page.layout = replace(page.layout, names=picked)
     _add_calipers(page)
 
 
-def _distances(names: tuple[str, ...], shown: Shown) -> str:
+def _distances(names: tuple[str, ...], views: Views) -> str:
     """Distances of the generated images to the simulated one, as a table."""
-    views, rows = shown.views, []
+    rows = []
     for name, image in zip(names, views.generated, strict=False):
         if image is not None and views.target is not None:
             near = psnr(views.target, image, mask=views.mask)
             chi2 = rms(patch_chi2(views.target, image))
             rows.append(f"| {name} | {near:.1f} | {chi2:.3f} |")
-    head = ["| to the simulated image | PSNR (dB) | patch χ² |", "| --- | --- | --- |"]
-    return "\n".join([*head, *rows]) if rows else ""
+    head = "| to the simulated image | PSNR (dB) | patch χ² |\n| --- | --- | --- |\n"
+    return head + "\n".join(rows) if rows else ""
 
 
 def _add_calipers(page: Page) -> None:
@@ -78,13 +74,11 @@ def _add_calipers(page: Page) -> None:
     answer = page.server.gui.add_markdown(_INVITES)
 
     def click(origin: np.ndarray, direction: np.ndarray) -> None:
-        shown = page.shown
-        if shown is None:
-            return
-        point = on_plane(shown.state.pose, origin, direction)
-        points = (*(page.layout.points if len(page.layout.points) < _MOST_POINTS else ()), point)
-        answer.content = _measured(page, shown, points)
-        page.lay_out(points=points)
+        if (views := page.shown) is not None:
+            point = on_plane(views.state.pose, origin, direction)
+            points = (*(page.layout.points if len(page.layout.points) < _MOST_POINTS else ()), point)
+            answer.content = _measured(page, views, points)
+            page.lay_out(points=points)
 
     def clear() -> None:
         answer.content = _INVITES
@@ -103,12 +97,12 @@ def on_plane(pose: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tup
     return float(x), float(z)
 
 
-def _measured(page: Page, shown: Shown, points: tuple[tuple[float, float], ...]) -> str:
+def _measured(page: Page, views: Views, points: tuple[tuple[float, float], ...]) -> str:
     sentences = []
     for point in points:
-        label = label_at(shown.views.segmentation, point, shown.state.probe)
+        label = label_at(views.segmentation, point, views.state.probe)
         name = page.scene.tissues[label - 1].name.replace("_", " ") if label else "outside the fan"
-        depth_mm = float(point_polar(shown.state.probe, *map(np.asarray, point))[0])
+        depth_mm = float(point_polar(views.state.probe, *map(np.asarray, point))[0])
         sentences.append(f"**{name}**, {depth_mm:.0f} mm deep.")
     if len(points) == _MOST_POINTS:
         sentences.append(f"Between them **{math.dist(*points):.1f} mm**.")

@@ -2,29 +2,31 @@
 
 import threading
 import time
+from dataclasses import replace
 from typing import Any
 
 from ablate.viewer.page.page import Page
-from ablate.viewer.records import LOOP_S, Sweep, data_command, next_folder, render_command, save_frame, save_poses
+from ablate.viewer.records import LOOP_S, Sweep, command_line, next_folder, save_frame, save_poses
 
 _FEWEST_POSES = 3
 _LAST_S = 0.5  # the last frame of the cine loop stays for so long, and one at which the probe rested
 
 
 def add_keep_tab(page: Page) -> None:
-    """Add buttons to save, and a switch to record."""
-    gui, session = page.server.gui, page.session
+    """Add buttons to save, a switch to record, and the cine loop."""
+    gui, session, settings = page.server.gui, page.session, page.settings
 
     def save() -> None:
         if page.shown is None:
             raise ValueError("there is no frame yet")
-        folder = next_folder(page.folder, page.settings.scene_name)
-        save_frame(folder, page.shown.state, page.shown.views)
+        folder = next_folder(page.folder, settings.scene_name)
+        save_frame(folder, page.shown)
         answer.content = f"Saved in `{folder}`, with `frame.json` and `pose.npy`."
 
     def write_command() -> None:
         pose = save_poses(next_folder(page.folder, "pose") / "pose.npy", session.state.pose)
-        command.value = render_command(page.settings, session.state, pose)
+        seeded = replace(settings, dataset=replace(settings.dataset, seed=session.state.seed))
+        command.value = command_line(seeded, session.state, "task=render", f"pose={pose}")
 
     def switch(_: Any) -> None:
         if record.value:
@@ -32,10 +34,11 @@ def add_keep_tab(page: Page) -> None:
             answer.content = "Recording: every frame that is shown is a pose of the sweep."
         elif (sweep := page.sweep) is not None:
             page.sweep = None
-            file, count = sweep.save(next_folder(page.folder, "sweep")), len(sweep.poses)
+            file, count = sweep.save(next_folder(page.folder, "sweep")), len(sweep)
             answer.content = f"{count} poses in `{file.parent}`, with `sweep.gif`. The command makes pairs of them."
             if count >= _FEWEST_POSES:
-                command.value = data_command(page.settings, session.state, file, count)
+                words = "task=simulate", f"dataset.poses={file}", f"dataset.frames={count}"
+                command.value = command_line(settings, session.state, *words)
 
     page.add_button("Save the frame", save)
     page.add_button("Pose as a command line", write_command)
@@ -68,7 +71,7 @@ def _add_cine(page: Page) -> None:
         """Show the loop until it is switched off, or the picture follows the probe again, or nobody looks."""
         show = page.tells(look_back)
         while play.value:
-            frames = list(page.loop.frames)
+            frames = list(page.loop)
             for frame, after in zip(frames, [*frames[1:], None], strict=True):
                 with page.lock:
                     if not (play.value and session.frozen and page.server.get_clients()):

@@ -1,16 +1,19 @@
 """What the operator does: the row above the tabs, the tabs Move, Scan and Learn, the keys, and the probe by hand."""
 
+import random
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ablate.ultrasound import Display
-from ablate.viewer.page.page import Page
-from ablate.viewer.quiz import Quiz, miss
-from ablate.viewer.state import Moving
+from ablate.viewer.page.page import Bounds, Page
+from ablate.viewer.session import Moving
 
+Change = Callable[..., object]
 _PLACE = "a plane ..."
 #: Keys of the probe, what each does, and its step of the hold, mm or degrees.
 _KEYS = (
@@ -32,6 +35,8 @@ _HINTS = (
     "R reset, 1 to 9 planes.</div>"
 )
 _TGC_SLIDERS = 5
+_FOUND_MM, _FOUND_DEG = 15.0, 12.0
+_TURNED_ROUND = Rotation.from_euler("Z", 180, degrees=True)
 _RULES = (
     "Find a plane with the probe, then let it be judged. The score falls with the distance of the probe's face and "
     "with the angle to the plane; found is what is within 15 mm and 12 degrees."
@@ -68,24 +73,28 @@ def add_move_tab(page: Page) -> None:
     chosen.on_update(page.does(go))
     page.keep_equal(chosen, held)
 
-    def add(name: str, label: str, lowest: float, highest: float, hint: str) -> None:
-        bounds = lowest, highest, 1.0
-        page.add_slider(
-            label, bounds, lambda: getattr(session.hold, name), lambda value: session.move(**{name: value}), hint
-        )
-
     low, high = session.hand.heights_mm
-    add("height_mm", "Height (mm)", round(low), round(high), "along the body: keys I and K")
-    add("angle_deg", "Around (°)", -180.0, 180.0, "about the body's axis, from the front: keys J and L")
-    add("roll_deg", "Turn (°)", -180.0, 180.0, "0 is transverse, 90 sagittal: keys U and O")
-    add("rock_deg", "Rock (°)", -60.0, 60.0, "within the image plane: keys Y and H")
-    add("tilt_deg", "Tilt (°)", -60.0, 60.0, "out of the image plane: keys T and G")
+    for name, label, lowest, highest, hint in (
+        ("height_mm", "Height (mm)", round(low), round(high), "along the body: keys I and K"),
+        ("angle_deg", "Around (°)", -180, 180, "about the body's axis, from the front: keys J and L"),
+        ("roll_deg", "Turn (°)", -180, 180, "0 is transverse, 90 sagittal: keys U and O"),
+        ("rock_deg", "Rock (°)", -60, 60, "within the image plane: keys Y and H"),
+        ("tilt_deg", "Tilt (°)", -60, 60, "out of the image plane: keys T and G"),
+    ):
+        _add_slider(page, label, (lowest, highest, 1.0), name, lambda: session.hold, session.move, hint)
     looks = {"plane": lambda client: page.body.face(client, session.state), "body": page.body.face_body}
     look = gui.add_button_group("Look at", tuple(looks), hint="turns the 3-D view")
     look.on_click(page.does(lambda event: looks[look.value](event.client)))
     rings = gui.add_checkbox("Rings to turn the probe", initial_value=False)
     rings.on_update(page.does(lambda _: setattr(page.body.rings, "visible", rings.value)))
     gui.add_html(_HINTS)
+
+
+def _add_slider(
+    page: Page, label: str, bounds: Bounds, name: str, holder: Callable[[], object], change: Change, hint: str = ""
+) -> None:
+    """Add a slider of an attribute of what `holder` gives; `change` takes the new value by the attribute's name."""
+    page.add_slider(label, bounds, lambda: getattr(holder(), name), lambda value: change(**{name: value}), hint)
 
 
 def add_hands(page: Page) -> None:
@@ -128,25 +137,15 @@ def add_scan_tab(page: Page) -> None:
     def set_level(number: int, level: float) -> None:
         show(tgc_db=(*levels()[:number], level, *levels()[number + 1 :]))
 
-    page.add_slider(
-        "Depth (mm)", (40, 240, 5), lambda: session.state.probe.depth_mm, lambda value: session.scan(depth_mm=value)
-    )
-    page.add_slider(
-        "Frequency (MHz)",
-        (1.0, 12.0, 0.5),
-        lambda: session.state.probe.frequency_mhz,
-        lambda value: session.scan(frequency_mhz=value),
-    )
-    page.add_slider(
-        "Rays", (1, 64, 1), lambda: session.state.simulator.rays, lambda value: session.simulate(rays=round(value))
-    )
-    page.add_slider("Gain (dB)", (-30.0, 30.0, 1.0), lambda: display().gain_db, lambda value: show(gain_db=value))
-    page.add_slider(
-        "Dynamic range (dB)",
-        (20.0, 100.0, 5.0),
-        lambda: display().dynamic_range_db or session.state.simulator.dynamic_range_db,
-        lambda value: show(dynamic_range_db=value),
-    )
+    def dynamic_range() -> float:
+        return display().dynamic_range_db or session.state.simulator.dynamic_range_db
+
+    probe, simulator = (lambda: session.state.probe), (lambda: session.state.simulator)
+    _add_slider(page, "Depth (mm)", (40, 240, 5), "depth_mm", probe, session.scan)
+    _add_slider(page, "Frequency (MHz)", (1.0, 12.0, 0.5), "frequency_mhz", probe, session.scan)
+    _add_slider(page, "Rays", (1, 64, 1), "rays", simulator, session.simulate)
+    _add_slider(page, "Gain (dB)", (-30.0, 30.0, 1.0), "gain_db", display, show)
+    page.add_slider("Dynamic range (dB)", (20.0, 100.0, 5.0), dynamic_range, lambda db: show(dynamic_range_db=db))
     with gui.add_folder("Time gain (dB), by depth", expand_by_default=False):
         for number in range(_TGC_SLIDERS):
             label = f"at {round(100 * number / (_TGC_SLIDERS - 1))} %"
@@ -163,24 +162,55 @@ def add_scan_tab(page: Page) -> None:
     page.add_button("Scanner as at first", reset)
 
 
+def miss(pose: np.ndarray, wanted: np.ndarray) -> tuple[float, float]:
+    """How far a pose is from the wanted one, (4, 4) each: distance of the face's middle, mm, and angle, degrees.
+
+    A probe that is turned round by 180 degrees shows the same plane, mirrored.
+    """
+    left = Rotation.from_matrix(wanted[:3, :3]).inv() * Rotation.from_matrix(pose[:3, :3])
+    angle = min(left.magnitude(), (_TURNED_ROUND * left).magnitude())
+    return float(np.linalg.norm(pose[:3, 3] - wanted[:3, 3])), float(np.rad2deg(angle))
+
+
+def points(distance_mm: float, angle_deg: float) -> int:
+    """100 for the exact pose, 50 where distance and angle are at the limits of what is found, down to 0."""
+    return round(100 * 0.5 ** ((distance_mm / _FOUND_MM + angle_deg / _FOUND_DEG) / 2))
+
+
+def questions(names: Sequence[str], seed: int | None = None) -> Iterator[str]:
+    """Names in random order for ever, each once before any comes again, and none twice in a row."""
+    chooser, last = random.Random(seed), ""
+    while True:
+        left = [name for name in names if name != last or len(names) == 1]
+        chooser.shuffle(left)
+        for last in left:
+            yield last
+
+
 def add_learn_tab(page: Page) -> None:
     """Add the quiz: buttons to ask for a plane, to judge the probe, and to show the plane."""
-    quiz, points, session = Quiz(page.session.presets), list[int](), page.session
+    session, given, wanted = page.session, list[int](), ""
+    names = questions(list(session.presets))
     answer = page.server.gui.add_markdown(_RULES)
 
     def ask() -> None:
-        answer.content = f"Find: **{quiz.ask()}**"
+        nonlocal wanted
+        wanted = next(names)
+        answer.content = f"Find: **{wanted}**"
+
+    def pose() -> np.ndarray:
+        if not wanted:
+            raise ValueError("no plane has been asked for yet")
+        return session.presets[wanted]
 
     def judge() -> None:
-        result = miss(session.state.pose, quiz.pose)
-        points.append(result.points)
-        found = "found" if result.found else "not yet"
-        how = f"{result.distance_mm:.0f} mm and {result.angle_deg:.0f} degrees away"
-        mean = sum(points) / len(points)
-        answer.content = (
-            f"**{quiz.wanted}**: {found}, {how}: **{result.points} of 100** points. Mean of {len(points)}: {mean:.0f}."
-        )
+        distance, angle = miss(session.state.pose, pose())
+        given.append(points(distance, angle))
+        found = "found" if distance <= _FOUND_MM and angle <= _FOUND_DEG else "not yet"
+        how = f"{distance:.0f} mm and {angle:.0f} degrees away"
+        mean = f"Mean of {len(given)}: {sum(given) / len(given):.0f}."
+        answer.content = f"**{wanted}**: {found}, {how}: **{given[-1]} of 100** points. {mean}"
 
     page.add_button("Ask for a plane", ask)
     page.add_button("Judge the probe", judge)
-    page.add_button("Show the plane", lambda: session.to_pose(quiz.pose))
+    page.add_button("Show the plane", lambda: session.to_pose(pose()))

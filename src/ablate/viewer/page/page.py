@@ -13,12 +13,11 @@ from ablate.analysis.figures.tissue_colours import tissue_colours
 from ablate.anatomy import Scene
 from ablate.settings.study import StudySettings
 from ablate.viewer.page.body import Body
-from ablate.viewer.page.screen import BAD, GOOD, Layout, caption, line, screen
-from ablate.viewer.pictures import empty_picture
-from ablate.viewer.records import CineLoop, Shown, Sweep
-from ablate.viewer.session import FROZEN, Session
-from ablate.viewer.state import State, Views
+from ablate.viewer.pictures import BAD, GOOD, Layout, caption, empty_picture, line, screen
+from ablate.viewer.records import CineLoop, Sweep
+from ablate.viewer.session import FROZEN, Session, Views
 
+Bounds = tuple[float, float, float]
 _JPEG_QUALITY = 88
 IMAGES_PX = 640  # width of the images in a window of 1366 px
 _BODY_PX, _MOST_SPARE_PX = 430, 400
@@ -35,7 +34,7 @@ class Page:
         Where frames and sweeps are kept.
     sweep : Sweep or None
         The sweep that is being recorded.
-    shown : Shown or None
+    shown : Views or None
         The frame on the page: the last one, or one of the cine loop.
     refreshers, painters : list of callables
         Called when a setting has changed, and with every frame that is shown.
@@ -48,9 +47,9 @@ class Page:
         self.body = Body(server, scene, self.colours, session.hand.axis, session.hand.front)
         self.layout, self.loop = Layout(), CineLoop()
         self.sweep: Sweep | None = None
-        self.shown: Shown | None = None
+        self.shown: Views | None = None
         self.refreshers: list[Callable[[], object]] = []
-        self.painters: list[Callable[[Shown], object]] = []
+        self.painters: list[Callable[[Views], object]] = []
         self.lock, self._paper = threading.RLock(), threading.RLock()
         self._pencil = ThreadPoolExecutor(1, "pencil")
         self._drawing = self._pencil.submit(lambda: None)
@@ -66,12 +65,7 @@ class Page:
         session.listeners.append(self.refresh)
 
     def add_slider(
-        self,
-        label: str,
-        bounds: tuple[float, float, float],
-        read: Callable[[], float],
-        write: Callable[[float], object],
-        hint: str | None = None,
+        self, label: str, bounds: Bounds, read: Callable[[], float], write: Callable[[float], object], hint: str = ""
     ) -> None:
         """Add a slider with bounds (lowest, highest, step); it shows what `read` gives, and moving it calls `write`."""
         lowest, highest, step = bounds
@@ -81,8 +75,9 @@ class Page:
             value = min(max(read(), lowest), highest)
             return round(value) if whole else round(value / step) * step  # as many digits as a step has
 
-        slider = self.server.gui.add_slider(label, min=lowest, max=highest, step=step, initial_value=shown(), hint=hint)
-        slider.on_update(self.does(lambda _: write(slider.value)))
+        limits = {"min": lowest, "max": highest, "step": step, "hint": hint or None}
+        slider = self.server.gui.add_slider(label, **limits, initial_value=shown())
+        slider.on_update(self.does(lambda _: write(round(slider.value) if whole else slider.value)))
         self.keep_equal(slider, shown)
 
     def add_button(self, label: str, work: Callable[[], object]) -> None:
@@ -129,7 +124,7 @@ class Page:
                     self.say("")
                     work(*arguments)
                 except Exception as error:  # the viewer lives on, whatever it is
-                    self.fail(None, error)
+                    self.fail(error)
                     self.refresh()
 
         return answer
@@ -139,7 +134,7 @@ class Page:
         self._words = " ".join(words.split())
         self._write_status()
 
-    def fail(self, _: State | None, error: Exception) -> None:
+    def fail(self, error: Exception) -> None:
         """Show why a state could not be rendered, or why a wish could not be met."""
         self.say(str(error) or type(error).__name__)
 
@@ -150,20 +145,21 @@ class Page:
             refresher()
         self._write_status()
 
-    def show(self, state: State, views: Views) -> None:
+    def show(self, views: Views) -> None:
         """Keep a frame that the worker rendered, and have it drawn while the worker renders the next one."""
-        shown = self.shown = Shown(state, views, time.monotonic())
-        self.loop.add(shown)
+        self.shown = views
+        self.loop.add(views)
         if self.sweep is not None:
-            self.sweep.add(shown)
-        self._drawing.result()  # of two frames none is left out, so the last one is drawn last
-        self._drawing = self._pencil.submit(self._draw, shown)
+            self.sweep.add(views)
 
-    def _draw(self, shown: Shown) -> None:
-        try:
-            self.paint(shown)
-        except Exception as error:  # as for what the worker itself cannot do
-            self.fail(shown.state, error)
+        def draw() -> None:
+            try:
+                self.paint(views)
+            except Exception as error:  # as for what the worker itself cannot do
+                self.fail(error)
+
+        self._drawing.result()  # of two frames none is left out, so the last one is drawn last
+        self._drawing = self._pencil.submit(draw)
 
     def close(self) -> None:
         """End the thread that draws, after the frame that it draws now."""
@@ -174,16 +170,16 @@ class Page:
         """Whether all that was shown has been drawn."""
         return self._drawing.done()
 
-    def paint(self, shown: Shown) -> None:
+    def paint(self, views: Views) -> None:
         """Draw a frame, a new one or one of the cine loop."""
         with self._paper:
-            picture = screen(shown.state, shown.views, self.colours, self.layout)
+            picture = screen(views, self.colours, self.layout)
             with self.server.atomic():
                 self._screen.image = picture
-                self._caption.content = caption(shown.state, shown.views, self.scene, self.colours)
-            self.body.show(shown.state, shown.views)
+                self._caption.content = caption(views, self.scene, self.colours)
+            self.body.show(views)
             for painter in self.painters:
-                painter(shown)
+                painter(views)
 
     def lay_out(self, **changes: Any) -> None:
         """Change the layout of the images, and draw the last frame again."""

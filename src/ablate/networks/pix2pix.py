@@ -1,16 +1,48 @@
-"""The conditional PatchGAN of pix2pix: each output scores one patch of 70 x 70 pixels."""
+"""The networks of pix2pix (Isola et al., CVPR 2017): the U-Net, which LSA2H and NSA2H are, and the PatchGAN."""
 
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ablate.networks.layers import draw_initial_weights, instance_norm, laid_out
-from ablate.networks.spec import GeneratorSpec, conditions, scaled
+from ablate.networks.layers import JointTransposedConvolution, draw_initial_weights, instance_norm, laid_out
+from ablate.networks.spec import GeneratorSpec, conditions, inputs, scaled
 
+# Channels after each down-sampling; deeper levels of the U-Net have as many as the last.
+WIDTHS = (64, 128, 256, 512)
 LEAK = 0.2
 SMALLEST = 32
+
+
+class UNetwork(nn.Module):
+    """`depth` convolutions 4x4 of stride 2, as many transposed ones, and skip connections between them.
+
+    With depth 8 this is the U-Net-256 of pix2pix, with the same order of convolution, instance norm and activation and
+    a bias in every convolution. It has no dropout, because the paper mentions none and a rendering must be repeatable.
+    """
+
+    def __init__(self, spec: GeneratorSpec) -> None:
+        super().__init__()
+        widths = [scaled(WIDTHS[min(level, len(WIDTHS) - 1)], spec.width) for level in range(spec.depth)]
+        shrink = pairwise((len(inputs(spec)), *widths))
+        self.down = nn.ModuleList(nn.Conv2d(a, b, 4, stride=2, padding=1) for a, b in shrink)
+        out = (*reversed(widths[:-1]), 1)
+        grow = zip((widths[-1], *(2 * width for width in out)), out, strict=False)
+        self.up = nn.ModuleList(JointTransposedConvolution(a, b, 4, stride=2, padding=1) for a, b in grow)
+
+    def forward(self, stacked: Tensor, _maps: Sequence[Tensor | None], _noise: Sequence[Tensor | None]) -> Tensor:
+        """Render (N, inputs, H, W) in [-1, 1] to (N, 1, H, W); H and W are multiples of 2^depth."""
+        skips = [self.down[0](stacked)]
+        for layer in self.down[1:-1]:
+            skips.append(instance_norm(layer(F.leaky_relu(skips[-1], LEAK))))
+        features = self.down[-1](F.leaky_relu(skips[-1], LEAK))
+        features = instance_norm(self.up[0](F.relu(features)))
+        for layer in self.up[1:-1]:
+            features = instance_norm(layer(F.relu(torch.cat((skips.pop(), features), dim=1))))
+        return torch.tanh(self.up[-1](F.relu(torch.cat((skips.pop(), features), dim=1))))
 
 
 class PatchDiscriminator(nn.Module):
@@ -39,7 +71,7 @@ class PatchDiscriminator(nn.Module):
 
     def __init__(self, in_channels: int, width: float = 1.0) -> None:
         super().__init__()
-        widths = [scaled(channels, width) for channels in (64, 128, 256, 512)]
+        widths = [scaled(channels, width) for channels in WIDTHS]
         self.first = nn.Conv2d(in_channels, widths[0], 4, stride=2, padding=1)
         self.inner = nn.ModuleList(
             nn.Conv2d(fine, coarse, 4, stride, padding=1)
@@ -75,8 +107,7 @@ class PatchDiscriminator(nn.Module):
         features = F.leaky_relu(self.first(stacked), LEAK)
         for layer in self.inner:
             features = F.leaky_relu(instance_norm(layer(features)), LEAK)
-        logits: Tensor = self.last(features)
-        return logits
+        return cast(Tensor, self.last(features))
 
 
 def discriminator_channels(spec: GeneratorSpec) -> int:
