@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from ablate.anatomy import Scene, Structure, content_hash, fetal_abdomen, load_tissues
-from ablate.anatomy.scene_cache import cached_scene
+from ablate.anatomy.scene import cached_scene
 
 
 def small() -> Scene:

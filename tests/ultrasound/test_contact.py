@@ -7,7 +7,7 @@ import pytest
 
 from ablate.anatomy import Tissue, load_tissues
 from ablate.ultrasound import ConvexProbe
-from ablate.ultrasound.maps.slices import contact_warning
+from ablate.ultrasound.surfaces.slices import contact_warning
 
 TABLE = load_tissues()
 GEL = TABLE["coupling_gel"]

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import kstest
 
-from ablate.ultrasound.transport.draws import (
+from ablate.ultrasound.transport.rays import (
     CHOICE,
     COLUMNS,
     COS_AZIMUTH,

@@ -8,7 +8,7 @@ import pytest
 from ablate.anatomy import Tissue
 from ablate.ultrasound.media import tabulate
 from ablate.ultrasound.settings import DepthMode
-from ablate.ultrasound.transport.interfaces import (
+from ablate.ultrasound.transport.bounce import (
     facing,
     refracted,
     rough_normal,

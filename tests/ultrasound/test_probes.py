@@ -12,7 +12,7 @@ from ablate.anatomy import Scene, Structure, Tissue
 from ablate.setting import plain
 from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import face_points, fan_outline, fan_size_mm, square_pixels
-from ablate.ultrasound.probe_kinds import probe_from
+from ablate.ultrasound.settings import probe_from
 
 CONVEX = ConvexProbe(radius_mm=30.0, fov_deg=60.0, depth_mm=100.0, frequency_mhz=3.0)
 LINEAR = LinearProbe(width_mm=60.0, depth_mm=100.0, frequency_mhz=3.0)

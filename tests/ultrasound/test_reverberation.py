@@ -7,7 +7,7 @@ import pytest
 
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound.transport.bounce import SHARED_FROM_GROWTH
-from ablate.ultrasound.transport.draws import MAX_ROWS
+from ablate.ultrasound.transport.rays import MAX_ROWS
 from support.traced_rays import follow
 
 

@@ -6,8 +6,8 @@ import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue, check_scene
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
-from ablate.ultrasound.maps.slices import beside
 from ablate.ultrasound.probe import fan_size_mm, pixel_coordinates_mm
+from ablate.ultrasound.surfaces.slices import beside
 
 PAPER_SIZE = SimulatorSettings()
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=40.0).apply_translation((3.0, 2.0, 60.0))

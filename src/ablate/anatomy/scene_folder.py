@@ -70,8 +70,8 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
         where = f"{path}: structures[{i}]"
         entry = values.mapping(entry, where, ("mesh", "tissue"))
         mesh = _mesh_path(entry.get("mesh"), folder, f"{where}.mesh")
-        meshes.append((mesh, values.tissue_named(entry.get("tissue"), tissues, f"{where}.tissue")))
-    background = values.tissue_named(content.get("background", "coupling_gel"), tissues, f"{path}: background")
+        meshes.append((mesh, tissues[values.one_of(entry.get("tissue"), tissues, f"{where}.tissue")]))
+    background = tissues[values.one_of(content.get("background", "coupling_gel"), tissues, f"{path}: background")]
     labels = checked_labels(content["labels"], folder, tissues, f"{path}: labels") if content.get("labels") else None
     names = [*(name for name, _ in (labels.structures if labels else ())), *(mesh.name for mesh, _ in meshes)]
     sites = _sites(content["sites"], f"{path}: sites", mm_per_unit, names) if content.get("sites") else None

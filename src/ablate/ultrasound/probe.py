@@ -3,17 +3,16 @@
 Probe axes: x lateral, z depth, y = z cross x elevational; the origin is the middle of the face. The scanlines of a
 convex probe leave its face at right angles, so the centre of curvature, at z = -radius, is where they meet. Those of a
 phased one meet in the origin: its fan is that of a radius of 0. Those of a linear one are parallel. Lengths are mm,
-angles rad. What is different between the kinds of probe is in `_FANS`, and everything else asks there.
+angles rad. What is different between the kinds of probe is in `_fan`, and everything else asks there.
 """
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from ablate.ultrasound.probe_kinds import ConvexProbe, LinearProbe, PhasedProbe, Probe
-from ablate.ultrasound.settings import SimulatorSettings
+from ablate.ultrasound.settings import ConvexProbe, LinearProbe, PhasedProbe, Probe, SimulatorSettings
 
 #: Of the face, across the image plane (assumed).
 FACE_HALF_WIDTH_MM = 6.0
@@ -68,16 +67,10 @@ def _rectangle(probe: LinearProbe) -> _Fan:
     return _Fan((probe.depth_mm, wide), 0.0, wide + probe.depth_mm, wide / 2, width, polar, lines)
 
 
-#: Another kind of probe is another entry.
-_FANS: dict[type, Callable[[Any], _Fan]] = {
-    ConvexProbe: lambda probe: _sector(probe, probe.radius_mm),
-    PhasedProbe: lambda probe: _sector(probe, 0.0, probe.aperture_mm),
-    LinearProbe: _rectangle,
-}
-
-
 def _fan(probe: Probe) -> _Fan:
-    return _FANS[type(probe)](probe)
+    if isinstance(probe, LinearProbe):
+        return _rectangle(probe)
+    return _sector(probe, 0.0, probe.aperture_mm) if isinstance(probe, PhasedProbe) else _sector(probe, probe.radius_mm)
 
 
 def check_pose(pose: np.ndarray) -> np.ndarray:

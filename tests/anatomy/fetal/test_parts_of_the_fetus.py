@@ -8,9 +8,9 @@ import pytest
 import trimesh
 
 from ablate.anatomy import Scene
-from ablate.anatomy.fetal.axes import curl, curled, trunk
+from ablate.anatomy.fetal.body import curl, curled, trunk
+from ablate.anatomy.fetal.fetal_abdomen import abdomen_plane, fetal_planes, head_plane
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
-from ablate.anatomy.fetal.standard_planes import abdomen_plane, fetal_planes, head_plane
 
 Built = Callable[[int, int], Scene]
 MeshOf = Callable[..., trimesh.Trimesh]

@@ -9,10 +9,8 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from ablate.anatomy import Scene
-from ablate.anatomy.fetal.axes import SIDES
-from ablate.anatomy.fetal.body import Limbs
-from ablate.anatomy.fetal.mother import cavity
-from ablate.anatomy.fetal.placenta import placenta_field
+from ablate.anatomy.fetal.body import SIDES, Limbs
+from ablate.anatomy.fetal.mother import cavity, placenta_field
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy, lie, untangled
 from ablate.anatomy.fetal.umbilical_cord import JELLY_MM, cord_route
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ablate.anatomy.fetal import sdf
+from ablate.anatomy.fetal import shapes as sdf
 from ablate.anatomy.meshes.repair import odd_edges
 
 BOX = ((-40.0, -40.0, -40.0), (40.0, 40.0, 40.0))

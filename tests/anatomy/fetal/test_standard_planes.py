@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from ablate.anatomy import Scene, fetal_planes
+from ablate.anatomy.fetal.fetal_abdomen import abdomen_plane, head_plane
 from ablate.anatomy.fetal.mother import torso
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
-from ablate.anatomy.fetal.standard_planes import abdomen_plane, head_plane
 
 Built = Callable[[int, int], Scene]
 MeshOf = Callable[..., trimesh.Trimesh]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ablate.anatomy.fetal.tubes import frames, joined, rod, smooth_path, spindle, tube
+from ablate.anatomy.fetal.shapes import frames, joined, rod, smooth_path, spindle, tube
 from ablate.anatomy.meshes.repair import odd_edges
 
 

@@ -3,11 +3,9 @@
 import numpy as np
 import trimesh
 
-from ablate.anatomy.fetal.axes import SIDES, outline, spine_y
-from ablate.anatomy.fetal.body import Limb, Limbs, finger_rays
-from ablate.anatomy.fetal.head import EYE_CENTER
-from ablate.anatomy.fetal.parts import Part
-from ablate.anatomy.fetal.tubes import joined, rod, smooth_path, spindle, tube, unit
+from ablate.anatomy.fetal.body import SIDES, Limb, Limbs, finger_rays, outline, spine_y
+from ablate.anatomy.fetal.organs import EYE_CENTER
+from ablate.anatomy.fetal.shapes import Part, joined, rod, smooth_path, spindle, tube, unit
 
 FEMUR_MM = 39.0
 SCAPULA_DEPTH_MM = 2.3  # of its middle under the skin

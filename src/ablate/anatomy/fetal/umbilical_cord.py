@@ -6,12 +6,10 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates, maximum_filter
 from skimage.graph import route_through_array
 
-from ablate.anatomy.fetal.axes import NAVEL_IN_TRUNK, curl
-from ablate.anatomy.fetal.mother import UTERUS_RADII
-from ablate.anatomy.fetal.parts import Part
-from ablate.anatomy.fetal.placenta import REACH_DEG, face_points, from_middle, placenta_field
+from ablate.anatomy.fetal.body import NAVEL_IN_TRUNK, curl
+from ablate.anatomy.fetal.mother import REACH_DEG, UTERUS_RADII, face_points, from_middle, placenta_field
 from ablate.anatomy.fetal.pregnancy import PITCH_MM, FreeSpace, Pregnancy
-from ablate.anatomy.fetal.tubes import arc_length, frames, interpolated, joined, smooth_path, tube, unit
+from ablate.anatomy.fetal.shapes import Part, arc_length, frames, interpolated, joined, smooth_path, tube, unit
 
 JELLY_MM = 4.5  # radius of the cord
 WIND_MM = 26.0  # length of one turn of the arteries

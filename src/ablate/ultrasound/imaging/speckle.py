@@ -1,9 +1,9 @@
 """Scatterers on the scanlines: strength, texture and illumination at every sample."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from ablate.threads import in_parts
 from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, axial_kernel, lateral_sigma, layer_weights
 from ablate.ultrasound.imaging.scatterers import (
     TABLE_SIZE,
+    add_scatterers,
     cell_hash,
     lattice_anchor,
     mix_seed,
@@ -25,8 +26,7 @@ from ablate.ultrasound.imaging.scatterers import (
     wrapped,
 )
 from ablate.ultrasound.probe import reach_mm
-from ablate.ultrasound.probe_kinds import Probe
-from ablate.ultrasound.settings import PlanMode, SimulatorSettings
+from ablate.ultrasound.settings import PlanMode, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 _DB_TO_NEPER = math.log(10) / 20
@@ -125,9 +125,8 @@ class Speckle:
         _, scanlines, samples = lines.amplitude.shape
         summed = torch.zeros((2, scanlines, samples), dtype=self._dtype, device=lines.amplitude.device)
         on_cpu = summed.device.type == "cpu"
-        compiled = _compiled_sum() if on_cpu else None
-        add = self._add if compiled is None else partial(self._add_compiled, compiled)
-        in_parts(partial(add, summed, lines, seed), scanlines, LINES_OF_A_PART if on_cpu else scanlines)
+        add = partial(self._add_compiled if on_cpu else self._add, summed, lines, seed)
+        in_parts(add, scanlines, LINES_OF_A_PART if on_cpu else scanlines)
         return summed
 
     def _add(self, summed: torch.Tensor, lines: InsonifiedLines, seed: int, begin: int, end: int) -> None:
@@ -144,15 +143,7 @@ class Speckle:
             total.addcmul_(strength, amplitude[..., None])
         summed[:, some] = total.permute(2, 0, 1)
 
-    def _add_compiled(
-        self,
-        add_scatterers: Callable[..., None],
-        summed: torch.Tensor,
-        lines: InsonifiedLines,
-        seed: int,
-        begin: int,
-        end: int,
-    ) -> None:
+    def _add_compiled(self, summed: torch.Tensor, lines: InsonifiedLines, seed: int, begin: int, end: int) -> None:
         """The same sample by sample, without those that are silent."""
         some = slice(begin, end)
         of_all = lines.ranges_mm.ndim == 1
@@ -190,16 +181,6 @@ class Speckle:
         along = ranges_mm[..., coarse, None]
         points = starts[:, :, None] + directions[:, :, None] * along
         return texture_gain_db(points, label[..., coarse].long(), self._textures)
-
-
-@cache
-def _compiled_sum() -> Callable[..., None] | None:
-    """Numba's way to sum scatterers; a machine that only makes images of what rays brought back may lack Numba."""
-    try:
-        from ablate.ultrasound.imaging.compiled_scatterers import add_scatterers
-    except ImportError:
-        return None
-    return add_scatterers
 
 
 def _interpolated(values: torch.Tensor, size: int) -> torch.Tensor:

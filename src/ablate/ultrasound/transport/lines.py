@@ -10,8 +10,7 @@ from torch.nn import functional as F
 
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.imaging.point_spread import Across, lateral_kernels
-from ablate.ultrasound.probe_kinds import Probe
-from ablate.ultrasound.settings import SimulatorSettings
+from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 #: Echoes of reflected rays are few and out of focus: they are spread over these standard deviations.

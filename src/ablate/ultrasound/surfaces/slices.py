@@ -7,8 +7,7 @@ import numpy as np
 from ablate.anatomy import Tissue
 from ablate.ultrasound.media import Media, loss_db_mm
 from ablate.ultrasound.probe import pixel_coordinates_mm, sample_depths_mm, scanlines_in_plane, to_world
-from ablate.ultrasound.probe_kinds import Probe
-from ablate.ultrasound.settings import DepthMode, SimulatorSettings
+from ablate.ultrasound.settings import DepthMode, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples, walk

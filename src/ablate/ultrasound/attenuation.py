@@ -7,7 +7,7 @@ import numpy as np
 
 from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, pixel_polar
-from ablate.ultrasound.probe_kinds import Probe
+from ablate.ultrasound.settings import Probe
 from ablate.ultrasound.stages import Stage, stage
 
 DB_PER_NEPER = 20 / math.log(10)  # 8.686
