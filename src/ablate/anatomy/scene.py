@@ -144,25 +144,20 @@ def cached_scene(folder: str | Path | None, build: Callable[[], Scene], **parame
     scene = build()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with written_whole(path) as partial:
-            _write(partial, scene)
+        meshes = [structure.mesh for structure in scene.structures]
+        with written_whole(path) as partial, partial.open("wb") as stream:
+            np.savez(
+                stream,
+                vertices=np.concatenate([mesh.vertices for mesh in meshes]),
+                faces=np.concatenate([mesh.faces for mesh in meshes]).astype(np.int32),
+                counts=[(len(mesh.vertices), len(mesh.faces)) for mesh in meshes],
+                names=[mesh.metadata["name"] for mesh in meshes],
+                tissues=[structure.tissue.name for structure in scene.structures],
+                scene=[scene.background.name, scene.name, content_hash(scene)],
+            )
     except OSError as error:
         logger.warning("%s: the built scene is not kept: %s", path, error)
     return scene
-
-
-def _write(path: Path, scene: Scene) -> None:
-    meshes = [structure.mesh for structure in scene.structures]
-    with path.open("wb") as stream:
-        np.savez(
-            stream,
-            vertices=np.concatenate([mesh.vertices for mesh in meshes]),
-            faces=np.concatenate([mesh.faces for mesh in meshes]).astype(np.int32),
-            counts=[(len(mesh.vertices), len(mesh.faces)) for mesh in meshes],
-            names=[mesh.metadata["name"] for mesh in meshes],
-            tissues=[structure.tissue.name for structure in scene.structures],
-            scene=[scene.background.name, scene.name, content_hash(scene)],
-        )
 
 
 def _read(path: Path) -> Scene:

@@ -114,12 +114,8 @@ def _within_reach(scene: Scene, probe: Probe, settings: SimulatorSettings, poses
         fastest = max(1.0, max(t.speed_m_s for t in scene.tissues) / DISPLAY_SPEED_M_S)
     reach = 1.001 * (probe.depth_mm * fastest + face + off_plane)
     middles = np.array([pose[:3, 3] for pose in poses]).reshape(-1, 3)
-    near = np.zeros(len(scene.structures), bool)
-    for i, structure in enumerate(scene.structures):
-        lower, upper = structure.mesh.bounds
-        gap = np.maximum(np.maximum(lower - middles, middles - upper), 0)
-        near[i] = bool((np.linalg.norm(gap, axis=-1) <= reach).any())
-    return near
+    gaps = [np.maximum(np.maximum(s.mesh.bounds[0] - middles, middles - s.mesh.bounds[1]), 0) for s in scene.structures]
+    return np.array([(np.linalg.norm(gap, axis=-1) <= reach).any() for gap in gaps], bool)
 
 
 def _notes(scene: Scene, near: np.ndarray, used: np.ndarray, media: Media, settings: SimulatorSettings) -> list[str]:

@@ -103,7 +103,14 @@ class Simulator:
         # Zero for every scene about the world's origin; float32 then serves scenes that are far from it.
         grid_mm = 10 ** math.ceil(math.log10(extent + float(np.linalg.norm(bounds[1] - bounds[0]))))
         self._origin_mm = grid_mm * np.rint(bounds.mean(axis=0) / grid_mm)
-        self._geometry = self._triangles(beside, bounds, extent)
+        if (
+            beside is not None
+            and np.array_equal(beside._origin_mm, self._origin_mm)
+            and [*map(id, beside._plan.structures)] == [*map(id, self._plan.structures)]
+        ):
+            self._geometry = beside._geometry.reaching(extent)
+        else:
+            self._geometry = Geometry(self._plan.structures, bounds, self._origin_mm, extent)
         spread = stratified if settings.tolerance is None else progressive
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays, spread)
         self._rays = probe_rays(probe, settings, self._draws)
@@ -112,14 +119,6 @@ class Simulator:
         self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None
         self._prepared: tuple[bytes, Prepared] | None = None
         self._warned: set[str] = set()
-
-    def _triangles(self, beside: "Simulator | None", bounds: np.ndarray, extent_mm: float) -> Geometry:
-        """The plan's structures, ready to be hit; those of another simulator where they are the same."""
-        if beside is not None and np.array_equal(beside._origin_mm, self._origin_mm):
-            theirs, own = beside._plan.structures, self._plan.structures
-            if len(theirs) == len(own) and all(a is b for a, b in zip(theirs, own, strict=True)):
-                return beside._geometry.reaching(extent_mm)
-        return Geometry(self._plan.structures, bounds, self._origin_mm, extent_mm)
 
     @property
     def mask(self) -> np.ndarray:

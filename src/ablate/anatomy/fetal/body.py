@@ -271,13 +271,11 @@ def untangled(limbs: Limbs) -> bool:
     pairs = [(lower[i], fixed) for i in range(4)]
     pairs += [(whole[i][4:], navel) for i in (0, 2)]
     pairs += [(lower[i], whole[j]) for i in range(4) for j in range(4) if i != j]
-    return all(_gap(first, second) > 0.0 for first, second in pairs)
-
-
-def _gap(first: np.ndarray, second: np.ndarray) -> float:
-    """The least distance between the surfaces of two sets of balls, (n, 4) and (m, 4)."""
-    apart = np.linalg.norm(first[:, None, :3] - second[None, :, :3], axis=2)
-    return float((apart - first[:, None, 3] - second[None, :, 3]).min())
+    for first, second in pairs:
+        apart = np.linalg.norm(first[:, None, :3] - second[None, :, :3], axis=2)
+        if (apart - first[:, None, 3] - second[None, :, 3]).min() <= 0.0:
+            return False
+    return True
 
 
 def _body_balls() -> np.ndarray:

@@ -137,20 +137,14 @@ def fetal_planes(seed: int = 0, press_mm: float = 8.0) -> dict[str, np.ndarray]:
     >>> sorted(fetal_planes())
     ['abdomen', 'femur', 'four_chambers', 'head', 'placenta', 'spine']
     """
-    poses = {}
-    for name, planes in _planes(draw_pregnancy(seed)).items():
-        poses[name] = min((_pose(plane, press_mm) for plane in planes), key=itemgetter(0))[1]
-    return poses
-
-
-def _planes(pregnancy: Pregnancy) -> dict[str, tuple[_Plane, ...]]:
-    """What to see, by name; of several the one is taken that the probe reaches best."""
+    pregnancy = draw_pregnancy(seed)
     heart, base = pregnancy.to_world(curl(np.stack([HEART_CENTER, HEART_CENTER + 0.1 * HEART_AXES[:, 2]])))
     legs = [pregnancy.to_world(np.stack(pregnancy.limbs.leg(side))[:2]) for side in SIDES]
     spine = pregnancy.to_world(curl(np.array([[0.0, 12.0, 5.0]])))[0]
     placenta = np.array(UTERUS_CENTER) + 0.85 * np.array(UTERUS_RADII) * pregnancy.placenta
     left, back, _ = pregnancy.rotation.T
-    return {
+    # of several planes the one is taken that the probe reaches best
+    planes = {
         "head": (_Plane(*head_plane(pregnancy), beam=left),),
         "abdomen": (_Plane(*abdomen_plane(pregnancy), beam=left),),
         "four_chambers": (_Plane(heart, unit(base - heart)),),
@@ -158,6 +152,10 @@ def _planes(pregnancy: Pregnancy) -> dict[str, tuple[_Plane, ...]]:
         "spine": (_Plane(spine, left, beam=back),),
         "placenta": (_Plane(placenta, np.array([1.0, 0.0, 0.0]), beam=pregnancy.placenta),),
     }
+    best = {
+        name: min((_pose(plane, press_mm) for plane in several), key=itemgetter(0)) for name, several in planes.items()
+    }
+    return {name: pose for name, (_, pose) in best.items()}
 
 
 def head_plane(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:

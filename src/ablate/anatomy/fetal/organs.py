@@ -205,7 +205,12 @@ def fetal_head(scale: float, seed: int) -> list[Part]:
         ],
         0.4,
     )
-    thalami = sdf.union([_thalamus(s) for s in SIDES[::-1]], 0.8)
+    halves = []  # of the diamond that the thalami make in an axial plane
+    for side in SIDES[::-1]:
+        turn = np.deg2rad(side * 16.0)
+        axes = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+        halves.append(sdf.ellipsoid((side * 5.2, 5.0, 0.0), (4.4, 8.2, 5.6), axes))
+    thalami = sdf.union(halves, 0.8)
     cavum = sdf.box((0.0, -12.5, 1.0), (2.1, 4.4, 3.2), 1.2)
     third_ventricle = sdf.ellipsoid((0.0, 4.0, 0.0), (0.75, 5.6, 4.5))
     return [
@@ -224,13 +229,6 @@ def fetal_head(scale: float, seed: int) -> list[Part]:
         *_ventricles(scale),
         *_eyes(scale),
     ]
-
-
-def _thalamus(side: float) -> sdf.Field:
-    """Half of the diamond that the thalami make in an axial plane."""
-    turn = np.deg2rad(side * 16.0)
-    axes = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
-    return sdf.ellipsoid((side * 5.2, 5.0, 0.0), (4.4, 8.2, 5.6), axes)
 
 
 def _sutures(scale: float) -> list[trimesh.Trimesh]:

@@ -131,7 +131,14 @@ def mesh_field(field: Field, bounds: Bounds, pitch_mm: float | Vector, name: str
     leaves its box.
     """
     pitch = np.broadcast_to(np.asarray(pitch_mm, float), 3)
-    lower, upper = _filled_box(field, bounds, 2.0 * pitch, name)
+    lower, upper = np.array(bounds, float)
+    step = (upper - lower) / COARSE_CELLS
+    coarse = [np.linspace(lower[i], upper[i], COARSE_CELLS + 1, dtype=np.float32) for i in range(3)]
+    near = np.argwhere(_on_grid(field, coarse) < np.linalg.norm(step))
+    if len(near) == 0:
+        raise ValueError(f"{name}: the shape is empty")
+    first, last = lower + (near.min(0) - 1) * step, lower + (near.max(0) + 1) * step
+    lower, upper = np.maximum(first, lower) - 2.0 * pitch, np.minimum(last, upper) + 2.0 * pitch
     axes = [np.arange(lower[i], upper[i] + pitch[i], pitch[i], dtype=np.float32) for i in range(3)]
     values = _on_grid(field, axes)
     if any(np.take(values, (0, -1), axis).min() < 0 for axis in range(3)):
@@ -146,18 +153,6 @@ def _on_grid(field: Field, axes: Sequence[np.ndarray]) -> np.ndarray:
     x, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
     values = np.broadcast_to(field(x, y, z), tuple(len(axis) for axis in axes))
     return np.array(values, dtype=np.float32)  # a writable copy, as marching cubes asks
-
-
-def _filled_box(field: Field, bounds: Bounds, margin: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner of the part of the box that the shape fills, with a margin; (3,) each, mm."""
-    lower, upper = np.array(bounds, float)
-    axes = [np.linspace(lower[i], upper[i], COARSE_CELLS + 1, dtype=np.float32) for i in range(3)]
-    step = (upper - lower) / COARSE_CELLS
-    near = np.argwhere(_on_grid(field, axes) < np.linalg.norm(step))
-    if len(near) == 0:
-        raise ValueError(f"{name}: the shape is empty")
-    first, last = lower + (near.min(0) - 1) * step, lower + (near.max(0) + 1) * step
-    return np.maximum(first, lower) - margin, np.minimum(last, upper) + margin
 
 
 def unit(vectors: Vector) -> np.ndarray:

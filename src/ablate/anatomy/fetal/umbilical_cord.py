@@ -32,7 +32,14 @@ def cord_route(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
     space = pregnancy.uterus.without(pregnancy.balls())
     root = pregnancy.to_world(curl(np.array([*_ROOT_IN_TRUNK, NAVEL_IN_TRUNK])))
     leave = root[2] + 10.0 * unit(root[2] - root[1])
-    insertion, into = _insertion(pregnancy, space)
+    # a place near the middle of the placenta's face with much fluid before it
+    turn = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
+    polar = np.deg2rad(REACH_DEG) * np.repeat((0.1, 0.3, 0.45), 10)
+    directions = from_middle(pregnancy.placenta, polar, np.tile(turn, 3))
+    points = face_points(placenta_field(pregnancy.seed, pregnancy.placenta), directions)
+    inwards = unit(directions / np.array(UTERUS_RADII))
+    chosen = int(np.argmax(np.minimum(space.clearance_at(points - 13.0 * inwards), 12.0) - 6.0 * polar))
+    insertion, into = points[chosen], inwards[chosen]
     arrive = insertion - 13.0 * into
     end = np.array([insertion, insertion + 6.0 * into])
     pockets = _pockets(space)
@@ -46,17 +53,6 @@ def cord_route(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
         if room > ROOM_MM:
             break
     return smooth_path(best, 4 * len(best)), insertion
-
-
-def _insertion(pregnancy: Pregnancy, space: FreeSpace) -> tuple[np.ndarray, np.ndarray]:
-    """A place near the middle of the placenta's face with much fluid before it, and the unit direction into it."""
-    field = placenta_field(pregnancy.seed, pregnancy.placenta)
-    turn = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
-    polar = np.deg2rad(REACH_DEG) * np.repeat((0.1, 0.3, 0.45), 10)
-    directions = from_middle(pregnancy.placenta, polar, np.tile(turn, 3))
-    points, into = face_points(field, directions), unit(directions / np.array(UTERUS_RADII))
-    best = int(np.argmax(np.minimum(space.clearance_at(points - 13.0 * into), 12.0) - 6.0 * polar))
-    return points[best], into[best]
 
 
 def _pockets(space: FreeSpace) -> list[np.ndarray]:

@@ -87,23 +87,19 @@ def _closed_by_hash(vertices: np.ndarray, faces: np.ndarray) -> bool:
     The exclusive or of the hashes of all edges is zero when every edge occurs an even number of times (Zobrist
     hashing); of the other meshes about one in 2^60 gives zero too. No edges are sorted. The hash of an edge is the
     squared difference of the hashes of its vertices, so it has no direction, and an edge from a vertex to itself has
-    zero. The hash of a vertex depends on its coordinates only, so it does not matter whether triangles share vertices.
+    zero. The hash of a vertex depends on its coordinates only, so it does not matter whether triangles share vertices:
+    rounds of multiply and shift as in SplitMix64.
     """
-    a, b, c = _place_hash(vertices)[faces.T]
-    edges = np.concatenate([a - b, b - c, c - a])
-    triangles = np.sort(a * b * c)
-    return np.bitwise_xor.reduce(edges * edges) == 0 and not (triangles[1:] == triangles[:-1]).any()
-
-
-def _place_hash(vertices: np.ndarray) -> np.ndarray:
-    """A 64-bit hash of each vertex's coordinates, (n,) uint64; rounds of multiply and shift as in SplitMix64."""
     bits = (vertices + 0.0).view(np.uint64)  # -0 becomes 0
     mixed = np.full(len(bits), 0x9E3779B97F4A7C15, np.uint64)
     for column in bits.T:
         mixed = (mixed + column) * np.uint64(0xBF58476D1CE4E5B9)
         mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0x94D049BB133111EB)
         mixed ^= mixed >> np.uint64(31)
-    return mixed
+    a, b, c = mixed[faces.T]
+    edges = np.concatenate([a - b, b - c, c - a])
+    triangles = np.sort(a * b * c)
+    return np.bitwise_xor.reduce(edges * edges) == 0 and not (triangles[1:] == triangles[:-1]).any()
 
 
 def openings(vertices: np.ndarray, faces: np.ndarray) -> tuple[int, float]:

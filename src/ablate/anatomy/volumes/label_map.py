@@ -75,23 +75,19 @@ def slabs(volume: VolumeFile) -> Iterator[tuple[slice, np.ndarray]]:
     """
     step = max(1, _SLAB_VOXELS // math.prod(volume.shape[:2]))
     try:
-        values = _values(volume.path)
+        if volume.path.suffix.lower() == ".nrrd":  # which is read whole, NIfTI in parts
+            import nrrd
+
+            values = nrrd.read(str(volume.path), index_order="F")[0]
+        else:
+            import nibabel
+
+            values = nibabel.load(volume.path, keep_file_open=True).dataobj  # type: ignore[attr-defined]
         for start in range(0, volume.shape[2], step):
             part = slice(start, min(start + step, volume.shape[2]))
             yield part, np.asanyarray(values[:, :, part])
     except Exception as error:  # every reader raises its own
         raise ValueError(f"{volume.path}: not readable to its end: {' '.join(str(error).split())}") from None
-
-
-def _values(path: Path) -> Any:
-    """What gives the values of a part when it is sliced; NIfTI is read in parts, NRRD whole."""
-    if path.suffix.lower() == ".nrrd":
-        import nrrd
-
-        return nrrd.read(str(path), index_order="F")[0]
-    import nibabel
-
-    return nibabel.load(path, keep_file_open=True).dataobj  # type: ignore[attr-defined]
 
 
 def _nifti_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None]:

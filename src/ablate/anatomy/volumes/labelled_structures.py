@@ -76,7 +76,9 @@ def _level_of_volume(
         field, later = _fields(block, number, spacing_mm)
         for i, level in enumerate(levels):
             visible = field - level if later is None else np.minimum(field - level, -later)
-            volumes[i] += _volume(*_triangles(visible, 0.0, start))
+            vertices, faces = _triangles(visible, 0.0, start)
+            a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+            volumes[i] += float((a * np.cross(b, c)).sum()) / 6  # of all blocks: that of a closed surface
     # the cube root, because it is nearly linear; volumes fall with the level
     return float(np.interp(np.cbrt(voxels), np.cbrt(np.abs(volumes[::-1])), levels[::-1]))
 
@@ -149,12 +151,6 @@ def _triangles(field: np.ndarray, level: float, start: np.ndarray) -> tuple[np.n
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
     vertices, faces, _, _ = marching_cubes(field, level, gradient_direction="ascent")
     return vertices.astype(np.float64) + start, faces.astype(np.int64)
-
-
-def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Volume, in voxels, that triangles add to the closed surface that they are a part of; all signs are the same."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return float((a * np.cross(b, c)).sum()) / 6
 
 
 logger = logging.getLogger(__name__)

@@ -83,16 +83,13 @@ def unstratified(path_seed: np.uint64, interfaces: int, number: int, row: np.nda
     return row
 
 
-Spread = Callable[[np.random.Generator, int, int, int], np.ndarray]
-
-
 class Draws:
     """Draws for all rays of a simulator, made as they are needed and kept; a group is one scanline of one layer.
 
     `spread` makes the stratified numbers: `stratified`, or `progressive` where not all rays of a group are traced.
     """
 
-    def __init__(self, path_seed: int, groups: int, rays: int, spread: Spread = stratified) -> None:
+    def __init__(self, path_seed: int, groups: int, rays: int, spread: Callable[..., np.ndarray] = stratified) -> None:
         self._spread = spread
         self.seed, self._groups, self._rays = np.uint64(path_seed % 2**64), groups, rays
         self._table = np.empty((MAX_ROWS, groups * rays, COLUMNS), np.float32)
@@ -110,21 +107,16 @@ class Draws:
         """
         with self._making:
             while self._made < min(interfaces, MAX_ROWS):
-                self._table[self._made] = self._row(self._made)
+                generator, row = self._generator(self._made + 1), self._table[self._made]
+                u = self._spread(generator, self._groups, self._rays, 3).reshape(3, -1)
+                angle = np.float32(2 * np.pi) * u[2]
+                row[:, CHOICE] = u[0]
+                row[:, THICKNESS] = np.abs(generator.standard_normal(u.shape[1], np.float32))
+                row[:, LOG_U] = np.log(np.maximum(u[1], 1e-30))
+                row[:, COS_AZIMUTH], row[:, SIN_AZIMUTH] = np.cos(angle), np.sin(angle)
+                row[:, SURVIVAL] = generator.random(u.shape[1], np.float32)
                 self._made += 1
         return self._table
-
-    def _row(self, number: int) -> np.ndarray:
-        generator = self._generator(number + 1)
-        u = self._spread(generator, self._groups, self._rays, 3).reshape(3, -1)
-        row = np.empty((u.shape[1], COLUMNS), np.float32)
-        angle = np.float32(2 * np.pi) * u[2]
-        row[:, CHOICE] = u[0]
-        row[:, THICKNESS] = np.abs(generator.standard_normal(u.shape[1], np.float32))
-        row[:, LOG_U] = np.log(np.maximum(u[1], 1e-30))
-        row[:, COS_AZIMUTH], row[:, SIN_AZIMUTH] = np.cos(angle), np.sin(angle)
-        row[:, SURVIVAL] = generator.random(u.shape[1], np.float32)
-        return row
 
     def _generator(self, counter: int) -> np.random.Generator:
         return np.random.Generator(np.random.Philox(key=np.array([self.seed, counter], np.uint64)))
