@@ -15,7 +15,7 @@ from ablate.ultrasound.attenuation import integral_attenuation
 from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain
 from ablate.ultrasound.imaging.point_spread import layer_weights
 from ablate.ultrasound.media import plan_scene
-from ablate.ultrasound.probe import check_pose, reach_mm
+from ablate.ultrasound.probe import check_pose, fan_of
 from ablate.ultrasound.settings import ConvexProbe, Frame, Probe, SimulatorSettings
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
@@ -99,16 +99,13 @@ class Simulator:
         self._plan = plan_scene(scene, probe, settings, poses)
         self.left_out = self._plan.left_out
         bounds = bounds_mm(s.mesh for s in scene.structures)
-        extent = reach_mm(probe)
+        extent = fan_of(probe).reach_mm
         # Zero for every scene about the world's origin; float32 then serves scenes that are far from it.
         grid_mm = 10 ** math.ceil(math.log10(extent + float(np.linalg.norm(bounds[1] - bounds[0]))))
         self._origin_mm = grid_mm * np.rint(bounds.mean(axis=0) / grid_mm)
-        if (
-            beside is not None
-            and np.array_equal(beside._origin_mm, self._origin_mm)
-            and [*map(id, beside._plan.structures)] == [*map(id, self._plan.structures)]
-        ):
-            self._geometry = beside._geometry.reaching(extent)
+        own, theirs = ([id(s) for s in simulator._plan.structures] for simulator in (self, beside or self))
+        if beside is not None and own == theirs and np.array_equal(beside._origin_mm, self._origin_mm):
+            self._geometry: Geometry = beside._geometry.reaching(extent)
         else:
             self._geometry = Geometry(self._plan.structures, bounds, self._origin_mm, extent)
         spread = stratified if settings.tolerance is None else progressive
@@ -211,7 +208,7 @@ class Simulator:
             gain_db_mm=largest_gain_db / probe.depth_mm,
             step_mm=self._geometry.step_mm,
         )
-        labels, ranges = scanline_labels(self._geometry, plan.tissue_of_owner, plan.media, bundle, probe, settings)
+        labels, ranges = scanline_labels(self._geometry, plan, (bundle.starts, bundle.directions), probe, settings)
         words = contact_warning(labels, self.scene.tissues, probe)
         if words is not None and words not in self._warned:  # once a simulator, however many frames it renders
             self._warned.add(words)

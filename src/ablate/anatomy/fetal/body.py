@@ -1,8 +1,9 @@
-"""Axes of the fetus at 22 weeks, of its trunk and of its head, and the outline of the trunk.
+"""The fetus at 22 weeks from outside: its axes, outline and limbs, skin and muscles, and balls that about fill it.
 
 Fetal axes in mm: x to its left, y to its back, z to its head. Organs and bones of the trunk are built in a straight
 trunk (x, y, s) and bent forward afterwards; cross-sections at constant s keep their shape. The head has axes of its
-own, which are parallel to the fetal ones before the neck is bent.
+own, which are parallel to the fetal ones before the neck is bent. `side` is +1 for the left and -1 for the right. The
+balls, (n, 4), centre and radius, make distances between the fetus and its surroundings fast to compute.
 """
 
 from collections.abc import Sequence
@@ -39,6 +40,10 @@ _LEVELS = np.linspace(_OUTLINE[0, 0], _OUTLINE[0, -1], 400)
 _SMOOTH_OUTLINE = PchipInterpolator(_OUTLINE[0], _OUTLINE[1:].T)(_LEVELS)
 
 HEAD_ROTATION = Rotation.from_euler("x", HEAD_FLEXION_DEG, degrees=True).as_matrix()
+FETUS_BOX: sdf.Bounds = ((-75.0, -140.0, -100.0), (75.0, 60.0, 140.0))
+LIMBS_BOX: sdf.Bounds = ((-100.0, -150.0, -160.0), (100.0, 100.0, 130.0))
+HEAD_RADII = (29.2, 38.5, 31.2)  # of the scalp
+Capsule = tuple[np.ndarray, np.ndarray, float, float]  # start, end, and the radii there
 
 
 def outline(s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -110,12 +115,6 @@ def in_head(field: sdf.Field) -> sdf.Field:
         return field(*(i * u + j * v + k * w for i, j, k in HEAD_ROTATION.T))
 
     return placed
-
-
-FETUS_BOX: sdf.Bounds = ((-75.0, -140.0, -100.0), (75.0, 60.0, 140.0))
-LIMBS_BOX: sdf.Bounds = ((-100.0, -150.0, -160.0), (100.0, 100.0, 130.0))
-HEAD_RADII = (29.2, 38.5, 31.2)  # of the scalp
-Capsule = tuple[np.ndarray, np.ndarray, float, float]  # start, end, and the radii there
 
 
 @dataclass(frozen=True)

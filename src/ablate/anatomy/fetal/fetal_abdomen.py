@@ -1,4 +1,4 @@
-"""The built-in anatomy as a scene: a mother's abdomen with a fetus of 22 weeks, generated and not downloaded."""
+"""The built-in anatomy as a scene: generated and not downloaded, and where the probe is held to see standard planes."""
 
 import math
 from dataclasses import dataclass
@@ -29,6 +29,10 @@ from ablate.anatomy.tissue import load_tissues
 #: Triangles that the mother and the fetus have at grid scale 1, and the mother's share (the paper's 275k of 675k).
 _MOTHER_AT_SCALE_1, _FETUS_AT_SCALE_1 = 420_000, 680_000
 _MOTHER_SHARE = 275 / 675
+DEEPEST_MM = 115.0  # of what is looked at, under the skin
+MOST_OBLIQUE_DEG = 35.0  # between the beam and the skin's normal
+_ANGLES_DEG = np.arange(-72.0, 73.0, 3.0)  # about the mother's long axis, 0 in front
+_HEIGHTS_MM = np.arange(-105.0, 106.0, 5.0)
 
 
 def fetal_abdomen(triangles: int = 675_000, seed: int = 0, cache_dir: str | Path | None = None) -> Scene:
@@ -58,25 +62,17 @@ def fetal_abdomen(triangles: int = 675_000, seed: int = 0, cache_dir: str | Path
     >>> scene.structures[0].mesh.metadata["name"], len(scene.structures), scene.background.name
     ('skin', 78, 'coupling_gel')
     """
-    scales = grid_scales(triangles)
+    if triangles < FEWEST_TRIANGLES:
+        raise ValueError(f"fetal_abdomen: triangles must be at least {FEWEST_TRIANGLES}, not {triangles}")
     if seed < 0:
         raise ValueError(f"fetal_abdomen: seed must be at least 0, not {seed}")
     parameters = {"triangles": triangles, "seed": seed, "version": ANATOMY_VERSION}
-    return cached_scene(cache_dir, lambda: _build(*scales, seed), **parameters)
+    return cached_scene(cache_dir, lambda: _build(triangles, seed), **parameters)
 
 
-def grid_scales(triangles: int) -> tuple[float, float]:
-    """Factors on the spacings of the mother's and of the fetus's grids that give about this many triangles.
-
-    Raises ValueError when `triangles` is below `FEWEST_TRIANGLES`.
-    """
-    if triangles < FEWEST_TRIANGLES:
-        raise ValueError(f"fetal_abdomen: triangles must be at least {FEWEST_TRIANGLES}, not {triangles}")
-    mother = math.sqrt(_MOTHER_AT_SCALE_1 / (_MOTHER_SHARE * triangles))
-    return mother, math.sqrt(_FETUS_AT_SCALE_1 / ((1.0 - _MOTHER_SHARE) * triangles))
-
-
-def _build(mother_scale: float, scale: float, seed: int) -> Scene:
+def _build(triangles: int, seed: int) -> Scene:
+    mother_scale = math.sqrt(_MOTHER_AT_SCALE_1 / (_MOTHER_SHARE * triangles))
+    scale = math.sqrt(_FETUS_AT_SCALE_1 / ((1.0 - _MOTHER_SHARE) * triangles))
     pregnancy = draw_pregnancy(seed)
     path, insertion = cord_route(pregnancy)
     fetus = [
@@ -97,12 +93,6 @@ def _build(mother_scale: float, scale: float, seed: int) -> Scene:
     tissues = load_tissues()
     structures = tuple(Structure(part.mesh, tissues[part.tissue]) for part in parts)
     return Scene(structures, tissues["coupling_gel"], "fetal_abdomen")
-
-
-DEEPEST_MM = 115.0  # of what is looked at, under the skin
-MOST_OBLIQUE_DEG = 35.0  # between the beam and the skin's normal
-_ANGLES_DEG = np.arange(-72.0, 73.0, 3.0)  # about the mother's long axis, 0 in front
-_HEIGHTS_MM = np.arange(-105.0, 106.0, 5.0)
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,15 @@
-"""The mother's abdomen in the second trimester: wall, uterus, bladder, bowel, vessels and spine.
+"""The mother's abdomen in the second trimester: wall, uterus, bladder, bowel, vessels, spine, placenta.
 
-World frame in mm: x to her left, y to her back, z up; the navel is near (0, -133, 2).
+World frame in mm: x to her left, y to her back, z up; the navel is near (0, -133, 2). The placenta is a lobed disc on
+the uterine wall, with vessels on its fetal face and lakes of blood in its lobes. Its directions are taken from the
+middle of the uterus, in units of its radii, so that the wall is about a sphere of radius 1.
 """
 
 import numpy as np
 import trimesh
 
 from ablate.anatomy.fetal import shapes as sdf
-from ablate.anatomy.fetal.shapes import Part, joined, smooth_path, spindle, tube, unit
+from ablate.anatomy.fetal.shapes import Part, joined, smooth_path, solids_in, spindle, tube, unit
 
 BODY_BOX: sdf.Bounds = ((-175.0, -150.0, -185.0), (175.0, 150.0, 185.0))
 SKIN_MM = 2.0
@@ -22,6 +24,13 @@ GAS_POCKETS = (
     ((105.0, -30.0, 66.0), 10.0), ((108.0, -12.0, 22.0), 8.0), ((104.0, -26.0, -34.0), 11.0),
     ((-104.0, -28.0, -56.0), 10.0), ((-107.0, -10.0, 10.0), 9.0), ((-104.0, -26.0, 66.0), 11.0),
 )  # fmt: skip
+THICKNESS_MM = 22.0
+REACH_DEG = 50.0  # of the disc, seen from the middle of the uterus
+LOBE_MM = 36.0  # from the middle of a lobe to the next one's, on the wall
+GROOVE_MM = 3.2  # depth of the groove between two lobes
+GOLDEN_ANGLE = 2.399963  # rad
+_WALL_MM = 80.0  # mean distance of the wall from the middle
+_RADII = np.array(UTERUS_RADII)
 
 
 def torso(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -67,10 +76,10 @@ def cavity(seed: int) -> sdf.Field:
 
 def mother(scale: float, seed: int) -> list[Part]:
     """Everything but placenta, cord and fetus, outermost first."""
-
-    def solid(field: sdf.Field, tissue: str, pitch_mm: float, name: str) -> Part:
-        return Part(sdf.mesh_field(field, BODY_BOX, pitch_mm * scale, name), tissue)
-
+    solid = solids_in(BODY_BOX, scale)
+    shape = sdf.ellipsoid((3.0, -70.0, -104.0), (38.0, 20.0, 22.0))  # a half-filled bladder, moulded to the uterus
+    beside = sdf.outside(sdf.shrunk(_uterus(seed), -5.5))
+    bladder = sdf.rippled(sdf.intersection([shape, beside], 5.0), seed + 6, 0.6, 40.0)
     fat_inside = sdf.rippled(sdf.shrunk(torso, SKIN_MM + FAT_MM), seed + 3, 1.0, 70.0)
     return [
         solid(torso, "skin", 4.4, "skin"),
@@ -80,19 +89,10 @@ def mother(scale: float, seed: int) -> list[Part]:
         *_back(scale, seed),
         *_bowel(scale, seed),
         solid(_uterus(seed), "uterine_wall", 2.4, "uterus"),
-        *_bladder(scale, seed),
+        solid(sdf.shrunk(bladder, -3.0), "muscle", 1.8, "bladder wall", 8.0),
+        solid(bladder, "urine", 1.8, "bladder", 8.0),
         solid(cavity(seed), "amniotic_fluid", 2.2, "amniotic cavity"),
     ]
-
-
-def _bladder(scale: float, seed: int) -> list[Part]:
-    """Half-filled bladder, moulded to the front of the lower uterus."""
-    shape = sdf.ellipsoid((3.0, -70.0, -104.0), (38.0, 20.0, 22.0))
-    beside = sdf.outside(sdf.shrunk(_uterus(seed), -5.5))
-    lumen = sdf.rippled(sdf.intersection([shape, beside], 5.0), seed + 6, 0.6, 40.0)
-    shapes = ((sdf.shrunk(lumen, -3.0), "muscle", "bladder wall"), (lumen, "urine", "bladder"))
-    pitch_mm = min(1.8 * scale, 8.0)
-    return [Part(sdf.mesh_field(field, BODY_BOX, pitch_mm, name), tissue) for field, tissue, name in shapes]
 
 
 def _bowel(scale: float, seed: int) -> list[Part]:
@@ -139,15 +139,6 @@ def _back(scale: float, seed: int) -> list[Part]:
         Part(joined(bodies, "vertebral bodies"), "bone"),
         Part(joined(processes, "vertebral arches"), "bone"),
     ]
-
-
-THICKNESS_MM = 22.0
-REACH_DEG = 50.0  # of the disc, seen from the middle of the uterus
-LOBE_MM = 36.0  # from the middle of a lobe to the next one's, on the wall
-GROOVE_MM = 3.2  # depth of the groove between two lobes
-GOLDEN_ANGLE = 2.399963  # rad
-_WALL_MM = 80.0  # mean distance of the wall from the middle
-_RADII = np.array(UTERUS_RADII)
 
 
 def lobes(seed: int, towards: np.ndarray) -> np.ndarray:

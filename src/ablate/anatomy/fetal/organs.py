@@ -1,11 +1,11 @@
-"""Wall of the fetal trunk, and the organs of belly and chest. Straight trunk (x, y, s), mm."""
+"""Organs of belly and chest and the wall of the trunk, in the straight trunk; the inside of the head, in its axes."""
 
 import numpy as np
 import trimesh
 
 from ablate.anatomy.fetal import shapes as sdf
 from ablate.anatomy.fetal.body import SIDES, TRUNK_BOX, WALL_INSIDE_MM, WALL_OUTSIDE_MM, above_diaphragm, spine_y, trunk
-from ablate.anatomy.fetal.shapes import Part, Vector, interpolated, joined, smooth_path, spindle, tube
+from ablate.anatomy.fetal.shapes import Part, Vector, interpolated, joined, smooth_path, solids_in, spindle, tube
 
 #: x, y and s of the umbilical vein, from the navel into the liver, where it turns to the right (the portal sinus).
 UMBILICAL_VEIN = (
@@ -17,15 +17,18 @@ HEART_CENTER = np.array([2.6, -3.6, 17.0])
 #: The heart's axes as columns: to the apex (left, forward, down), to its left, and up; made orthonormal.
 HEART_TOWARDS = np.array([[0.64, 0.62, 0.2], [-0.70, 0.76, 0.0], [-0.26, 0.05, 1.0]])
 HEART_AXES = np.linalg.qr(HEART_TOWARDS)[0]
+HEAD_BOX: sdf.Bounds = ((-45.0, -55.0, -50.0), (45.0, 50.0, 45.0))
+SKULL_RADII = (27.0, 36.35, 29.0)  # BPD 54 mm, HC 200 mm, outer edge to outer edge
+SKULL_MM = 1.3
+FALX_MM = 1.0
+EYE_CENTER = (11.8, -31.0, -17.5)  # of the left one
+
 HEART_AXES *= np.sign((HEART_AXES * HEART_TOWARDS).sum(axis=0))
 
 
 def fetal_belly(scale: float, seed: int) -> list[Part]:
     """The wall of the trunk and the organs of the belly, outermost first."""
-
-    def solid(field: sdf.Field, tissue: str, pitch_mm: float, name: str, coarsest_mm: float = 7.0) -> Part:
-        return Part(sdf.mesh_field(field, TRUNK_BOX, min(pitch_mm * scale, coarsest_mm), name), tissue)
-
+    solid = solids_in(TRUNK_BOX, scale, 7.0)
     pylorus = sdf.capsule((12.0, -2.0, -17.0), (5.5, -5.0, -20.0), 4.6, 2.6)
     stomach = sdf.union([sdf.ellipsoid((12.5, 2.5, -14.5), (6.0, 7.0, 7.5)), pylorus], 3.0)
     stomach = sdf.rippled(stomach, seed + 1, 0.3, 14.0)
@@ -90,10 +93,7 @@ def _umbilical_vessels(scale: float) -> list[Part]:
 
 def fetal_chest(scale: float, seed: int) -> list[Part]:
     """The organs of the chest, outermost first."""
-
-    def solid(field: sdf.Field, tissue: str, pitch_mm: float, name: str) -> Part:
-        return Part(sdf.mesh_field(field, TRUNK_BOX, min(pitch_mm * scale, 7.0), name), tissue)
-
+    solid = solids_in(TRUNK_BOX, scale, 7.0)
     below_neck = sdf.half_space((0.0, 0.0, -1.0), -39.0)
     room = sdf.intersection([sdf.shrunk(trunk, WALL_INSIDE_MM), above_diaphragm(0.6), below_neck], 2.0)
     chambers = _chambers()
@@ -171,20 +171,9 @@ def _great_vessels(scale: float) -> list[Part]:
     ]
 
 
-HEAD_BOX: sdf.Bounds = ((-45.0, -55.0, -50.0), (45.0, 50.0, 45.0))
-SKULL_RADII = (27.0, 36.35, 29.0)  # BPD 54 mm, HC 200 mm, outer edge to outer edge
-SKULL_MM = 1.3
-FALX_MM = 1.0
-EYE_CENTER = (11.8, -31.0, -17.5)  # of the left one
-
-
 def fetal_head(scale: float, seed: int) -> list[Part]:
     """The head's contents, outermost first."""
-
-    def solid(field: sdf.Field, tissue: str, pitch_mm: float | Vector, name: str, coarsest_mm: float | Vector) -> Part:
-        pitch = np.minimum(np.asarray(pitch_mm) * scale, coarsest_mm)
-        return Part(sdf.mesh_field(field, HEAD_BOX, pitch, name), tissue)
-
+    solid = solids_in(HEAD_BOX, scale, 7.0)
     skull = sdf.rippled(sdf.ellipsoid((0.0, 0.0, 0.0), SKULL_RADII), seed, 0.12, 30.0)
     gap = sdf.ellipsoid((0.0, -17.5, 25.5), (6.0, 9.5, 6.0))  # from outside the skull into it
     bone = [sdf.shrunk(skull, -0.35), sdf.outside(sdf.shrunk(skull, SKULL_MM + 0.35))]

@@ -7,7 +7,7 @@ polynomial smooth minimum).
 
 from collections.abc import Callable, Sequence
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
@@ -245,6 +245,18 @@ class Part(NamedTuple):
 
     mesh: trimesh.Trimesh
     tissue: str
+
+
+def solids_in(box: Bounds, scale: float, coarsest_mm: float | Vector = np.inf) -> Callable[..., Part]:
+    """What makes parts of fields in a box: `solid(field, tissue, pitch_mm, name)`, with the pitch at scale 1.
+
+    A part may have its own `coarsest_mm`, beyond which the pitch does not grow.
+    """
+
+    def solid(field: Field, tissue: str, pitch_mm: float | Vector, name: str, coarsest: Any = coarsest_mm) -> Part:
+        return Part(mesh_field(field, box, np.minimum(np.asarray(pitch_mm) * scale, coarsest), name), tissue)
+
+    return solid
 
 
 def moved(parts: list[Part], to: Callable[[np.ndarray], np.ndarray]) -> list[Part]:

@@ -42,7 +42,14 @@ def cord_route(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
     insertion, into = points[chosen], inwards[chosen]
     arrive = insertion - 13.0 * into
     end = np.array([insertion, insertion + 6.0 * into])
-    pockets = _pockets(space)
+    # at most three places of the fluid that are farthest from everything, 45 mm apart
+    roomy = space.clearance * (space.clearance == maximum_filter(space.clearance, 7))
+    order = np.argsort(roomy, axis=None)[::-1][:200]
+    order = order[roomy.ravel()[order] > 2.0 * JELLY_MM]
+    pockets: list[np.ndarray] = []
+    for point in space.points.reshape(-1, 3)[order]:
+        if len(pockets) < 3 and all(np.linalg.norm(point - other) > 45.0 for other in pockets):
+            pockets.append(point)
     best, least = np.empty((0, 3)), -np.inf
     for stops in [*permutations(pockets, 3), *permutations(pockets, 2), *((pocket,) for pocket in pockets), ()]:
         shortest = _by_way_of(space, [leave, *stops, arrive])
@@ -53,18 +60,6 @@ def cord_route(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
         if room > ROOM_MM:
             break
     return smooth_path(best, 4 * len(best)), insertion
-
-
-def _pockets(space: FreeSpace) -> list[np.ndarray]:
-    """At most three places of the fluid that are farthest from everything, 45 mm apart: (3,) mm each."""
-    roomy = space.clearance * (space.clearance == maximum_filter(space.clearance, 7))
-    order = np.argsort(roomy, axis=None)[::-1][:200]
-    order = order[roomy.ravel()[order] > 2.0 * JELLY_MM]
-    chosen: list[np.ndarray] = []
-    for point in space.points.reshape(-1, 3)[order]:
-        if all(np.linalg.norm(point - other) > 45.0 for other in chosen):
-            chosen.append(point)
-    return chosen[:3]
 
 
 def _by_way_of(space: FreeSpace, stops: list[np.ndarray]) -> np.ndarray:

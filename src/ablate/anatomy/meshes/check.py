@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ablate.anatomy.meshes import repair
-from ablate.anatomy.scene import Scene, Structure, bounds_mm
+from ablate.anatomy.scene import Scene, bounds_mm
 
 logger = logging.getLogger(__name__)
 
@@ -47,8 +47,15 @@ def check_scene(scene: Scene, depth_mm: float) -> None:
         near the skin, of 10 mm and more, may be put on a whole body all the same).
     """
     for number, structure in enumerate(scene.structures):
-        if problem := _problem(structure):
-            raise ValueError(f"scene {scene.name!r}: structure {number} ({structure.tissue.name}) {problem}")
+        vertices, faces = np.asarray(structure.mesh.vertices, np.float64), np.asarray(structure.mesh.faces)
+        if not (fault := repair.array_fault(vertices, faces)):
+            if not repair.have_area(vertices, faces[:_FIRST]).any() and not repair.have_area(vertices, faces).any():
+                fault = f"has no triangle with an area ({len(faces)} without)"
+            elif not _closed_by_hash(vertices, faces) and (hole := openings(vertices, faces))[0]:
+                advice = "ablate.anatomy.meshes.repair drops doubled triangles and closes flat holes"
+                fault = f"is not closed: {hole[0]} open edges, the largest hole {hole[1]:.3g} mm wide; {advice}"
+        if fault:
+            raise ValueError(f"scene {scene.name!r}: structure {number} ({structure.tissue.name}) {fault}")
     if not scene.structures:
         return
     size_mm, scale = largest_extent_mm(scene), depth_mm / _BODY_DEPTH_MM
@@ -64,21 +71,6 @@ def check_scene(scene: Scene, depth_mm: float) -> None:
 def largest_extent_mm(scene: Scene) -> float:
     """Largest side of the box around all structures, of which there must be at least one."""
     return float(np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).max())
-
-
-def _problem(structure: Structure) -> str | None:
-    """What makes the image of a structure wrong; None where nothing does."""
-    vertices = np.asarray(structure.mesh.vertices, np.float64)
-    faces = np.asarray(structure.mesh.faces)
-    if fault := repair.array_fault(vertices, faces):
-        return fault
-    if not repair.have_area(vertices, faces[:_FIRST]).any() and not repair.have_area(vertices, faces).any():
-        return f"has no triangle with an area ({len(faces)} without)"
-    if _closed_by_hash(vertices, faces):
-        return None
-    edges, width_mm = openings(vertices, faces)
-    advice = "ablate.anatomy.meshes.repair drops doubled triangles and closes flat holes"
-    return f"is not closed: {edges} open edges, the largest hole {width_mm:.3g} mm wide; {advice}" if edges else None
 
 
 def _closed_by_hash(vertices: np.ndarray, faces: np.ndarray) -> bool:

@@ -23,6 +23,10 @@ _SQUARE = 1e-3  # largest cosine between two axes
 _SLAB_VOXELS = 2**21
 #: NRRD names its world, as left-posterior-superior or LPS; the factors take it to RAS+.
 _SPACES = {"ras": (1, 1, 1), "lps": (-1, -1, 1), "las": (-1, 1, 1)}
+LABELS_VERSION = 1  # of the surfaces that are made from labels: raised when they change
+TABLE = "totalsegmentator"  # classes of its task `total`, version 2
+LARGEST_LABEL = 65_535
+MOST_STRUCTURES = 254  # they are counted in 8 bits, with the body
 
 
 @dataclass(frozen=True)
@@ -137,12 +141,6 @@ def _affine_fault(affine: np.ndarray) -> str | None:
     return None
 
 
-LABELS_VERSION = 1  # of the surfaces that are made from labels: raised when they change
-TABLE = "totalsegmentator"  # classes of its task `total`, version 2
-LARGEST_LABEL = 65_535
-MOST_STRUCTURES = 254  # they are counted in 8 bits, with the body
-
-
 @dataclass(frozen=True)
 class Label:
     """A label of the volume; without a tissue it is left out."""
@@ -197,7 +195,14 @@ def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], wh
         labels = tuple(Label(n, name, tissues[one_of(t, tissues, where)]) for n, name, t in _table())
     else:
         labels = _labels(named, tissues, f"{where}.tissues")
-    body = _body(content["body"], folder, tissues, volume, f"{where}.body") if content.get("body") else None
+    body = None
+    if content.get("body"):
+        own, key = mapping(content["body"], f"{where}.body", ("file", "above", "tissue")), f"{where}.body"
+        image = check_volume(file_named(own.get("file"), SUFFIXES, folder, f"{key}.file"), f"{key}.file")
+        if image.shape != volume.shape or not np.allclose(image.affine, volume.affine, atol=1e-3):
+            raise ValueError(f"{key}.file: {image.path} has not the shape and the affine of {volume.path}")
+        tissue = tissues[one_of(own.get("tissue", "soft_tissue"), tissues, f"{key}.tissue")]
+        body = Body(image, number(own.get("above"), f"{key}.above"), tissue)
     if body is None and not any(label.tissue for label in labels):
         raise ValueError(f"{where}.tissues: every label is null; allowed is at least one with a tissue, or a body")
     return LabelMap(volume, labels, named != TABLE, body)
@@ -215,15 +220,6 @@ def _labels(named: Any, tissues: Mapping[str, Tissue], where: str) -> tuple[Labe
     if sum(label.tissue is not None for label in labels) > MOST_STRUCTURES:
         raise ValueError(f"{where}: {len(labels)} labels; allowed are at most {MOST_STRUCTURES}")
     return tuple(labels)
-
-
-def _body(content: Any, folder: Path, tissues: Mapping[str, Tissue], labels: VolumeFile, where: str) -> Body:
-    content = mapping(content, where, ("file", "above", "tissue"))
-    image = check_volume(file_named(content.get("file"), SUFFIXES, folder, f"{where}.file"), f"{where}.file")
-    if image.shape != labels.shape or not np.allclose(image.affine, labels.affine, atol=1e-3):
-        raise ValueError(f"{where}.file: {image.path} has not the shape and the affine of {labels.path}")
-    tissue = tissues[one_of(content.get("tissue", "soft_tissue"), tissues, f"{where}.tissue")]
-    return Body(image, number(content.get("above"), f"{where}.above"), tissue)
 
 
 def _table() -> list[tuple[int, str, str]]:

@@ -31,6 +31,7 @@ _SLOPE = 0.5  # a hidden wall leaves the visible one by this much a unit of leng
 #: Levels tried for the volume, first far apart, then about the one found, in the voxels' longest side.
 _LEVELS = (np.linspace(-1.5, 0.75, 7), np.linspace(-0.15, 0.15, 5))
 _FRACTION = 2.0**-14  # of a voxel, to which vertices are rounded, so that those of neighbouring blocks are equal
+logger = logging.getLogger(__name__)
 
 
 def label_surface(
@@ -151,9 +152,6 @@ def _triangles(field: np.ndarray, level: float, start: np.ndarray) -> tuple[np.n
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
     vertices, faces, _, _ = marching_cubes(field, level, gradient_direction="ascent")
     return vertices.astype(np.float64) + start, faces.astype(np.int64)
-
-
-logger = logging.getLogger(__name__)
 
 
 def labelled_structures(labels: LabelMap, where: str, cache_dir: Path | None = None) -> tuple[Structure, ...]:

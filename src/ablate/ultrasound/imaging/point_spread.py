@@ -8,7 +8,7 @@ import torch
 from torch.nn import functional as F
 
 from ablate.threads import in_parts
-from ablate.ultrasound.probe import layer_offsets_mm, sample_depths_mm, scanline_positions, scanline_spacing_mm
+from ablate.ultrasound.probe import fan_of, layer_offsets_mm, sample_depths_mm, scanline_positions
 from ablate.ultrasound.settings import ConvexProbe, LinearProbe, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
@@ -33,7 +33,7 @@ def lateral_sigma(probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarra
     A convex probe's grows as `beam_widening`. That of the other two follows from their apertures, see `LinearProbe` and
     `PhasedProbe`, and is `lateral_fwhm_mm` straight ahead in `focus_mm`.
     """
-    spacing = scanline_spacing_mm(probe, settings.scanlines, depth_mm)[:, None]
+    spacing = (fan_of(probe).width_mm(depth_mm) / max(settings.scanlines - 1, 1))[:, None]  # one scanline's: the fan's
     if isinstance(probe, ConvexProbe):
         widening = beam_widening(settings, depth_mm)[:, None]
     elif isinstance(probe, LinearProbe):

@@ -62,8 +62,8 @@ class Hit(NamedTuple):
     """Closest hit of a ray, in numbers."""
 
     distance_mm: float
-    structure: int  # -1 where nothing was hit
-    triangle: int
+    structure: np.int32  # -1 where nothing was hit
+    triangle: np.int32
     normal: tuple[float, float, float]  # not of unit length; its sign follows the mesh's winding and means nothing
 
 
@@ -154,10 +154,7 @@ class Geometry:
 
         Origins are relative to the geometry's origin.
         """
-        n = len(origins)
-        hits = Hits(np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 3), np.float32))
-        _closest_of_all(self.address, origins, directions, reach_mm, hits)
-        return hits
+        return _closest_of_all(self.address, origins, directions, reach_mm)
 
     def through(self, points: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far back and how far ahead along lines everything ends, twice (n,) float64 in mm, at least 0.
@@ -175,12 +172,13 @@ class Geometry:
 
 
 @compiled
-def _closest_of_all(
-    address: int, origins: np.ndarray, directions: np.ndarray, reach_mm: np.ndarray, hits: Hits
-) -> None:
+def _closest_of_all(address: int, origins: np.ndarray, directions: np.ndarray, reach_mm: np.ndarray) -> Hits:
+    n = len(origins)
+    hits = Hits(np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 3), np.float32))
     asked = asked_ray()
-    for i in range(len(origins)):
+    for i in range(n):
         hit = closest_of(address, asked, origins[i], directions[i], reach_mm[i])
         hits.distance_mm[i], hits.structure[i], hits.triangle[i] = hit.distance_mm, hit.structure, hit.triangle
         for axis in range(3):
             hits.normal[i, axis] = hit.normal[axis]
+    return hits

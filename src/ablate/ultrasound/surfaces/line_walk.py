@@ -19,7 +19,7 @@ _ROWS_OF_A_PART = 256
 
 
 @compiled
-def toggle(inside: np.ndarray, structure: int) -> None:
+def toggle(inside: np.ndarray, structure: np.int32) -> None:
     """Cross a surface: changes one set, (words,) uint32."""
     inside[structure >> 5] ^= np.uint32(1) << np.uint32(structure & 31)
 
@@ -121,11 +121,11 @@ def _follow(
     for row in range(first_row, stop):
         origin, direction, reach_mm, step_mm = origins[row], directions[row], lengths_mm[row], np.float32(0)
         last, displayed, filled = -before_mm[row], 0.0, 0
-        structure = triangle = -1
+        structure = triangle = np.int32(-1)
         ends = False
         while not ends:
             hit, here = closest_of(address, asked, origin, direction, reach_mm), owner(inside[row])
-            ends = hit.structure < 0
+            ends = bool(hit.structure < 0)
             distance, reached, end = last, displayed, samples
             if not ends:
                 distance = last + step_mm + hit.distance_mm
@@ -139,7 +139,7 @@ def _follow(
             fresh = hit.structure != structure or hit.triangle != triangle
             if fresh and not ends:  # a plane is met only once
                 toggle(inside[row], hit.structure)
-            step = next_step(step_mm, fresh and hit.distance_mm > step_mm, least_step_mm)
+            step = next_step(float(step_mm), bool(fresh and hit.distance_mm > step_mm), least_step_mm)
             ahead = hit.distance_mm + step
             for axis in range(3):
                 origin[axis] += ahead * direction[axis]

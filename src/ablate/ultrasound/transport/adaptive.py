@@ -59,7 +59,7 @@ def trace_to_tolerance(
         place = direct["group"].astype(np.int64) * count + np.clip(node, 0, count - 1)
         received = np.bincount(place, direct["amplitude"], minlength=groups * count).reshape(groups, count)
         seen.append((received * shown.echo + own.amplitude * shown.scatterers) / HALF)
-    counts = rays_needed(*seen, shown, tolerance, rays)
+    counts = rays_needed(seen[0], seen[1], shown, tolerance, rays)
     send(np.flatnonzero((number >= 2 * HALF) & (number < np.repeat(counts, rays))))
     return np.concatenate([*echoes, trace(paths, 2 * HALF, counts)]), counts
 

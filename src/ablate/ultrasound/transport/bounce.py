@@ -12,11 +12,36 @@ import numpy as np
 
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.media import Media
-from ablate.ultrasound.surfaces.embree import Hit
 from ablate.ultrasound.transport.lines import Segment
 from ablate.ultrasound.transport.rays import COS_AZIMUTH, LOG_U, SIN_AZIMUTH, Ray
 
 Vector = tuple[float, float, float]
+
+#: From this many reflections on, Russian roulette ends half of the rays at each further one and doubles the weight of
+#: the others, so that a thin gap does not reflect rays to and fro until they are as deep as the image.
+ROULETTE_REFLECTIONS = 8
+
+#: Up to this many reflections a surface splits a ray into a reflected and a transmitted one, so that both keep the
+#: weights of their paths. From then on it sends one of the two, at random, so that rays do not multiply.
+SPLIT_REFLECTIONS = 1
+
+#: Surfaces of a smaller |R_p| reflect no ray, they only take 1 - R of its weight. Left out, for speed: reverberation
+#: that is 26 dB down before its second surface.
+SMALLEST_REFLECTION = 0.05
+
+#: A surface sends on |R_p| of a reflected ray's weight and 1 - R, up to 5/4 of what came: amplitudes of paths of
+#: unknown phase are summed. Once a ray's family has grown so much, surfaces share its weight, |R_p| and 1 - |R_p|, else
+#: the sum would grow without end in a stack of strong surfaces. It stays under 5/4 of this.
+SHARED_FROM_GROWTH = 6.4
+
+#: An element receives along its scanline: echoes of reflected rays fall off with the distance from that axis as a
+#: Gaussian of this standard deviation (assumed); reverberation between layers that face the probe is hardly changed.
+RECEIVE_SIGMA_MM = 6.0
+
+#: Russian roulette takes a ray off its axis to be received by at least this, because it may come back to the axis.
+LEAST_RECEIVED = 0.1
+
+_NEPER_PER_DB = math.log(10) / 20
 
 
 class Scattering(NamedTuple):
@@ -136,33 +161,6 @@ def scatter_about(
     return Scattering(mirrored, transmitted, pressure), cos_i, cos_t == 0
 
 
-#: From this many reflections on, Russian roulette ends half of the rays at each further one and doubles the weight of
-#: the others, so that a thin gap does not reflect rays to and fro until they are as deep as the image.
-ROULETTE_REFLECTIONS = 8
-
-#: Up to this many reflections a surface splits a ray into a reflected and a transmitted one, so that both keep the
-#: weights of their paths. From then on it sends one of the two, at random, so that rays do not multiply.
-SPLIT_REFLECTIONS = 1
-
-#: Surfaces of a smaller |R_p| reflect no ray, they only take 1 - R of its weight. Left out, for speed: reverberation
-#: that is 26 dB down before its second surface.
-SMALLEST_REFLECTION = 0.05
-
-#: A surface sends on |R_p| of a reflected ray's weight and 1 - R, up to 5/4 of what came: amplitudes of paths of
-#: unknown phase are summed. Once a ray's family has grown so much, surfaces share its weight, |R_p| and 1 - |R_p|, else
-#: the sum would grow without end in a stack of strong surfaces. It stays under 5/4 of this.
-SHARED_FROM_GROWTH = 6.4
-
-#: An element receives along its scanline: echoes of reflected rays fall off with the distance from that axis as a
-#: Gaussian of this standard deviation (assumed); reverberation between layers that face the probe is hardly changed.
-RECEIVE_SIGMA_MM = 6.0
-
-#: Russian roulette takes a ray off its axis to be received by at least this, because it may come back to the axis.
-_LEAST_RECEIVED = 0.1
-
-_NEPER_PER_DB = math.log(10) / 20
-
-
 class Medium(NamedTuple):
     """A row of `Media`, in numbers: what a ray that travels in it needs."""
 
@@ -192,17 +190,6 @@ def segment_ahead(ray: Ray, medium: Medium, length_mm: float) -> Segment:
 
 
 @compiled
-def move_to_surface(ray: Ray, hit: Hit, medium: Medium) -> Vector:
-    """Move a ray to the surface that it hit, and return the point in double precision."""
-    length = hit.distance_mm + ray.step_mm
-    ray.path_mm += length
-    ray.displayed_mm += length * medium.stretch
-    ray.loss_db += length * medium.loss_db_mm
-    ray.structure, ray.triangle = hit.structure, hit.triangle
-    return along(vector(ray.origin), vector(ray.direction), hit.distance_mm)
-
-
-@compiled
 def connect(ray: Ray, point: Vector, medium: Medium, thickness_mm: float, element: Vector, axis: Vector) -> Connection:
     """Connect a surface to the ray's element.
 
@@ -228,16 +215,6 @@ def echo(ray: Ray, scattering: Scattering, link: Connection, specularity: float)
     lobe = max(towards, 0.0) ** specularity
     amplitude = ray.weight * abs(scattering.pressure) * lobe
     return amplitude * link.received * math.exp(-link.two_way_db * _NEPER_PER_DB)
-
-
-@compiled
-def faintness_db(link: Connection, gain_db_mm: float, depth_mm: float) -> float:
-    """How much fainter than its weight a ray is here, for Russian roulette: loss, direction, and half the gain ahead.
-
-    What the time gain adds up to the end of the image makes up for loss in tissue, and in fluid it does not.
-    """
-    ahead_db = gain_db_mm * max(depth_mm - link.depth_mm, 0.0)
-    return link.two_way_db + ahead_db / 2 - 20 * math.log10(max(link.received, _LEAST_RECEIVED))
 
 
 @compiled

@@ -31,6 +31,14 @@ ECHO = np.dtype(
     ]
 )
 
+#: Depths at which the rays' mean is taken; between them it is interpolated in dB.
+NODES = 256
+#: Level of no sound at all, dB: finite, so that interpolation makes no NaN, and zero as a float32 amplitude.
+NO_SOUND_DB = -4000.0
+_LOWEST_DB = -600.0  # all below counts as no sound: far under any display, and it spares the signal chain denormals
+_BLOCKS = 64  # of depth, within which the beam's overlap is taken as constant
+_NEPER_PER_TWO_WAY_DB = math.log(10) / 10
+
 
 def splat(line: np.ndarray, position: np.ndarray, amplitude: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Add amplitudes, (n,), of some lines, (n,), to the two samples on either side of their positions, (n,).
@@ -114,15 +122,6 @@ def _spreading(n: int, sigma: float) -> torch.Tensor:
     apart = np.minimum(np.abs(np.arange(n)[:, None] - np.arange(n)) / sigma, 5.0)
     matrix = np.where(apart < 4, np.exp(-0.5 * apart**2), 0.0)
     return torch.from_numpy(matrix / matrix.sum(axis=0))
-
-
-#: Depths at which the rays' mean is taken; between them it is interpolated in dB.
-NODES = 256
-#: Level of no sound at all, dB: finite, so that interpolation makes no NaN, and zero as a float32 amplitude.
-NO_SOUND_DB = -4000.0
-_LOWEST_DB = -600.0  # all below counts as no sound: far under any display, and it spares the signal chain denormals
-_BLOCKS = 64  # of depth, within which the beam's overlap is taken as constant
-_NEPER_PER_TWO_WAY_DB = math.log(10) / 10
 
 
 class Nodes(NamedTuple):

@@ -31,6 +31,31 @@ CHOICE, THICKNESS, LOG_U, COS_AZIMUTH, SIN_AZIMUTH, SURVIVAL = range(6)
 COLUMNS = 6
 
 _GAMMA, _MIX_1, _MIX_2 = (np.uint64(x) for x in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
+_STEEPEST_RAD = 0.3
+_FACE_STEPS = 16  # so many steps before and behind an element, a surface counts as lying in it
+
+#: A ray under way. Lengths and loss are those up to its last surface; all lengths are mm.
+RAY = np.dtype(
+    [
+        ("number", np.int32),  # of the ray that left the probe, among all of the frame; a reflected ray keeps it
+        ("origin", np.float32, 3),  # where the search for the next surface begins: step_mm beyond the last one
+        ("direction", np.float32, 3),
+        ("medium", np.int32),  # index of the tissue that the ray is in
+        ("path_mm", np.float64),
+        ("displayed_mm", np.float64),  # the length as it is displayed
+        ("loss_db", np.float64),  # one way
+        ("weight", np.float64),  # throughput: two-way amplitude without losses
+        ("growth", np.float64),  # of the weight of all rays that come of a reflected one, by the sum of their parts
+        ("interfaces", np.int32),  # that the ray has met
+        ("reflections", np.int32),  # at how many of them it was reflected
+        ("structure", np.int32),  # of the last surface
+        ("triangle", np.int32),  # of the last surface
+        ("step_mm", np.float32),  # from the last surface to the origin
+        ("reach_mm", np.float32),  # largest distance from the origin to the next surface
+    ],
+    align=True,
+)
+Ray = Any  # a row of an array of RAY, as compiled code takes it
 
 
 def stratified(generator: np.random.Generator, groups: int, rays: int, dimensions: int) -> np.ndarray:
@@ -120,33 +145,6 @@ class Draws:
 
     def _generator(self, counter: int) -> np.random.Generator:
         return np.random.Generator(np.random.Philox(key=np.array([self.seed, counter], np.uint64)))
-
-
-_STEEPEST_RAD = 0.3
-_FACE_STEPS = 16  # so many steps before and behind an element, a surface counts as lying in it
-
-#: A ray under way. Lengths and loss are those up to its last surface; all lengths are mm.
-RAY = np.dtype(
-    [
-        ("number", np.int32),  # of the ray that left the probe, among all of the frame; a reflected ray keeps it
-        ("origin", np.float32, 3),  # where the search for the next surface begins: step_mm beyond the last one
-        ("direction", np.float32, 3),
-        ("medium", np.int32),  # index of the tissue that the ray is in
-        ("path_mm", np.float64),
-        ("displayed_mm", np.float64),  # the length as it is displayed
-        ("loss_db", np.float64),  # one way
-        ("weight", np.float64),  # throughput: two-way amplitude without losses
-        ("growth", np.float64),  # of the weight of all rays that come of a reflected one, by the sum of their parts
-        ("interfaces", np.int32),  # that the ray has met
-        ("reflections", np.int32),  # at how many of them it was reflected
-        ("structure", np.int32),  # of the last surface
-        ("triangle", np.int32),  # of the last surface
-        ("step_mm", np.float32),  # from the last surface to the origin
-        ("reach_mm", np.float32),  # largest distance from the origin to the next surface
-    ],
-    align=True,
-)
-Ray = Any  # a row of an array of RAY, as compiled code takes it
 
 
 class View(NamedTuple):

@@ -26,14 +26,13 @@ from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Geometry, asked_ray, closest_of
 from ablate.ultrasound.surfaces.line_walk import next_step, owner, toggle
 from ablate.ultrasound.transport.bounce import (
+    LEAST_RECEIVED,
     SMALLEST_REFLECTION,
     Medium,
     along,
     connect,
     echo,
-    faintness_db,
     go_on,
-    move_to_surface,
     sample_scattering,
     segment_ahead,
     spawn,
@@ -157,8 +156,8 @@ def _advance(
         tissue = ray.medium
         medium = Medium(float(media.loss_db_mm[tissue]), float(media.stretch[tissue]), media.anechoic[tissue])
         if direct:  # up to the surface, or to the end of the image
-            length_mm = (hit.distance_mm + ray.step_mm) * medium.stretch if hit.structure >= 0 else math.inf
-            accumulate(nodes, group, segment_ahead(ray, medium, length_mm), ray.weight)
+            ahead_mm = (hit.distance_mm + ray.step_mm) * medium.stretch if hit.structure >= 0 else math.inf
+            accumulate(nodes, group, segment_ahead(ray, medium, ahead_mm), ray.weight)
         if hit.structure < 0:
             continue
         fresh = hit.structure != ray.structure or hit.triangle != ray.triangle  # a plane is met only once
@@ -167,8 +166,12 @@ def _advance(
             toggle(inside[i], hit.structure)
             beyond = view.tissue_of_owner[owner(inside[i])]
         step_mm = next_step(ray.step_mm, fresh and hit.distance_mm > ray.step_mm, view.step_mm)
-        point = move_to_surface(ray, hit, medium)
-        ray.step_mm = step_mm
+        point = along(vector(ray.origin), vector(ray.direction), hit.distance_mm)
+        length_mm = hit.distance_mm + ray.step_mm
+        ray.path_mm += length_mm
+        ray.displayed_mm += length_mm * medium.stretch
+        ray.loss_db += length_mm * medium.loss_db_mm
+        ray.structure, ray.triangle, ray.step_mm = hit.structure, hit.triangle, step_mm
         direction, weight = vector(ray.direction), ray.weight
 
         if media.differs[ray.medium, beyond]:
@@ -201,8 +204,10 @@ def _advance(
                 accumulate(nodes, group, segment_ahead(ray, medium, nodes.spacing_mm), weight * energy)
             pressure, choice, luck = scattering.pressure, drawn[CHOICE], drawn[SURVIVAL]
             faint_db = 0.0  # not read where a direct ray is transmitted alone
-            if not direct or probability > 0:
-                faint_db = faintness_db(link, view.gain_db_mm, view.depth_mm)
+            if not direct or probability > 0:  # how much fainter than its weight: loss, direction, half the gain ahead
+                # What the time gain adds up to the end of the image makes up for loss in tissue, not in fluid.
+                ahead_db = view.gain_db_mm * max(view.depth_mm - link.depth_mm, 0.0)
+                faint_db = link.two_way_db + ahead_db / 2 - 20 * math.log10(max(link.received, LEAST_RECEIVED))
             back_weight, weight = go_on(ray, pressure, probability, choice, luck, faint_db, view.roulette_db)
             if back_weight > 0:
                 rays[reflected], inside[reflected] = ray, inside[i]
