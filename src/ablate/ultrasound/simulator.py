@@ -225,7 +225,7 @@ class Simulator:
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
         level = mean_level_db(nodes, counts, self._beam)
         lines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
-        self._prepared = pose.tobytes(), self._chain.prepare(*lines, level, surfaces, clutter)
+        self._prepared = pose.tobytes(), self._chain.prepare(lines, level, surfaces, clutter)
         return self._prepared[1]
 
     def _shown(self, labels: np.ndarray, nodes: Nodes) -> Shown:

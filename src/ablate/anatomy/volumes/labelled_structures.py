@@ -31,6 +31,8 @@ _SLOPE = 0.5  # a hidden wall leaves the visible one by this much a unit of leng
 #: Levels tried for the volume, first far apart, then about the one found, in the voxels' longest side.
 _LEVELS = (np.linspace(-1.5, 0.75, 7), np.linspace(-0.15, 0.15, 5))
 _FRACTION = 2.0**-14  # of a voxel, to which vertices are rounded, so that those of neighbouring blocks are equal
+Blocks = list[tuple[np.ndarray, np.ndarray]]  # first voxel, (3,), and content with margins, of each
+
 logger = logging.getLogger(__name__)
 
 
@@ -65,11 +67,7 @@ def label_surface(
 
 
 def _level_of_volume(
-    blocks: Sequence[tuple[np.ndarray, np.ndarray]],
-    number: int,
-    spacing_mm: Sequence[float],
-    levels: np.ndarray,
-    voxels: int,
+    blocks: Blocks, number: int, spacing_mm: Sequence[float], levels: np.ndarray, voxels: int
 ) -> float:
     """The level at which the volume that a structure owns is that of its voxels, from rising levels (n,), mm."""
     volumes = np.zeros(len(levels))
@@ -90,9 +88,7 @@ def _margin(spacing_mm: Sequence[float]) -> np.ndarray:
     return np.array([math.ceil(_REACH * max(spacing_mm) / side) + smoothing for side in spacing_mm])
 
 
-def _blocks(
-    order: np.ndarray, number: int, box: Sequence[slice], margin: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray]]:
+def _blocks(order: np.ndarray, number: int, box: Sequence[slice], margin: np.ndarray) -> Blocks:
     """First voxel, (3,), and content, with margins, of each block that the surface can pass.
 
     A block has its last voxels in common with the next one, so that no cell lies between two blocks.

@@ -147,22 +147,14 @@ class SignalChain:
         return torch.from_numpy(values).to(self.gain)
 
     def prepare(
-        self,
-        starts: np.ndarray,
-        directions: np.ndarray,
-        labels: np.ndarray,
-        ranges_mm: np.ndarray,
-        level_db: torch.Tensor,
-        surfaces: np.ndarray,
-        clutter: np.ndarray | None,
+        self, lines: tuple[np.ndarray, ...], level_db: torch.Tensor, surfaces: np.ndarray, clutter: np.ndarray | None
     ) -> Prepared:
-        """What does not depend on the scatterers' seed: `Speckle.insonify` explains the first five.
+        """What does not depend on the scatterers' seed: `lines` and `level_db` are those of `Speckle.insonify`.
 
         `surfaces` and `clutter`, (scanlines, samples), are amplitudes at the receiver: echoes, and reverberation.
         """
-        insonified = self.speckle.insonify(starts, directions, labels, ranges_mm, level_db)
         received = None if clutter is None else self.tensor(clutter) * self.spread.axial.sum()
-        return Prepared(insonified, self.tensor(surfaces), received)
+        return Prepared(self.speckle.insonify(*lines, level_db), self.tensor(surfaces), received)
 
     def noise(self, pose: np.ndarray, seed: int) -> torch.Tensor:
         """Complex Gaussian noise of unit mean power with the pulse's bandwidth, (2, scanlines, samples).

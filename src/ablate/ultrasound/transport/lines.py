@@ -67,7 +67,7 @@ def surface_lines(
     elevational weights, (layers, samples), that sum to 1 over layers. It is real and positive, so its estimate
     converges with the number of rays.
     """
-    return splat(*_placed(echoes, ~echoes["reflected"], weights, rays, depth_mm, shape), shape)
+    return splat(*_placed(echoes[~echoes["reflected"]], weights, rays, depth_mm, shape), shape)
 
 
 @stage(Stage.clutter)
@@ -80,10 +80,11 @@ def clutter_lines(
     x_i x_j of different lines' shares i != j in it (a U-statistic; Hoeffding 1948). The square of the sum would hold
     x_i^2 as well, whose mean is too large by the variance: bright bands of one heavy path in dark fluid.
     """
-    if not echoes["reflected"].any():
+    echoes = echoes[echoes["reflected"]]
+    if not len(echoes):
         return None
     lines, samples = shape
-    line, position, amplitude = _placed(echoes, echoes["reflected"], weights, rays, depth_mm, shape)
+    line, position, amplitude = _placed(echoes, weights, rays, depth_mm, shape)
     cells = max(1, min(samples, math.ceil(depth_mm / _CLUTTER_MM * _CLUTTER_CELLS_PER_SIGMA)))
     coarse = torch.from_numpy(splat(line, (position + 0.5) * (cells / samples) - 0.5, amplitude, (lines, cells)))
     across, along = _spreading(lines, _CLUTTER_LINES), _spreading(cells, _CLUTTER_CELLS_PER_SIGMA)
@@ -101,19 +102,14 @@ def clutter_lines(
 
 
 def _placed(
-    echoes: np.ndarray,
-    chosen: np.ndarray,
-    weights: np.ndarray,
-    rays: np.ndarray,
-    depth_mm: float,
-    shape: tuple[int, int],
+    echoes: np.ndarray, weights: np.ndarray, rays: np.ndarray, depth_mm: float, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Line, position in samples, and amplitude with its elevational weight, of some echoes."""
+    """Line, position in samples, and amplitude with its elevational weight, of echoes."""
     lines, samples = shape
-    layer, line = np.divmod(echoes["group"][chosen], lines)
-    position = echoes["depth_mm"][chosen] * (samples / depth_mm) - 0.5
+    layer, line = np.divmod(echoes["group"], lines)
+    position = echoes["depth_mm"] * (samples / depth_mm) - 0.5
     nearest = np.clip(position, 0, samples - 1).astype(np.int64)
-    return line, position, echoes["amplitude"][chosen] * weights[layer, nearest] / rays[echoes["group"][chosen]]
+    return line, position, echoes["amplitude"] * weights[layer, nearest] / rays[echoes["group"]]
 
 
 @cache
