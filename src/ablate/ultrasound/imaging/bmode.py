@@ -23,6 +23,7 @@ _PIXELS_OF_A_PART = 1 << 16
 _MOST_DB = 100.0  # that an operator can add
 _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
 _CLUTTER_ROLL = (61, 1021)  # lines and samples between the noise of the display and that of clutter
+Lines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # starts, directions, labels, ranges_mm
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ class SignalChain:
         return torch.from_numpy(values).to(self.gain)
 
     def prepare(
-        self, lines: tuple[np.ndarray, ...], level_db: torch.Tensor, surfaces: np.ndarray, clutter: np.ndarray | None
+        self, lines: Lines, level_db: torch.Tensor, surfaces: np.ndarray, clutter: np.ndarray | None
     ) -> Prepared:
         """What does not depend on the scatterers' seed: `lines` and `level_db` are those of `Speckle.insonify`.
 
