@@ -35,11 +35,11 @@ from ablate.runs.simulated import build_scene
 from ablate.settings.study import SceneKind
 from ablate.ultrasound import Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.imaging.point_spread import blur
-from ablate.ultrasound.maps.slices import sample_lines
 from ablate.ultrasound.probe import fan_size_mm, sample_depths_mm, scanline_positions, scanlines_in_plane, to_world
 from ablate.ultrasound.stages import Stage, observe_stages
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples
+from ablate.ultrasound.surfaces.slices import sample_lines
 
 study = open_study()
 if study.settings.scene.kind is SceneKind.pairs:

@@ -7,7 +7,7 @@ from enum import Enum
 
 from ablate.setting import Setting, settings_of
 from ablate.settings.values import keys
-from ablate.ultrasound.probe_kinds import PROBES
+from ablate.ultrasound.settings import PROBES
 
 HEAD = """\
 # All settings

@@ -26,7 +26,7 @@ from ablate.jobs.schema import settings as settings_of_config
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.settings.values import build
-from ablate.ultrasound.probe_kinds import PROBE_KEYS, Probe, ProbeKind
+from ablate.ultrasound.settings import PROBE_KEYS, Probe, ProbeKind
 
 Refused = Callable[..., str]
 

@@ -234,8 +234,7 @@ def _read_study(job: "Job") -> None:
 def _scene_caches(_: Path, place: Path) -> Attempt:
     """The cache of a built scene: read, or built again; never another scene."""
     from ablate.anatomy import load_scene
-    from ablate.anatomy.scene import content_hash
-    from ablate.anatomy.scene_cache import cached_scene
+    from ablate.anatomy.scene import cached_scene, content_hash
 
     _write_meshes(place / "in")
     (place / "in" / "scene.yaml").write_text("structures: [{mesh: 0.obj, tissue: fat}]\n")

@@ -5,7 +5,7 @@ import sys
 
 LIGHT = """
 import sys
-from ablate.anatomy.fetal.parts import FEWEST_TRIANGLES
+from ablate.anatomy.scene import FEWEST_TRIANGLES
 from ablate.anatomy import Scene, SiteGrid, Structure, Tissue, content_hash
 from ablate.anatomy import fetal_sites, load_tissues, validate_scene_folder
 Scene((), load_tissues()["fat"], "fat"), fetal_sites()

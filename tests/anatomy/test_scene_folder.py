@@ -9,7 +9,7 @@ import pytest
 import trimesh
 import yaml
 
-from ablate.anatomy import SiteGrid, load_scene, load_sites, load_tissues, mesh_files, validate_scene_folder
+from ablate.anatomy import load_scene, load_sites, load_tissues, mesh_files, validate_scene_folder
 from ablate.anatomy.meshes.repair import load_mesh, odd_edges
 from ablate.anatomy.meshes.vtk_files import VTK_SUFFIXES
 from ablate.anatomy.scene_folder import MESH_SUFFIXES
@@ -74,30 +74,24 @@ def structure(**values: object) -> dict[str, object]:
     ("changes", "message"),
     [
         ({"unit": "inch"}, r": unit='inch': allowed are mm, cm, m"),
-        ({"unit": ["mm"]}, r": unit=\['mm'\]: allowed are mm"),
         ({"backgroud": "fat"}, r": key='backgroud' \(did you mean background\?\): allowed are unit, "),
         ({"background": "gell"}, r": background='gell'.*: allowed are coupling_gel, "),
         ({"structures": {"mesh": "a"}}, r": structures={'mesh': 'a'}: allowed are lists of {mesh, tissue}"),
         ({"structures": ["skin.obj"]}, r": structures\[0\]='skin\.obj': allowed are mappings of mesh, tissue"),
         (structure(tissue="livr"), r": structures\[0\]\.tissue='livr' \(did you mean liver"),
         (structure(color="red"), r": structures\[0\]: key='color': allowed are mesh, tissue"),
-        (structure(mesh=3), r": structures\[0\]\.mesh=3: allowed are names of files that end in \.obj, \.stl"),
         (structure(mesh="skin.txt"), r": structures\[0\]\.mesh='skin\.txt': allowed are names of files"),
         (structure(mesh="empty.obj"), r": structures\[0\]\.mesh: .*empty\.obj is empty"),
-        ({"tissues": ["fat"]}, r": tissues=\['fat'\]: allowed are mappings of names"),
         ({"tissues": {"fat": {"speed": 1}}}, r": tissues\.fat: key='speed' \(did you mean speed_m_s"),
         ({"tissues": {"fat": {"speed_m_s": "fast"}}}, r": tissues\.fat\.speed_m_s='fast': allowed are finite numbers"),
         ({"tissues": {"fat": {"speed_m_s": -1}}}, r": tissues: tissue 'fat': speed_m_s=-1.0: allowed are numbers from"),
         ({"tissues": {"fat": {"texture_mm": 1}}}, r": tissues\.fat\.texture_mm=1: allowed are lists of 3 numbers"),
         ({"sites": {"height": [1]}}, r": sites: key='height' \(did you mean heights"),
         ({"sites": {"heights": {"range": [1, 2]}}}, r": sites\.heights\.count=None: allowed are whole numbers from 1"),
-        ({"sites": {"heights": {"range": [1], "count": 2}}}, r": sites\.heights\.range=\[1\]: allowed are lists of 2"),
         ({"sites": {"angles": []}}, r": sites: site grid: angles_deg must be one or more"),
         ({"sites": {"axis": [0, 1, 0]}}, r": .*must not point along axis"),
         ({"sites": {"tilts": [0, 120]}}, r": sites: site grid: tilts_deg must lie between -90 and 90"),
-        ({"sites": {"tilts": ["steep"]}}, r": sites\.tilts='steep': allowed are finite numbers"),
         ({"sites": {"region": ["skn.obj"]}}, r": sites\.region='skn\.obj' \(did you mean skin\.obj\?\): allowed are "),
-        ({"sites": {"heights": {"range": [0, 1], "count": 10**7}}}, r": sites\.heights\.count=10000000: allowed are"),
         (
             {"sites": {key: {"range": [0, 1], "count": 400} for key in ("heights", "angles")}},
             ": sites: .* at most 100000 poses, not 160000",
@@ -121,13 +115,6 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
         load_scene(write(tmp_path, **structure(mesh="gone.obj")))
 
 
-@pytest.mark.parametrize("text", ["structures: [", "just words", "[1, 2]", "", "unit: mm\nunit: cm", "? [a]\n: 1"])
-def test_what_is_not_a_mapping_is_refused(tmp_path: Path, text: str) -> None:
-    (tmp_path / "scene.yaml").write_text(text)
-    with pytest.raises(ValueError, match=r"scene\.yaml"):
-        validate_scene_folder(tmp_path)
-
-
 def test_keys_given_twice_are_refused(tmp_path: Path) -> None:
     write(tmp_path)
     with (tmp_path / "scene.yaml").open("a") as stream:
@@ -140,8 +127,6 @@ def test_keys_given_twice_are_refused(tmp_path: Path) -> None:
     ("unit", "size", "message"),
     [
         ("mm", 0.31, r"unit: mm makes the scene's largest extent 0.31 mm; bodies have 5 to 2250 mm; m would make it"),
-        ("mm", 0.2, r"largest extent 0.2 mm; bodies have 5 to 2250 mm; m would make it 200 mm$"),
-        ("cm", 300.0, r"unit: cm makes the scene's largest extent 3e\+03 mm;.*; mm would make it 300 mm$"),
         ("m", 30.0, r"largest extent 3e\+04 mm;.*; mm would make it 30 mm and cm would make it 300 mm$"),
         ("mm", 3e5, r"largest extent 3e\+05 mm; bodies have 5 to 2250 mm$"),
     ],
@@ -152,11 +137,6 @@ def test_units_that_make_no_body_are_refused(tmp_path: Path, unit: str, size: fl
     with pytest.raises(ValueError, match=message) as caught:
         load_scene(tmp_path)
     assert "scene.yaml" in str(caught.value)
-
-
-def test_site_grid_refuses_what_is_not_finite() -> None:
-    with pytest.raises(ValueError, match="heights_mm must be one or more finite numbers"):
-        SiteGrid(heights_mm=(float("nan"),))
 
 
 @pytest.mark.skipif(not (CASES / "ircad11").is_dir(), reason="the real case is not here")
@@ -181,8 +161,9 @@ def test_a_real_patient_is_closed_quickly() -> None:
         f"sites: {{heights: [0x{400 * 'f'}]}}\n",
         f"structures: [{{mesh: {300 * 'x'}.obj, tissue: liver}}]\n",
         "background: 2020-13-45\n",
+        *("structures: [", "just words", "[1, 2]", "", "unit: mm\nunit: cm", "? [a]\n: 1"),
     ],
-    ids=["long", "list", "deep", "infinite", "name", "date"],
+    ids=lambda text: text[:12],
 )
 def test_what_is_odd_is_refused_shortly(tmp_path: Path, text: str) -> None:
     (tmp_path / "scene.yaml").write_text(text)

@@ -9,7 +9,7 @@ from mlflow import MlflowClient
 
 from ablate.numerics.stability import task
 from ablate.numerics.stability.checks import CASES, Case, Checks
-from ablate.ultrasound.maps import attenuation
+from ablate.ultrasound import attenuation
 from support.studies import run as run_command
 
 #: Each with the cases that try it.

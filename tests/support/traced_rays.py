@@ -4,11 +4,10 @@ import numpy as np
 
 from ablate.anatomy import Scene
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
-from ablate.ultrasound.render_plan import plan_scene
+from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.surfaces.embree import Geometry
-from ablate.ultrasound.transport.draws import Draws
 from ablate.ultrasound.transport.lines import Nodes
-from ablate.ultrasound.transport.rays import View, at_pose, leave_probe, probe_rays
+from ablate.ultrasound.transport.rays import Draws, View, at_pose, leave_probe, probe_rays
 from ablate.ultrasound.transport.tracing import Paths, trace
 
 
@@ -20,9 +19,8 @@ def follow(
     geometry = Geometry(plan.structures, np.array([[-400.0] * 3, [400.0] * 3]), np.zeros(3), 200.0)
     draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
     rays = probe_rays(probe, settings, draws)
-    bundle, of_elements = at_pose(geometry, rays, np.eye(4))
-    inside = np.empty((len(bundle.origins), of_elements.shape[1]), of_elements.dtype)
-    leave_probe(geometry, rays, np.eye(4), bundle, of_elements, inside)
+    bundle = at_pose(geometry, rays, np.eye(4))
+    leave_probe(geometry, rays, np.eye(4), bundle, np.arange(len(bundle.origins)))
     groups = len(bundle.starts)
     nodes = Nodes(0.0, 1.0, np.ones((groups, 151), bool), np.zeros((groups, 151)))
     view = View(
@@ -37,7 +35,7 @@ def follow(
         gain_db_mm=0.0,
         step_mm=geometry.step_mm,
     )
-    return trace(Paths(geometry, view, draws, bundle, inside, nodes)).view(np.recarray), nodes
+    return trace(Paths(geometry, view, draws, bundle, nodes)).view(np.recarray), nodes
 
 
 def illumination(nodes: Nodes, settings: SimulatorSettings) -> np.ndarray:

@@ -13,7 +13,7 @@ from ablate.dataset import open_pairs
 from ablate.settings.study import ConfigurationError
 from ablate.settings.values import build
 from ablate.ultrasound import Simulator, SimulatorSettings
-from ablate.ultrasound.probe_kinds import probe_from
+from ablate.ultrasound.settings import probe_from
 from support.studies import run
 
 

@@ -41,12 +41,6 @@ def test_the_error_asked_for_is_met_with_the_fewest_rays(shown: Shown) -> None:
         assert frame_error(deviation, others, shown) > frame_error(deviation, counts, shown)
 
 
-def test_four_times_as_many_rays_halve_the_error(shown: Shown) -> None:
-    deviation = np.full(LINES, 0.3)
-    coarse, fine = (rays_needed(*halves(deviation), shown, tolerance, 10**6) for tolerance in (0.02, 0.01))
-    assert fine.sum() / coarse.sum() == pytest.approx(4, rel=0.02)
-
-
 def test_a_group_does_not_judge_itself(shown: Shown) -> None:
     """Else one that misses what is bright would get no more rays, and the mean over seeds would be too dark."""
     a, b = halves(np.full(LINES, 0.1))
@@ -86,13 +80,6 @@ def counts_of(simulator: Simulator, monkeypatch: pytest.MonkeyPatch) -> np.ndarr
     monkeypatch.setattr(adaptive, "rays_needed", noted)
     simulator.render(np.eye(4))
     return found[0]
-
-
-def test_smooth_surfaces_need_few_rays_and_rough_ones_more(rough, gel, slab, probe, few, monkeypatch) -> None:
-    smooth = Scene((slab(Tissue("smooth", 1540, 1.7, 0.3, 0.6, 0.0, 1.0, roughness=0.0), 30.0, 90.0),), gel, "s")
-    settings = replace(few, tolerance=0.05)
-    assert counts_of(Simulator(smooth, probe, settings), monkeypatch).mean() < 2.5 * HALF
-    assert counts_of(Simulator(rough, probe, settings), monkeypatch).mean() > 4 * HALF
 
 
 def test_a_smaller_tolerance_gives_a_smaller_error(rough, probe, few, monkeypatch) -> None:

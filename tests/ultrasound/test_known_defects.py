@@ -1,5 +1,9 @@
 """Eight defects found in the source of published ultrasound simulators; each test fails if this simulator has it.
 
+What other tests of this folder show as well is not shown again here: the size of single echoes, the lobe, Fresnel and
+Snell in `test_monte_carlo.py` and `test_rays.py`, losses in `test_losses.py`, travel times in `test_echo_places.py`,
+the scatterers' mean in `test_speckle.py`.
+
 The simulators are open source: i4h raysim (Isaac for Healthcare), MCRay-Tracing and
 burgercpp (after Mattausch and Goksel, and Burger et al.), and the renderer of LOTUS. Later versions may differ.
 """
@@ -10,7 +14,7 @@ import numpy as np
 import pytest
 
 from ablate.anatomy import Scene, Tissue
-from ablate.ultrasound import ConvexProbe, DepthMode, Simulator, SimulatorSettings
+from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 from support.traced_rays import tilted
 
 AHEAD = np.eye(4)
@@ -34,43 +38,19 @@ def spikiness(density: float) -> float:
     return (intensity**2).mean() / intensity.mean() ** 2 - 2
 
 
-def speckle_db(settings: SimulatorSettings, mean: float, sd: float) -> float:
-    """Mean power of the speckle of a lossless tissue, half of whose scatterers are there."""
-    tissue = Tissue("t", 1540, 1.5, 0.0, 0.5, mean, sd)
-    envelope = Simulator(Scene((), tissue, "s"), ConvexProbe(), settings).render(AHEAD).envelope
-    return 10 * np.log10((envelope.astype(float) ** 2).mean())
-
-
-def test_1_echoes_carry_reflection_and_energy_and_add_up(gel, slab, pencil, apart, amplitudes) -> None:
-    """The specular echo lacks R and the ray's energy, replaces the value of its sample instead of adding to it, and has
-    its lobe about the ray instead of the direction to the transducer; reflected rays are switched off (i4h raysim).
-    """
+def test_1_echoes_add_up(gel, slab, pencil, apart, amplitudes) -> None:
+    """An echo replaces its sample's value instead of adding to it; reflected rays are switched off (i4h raysim)."""
     hard, harder = anechoic("hard", 4.5), anechoic("harder", 13.5)
-    strong, weak = (Scene((slab(anechoic("t", z), 50.0, 400.0),), gel, "s") for z in (4.5, 1.8))
-    np.testing.assert_allclose(amplitudes(strong, pencil, apart, (45, 55)), 0.5, rtol=1e-3)
-    np.testing.assert_allclose(amplitudes(weak, pencil, apart, (45, 55)), 0.3 / 3.3, rtol=1e-3)
-
     two = Scene((slab(hard, 30.0, 400.0), slab(harder, 60.0, 400.0)), gel, "s")
-    assert amplitudes(two, pencil, apart, (55, 65)).mean() == pytest.approx(0.5 * (1 - 0.5**2), rel=0.02)
     assert amplitudes(two, pencil, apart, (80, 100)).mean() > 1e-3  # reflected at 60, 30 and 60 mm
+    strong = Scene((slab(hard, 50.0, 400.0),), gel, "s")
     assert amplitudes(strong, pencil, apart, (60, 150)).max() == 0
-
-    close = Scene(
-        (slab(anechoic("a", 1.8), 50.0, 400.0), slab(anechoic("b", 2.2), 50.4, 400.0)), gel, "s"
-    )  # in one pulse
+    in_one_pulse = slab(anechoic("a", 1.8), 50.0, 400.0), slab(anechoic("b", 2.2), 50.4, 400.0)
     both = 0.3 / 3.3 + 0.4 / 4.0 * (1 - (0.3 / 3.3) ** 2)
-    assert amplitudes(close, pencil, apart, (45, 55)).mean() == pytest.approx(both, rel=0.02)
-    speckled = replace(gel, scatterer_density=0.6, scatterer_sd=1.0)
-    simulator = Simulator(
-        Scene((slab(hard, 50.0, 400.0),), speckled, "s"), pencil, replace(apart, scatterer_level_db=-44.0)
-    )
-    at_face = [simulator.render(AHEAD, seed).envelope[341, 0] for seed in range(8)]
-    assert np.std(at_face) > 1e-3
-
-    lobed = Scene((slab(anechoic("t", 4.5, specularity=4.0), 50.0, 400.0),), gel, "s")
-    np.testing.assert_allclose(
-        amplitudes(lobed, pencil, apart, (50, 65), tilted(30.0)), 0.5 * np.cos(np.radians(60)) ** 4, rtol=2e-3
-    )
+    assert amplitudes(Scene(in_one_pulse, gel, "s"), pencil, apart, (45, 55)).mean() == pytest.approx(both, rel=0.02)
+    speckled = Scene(strong.structures, replace(gel, scatterer_density=0.6, scatterer_sd=1.0), "s")
+    simulator = Simulator(speckled, pencil, replace(apart, scatterer_level_db=-44.0))
+    assert np.std([simulator.render(AHEAD, seed).envelope[341, 0] for seed in range(8)]) > 1e-3  # at the face
 
 
 def test_2_reflection_knows_both_angles_and_loss_both_ways(slab, pencil, apart, amplitudes) -> None:
@@ -80,11 +60,10 @@ def test_2_reflection_knows_both_angles_and_loss_both_ways(slab, pencil, apart, 
     """
     angle, sine = np.radians(30.0), 2000 / 1540 * np.sin(np.radians(30.0))
     cos_i, cos_t = np.cos(angle), np.sqrt(1 - sine**2)
-    scene = Scene(
-        (slab(anechoic("fast", 1.5, 2000, specularity=0.0), 40.0, 400.0),), anechoic("body", 1.5, loss=0.5), "s"
-    )
+    fast = slab(anechoic("fast", 1.5, 2000, specularity=0.0), 40.0, 400.0)
     echo = (cos_i - cos_t) / (cos_i + cos_t) * 10 ** (-2 * 0.5 * 3.0 * (4 / cos_i) / 20)
-    np.testing.assert_allclose(amplitudes(scene, pencil, apart, (40, 55), tilted(30.0)), echo, rtol=2e-3)
+    found = amplitudes(Scene((fast,), anechoic("body", 1.5, loss=0.5), "s"), pencil, apart, (40, 55), tilted(30.0))
+    np.testing.assert_allclose(found, echo, rtol=2e-3)
 
 
 @pytest.mark.parametrize(("depth_mm", "samples"), [(150.0, 3072), (150.0, 1100), (90.0, 1500), (200.0, 2000)])
@@ -107,13 +86,11 @@ def test_3_pulse_and_gain_know_the_spacing_of_samples(gel, slab, apart, small, d
     assert np.polyfit(rows_cm, level_db, 1)[0] == pytest.approx(0, abs=0.07)  # of 5.6 dB/cm
 
 
-def test_4_density_grain_nesting_and_travel_time(gel, slab, small, pencil, apart, amplitudes) -> None:
+def test_4_density_grain_and_nesting(gel, slab, pencil, apart, amplitudes) -> None:
     """A uniform texture is interpolated before it is compared with the density, so the density is wrong; the texture is
-    coarser than the pulse; one level of nesting is remembered; the scatterers' mean is not used; travel times ignore
-    the speed of sound (i4h raysim).
+    coarser than the pulse; one level of nesting is remembered (i4h raysim).
     """
     assert spikiness(0.02) / spikiness(0.1) == pytest.approx((3 / 0.02 - 2) / (3 / 0.1 - 2), rel=0.15)
-    assert speckle_db(small, 1.0, 0.0) - speckle_db(small, 0.0, 0.5) == pytest.approx(3.0, abs=0.4)
 
     # The intensity of a Gaussian pulse's speckle is correlated over the pulse's own width.
     fine = SimulatorSettings(rays=1, image_shape=(8, 8))
@@ -132,40 +109,14 @@ def test_4_density_grain_nesting_and_travel_time(gel, slab, small, pencil, apart
         echo = amplitudes(nested, pencil, apart, (face - 3, face + 3)).mean()
         assert echo == pytest.approx(abs(a - b) / (a + b), rel=0.04)
 
-    fast = Scene((slab(anechoic("fast", 1.6, 2000), 30.0, 400.0), slab(anechoic("end", 13.5), 70.0, 400.0)), gel, "s")
-    settings = replace(apart, depth_mode=DepthMode.time_of_flight)
-    line = Simulator(fast, pencil, settings).render(AHEAD).envelope[:, 0]
-    assert (line.argmax() + 0.5) * 150 / 1024 == pytest.approx(30 + 40 * 1540 / 2000, abs=150 / 1024)
 
-
-def test_5_refraction_follows_speeds_and_survives_total_reflection(gel, slab, pencil, apart, amplitudes) -> None:
-    """Snell's law has impedances in place of speeds; total reflection takes the root of a negative number; R has its
-    cosines exchanged, (Z1 cos i - Z2 cos t) (MCRay-Tracing, burgercpp).
-    """
-    straight = Scene(
-        (
-            slab(anechoic("a", 4.5, specularity=0.0), 30.0, 400.0),
-            slab(anechoic("b", 1.5, specularity=0.0), 60.0, 400.0),
-        ),
-        gel,
-        "s",
-    )
-    second = 60 / np.cos(np.radians(30))
-    around = second - 4, second + 4
-    echo = amplitudes(straight, pencil, apart, around, tilted(30.0)).mean()
-    assert echo == pytest.approx(0.5 * (1 - 0.5**2), rel=0.02)
-
+def test_5_total_reflection_lets_nothing_through(gel, slab, pencil, apart) -> None:
+    """Snell's law has impedances in place of speeds, and total reflection a negative number's root (MCRay-Tracing)."""
     behind = Tissue("fast", 2600, 4.5, 0.0, 0.6, 0.0, 1.0, specularity=0.0)
     total = Simulator(Scene((slab(gel, -400.0, 30.0),), behind, "s"), pencil, apart).render(tilted(40.0)).envelope
     assert np.isfinite(total).all()
     assert total[: round(35 / (150 / 1024))].max() == 0
     assert total[round(50 / (150 / 1024)) :].max() == 0
-
-    sine = 1900 / 1540 * np.sin(np.radians(40))
-    cos_i, cos_t = np.cos(np.radians(40)), np.sqrt(1 - sine**2)
-    oblique = Scene((slab(anechoic("t", 3.0, 1900, specularity=0.0), 40.0, 400.0),), gel, "s")
-    expected = (3.0 * cos_i - 1.5 * cos_t) / (3.0 * cos_i + 1.5 * cos_t)
-    np.testing.assert_allclose(amplitudes(oblique, pencil, apart, (45, 60), tilted(40.0)), expected, rtol=2e-3)
 
 
 def test_6_a_sampled_path_is_weighted_once_and_starts_where_it_was_reflected(
@@ -194,7 +145,7 @@ def test_6_a_sampled_path_is_weighted_once_and_starts_where_it_was_reflected(
     assert centre(thick, 78, 110) - centre(plates, 78, 110) == pytest.approx(2 * mean_mm, abs=0.4)
 
 
-def test_7_losses_are_in_db_per_cm_and_the_pulse_has_no_fringes(gel, slab, small, apart, amplitudes) -> None:
+def test_7_the_map_is_in_db_per_cm_and_the_pulse_has_no_fringes(gel, slab, apart) -> None:
     """Decibels are taken for nepers and millimetres for centimetres; a pulse cos(2 pi f x) lacks the speed of sound;
     scatterers are where a normal number exceeds the density, so more density gives fewer (MCRay-Tracing, burgercpp).
     """
@@ -203,30 +154,19 @@ def test_7_losses_are_in_db_per_cm_and_the_pulse_has_no_fringes(gel, slab, small
     for frequency in (1.0, 8.0):
         probe = ConvexProbe(fov_deg=0.002, frequency_mhz=frequency)
         lossy = Scene((slab(anechoic("lossy", 1.5, loss=3.0), 20.0, 30.0), face), gel, "s")
-        taken_db = 3.0 * frequency * 1.0
-        echo = amplitudes(lossy, probe, apart, (55, 65))
-        np.testing.assert_allclose(echo, 0.5 * 10 ** (-2 * taken_db / 20), rtol=1e-3)
-        maps = replace(apart, axial_samples=3072, image_shape=(100, 3))
-        _, attenuation = Simulator(lossy, probe, maps).maps(AHEAD)
-        assert -20 * np.log10(attenuation[40, 1]) == pytest.approx(taken_db, abs=0.12)  # a sample takes as much
-
+        _, attenuation = Simulator(lossy, probe, replace(apart, axial_samples=3072, image_shape=(100, 3))).maps(AHEAD)
+        assert -20 * np.log10(attenuation[40, 1]) == pytest.approx(3.0 * frequency, abs=0.12)  # a sample takes as much
         line = Simulator(Scene((face,), gel, "s"), probe, apart).render(AHEAD).envelope[:, 0]
-        pulse = 0.5 * np.exp(-4 * np.log(2) * ((z - 60) / 1.2) ** 2)
-        np.testing.assert_allclose(line, pulse, atol=0.02 * 0.5)
-
-    assert Simulator(Scene((), gel, "s"), ConvexProbe(), small).render(AHEAD).envelope.max() == 0
+        np.testing.assert_allclose(line, 0.5 * np.exp(-4 * np.log(2) * ((z - 60) / 1.2) ** 2), atol=0.02 * 0.5)
     assert spikiness(0.02) > 2 * spikiness(0.2) > 0
 
 
-def test_8_no_step_no_echo_uniform_density_and_depth_in_millimetres(gel, slab, ball, small, apart) -> None:
-    """R goes through a sigmoid, which makes 0.5 of 0; the density is compared with a normal instead of a uniform one;
-    the depth axis has no unit (LOTUS).
-    """
+def test_8_no_step_no_echo_and_depth_in_millimetres(gel, slab, ball, small, apart) -> None:
+    """R goes through a sigmoid, which makes 0.5 of 0; the depth axis has no unit (LOTUS)."""
     same = Scene(
         (slab(replace(gel, name="other"), 30.0, 60.0), ball(replace(gel, name="third"), (0, 0, 90.0), 20.0)), gel, "s"
     )
     assert Simulator(same, ConvexProbe(), small).render(AHEAD).envelope.max() == 0
-    assert spikiness(0.05) / spikiness(0.1) == pytest.approx((3 / 0.05 - 2) / (3 / 0.1 - 2), rel=0.15)
 
     face = Scene((slab(anechoic("hard", 4.5), 50.0, 400.0),), gel, "s")
     for depth_mm in (60.0, 150.0, 300.0):

@@ -76,9 +76,7 @@ def test_mean_echo_behind_other_faces(stack, pencil, apart, amplitudes, face) ->
     assert within_three_standard_errors(echoes, truth)
 
 
-@pytest.mark.parametrize(
-    ("impedance", "speed", "roughness"), [(4.5, 2600, 0.1), (1.5, 2600, 0.05), (0.6, 900, 0.2), (3.0, 1200, 1.0)]
-)
+@pytest.mark.parametrize(("impedance", "speed", "roughness"), [(1.5, 2600, 0.05), (3.0, 1200, 1.0)])
 def test_mean_over_rough_normals(rough, pencil, apart, amplitudes, impedance, speed, roughness) -> None:
     """Echo and transmission of a rough face are integrals over the power-cosine lobe of its normals."""
     behind = Tissue("behind", speed, impedance, 0.0, 0.6, 0.0, 1.0)
@@ -100,8 +98,9 @@ def test_mean_over_rough_normals(rough, pencil, apart, amplitudes, impedance, sp
     assert within_three_standard_errors(through, transmitted)
 
 
-@pytest.mark.parametrize("degrees", [15.0, 30.0, 45.0])
-@pytest.mark.parametrize(("impedance", "speed"), [(4.5, 2600), (0.8, 1100), (1.5, 1900)])
+@pytest.mark.parametrize(
+    ("degrees", "impedance", "speed"), [(15.0, 4.5, 2600), (45.0, 4.5, 2600), (30.0, 0.8, 1100), (45.0, 1.5, 1900)]
+)
 def test_oblique_faces_follow_fresnel(gel, slab, pencil, apart, amplitudes, degrees, impedance, speed) -> None:
     """Echo |R| cos(2 t)^n and transmission 1 - R^2, beyond the critical angle (36 degrees for 2600 m/s) too."""
     angle = np.radians(degrees)

@@ -12,7 +12,7 @@ from ablate.anatomy import Scene, Structure, Tissue
 from ablate.setting import plain
 from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import face_points, fan_outline, fan_size_mm, square_pixels
-from ablate.ultrasound.probe_kinds import probe_from
+from ablate.ultrasound.settings import probe_from
 
 CONVEX = ConvexProbe(radius_mm=30.0, fov_deg=60.0, depth_mm=100.0, frequency_mhz=3.0)
 LINEAR = LinearProbe(width_mm=60.0, depth_mm=100.0, frequency_mhz=3.0)
@@ -112,7 +112,7 @@ def test_lines_that_meet_do_not_count_their_common_scatterers_twice(ahead) -> No
 
 
 @pytest.mark.parametrize(
-    "changes", [{"scanlines": 1200}, {"scatterer_pitch_mm": 0.5}, {"layers": 3, "layer_extent_mm": 0.0},
+    "changes", [{"scanlines": 600}, {"scatterer_pitch_mm": 0.5}, {"layers": 3, "layer_extent_mm": 0.0},
                 {"layers": 9, "layer_extent_mm": 0.2}], ids=str,
 )  # fmt: skip
 def test_the_level_does_not_depend_on_how_many_lines_share_a_scatterer(changes, ahead) -> None:

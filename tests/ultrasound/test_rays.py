@@ -1,15 +1,61 @@
-"""Monte-Carlo transport of direct rays: the illumination behind surfaces, their echoes, and where these are."""
+"""Rays: hits as embreex has them; the illumination behind surfaces, their echoes, and where these are."""
 
+import pathlib
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, SimulatorSettings
-from ablate.ultrasound.surfaces.embree import Geometry, Hits
+from ablate.ultrasound.surfaces.embree import Geometry
 from support.traced_rays import follow, illumination
+
+
+def test_hits_are_those_of_embreex(tissue: Tissue) -> None:
+    meshes = [
+        trimesh.creation.icosphere(4, 30.0),
+        trimesh.creation.box((50, 60, 70)),
+        trimesh.creation.icosphere(5, 20),
+    ]
+    geometry = Geometry([Structure(m, tissue) for m in meshes], np.array([[-40.0] * 3, [40.0] * 3]), np.zeros(3), 200.0)
+    theirs = EmbreeScene()
+    kept = [TriangleMesh(theirs, m.vertices.astype(np.float32), m.faces.astype(np.int32)) for m in meshes]
+    rng = np.random.default_rng(0)
+    origins = rng.uniform(-40, 40, (20_000, 3)).astype(np.float32)
+    directions = rng.normal(size=origins.shape)
+    directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
+    reach = rng.uniform(-5, 60, len(origins)).astype(np.float32)
+    found = geometry.closest(origins, directions, reach)
+    wanted = theirs.run(origins, directions, dists=np.maximum(reach, 0), query="INTERSECT", output=True)
+    met = wanted["geomID"] >= 0
+    assert kept
+    assert 0.2 < met.mean() < 0.8
+    np.testing.assert_array_equal(found.structure, wanted["geomID"])
+    for mine, name in ((found.distance_mm, "tfar"), (found.triangle, "primID"), (found.normal, "Ng")):
+        np.testing.assert_array_equal(mine[met], wanted[name][met])
+
+
+def test_a_scene_that_is_gone_gives_its_memory_back(tissue: Tissue) -> None:
+    mesh = trimesh.creation.icosphere(6, 30.0)  # 81,920 triangles, of which Embree keeps some 10 MB
+
+    def resident_mb() -> float:
+        with pathlib.Path("/proc/self/status").open() as status:
+            return next(int(line.split()[1]) for line in status if line.startswith("VmRSS")) / 1024
+
+    def make() -> None:
+        Geometry([Structure(mesh, tissue)], np.array([[-40.0] * 3, [40.0] * 3]), np.zeros(3), 200.0)
+
+    for _ in range(3):
+        make()
+    before = resident_mb()
+    for _ in range(12):
+        make()
+    assert resident_mb() - before < 60
 
 
 def test_direct_illumination_behind_flat_faces_is_exact(gel, slab, probe, one_line) -> None:
@@ -50,25 +96,17 @@ def test_a_crossing_inside_a_structure_of_higher_priority_changes_nothing(gel, s
 
 
 @pytest.mark.parametrize(("turned_rad", "tilted_rad"), [(0.3, 1e-6), (0.7, 1e-7)])
-def test_a_ray_along_a_surface_takes_few_steps(gel, tissue, probe, one_line, monkeypatch, turned_rad, tilted_rad):
+def test_a_ray_along_a_surface_takes_few_steps(gel, tissue, probe, one_line, turned_rad, tilted_rad):
     """Rounding makes the ray meet the same triangles again; with a fixed small step it would need a million steps."""
     mesh = trimesh.creation.box((100.0, 100.0, 400.0))
     mesh.apply_translation((50.0, 0, 100.0))  # its side is the plane x = 0, which the line lies in
     for angle, axis in ((turned_rad, (0, 0, 1)), (tilted_rad, (0, 1, 0))):
         mesh.apply_transform(trimesh.transformations.rotation_matrix(angle, axis))
-    met = []
-    closest = Geometry.closest
-
-    def counted(self: Geometry, *rays: np.ndarray) -> Hits:
-        hits = closest(self, *rays)
-        met.append(np.count_nonzero(hits.structure >= 0))
-        return hits
-
-    monkeypatch.setattr("ablate.ultrasound.surfaces.embree.available", False)  # compiled code asks without `closest`
-    monkeypatch.setattr(Geometry, "closest", counted)
-    follow(Scene((Structure(mesh, replace(tissue, impedance_mrayl=3.0)),), gel, "s"), probe, one_line)
-    assert sum(met) > 3 * one_line.rays
-    assert len(met) < 100
+    scene = Scene((Structure(mesh, replace(tissue, impedance_mrayl=3.0)),), gel, "s")
+    follow(scene, probe, replace(one_line, rays=1))  # compiled
+    start = time.process_time()
+    follow(scene, probe, one_line)
+    assert time.process_time() - start < 5, "a million steps for each of the rays take half a minute"
 
 
 def test_echoes_behind_forty_structures(gel, slab, probe, one_line) -> None:

@@ -1,13 +1,15 @@
-"""Labels against geometry."""
+"""Labels against geometry, and whether the probe can see the scene at all, told from labels."""
+
+import math
 
 import numpy as np
 import pytest
 import trimesh
 
-from ablate.anatomy import Scene, Structure, Tissue, check_scene
+from ablate.anatomy import Scene, Structure, Tissue, check_scene, load_tissues
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
-from ablate.ultrasound.maps.slices import beside
-from ablate.ultrasound.probe import fan_size_mm, pixel_coordinates_mm
+from ablate.ultrasound.probe import pixel_coordinates_mm
+from ablate.ultrasound.surfaces.slices import beside, contact_warning
 
 PAPER_SIZE = SimulatorSettings()
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=40.0).apply_translation((3.0, 2.0, 60.0))
@@ -33,27 +35,6 @@ def segment(scene: Scene, probe: ConvexProbe, settings: SimulatorSettings, pose:
 def grid(probe: ConvexProbe, settings: SimulatorSettings) -> tuple[np.ndarray, np.ndarray]:
     x, z = pixel_coordinates_mm(probe, settings.image_shape)
     return np.meshgrid(x, z)
-
-
-def test_the_papers_image_size_follows_from_its_probe() -> None:
-    height, width = fan_size_mm(ConvexProbe())
-    assert (height, width) == (pytest.approx(157.234, abs=1e-3), pytest.approx(217.959, abs=1e-3))
-    _, z = pixel_coordinates_mm(ConvexProbe(), (1000, 1386))
-    assert z[0] - height / 2000 == pytest.approx(-7.234, abs=1e-3)
-
-
-def test_a_sphere_is_a_disc(gel, tissue, ball, probe, ahead) -> None:
-    """Every pixel farther in than the nearest facet's plane, and none outside the sphere that holds the vertices."""
-    structure = ball(tissue, (5.0, 3.0, 80.0), 25.0)
-    labels = segment(Scene((structure,), gel, "s"), probe, PAPER_SIZE, ahead)
-    x, z = grid(probe, PAPER_SIZE)
-    distance = np.sqrt((x - 5) ** 2 + 3**2 + (z - 80) ** 2)
-    a, b, c = structure.mesh.triangles.transpose(1, 0, 2) - (5.0, 3.0, 80.0)
-    normal = np.cross(b - a, c - a)
-    nearest = (np.abs((normal * a).sum(axis=1)) / np.linalg.norm(normal, axis=1)).min()
-    assert 25 - nearest < 0.01
-    assert (labels[distance < nearest] == 2).all()
-    assert (labels[(distance > 25) & (labels > 0)] == 1).all()
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -111,3 +92,80 @@ def test_the_same_ball_has_the_same_labels(gel, tissue, probe, small, ahead, nam
 
     odd = labels(trimesh.Trimesh(*SAME[name], process=False))
     np.testing.assert_array_equal(odd, labels(BALL))
+
+
+TABLE = load_tissues()
+GEL = TABLE["coupling_gel"]
+SAMPLES = 3072
+
+
+def lines(*layers: tuple[int, float], scanlines: int = 192, depth_mm: float = 150.0) -> np.ndarray:
+    """Labels of scanlines that all meet the same layers: (label, thickness in mm); the last goes on for ever."""
+    depth = (np.arange(SAMPLES) + 0.5) * depth_mm / SAMPLES
+    ends = np.cumsum([thickness for _, thickness in layers[:-1]])
+    row = np.array([label for label, _ in layers], np.uint8)[np.searchsorted(ends, depth)]
+    return np.tile(row, (scanlines, 1))
+
+
+@pytest.mark.parametrize("name", ["bone", "fetal_bone", "gas"])
+@pytest.mark.parametrize("frequency_mhz", [3.0, 8.0])
+def test_a_probe_in_bone_or_gas_is_warned_of(name: str, frequency_mhz: float) -> None:
+    said = contact_warning(lines((1, 150.0)), (GEL, TABLE[name]), ConvexProbe(frequency_mhz=frequency_mhz))
+    assert said is not None
+    assert f"most scanlines start in {name}," in said
+    assert "\n" not in said
+
+
+@pytest.mark.parametrize("name", [name for name in TABLE if name not in ("bone", "fetal_bone", "gas")])
+def test_a_probe_in_anything_else_is_not(name: str) -> None:
+    assert contact_warning(lines((1, 150.0)), (Tissue("water"), TABLE[name]), ConvexProbe()) is None
+
+
+@pytest.mark.parametrize(("impedance", "attenuation"), [(1.5, 7.0), (6.0, 7.0), (6.0, 4.0), (0.05, 1.0)])
+def test_the_line_is_drawn_where_40_db_are_lost_there_and_back(impedance: float, attenuation: float) -> None:
+    reflected = ((impedance - 1.5) / (impedance + 1.5)) ** 2
+    face_db = -20 * math.log10(1 - reflected)
+    critical_mm = 10 * (40.0 - face_db) / (2 * attenuation * 8.0)
+    plate = Tissue("plate", impedance_mrayl=impedance, attenuation_db_cm_mhz=attenuation)
+    for share, warned in ((0.97, False), (1.03, True)):
+        labels = lines((1, share * critical_mm), (2, 150.0))
+        said = contact_warning(labels, (GEL, plate, TABLE["liver"]), ConvexProbe(frequency_mhz=8.0))
+        assert (said is not None) == warned
+
+
+def test_what_lies_behind_a_rib_or_within_half_of_the_face_is_no_matter() -> None:
+    tissues = (GEL, TABLE["skin"], TABLE["bone"])
+    assert contact_warning(lines((1, 4.0), (2, 150.0)), tissues, ConvexProbe()) is None
+    labels = lines((2, 150.0))
+    labels[:96] = lines((1, 150.0), scanlines=96)
+    assert contact_warning(labels, tissues, ConvexProbe()) is None
+    labels[95] = 2
+    assert contact_warning(labels, tissues, ConvexProbe()) is not None
+
+
+def test_a_probe_that_looks_past_the_scene_is_warned_of() -> None:
+    labels = lines((0, 150.0))
+    said = contact_warning(labels, (GEL, TABLE["liver"]), ConvexProbe())
+    assert said == "no scanline meets anything but coupling_gel, the background: the probe looks past the scene"
+    labels[50, -1] = 1
+    assert contact_warning(labels, (GEL, TABLE["liver"]), ConvexProbe()) is None
+
+
+def test_nothing_but_background_is_as_it_should_be_where_that_is_all_there_is_or_scatters() -> None:
+    labels = lines((0, 150.0))
+    assert contact_warning(labels, (GEL,), ConvexProbe()) is None
+    assert contact_warning(labels, (TABLE["liver"], TABLE["bile"]), ConvexProbe()) is None
+
+
+def test_the_words_are_the_same_for_every_pose_in_the_same_trouble() -> None:
+    tissues = (GEL, TABLE["skin"], TABLE["bone"])
+    first = contact_warning(lines((2, 150.0)), tissues, ConvexProbe())
+    other = lines((2, 20.0), (1, 150.0))
+    other[:40] = 1
+    assert first == contact_warning(other, tissues, ConvexProbe())
+
+
+@pytest.mark.parametrize("samples", [1, 9])
+def test_too_few_samples_tell_nothing(samples: int) -> None:
+    labels = np.ones((4, samples), np.uint8)
+    assert contact_warning(labels, (GEL, TABLE["bone"]), ConvexProbe()) is None

@@ -1,5 +1,5 @@
 from .fetal.fetal_abdomen import fetal_abdomen as fetal_abdomen
-from .fetal.standard_planes import fetal_planes as fetal_planes
+from .fetal.fetal_abdomen import fetal_planes as fetal_planes
 from .meshes.check import check_scene as check_scene
 from .scene import ANATOMY_VERSION as ANATOMY_VERSION
 from .scene import Scene as Scene

@@ -1,21 +1,27 @@
-"""A scene: closed surfaces, the tissue in each, and the tissue around them."""
+"""A scene: closed surfaces, the tissue in each, and the tissue around them; and built scenes kept on disk."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+import logging
+from collections.abc import Callable, Iterable
 from dataclasses import astuple, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ablate.anatomy.tissue import Tissue
+from ablate.anatomy.tissue import Tissue, load_tissues
+from ablate.storage import written_whole
 
 if TYPE_CHECKING:
     import trimesh
 
 ANATOMY_VERSION = 2  # of the built-in anatomy, the tissue table and mesh repair: raised when a scene changes
+FEWEST_TRIANGLES = 4_000  # of the built-in anatomy
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -117,3 +123,57 @@ def content_hash(scene: Scene) -> str:
         digest.update(vertices.tobytes())
         digest.update(faces.tobytes())
     return digest.hexdigest()
+
+
+def cached_scene(folder: str | Path | None, build: Callable[[], Scene], **parameters: object) -> Scene:
+    """The scene of these parameters: read from `folder` if it is there, else built and written; only built for None.
+
+    Both give the same scene, vertices bit for bit; its tissues must be those of the built-in table. The parameters are
+    everything that decides what the scene is, including a version of the code that builds it. A file that cannot be
+    read or written is logged as a warning.
+    """
+    if folder is None:
+        return build()
+    key = hashlib.sha256(repr(sorted(parameters.items())).encode()).hexdigest()[:16]
+    path = Path(folder) / f"scene-{key}.npz"
+    if path.exists():
+        try:
+            return _read(path)
+        except Exception as error:  # zip, NumPy and trimesh raise many kinds for a file with a flipped bit
+            logger.warning("%s: built again, because it cannot be read: %s", path, " ".join(str(error).split()))
+    scene = build()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        meshes = [structure.mesh for structure in scene.structures]
+        with written_whole(path) as partial, partial.open("wb") as stream:
+            np.savez(
+                stream,
+                vertices=np.concatenate([mesh.vertices for mesh in meshes]),
+                faces=np.concatenate([mesh.faces for mesh in meshes]).astype(np.int32),
+                counts=[(len(mesh.vertices), len(mesh.faces)) for mesh in meshes],
+                names=[mesh.metadata["name"] for mesh in meshes],
+                tissues=[structure.tissue.name for structure in scene.structures],
+                scene=[scene.background.name, scene.name, content_hash(scene)],
+            )
+    except OSError as error:
+        logger.warning("%s: the built scene is not kept: %s", path, error)
+    return scene
+
+
+def _read(path: Path) -> Scene:
+    import trimesh
+
+    table = load_tissues()
+    with path.open("rb") as stream, np.load(stream, allow_pickle=False) as held:
+        background, name, digest = (str(text) for text in held["scene"])
+        ends = np.cumsum(held["counts"], axis=0)[:-1]
+        vertices, faces = np.split(held["vertices"], ends[:, 0]), np.split(held["faces"], ends[:, 1])
+        structures = []
+        for points, corners, label, tissue in zip(vertices, faces, held["names"], held["tissues"], strict=True):
+            mesh = trimesh.Trimesh(points, corners, process=False)
+            mesh.metadata["name"] = str(label)
+            structures.append(Structure(mesh, table[str(tissue)]))
+    scene = Scene(tuple(structures), table[background], name)
+    if content_hash(scene) != digest:
+        raise ValueError("its content is not what was written")
+    return scene

@@ -69,9 +69,14 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
     for i, entry in enumerate(structures):
         where = f"{path}: structures[{i}]"
         entry = values.mapping(entry, where, ("mesh", "tissue"))
-        mesh = _mesh_path(entry.get("mesh"), folder, f"{where}.mesh")
-        meshes.append((mesh, values.tissue_named(entry.get("tissue"), tissues, f"{where}.tissue")))
-    background = values.tissue_named(content.get("background", "coupling_gel"), tissues, f"{path}: background")
+        mesh = values.file_named(entry.get("mesh"), MESH_SUFFIXES, folder, f"{where}.mesh")
+        if mesh.suffix.lower() in VTK_SUFFIXES and find_spec("vtkmodules") is None:
+            raise ValueError(f"{where}.mesh: {NEEDS_VTK}")
+        if mesh.stat().st_size == 0:
+            raise ValueError(f"{where}.mesh: {mesh} is empty")
+        mesh_files(mesh)
+        meshes.append((mesh, tissues[values.one_of(entry.get("tissue"), tissues, f"{where}.tissue")]))
+    background = tissues[values.one_of(content.get("background", "coupling_gel"), tissues, f"{path}: background")]
     labels = checked_labels(content["labels"], folder, tissues, f"{path}: labels") if content.get("labels") else None
     names = [*(name for name, _ in (labels.structures if labels else ())), *(mesh.name for mesh, _ in meshes)]
     sites = _sites(content["sites"], f"{path}: sites", mm_per_unit, names) if content.get("sites") else None
@@ -197,16 +202,6 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
         except ValueError as error:
             raise ValueError(f"{path}: tissues: {error}") from None
     return tissues
-
-
-def _mesh_path(name: Any, folder: Path, where: str) -> Path:
-    path = values.file_named(name, MESH_SUFFIXES, folder, where)
-    if path.suffix.lower() in VTK_SUFFIXES and find_spec("vtkmodules") is None:
-        raise ValueError(f"{where}: {NEEDS_VTK}")
-    if path.stat().st_size == 0:
-        raise ValueError(f"{where}: {path} is empty")
-    mesh_files(path)
-    return path
 
 
 def _sites(content: Any, where: str, mm_per_unit: float, structures: list[str]) -> SiteGrid:

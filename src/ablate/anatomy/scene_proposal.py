@@ -67,17 +67,22 @@ def proposed_scene(folder: Path) -> str:
             unusable[path.name] = str(error)
     if not meshes:
         raise ValueError(f"scene.folder: {next(iter(unusable.values()))}")
-    unit, why = _unit(bounds := bounds_mm(meshes.values()))
+    bounds = bounds_mm(meshes.values())
+    extent = float(np.ptp(bounds, axis=0).max())
+    # the largest unit that makes the scene no larger than a body, preferring mm
+    fits = [unit for unit, factor in UNITS_MM.items() if 10 * BODY_MM[0] <= extent * factor <= BODY_MM[1]]
+    unit = fits[0] if fits else "mm"
     lines = [
         "# A proposal: check what the comments call guessed.",
-        f"unit: {unit}   # guessed: {why}",
+        f"unit: {unit}   # guessed: the largest extent is {extent:.4g}, which is {extent * UNITS_MM[unit]:.4g} mm",
         "background: coupling_gel   # guessed",
         "structures:   # where they overlap, the later one owns the place: large before small, soft before hard",
     ]
     tissues, table = {name: tissue_of_name(name) for name in meshes}, load_tissues()
     for name in sorted(meshes, key=lambda n: (_ORDER.index(table[tissues[n][0]].kind), -np.prod(meshes[n].extents))):
         tissue, reason = tissues[name]
-        lines.append(f"  - {{mesh: {_quoted(name)}, tissue: {tissue}}}   # guessed: {reason}")
+        quoted = name if re.fullmatch(r"[A-Za-z][\w.-]*", name, re.ASCII) else json.dumps(name, ensure_ascii=False)
+        lines.append(f"  - {{mesh: {quoted}, tissue: {tissue}}}   # guessed: {reason}")
     lines += [f"  # left out: {error}" for error in unusable.values()]
     lower, upper = bounds[0, 2] + 0.2 * np.ptp(bounds[:, 2]), bounds[1, 2] - 0.2 * np.ptp(bounds[:, 2])
     lines += [
@@ -104,16 +109,3 @@ def tissue_of_name(name: str) -> tuple[str, str]:
     if longest := max((tissue for tissue in known if tissue in stem), key=len, default=None):
         return longest, f"its name has {longest}"
     return _UNKNOWN, "its name says nothing"
-
-
-def _unit(bounds: np.ndarray) -> tuple[str, str]:
-    """The largest unit that makes the scene no larger than a body, preferring mm."""
-    extent = float(np.ptp(bounds, axis=0).max())
-    fits = [unit for unit, factor in UNITS_MM.items() if 10 * BODY_MM[0] <= extent * factor <= BODY_MM[1]]
-    unit = fits[0] if fits else "mm"
-    return unit, f"the largest extent is {extent:.4g}, which is {extent * UNITS_MM[unit]:.4g} mm"
-
-
-def _quoted(name: str) -> str:
-    """A name as YAML."""
-    return name if re.fullmatch(r"[A-Za-z][\w.-]*", name, re.ASCII) else json.dumps(name, ensure_ascii=False)

@@ -13,7 +13,6 @@ from typing import Any
 import yaml
 
 from ablate.anatomy.site_grid import MOST_POSES
-from ablate.anatomy.tissue import Tissue
 from ablate.validation import shown
 
 
@@ -67,11 +66,6 @@ def file_named(name: Any, suffixes: tuple[str, ...], folder: Path, where: str) -
     if not os.path.isfile(folder / name):  # noqa: PTH113, it is False for a name that is too long
         raise FileNotFoundError(f"{where}: no file {shown(name)} in {folder}")
     return folder / name
-
-
-def tissue_named(name: Any, tissues: Mapping[str, Tissue], where: str) -> Tissue:
-    """The tissue that has this name."""
-    return tissues[one_of(name, tissues, where)]
 
 
 def series(value: Any, where: str) -> tuple[float, ...]:

@@ -2,28 +2,14 @@
 
 import csv
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from importlib.resources import files
 
-from ablate.validation import check_number
+from ablate.setting import check_settings, setting
 
-#: Lowest and highest value of each number of a tissue; wide, because extreme cases are meant to run.
-TISSUE_RANGES: dict[str, tuple[float, float]] = {
-    "speed_m_s": (1.0, 1e5),
-    "impedance_mrayl": (1e-6, 1e4),
-    "attenuation_db_cm_mhz": (0.0, 1e4),
-    "scatterer_density": (0.0, 1.0),
-    "scatterer_mean": (-1e3, 1e3),
-    "scatterer_sd": (0.0, 1e3),
-    "attenuation_power": (0.0, 4.0),
-    "roughness": (0.0, 10.0),
-    "thickness_mm": (0.0, 100.0),
-    "specularity": (0.0, 1e6),
-    "texture_contrast_db": (0.0, 40.0),
-}
 _GAS_BELOW_MRAYL, _BONE_ABOVE_MRAYL = 0.5, 3.0  # soft tissue and fluid lie between
 _FLUID_UP_TO_MRAYL = 2.0
 _FLUID_UP_TO_POWER = 0.01  # of the scatterers: blood has 0.006; the darkest soft tissue, the thalamus, has 0.017
@@ -40,29 +26,10 @@ class TissueKind(StrEnum):
 
 @dataclass(frozen=True)
 class Tissue:
-    """Acoustic properties of one tissue.
+    """Acoustic properties of one tissue; their ranges are wide, because extreme cases are meant to run.
 
-    Attributes
-    ----------
-    impedance_mrayl
-        Characteristic impedance, MRayl (10^6 kg m^-2 s^-1).
-    attenuation_db_cm_mhz
-        Amplitude attenuation, one way, dB/cm at 1 MHz.
-    scatterer_density, scatterer_mean, scatterer_sd
-        A lattice point scatters with probability `scatterer_density`; its amplitude is then normal with this
-        mean and standard deviation, relative to the simulator's scatterer level (Burger et al. 2013, eq. 15).
-    attenuation_power
-        Exponent b of alpha f^b.
-    roughness
-        0 is a mirror; otherwise the normal is drawn from a power-cosine lobe of exponent 1 / roughness.
-    thickness_mm
-        Standard deviation of the depth over which the surface reflects, mm.
-    specularity
-        Exponent n of the echo's lobe max(0, cos)^n; larger is more mirror-like.
-    texture_contrast_db
-        Standard deviation of the slow variation of scatterer amplitude within the tissue, dB; 0 is uniform.
-    texture_mm
-        Correlation lengths of that variation along the world's x, y and z, mm.
+    A lattice point scatters with probability `scatterer_density`; its amplitude is then normal with `scatterer_mean`
+    and `scatterer_sd` (Burger et al. 2013, eq. 15). Attenuation is `attenuation_db_cm_mhz` f^`attenuation_power`.
 
     Raises
     ------
@@ -77,29 +44,30 @@ class Tissue:
     """
 
     name: str
-    speed_m_s: float = 1540.0
-    impedance_mrayl: float = 1.63
-    attenuation_db_cm_mhz: float = 0.5
-    scatterer_density: float = 0.6
-    scatterer_mean: float = 0.0
-    scatterer_sd: float = 0.3
-    attenuation_power: float = 1.0
-    roughness: float = 0.02
-    thickness_mm: float = 0.0
-    specularity: float = 8.0
-    texture_contrast_db: float = 0.0
-    texture_mm: tuple[float, float, float] = (4.0, 4.0, 4.0)
+    speed_m_s: float = setting(1540.0, "Speed of sound.", least=1, most=1e5)
+    impedance_mrayl: float = setting(1.63, "Characteristic impedance, 10^6 kg m^-2 s^-1.", least=1e-6, most=1e4)
+    attenuation_db_cm_mhz: float = setting(0.5, "Amplitude lost, one way, dB/cm at 1 MHz.", least=0, most=1e4)
+    scatterer_density: float = setting(0.6, "Probability that a lattice point scatters.", least=0, most=1)
+    scatterer_mean: float = setting(0.0, "Relative to the simulator's scatterer level.", least=-1e3, most=1e3)
+    scatterer_sd: float = setting(0.3, "Relative to the simulator's scatterer level.", least=0, most=1e3)
+    attenuation_power: float = setting(1.0, "Exponent of the frequency in MHz.", least=0, most=4)
+    # otherwise the normal is drawn from a power-cosine lobe of exponent 1 / roughness
+    roughness: float = setting(0.02, "0 is a mirror.", least=0, most=10)
+    thickness_mm: float = setting(0.0, "Standard deviation of the depth over which it reflects.", least=0, most=100)
+    specularity: float = setting(8.0, "Exponent n of the echo's lobe max(0, cos)^n.", least=0, most=1e6)
+    # the slow variation of scatterer amplitude within the tissue
+    texture_contrast_db: float = setting(0.0, "Its standard deviation; 0 is uniform.", least=0, most=40)
+    texture_mm: tuple[float, float, float] = setting(
+        (4.0, 4.0, 4.0), "Its correlation lengths along the world's x, y and z.", least=1e-3, most=1e6
+    )
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
             raise ValueError(f"tissue name must be a non-empty string, not {self.name!r}")
-        for name, (lower, upper) in TISSUE_RANGES.items():
-            check_number(f"tissue {self.name!r}: {name}", getattr(self, name), lower, upper)
-        if not isinstance(self.texture_mm, Iterable) or len(lengths := tuple(self.texture_mm)) != 3:
-            raise ValueError(f"tissue {self.name!r}: texture_mm must be 3 lengths, not {self.texture_mm!r}")
-        object.__setattr__(self, "texture_mm", lengths)  # a list would not hash
-        for length_mm in self.texture_mm:
-            check_number(f"tissue {self.name!r}: texture_mm", length_mm, 1e-3, 1e6)
+        try:
+            check_settings(self)
+        except ValueError as error:
+            raise ValueError(f"tissue {self.name!r}: {error}") from None
 
     @property
     def scatter_power(self) -> float:

@@ -14,7 +14,7 @@ from ablate.runs.job import Job, parameters
 from ablate.settings.conf import components_of_networks, variant_names
 from ablate.settings.study import StudySettings
 from ablate.ultrasound.probe import fan_size_mm
-from ablate.ultrasound.probe_kinds import ConvexProbe
+from ablate.ultrasound.settings import ConvexProbe
 
 _UNKNOWN = "-"
 _PAPER_MM = fan_size_mm(ConvexProbe())[0]

@@ -14,8 +14,7 @@ from ablate.networks.spec import DEPTHS, GeneratorSpec
 from ablate.settings.conf import conf_folder
 from ablate.training.settings import SMALLEST_CROP, TrainingSettings
 from ablate.ultrasound.probe import fan_size_mm, square_pixels
-from ablate.ultrasound.probe_kinds import ConvexProbe, Probe, probe_from
-from ablate.ultrasound.settings import SimulatorSettings
+from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings, probe_from
 
 PAPER_SHAPE = SimulatorSettings().image_shape
 PAPER_ROWS = PAPER_SHAPE[0]

@@ -12,7 +12,7 @@ from ablate.jobs.scale import register_resolvers
 from ablate.setting import is_group
 from ablate.settings.study import StudySettings
 from ablate.settings.values import build
-from ablate.ultrasound.probe_kinds import PROBE_KEYS, Probe, ProbeKind
+from ablate.ultrasound.settings import PROBE_KEYS, Probe, ProbeKind
 
 
 @cache

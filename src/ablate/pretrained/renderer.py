@@ -15,7 +15,7 @@ from ablate.setting import plain
 from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
 from ablate.ultrasound import Frame, Probe, compensated_attenuation
-from ablate.ultrasound.probe_kinds import probe_from
+from ablate.ultrasound.settings import probe_from
 
 _FOLDER = Path(__file__).parent
 #: The generators that come with the package; the README.md beside them says how each was trained.

@@ -12,7 +12,7 @@ from ablate.dataset import DERIVED, Pairs, Part, open_pairs
 from ablate.networks import GeneratorSpec, conditions
 from ablate.settings.values import build
 from ablate.storage import read_json, write_json
-from ablate.ultrasound.probe_kinds import probe_from
+from ablate.ultrasound.settings import probe_from
 
 #: The maps that say which data a run was scored on; all of their test frames are read for the digest.
 _DIGESTED = ("segmentation", "attenuation", "target", "resimulation")

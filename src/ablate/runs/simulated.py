@@ -16,7 +16,7 @@ from ablate.setting import identity, plain
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest_of_files
 from ablate.ultrasound import SIMULATOR_VERSION, fan_mask
-from ablate.ultrasound.render_plan import plan_scene
+from ablate.ultrasound.media import plan_scene
 
 
 def about_simulated(settings: StudySettings) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from ablate.anatomy.fetal.parts import FEWEST_TRIANGLES
+from ablate.anatomy.scene import FEWEST_TRIANGLES
 from ablate.anatomy.site_grid import MOST_POSES
 from ablate.dataset.encoding import Encoding
 from ablate.dataset.own_poses import Sweep
@@ -22,8 +22,7 @@ from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
 from ablate.setting import check_settings, setting
 from ablate.training.settings import TrainingSettings
-from ablate.ultrasound.probe_kinds import ConvexProbe, Probe
-from ablate.ultrasound.settings import SimulatorSettings
+from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings
 from ablate.validation import LONGEST_NAME, check_name, check_store, shown
 
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.

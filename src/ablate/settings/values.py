@@ -6,7 +6,7 @@ from typing import Any, TypeVar, get_type_hints
 
 from ablate.setting import Setting, is_group, settings_of
 from ablate.settings.study import StudySettings
-from ablate.ultrasound.probe_kinds import PROBES, Probe, probe_from
+from ablate.ultrasound.settings import PROBES, Probe, probe_from
 from ablate.validation import shown
 
 T = TypeVar("T")

@@ -1,14 +1,17 @@
-"""Acoustic properties as tables over the tissues of a scene, ready to be indexed by rays."""
+"""A scene as the simulator uses it: tables of its tissues for rays to index, without what the scene does not need."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ablate.anatomy import Tissue
-from ablate.ultrasound.settings import DepthMode
+from ablate.anatomy import Scene, Structure, Tissue
+from ablate.ultrasound.probe import check_pose, fan_lines
+from ablate.ultrasound.settings import DepthMode, PlanMode, Probe, SimulatorSettings
 
 DISPLAY_SPEED_M_S = 1540.0
+_MAX_TISSUES = 254  # 0 is outside the fan
 
 
 class Media(NamedTuple):
@@ -40,26 +43,98 @@ def time_gain_db(depth_mm: np.ndarray, frequency_mhz: float, tgc_db_cm_mhz: floa
 
 def tabulate(tissues: Sequence[Tissue], used: np.ndarray, frequency_mhz: float, mode: DepthMode, full: bool) -> Media:
     """Tables of some tissues; steps that no tissue in use needs are switched off unless `full`."""
-
-    def column(values: list[float]) -> np.ndarray:
-        return np.array(values, np.float32)
-
-    speed = column([t.speed_m_s for t in tissues])
-    impedance = column([t.impedance_mrayl for t in tissues])
-    roughness = column([t.roughness for t in tissues])
-    thickness = column([t.thickness_mm for t in tissues])
-    geometric = mode is DepthMode.geometric
+    speed, impedance, specularity, roughness, thickness = (
+        np.array([getattr(tissue, name) for tissue in tissues], np.float32)
+        for name in ("speed_m_s", "impedance_mrayl", "specularity", "roughness", "thickness_mm")
+    )
+    stretch = np.float32(DISPLAY_SPEED_M_S) / speed if mode is DepthMode.time_of_flight else np.ones_like(speed)
     return Media(
         speed_m_s=speed,
         impedance_mrayl=impedance,
-        specularity=column([t.specularity for t in tissues]),
+        specularity=specularity,
         thickness_mm=thickness,
-        loss_db_mm=column([loss_db_mm(t, frequency_mhz) for t in tissues]),
+        loss_db_mm=np.array([loss_db_mm(t, frequency_mhz) for t in tissues], np.float32),
         lobe_exponent=roughness / (1 + roughness),
-        stretch=np.ones_like(speed) if geometric else np.float32(DISPLAY_SPEED_M_S) / speed,
+        stretch=stretch,
         anechoic=np.array([i == 0 and t.scatter_power == 0 for i, t in enumerate(tissues)]),
         differs=(impedance[:, None] != impedance) | (speed[:, None] != speed),
         refracts=full or bool((speed[used] != speed[used][0]).any()),
         rough=full or bool(roughness[used].any()),
         thick=full or bool(thickness[used].any()),
     )
+
+
+@dataclass(frozen=True)
+class RenderPlan:
+    """A scene as the simulator uses it."""
+
+    structures: tuple[Structure, ...]  # those within reach, in the scene's order
+    tissue_of_owner: np.ndarray  # (structures + 1,) uint8, index into `Scene.tissues`; entry 0 is the background's
+    media: Media
+    anechoic: bool  # whether nothing within reach scatters or reflects: then no ray is cast
+    left_out: tuple[str, ...]  # what was left out, and why, one line each
+
+
+def plan_scene(
+    scene: Scene, probe: Probe, settings: SimulatorSettings, poses: Iterable[np.ndarray] | None
+) -> RenderPlan:
+    """Leave out what cannot change an image seen from `poses`; no structure is left out when they are not known.
+
+    A scene with more tissues than labels, or a pose that is not rigid, is a ValueError.
+    """
+    if len(scene.tissues) > _MAX_TISSUES:
+        raise ValueError(f"scene {scene.name!r} has {len(scene.tissues)} tissues; at most {_MAX_TISSUES}")
+    full = settings.plan is PlanMode.full
+    near = np.ones(len(scene.structures), bool)
+    if not full and poses is not None:
+        near = _within_reach(scene, probe, settings, [check_pose(pose) for pose in poses])
+    kept = np.flatnonzero(near)
+    tissue_of_owner = np.array([0, *(scene.structure_tissues[i] for i in kept)], np.uint8)
+    used = np.unique(tissue_of_owner)
+    media = tabulate(scene.tissues, used, probe.frequency_mhz, settings.depth_mode, full)
+    echogenic = any(scene.tissues[i].scatter_power for i in used) or bool(media.differs[np.ix_(used, used)].any())
+    # Where structures are out of reach, rays are cast all the same: the warning about contact needs their labels.
+    anechoic = not (full or echogenic) and bool(near.all())
+    notes = [] if full else _notes(scene, near, used, media, settings)
+    if anechoic:
+        notes = ["rays, scatterers and pulse: nothing in reach scatters or reflects", *notes]
+    return RenderPlan(tuple(scene.structures[i] for i in kept), tissue_of_owner, media, anechoic, tuple(notes))
+
+
+def _within_reach(scene: Scene, probe: Probe, settings: SimulatorSettings, poses: list[np.ndarray]) -> np.ndarray:
+    """Structures whose bounding box is nearer to some probe than any echo in the image can come from.
+
+    An echo's depth is half its whole path, so a point farther than the depth from every start is never seen,
+    however often a ray was reflected.
+    """
+    face = float(np.linalg.norm(fan_lines(probe, 2)[0][0]))  # to where the outer scanlines start
+    off_plane = settings.layer_extent_mm + settings.aperture_mm + settings.elevational_aperture_mm
+    fastest = 1.0
+    if settings.depth_mode is DepthMode.time_of_flight:
+        fastest = max(1.0, max(t.speed_m_s for t in scene.tissues) / DISPLAY_SPEED_M_S)
+    reach = 1.001 * (probe.depth_mm * fastest + face + off_plane)
+    middles = np.array([pose[:3, 3] for pose in poses]).reshape(-1, 3)
+    gaps = [np.maximum(np.maximum(s.mesh.bounds[0] - middles, middles - s.mesh.bounds[1]), 0) for s in scene.structures]
+    return np.array([(np.linalg.norm(gap, axis=-1) <= reach).any() for gap in gaps], bool)
+
+
+def _notes(scene: Scene, near: np.ndarray, used: np.ndarray, media: Media, settings: SimulatorSettings) -> list[str]:
+    notes = []
+    if not near.all():
+        names = ", ".join(dict.fromkeys(scene.structures[i].tissue.name for i in np.flatnonzero(~near)))
+        notes.append(f"{(~near).sum()} of {len(near)} structures: out of every fan's reach ({names})")
+    absent = [t.name for i, t in enumerate(scene.tissues) if i not in used]
+    if absent:
+        notes.append(f"scatterers of tissues not in reach: {', '.join(absent)}")
+    silent = [scene.tissues[i].name for i in used if not scene.tissues[i].scatter_power]
+    if 0 < len(silent) < len(used):
+        notes.append(f"scatterers of samples without any: {', '.join(silent)}")
+    unneeded = {
+        "refraction: all speeds of sound agree": not media.refracts,
+        "reflection and roulette: all impedances and speeds agree": not media.differs[np.ix_(used, used)].any(),
+        "rough normals: every roughness is zero": not media.rough,
+        "surface thickness: every thickness is zero": not media.thick,
+        "texture: every contrast is zero": not any(scene.tissues[i].texture_contrast_db for i in used),
+        "elevational weights: there is one layer": settings.layers == 1,
+    }
+    return notes + [note for note, holds in unneeded.items() if holds]

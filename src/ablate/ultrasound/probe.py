@@ -3,23 +3,22 @@
 Probe axes: x lateral, z depth, y = z cross x elevational; the origin is the middle of the face. The scanlines of a
 convex probe leave its face at right angles, so the centre of curvature, at z = -radius, is where they meet. Those of a
 phased one meet in the origin: its fan is that of a radius of 0. Those of a linear one are parallel. Lengths are mm,
-angles rad. What is different between the kinds of probe is in `_FANS`, and everything else asks there.
+angles rad. What is different between the kinds of probe is in `fan_of`, and everything else asks there.
 """
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from ablate.ultrasound.probe_kinds import ConvexProbe, LinearProbe, PhasedProbe, Probe
-from ablate.ultrasound.settings import SimulatorSettings
+from ablate.ultrasound.settings import ConvexProbe, LinearProbe, PhasedProbe, Probe, SimulatorSettings
 
 #: Of the face, across the image plane (assumed).
 FACE_HALF_WIDTH_MM = 6.0
 
 
-class _Fan(NamedTuple):
+class Fan(NamedTuple):
     """The shape of a probe's fan; the position of a scanline is its angle, rad, or its x, mm, if all are parallel."""
 
     size_mm: tuple[float, float]  # height and width of the bounding box
@@ -32,7 +31,7 @@ class _Fan(NamedTuple):
     flat_face_mm: float | None = None  # where the face is not where the scanlines start
 
 
-def _sector(probe: ConvexProbe | PhasedProbe, radius: float, flat_face_mm: float | None = None) -> _Fan:
+def _sector(probe: ConvexProbe | PhasedProbe, radius: float, flat_face_mm: float | None = None) -> Fan:
     """Scanlines that meet at `radius` behind their starts."""
     half, reach = math.radians(probe.fov_deg) / 2, radius + probe.depth_mm
 
@@ -47,10 +46,10 @@ def _sector(probe: ConvexProbe | PhasedProbe, radius: float, flat_face_mm: float
         return (radius + depth_mm) * (2 * half)
 
     size = reach - radius * math.cos(half), 2 * reach * math.sin(half)
-    return _Fan(size, radius * (1 - math.cos(half)), reach, half, width, polar, lines, flat_face_mm)
+    return Fan(size, radius * (1 - math.cos(half)), reach, half, width, polar, lines, flat_face_mm)
 
 
-def _rectangle(probe: LinearProbe) -> _Fan:
+def _rectangle(probe: LinearProbe) -> Fan:
     """Parallel scanlines."""
     wide = probe.width_mm
 
@@ -65,19 +64,14 @@ def _rectangle(probe: LinearProbe) -> _Fan:
     def width(depth_mm: np.ndarray) -> np.ndarray:
         return np.full(np.shape(depth_mm), wide)
 
-    return _Fan((probe.depth_mm, wide), 0.0, wide + probe.depth_mm, wide / 2, width, polar, lines)
+    return Fan((probe.depth_mm, wide), 0.0, wide + probe.depth_mm, wide / 2, width, polar, lines)
 
 
-#: Another kind of probe is another entry.
-_FANS: dict[type, Callable[[Any], _Fan]] = {
-    ConvexProbe: lambda probe: _sector(probe, probe.radius_mm),
-    PhasedProbe: lambda probe: _sector(probe, 0.0, probe.aperture_mm),
-    LinearProbe: _rectangle,
-}
-
-
-def _fan(probe: Probe) -> _Fan:
-    return _FANS[type(probe)](probe)
+def fan_of(probe: Probe) -> Fan:
+    """The shape of the fan of a probe of any kind."""
+    if isinstance(probe, LinearProbe):
+        return _rectangle(probe)
+    return _sector(probe, 0.0, probe.aperture_mm) if isinstance(probe, PhasedProbe) else _sector(probe, probe.radius_mm)
 
 
 def check_pose(pose: np.ndarray) -> np.ndarray:
@@ -99,7 +93,7 @@ def check_pose(pose: np.ndarray) -> np.ndarray:
 
 def fan_size_mm(probe: Probe) -> tuple[float, float]:
     """Height and width of the fan's bounding box, mm."""
-    return _fan(probe).size_mm
+    return fan_of(probe).size_mm
 
 
 def pixel_size_mm(probe: Probe, shape: tuple[int, int]) -> tuple[float, float]:
@@ -116,12 +110,7 @@ def square_pixels(probe: Probe, rows: int) -> tuple[int, int]:
 
 def face_sag_mm(probe: Probe) -> float:
     """Distance along z from the middle of the face to its edges, mm; 0 for a flat face."""
-    return _fan(probe).sag_mm
-
-
-def reach_mm(probe: Probe) -> float:
-    """The distance from where the scanlines meet to the deepest sample, mm; of parallel ones no smaller than to any."""
-    return _fan(probe).reach_mm
+    return fan_of(probe).sag_mm
 
 
 def pixel_coordinates_mm(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -147,7 +136,7 @@ def pixel_polar(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.nd
 
 def point_polar(probe: Probe, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same of points of the image plane, mm; `x` and `z` are broadcast."""
-    return _fan(probe).polar(x, z)
+    return fan_of(probe).polar(x, z)
 
 
 def fan_mask(probe: Probe, shape: tuple[int, int]) -> np.ndarray:
@@ -163,12 +152,7 @@ def fan_mask(probe: Probe, shape: tuple[int, int]) -> np.ndarray:
     True
     """
     depth, position = pixel_polar(probe, shape)
-    return (depth >= 0) & (depth <= probe.depth_mm) & (np.abs(position) <= outer_position(probe))
-
-
-def outer_position(probe: Probe) -> float:
-    """Position of the last scanline: half of the opening angle, rad, or half of a linear array's width, mm."""
-    return _fan(probe).outer
+    return (depth >= 0) & (depth <= probe.depth_mm) & (np.abs(position) <= fan_of(probe).outer)
 
 
 def scanline_positions(probe: Probe, scanlines: int) -> np.ndarray:
@@ -178,13 +162,8 @@ def scanline_positions(probe: Probe, scanlines: int) -> np.ndarray:
     """
     if scanlines == 1:
         return np.zeros(1)
-    last = outer_position(probe)
+    last = fan_of(probe).outer
     return np.linspace(-last, last, scanlines)
-
-
-def scanline_spacing_mm(probe: Probe, scanlines: int, depth_mm: np.ndarray) -> np.ndarray:
-    """Distance of neighbouring scanlines at some depths, (depths,) float64, mm; that of one scanline is the fan's."""
-    return _fan(probe).width_mm(depth_mm) / max(scanlines - 1, 1)
 
 
 def sample_depths_mm(probe: Probe, samples: int) -> np.ndarray:
@@ -204,12 +183,12 @@ def fan_lines(probe: Probe, count: int) -> tuple[np.ndarray, np.ndarray]:
 
     They do not depend on how many scanlines there are.
     """
-    return _fan(probe).lines(np.linspace(-0.5, 0.5, count) * (2 * outer_position(probe)))
+    return fan_of(probe).lines(np.linspace(-0.5, 0.5, count) * (2 * fan_of(probe).outer))
 
 
 def face_arc(probe: Probe, count: int) -> np.ndarray:
     """Points of the face in the image plane from edge to edge, (count, 3) float64, mm: an arc, or a straight line."""
-    width_mm = _fan(probe).flat_face_mm
+    width_mm = fan_of(probe).flat_face_mm
     if width_mm is not None:
         return np.linspace(-0.5, 0.5, count)[:, None] * (width_mm, 0.0, 0.0)
     return fan_lines(probe, count)[0]
@@ -232,7 +211,7 @@ def fan_outline(probe: Probe, points: int = 41) -> np.ndarray:
 def scanlines_in_plane(probe: Probe, scanlines: int, offsets_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Starts and unit directions, (planes, scanlines, 3) float64, mm, of the scanlines of planes at offsets along y."""
     planes = len(offsets_mm)
-    line = _fan(probe).lines(scanline_positions(probe, scanlines))
+    line = fan_of(probe).lines(scanline_positions(probe, scanlines))
     starts, directions = (np.tile(part, (planes, 1, 1)) for part in line)
     starts[..., 1] += np.asarray(offsets_mm)[:, None]
     return starts, directions

@@ -1,13 +1,17 @@
-"""What a frame is made with besides the probe: the simulator's settings; and the frame itself."""
+"""What a frame is made with, the simulator's settings and the probe, as plain values; and the frame itself."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
+from functools import partial
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ablate.setting import check_settings, setting
+from ablate.validation import shown
 
 #: Part of every data set's identity: raise it when the same settings give another image.
 SIMULATOR_VERSION = 4
@@ -34,6 +38,12 @@ class SimulatorPrecision(StrEnum):
     float64 = "float64"
 
 
+#: Lengths of three ranges.
+_size_mm = partial(setting, least=1e-6, most=1e3, unit="mm")
+_offset_mm = partial(setting, least=0, most=1e3, unit="mm")
+_distance_mm = partial(setting, least=1e-3, most=1e6, unit="mm")
+
+
 # The largest counts are far beyond any use: what exceeds them is a slip, and would end for want of memory after the
 # anatomy is built.
 @dataclass(frozen=True)
@@ -57,31 +67,15 @@ class SimulatorSettings:
     noise_floor_db: float = setting(-55.0, "Level of the amplifier's noise below white.", least=-1e3, most=0, unit="dB")
     dynamic_range_db: float = setting(60.0, "Between black and white.", least=1, most=1e3, unit="dB")
     reference_level: float = setting(0.1, "Amplitude that is shown as white.", least=1e-12, most=1e12)
-    axial_fwhm_mm: float = setting(
-        0.30, "Length of the pulse, full width at half maximum.", least=1e-6, most=1e3, unit="mm"
-    )
-    lateral_fwhm_mm: float = setting(
-        0.8, "Width of the pulse in the image plane at `focus_mm`.", least=1e-6, most=1e3, unit="mm"
-    )
-    elevational_fwhm_mm: float = setting(
-        2.5, "Width of the pulse across the image plane at `focus_mm`.", least=1e-6, most=1e3, unit="mm"
-    )
-    focus_mm: float = setting(70.0, "Depth at which rays meet.", least=1e-3, most=1e6, unit="mm")
-    focal_range_mm: float = setting(
-        40.0, "Distance from the focus at which the pulse is sqrt(2) as wide.", least=1e-3, most=1e6, unit="mm"
-    )
-    aperture_mm: float = setting(
-        0.2, "Half width within which the rays of a scanline start.", least=0, most=1e3, unit="mm"
-    )
-    elevational_aperture_mm: float = setting(
-        1.5, "Half width across the plane within which rays start.", least=0, most=1e3, unit="mm"
-    )
-    layer_extent_mm: float = setting(
-        1.5, "The layers' planes lie within this distance of the image plane.", least=0, most=1e3, unit="mm"
-    )
-    scatterer_pitch_mm: float = setting(
-        0.1, "Distance of neighbours in the lattice of scatterers.", least=1e-6, most=1e3, unit="mm"
-    )
+    axial_fwhm_mm: float = _size_mm(0.30, "Length of the pulse, full width at half maximum.")
+    lateral_fwhm_mm: float = _size_mm(0.8, "Width of the pulse in the image plane at `focus_mm`.")
+    elevational_fwhm_mm: float = _size_mm(2.5, "Width of the pulse across the image plane at `focus_mm`.")
+    focus_mm: float = _distance_mm(70.0, "Depth at which rays meet.")
+    focal_range_mm: float = _distance_mm(40.0, "Distance from the focus at which the pulse is sqrt(2) as wide.")
+    aperture_mm: float = _offset_mm(0.2, "Half width within which the rays of a scanline start.")
+    elevational_aperture_mm: float = _offset_mm(1.5, "Half width across the plane within which rays start.")
+    layer_extent_mm: float = _offset_mm(1.5, "The layers' planes lie within this distance of the image plane.")
+    scatterer_pitch_mm: float = _size_mm(0.1, "Distance of neighbours in the lattice of scatterers.")
     scatterer_level_db: float = setting(
         -50.0,
         "Amplitude of a scatterer of unit variance against the echo of a flat perfect reflector seen face on (assumed: "
@@ -140,3 +134,107 @@ class Frame:
     image: np.ndarray
     mask: np.ndarray
     envelope: np.ndarray
+
+
+class ProbeKind(StrEnum):
+    """Shape of the array, and with it that of the image: a curved fan, a rectangle, a sector from one point."""
+
+    convex = "convex"
+    linear = "linear"
+    phased = "phased"
+
+
+_span_mm = partial(setting, least=1e-6, most=1e6, unit="mm")
+_depth_mm = partial(_span_mm, about="Imaging depth from the face.")
+_frequency = partial(setting, about="Frequency that attenuation is computed at.", least=1e-6, most=1e3, unit="MHz")
+
+
+@dataclass(frozen=True)
+class ConvexProbe:
+    """A curved array; with these defaults the fan's bounding box is 217.96 x 157.23 mm.
+
+    A value that is not finite or outside its range is a ValueError that names it.
+    """
+
+    kind: ClassVar[ProbeKind] = ProbeKind.convex
+    radius_mm: float = _span_mm(40.0, "Radius of curvature of the face.")
+    fov_deg: float = setting(70.0, "Opening angle of the fan.", least=1e-3, most=179, unit="degrees")
+    depth_mm: float = _depth_mm(150.0)
+    frequency_mhz: float = _frequency(8.0)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True)
+class LinearProbe:
+    """A flat array whose scanlines are parallel; its image is a rectangle as wide as the array.
+
+    The active aperture opens with depth, at a constant f-number, so the beam is as wide at all depths (Szabo,
+    Diagnostic Ultrasound Imaging, 2014, ch. 7). A value that is not finite or outside its range is a ValueError that
+    names it.
+    """
+
+    kind: ClassVar[ProbeKind] = ProbeKind.linear
+    width_mm: float = _span_mm(38.0, "Span of the elements, from the first scanline to the last.")
+    depth_mm: float = _depth_mm(50.0)
+    frequency_mhz: float = _frequency(7.5)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True)
+class PhasedProbe:
+    """A small flat array whose scanlines all leave the middle of its face, steered to either side: a sector.
+
+    The beam's width grows with depth and, because the aperture is seen from aside, as 1 / cos of the steering angle
+    (Szabo, Diagnostic Ultrasound Imaging, 2014, ch. 7). Nearer than `aperture_mm` it is as wide as there: the f-number
+    is at least 1. A value that is not finite or outside its range is a ValueError that names it.
+    """
+
+    kind: ClassVar[ProbeKind] = ProbeKind.phased
+    aperture_mm: float = _span_mm(20.0, "Span of the elements, all of which make every beam.")
+    fov_deg: float = setting(80.0, "Opening angle of the sector.", least=1e-3, most=170, unit="degrees")
+    depth_mm: float = _depth_mm(150.0)
+    frequency_mhz: float = _frequency(2.5)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+Probe = ConvexProbe | LinearProbe | PhasedProbe
+PROBES: dict[ProbeKind, type[ConvexProbe] | type[LinearProbe] | type[PhasedProbe]] = {
+    cls.kind: cls for cls in (ConvexProbe, LinearProbe, PhasedProbe)
+}
+
+
+#: Every value that some probe has, with its default; None where not all kinds have it.
+PROBE_KEYS: dict[str, float | None] = {
+    "radius_mm": None,
+    "width_mm": None,
+    "aperture_mm": None,
+    "fov_deg": None,
+    "depth_mm": ConvexProbe.depth_mm,
+    "frequency_mhz": ConvexProbe.frequency_mhz,
+}
+
+
+def probe_from(values: Mapping[str, Any]) -> Probe:
+    """A probe from its values, as `plain` gives them; null is a default, or what a probe of this kind has not.
+
+    Raises
+    ------
+    ValueError
+        For an unknown kind, a value that a probe of this kind has not, or one outside its range.
+    """
+    given = {name: value for name, value in values.items() if value is not None}
+    kind = given.pop("kind", ProbeKind.convex)
+    if kind not in PROBES:
+        raise ValueError(f"kind={shown(kind)}: allowed are {', '.join(PROBES)}")
+    cls = PROBES[ProbeKind(kind)]
+    own = [field.name for field in fields(cls)]
+    for name, value in given.items():
+        if name not in own:
+            raise ValueError(f"{name}={shown(value)}: a {kind} probe has {', '.join(own)}")
+    return cls(**given)

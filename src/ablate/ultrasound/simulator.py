@@ -11,18 +11,15 @@ import torch
 
 from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import without_teams
-from ablate.ultrasound.imaging.bmode import Display
+from ablate.ultrasound.attenuation import integral_attenuation
+from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain
 from ablate.ultrasound.imaging.point_spread import layer_weights
-from ablate.ultrasound.imaging.signal_chain import Prepared, Received, SignalChain
-from ablate.ultrasound.maps.attenuation import integral_attenuation
-from ablate.ultrasound.maps.slices import contact_warning, plane_labels, scanline_labels, segment
-from ablate.ultrasound.probe import check_pose, reach_mm
-from ablate.ultrasound.probe_kinds import ConvexProbe, Probe
-from ablate.ultrasound.render_plan import plan_scene
-from ablate.ultrasound.settings import Frame, SimulatorSettings
+from ablate.ultrasound.media import plan_scene
+from ablate.ultrasound.probe import check_pose, fan_of
+from ablate.ultrasound.settings import ConvexProbe, Frame, Probe, SimulatorSettings
 from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport.adaptive import Shown, trace_to_tolerance
-from ablate.ultrasound.transport.draws import Draws, progressive, stratified
 from ablate.ultrasound.transport.lines import (
     Nodes,
     clutter_lines,
@@ -31,19 +28,12 @@ from ablate.ultrasound.transport.lines import (
     surface_lines,
     transmit_beam,
 )
-from ablate.ultrasound.transport.rays import View, at_pose, leave_probe, probe_rays
+from ablate.ultrasound.transport.rays import Draws, View, at_pose, leave_probe, probe_rays, progressive, stratified
 from ablate.ultrasound.transport.tracing import Paths, trace
 
 #: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
 #: rays in 3 layers, spread over its surroundings, an echo of this level is 61 dB under white.
 _ROULETTE_DB = 8.0
-
-
-def _on_a_device(settings: SimulatorSettings) -> SimulatorSettings:
-    """The settings with a device in place of `auto`: a GPU if there is one."""
-    if settings.device != "auto":
-        return settings
-    return replace(settings, device="cuda" if torch.cuda.is_available() else "cpu")
 
 
 class Simulator:
@@ -102,15 +92,22 @@ class Simulator:
             check_scene(scene, probe.depth_mm)
         elif beside.scene is not scene:
             raise ValueError(f"beside: a simulator of scene {beside.scene.name!r}, allowed is one of the same scene")
-        self.settings = settings = _on_a_device(settings or SimulatorSettings())
+        settings = settings or SimulatorSettings()
+        if settings.device == "auto":
+            settings = replace(settings, device="cuda" if torch.cuda.is_available() else "cpu")
+        self.settings = settings
         self._plan = plan_scene(scene, probe, settings, poses)
         self.left_out = self._plan.left_out
         bounds = bounds_mm(s.mesh for s in scene.structures)
-        extent = reach_mm(probe)
+        extent = fan_of(probe).reach_mm
         # Zero for every scene about the world's origin; float32 then serves scenes that are far from it.
         grid_mm = 10 ** math.ceil(math.log10(extent + float(np.linalg.norm(bounds[1] - bounds[0]))))
         self._origin_mm = grid_mm * np.rint(bounds.mean(axis=0) / grid_mm)
-        self._geometry = self._triangles(beside, bounds, extent)
+        own, theirs = ([id(s) for s in simulator._plan.structures] for simulator in (self, beside or self))
+        if beside is not None and own == theirs and np.array_equal(beside._origin_mm, self._origin_mm):
+            self._geometry: Geometry = beside._geometry.reaching(extent)
+        else:
+            self._geometry = Geometry(self._plan.structures, bounds, self._origin_mm, extent)
         spread = stratified if settings.tolerance is None else progressive
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays, spread)
         self._rays = probe_rays(probe, settings, self._draws)
@@ -119,14 +116,6 @@ class Simulator:
         self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None
         self._prepared: tuple[bytes, Prepared] | None = None
         self._warned: set[str] = set()
-
-    def _triangles(self, beside: "Simulator | None", bounds: np.ndarray, extent_mm: float) -> Geometry:
-        """The plan's structures, ready to be hit; those of another simulator where they are the same."""
-        if beside is not None and np.array_equal(beside._origin_mm, self._origin_mm):
-            theirs, own = beside._plan.structures, self._plan.structures
-            if len(theirs) == len(own) and all(a is b for a, b in zip(theirs, own, strict=True)):
-                return beside._geometry.reaching(extent_mm)
-        return Geometry(self._plan.structures, bounds, self._origin_mm, extent_mm)
 
     @property
     def mask(self) -> np.ndarray:
@@ -188,43 +177,24 @@ class Simulator:
         pose = check_pose(pose)
         if self._maps is None or self._maps[0] != pose.tobytes():
             with without_teams(), torch.inference_mode():
-                self._maps = pose.tobytes(), *self._maps_at(pose)
+                geometry, local, inside = self._geometry, self._local(pose), self._chain.convert.mask
+                tissue_of_owner, losses = self._plan.tissue_of_owner, self._plan.media.loss_db_mm
+                labels = segment(geometry, tissue_of_owner, self.probe, self.settings.image_shape, local)
+                polar = plane_labels(geometry, tissue_of_owner, self.probe, self.settings, local)
+                lines = integral_attenuation(polar, losses, self.probe.depth_mm / self.settings.axial_samples)
+                attenuation = self._chain.convert(self._chain.tensor(lines)).clip(0, 1)
+                self._maps = pose.tobytes(), np.where(inside, labels + np.uint8(1), np.uint8(0)), attenuation
         return self._maps[1].copy(), self._maps[2].copy()
-
-    def _maps_at(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        local = self._local(pose)
-        tissue_of_owner, media = self._plan.tissue_of_owner, self._plan.media
-        labels = segment(self._geometry, tissue_of_owner, self.probe, self.settings.image_shape, local)
-        labels = np.where(self._chain.convert.mask, labels + np.uint8(1), np.uint8(0))
-        polar = plane_labels(self._geometry, tissue_of_owner, self.probe, self.settings, local)
-        lines = integral_attenuation(polar, media.loss_db_mm, self.probe.depth_mm / self.settings.axial_samples)
-        return labels, self._chain.convert(self._chain.tensor(lines)).clip(0, 1)
 
     def _prepare(self, pose: np.ndarray) -> Prepared:
         """What the signal chain needs of a pose, unless it was the last one."""
-        if self._prepared is None or self._prepared[0] != pose.tobytes():
-            self._prepared = pose.tobytes(), self._chain.prepare(self._cast(pose))
-        return self._prepared[1]
-
-    def received(self, pose: np.ndarray) -> Received:
-        """What the rays of a pose bring back: `SignalChain` makes images of it, on another machine too.
-
-        Raises
-        ------
-        ValueError
-            When the pose is not rigid.
-        """
-        pose = check_pose(pose)
-        with without_teams(), torch.inference_mode():
-            return self._cast(pose)
-
-    def _cast(self, pose: np.ndarray) -> Received:
+        if self._prepared is not None and self._prepared[0] == pose.tobytes():
+            return self._prepared[1]
         probe, settings, plan = self.probe, self.settings, self._plan
         shape = settings.scanlines, settings.axial_samples
         local = self._local(pose)
-        bundle, of_elements = at_pose(self._geometry, self._rays, local)
-        inside = np.empty((len(bundle.origins), of_elements.shape[1]), of_elements.dtype)
-        send = partial(leave_probe, self._geometry, self._rays, local, bundle, of_elements, inside)
+        bundle = at_pose(self._geometry, self._rays, local)
+        send = partial(leave_probe, self._geometry, self._rays, local, bundle)
         largest_gain_db = 20 * math.log10(float(self._chain.gain[-1]))
         view = View(
             media=plan.media,
@@ -238,23 +208,25 @@ class Simulator:
             gain_db_mm=largest_gain_db / probe.depth_mm,
             step_mm=self._geometry.step_mm,
         )
-        labels, ranges = scanline_labels(self._geometry, plan.tissue_of_owner, plan.media, bundle, probe, settings)
+        labels, ranges = scanline_labels(self._geometry, plan, (bundle.starts, bundle.directions), probe, settings)
         words = contact_warning(labels, self.scene.tissues, probe)
         if words is not None and words not in self._warned:  # once a simulator, however many frames it renders
             self._warned.add(words)
             warnings.warn(words, stacklevel=3)
         nodes = empty_nodes(plan.media.anechoic[labels], probe.depth_mm)
-        paths = Paths(self._geometry, view, self._draws, bundle, inside, nodes)
+        paths = Paths(self._geometry, view, self._draws, bundle, nodes)
         if settings.tolerance is None:
-            send()
+            send(np.arange(len(bundle.origins)))
             echoes, counts = trace(paths), np.full(len(bundle.starts), settings.rays)
         else:
             echoes, counts = trace_to_tolerance(paths, self._shown(labels, nodes), settings.tolerance, send)
         weights = layer_weights(probe, settings)[1]
         where = weights, counts, probe.depth_mm, shape
         surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
-        level = mean_level_db(nodes, counts, self._beam).numpy()
-        return Received(bundle.starts + self._origin_mm, bundle.directions, labels, ranges, level, surfaces, clutter)
+        level = mean_level_db(nodes, counts, self._beam)
+        lines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
+        self._prepared = pose.tobytes(), self._chain.prepare(lines, level, surfaces, clutter)
+        return self._prepared[1]
 
     def _shown(self, labels: np.ndarray, nodes: Nodes) -> Shown:
         """What is seen of rays at the nodes of each group, from the tissues that its samples display."""

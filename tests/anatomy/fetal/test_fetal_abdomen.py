@@ -1,6 +1,5 @@
 """The built-in anatomy as a whole: who lies in whom, its layers, its resolution, its seeds and its probe sites."""
 
-from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -9,17 +8,15 @@ import trimesh
 
 from ablate.anatomy import Scene, fetal_abdomen, fetal_sites
 
-Built = Callable[[int, int], Scene]
-MeshOf = Callable[..., trimesh.Trimesh]
 FLESH = ("body and head", "left leg", "right leg", "left arm", "right arm")
 
 
 @pytest.fixture(scope="module")
-def scene(built: Built) -> Scene:
+def scene(built) -> Scene:
     return built(100_000, 0)
 
 
-def test_abdominal_wall_of_the_mother(scene: Scene, mesh_of: MeshOf) -> None:
+def test_abdominal_wall_of_the_mother(scene, mesh_of) -> None:
     """Depths under the skin where a needle goes straight in beside the midline, at the navel."""
     depth = {}
     for name in ("skin", "subcutaneous fat", "abdominal wall", "abdominal cavity", "uterus", "amniotic cavity"):
@@ -61,15 +58,13 @@ def test_abdominal_wall_of_the_mother(scene: Scene, mesh_of: MeshOf) -> None:
         ("cord vessels", "umbilical cord"),
     ],
 )
-def test_parts_lie_in_their_wholes(scene: Scene, mesh_of: MeshOf, inner: str, outer: str) -> None:
+def test_parts_lie_in_their_wholes(scene, mesh_of, inner: str, outer: str) -> None:
     inside = mesh_of(scene, outer).contains(mesh_of(scene, inner).vertices[::7])
     assert inside.mean() > 0.97  # the rest is the corners that a coarse grid cuts
 
 
 @pytest.mark.parametrize(("triangles", "seed"), [(300_000, 0), (30_000, 1), (30_000, 2)])
-def test_bones_lie_in_flesh_and_everything_in_the_mother(
-    built: Built, mesh_of: MeshOf, triangles: int, seed: int
-) -> None:
+def test_bones_lie_in_flesh_and_everything_in_the_mother(built, mesh_of, triangles: int, seed: int) -> None:
     scene = built(triangles, seed)
     thin = ("other limb bones",) if triangles < 300_000 else ()  # a coarse grid has no fingers
     flesh = [mesh_of(scene, name) for name in FLESH]
@@ -84,15 +79,9 @@ def test_bones_lie_in_flesh_and_everything_in_the_mother(
     assert (high <= skin[1]).all()
 
 
-def test_names_tell_structures_apart(scene: Scene) -> None:
+def test_names_tell_structures_apart(scene) -> None:
     names = [s.mesh.metadata["name"] for s in scene.structures]
     assert len(set(names)) == len(names)
-
-
-@pytest.mark.parametrize("triangles", [100_000, 200_000])
-def test_resolution_is_about_what_was_asked(built: Built, triangles: int) -> None:
-    count = sum(len(s.mesh.faces) for s in built(triangles, 0).structures)
-    assert count == pytest.approx(triangles, rel=0.1)
 
 
 def test_default_is_the_papers_size() -> None:
@@ -111,7 +100,7 @@ def test_too_few_triangles_and_negative_seeds_are_refused() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
-def test_sites_look_at_the_fetus_of_every_pregnancy(built: Built, mesh_of: MeshOf, seed: int) -> None:
+def test_sites_look_at_the_fetus_of_every_pregnancy(built, mesh_of, seed: int) -> None:
     """Straight in from most sites of the grid lies the fetus or its limbs, within the depth of the image."""
     scene, sites = built(30_000, seed), fetal_sites()
     skin = mesh_of(scene, "skin")

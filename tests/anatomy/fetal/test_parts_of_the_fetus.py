@@ -1,6 +1,6 @@
-"""What a sonographer counts and recognises in the fetus, on the meshes of the textbook case."""
+"""What a sonographer measures, counts and recognises in the fetus, on the meshes: BPD, HC, AC and FL, and its parts."""
 
-from collections.abc import Callable
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -8,16 +8,66 @@ import pytest
 import trimesh
 
 from ablate.anatomy import Scene
-from ablate.anatomy.fetal.axes import curl, curled, trunk
+from ablate.anatomy.fetal.body import curl, curled, trunk
+from ablate.anatomy.fetal.fetal_abdomen import abdomen_plane, fetal_planes, head_plane
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
-from ablate.anatomy.fetal.standard_planes import abdomen_plane, fetal_planes, head_plane
 
-Built = Callable[[int, int], Scene]
-MeshOf = Callable[..., trimesh.Trimesh]
+SEEDS = [0, 1, 2, 3]
+TRIANGLES = 30_000
+
+
+def section(mesh: trimesh.Trimesh, plane: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Segments (n, 2, 3) where a plane cuts a mesh."""
+    return trimesh.intersections.mesh_plane(mesh, plane_normal=plane[1], plane_origin=plane[0])
+
+
+def perimeter(segments: np.ndarray) -> float:
+    return float(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).sum())
+
+
+def narrowest(segments: np.ndarray, normal: np.ndarray) -> float:
+    """Smallest calliper width within the plane."""
+    first = np.cross(normal, [0.3, 0.5, 0.8])
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    angle = np.linspace(0, math.pi, 180, endpoint=False)
+    directions = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
+    return float(np.ptp(segments.reshape(-1, 3) @ directions.T, axis=0).min())
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_bpd_and_hc(built, mesh_of, seed: int) -> None:
+    pregnancy = draw_pregnancy(seed)
+    outer = section(mesh_of(built(TRIANGLES, seed), "skull"), head_plane(pregnancy))
+    assert narrowest(outer, head_plane(pregnancy)[1]) == pytest.approx(54.0 * pregnancy.size, rel=0.03)
+    assert perimeter(outer) == pytest.approx(200.0 * pregnancy.size, rel=0.03)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ac(built, mesh_of, seed: int) -> None:
+    pregnancy, scene = draw_pregnancy(seed), built(TRIANGLES, seed)
+    plane = abdomen_plane(pregnancy)
+    assert perimeter(section(mesh_of(scene, "body and head"), plane)) == pytest.approx(175.0 * pregnancy.size, rel=0.03)
+    for name in ("stomach", "umbilical vein", "liver", "fetal vertebral bodies"):  # what tells the level
+        assert len(section(mesh_of(scene, name), plane)) > 0, name
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_fl(built, mesh_of, seed: int) -> None:
+    for femur in np.split(mesh_of(built(TRIANGLES, seed), "femora").vertices, 2):
+        apart = np.linalg.norm(femur[:, None] - femur[None], axis=2)
+        assert apart.max() == pytest.approx(39.0 * draw_pregnancy(seed).size, rel=0.03)
+
+
+def test_sizes_differ_and_the_first_is_the_table() -> None:
+    sizes = [draw_pregnancy(seed).size for seed in range(6)]
+    assert sizes[0] == 1.0
+    assert len(set(sizes)) == len(sizes)
+    assert all(0.85 < size < 1.11 for size in sizes)
 
 
 @pytest.fixture(scope="module")
-def scene(built: Built) -> Scene:
+def scene(built) -> Scene:
     return built(100_000, 0)
 
 
@@ -45,11 +95,11 @@ def pieces(mesh: trimesh.Trimesh) -> list[np.ndarray]:
         ("placenta", 1),
     ],
 )
-def test_pieces(scene: Scene, mesh_of: MeshOf, name: str, count: int) -> None:
+def test_pieces(scene, mesh_of, name: str, count: int) -> None:
     assert len(pieces(mesh_of(scene, name))) == count
 
 
-def test_vertebrae_are_apart(scene: Scene, mesh_of: MeshOf) -> None:
+def test_vertebrae_are_apart(scene, mesh_of) -> None:
     """Between two ossified centres there is a third of their height, or they cast one shadow."""
     spine = draw_pregnancy(0)
     heights = []
@@ -63,13 +113,13 @@ def test_vertebrae_are_apart(scene: Scene, mesh_of: MeshOf) -> None:
     assert min(gaps) > 0.3 * np.median(sizes)
 
 
-def test_two_arteries_are_thinner_than_the_vein_of_the_cord(scene: Scene, mesh_of: MeshOf) -> None:
+def test_two_arteries_are_thinner_than_the_vein_of_the_cord(scene, mesh_of) -> None:
     volumes = sorted(trimesh.Trimesh(p.vertices, p.faces).volume for p in mesh_of(scene, "cord vessels").split())
     assert volumes[1] == pytest.approx(volumes[0], rel=0.1)
     assert volumes[2] > 2.0 * volumes[1]
 
 
-def test_ribs_follow_the_chest(scene: Scene, mesh_of: MeshOf) -> None:
+def test_ribs_follow_the_chest(scene, mesh_of) -> None:
     """Every rib lies at one depth under the skin along its way."""
     pregnancy = draw_pregnancy(0)
     points = (mesh_of(scene, "ribs").vertices - pregnancy.origin) @ pregnancy.rotation
@@ -78,7 +128,7 @@ def test_ribs_follow_the_chest(scene: Scene, mesh_of: MeshOf) -> None:
     assert np.percentile(depth, 98) < 6.0
 
 
-def test_left_is_left(scene: Scene, mesh_of: MeshOf) -> None:
+def test_left_is_left(scene, mesh_of) -> None:
     left = draw_pregnancy(0).rotation[:, 0]
     middle = mesh_of(scene, "fetal vertebral bodies").vertices.mean(axis=0) @ left
     for name, side in (("stomach", 1), ("heart", 1), ("liver", -1), ("gallbladder", -1), ("left leg", 1)):
@@ -88,12 +138,12 @@ def test_left_is_left(scene: Scene, mesh_of: MeshOf) -> None:
 
 
 @pytest.mark.parametrize("name", ["thalami", "falx", "cavum septi pellucidi", "lateral ventricles", "choroid plexus"])
-def test_the_plane_of_the_bpd_shows(scene: Scene, mesh_of: MeshOf, name: str) -> None:
+def test_the_plane_of_the_bpd_shows(scene, mesh_of, name: str) -> None:
     point, normal = head_plane(draw_pregnancy(0))
     assert len(trimesh.intersections.mesh_plane(mesh_of(scene, name), normal, point)) > 0
 
 
-def test_the_four_chamber_plane_cuts_all_chambers_lungs_and_aorta(scene: Scene, mesh_of: MeshOf) -> None:
+def test_the_four_chamber_plane_cuts_all_chambers_lungs_and_aorta(scene, mesh_of) -> None:
     pose = fetal_planes(0)["four_chambers"]
     plane = {"plane_normal": pose[:3, 1], "plane_origin": pose[:3, 3]}
     for chamber in mesh_of(scene, "heart chambers").split():
@@ -102,7 +152,7 @@ def test_the_four_chamber_plane_cuts_all_chambers_lungs_and_aorta(scene: Scene, 
         assert len(trimesh.intersections.mesh_plane(mesh_of(scene, name), **plane)) > 0
 
 
-def test_the_umbilical_vein_turns_to_the_right(scene: Scene, mesh_of: MeshOf) -> None:
+def test_the_umbilical_vein_turns_to_the_right(scene, mesh_of) -> None:
     """A J in the plane of the abdominal circumference: straight back from the navel, then to the fetus's right."""
     pregnancy = draw_pregnancy(0)
     point, normal = abdomen_plane(pregnancy)

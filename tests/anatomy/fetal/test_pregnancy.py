@@ -1,24 +1,16 @@
 """Pregnancies: rigid lies that differ, limbs that do not tangle, a fetus and a cord that float free."""
 
-from collections.abc import Callable
-from itertools import pairwise
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from ablate.anatomy import Scene
-from ablate.anatomy.fetal.axes import SIDES
 from ablate.anatomy.fetal.body import Limbs
-from ablate.anatomy.fetal.mother import cavity
-from ablate.anatomy.fetal.placenta import placenta_field
+from ablate.anatomy.fetal.mother import cavity, placenta_field
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy, lie, untangled
 from ablate.anatomy.fetal.umbilical_cord import JELLY_MM, cord_route
 
-Built = Callable[[int, int], Scene]
-MeshOf = Callable[..., trimesh.Trimesh]
-SEEDS = [0, 1, 2, 3, 4, 5]
+SEEDS = [0, 1, 2, 3]
 FLESH = ("body and head", "left leg", "right leg", "left arm", "right arm")
 
 
@@ -55,7 +47,7 @@ def test_lie_points_head_and_back_where_asked() -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_fetus_floats_in_the_fluid(built: Built, mesh_of: MeshOf, seed: int) -> None:
+def test_fetus_floats_in_the_fluid(built, mesh_of, seed: int) -> None:
     scene, pregnancy = built(30_000, seed), draw_pregnancy(seed)
     inner, disc = cavity(seed), placenta_field(seed, pregnancy.placenta)
     for name in FLESH:
@@ -69,7 +61,7 @@ def test_fetus_floats_in_the_fluid(built: Built, mesh_of: MeshOf, seed: int) -> 
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_balls_fill_the_fetus(built: Built, mesh_of: MeshOf, seed: int) -> None:
+def test_balls_fill_the_fetus(built, mesh_of, seed: int) -> None:
     """Every point of the skin is within a few millimetres of the balls that stand for the fetus in fitting."""
     scene, balls = built(30_000, seed), draw_pregnancy(seed).balls()
     points = np.concatenate([mesh_of(scene, name).vertices[::5] for name in FLESH])
@@ -79,7 +71,7 @@ def test_balls_fill_the_fetus(built: Built, mesh_of: MeshOf, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_cord_runs_free_from_navel_to_placenta(built: Built, mesh_of: MeshOf, seed: int) -> None:
+def test_cord_runs_free_from_navel_to_placenta(built, mesh_of, seed: int) -> None:
     scene, pregnancy = built(30_000, seed), draw_pregnancy(seed)
     path, insertion = cord_route(pregnancy)
     length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
@@ -93,12 +85,3 @@ def test_cord_runs_free_from_navel_to_placenta(built: Built, mesh_of: MeshOf, se
         skin = trimesh.sample.sample_surface(mesh_of(scene, name), 30_000, seed=0)[0]
         distance = cKDTree(skin).query(between)[0]
         assert distance.min() > JELLY_MM - 1.5, name  # the balls that it was kept from are not quite the flesh
-
-
-def test_limbs_keep_their_lengths_in_every_pose() -> None:
-    for seed in SEEDS:
-        limbs = draw_pregnancy(seed).limbs
-        for side in SIDES:
-            for limb, lengths in ((limbs.leg(side), (46.0, 41.0, 24.0)), (limbs.arm(side), (40.0, 34.0, 19.0))):
-                measured = [np.linalg.norm(b - a) for a, b in pairwise(limb)]
-                assert measured == pytest.approx(lengths)

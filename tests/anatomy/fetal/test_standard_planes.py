@@ -1,19 +1,15 @@
 """The probe's poses in the standard planes: on the skin, looking at what they are named for."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import trimesh
 
-from ablate.anatomy import Scene, fetal_planes
+from ablate.anatomy import fetal_planes
+from ablate.anatomy.fetal.fetal_abdomen import abdomen_plane, head_plane
 from ablate.anatomy.fetal.mother import torso
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
-from ablate.anatomy.fetal.standard_planes import abdomen_plane, head_plane
 
-Built = Callable[[int, int], Scene]
-MeshOf = Callable[..., trimesh.Trimesh]
-SEEDS = [0, 1, 2, 3, 4, 5]
+SEEDS = [0, 1, 2, 3]
 NAMES = ["head", "abdomen", "four_chambers", "femur", "spine", "placenta"]
 SHOWN = {
     "head": "skull",
@@ -39,7 +35,7 @@ def test_poses_are_rigid_and_on_the_skin(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_what_is_named_lies_in_the_image(built: Built, mesh_of: MeshOf, seed: int) -> None:
+def test_what_is_named_lies_in_the_image(built, mesh_of, seed: int) -> None:
     scene = built(30_000, seed)
     for name, pose in fetal_planes(seed).items():
         cut = trimesh.intersections.mesh_plane(mesh_of(scene, SHOWN[name]), pose[:3, 1], pose[:3, 3]).reshape(-1, 3)

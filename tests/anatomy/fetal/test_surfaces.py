@@ -1,17 +1,13 @@
 """Meshes of the built-in anatomy are fit for counting crossings: closed, outward, and nowhere twice around a point."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from ablate.anatomy import Scene
 from ablate.anatomy.meshes.check import shared_walls
 from ablate.anatomy.meshes.repair import odd_edges
 
-Built = Callable[[int, int], Scene]
 CASES = [(4_000, 0), (4_000, 4), (30_000, 1), (30_000, 2), (30_000, 3), (300_000, 0)]
 
 
@@ -51,9 +47,7 @@ def test_nesting_tells_an_overlap_from_two_bodies() -> None:
 
 
 @pytest.mark.parametrize(("triangles", "seed"), CASES)
-def test_every_surface_is_closed_outward_nowhere_in_itself_and_shares_no_wall(
-    built: Built, triangles: int, seed: int
-) -> None:
+def test_every_surface_is_closed_outward_nowhere_in_itself_and_shares_no_wall(built, triangles: int, seed: int) -> None:
     meshes = [structure.mesh for structure in built(triangles, seed).structures]
     for mesh in meshes:
         name = mesh.metadata["name"]

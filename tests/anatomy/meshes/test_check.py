@@ -1,6 +1,5 @@
 """What a simulator is told of a scene before it casts a ray: refused, warned of, or let pass."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -133,7 +132,7 @@ def test_a_point_target_passes() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_scenes_as_they_come_pass(built: Callable[[int, int], Scene]) -> None:
+def test_scenes_as_they_come_pass(built) -> None:
     check_scene(Scene((), TISSUES["liver"], "empty"), 150.0)
     check_scene(built(4_000, 0), 150.0)
 

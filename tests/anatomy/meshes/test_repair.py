@@ -155,15 +155,6 @@ def test_soup_of_triangles_is_merged() -> None:
     assert abs(mesh.volume) == pytest.approx(24)
 
 
-@pytest.mark.parametrize("suffix", [".obj", ".stl", ".ply", ".off"])
-def test_files_are_read_in_mm(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"box{suffix}"
-    trimesh.creation.box((1, 2, 3)).export(path)
-    mesh = load_mesh(path, mm_per_unit=10.0)
-    assert mesh.extents == pytest.approx([10, 20, 30])
-    assert mesh.metadata["name"] == path.name
-
-
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -179,11 +170,6 @@ def test_files_that_hold_no_mesh_are_refused_by_name(tmp_path: Path, name: str, 
     with pytest.raises(ValueError, match=f"{name}: {message}") as caught:
         load_mesh(tmp_path / name)
     assert "\n" not in str(caught.value)
-
-
-def test_triangles_of_missing_vertices_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"missing: has triangles with vertices that are not among its 3"):
-        repair(np.eye(3), np.array([(0, 1, 7)]), "missing")
 
 
 def test_shared_walls_are_found_and_named(caplog: pytest.LogCaptureFixture) -> None:

@@ -44,11 +44,7 @@ def test_squares_become_triangles_that_enclose_the_same_volume(name: str, tmp_pa
         ("text.vtk", "hello\n", "Unrecognized file type"),
         ("text.vtp", "<hello", "unclosed token"),
         ("grid.vtk", "# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_POINTS\n", "structured_points"),
-        (
-            "points.vtk",
-            "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 1 int\n0 0 0\n",
-            "no polygons",
-        ),
+        ("points.vtk", "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 1 int\n0 0 0\n", "no polygons"),
         (
             "beside.vtk",
             "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 3 int\n0 0 0 1 0 0 0 1 0\n"

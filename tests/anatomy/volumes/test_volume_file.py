@@ -10,7 +10,7 @@ import pytest
 from nibabel.affines import apply_affine, from_matvec
 from scipy.spatial.transform import Rotation
 
-from ablate.anatomy.volumes.volume_file import check_volume, slabs
+from ablate.anatomy.volumes.label_map import check_volume, slabs
 
 TURNED = from_matvec(Rotation.from_euler("xyz", [20, -35, 50], degrees=True).as_matrix() * [0.8, 0.9, 2.5], [5, -7, 9])
 FLIPPED = from_matvec(np.diag([-1.5, 1.5, 2.0]), [40, 0, -10])
@@ -35,7 +35,7 @@ def test_nifti_and_nrrd_have_the_affine_that_they_were_written_with(tmp_path: Pa
 
 
 def test_a_volume_is_read_in_slabs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ablate.anatomy.volumes.volume_file._SLAB_VOXELS", 60)
+    monkeypatch.setattr("ablate.anatomy.volumes.label_map._SLAB_VOXELS", 60)
     nibabel.save(nibabel.Nifti1Image(values(), np.eye(4)), tmp_path / "a.nii.gz")
     parts = list(slabs(check_volume(tmp_path / "a.nii.gz", "labels.file")))
     assert [part.shape for _, part in parts] == [(5, 6, 2)] * 3 + [(5, 6, 1)]

@@ -3,11 +3,9 @@
 import numpy as np
 import trimesh
 
-from ablate.anatomy.fetal.axes import SIDES, outline, spine_y
-from ablate.anatomy.fetal.body import Limb, Limbs, finger_rays
-from ablate.anatomy.fetal.head import EYE_CENTER
-from ablate.anatomy.fetal.parts import Part
-from ablate.anatomy.fetal.tubes import joined, rod, smooth_path, spindle, tube, unit
+from ablate.anatomy.fetal.body import SIDES, Limb, Limbs, finger_rays, outline, spine_y
+from ablate.anatomy.fetal.organs import EYE_CENTER
+from ablate.anatomy.fetal.shapes import Part, joined, rod, smooth_path, spindle, tube, unit
 
 FEMUR_MM = 39.0
 SCAPULA_DEPTH_MM = 2.3  # of its middle under the skin
@@ -32,11 +30,12 @@ def trunk_bones(scale: float) -> list[Part]:
     around = np.interp(s, (-50.0, -36.0), (1.4, 2.4))
     cord = canal[10 * len(s) // 90 : -1]
     girdle_sides = max(4, round(12 / scale))
+    centra, arches = _vertebrae(sides)
     parts = [
         ("spinal canal", "csf", [tube(canal, around, sides, up)]),
         ("spinal cord", "brain", [tube(cord, np.linspace(0.8, 1.4, len(cord)), sides, up)]),
-        ("fetal vertebral bodies", "fetal_bone", _centra(sides)),
-        ("fetal vertebral arches", "fetal_bone", _arches(sides)),
+        ("fetal vertebral bodies", "fetal_bone", centra),
+        ("fetal vertebral arches", "fetal_bone", arches),
         ("ribs", "fetal_bone", [_rib(number, side, scale, sides) for number in range(12) for side in SIDES[::-1]]),
         ("scapulae", "fetal_bone", [_scapula(side, scale, girdle_sides) for side in SIDES[::-1]]),
         ("clavicles and pelvis", "fetal_bone", _girdles(girdle_sides)),
@@ -44,27 +43,20 @@ def trunk_bones(scale: float) -> list[Part]:
     return [Part(joined(meshes, name), tissue) for name, tissue, meshes in parts]
 
 
-def _centra(sides: int) -> list[trimesh.Trimesh]:
-    """One ossification centre a vertebra, in its body: blunt at both ends."""
+def _vertebrae(sides: int) -> tuple[list[trimesh.Trimesh], list[trimesh.Trimesh]]:
+    """Ossification centres of the vertebrae: blunt ones in their bodies, and two each beside the canal."""
     x = np.array([-1.0, -0.9, -0.6, 0.0, 0.6, 0.9, 1.0])
     blunt = np.array([0.5, 0.8, 1.0, 1.0, 1.0, 0.8, 0.5])
-    bodies = []
+    bodies, arches = [], []
     for s, distance in zip(VERTEBRAE_S_MM, np.abs(np.gradient(VERTEBRAE_S_MM)), strict=True):
-        size = float(np.interp(s, (-52.0, -36.0, -16.0, 20.0, 58.0), (0.55, 0.9, 1.1, 0.95, 0.8)))
-        path = np.stack([2.9 * size * x, np.full(7, float(spine_y(s))), np.full(7, s)], axis=1)
+        y, size = float(spine_y(s)), float(np.interp(s, (-52.0, -36.0, -16.0, 20.0, 58.0), (0.55, 0.9, 1.1, 0.95, 0.8)))
+        path = np.stack([2.9 * size * x, np.full(7, y), np.full(7, s)], axis=1)
         bodies.append(tube(path, blunt[:, None] * (CENTRUM_SHARE * distance / 2.0, 2.1 * size), sides))
-    return bodies
-
-
-def _arches(sides: int) -> list[trimesh.Trimesh]:
-    """Two ossification centres a vertebra, either side of the canal, which nearly meet behind it."""
-    arches = []
-    for s in VERTEBRAE_S_MM:
-        y, size = float(spine_y(s)), float(np.interp(s, (-52.0, -36.0), (0.6, 1.0)))
+        size = float(np.interp(s, (-52.0, -36.0), (0.6, 1.0)))
         for side in SIDES[::-1]:
             start, end = (side * 4.7 * size, y + 2.6, s), (side * 0.75, y + 3.2 + 5.4 * size, s - 0.6)
             arches.append(spindle(start, end, (1.1, 1.0), sides))
-    return arches
+    return bodies, arches
 
 
 def _rib(number: int, side: float, scale: float, sides: int) -> trimesh.Trimesh:

@@ -1,20 +1,38 @@
-"""The built-in anatomy as a scene: a mother's abdomen with a fetus of 22 weeks, generated and not downloaded."""
+"""The built-in anatomy as a scene: generated and not downloaded, and where the probe is held to see standard planes."""
 
+import math
+from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 
-from ablate.anatomy.fetal.axes import curl, head_to_fetus
-from ablate.anatomy.fetal.body import fetal_body, limb_flesh
+import numpy as np
+
+from ablate.anatomy.fetal.body import (
+    ABDOMEN_S_MM,
+    HEAD_ORIGIN,
+    HEAD_ROTATION,
+    SIDES,
+    curl,
+    fetal_body,
+    head_to_fetus,
+    limb_flesh,
+)
 from ablate.anatomy.fetal.bones import face_bones, limb_bones, trunk_bones
-from ablate.anatomy.fetal.head import fetal_head
-from ablate.anatomy.fetal.mother import mother
-from ablate.anatomy.fetal.organs import fetal_belly, fetal_chest
-from ablate.anatomy.fetal.parts import grid_scales, moved
-from ablate.anatomy.fetal.placenta import placenta
-from ablate.anatomy.fetal.pregnancy import draw_pregnancy
+from ablate.anatomy.fetal.mother import UTERUS_CENTER, UTERUS_RADII, mother, placenta, torso
+from ablate.anatomy.fetal.organs import HEART_AXES, HEART_CENTER, fetal_belly, fetal_chest, fetal_head
+from ablate.anatomy.fetal.pregnancy import Pregnancy, draw_pregnancy
+from ablate.anatomy.fetal.shapes import moved, unit
 from ablate.anatomy.fetal.umbilical_cord import cord_route, umbilical_cord
-from ablate.anatomy.scene import ANATOMY_VERSION, Scene, Structure
-from ablate.anatomy.scene_cache import cached_scene
+from ablate.anatomy.scene import ANATOMY_VERSION, FEWEST_TRIANGLES, Scene, Structure, cached_scene
 from ablate.anatomy.tissue import load_tissues
+
+#: Triangles that the mother and the fetus have at grid scale 1, and the mother's share (the paper's 275k of 675k).
+_MOTHER_AT_SCALE_1, _FETUS_AT_SCALE_1 = 420_000, 680_000
+_MOTHER_SHARE = 275 / 675
+DEEPEST_MM = 115.0  # of what is looked at, under the skin
+MOST_OBLIQUE_DEG = 35.0  # between the beam and the skin's normal
+_ANGLES_DEG = np.arange(-72.0, 73.0, 3.0)  # about the mother's long axis, 0 in front
+_HEIGHTS_MM = np.arange(-105.0, 106.0, 5.0)
 
 
 def fetal_abdomen(triangles: int = 675_000, seed: int = 0, cache_dir: str | Path | None = None) -> Scene:
@@ -44,14 +62,17 @@ def fetal_abdomen(triangles: int = 675_000, seed: int = 0, cache_dir: str | Path
     >>> scene.structures[0].mesh.metadata["name"], len(scene.structures), scene.background.name
     ('skin', 78, 'coupling_gel')
     """
-    scales = grid_scales(triangles)
+    if triangles < FEWEST_TRIANGLES:
+        raise ValueError(f"fetal_abdomen: triangles must be at least {FEWEST_TRIANGLES}, not {triangles}")
     if seed < 0:
         raise ValueError(f"fetal_abdomen: seed must be at least 0, not {seed}")
     parameters = {"triangles": triangles, "seed": seed, "version": ANATOMY_VERSION}
-    return cached_scene(cache_dir, lambda: _build(*scales, seed), **parameters)
+    return cached_scene(cache_dir, lambda: _build(triangles, seed), **parameters)
 
 
-def _build(mother_scale: float, scale: float, seed: int) -> Scene:
+def _build(triangles: int, seed: int) -> Scene:
+    mother_scale = math.sqrt(_MOTHER_AT_SCALE_1 / (_MOTHER_SHARE * triangles))
+    scale = math.sqrt(_FETUS_AT_SCALE_1 / ((1.0 - _MOTHER_SHARE) * triangles))
     pregnancy = draw_pregnancy(seed)
     path, insertion = cord_route(pregnancy)
     fetus = [
@@ -72,3 +93,111 @@ def _build(mother_scale: float, scale: float, seed: int) -> Scene:
     tissues = load_tissues()
     structures = tuple(Structure(part.mesh, tissues[part.tissue]) for part in parts)
     return Scene(structures, tissues["coupling_gel"], "fetal_abdomen")
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """What to see: a point, the plane's normal or a line in the plane, and the best direction of the beam.
+
+    Signs do not matter; without `beam` any direction in the plane is as good.
+    """
+
+    point: np.ndarray
+    normal: np.ndarray | None = None
+    line: np.ndarray | None = None
+    beam: np.ndarray | None = None
+
+
+def fetal_planes(seed: int = 0, press_mm: float = 8.0) -> dict[str, np.ndarray]:
+    """Probe poses that show the standard planes of `fetal_abdomen(seed=seed)`, as well as the skin allows.
+
+    The probe is on the mother's skin, its beam points at the middle of the structure, and its image plane is turned
+    into the wanted plane. Of all places on her front and flanks, the one is taken where both fit best.
+
+    Its face lies `press_mm` under the undeformed skin in its middle. The poses, (4, 4) float64, are probe to world, mm:
+    `head` (BPD and HC), `abdomen` (AC), `four_chambers`, `femur`, `spine` (sagittal), and `placenta`.
+
+    Raises
+    ------
+    ValueError
+        When `seed` is negative.
+
+    Examples
+    --------
+    >>> sorted(fetal_planes())
+    ['abdomen', 'femur', 'four_chambers', 'head', 'placenta', 'spine']
+    """
+    pregnancy = draw_pregnancy(seed)
+    heart, base = pregnancy.to_world(curl(np.stack([HEART_CENTER, HEART_CENTER + 0.1 * HEART_AXES[:, 2]])))
+    legs = [pregnancy.to_world(np.stack(pregnancy.limbs.leg(side))[:2]) for side in SIDES]
+    spine = pregnancy.to_world(curl(np.array([[0.0, 12.0, 5.0]])))[0]
+    placenta = np.array(UTERUS_CENTER) + 0.85 * np.array(UTERUS_RADII) * pregnancy.placenta
+    left, back, _ = pregnancy.rotation.T
+    # of several planes the one is taken that the probe reaches best
+    planes = {
+        "head": (_Plane(*head_plane(pregnancy), beam=left),),
+        "abdomen": (_Plane(*abdomen_plane(pregnancy), beam=left),),
+        "four_chambers": (_Plane(heart, unit(base - heart)),),
+        "femur": tuple(_Plane((hip + knee) / 2, line=unit(knee - hip)) for hip, knee in legs),
+        "spine": (_Plane(spine, left, beam=back),),
+        "placenta": (_Plane(placenta, np.array([1.0, 0.0, 0.0]), beam=pregnancy.placenta),),
+    }
+    best = {
+        name: min((_pose(plane, press_mm) for plane in several), key=itemgetter(0)) for name, several in planes.items()
+    }
+    return {name: pose for name, (_, pose) in best.items()}
+
+
+def head_plane(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
+    """Point (3,), mm, and unit normal (3,) of the plane where BPD and HC are measured."""
+    return pregnancy.to_world(HEAD_ORIGIN), pregnancy.rotation @ HEAD_ROTATION[:, 2]
+
+
+def abdomen_plane(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
+    """Point (3,), mm, and unit normal (3,) of the plane where AC is measured."""
+    point, ahead = pregnancy.to_world(curl(np.array([[0.0, 0.0, ABDOMEN_S_MM], [0.0, 0.0, ABDOMEN_S_MM + 1e-3]])))
+    return point, unit(ahead - point)
+
+
+def _pose(plane: _Plane, press_mm: float) -> tuple[float, np.ndarray]:
+    """The pose on the skin that fits the plane best, and how badly it does."""
+    skin, inward = _skin()
+    beam = plane.point - skin
+    depth = np.linalg.norm(beam, axis=1)
+    beam /= depth[:, None]
+    oblique = np.arccos(np.clip((beam * inward).sum(1), -1.0, 1.0))
+    cost = (oblique / np.deg2rad(20.0)) ** 2 + (depth / 120.0) ** 2
+    cost += (np.maximum(depth - DEEPEST_MM, 0.0) / 5.0) ** 2
+    cost += 1e3 * (oblique > np.deg2rad(MOST_OBLIQUE_DEG))
+    if plane.normal is not None:
+        cost += (np.arcsin(np.clip(beam @ plane.normal, -1.0, 1.0)) / np.deg2rad(3.0)) ** 2
+    if plane.line is not None:
+        cost += 4.0 * (beam @ plane.line) ** 2
+    if plane.beam is not None:
+        cost += 6.0 * (1.0 - (beam @ unit(plane.beam)) ** 2)
+    best = int(np.argmin(cost))
+    z = beam[best]
+    normal = plane.normal if plane.line is None else np.cross(z, plane.line)
+    y = unit(normal - z * (normal @ z))
+    x = np.cross(y, z)
+    if x @ (1.0, 0.0, -1.0) < 0.0:  # her left or her feet belong on the right of the image
+        x, y = -x, -y
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([x, y, z], axis=1)
+    pose[:3, 3] = skin[best] + press_mm * z
+    return float(cost[best]), pose
+
+
+def _skin() -> tuple[np.ndarray, np.ndarray]:
+    """Places on the mother's front and flanks (n, 3), mm, and their inward normals (n, 3)."""
+    height, angle = (a.ravel() for a in np.meshgrid(_HEIGHTS_MM, np.deg2rad(_ANGLES_DEG), indexing="ij"))
+    outward = np.stack([np.sin(angle), -np.cos(angle), np.zeros_like(angle)], axis=1)
+    inner, outer = np.zeros(len(angle)), np.full(len(angle), 200.0)
+    for _ in range(30):
+        middle = (inner + outer) / 2
+        inside = torso(middle * outward[:, 0], middle * outward[:, 1], height) < 0
+        inner, outer = np.where(inside, middle, inner), np.where(inside, outer, middle)
+    points = inner[:, None] * outward + height[:, None] * (0.0, 0.0, 1.0)
+    steps = 0.5 * np.eye(3)
+    slope = np.stack([torso(*(points + step).T) - torso(*(points - step).T) for step in steps], axis=1)
+    return points, -slope / np.linalg.norm(slope, axis=1, keepdims=True)

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from skimage.measure import marching_cubes
 
 from ablate.anatomy.fetal.body import LimbPose, Limbs, fetal_balls, untangled
-from ablate.anatomy.fetal.mother import UTERUS_CENTER, UTERUS_RADII, cavity
-from ablate.anatomy.fetal.placenta import placenta_field
-from ablate.anatomy.fetal.tubes import unit
+from ablate.anatomy.fetal.mother import UTERUS_CENTER, UTERUS_RADII, cavity, placenta_field
+from ablate.anatomy.fetal.shapes import unit
 
 PITCH_MM = 4.0  # of the grid of clearances
 CLEARANCE_MM = 2.0  # of fluid between a drawn fetus and wall or placenta, where there is room

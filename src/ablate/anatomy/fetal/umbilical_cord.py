@@ -6,12 +6,10 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates, maximum_filter
 from skimage.graph import route_through_array
 
-from ablate.anatomy.fetal.axes import NAVEL_IN_TRUNK, curl
-from ablate.anatomy.fetal.mother import UTERUS_RADII
-from ablate.anatomy.fetal.parts import Part
-from ablate.anatomy.fetal.placenta import REACH_DEG, face_points, from_middle, placenta_field
+from ablate.anatomy.fetal.body import NAVEL_IN_TRUNK, curl
+from ablate.anatomy.fetal.mother import REACH_DEG, UTERUS_RADII, face_points, from_middle, placenta_field
 from ablate.anatomy.fetal.pregnancy import PITCH_MM, FreeSpace, Pregnancy
-from ablate.anatomy.fetal.tubes import arc_length, frames, interpolated, joined, smooth_path, tube, unit
+from ablate.anatomy.fetal.shapes import Part, arc_length, frames, interpolated, joined, smooth_path, tube, unit
 
 JELLY_MM = 4.5  # radius of the cord
 WIND_MM = 26.0  # length of one turn of the arteries
@@ -34,10 +32,24 @@ def cord_route(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
     space = pregnancy.uterus.without(pregnancy.balls())
     root = pregnancy.to_world(curl(np.array([*_ROOT_IN_TRUNK, NAVEL_IN_TRUNK])))
     leave = root[2] + 10.0 * unit(root[2] - root[1])
-    insertion, into = _insertion(pregnancy, space)
+    # a place near the middle of the placenta's face with much fluid before it
+    turn = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
+    polar = np.deg2rad(REACH_DEG) * np.repeat((0.1, 0.3, 0.45), 10)
+    directions = from_middle(pregnancy.placenta, polar, np.tile(turn, 3))
+    points = face_points(placenta_field(pregnancy.seed, pregnancy.placenta), directions)
+    inwards = unit(directions / np.array(UTERUS_RADII))
+    chosen = int(np.argmax(np.minimum(space.clearance_at(points - 13.0 * inwards), 12.0) - 6.0 * polar))
+    insertion, into = points[chosen], inwards[chosen]
     arrive = insertion - 13.0 * into
     end = np.array([insertion, insertion + 6.0 * into])
-    pockets = _pockets(space)
+    # at most three places of the fluid that are farthest from everything, 45 mm apart
+    roomy = space.clearance * (space.clearance == maximum_filter(space.clearance, 7))
+    order = np.argsort(roomy, axis=None)[::-1][:200]
+    order = order[roomy.ravel()[order] > 2.0 * JELLY_MM]
+    pockets: list[np.ndarray] = []
+    for point in space.points.reshape(-1, 3)[order]:
+        if len(pockets) < 3 and all(np.linalg.norm(point - other) > 45.0 for other in pockets):
+            pockets.append(point)
     best, least = np.empty((0, 3)), -np.inf
     for stops in [*permutations(pockets, 3), *permutations(pockets, 2), *((pocket,) for pocket in pockets), ()]:
         shortest = _by_way_of(space, [leave, *stops, arrive])
@@ -48,29 +60,6 @@ def cord_route(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
         if room > ROOM_MM:
             break
     return smooth_path(best, 4 * len(best)), insertion
-
-
-def _insertion(pregnancy: Pregnancy, space: FreeSpace) -> tuple[np.ndarray, np.ndarray]:
-    """A place near the middle of the placenta's face with much fluid before it, and the unit direction into it."""
-    field = placenta_field(pregnancy.seed, pregnancy.placenta)
-    turn = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
-    polar = np.deg2rad(REACH_DEG) * np.repeat((0.1, 0.3, 0.45), 10)
-    directions = from_middle(pregnancy.placenta, polar, np.tile(turn, 3))
-    points, into = face_points(field, directions), unit(directions / np.array(UTERUS_RADII))
-    best = int(np.argmax(np.minimum(space.clearance_at(points - 13.0 * into), 12.0) - 6.0 * polar))
-    return points[best], into[best]
-
-
-def _pockets(space: FreeSpace) -> list[np.ndarray]:
-    """At most three places of the fluid that are farthest from everything, 45 mm apart: (3,) mm each."""
-    roomy = space.clearance * (space.clearance == maximum_filter(space.clearance, 7))
-    order = np.argsort(roomy, axis=None)[::-1][:200]
-    order = order[roomy.ravel()[order] > 2.0 * JELLY_MM]
-    chosen: list[np.ndarray] = []
-    for point in space.points.reshape(-1, 3)[order]:
-        if all(np.linalg.norm(point - other) > 45.0 for other in chosen):
-            chosen.append(point)
-    return chosen[:3]
 
 
 def _by_way_of(space: FreeSpace, stops: list[np.ndarray]) -> np.ndarray:

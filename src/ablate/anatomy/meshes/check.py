@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ablate.anatomy.meshes import repair
-from ablate.anatomy.scene import Scene, Structure, bounds_mm
+from ablate.anatomy.scene import Scene, bounds_mm
 
 logger = logging.getLogger(__name__)
 
@@ -47,8 +47,15 @@ def check_scene(scene: Scene, depth_mm: float) -> None:
         near the skin, of 10 mm and more, may be put on a whole body all the same).
     """
     for number, structure in enumerate(scene.structures):
-        if problem := _problem(structure):
-            raise ValueError(f"scene {scene.name!r}: structure {number} ({structure.tissue.name}) {problem}")
+        vertices, faces = np.asarray(structure.mesh.vertices, np.float64), np.asarray(structure.mesh.faces)
+        if not (fault := repair.array_fault(vertices, faces)):
+            if not repair.have_area(vertices, faces[:_FIRST]).any() and not repair.have_area(vertices, faces).any():
+                fault = f"has no triangle with an area ({len(faces)} without)"
+            elif not _closed_by_hash(vertices, faces) and (hole := openings(vertices, faces))[0]:
+                advice = "ablate.anatomy.meshes.repair drops doubled triangles and closes flat holes"
+                fault = f"is not closed: {hole[0]} open edges, the largest hole {hole[1]:.3g} mm wide; {advice}"
+        if fault:
+            raise ValueError(f"scene {scene.name!r}: structure {number} ({structure.tissue.name}) {fault}")
     if not scene.structures:
         return
     size_mm, scale = largest_extent_mm(scene), depth_mm / _BODY_DEPTH_MM
@@ -66,44 +73,25 @@ def largest_extent_mm(scene: Scene) -> float:
     return float(np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).max())
 
 
-def _problem(structure: Structure) -> str | None:
-    """What makes the image of a structure wrong; None where nothing does."""
-    vertices = np.asarray(structure.mesh.vertices, np.float64)
-    faces = np.asarray(structure.mesh.faces)
-    if fault := repair.array_fault(vertices, faces):
-        return fault
-    if not repair.have_area(vertices, faces[:_FIRST]).any() and not repair.have_area(vertices, faces).any():
-        return f"has no triangle with an area ({len(faces)} without)"
-    if _closed_by_hash(vertices, faces):
-        return None
-    edges, width_mm = openings(vertices, faces)
-    advice = "ablate.anatomy.meshes.repair drops doubled triangles and closes flat holes"
-    return f"is not closed: {edges} open edges, the largest hole {width_mm:.3g} mm wide; {advice}" if edges else None
-
-
 def _closed_by_hash(vertices: np.ndarray, faces: np.ndarray) -> bool:
     """Whether each edge lies in an even number of triangles, and no triangle occurs twice.
 
     The exclusive or of the hashes of all edges is zero when every edge occurs an even number of times (Zobrist
     hashing); of the other meshes about one in 2^60 gives zero too. No edges are sorted. The hash of an edge is the
     squared difference of the hashes of its vertices, so it has no direction, and an edge from a vertex to itself has
-    zero. The hash of a vertex depends on its coordinates only, so it does not matter whether triangles share vertices.
+    zero. The hash of a vertex depends on its coordinates only, so it does not matter whether triangles share vertices:
+    rounds of multiply and shift as in SplitMix64.
     """
-    a, b, c = _place_hash(vertices)[faces.T]
-    edges = np.concatenate([a - b, b - c, c - a])
-    triangles = np.sort(a * b * c)
-    return np.bitwise_xor.reduce(edges * edges) == 0 and not (triangles[1:] == triangles[:-1]).any()
-
-
-def _place_hash(vertices: np.ndarray) -> np.ndarray:
-    """A 64-bit hash of each vertex's coordinates, (n,) uint64; rounds of multiply and shift as in SplitMix64."""
     bits = (vertices + 0.0).view(np.uint64)  # -0 becomes 0
     mixed = np.full(len(bits), 0x9E3779B97F4A7C15, np.uint64)
     for column in bits.T:
         mixed = (mixed + column) * np.uint64(0xBF58476D1CE4E5B9)
         mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0x94D049BB133111EB)
         mixed ^= mixed >> np.uint64(31)
-    return mixed
+    a, b, c = mixed[faces.T]
+    edges = np.concatenate([a - b, b - c, c - a])
+    triangles = np.sort(a * b * c)
+    return np.bitwise_xor.reduce(edges * edges) == 0 and not (triangles[1:] == triangles[:-1]).any()
 
 
 def openings(vertices: np.ndarray, faces: np.ndarray) -> tuple[int, float]:

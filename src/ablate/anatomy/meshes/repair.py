@@ -54,7 +54,9 @@ def repair(vertices: np.ndarray, faces: np.ndarray, name: str) -> trimesh.Trimes
     cornered = with_three_corners(faces)
     # all needles stay if dropping them would open edges
     kept = _fewest_odd_edges(cornered[have_area(merged, cornered)], cornered)
-    unique = _without_duplicates(kept)
+    # A surface that was exported twice must stay once; two copies of one triangle beside a closed surface must both go.
+    _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
+    unique = _fewest_odd_edges(kept[np.sort(first)], _of_odd_count(kept))
     if len(unique) == 0:
         raise ValueError(f"{name}: all its {len(faces)} triangles are degenerate")
     caps, widths_mm = cap_open_ends(merged, unique, name)
@@ -106,15 +108,6 @@ def have_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     twice_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.maximum(np.linalg.norm(b - a, axis=1), np.linalg.norm(c - a, axis=1))
     return twice_area > NEEDLE * longest**2
-
-
-def _without_duplicates(faces: np.ndarray) -> np.ndarray:
-    """Each triangle once or, if that leaves fewer open edges, only those that occur an odd number of times, once.
-
-    A surface that was exported twice must stay once. Two copies of one triangle beside a closed surface must both go.
-    """
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    return _fewest_odd_edges(faces[np.sort(first)], _of_odd_count(faces))
 
 
 def _of_odd_count(faces: np.ndarray) -> np.ndarray:

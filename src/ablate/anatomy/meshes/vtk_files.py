@@ -35,8 +35,12 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
         if "ERROR" in complaints.GetOutput():
             raise ValueError(_reason(complaints.GetOutput()))
         for cells in (surface.GetVerts(), surface.GetLines(), surface.GetPolys(), surface.GetStrips()):
-            if not _is_whole(cells, surface.GetNumberOfPoints()):  # the filter would read beside the array
-                raise ValueError("a polygon names a vertex that is not in the file")
+            if cells is None or cells.GetNumberOfCells() == 0:
+                continue
+            ends, numbers = (vtk_to_numpy(part) for part in (cells.GetOffsetsArray(), cells.GetConnectivityArray()))
+            in_order = ends[0] == 0 and ends[-1] == len(numbers) and (np.diff(ends) >= 0).all()
+            if not (in_order and numbers.min() >= 0 and numbers.max() < surface.GetNumberOfPoints()):
+                raise ValueError("a polygon names a vertex that is not in the file")  # else the filter reads beside it
         cut = vtkTriangleFilter()
         cut.SetInputData(surface)
         cut.PassLinesOff()
@@ -50,17 +54,6 @@ def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(_reason(complaints.GetOutput()))
     vertices = vtk_to_numpy(triangles.GetPoints().GetData()).astype(np.float64)
     return vertices, vtk_to_numpy(triangles.GetPolys().GetConnectivityArray()).reshape(-1, 3).astype(np.int64)
-
-
-def _is_whole(cells: Any, points: int) -> bool:
-    """Whether an array of cells names only points that are there."""
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
-    if cells is None or cells.GetNumberOfCells() == 0:
-        return True
-    ends, numbers = (vtk_to_numpy(part) for part in (cells.GetOffsetsArray(), cells.GetConnectivityArray()))
-    in_order = ends[0] == 0 and ends[-1] == len(numbers) and (np.diff(ends) >= 0).all()
-    return bool(in_order and numbers.min() >= 0 and numbers.max() < points)
 
 
 def _reason(output: str) -> str:

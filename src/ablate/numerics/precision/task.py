@@ -18,7 +18,7 @@ from ablate.runs.store_copy import open_store
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_text
 from ablate.tracking import TaskRecord, git_state, hardware, recorded_task
-from ablate.ultrasound.render_plan import plan_scene
+from ablate.ultrasound.media import plan_scene
 
 
 def precision(jobs: Sequence[Job]) -> int:

@@ -9,8 +9,8 @@ import torch
 from ablate.anatomy import Scene, Tissue
 from ablate.numerics.stability.checks import AHEAD, FLOAT32, GEL, SMALL, SOFT, Checks, case, off, slab
 from ablate.ultrasound import ConvexProbe, DepthMode, Frame, LinearProbe, PhasedProbe, Probe, Simulator
+from ablate.ultrasound.attenuation import DB_PER_NEPER, integral_attenuation
 from ablate.ultrasound.imaging.bmode import ScanConverter
-from ablate.ultrasound.maps.attenuation import DB_PER_NEPER, integral_attenuation
 from ablate.ultrasound.probe import sample_depths_mm
 
 HARD = Tissue("hard", 2600, 4.2, 3.0, 0.6, 0.0, 0.2, roughness=0.05, thickness_mm=0.2)

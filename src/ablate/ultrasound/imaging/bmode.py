@@ -1,17 +1,20 @@
-"""From complex lines to the B-mode image: gain, noise floor, logarithm, grey levels, scan conversion, controls."""
+"""From what rays bring back to the B-mode image: gain, noise, logarithm, grey levels, scan conversion, controls."""
 
+import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch.nn import functional as F
 
+from ablate.anatomy import Tissue
 from ablate.threads import in_parts
-from ablate.ultrasound.imaging.point_spread import along_lines
+from ablate.ultrasound.imaging.point_spread import along_lines, blur, point_spread
+from ablate.ultrasound.imaging.speckle import InsonifiedLines, Speckle
 from ablate.ultrasound.media import time_gain_db
-from ablate.ultrasound.probe import fan_mask, outer_position, pixel_polar, sample_depths_mm
-from ablate.ultrasound.probe_kinds import Probe
-from ablate.ultrasound.settings import SimulatorSettings
+from ablate.ultrasound.probe import fan_mask, fan_of, pixel_polar, sample_depths_mm
+from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 from ablate.validation import check_number
 
@@ -19,6 +22,8 @@ _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
 _PIXELS_OF_A_PART = 1 << 16
 _MOST_DB = 100.0  # that an operator can add
 _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
+_CLUTTER_ROLL = (61, 1021)  # lines and samples between the noise of the display and that of clutter
+Lines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # starts, directions, labels, ranges_mm
 
 
 @dataclass(frozen=True)
@@ -74,25 +79,6 @@ class Display:
         return np.where(image > 0, np.rint(grey), 0).astype(np.uint8)
 
 
-def time_gain(probe: Probe, settings: SimulatorSettings) -> np.ndarray:
-    """Two-way gain of each sample by `tgc_db_cm_mhz`, (samples,) float64."""
-    depth_mm = sample_depths_mm(probe, settings.axial_samples)
-    gain_db = time_gain_db(depth_mm, probe.frequency_mhz, settings.tgc_db_cm_mhz)
-    return 10 ** (np.minimum(gain_db, _LARGEST_GAIN_DB) / 20)
-
-
-def receiver_noise(settings: SimulatorSettings, axial: torch.Tensor, seed: int) -> torch.Tensor:
-    """Complex Gaussian noise of unit mean power with the pulse's bandwidth, (2, scanlines, samples).
-
-    `axial`, (taps,), is the pulse. The generator's key is made of `path_seed` and of the scatterers' `seed`.
-    """
-    key = np.array([(settings.path_seed + _KEY) % 2**64, seed % 2**64], np.uint64)  # a list would become float64
-    generator = np.random.Generator(np.random.Philox(key=key))
-    shape = (2, settings.scanlines, settings.axial_samples)
-    white = torch.from_numpy(generator.standard_normal(shape, np.float32)).to(axial)
-    return along_lines(white, axial / (2 * axial.square().sum()).sqrt())
-
-
 @stage(Stage.grey_levels)
 def grey_levels(signal: torch.Tensor, settings: SimulatorSettings) -> torch.Tensor:
     """20 log10 of the envelope against the reference level, `dynamic_range_db` on 0 to 255, not yet rounded.
@@ -114,7 +100,7 @@ class ScanConverter:
         lines, samples = settings.scanlines, settings.axial_samples
         sample = depth * (samples / probe.depth_mm) - 0.5
         along = 2 * sample / max(samples - 1, 1) - 1
-        across = position / outer_position(probe) if lines > 1 else np.zeros_like(position)
+        across = position / fan_of(probe).outer if lines > 1 else np.zeros_like(position)
         grid = torch.from_numpy(np.stack([along, across], axis=-1))
         self._grid = grid.to(settings.device, dtype)[None, None]
 
@@ -132,3 +118,73 @@ class ScanConverter:
         parts = in_parts(of_pixels, count, _PIXELS_OF_A_PART if lines.device.type == "cpu" else max(count, 1))
         image[self.mask] = np.concatenate(parts) if parts else 0
         return image
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What rays bring back, on the device that makes images of it with any number of seeds."""
+
+    insonified: InsonifiedLines
+    surfaces: torch.Tensor  # (scanlines, samples)
+    clutter: torch.Tensor | None  # (scanlines, samples)
+
+
+class SignalChain:
+    """Makes images of what rays bring back, for one probe and one set of settings, on `settings.device`."""
+
+    def __init__(self, tissues: Sequence[Tissue], probe: Probe, settings: SimulatorSettings) -> None:
+        self.probe, self.settings = probe, settings
+        dtype = getattr(torch, settings.precision.value)
+        self.convert = ScanConverter(probe, settings, dtype)
+        self.spread = point_spread(probe, settings, dtype)
+        self.speckle = Speckle(tissues, probe, settings, dtype)
+        depth_mm = sample_depths_mm(probe, settings.axial_samples)
+        gain_db = np.minimum(time_gain_db(depth_mm, probe.frequency_mhz, settings.tgc_db_cm_mhz), _LARGEST_GAIN_DB)
+        self.gain = torch.from_numpy(10 ** (gain_db / 20)).to(settings.device, dtype)  # of the samples, two-way
+        self._noise: tuple[int, torch.Tensor] | None = None
+
+    def tensor(self, values: np.ndarray) -> torch.Tensor:
+        """An array as the chain computes with it."""
+        return torch.from_numpy(values).to(self.gain)
+
+    def prepare(
+        self, lines: Lines, level_db: torch.Tensor, surfaces: np.ndarray, clutter: np.ndarray | None
+    ) -> Prepared:
+        """What does not depend on the scatterers' seed: `lines` and `level_db` are those of `Speckle.insonify`.
+
+        `surfaces` and `clutter`, (scanlines, samples), are amplitudes at the receiver: echoes, and reverberation.
+        """
+        received = None if clutter is None else self.tensor(clutter) * self.spread.axial.sum()
+        return Prepared(self.speckle.insonify(*lines, level_db), self.tensor(surfaces), received)
+
+    def noise(self, pose: np.ndarray, seed: int) -> torch.Tensor:
+        """Complex Gaussian noise of unit mean power with the pulse's bandwidth, (2, scanlines, samples).
+
+        It follows `path_seed` and the scatterers' seed, rolled by a hash of the pose so that frames share no pattern.
+        """
+        if self._noise is None or self._noise[0] != seed:
+            numbers = np.array([(self.settings.path_seed + _KEY) % 2**64, seed % 2**64], np.uint64)  # a list: float64
+            generator, axial = np.random.Generator(np.random.Philox(key=numbers)), self.spread.axial
+            shape = (2, self.settings.scanlines, self.settings.axial_samples)
+            white = self.tensor(generator.standard_normal(shape, np.float32))
+            self._noise = seed, along_lines(white, axial / (2 * axial.square().sum()).sqrt())
+        key = zlib.crc32(pose.tobytes())
+        return self._noise[1].roll((key % 65521, key // 7), dims=(1, 2))
+
+    def signal(self, prepared: Prepared, seed: int, noise: torch.Tensor) -> torch.Tensor:
+        """The signal received, (2, scanlines, samples): real and imaginary part."""
+        signal = blur(self.speckle(prepared.insonified, seed), prepared.surfaces, self.spread)
+        if prepared.clutter is not None:  # received from all sides, hence with random phases
+            signal.addcmul_(prepared.clutter, noise.roll(_CLUTTER_ROLL, dims=(1, 2)))
+        return signal
+
+    def image(self, signal: torch.Tensor, noise: torch.Tensor, display: Display | None = None) -> np.ndarray:
+        """The picture of a signal, (H, W) uint8; the signal is overwritten. The operator's gain amplifies the noise."""
+        settings = self.settings
+        floor = settings.reference_level * 10 ** (settings.noise_floor_db / 20)  # root mean square
+        shown = signal.mul_(self.gain).add_(noise, alpha=floor)
+        if display is not None:
+            depth_mm = sample_depths_mm(self.probe, settings.axial_samples)
+            shown.mul_(self.tensor(10 ** (display.gain_at(depth_mm / self.probe.depth_mm) / 20)))
+            settings = display.applied_to(settings)
+        return np.rint(self.convert(grey_levels(shown, settings))).astype(np.uint8)

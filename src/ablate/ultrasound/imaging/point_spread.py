@@ -1,18 +1,15 @@
 """The spatially variant point spread function: separable, Gaussian, wider away from the focus."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 from torch.nn import functional as F
 
 from ablate.threads import in_parts
-from ablate.ultrasound.probe import layer_offsets_mm, sample_depths_mm, scanline_positions, scanline_spacing_mm
-from ablate.ultrasound.probe_kinds import ConvexProbe, LinearProbe, PhasedProbe, Probe
-from ablate.ultrasound.settings import SimulatorSettings
+from ablate.ultrasound.probe import fan_of, layer_offsets_mm, sample_depths_mm, scanline_positions
+from ablate.ultrasound.settings import ConvexProbe, LinearProbe, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 FWHM_PER_SIGMA = 2 * math.sqrt(2 * math.log(2))
@@ -30,25 +27,20 @@ def beam_widening(settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarr
     return np.sqrt(1 + ((depth_mm - settings.focus_mm) / settings.focal_range_mm) ** 2)
 
 
-def _widening_of_a_phased_probe(probe: PhasedProbe, settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarray:
-    far = np.maximum(depth_mm, probe.aperture_mm) / max(settings.focus_mm, probe.aperture_mm)
-    return far[:, None] / np.cos(scanline_positions(probe, settings.scanlines))
-
-
-#: Lateral width of the beam over `lateral_fwhm_mm`, (depths, scanlines or 1) float64. A convex probe's is
-#: `beam_widening`. That of the other two follows from their apertures, see `LinearProbe` and `PhasedProbe`, and is 1
-#: straight ahead in `focus_mm`.
-_LATERAL_WIDENING: dict[type, Callable[[Any, SimulatorSettings, np.ndarray], np.ndarray]] = {
-    ConvexProbe: lambda _, settings, depth_mm: beam_widening(settings, depth_mm)[:, None],
-    LinearProbe: lambda _, __, depth_mm: np.ones((len(depth_mm), 1)),
-    PhasedProbe: _widening_of_a_phased_probe,
-}
-
-
 def lateral_sigma(probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarray, widen: float = 1.0) -> np.ndarray:
-    """Standard deviation of the beam times `widen`, in scanlines, (depths, scanlines or 1) float64."""
-    spacing = scanline_spacing_mm(probe, settings.scanlines, depth_mm)[:, None]
-    widening = _LATERAL_WIDENING[type(probe)](probe, settings, depth_mm)
+    """Standard deviation of the beam times `widen`, in scanlines, (depths, scanlines or 1) float64.
+
+    A convex probe's grows as `beam_widening`. That of the other two follows from their apertures, see `LinearProbe` and
+    `PhasedProbe`, and is `lateral_fwhm_mm` straight ahead in `focus_mm`.
+    """
+    spacing = (fan_of(probe).width_mm(depth_mm) / max(settings.scanlines - 1, 1))[:, None]  # one scanline's: the fan's
+    if isinstance(probe, ConvexProbe):
+        widening = beam_widening(settings, depth_mm)[:, None]
+    elif isinstance(probe, LinearProbe):
+        widening = np.ones((len(depth_mm), 1))
+    else:
+        far = np.maximum(depth_mm, probe.aperture_mm) / max(settings.focus_mm, probe.aperture_mm)
+        widening = far[:, None] / np.cos(scanline_positions(probe, settings.scanlines))
     return widen * settings.lateral_fwhm_mm / FWHM_PER_SIGMA * widening / spacing
 
 

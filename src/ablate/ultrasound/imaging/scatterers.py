@@ -15,6 +15,7 @@ from scipy.ndimage import fourier_gaussian
 from torch.nn import functional as F
 
 from ablate.anatomy import Tissue
+from ablate.ultrasound.compiled import compiled
 
 DRAWS_PER_SAMPLE = 16
 TABLE_SIZE = 8192
@@ -26,7 +27,11 @@ _TEXTURE_SIDE = 64  # voxels of the periodic volume of smooth noise that is stre
 _TEXTURE_SMOOTHING = 1.2  # voxels; the correlation then falls to 1/e over twice that
 _VOXELS_PER_LENGTH = 2 * _TEXTURE_SMOOTHING
 _TEXTURE_SEED = 7
-_ANCHOR_CELLS = 1 << 20  # float32 tells a sixteenth of a cell apart up to there
+ANCHOR_CELLS = 1 << 20  # float32 tells a sixteenth of a cell apart up to there
+_FACTORS = np.array(AXIS_FACTORS, np.uint32)
+_MIXING = np.array(MIXING, np.uint32)  # (rounds, 2): shift and factor
+_LAST_SHIFT = np.uint32(15)
+_LAST_BITS = np.uint32(TABLE_SIZE - 1)
 
 
 def scatterer_tables(tissues: Sequence[Tissue]) -> np.ndarray:
@@ -52,15 +57,6 @@ def scatterer_tables(tissues: Sequence[Tissue]) -> np.ndarray:
         if power > 0:  # the table of a very sparse tissue may hold no scatterer
             table[:] = total * math.sqrt(tissue.scatter_power / power)
     return tables
-
-
-def lattice_anchor(points_mm: np.ndarray, pitch_mm: float) -> np.ndarray:
-    """The corner of the lattice that points are counted from, so that float32 tells their cells apart.
-
-    It is the multiple of `_ANCHOR_CELLS` nearest to the first of the points, (n, 3) float64 in world coordinates, as
-    (3,) float64 cells from the world's origin: 0 within 50 m of the origin at a pitch of 0.1 mm.
-    """
-    return np.rint(points_mm[0] / (pitch_mm * _ANCHOR_CELLS)) * _ANCHOR_CELLS
 
 
 def cell_hash(
@@ -180,3 +176,41 @@ def texture_gain_db(points_mm: torch.Tensor, labels: torch.Tensor, tables: torch
     volume = _texture_volume().to(points_mm)
     g = F.grid_sample(volume, grid, mode="bilinear", padding_mode="border", align_corners=True)
     return contrast * g.reshape(labels.shape) - contrast**2 * (math.log(10) / 20)
+
+
+@compiled
+def add_scatterers(
+    total: np.ndarray,
+    starts: np.ndarray,
+    directions: np.ndarray,
+    ranges_mm: np.ndarray,
+    anchor: np.ndarray,
+    cells_per_mm: np.float32,
+    seed: np.uint32,
+    tissues: np.ndarray,
+    silent: np.ndarray,
+    tables: np.ndarray,
+    amplitude: np.ndarray,
+) -> None:
+    """Add amplitude x scatterer of every layer to `total`, (2, lines, samples).
+
+    `starts` and `directions` are (layers, lines, 3) float32 in mm from the anchor, `anchor` (3,) uint32, `ranges_mm`,
+    `tissues` and `amplitude` (layers, lines, samples), `silent` (tissues,) bool and `tables` (tissues * TABLE_SIZE, 2).
+    """
+    layers, lines, samples = amplitude.shape
+    for line in range(lines):
+        for layer in range(layers):
+            start, along = starts[layer, line], directions[layer, line]
+            for sample in range(samples):
+                tissue, level = tissues[layer, line, sample], amplitude[layer, line, sample]
+                if silent[tissue] or level == 0:
+                    continue
+                r, mixed = ranges_mm[layer, line, sample], seed  # as `cell_hash` does
+                for axis in range(3):
+                    cell = np.int64(np.floor((start[axis] + along[axis] * r) * cells_per_mm))
+                    mixed ^= np.uint32((np.uint32(cell) + anchor[axis]) * _FACTORS[axis])
+                for shift, factor in _MIXING:
+                    mixed = np.uint32((mixed ^ (mixed >> shift)) * factor)
+                row = np.int64(tissue) * TABLE_SIZE + np.int64((mixed ^ (mixed >> _LAST_SHIFT)) & _LAST_BITS)
+                total[0, line, sample] += tables[row, 0] * level
+                total[1, line, sample] += tables[row, 1] * level

@@ -1,9 +1,9 @@
 """Scatterers on the scanlines: strength, texture and illumination at every sample."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 import torch
@@ -13,9 +13,10 @@ from ablate.anatomy import Tissue
 from ablate.threads import in_parts
 from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, axial_kernel, lateral_sigma, layer_weights
 from ablate.ultrasound.imaging.scatterers import (
+    ANCHOR_CELLS,
     TABLE_SIZE,
+    add_scatterers,
     cell_hash,
-    lattice_anchor,
     mix_seed,
     scatterer_tables,
     shared_cell_gain,
@@ -24,9 +25,8 @@ from ablate.ultrasound.imaging.scatterers import (
     texture_gain_db,
     wrapped,
 )
-from ablate.ultrasound.probe import reach_mm
-from ablate.ultrasound.probe_kinds import Probe
-from ablate.ultrasound.settings import PlanMode, SimulatorSettings
+from ablate.ultrasound.probe import fan_of
+from ablate.ultrasound.settings import PlanMode, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 _DB_TO_NEPER = math.log(10) / 20
@@ -40,8 +40,8 @@ class InsonifiedLines:
 
     starts: torch.Tensor  # (layers, scanlines, 3) float32, mm from the anchor along the world's axes
     directions: torch.Tensor  # (layers, scanlines, 3) float32
-    anchor: np.ndarray  # (3,) float64, from `lattice_anchor`, cells
-    ranges_mm: torch.Tensor  # (samples,) or (layers, scanlines, samples), along its line to what a sample displays
+    anchor: np.ndarray  # (3,) float64, cells from the world's origin to the corner that the lattice is counted from
+    ranges_mm: torch.Tensor  # (layers, scanlines, samples), along its line to what a sample displays
     tissue: torch.Tensor  # (layers, scanlines, samples) uint8
     amplitude: torch.Tensor  # (layers, scanlines, samples), of unit strength: illumination, texture, level and weight
 
@@ -54,7 +54,7 @@ class Speckle:
     ) -> None:
         self._probe, self._settings, self._dtype = probe, settings, dtype
         self._spacing_mm = probe.depth_mm / settings.axial_samples
-        self._pitch_mm = max(settings.scatterer_pitch_mm, reach_mm(probe) / _MOST_CELLS)
+        self._pitch_mm = max(settings.scatterer_pitch_mm, fan_of(probe).reach_mm / _MOST_CELLS)
         tables = torch.from_numpy(scatterer_tables(tissues)).to(settings.device)
         self._tables = torch.view_as_real(tables).flatten(0, 1).to(dtype)
         planned = settings.plan is PlanMode.auto
@@ -101,7 +101,7 @@ class Speckle:
             return torch.from_numpy(values.astype(np.float32)).to(settings.device).reshape(*size)
 
         ends = tensor(starts, *shape[:2], 3), tensor(directions, *shape[:2], 3)
-        ranges = tensor(ranges_mm, *((shape[2],) if ranges_mm.ndim == 1 else shape))
+        ranges = tensor(ranges_mm, -1, shape[2]).expand(len(labels), -1).view(shape)
         textured = self._contrasts[np.bincount(labels.ravel(), minlength=1).nonzero()].any()
         amplitude = torch.empty(shape, dtype=self._dtype, device=settings.device)
 
@@ -109,13 +109,13 @@ class Speckle:
             some = slice(begin, end)
             part = level[:, some]
             if textured:
-                along = ranges if ranges.ndim == 1 else ranges[:, some]
-                texture = self._texture_db(ends[0][:, some], ends[1][:, some], along, label[:, some])
+                texture = self._texture_db(ends[0][:, some], ends[1][:, some], ranges[:, some], label[:, some])
                 part = _interpolated(part, texture.shape[-1]) + texture
             torch.exp(_interpolated(part * _DB_TO_NEPER, shape[2]).to(self._dtype), out=amplitude[:, some])
 
         in_parts(of_lines, shape[1], LINES_OF_A_PART if settings.device == "cpu" else shape[1])
-        anchor = lattice_anchor(starts, self._pitch_mm)
+        # near the first start, so that float32 tells cells apart: 0 within 50 m of the origin at a pitch of 0.1 mm
+        anchor = np.rint(starts[0] / (self._pitch_mm * ANCHOR_CELLS)) * ANCHOR_CELLS
         from_anchor = tensor(starts - anchor * self._pitch_mm, *shape[:2], 3)
         return InsonifiedLines(from_anchor, ends[1], anchor, ranges, label, amplitude)
 
@@ -125,9 +125,8 @@ class Speckle:
         _, scanlines, samples = lines.amplitude.shape
         summed = torch.zeros((2, scanlines, samples), dtype=self._dtype, device=lines.amplitude.device)
         on_cpu = summed.device.type == "cpu"
-        compiled = _compiled_sum() if on_cpu else None
-        add = self._add if compiled is None else partial(self._add_compiled, compiled)
-        in_parts(partial(add, summed, lines, seed), scanlines, LINES_OF_A_PART if on_cpu else scanlines)
+        add = partial(self._add_compiled if on_cpu else self._add, summed, lines, seed)
+        in_parts(add, scanlines, LINES_OF_A_PART if on_cpu else scanlines)
         return summed
 
     def _add(self, summed: torch.Tensor, lines: InsonifiedLines, seed: int, begin: int, end: int) -> None:
@@ -135,8 +134,9 @@ class Speckle:
         some = slice(begin, end)
         total = torch.zeros((end - begin, summed.shape[-1], 2), dtype=self._dtype, device=summed.device)
         for layer, amplitude in enumerate(lines.amplitude[:, some]):
-            along = lines.ranges_mm if lines.ranges_mm.ndim == 1 else lines.ranges_mm[layer, some]
-            starts, directions = lines.starts[layer, some], lines.directions[layer, some]
+            starts, directions, along = (
+                each[layer, some] for each in (lines.starts, lines.directions, lines.ranges_mm)
+            )
             points = [starts[:, axis, None] + directions[:, axis, None] * along for axis in range(3)]
             entry = cell_hash(points, self._pitch_mm, seed, lines.anchor)
             entry.add_(lines.tissue[layer, some].to(torch.int32), alpha=TABLE_SIZE)
@@ -144,23 +144,14 @@ class Speckle:
             total.addcmul_(strength, amplitude[..., None])
         summed[:, some] = total.permute(2, 0, 1)
 
-    def _add_compiled(
-        self,
-        add_scatterers: Callable[..., None],
-        summed: torch.Tensor,
-        lines: InsonifiedLines,
-        seed: int,
-        begin: int,
-        end: int,
-    ) -> None:
+    def _add_compiled(self, summed: torch.Tensor, lines: InsonifiedLines, seed: int, begin: int, end: int) -> None:
         """The same sample by sample, without those that are silent."""
         some = slice(begin, end)
-        of_all = lines.ranges_mm.ndim == 1
         add_scatterers(
             summed[:, some].numpy(),
             lines.starts[:, some].numpy(),
             lines.directions[:, some].numpy(),
-            lines.ranges_mm[None, None].numpy() if of_all else lines.ranges_mm[:, some].numpy(),
+            lines.ranges_mm[:, some].numpy(),
             np.array([wrapped(int(cells)) for cells in lines.anchor], np.int32).view(np.uint32),
             np.float32(1 / self._pitch_mm),
             np.int32(mix_seed(seed)).view(np.uint32),
@@ -187,19 +178,8 @@ class Speckle:
         samples = label.shape[-1]
         coarse = torch.linspace(0, samples - 1, max(2, samples // stride)).round().long()[:samples]
         coarse = coarse.to(label.device)
-        along = ranges_mm[..., coarse, None]
-        points = starts[:, :, None] + directions[:, :, None] * along
+        points = starts[:, :, None] + directions[:, :, None] * ranges_mm[..., coarse, None]
         return texture_gain_db(points, label[..., coarse].long(), self._textures)
-
-
-@cache
-def _compiled_sum() -> Callable[..., None] | None:
-    """Numba's way to sum scatterers; a machine that only makes images of what rays brought back may lack Numba."""
-    try:
-        from ablate.ultrasound.imaging.compiled_scatterers import add_scatterers
-    except ImportError:
-        return None
-    return add_scatterers
 
 
 def _interpolated(values: torch.Tensor, size: int) -> torch.Tensor:

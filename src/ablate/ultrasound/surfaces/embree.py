@@ -1,30 +1,26 @@
 """Closest hits of rays with a scene's triangles, by the Embree that embreex brings along.
 
-embreex takes and returns whole arrays. What a ray does at a surface is compiled, too, and asking from there, one ray at
-a time, saves the arrays in between, and the way through Python at every bounce. Where the library is not found,
-`available` is False and embreex is asked.
+embreex takes and returns whole arrays. What a ray does at a surface is compiled, and asking Embree itself from there,
+one ray at a time, saves the arrays in between, and the way through Python at every bounce.
 """
 
 import ctypes
+import os
 import weakref
 from collections.abc import Sequence
 from copy import copy
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-import embreex
 import llvmlite.binding
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
+from embreex import rtcore_scene
 from numba import types
 from numba.core.types import ExternalFunction
 
 from ablate.anatomy import Structure
 from ablate.ultrasound.compiled import compiled
 
-_PLACES = ("../embreex.libs/*embree4*", ".dylibs/*embree4*", "*embree4*.dll")  # of wheels: Linux, macOS, Windows
-_SYMBOL = "rtcIntersect1"
 _TRIANGLES, _INDICES, _VERTICES, _UINT3, _FLOAT3, _ROBUST = 0, 0, 1, 0x5003, 0x9003, 4  # rtcore.h
 _FLOATS = 24  # of RTCRayHit, which is aligned to 16 bytes
 _TFAR, _MASK, _NORMAL, _TRIANGLE, _STRUCTURE, _INSTANCE = 8, 9, 12, 17, 18, 19  # places in it
@@ -45,63 +41,30 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
 }
 
 
-def _found() -> ctypes.CDLL | None:
-    """The library with everything that is called of it, known to compiled code; None where there is none such."""
-    room = Path(embreex.__file__).parent
-    for file in (file for place in _PLACES for file in sorted(room.glob(place))):
-        try:
-            library = ctypes.CDLL(str(file))
-            for name, (result, arguments) in _SIGNATURES.items():
-                function = getattr(library, name)
-                function.restype, function.argtypes = result, arguments
-            address = ctypes.cast(getattr(library, _SYMBOL), _POINTER).value
-        except (OSError, AttributeError):
-            continue
-        llvmlite.binding.add_symbol(_SYMBOL, address)
-        return library
-    return None
+def _loaded() -> ctypes.CDLL:
+    """The library, known to compiled code; through embreex, whose module is linked with it, wherever it lies."""
+    module = Path(rtcore_scene.__file__)
+    # Windows looks for a function in one file only
+    file = module if os.name != "nt" else next(module.parent.parent.glob("embreex*/**/*embree4*.dll"))
+    library = ctypes.CDLL(str(file))
+    for name, (result, arguments) in _SIGNATURES.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    llvmlite.binding.add_symbol("rtcIntersect1", ctypes.cast(library.rtcIntersect1, _POINTER).value)
+    return library
 
 
-_library = _found()
-available = _library is not None
-_intersect_one: Any = ExternalFunction(_SYMBOL, types.void(types.intp, types.intp, types.intp))
+_embree = _loaded()
+_intersect_one: Any = ExternalFunction("rtcIntersect1", types.void(types.intp, types.intp, types.intp))
 
 
-class Triangles:
-    """Triangle meshes, (vertices (n, 3) float, faces (m, 3) int) each, that Embree has sorted.
+class Hit(NamedTuple):
+    """Closest hit of a ray, in numbers."""
 
-    `address` is what compiled code is given. Embree reads the arrays themselves, so they are kept.
-    """
-
-    def __init__(self, meshes: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
-        assert _library is not None
-        device = _library.rtcNewDevice(None)
-        scene = _library.rtcNewScene(device)
-        _library.rtcSetSceneFlags(scene, _ROBUST)
-        self._kept = []
-        for vertices, faces in meshes:
-            places = np.zeros((len(vertices) + 1, 3), np.float32)  # Embree reads 4 bytes beyond the last vertex
-            places[:-1] = vertices
-            corners = np.ascontiguousarray(faces, np.uint32)
-            self._kept.append((places, corners))
-            mesh = _library.rtcNewGeometry(device, _TRIANGLES)
-            for kind, form, values, count in (
-                (_VERTICES, _FLOAT3, places, len(vertices)),
-                (_INDICES, _UINT3, corners, len(corners)),
-            ):
-                _library.rtcSetSharedGeometryBuffer(mesh, kind, 0, form, values.ctypes.data, 0, 12, count)
-            _library.rtcCommitGeometry(mesh)
-            _library.rtcAttachGeometry(scene, mesh)
-            _library.rtcReleaseGeometry(mesh)
-        _library.rtcCommitScene(scene)
-        self.address = int(scene)
-        weakref.finalize(self, _release, scene, device)
-
-
-def _release(scene: int, device: int) -> None:
-    assert _library is not None
-    _library.rtcReleaseScene(scene)
-    _library.rtcReleaseDevice(device)
+    distance_mm: float
+    structure: np.int32  # -1 where nothing was hit
+    triangle: np.int32
+    normal: tuple[float, float, float]  # not of unit length; its sign follows the mesh's winding and means nothing
 
 
 @compiled
@@ -113,34 +76,27 @@ def asked_ray() -> np.ndarray:
 
 
 @compiled
-def closest_of(
-    address: int, asked: np.ndarray, origin: np.ndarray, direction: np.ndarray, reach_mm: float
-) -> tuple[np.float32, np.int32, np.int32]:
-    """Distance, structure (-1 for none) and triangle of the first surface; its normal is at `normal_in(asked)`."""
+def closest_of(address: int, asked: np.ndarray, origin: np.ndarray, direction: np.ndarray, reach_mm: np.float32) -> Hit:
+    """The first surface that a ray meets, of the geometry at `address`."""
     words = asked.view(np.uint32)
     for axis in range(3):
         asked[axis], asked[4 + axis] = origin[axis], direction[axis]
     asked[3] = asked[7] = np.float32(0)
-    asked[_TFAR] = reach_mm
+    asked[_TFAR] = max(reach_mm, np.float32(0))
     words[_MASK], words[10], words[11] = _NONE, np.uint32(0), np.uint32(0)
     words[_TRIANGLE] = words[_STRUCTURE] = words[_INSTANCE] = _NONE
     _intersect_one(address, asked.ctypes.data, 0)
-    return asked[_TFAR], np.int32(words[_STRUCTURE]), np.int32(words[_TRIANGLE])
-
-
-@compiled
-def normal_in(asked: np.ndarray) -> np.ndarray:
-    """The normal of what was met, (3,) float32, of any length."""
-    return asked[_NORMAL : _NORMAL + 3]
+    normal = float(asked[_NORMAL]), float(asked[_NORMAL + 1]), float(asked[_NORMAL + 2])
+    return Hit(float(asked[_TFAR]), np.int32(words[_STRUCTURE]), np.int32(words[_TRIANGLE]), normal)
 
 
 class Hits(NamedTuple):
-    """Closest hits of n rays; a tuple, so that compiled code can take it."""
+    """Closest hits of n rays, as in `Hit`."""
 
     distance_mm: np.ndarray  # (n,) float32
-    structure: np.ndarray  # (n,) int32, -1 where nothing was hit
+    structure: np.ndarray  # (n,) int32
     triangle: np.ndarray  # (n,) int32
-    normal: np.ndarray  # (n, 3) float32, not of unit length; its sign follows the mesh's winding and means nothing
+    normal: np.ndarray  # (n, 3) float32
 
 
 class Geometry:
@@ -150,21 +106,35 @@ class Geometry:
     is subtracted from every vertex, so that far-away worlds keep their precision. `extent_mm` is the largest distance
     that rays go; with the scene's own it sets `step_mm`, how far a ray is put beyond a surface that it has crossed: a
     few times float32's spacing. With a smaller one, a grazing ray would meet a surface twice; with a larger one, it
-    would jump over the second side of a corner that it clips.
+    would jump over the second side of a corner that it clips. `address` is what compiled code hands to `closest_of`.
     """
 
     def __init__(
         self, structures: Sequence[Structure], bounds_mm: np.ndarray, origin_mm: np.ndarray, extent_mm: float
     ) -> None:
         self.structures = len(structures)
-        meshes = [(np.asarray(s.mesh.vertices, np.float64) - origin_mm, s.mesh.faces) for s in structures]
-        self._triangles = Triangles(meshes) if meshes and available else None
-        self._scene = EmbreeScene() if meshes and not available else None
-        self._meshes = []  # keeps the buffers that embreex reads
-        if self._scene is not None:
-            for vertices, faces in meshes:
-                corners = np.ascontiguousarray(faces, np.int32)
-                self._meshes.append(TriangleMesh(self._scene, vertices.astype(np.float32), corners))
+        device = _embree.rtcNewDevice(None)
+        scene = _embree.rtcNewScene(device)
+        _embree.rtcSetSceneFlags(scene, _ROBUST)
+        self._kept: list[object] = []  # Embree reads the arrays themselves
+        for mesh in (structure.mesh for structure in structures):
+            places = np.zeros((len(mesh.vertices) + 1, 3), np.float32)  # Embree reads 4 bytes beyond the last vertex
+            places[:-1] = np.asarray(mesh.vertices, np.float64) - origin_mm
+            corners = np.ascontiguousarray(mesh.faces, np.uint32)
+            self._kept.append((places, corners))
+            triangles = _embree.rtcNewGeometry(device, _TRIANGLES)
+            for kind, form, values, count in (
+                (_VERTICES, _FLOAT3, places, len(places) - 1),
+                (_INDICES, _UINT3, corners, len(corners)),
+            ):
+                _embree.rtcSetSharedGeometryBuffer(triangles, kind, 0, form, values.ctypes.data, 0, 12, count)
+            _embree.rtcCommitGeometry(triangles)
+            _embree.rtcAttachGeometry(scene, triangles)
+            _embree.rtcReleaseGeometry(triangles)
+        _embree.rtcCommitScene(scene)
+        self.address = int(scene)
+        for release, what in ((_embree.rtcReleaseDevice, device), (_embree.rtcReleaseScene, scene)):
+            weakref.finalize(self, release, what)  # the last one first
         self._centre_mm = np.mean(bounds_mm, axis=0) - origin_mm
         self._radius_mm = float(np.linalg.norm(bounds_mm[1] - bounds_mm[0])) / 2
         self.step_mm = self._step_for(extent_mm)
@@ -175,6 +145,7 @@ class Geometry:
     def reaching(self, extent_mm: float) -> Self:
         """The same triangles for rays of another `extent_mm`; Embree does not sort them again."""
         other = copy(self)
+        other._kept = [self]  # which gives the triangles back when it goes
         other.step_mm = self._step_for(extent_mm)
         return other
 
@@ -183,21 +154,7 @@ class Geometry:
 
         Origins are relative to the geometry's origin.
         """
-        n = len(origins)
-        if self._triangles is not None:
-            hits = empty_hits(n)
-            _closest_of_all(self._triangles.address, origins, directions, reach_mm, hits)
-            return hits
-        if self._scene is None or n == 0:
-            nothing = np.full(n, -1, np.int32)
-            return Hits(reach_mm, nothing, nothing, np.zeros((n, 3), np.float32))
-        found = self._scene.run(origins, directions, dists=np.maximum(reach_mm, 0), query="INTERSECT", output=True)
-        return Hits(found["tfar"], found["geomID"], found["primID"], found["Ng"])
-
-    @property
-    def address(self) -> int:
-        """What compiled code hands to `closest_of`; 0 where it cannot ask Embree, or there is nothing to hit."""
-        return 0 if self._triangles is None else self._triangles.address
+        return _closest_of_all(self.address, origins, directions, reach_mm)
 
     def through(self, points: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far back and how far ahead along lines everything ends, twice (n,) float64 in mm, at least 0.
@@ -215,19 +172,13 @@ class Geometry:
 
 
 @compiled
-def empty_hits(n: int) -> Hits:
-    """Room for the hits of n rays."""
-    return Hits(np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 3), np.float32))
-
-
-@compiled
-def _closest_of_all(
-    address: int, origins: np.ndarray, directions: np.ndarray, reach_mm: np.ndarray, hits: Hits
-) -> None:
+def _closest_of_all(address: int, origins: np.ndarray, directions: np.ndarray, reach_mm: np.ndarray) -> Hits:
+    n = len(origins)
+    hits = Hits(np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 3), np.float32))
     asked = asked_ray()
-    for i in range(len(origins)):
-        reach = max(reach_mm[i], np.float32(0))
-        hits.distance_mm[i], hits.structure[i], hits.triangle[i] = closest_of(
-            address, asked, origins[i], directions[i], reach
-        )
-        hits.normal[i] = normal_in(asked)
+    for i in range(n):
+        hit = closest_of(address, asked, origins[i], directions[i], reach_mm[i])
+        hits.distance_mm[i], hits.structure[i], hits.triangle[i] = hit.distance_mm, hit.structure, hit.triangle
+        for axis in range(3):
+            hits.normal[i, axis] = hit.normal[axis]
+    return hits

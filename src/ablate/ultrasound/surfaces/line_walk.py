@@ -7,18 +7,19 @@ i // 32 for structure i; an owner is i + 1, and 0 is the background.
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.surfaces.embree import Geometry, Hits
+from ablate.ultrasound.surfaces.embree import Geometry, asked_ray, closest_of
 
 _ROWS_OF_A_PART = 256
 
 
 @compiled
-def toggle(inside: np.ndarray, structure: int) -> None:
+def toggle(inside: np.ndarray, structure: np.int32) -> None:
     """Cross a surface: changes one set, (words,) uint32."""
     inside[structure >> 5] ^= np.uint32(1) << np.uint32(structure & 31)
 
@@ -50,24 +51,6 @@ def next_step(step_mm: float, away: bool, least_mm: float) -> float:
     along a surface would take it in steps of a tenth of a micrometre.
     """
     return least_mm if away else max(2 * step_mm, least_mm)
-
-
-#: A straight ray under way.
-_WALKER = np.dtype(
-    [
-        ("row", np.int32),  # of its line
-        ("origin", np.float32, 3),  # where the search for the next surface begins: step_mm beyond the last one
-        ("direction", np.float32, 3),
-        ("distance_mm", np.float64),  # of the last surface from the line's start, negative before it
-        ("displayed_mm", np.float64),  # the same, as it is displayed
-        ("reach_mm", np.float32),  # from the origin to the end of the line
-        ("step_mm", np.float32),
-        ("structure", np.int32),  # of the last surface
-        ("triangle", np.int32),  # of the last surface
-        ("filled", np.int32),  # samples that have their value
-    ],
-    align=True,
-)
 
 
 @dataclass(frozen=True)
@@ -105,72 +88,64 @@ def walk(
     samples = samples or Samples(0.0, 1.0, 0, np.zeros(owners, np.uint8))
     stretch = np.ones(owners, np.float32) if samples.stretch_of_owner is None else samples.stretch_of_owner
     places = samples.first_mm, samples.spacing_mm, samples.value_of_owner, stretch
+    before = np.zeros(len(origins)) if before_mm is None else before_mm
+    lines = origins.astype(np.float32), directions.astype(np.float32), length_mm.astype(np.float32), before
     values, ranges_mm = samples.empty(len(origins))
     inside = np.zeros((len(origins), max(1, -(-geometry.structures // 32))), np.uint32)
-    walkers = np.zeros(len(origins), _WALKER)
-    walkers["row"] = np.arange(len(origins))
-    walkers["origin"], walkers["direction"], walkers["reach_mm"] = origins, directions, length_mm
-    walkers["structure"] = walkers["triangle"] = -1
-    if before_mm is not None:
-        walkers["distance_mm"] = -before_mm
-
-    def part(begin: int, end: int) -> None:
-        n, own = end - begin, walkers[begin:end]
-        while n:
-            start, direction = (np.ascontiguousarray(own[column][:n]) for column in ("origin", "direction"))
-            hits = geometry.closest(start, direction, own["reach_mm"][:n])
-            n = _cross(own, hits, geometry.step_mm, places, inside, values, ranges_mm)
-
-    in_parts(part, len(origins), _ROWS_OF_A_PART)
+    follow = partial(_follow, geometry.address, geometry.step_mm, lines, places, inside, values, ranges_mm)
+    in_parts(follow, len(origins), _ROWS_OF_A_PART)
     return inside, values, ranges_mm
 
 
 @compiled
-def _cross(
-    walkers: np.ndarray,
-    hits: Hits,
+def _follow(
+    address: int,
     least_step_mm: float,
+    lines: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     places: tuple[float, float, np.ndarray, np.ndarray],
     inside: np.ndarray,
     values: np.ndarray,
     ranges_mm: np.ndarray,
-) -> int:
-    """Move walkers to the surfaces that they hit; those that go on are moved up and counted."""
+    first_row: int,
+    stop: int,
+) -> None:
+    """Fill the rows of some lines: origins, directions, lengths, and distances to their starts, all but these float32.
+
+    The origin is moved along, to a step beyond the last surface; distances are from the line's start, geometric and as
+    they are displayed, and `filled` is how many samples have their value.
+    """
+    origins, directions, lengths_mm, before_mm = lines
     first_mm, spacing_mm, value_of_owner, stretch_of_owner = places
     samples, stretched = values.shape[1], ranges_mm.shape[1] > 0
-    left = 0
-    for i in range(len(hits.structure)):
-        walker = walkers[i]
-        row, last, displayed = walker.row, walker.distance_mm, walker.displayed_mm
-        here = owner(inside[row])
-        ends = hits.structure[i] < 0
-        distance, reached, end = last, displayed, samples
-        if not ends:
-            distance = last + walker.step_mm + hits.distance_mm[i]
-            reached = displayed + max(distance - max(last, 0.0), 0.0) * stretch_of_owner[here]
-            end = min(max(math.ceil((reached - first_mm) / spacing_mm), 0), samples)
-        for k in range(walker.filled, end):
-            values[row, k] = value_of_owner[here]
-            if stretched:
-                beyond = (first_mm + k * spacing_mm - displayed) / stretch_of_owner[here]
-                ranges_mm[row, k] = max(last, 0.0) + beyond
-        if ends:
-            continue
-        fresh = hits.structure[i] != walker.structure or hits.triangle[i] != walker.triangle
-        if fresh:  # a plane is met only once
-            toggle(inside[row], hits.structure[i])
-        away = fresh and hits.distance_mm[i] > walker.step_mm
-        step = next_step(walker.step_mm, away, least_step_mm)
-        ahead = hits.distance_mm[i] + step
-        for axis in range(3):
-            walker.origin[axis] += ahead * walker.direction[axis]
-        walker.distance_mm, walker.displayed_mm = distance, reached
-        walker.reach_mm, walker.step_mm = walker.reach_mm - ahead, step
-        walker.structure, walker.triangle = hits.structure[i], hits.triangle[i]
-        walker.filled = max(walker.filled, end)
-        walkers[left] = walker
-        left += 1
-    return left
+    asked = asked_ray()
+    for row in range(first_row, stop):
+        origin, direction, reach_mm, step_mm = origins[row], directions[row], lengths_mm[row], np.float32(0)
+        last, displayed, filled = -before_mm[row], 0.0, 0
+        structure = triangle = np.int32(-1)
+        ends = False
+        while not ends:
+            hit, here = closest_of(address, asked, origin, direction, reach_mm), owner(inside[row])
+            ends = bool(hit.structure < 0)
+            distance, reached, end = last, displayed, samples
+            if not ends:
+                distance = last + step_mm + hit.distance_mm
+                reached = displayed + max(distance - max(last, 0.0), 0.0) * stretch_of_owner[here]
+                end = min(max(math.ceil((reached - first_mm) / spacing_mm), 0), samples)
+            for k in range(filled, end):
+                values[row, k] = value_of_owner[here]
+                if stretched:
+                    beyond = (first_mm + k * spacing_mm - displayed) / stretch_of_owner[here]
+                    ranges_mm[row, k] = max(last, 0.0) + beyond
+            fresh = hit.structure != structure or hit.triangle != triangle
+            if fresh and not ends:  # a plane is met only once
+                toggle(inside[row], hit.structure)
+            step = next_step(float(step_mm), bool(fresh and hit.distance_mm > step_mm), least_step_mm)
+            ahead = hit.distance_mm + step
+            for axis in range(3):
+                origin[axis] += ahead * direction[axis]
+            last, displayed, filled = distance, reached, max(filled, end)
+            reach_mm, step_mm = np.float32(reach_mm - ahead), np.float32(step)
+            structure, triangle = hit.structure, hit.triangle
 
 
 def inside_at(geometry: Geometry, points: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from ablate.ultrasound.transport.lines import Nodes
 from ablate.ultrasound.transport.tracing import Paths, trace
 
 #: Rays of each of the two halves that are traced first.
@@ -50,26 +49,19 @@ def trace_to_tolerance(
         send(np.arange(len(number)))
         return trace(paths), np.full(groups, rays)
     send(np.flatnonzero(number < 2 * HALF))
-    halves = []
+    count, echoes, seen = nodes.amplitude.shape[1], [], []
     for first in (0, HALF):
         own = nodes._replace(amplitude=np.zeros_like(nodes.amplitude))
-        echoes = trace(paths._replace(nodes=own), first, np.full(groups, first + HALF))
+        echoes.append(trace(paths._replace(nodes=own), first, np.full(groups, first + HALF)))
         nodes.amplitude[:] += own.amplitude
-        halves.append((echoes, _amplitude(echoes, own, shown)))
-    counts = rays_needed(halves[0][1], halves[1][1], shown, tolerance, rays)
+        direct = echoes[-1][~echoes[-1]["reflected"]]  # reverberation is spread too wide to be seen by group
+        node = np.rint((direct["depth_mm"] - nodes.first_mm) / nodes.spacing_mm).astype(np.int64)
+        place = direct["group"].astype(np.int64) * count + np.clip(node, 0, count - 1)
+        received = np.bincount(place, direct["amplitude"], minlength=groups * count).reshape(groups, count)
+        seen.append((received * shown.echo + own.amplitude * shown.scatterers) / HALF)
+    counts = rays_needed(seen[0], seen[1], shown, tolerance, rays)
     send(np.flatnonzero((number >= 2 * HALF) & (number < np.repeat(counts, rays))))
-    more = trace(paths, 2 * HALF, counts)
-    return np.concatenate([halves[0][0], halves[1][0], more]), counts
-
-
-def _amplitude(echoes: np.ndarray, nodes: Nodes, shown: Shown) -> np.ndarray:
-    """What is seen of `HALF` rays a group, (groups, nodes); reverberation is spread too wide to be seen by group."""
-    groups, count = nodes.amplitude.shape
-    direct = echoes[~echoes["reflected"]]
-    node = np.rint((direct["depth_mm"] - nodes.first_mm) / nodes.spacing_mm).astype(np.int64)
-    place = direct["group"].astype(np.int64) * count + np.clip(node, 0, count - 1)
-    received = np.bincount(place, direct["amplitude"], minlength=groups * count).reshape(groups, count)
-    return (received * shown.echo + nodes.amplitude * shown.scatterers) / HALF
+    return np.concatenate([*echoes, trace(paths, 2 * HALF, counts)]), counts
 
 
 def rays_needed(a: np.ndarray, b: np.ndarray, shown: Shown, tolerance: float, most: int) -> np.ndarray:
@@ -86,16 +78,11 @@ def rays_needed(a: np.ndarray, b: np.ndarray, shown: Shown, tolerance: float, mo
     relative = np.abs(a - b).reshape(-1, lines, a.shape[-1]) / level  # its mean square is 2 s^2 / HALF
     shown_error = np.log1p(relative)  # the display is logarithmic; else one bright echo in the dark takes all rays
     variance = HALF / 2 * np.square(shown_error).mean(axis=-1)
-    deviation = np.sqrt(_of_neighbours(variance))
-    wanted = deviation * deviation.sum() * shown.overlap / (lines * tolerance**2)
-    return np.clip(np.ceil(wanted), 2 * HALF, most).astype(np.int64).ravel()
-
-
-def _of_neighbours(values: np.ndarray) -> np.ndarray:
-    """Mean of the groups around each one, itself left out, (layers, scanlines)."""
-    layers, lines = values.shape
+    # the mean of the groups around each one, itself left out
     reach = np.arange(lines)
     first, last = np.maximum(reach - _NEIGHBOUR_LINES, 0), np.minimum(reach + _NEIGHBOUR_LINES + 1, lines)
-    summed = np.concatenate([[0.0], np.cumsum(values.sum(axis=0))])
-    around = (summed[last] - summed[first])[None] - values
-    return np.maximum(around, 0.0) / (layers * (last - first) - 1)
+    summed = np.concatenate([[0.0], np.cumsum(variance.sum(axis=0))])
+    around = (summed[last] - summed[first])[None] - variance
+    deviation = np.sqrt(np.maximum(around, 0.0) / (len(variance) * (last - first) - 1))
+    wanted = deviation * deviation.sum() * shown.overlap / (lines * tolerance**2)
+    return np.clip(np.ceil(wanted), 2 * HALF, most).astype(np.int64).ravel()

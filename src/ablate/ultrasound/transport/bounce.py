@@ -1,18 +1,21 @@
-"""The steps of one bounce, for one ray: interact with a surface, connect to the element, roulette, spawn.
+"""The steps of one bounce, for one ray: scatter at a surface (rough normal, Snell, Fresnel), echo, roulette, spawn.
 
-Compiled functions that branch take numbers, and those that take many arrays do not branch: Numba counts references to
-every array that a function with branches gets, which takes longer than tracing the ray.
+Vectors are tuples of three; directions and normals are of unit length, and normals point against the ray. Compiled
+functions that branch take numbers, and those that take many arrays do not branch: Numba counts references to every
+array that a function with branches gets, which takes longer than tracing the ray.
 """
 
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.media import Media
-from ablate.ultrasound.surfaces.embree import Hits
-from ablate.ultrasound.transport.interfaces import Scattering, Vector, along, dot, vector
 from ablate.ultrasound.transport.lines import Segment
-from ablate.ultrasound.transport.rays import Ray
+from ablate.ultrasound.transport.rays import COS_AZIMUTH, LOG_U, SIN_AZIMUTH, Ray
+
+Vector = tuple[float, float, float]
 
 #: From this many reflections on, Russian roulette ends half of the rays at each further one and doubles the weight of
 #: the others, so that a thin gap does not reflect rays to and fro until they are as deep as the image.
@@ -36,18 +39,126 @@ SHARED_FROM_GROWTH = 6.4
 RECEIVE_SIGMA_MM = 6.0
 
 #: Russian roulette takes a ray off its axis to be received by at least this, because it may come back to the axis.
-_LEAST_RECEIVED = 0.1
+LEAST_RECEIVED = 0.1
 
 _NEPER_PER_DB = math.log(10) / 20
 
 
-class Hit(NamedTuple):
-    """A row of `Hits`, in numbers."""
+class Scattering(NamedTuple):
+    """Directions of the reflected and of the transmitted ray, and the pressure reflection coefficient R_p."""
 
-    distance_mm: float
-    structure: int
-    triangle: int
-    normal: Vector
+    reflected: Vector
+    transmitted: Vector
+    pressure: float
+
+
+@compiled
+def vector(row: np.ndarray) -> Vector:
+    """A (3,) array as a tuple of doubles."""
+    return float(row[0]), float(row[1]), float(row[2])
+
+
+@compiled
+def dot(a: Vector, b: Vector) -> float:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def along(point: Vector, direction: Vector, length: float) -> Vector:
+    """point + length direction."""
+    return point[0] + length * direction[0], point[1] + length * direction[1], point[2] + length * direction[2]
+
+
+@compiled
+def facing(normal: Vector, direction: Vector) -> Vector:
+    """The unit normal that points against a ray, from a normal of any length and sign."""
+    scale = -math.copysign(1 / max(math.sqrt(dot(normal, normal)), 1e-30), dot(normal, direction))
+    return scale * normal[0], scale * normal[1], scale * normal[2]
+
+
+@compiled
+def rough_normal(normal: Vector, log_u: float, cos_azimuth: float, sin_azimuth: float, exponent: float) -> Vector:
+    """A normal drawn from a power-cosine lobe about the surface's own (Mattausch and Goksel 2016).
+
+    cos(phi) = u^(1 / (s + 1)), s the lobe's exponent, 1 / roughness. `log_u` is the logarithm of a uniform number;
+    `exponent` is 1 / (s + 1), and 0 leaves the normal as it is.
+    """
+    squared = math.exp(2 * exponent * log_u)
+    cos_tilt = math.sqrt(squared)
+    sin_tilt = math.sqrt(max(1 - squared, 0.0))
+    x, y, z = normal
+    sign = math.copysign(1.0, z)  # orthonormal frame without branches (Duff et al. 2017)
+    a = -1 / (sign + z)
+    b = x * y * a
+    u, v = sin_tilt * cos_azimuth, sin_tilt * sin_azimuth
+    return (
+        x * cos_tilt + u * (1 + sign * x * x * a) + v * b,
+        y * cos_tilt + u * (sign * b) + v * (sign + y * y * a),
+        z * cos_tilt - u * (sign * x) - v * y,
+    )
+
+
+@compiled
+def transmission_cosine(cos_i: float, speed_1: float, speed_2: float) -> float:
+    """Cosine of the refracted angle by Snell's law, sin t / sin i = c2 / c1; 0 at total reflection."""
+    if speed_1 == speed_2:
+        return cos_i
+    ratio = speed_2 / speed_1
+    return math.sqrt(max(1 - ratio * ratio * (1 - cos_i * cos_i), 0.0))
+
+
+@compiled
+def pressure_reflection(impedance_1: float, impedance_2: float, cos_i: float, cos_t: float) -> float:
+    """R_p = (Z2 cos i - Z1 cos t) / (Z2 cos i + Z1 cos t); the energy reflected is R_p^2."""
+    a, b = impedance_2 * cos_i, impedance_1 * cos_t
+    return (a - b) / max(a + b, 1e-30)
+
+
+@compiled
+def refracted(direction: Vector, normal: Vector, cos_i: float, cos_t: float, speed_ratio: float) -> Vector:
+    """Direction of transmission, eta d + (eta cos i - cos t) n with eta = c2 / c1.
+
+    The tangential part, of length sin i, is stretched by eta to sin t: Snell's law for speeds.
+    """
+    stretched = speed_ratio * direction[0], speed_ratio * direction[1], speed_ratio * direction[2]
+    return along(stretched, normal, speed_ratio * cos_i - cos_t)
+
+
+@compiled
+def sample_scattering(
+    direction: Vector, normal: Vector, before: int, after: int, surface: int, drawn: np.ndarray, media: Media
+) -> Scattering:
+    """Scatter about a rough normal; about the surface's own where a direction would be on the wrong side of it.
+
+    `normal` may have any length and sign. Tissues: `before` and `after` the surface, and the one that owns it. `drawn`,
+    (COLUMNS,), holds the random numbers of this interface and ray.
+    """
+    flat = facing(normal, direction)
+    if media.rough:
+        tilted = rough_normal(flat, drawn[LOG_U], drawn[COS_AZIMUTH], drawn[SIN_AZIMUTH], media.lobe_exponent[surface])
+        rough, cos_i, total = scatter_about(direction, tilted, before, after, media)
+        if cos_i > 0 and dot(rough.reflected, flat) > 0 and (total or dot(rough.transmitted, flat) < 0):
+            return rough
+    return scatter_about(direction, flat, before, after, media)[0]
+
+
+@compiled
+def scatter_about(
+    direction: Vector, normal: Vector, before: int, after: int, media: Media
+) -> tuple[Scattering, float, bool]:
+    """Mirror, Snell and Fresnel about a normal; also cos i, and whether the reflection is total."""
+    cos_i = -dot(direction, normal)
+    cos_t, transmitted, mirrored = cos_i, direction, along(direction, normal, 2 * cos_i)
+    if media.refracts:
+        speed_1, speed_2 = float(media.speed_m_s[before]), float(media.speed_m_s[after])
+        cos_t = transmission_cosine(cos_i, speed_1, speed_2)
+        transmitted = refracted(direction, normal, cos_i, cos_t, speed_2 / speed_1)
+        if cos_t == 0 and speed_1 != speed_2:  # total, along the surface too, where R_p is 0 / 0
+            return Scattering(mirrored, transmitted, 1.0), cos_i, True
+    impedance_1, impedance_2 = float(media.impedance_mrayl[before]), float(media.impedance_mrayl[after])
+    pressure = pressure_reflection(impedance_1, impedance_2, cos_i, cos_t)
+    return Scattering(mirrored, transmitted, pressure), cos_i, cos_t == 0
 
 
 class Medium(NamedTuple):
@@ -72,33 +183,10 @@ class Connection(NamedTuple):
 
 
 @compiled
-def hit_at(hits: Hits, i: int) -> Hit:
-    """A row of the hits."""
-    return Hit(float(hits.distance_mm[i]), hits.structure[i], hits.triangle[i], vector(hits.normal[i]))
-
-
-@compiled
-def medium_at(media: Media, i: int) -> Medium:
-    """A row of the media."""
-    return Medium(float(media.loss_db_mm[i]), float(media.stretch[i]), media.anechoic[i])
-
-
-@compiled
 def segment_ahead(ray: Ray, medium: Medium, length_mm: float) -> Segment:
     """From the last surface that a ray met on, over a displayed length."""
     to_mm = ray.displayed_mm + length_mm
     return Segment(ray.displayed_mm, to_mm, ray.loss_db, medium.loss_db_mm / medium.stretch, medium.anechoic)
-
-
-@compiled
-def move_to_surface(ray: Ray, hit: Hit, medium: Medium) -> Vector:
-    """Move a ray to the surface that it hit, and return the point in double precision."""
-    length = hit.distance_mm + ray.step_mm
-    ray.path_mm += length
-    ray.displayed_mm += length * medium.stretch
-    ray.loss_db += length * medium.loss_db_mm
-    ray.structure, ray.triangle = hit.structure, hit.triangle
-    return along(vector(ray.origin), vector(ray.direction), hit.distance_mm)
 
 
 @compiled
@@ -130,16 +218,6 @@ def echo(ray: Ray, scattering: Scattering, link: Connection, specularity: float)
 
 
 @compiled
-def faintness_db(link: Connection, gain_db_mm: float, depth_mm: float) -> float:
-    """How much fainter than its weight a ray is here, for Russian roulette: loss, direction, and half the gain ahead.
-
-    What the time gain adds up to the end of the image makes up for loss in tissue, and in fluid it does not.
-    """
-    ahead_db = gain_db_mm * max(depth_mm - link.depth_mm, 0.0)
-    return link.two_way_db + ahead_db / 2 - 20 * math.log10(max(link.received, _LEAST_RECEIVED))
-
-
-@compiled
 def go_on(
     ray: Ray, pressure: float, probability: float, choice: float, luck: float, faint_db: float, roulette_db: float
 ) -> tuple[float, float]:
@@ -168,14 +246,6 @@ def _surviving(weight: float, luck: float, faint_db: float, roulette_db: float, 
         return weight
     survival = min(0.5 if often_reflected else 1.0, 10 ** ((level_db - roulette_db) / 20))
     return weight / survival if luck < survival else 0.0
-
-
-@compiled
-def cross_thickness(ray: Ray, medium: Medium, thickness_mm: float) -> None:
-    """Let a reflected ray cross the thickness of its surface, there and back."""
-    ray.path_mm += 2 * thickness_mm
-    ray.displayed_mm += 2 * thickness_mm * medium.stretch
-    ray.loss_db += 2 * thickness_mm * medium.loss_db_mm
 
 
 @compiled

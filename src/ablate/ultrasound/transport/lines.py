@@ -10,8 +10,7 @@ from torch.nn import functional as F
 
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.imaging.point_spread import Across, lateral_kernels
-from ablate.ultrasound.probe_kinds import Probe
-from ablate.ultrasound.settings import SimulatorSettings
+from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 #: Echoes of reflected rays are few and out of focus: they are spread over these standard deviations.
@@ -31,6 +30,14 @@ ECHO = np.dtype(
         ("reflected", np.bool_),  # whether the ray had been reflected before
     ]
 )
+
+#: Depths at which the rays' mean is taken; between them it is interpolated in dB.
+NODES = 256
+#: Level of no sound at all, dB: finite, so that interpolation makes no NaN, and zero as a float32 amplitude.
+NO_SOUND_DB = -4000.0
+_LOWEST_DB = -600.0  # all below counts as no sound: far under any display, and it spares the signal chain denormals
+_BLOCKS = 64  # of depth, within which the beam's overlap is taken as constant
+_NEPER_PER_TWO_WAY_DB = math.log(10) / 10
 
 
 def splat(line: np.ndarray, position: np.ndarray, amplitude: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -60,7 +67,7 @@ def surface_lines(
     elevational weights, (layers, samples), that sum to 1 over layers. It is real and positive, so its estimate
     converges with the number of rays.
     """
-    return splat(*_placed(echoes, ~echoes["reflected"], weights, rays, depth_mm, shape), shape)
+    return splat(*_placed(echoes[~echoes["reflected"]], weights, rays, depth_mm, shape), shape)
 
 
 @stage(Stage.clutter)
@@ -73,10 +80,11 @@ def clutter_lines(
     x_i x_j of different lines' shares i != j in it (a U-statistic; Hoeffding 1948). The square of the sum would hold
     x_i^2 as well, whose mean is too large by the variance: bright bands of one heavy path in dark fluid.
     """
-    if not echoes["reflected"].any():
+    echoes = echoes[echoes["reflected"]]
+    if not len(echoes):
         return None
     lines, samples = shape
-    line, position, amplitude = _placed(echoes, echoes["reflected"], weights, rays, depth_mm, shape)
+    line, position, amplitude = _placed(echoes, weights, rays, depth_mm, shape)
     cells = max(1, min(samples, math.ceil(depth_mm / _CLUTTER_MM * _CLUTTER_CELLS_PER_SIGMA)))
     coarse = torch.from_numpy(splat(line, (position + 0.5) * (cells / samples) - 0.5, amplitude, (lines, cells)))
     across, along = _spreading(lines, _CLUTTER_LINES), _spreading(cells, _CLUTTER_CELLS_PER_SIGMA)
@@ -94,19 +102,14 @@ def clutter_lines(
 
 
 def _placed(
-    echoes: np.ndarray,
-    chosen: np.ndarray,
-    weights: np.ndarray,
-    rays: np.ndarray,
-    depth_mm: float,
-    shape: tuple[int, int],
+    echoes: np.ndarray, weights: np.ndarray, rays: np.ndarray, depth_mm: float, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Line, position in samples, and amplitude with its elevational weight, of some echoes."""
+    """Line, position in samples, and amplitude with its elevational weight, of echoes."""
     lines, samples = shape
-    layer, line = np.divmod(echoes["group"][chosen], lines)
-    position = echoes["depth_mm"][chosen] * (samples / depth_mm) - 0.5
+    layer, line = np.divmod(echoes["group"], lines)
+    position = echoes["depth_mm"] * (samples / depth_mm) - 0.5
     nearest = np.clip(position, 0, samples - 1).astype(np.int64)
-    return line, position, echoes["amplitude"][chosen] * weights[layer, nearest] / rays[echoes["group"][chosen]]
+    return line, position, echoes["amplitude"] * weights[layer, nearest] / rays[echoes["group"]]
 
 
 @cache
@@ -115,15 +118,6 @@ def _spreading(n: int, sigma: float) -> torch.Tensor:
     apart = np.minimum(np.abs(np.arange(n)[:, None] - np.arange(n)) / sigma, 5.0)
     matrix = np.where(apart < 4, np.exp(-0.5 * apart**2), 0.0)
     return torch.from_numpy(matrix / matrix.sum(axis=0))
-
-
-#: Depths at which the rays' mean is taken; between them it is interpolated in dB.
-NODES = 256
-#: Level of no sound at all, dB: finite, so that interpolation makes no NaN, and zero as a float32 amplitude.
-NO_SOUND_DB = -4000.0
-_LOWEST_DB = -600.0  # all below counts as no sound: far under any display, and it spares the signal chain denormals
-_BLOCKS = 64  # of depth, within which the beam's overlap is taken as constant
-_NEPER_PER_TWO_WAY_DB = math.log(10) / 10
 
 
 class Nodes(NamedTuple):

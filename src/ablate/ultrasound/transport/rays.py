@@ -1,19 +1,36 @@
-"""The rays of a frame: as they leave the probe, their state under way, and what they travel through."""
+"""The rays of a frame: their random numbers, how they leave the probe, their state under way.
 
+The random numbers are a counter-based table, stratified over the rays of each scanline and layer. A draw depends on
+(path seed, how many interfaces the ray has met, ray) and on nothing else, so that what is left
+out of a scene does not shift the rest. A ray and the one that it sent back share theirs, on different ways. Each number
+is stratified (Latin hypercube): of the n rays of one scanline and layer exactly one falls into each n-th of [0, 1), in
+an order that is permuted anew at each interface. Of the few rays that meet more interfaces than the table has rows,
+each number is a hash of the same three; strata are of no use where no two rays of a group meet the same surface.
+"""
+
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.media import Media
 from ablate.ultrasound.probe import layer_offsets_mm, scanlines_in_plane, to_world
-from ablate.ultrasound.probe_kinds import Probe
-from ablate.ultrasound.settings import SimulatorSettings
+from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.line_walk import inside_at, owners
-from ablate.ultrasound.transport.draws import Draws
 
+#: Interfaces that the table serves.
+MAX_ROWS = 64
+#: Columns of a row of draws.
+CHOICE, THICKNESS, LOG_U, COS_AZIMUTH, SIN_AZIMUTH, SURVIVAL = range(6)
+COLUMNS = 6
+
+_GAMMA, _MIX_1, _MIX_2 = (np.uint64(x) for x in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
 _STEEPEST_RAD = 0.3
 _FACE_STEPS = 16  # so many steps before and behind an element, a surface counts as lying in it
 
@@ -41,6 +58,95 @@ RAY = np.dtype(
 Ray = Any  # a row of an array of RAY, as compiled code takes it
 
 
+def stratified(generator: np.random.Generator, groups: int, rays: int, dimensions: int) -> np.ndarray:
+    """Uniform numbers, each stratified over the rays of a group, (dimensions, groups, rays) float32 in [0, 1)."""
+    shape = (dimensions, groups, rays)
+    order = np.argsort(generator.random(shape, np.float32), axis=-1).astype(np.float32)
+    within = generator.random(shape, np.float32)
+    return np.minimum((order + within) / np.float32(rays), np.float32(1 - 2**-24))
+
+
+def progressive(generator: np.random.Generator, groups: int, rays: int, dimensions: int) -> np.ndarray:
+    """The same for groups of which only the first rays may be traced: any first 2^m of them are stratified, too.
+
+    From 2^m rays to twice as many, each of the 2^m intervals is halved, and the new rays fill the empty halves in a
+    random order. Every single number is uniform, so the mean over the first rays is unbiased, however many they are.
+    """
+    cells = np.zeros((dimensions, groups, 1), np.int64)
+    found = generator.random((dimensions, groups, 1), np.float32)
+    while found.shape[-1] < rays:
+        n = found.shape[-1]
+        cells = np.minimum((found * (2 * n)).astype(np.int64), 2 * n - 1)
+        order = np.argsort(generator.random(cells.shape, np.float32), axis=-1)
+        empty = np.take_along_axis(cells ^ 1, order, axis=-1)
+        new = (empty + generator.random(cells.shape, np.float32)) / np.float32(2 * n)
+        found = np.concatenate([found, new.astype(np.float32)], axis=-1)
+    return np.minimum(found[..., :rays], np.float32(1 - 2**-24))
+
+
+@compiled
+def _mixed(key: np.uint64) -> np.uint64:
+    """One step of SplitMix64 (Steele, Lea and Flood 2014): neighbouring keys give unrelated numbers."""
+    key += _GAMMA
+    key = (key ^ (key >> np.uint64(30))) * _MIX_1
+    key = (key ^ (key >> np.uint64(27))) * _MIX_2
+    return key ^ (key >> np.uint64(31))
+
+
+@compiled
+def unstratified(path_seed: np.uint64, interfaces: int, number: int, row: np.ndarray) -> np.ndarray:
+    """Draws of a ray, by its number, that has met more interfaces than the table serves: fills and returns `row`."""
+    key = _mixed(_mixed(path_seed) ^ (np.uint64(number) << np.uint64(32) | np.uint64(interfaces)))
+    for column in range(COLUMNS):
+        key = _mixed(key)
+        row[column] = np.float32(key >> np.uint64(40)) * np.float32(2.0**-24)
+    radius = math.sqrt(-2 * math.log(1 - row[THICKNESS]))
+    row[THICKNESS] = radius * abs(math.cos(2 * math.pi * row[SIN_AZIMUTH]))
+    azimuth = 2 * math.pi * row[COS_AZIMUTH]
+    row[COS_AZIMUTH], row[SIN_AZIMUTH] = math.cos(azimuth), math.sin(azimuth)
+    row[LOG_U] = math.log(max(row[LOG_U], 1e-30))
+    return row
+
+
+class Draws:
+    """Draws for all rays of a simulator, made as they are needed and kept; a group is one scanline of one layer.
+
+    `spread` makes the stratified numbers: `stratified`, or `progressive` where not all rays of a group are traced.
+    """
+
+    def __init__(self, path_seed: int, groups: int, rays: int, spread: Callable[..., np.ndarray] = stratified) -> None:
+        self._spread = spread
+        self.seed, self._groups, self._rays = np.uint64(path_seed % 2**64), groups, rays
+        self._table = np.empty((MAX_ROWS, groups * rays, COLUMNS), np.float32)
+        self._made = 0
+        self._making = Lock()
+
+    def aperture(self) -> np.ndarray:
+        """Where in the aperture each ray starts, (2, groups, rays) float32 in [0, 1)."""
+        return self._spread(self._generator(0), self._groups, self._rays, 2)
+
+    def table(self, interfaces: int) -> np.ndarray:
+        """Draws of all rays, (MAX_ROWS, groups * rays, COLUMNS) float32; the rows for so many interfaces are filled.
+
+        Columns: uniform choice, |normal|, log of a uniform, cosine and sine of a uniform angle, uniform.
+        """
+        with self._making:
+            while self._made < min(interfaces, MAX_ROWS):
+                generator, row = self._generator(self._made + 1), self._table[self._made]
+                u = self._spread(generator, self._groups, self._rays, 3).reshape(3, -1)
+                angle = np.float32(2 * np.pi) * u[2]
+                row[:, CHOICE] = u[0]
+                row[:, THICKNESS] = np.abs(generator.standard_normal(u.shape[1], np.float32))
+                row[:, LOG_U] = np.log(np.maximum(u[1], 1e-30))
+                row[:, COS_AZIMUTH], row[:, SIN_AZIMUTH] = np.cos(angle), np.sin(angle)
+                row[:, SURVIVAL] = generator.random(u.shape[1], np.float32)
+                self._made += 1
+        return self._table
+
+    def _generator(self, counter: int) -> np.random.Generator:
+        return np.random.Generator(np.random.Philox(key=np.array([self.seed, counter], np.uint64)))
+
+
 class View(NamedTuple):
     """What rays travel through, and the elements that receive; a tuple, so that compiled code can take it."""
 
@@ -64,6 +170,7 @@ class Bundle:
     directions: np.ndarray  # (groups, 3) float64, of the scanlines
     origins: np.ndarray  # (groups * rays, 3), mm; float32 at a pose, as Embree takes them
     ray_directions: np.ndarray  # (groups * rays, 3), float32 at a pose
+    inside: np.ndarray  # (groups * rays, words) uint32, the sets that rays start inside of; none but at a pose
 
 
 def probe_rays(probe: Probe, settings: SimulatorSettings, draws: Draws) -> Bundle:
@@ -80,31 +187,25 @@ def probe_rays(probe: Probe, settings: SimulatorSettings, draws: Draws) -> Bundl
     rays = directions[:, None] + np.tan(tilt_x)[..., None] * lateral[:, None] + np.tan(tilt_y)[..., None] * (0, 1, 0)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     origins = (starts + settings.focus_mm * directions)[:, None] - settings.focus_mm * rays
-    return Bundle(starts, directions, origins.reshape(-1, 3), rays.reshape(-1, 3))
+    sets = np.empty((0, 0), np.uint32)
+    return Bundle(starts, directions, origins.reshape(-1, 3), rays.reshape(-1, 3), sets)
 
 
 @stage(Stage.probe_rays)
-def at_pose(geometry: Geometry, rays: Bundle, pose: np.ndarray) -> tuple[Bundle, np.ndarray]:
-    """Scanlines at a pose, from probe to the geometry's coordinates, and the sets of their elements, (groups, words).
+def at_pose(geometry: Geometry, rays: Bundle, pose: np.ndarray) -> Bundle:
+    """Scanlines at a pose, from probe to the geometry's coordinates; `leave_probe` adds where the rays start.
 
-    No ray has left the probe yet: `leave_probe` fills their origins and directions.
+    The set of a ray is that of its element so far.
     """
     starts, directions = to_world(pose, rays.starts), rays.directions @ pose[:3, :3].T
     origins, ray_directions = np.empty((2, len(rays.origins), 3), np.float32)
-    return Bundle(starts, directions, origins, ray_directions), inside_at(geometry, starts, directions)
+    inside = np.repeat(inside_at(geometry, starts, directions), len(origins) // len(starts), axis=0)
+    return Bundle(starts, directions, origins, ray_directions, inside)
 
 
 @stage(Stage.probe_rays)
-def leave_probe(
-    geometry: Geometry,
-    rays: Bundle,
-    pose: np.ndarray,
-    bundle: Bundle,
-    of_elements: np.ndarray,
-    inside: np.ndarray,
-    chosen: np.ndarray | slice = slice(None),
-) -> None:
-    """Send the chosen rays off, by their numbers: fills their rows of `bundle`, and of their sets, (n, words) uint32.
+def leave_probe(geometry: Geometry, rays: Bundle, pose: np.ndarray, bundle: Bundle, chosen: np.ndarray) -> None:
+    """Send the chosen rays off, by their numbers: fills their rows of `bundle`.
 
     The set of a ray is that of its element, unless some surface lies between them or in the element itself. Then each
     ray of that group is followed from outside in its own direction. Along the face, which nearly lies in the skin, a
@@ -113,7 +214,7 @@ def leave_probe(
     groups = len(bundle.starts)
     group = np.repeat(np.arange(groups), len(rays.origins) // groups)[chosen]
     origins, directions = to_world(pose, rays.origins[chosen]), rays.ray_directions[chosen] @ pose[:3, :3].T
-    sets, element = of_elements[group], bundle.starts[group]
+    element = bundle.starts[group]
     aside = origins - element
     length = np.sqrt(np.einsum("ij,ij->i", aside, aside))
     towards = (aside / np.maximum(length, 1e-12)[:, None]).astype(np.float32)
@@ -123,13 +224,13 @@ def leave_probe(
     through = geometry.closest(before, bundle.directions.astype(np.float32), np.full(groups, 2 * near_mm, np.float32))
     crossed = (np.bincount(group, between, minlength=groups) > 0) | (through.structure >= 0)
     unsure = np.flatnonzero(crossed[group])
-    sets[unsure] = inside_at(geometry, origins[unsure], directions[unsure])
-    bundle.origins[chosen], bundle.ray_directions[chosen], inside[chosen] = origins, directions, sets
+    bundle.inside[chosen[unsure]] = inside_at(geometry, origins[unsure], directions[unsure])
+    bundle.origins[chosen], bundle.ray_directions[chosen] = origins, directions
 
 
-def start_rays(bundle: Bundle, inside: np.ndarray, chosen: slice | np.ndarray, view: View) -> np.ndarray:
+def start_rays(bundle: Bundle, chosen: slice | np.ndarray, view: View) -> np.ndarray:
     """Some rays of a frame, by their numbers, at the probe, (n,) RAY."""
-    medium = view.tissue_of_owner[owners(inside[chosen])]
+    medium = view.tissue_of_owner[owners(bundle.inside[chosen])]
     rays = np.zeros(len(medium), RAY)
     rays["number"] = np.arange(chosen.start, chosen.stop) if isinstance(chosen, slice) else chosen
     rays["origin"], rays["direction"] = bundle.origins[chosen], bundle.ray_directions[chosen]

@@ -23,25 +23,34 @@ import numpy as np
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.stages import Stage, stage
-from ablate.ultrasound.surfaces.embree import Geometry, Hits, asked_ray, closest_of, empty_hits, normal_in
+from ablate.ultrasound.surfaces.embree import Geometry, asked_ray, closest_of
 from ablate.ultrasound.surfaces.line_walk import next_step, owner, toggle
 from ablate.ultrasound.transport.bounce import (
+    LEAST_RECEIVED,
     SMALLEST_REFLECTION,
+    Medium,
+    along,
     connect,
-    cross_thickness,
     echo,
-    faintness_db,
     go_on,
-    hit_at,
-    medium_at,
-    move_to_surface,
+    sample_scattering,
     segment_ahead,
     spawn,
+    vector,
 )
-from ablate.ultrasound.transport.draws import CHOICE, COLUMNS, MAX_ROWS, SURVIVAL, THICKNESS, Draws, unstratified
-from ablate.ultrasound.transport.interfaces import along, sample_scattering, vector
 from ablate.ultrasound.transport.lines import ECHO, Nodes, accumulate
-from ablate.ultrasound.transport.rays import Bundle, View, start_rays
+from ablate.ultrasound.transport.rays import (
+    CHOICE,
+    COLUMNS,
+    MAX_ROWS,
+    SURVIVAL,
+    THICKNESS,
+    Bundle,
+    Draws,
+    View,
+    start_rays,
+    unstratified,
+)
 
 _GROUPS_OF_A_PART = 96
 
@@ -53,7 +62,6 @@ class Paths(NamedTuple):
     view: View
     draws: Draws
     bundle: Bundle
-    inside: np.ndarray  # (rays, words) uint32, the sets that they start inside of
     nodes: Nodes
 
 
@@ -64,26 +72,19 @@ def trace(paths: Paths, first: int = 0, last: np.ndarray | None = None) -> np.nd
     Of each group's rays those from number `first` on are traced, to one before `last`, (groups,), or all of them. What
     becomes of a ray does not depend on which others are traced.
     """
-    geometry, view, draws, bundle, inside, nodes = paths
+    geometry, view, draws, bundle, nodes = paths
 
     def part(begin: int, end: int) -> np.ndarray:
         chosen: slice | np.ndarray = slice(begin * view.rays, end * view.rays)
         if last is not None:
             number = np.arange(view.rays)
             chosen = begin * view.rays + np.flatnonzero((number >= first) & (number < last[begin:end, None]))
-        rays, sets = start_rays(bundle, inside, chosen, view), inside[chosen].copy()
+        rays, sets = start_rays(bundle, chosen, view), bundle.inside[chosen].copy()
         n, rows, count, echoes = len(rays), 0, 0, np.empty(4 * len(rays), ECHO)
-        while n and geometry.address:  # compiled code asks Embree, and comes back for more of the table of draws
+        while n:  # comes back for more of the table of draws
             rows += 1
             given = view, draws.table(rows), rows, nodes, echoes, count
             rays, sets, n, echoes, count = _bounces(geometry.address, rays, sets, n, *given)
-        while n:
-            rays, sets, echoes = _grown(rays, 2 * n), _grown(sets, 2 * n), _grown(echoes, count + n)
-            origins, directions = (np.ascontiguousarray(rays[column][:n]) for column in ("origin", "direction"))
-            hits = geometry.closest(origins, directions, rays["reach_mm"][:n])
-            table = draws.table(int(rays["interfaces"][:n].max()) + 1)
-            n, received = _advance(rays, sets, hits, view, table, nodes, echoes[count:])
-            count += received
         return echoes[:count]
 
     return np.concatenate(in_parts(part, len(bundle.starts), _GROUPS_OF_A_PART))
@@ -106,24 +107,14 @@ def _bounces(
 
     Returns the arrays, which grow where they are too small, with the numbers of rays and of echoes.
     """
-    asked, hits = asked_ray(), empty_hits(2 * n)
+    asked = asked_ray()
     while n > 0:
         if rows < MAX_ROWS:
             for i in range(n):
                 if rays[i].interfaces >= rows:
                     return rays, inside, n, echoes, received
         rays, inside, echoes = _grown(rays, 2 * n), _grown(inside, 2 * n), _grown(echoes, received + n)
-        if len(hits.structure) < n:
-            hits = empty_hits(2 * n)
-        for i in range(n):
-            ray = rays[i]
-            reach = max(ray.reach_mm, np.float32(0))
-            hits.distance_mm[i], hits.structure[i], hits.triangle[i] = closest_of(
-                address, asked, ray.origin, ray.direction, reach
-            )
-            hits.normal[i] = normal_in(asked)
-        some = Hits(hits.distance_mm[:n], hits.structure[:n], hits.triangle[:n], hits.normal[:n])
-        n, count = _advance(rays, inside, some, view, table, nodes, echoes[received:])
+        n, count = _advance(address, asked, rays, inside, n, view, table, nodes, echoes[received:])
         received += count
     return rays, inside, n, echoes, received
 
@@ -140,23 +131,33 @@ def _grown(rows: np.ndarray, count: int) -> np.ndarray:
 
 @compiled
 def _advance(
-    rays: np.ndarray, inside: np.ndarray, hits: Hits, view: View, table: np.ndarray, nodes: Nodes, echoes: np.ndarray
+    address: int,
+    asked: np.ndarray,
+    rays: np.ndarray,
+    inside: np.ndarray,
+    n: int,
+    view: View,
+    table: np.ndarray,
+    nodes: Nodes,
+    echoes: np.ndarray,
 ) -> tuple[int, int]:
-    """Advance rays to the surfaces that they hit: one bounce of the path tracer.
+    """Advance n rays to the surfaces that they hit: one bounce of the path tracer.
 
     Reflected rays are written behind all rays at first, because transmitted rays take the rows from 0. Returns how many
     rays there are then, and how many echoes were written.
     """
     media = view.media
     beyond_table = np.empty(COLUMNS, np.float32)
-    transmitted, reflected, received = 0, len(hits.structure), 0
-    for i in range(len(hits.structure)):
-        ray, hit = rays[i], hit_at(hits, i)
+    transmitted, reflected, received = 0, n, 0
+    for i in range(n):
+        ray = rays[i]
+        hit = closest_of(address, asked, ray.origin, ray.direction, ray.reach_mm)
         group, direct = ray.number // view.rays, ray.reflections == 0
-        medium = medium_at(media, ray.medium)
+        tissue = ray.medium
+        medium = Medium(float(media.loss_db_mm[tissue]), float(media.stretch[tissue]), media.anechoic[tissue])
         if direct:  # up to the surface, or to the end of the image
-            length_mm = (hit.distance_mm + ray.step_mm) * medium.stretch if hit.structure >= 0 else math.inf
-            accumulate(nodes, group, segment_ahead(ray, medium, length_mm), ray.weight)
+            ahead_mm = (hit.distance_mm + ray.step_mm) * medium.stretch if hit.structure >= 0 else math.inf
+            accumulate(nodes, group, segment_ahead(ray, medium, ahead_mm), ray.weight)
         if hit.structure < 0:
             continue
         fresh = hit.structure != ray.structure or hit.triangle != ray.triangle  # a plane is met only once
@@ -165,8 +166,12 @@ def _advance(
             toggle(inside[i], hit.structure)
             beyond = view.tissue_of_owner[owner(inside[i])]
         step_mm = next_step(ray.step_mm, fresh and hit.distance_mm > ray.step_mm, view.step_mm)
-        point = move_to_surface(ray, hit, medium)
-        ray.step_mm = step_mm
+        point = along(vector(ray.origin), vector(ray.direction), hit.distance_mm)
+        length_mm = hit.distance_mm + ray.step_mm
+        ray.path_mm += length_mm
+        ray.displayed_mm += length_mm * medium.stretch
+        ray.loss_db += length_mm * medium.loss_db_mm
+        ray.structure, ray.triangle, ray.step_mm = hit.structure, hit.triangle, step_mm
         direction, weight = vector(ray.direction), ray.weight
 
         if media.differs[ray.medium, beyond]:
@@ -199,15 +204,19 @@ def _advance(
                 accumulate(nodes, group, segment_ahead(ray, medium, nodes.spacing_mm), weight * energy)
             pressure, choice, luck = scattering.pressure, drawn[CHOICE], drawn[SURVIVAL]
             faint_db = 0.0  # not read where a direct ray is transmitted alone
-            if not direct or probability > 0:
-                faint_db = faintness_db(link, view.gain_db_mm, view.depth_mm)
+            if not direct or probability > 0:  # how much fainter than its weight: loss, direction, half the gain ahead
+                # What the time gain adds up to the end of the image makes up for loss in tissue, not in fluid.
+                ahead_db = view.gain_db_mm * max(view.depth_mm - link.depth_mm, 0.0)
+                faint_db = link.two_way_db + ahead_db / 2 - 20 * math.log10(max(link.received, LEAST_RECEIVED))
             back_weight, weight = go_on(ray, pressure, probability, choice, luck, faint_db, view.roulette_db)
             if back_weight > 0:
                 rays[reflected], inside[reflected] = ray, inside[i]
                 toggle(inside[reflected], hit.structure)
                 child, back = rays[reflected], scattering.reflected
                 child.reflections += 1
-                cross_thickness(child, medium, thickness_mm)
+                child.path_mm += 2 * thickness_mm  # there and back
+                child.displayed_mm += 2 * thickness_mm * medium.stretch
+                child.loss_db += 2 * thickness_mm * medium.loss_db_mm
                 spawn(child, along(point, back, step_mm), back, back_weight, view.depth_mm, medium.stretch)
                 reflected += 1
             direction = scattering.transmitted
@@ -217,7 +226,7 @@ def _advance(
             child.medium = beyond
             spawn(child, along(point, direction, step_mm), direction, weight, view.depth_mm, stretch)
             transmitted += 1
-    for i in range(len(hits.structure), reflected):
+    for i in range(n, reflected):
         rays[transmitted], inside[transmitted] = rays[i], inside[i]
         transmitted += 1
     return transmitted, received

@@ -7,11 +7,12 @@ import numpy as np
 
 from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, pixel_polar
-from ablate.ultrasound.probe_kinds import Probe
+from ablate.ultrasound.settings import Probe
 from ablate.ultrasound.stages import Stage, stage
 
 DB_PER_NEPER = 20 / math.log(10)  # 8.686
 _DOUBLE_FROM_NEPERS = 1e3  # float32 is 6e-5 apart there, less than a sample of soft tissue takes
+_PERCENT = 98.0  # of A, which is made 1
 _LEAST = 1e-4  # of A; what is darker is black at any depth
 _REACH_DB = 36.0  # levels from minus this to this are 0 to 1
 
@@ -26,18 +27,12 @@ def integral_attenuation(labels: np.ndarray, losses_db_mm: np.ndarray, spacing_m
     nepers = (losses_db_mm * spacing_mm / DB_PER_NEPER).astype(np.float32)
     large = nepers.max() * labels.shape[1] > _DOUBLE_FROM_NEPERS
     total: np.ndarray = np.cumsum(nepers[labels], axis=1, dtype=np.float64 if large else np.float32)
-    scale = _percentile_of_decay(total, 98.0)
-    return np.exp(np.minimum(scale - total, 0)).astype(np.float32, copy=False)
-
-
-def _percentile_of_decay(total: np.ndarray, percent: float) -> float:
-    """-log of the percentile of exp(-total), interpolated as `numpy.percentile` does."""
-    position = (1 - percent / 100) * (total.size - 1)
+    position = (1 - _PERCENT / 100) * (total.size - 1)  # of it in the falling order, interpolated as numpy.percentile
     below = int(position)
-    above = min(below + 1, total.size - 1)
-    ordered = np.partition(total, (below, above), axis=None)
-    a, b = float(ordered[below]), float(ordered[above])  # a <= b: the larger and the smaller amplitude
-    return a - math.log1p((position - below) * math.expm1(a - b))
+    ordered = np.partition(total, (below, min(below + 1, total.size - 1)), axis=None)
+    a, b = float(ordered[below]), float(ordered[min(below + 1, total.size - 1)])  # a <= b: the larger amplitude first
+    scale = a - math.log1p((position - below) * math.expm1(a - b))
+    return np.exp(np.minimum(scale - total, 0)).astype(np.float32, copy=False)
 
 
 def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc_db_cm_mhz: float) -> np.ndarray:

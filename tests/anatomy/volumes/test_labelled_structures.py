@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from ablate.anatomy.meshes.check import openings, shared_walls
 from ablate.anatomy.meshes.repair import repair
-from ablate.anatomy.volumes import label_surface as module
-from ablate.anatomy.volumes.label_surface import label_surface
+from ablate.anatomy.volumes import labelled_structures as module
+from ablate.anatomy.volumes.labelled_structures import label_surface
 
 CUBE, SLICES = (1.0, 1.0, 1.0), (0.7, 0.8, 4.0)
 

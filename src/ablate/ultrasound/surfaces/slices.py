@@ -5,14 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ablate.anatomy import Tissue
-from ablate.ultrasound.media import Media, loss_db_mm
+from ablate.ultrasound.media import RenderPlan, loss_db_mm
 from ablate.ultrasound.probe import pixel_coordinates_mm, sample_depths_mm, scanlines_in_plane, to_world
-from ablate.ultrasound.probe_kinds import Probe
-from ablate.ultrasound.settings import DepthMode, SimulatorSettings
+from ablate.ultrasound.settings import DepthMode, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples, walk
-from ablate.ultrasound.transport.rays import Bundle
 
 FACE_MRAYL = 1.5  # of the last of a probe's matching layers: as water and soft tissue
 NEAR_PART = 0.1  # of the imaging depth: sound must leave this part ...
@@ -22,6 +20,7 @@ BLOCKED_FROM_DB = 40.0
 _ATTEMPTS = 4
 _ASIDE_STEPS = 300
 _NEARLY_ALONG = 0.9  # cosine
+Lines = tuple[np.ndarray, np.ndarray]  # starts and unit directions, (n, 3) each
 
 
 def sample_lines(
@@ -85,12 +84,7 @@ def plane_labels(
 
 @stage(Stage.scanline_labels)
 def scanline_labels(
-    geometry: Geometry,
-    tissue_of_owner: np.ndarray,
-    media: Media,
-    bundle: Bundle,
-    probe: Probe,
-    settings: SimulatorSettings,
+    geometry: Geometry, plan: RenderPlan, lines: Lines, probe: Probe, settings: SimulatorSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """The tissue that each sample of each scanline and layer displays, (groups, samples) uint8.
 
@@ -98,9 +92,9 @@ def scanline_labels(
     """
     spacing = probe.depth_mm / settings.axial_samples
     stretched = settings.depth_mode is DepthMode.time_of_flight
-    stretch = media.stretch[tissue_of_owner] if stretched else None
-    samples = Samples(spacing / 2, spacing, settings.axial_samples, tissue_of_owner, stretch)
-    labels, ranges = sample_lines(geometry, bundle.starts, bundle.directions, samples)
+    stretch = plan.media.stretch[plan.tissue_of_owner] if stretched else None
+    samples = Samples(spacing / 2, spacing, settings.axial_samples, plan.tissue_of_owner, stretch)
+    labels, ranges = sample_lines(geometry, *lines, samples)
     return labels, ranges if stretched else sample_depths_mm(probe, samples.count).astype(np.float32)
 
 

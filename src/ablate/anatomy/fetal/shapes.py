@@ -1,4 +1,4 @@
-"""Shapes as signed distance fields (SDF), joined smoothly, and their meshes.
+"""Shapes of the built-in anatomy: signed distance fields (SDF), tubes swept along a curve, and their meshes.
 
 A field is a function of three broadcastable arrays x, y, z (mm) that is negative inside the shape and, near
 the surface, about the distance to it in mm. Formulas after I. Quilez, "distance functions" (ellipsoid bound,
@@ -7,13 +7,14 @@ polynomial smooth minimum).
 
 from collections.abc import Callable, Sequence
 from functools import reduce
+from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
+from scipy.interpolate import make_interp_spline
 from skimage.measure import marching_cubes
 
-from ablate.anatomy.fetal.tubes import Vector, unit
-
+Vector = Sequence[float] | np.ndarray
 Field = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
 COARSE_CELLS = 28  # a side, of the grid that finds the box around a shape
@@ -130,7 +131,14 @@ def mesh_field(field: Field, bounds: Bounds, pitch_mm: float | Vector, name: str
     leaves its box.
     """
     pitch = np.broadcast_to(np.asarray(pitch_mm, float), 3)
-    lower, upper = _filled_box(field, bounds, 2.0 * pitch, name)
+    lower, upper = np.array(bounds, float)
+    step = (upper - lower) / COARSE_CELLS
+    coarse = [np.linspace(lower[i], upper[i], COARSE_CELLS + 1, dtype=np.float32) for i in range(3)]
+    near = np.argwhere(_on_grid(field, coarse) < np.linalg.norm(step))
+    if len(near) == 0:
+        raise ValueError(f"{name}: the shape is empty")
+    first, last = lower + (near.min(0) - 1) * step, lower + (near.max(0) + 1) * step
+    lower, upper = np.maximum(first, lower) - 2.0 * pitch, np.minimum(last, upper) + 2.0 * pitch
     axes = [np.arange(lower[i], upper[i] + pitch[i], pitch[i], dtype=np.float32) for i in range(3)]
     values = _on_grid(field, axes)
     if any(np.take(values, (0, -1), axis).min() < 0 for axis in range(3)):
@@ -147,13 +155,112 @@ def _on_grid(field: Field, axes: Sequence[np.ndarray]) -> np.ndarray:
     return np.array(values, dtype=np.float32)  # a writable copy, as marching cubes asks
 
 
-def _filled_box(field: Field, bounds: Bounds, margin: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner of the part of the box that the shape fills, with a margin; (3,) each, mm."""
-    lower, upper = np.array(bounds, float)
-    axes = [np.linspace(lower[i], upper[i], COARSE_CELLS + 1, dtype=np.float32) for i in range(3)]
-    step = (upper - lower) / COARSE_CELLS
-    near = np.argwhere(_on_grid(field, axes) < np.linalg.norm(step))
-    if len(near) == 0:
-        raise ValueError(f"{name}: the shape is empty")
-    first, last = lower + (near.min(0) - 1) * step, lower + (near.max(0) + 1) * step
-    return np.maximum(first, lower) - margin, np.minimum(last, upper) + margin
+def unit(vectors: Vector) -> np.ndarray:
+    """Vectors (..., 3) of the same directions and of length 1."""
+    vectors = np.asarray(vectors, float)
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def tube(path: np.ndarray, radii: np.ndarray, sides: int, up: Vector = (0.0, 0.0, 1.0)) -> trimesh.Trimesh:
+    """Closed, outward tube of 2 n `sides` triangles with an elliptical cross-section; vertices in mm.
+
+    `path` (n, 3), mm, is its centre line; its ends are closed flat, so the tube is as long as the path. `radii` (n,) or
+    (n, 2), mm, are along `up` and across it. `up` is the first axis of the cross-section at the start, made normal to
+    the path; from there on it does not twist.
+    """
+    path = np.asarray(path, float)
+    radii = np.broadcast_to(np.asarray(radii, float).reshape(len(path), -1), (len(path), 2))
+    first, second = frames(path, up)
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    along = radii[:, :1, None] * np.cos(angle)[None, :, None] * first[:, None]
+    across = radii[:, 1:, None] * np.sin(angle)[None, :, None] * second[:, None]
+    vertices = np.concatenate([(path[:, None] + (along + across)).reshape(-1, 3), path[[0, -1]]])
+    i, j = np.meshgrid(np.arange(len(path) - 1), np.arange(sides), indexing="ij")
+    a, b = i * sides + j, i * sides + (j + 1) % sides
+    c, d = a + sides, b + sides
+    wall = np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)], 2).reshape(-1, 3)
+    k = np.arange(sides)
+    last = (len(path) - 1) * sides
+    start_cap = np.stack([np.full(sides, len(vertices) - 2), (k + 1) % sides, k], -1)
+    end_cap = np.stack([np.full(sides, len(vertices) - 1), last + k, last + (k + 1) % sides], -1)
+    return trimesh.Trimesh(vertices, np.concatenate([wall, start_cap, end_cap]), process=False)
+
+
+def frames(path: np.ndarray, up: Vector) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit normals along a path (n, 3), each (n, 3), carried along without twist (parallel transport)."""
+    tangent = unit(np.gradient(path, axis=0))
+    first = np.empty_like(path)
+    normal = np.asarray(up, float)
+    for i, direction in enumerate(tangent):
+        first[i] = normal = unit(normal - direction * (direction @ normal))
+    return first, np.cross(tangent, first)
+
+
+def arc_length(path: np.ndarray) -> np.ndarray:
+    """Length of a path (n, 3) from its start to each of its points, (n,)."""
+    return np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
+
+
+def interpolated(parameters: np.ndarray, knots: np.ndarray, path: np.ndarray) -> np.ndarray:
+    """A path (n, 3), which is given at `knots` (n,), at other parameters (m,), linearly: (m, 3)."""
+    return np.stack([np.interp(parameters, knots, path[:, i]) for i in range(3)], axis=1)
+
+
+def smooth_path(points: Sequence[Vector] | np.ndarray, count: int) -> np.ndarray:
+    """A cubic spline through the points (n, 3), sampled evenly in its parameter: (count, 3), mm."""
+    knots = np.asarray(points, float)
+    steps = arc_length(knots)
+    return make_interp_spline(steps, knots, k=min(3, len(knots) - 1))(np.linspace(0.0, steps[-1], count))
+
+
+def spindle(start: Vector, end: Vector, radii: Vector, sides: int, up: Vector = (0.0, 0.0, 1.0)) -> trimesh.Trimesh:
+    """Ellipsoid with its long axis from `start` to `end`, and two radii: along `up` and normal to it."""
+    turn = np.linspace(0.04, np.pi - 0.04, max(4, sides // 2 + 1))
+    t = (1.0 - np.cos(turn))[:, None] / 2.0
+    path = (1.0 - t) * np.asarray(start, float) + t * np.asarray(end, float)
+    return tube(path, np.sin(turn)[:, None] * np.asarray(radii, float), sides, up)
+
+
+def rod(start: Vector, end: Vector, radius: float, sides: int, bow_mm: float = 0.0) -> trimesh.Trimesh:
+    """Long bone: blunt, flared ends, a waist, and a slight bow; as long as `start` to `end`."""
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    t = (1.0 - np.cos(np.pi * np.linspace(0.0, 1.0, max(6, 2 * sides)))) / 2.0
+    along = end - start
+    side = unit(np.cross(along, [0.3, 0.5, 0.8]))
+    path = start + t[:, None] * along + bow_mm * (4.0 * t * (1.0 - t))[:, None] ** 2 * side
+    flare = 0.7 + 0.4 * np.exp(-((np.minimum(t, 1.0 - t) / 0.13) ** 2))
+    blunt = np.minimum(1.0, 0.72 + 12.0 * np.minimum(t, 1.0 - t))
+    return tube(path, radius * flare * blunt, sides, up=side)
+
+
+def joined(meshes: Sequence[trimesh.Trimesh], name: str) -> trimesh.Trimesh:
+    """Several disjoint closed meshes as one; where they overlapped, crossings would cancel."""
+    mesh = trimesh.util.concatenate(meshes)
+    mesh.metadata["name"] = name
+    return mesh
+
+
+class Part(NamedTuple):
+    """A closed surface, mm, with its name in `mesh.metadata["name"]`, and the name of its tissue in the table."""
+
+    mesh: trimesh.Trimesh
+    tissue: str
+
+
+def solids_in(box: Bounds, scale: float, coarsest_mm: float | Vector = np.inf) -> Callable[..., Part]:
+    """What makes parts of fields in a box: `solid(field, tissue, pitch_mm, name)`, with the pitch at scale 1.
+
+    A part may have its own `coarsest_mm`, beyond which the pitch does not grow.
+    """
+
+    def solid(field: Field, tissue: str, pitch_mm: float | Vector, name: str, coarsest: Any = coarsest_mm) -> Part:
+        return Part(mesh_field(field, box, np.minimum(np.asarray(pitch_mm) * scale, coarsest), name), tissue)
+
+    return solid
+
+
+def moved(parts: list[Part], to: Callable[[np.ndarray], np.ndarray]) -> list[Part]:
+    """The same parts, with `to` applied to their vertices (n, 3), mm."""
+    for part in parts:
+        part.mesh.vertices = to(part.mesh.vertices)
+    return parts

@@ -1,1 +1,0 @@
-"""Straight lines through a scene: labels, attenuation and contact with the skin."""
