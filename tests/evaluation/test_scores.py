@@ -15,7 +15,7 @@ import torch
 
 from ablate.dataset import Part
 from ablate.evaluation import ImageSource, Scorer, Scores, resimulation_images, score_run, tissue_labels
-from ablate.evaluation.set_scores import not_computed
+from ablate.evaluation.scorer import not_computed
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.preflight import check
 from ablate.metrics import (
@@ -270,8 +270,8 @@ def test_draws_are_rendered_once_for_all_metrics_and_scored_on_every_frame(runs:
     for frame in frames:
         draws = np.concatenate([images_of(np.array([frame]), draw) for draw in range(4)])
         target, tissue = data.pairs.stored("target", frame), np.isin(data.pairs.stored("segmentation", frame), solid)
-        assert table.loc[frame, "crps"] == crps(draws, target, tissue)
-        assert table.loc[frame, "noise_sd"] == noise_sd(draws, tissue)
+        pair = Pair(draws[0], target, data.pairs.mask(), tissue, draws=draws)
+        assert (table.loc[frame, "crps"], table.loc[frame, "noise_sd"]) == (crps(pair), noise_sd(pair))
         assert table.loc[frame, "mae"] == mae(draws[0], target), "of the first draw"
     assert found.scalars["crps"] == pytest.approx(table["crps"].mean())
 

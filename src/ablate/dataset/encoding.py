@@ -50,31 +50,18 @@ def encode_grey_levels(levels: np.ndarray, out: np.ndarray | None = None) -> np.
     return out
 
 
-class Clipping:
-    """How many pixels of the fan `decode_grey_levels` has clipped, in all threads together."""
-
-    def __init__(self) -> None:
-        self.counts: list[tuple[int, int]] = []  # of every image: clipped pixels, pixels of the fan
-
-    @property
-    def share(self) -> float:
-        """Clipped pixels over pixels of the fan; 0 where nothing was decoded."""
-        clipped, pixels = (sum(column) for column in zip((0, 0), *self.counts, strict=True))
-        return clipped / max(pixels, 1)
-
-
-_COUNTING: list[Clipping] = []  # of the blocks that are open
+_COUNTING: list[list[tuple[int, int]]] = []  # of the blocks that are open
 
 
 @contextmanager
-def counted_clipping() -> Iterator[Clipping]:
-    """Count what `decode_grey_levels` clips while the block is open."""
-    clipping = Clipping()
-    _COUNTING.append(clipping)
+def counted_clipping() -> Iterator[list[tuple[int, int]]]:
+    """Count, for every image that `decode_grey_levels` makes while the block is open, clipped pixels and the fan's."""
+    counts: list[tuple[int, int]] = []
+    _COUNTING.append(counts)
     try:
-        yield clipping
+        yield counts
     finally:
-        _COUNTING.remove(clipping)
+        _COUNTING[:] = [others for others in _COUNTING if others is not counts]
 
 
 def decode_grey_levels(image: Tensor, mask: Tensor) -> Tensor:
@@ -93,8 +80,8 @@ def decode_grey_levels(image: Tensor, mask: Tensor) -> Tensor:
         raise ValueError("the generator's output holds NaN or infinite values")
     fan = mask > 0
     grey = ((image.float() + 1) * HALF_RANGE * fan).round()
-    for clipping in _COUNTING:
-        clipping.counts.append((int(torch.count_nonzero((grey < 0) | (grey > 255))), int(torch.count_nonzero(fan))))
+    for counts in _COUNTING:
+        counts.append((int(torch.count_nonzero((grey < 0) | (grey > 255))), int(torch.count_nonzero(fan))))
     return grey.clamp(0, 255).to(torch.uint8)
 
 
