@@ -223,15 +223,15 @@ def test_a_damaged_shard_stops_the_loader_with_its_name(tmp_path: Path, pairs: P
 
 
 def test_memory_stays_flat(pairs: Pairs) -> None:
-    """200 batches of 3 MiB through two workers; a leak of one crop in a hundred would show.
+    """60 batches of 3 MiB through two workers; a leak of one crop in thirty would show.
 
     What Python and NumPy allocate is measured, because the process may have been grown by other tests.
     """
     peaks = []
     batches = Crops(pairs, np.arange(FRAMES), frozenset({"attenuation"}), VALUES, CropSettings(256, 3), 0)
     tracemalloc.start()
-    for step, _ in enumerate(CropLoader(batches, 0, 301, 2)):
-        if step % 100 == 99:
+    for step, _ in enumerate(CropLoader(batches, 0, 91, 2)):
+        if step % 30 == 29:
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.reset_peak()
     tracemalloc.stop()

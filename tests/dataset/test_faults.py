@@ -58,7 +58,7 @@ def test_killed_ten_times_the_set_is_that_of_one_go(
         after = shards(pairs)
         assert before.items() <= after.items()  # nothing that was finished is lost or made again
         for path in after.keys() - compared:  # those compared before have not changed since
-            pairs.check(path.parents[3].name, int(path.parents[1].name))
+            pairs.stored(path.parents[3].name, pairs.frames_of_shard(int(path.parents[1].name)))
         compared |= after.keys()
         running[victim] = start()
     for process in running:

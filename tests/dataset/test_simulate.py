@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from ablate.dataset import Pairs, Part, Recipe, simulate_pairs
-from ablate.dataset.seeds import resimulation_seed
+from ablate.dataset.split import resimulation_seed
 from ablate.ultrasound import Display, Simulator
 
 Blank = Callable[..., Pairs]

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from ablate.dataset.encoding import encode_grey_levels
-from ablate.dataset.map_formats import decode_attenuation
-from ablate.dataset.seeds import crop_generator
+from ablate.dataset.encoding import decode_attenuation, encode_grey_levels
 
 if TYPE_CHECKING:
     from ablate.dataset.pairs import Pairs  # only here: frames that are read otherwise need no Zarr
@@ -47,12 +45,8 @@ class Crops:
 
     Crops are drawn from `frames`, (k,) int. `maps` says which maps are included besides, `values` come from
     `label_values`. As many frames as fit into `in_memory_bytes` are kept in memory, as `Pairs.stored` has them: Zarr
-    takes longer to find a frame than the crop is cut in.
-
-    Raises
-    ------
-    ValueError
-        When a batch is larger than the number of frames, or no pixel lies in the fan.
+    takes longer to find a frame than the crop is cut in. A ValueError when a batch is larger than the number of frames,
+    or no pixel lies in the fan.
     """
 
     def __init__(
@@ -82,7 +76,7 @@ class Crops:
 
     def _fill(self, batch: dict[str, np.ndarray], step: int, index: int) -> int:
         """Cut crop `index` of a batch into its place; returns its noise seed."""
-        rng = crop_generator(self.settings.seed, step, index)
+        rng = np.random.default_rng([self.settings.seed, step, index])
         item = int(rng.integers(len(self.frames)))
         corner = self._window(rng)
         mirror = self.settings.flip and bool(rng.integers(2))

@@ -1,11 +1,10 @@
 """Pairs written for others: an overview picture, PNGs that `scene=pairs` reads, the folder of nnU-Net, DICOM."""
 
-import csv
 import json
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from PIL import Image
 from skimage.color import hsv2rgb
 from skimage.transform import resize
@@ -53,13 +52,12 @@ def write_png(pairs: Pairs, folder: Path) -> None:
         (folder / FOLDERS[name]).mkdir(parents=True, exist_ok=True)
         for frame in range(len(pairs)):
             _save(pairs.stored(name, frame), folder / FOLDERS[name] / f"{_name(frame)}.png")
-    parts = [Part(part).name for part in pairs.split]
-    rows = [
-        (_name(frame), f"site{site}", part) for frame, (site, part) in enumerate(zip(pairs.sites, parts, strict=True))
-    ]
-    _write_table(folder / "frames.csv", ("name", "site", "part"), rows)
+    sites, parts = [f"site{site}" for site in pairs.sites], [Part(part).name for part in pairs.split]
+    frames = pd.DataFrame({"name": [_name(k) for k in range(len(pairs))], "site": sites, "part": parts})
+    frames.to_csv(folder / "frames.csv", index=False)
     if set(pairs.tissues) <= load_tissues().keys():
-        _write_table(folder / "labels.csv", ("label", "tissue"), list(enumerate(pairs.tissues, start=1)))
+        labels = pd.Series(pairs.tissues, pd.RangeIndex(1, len(pairs.tissues) + 1, name="label"), name="tissue")
+        labels.to_csv(folder / "labels.csv")
 
 
 def write_nnunet(pairs: Pairs, folder: Path) -> None:
@@ -144,10 +142,3 @@ def _name(frame: int) -> str:
 def _save(values: np.ndarray, path: Path) -> None:
     with written_whole(path) as partial:
         Image.fromarray(values).save(partial)
-
-
-def _write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(header)
-        writer.writerows(rows)

@@ -18,8 +18,7 @@ from ablate.anatomy import Scene
 from ablate.dataset.filling import MakeFrames, fill_pairs, unclaimed
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.processes import allotted_cores, end_with_parent, interrupts_blocked
-from ablate.dataset.seeds import resimulation_seed
-from ablate.dataset.split import Part
+from ablate.dataset.split import Part, resimulation_seed
 from ablate.ultrasound import Probe, Simulator, SimulatorSettings
 
 Progress = Callable[[int], object]
@@ -77,13 +76,7 @@ def simulate_pairs(
     """Fill what is missing of a data set and return the number of frames that this call made.
 
     Shards that another process makes meanwhile are waited for. There are `workers` processes, one a core if it is 0.
-
-    Raises
-    ------
-    OSError
-        When a shard cannot be written, as on a full disk; those before it stay.
-    RuntimeError
-        When a worker process dies.
+    An OSError when a shard cannot be written, as on a full disk; a RuntimeError when a worker process dies.
     """
     made = 0
 

@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from filelock import FileLock
 
 from ablate import tracking
+from ablate.dataset.pairs import FORMATS
 from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run, State, runs_of
 from ablate.runs.store_texts import ABOUT_CODE, about_run, logged, own_parameters, shared_parameters
@@ -126,8 +127,9 @@ def _opened(settings: StudySettings, run: Run) -> StoredRun:
     for folder in (settings.results / "data").glob(f"*-{data}"):
         with suppress(OSError, ValueError, KeyError):  # pairs that are being made again
             pairs = DataSet(folder).pairs
-            read, drawn = pairs.dtypes(pairs.maps - _DRAWN), pairs.dtypes(_DRAWN)
-            stored.dataset(folder.name, data, folder, len(pairs), read, drawn)
+            halves = pairs.maps - _DRAWN, pairs.maps & _DRAWN
+            stored_as = [{name: FORMATS[name][0] for name in sorted(maps)} for maps in halves]
+            stored.dataset(folder.name, data, folder, len(pairs), *stored_as)
     for path in run.provenance:
         stored.artifact(path, "provenance")
     return stored
