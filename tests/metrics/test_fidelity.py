@@ -48,16 +48,19 @@ def test_in_the_fan_both_are_those_of_its_pixels_alone(make_frame):
     assert mae(a.image, b.image, a.mask) == pytest.approx(np.abs(difference).mean(), rel=1e-12)
 
 
+IMAGE = np.zeros((2, 3), np.uint8)
+
+
 @pytest.mark.parametrize("metric", [psnr, mae])
 @pytest.mark.parametrize(
     ("a", "b", "mask", "message"),
     [
-        (np.zeros((2, 3), np.uint8), np.zeros((3, 2), np.uint8), None, "one shape"),
-        (np.zeros((2, 3)), np.zeros((2, 3), np.uint8), None, "uint8"),
-        (np.zeros((1, 2, 3), np.uint8), np.zeros((1, 2, 3), np.uint8), None, "uint8"),
-        (np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.uint8), None, "no pixel"),
-        (np.zeros((2, 3), np.uint8), np.zeros((2, 3), np.uint8), np.zeros((2, 3), bool), "no pixel"),
-        (np.zeros((2, 3), np.uint8), np.zeros((2, 3), np.uint8), np.ones((2, 3), np.uint8), "bool"),
+        (IMAGE, IMAGE.T, None, "one shape"),
+        (IMAGE.astype(float), IMAGE, None, "uint8"),
+        (IMAGE[None], IMAGE[None], None, "uint8"),
+        (IMAGE[:0], IMAGE[:0], None, "no pixel"),
+        (IMAGE, IMAGE, IMAGE > 0, "no pixel"),
+        (IMAGE, IMAGE, IMAGE, "bool"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(metric, a, b, mask, message):
@@ -94,18 +97,6 @@ def test_every_grey_level_falls_in_numpys_bin():
         np.testing.assert_array_equal(patch_counts(levels, 1, bins)[::17, 0], expected)
 
 
-def test_limits():
-    rng = np.random.default_rng(0)
-    image = rng.integers(0, 256, (40, 60)).astype(np.uint8)
-    black, white = np.zeros((40, 60), np.uint8), np.full((40, 60), 255, np.uint8)
-    assert not patch_chi2(image, image).any()
-    assert (patch_chi2(black, white) == 1).all()
-    assert not patch_chi2(image, np.random.default_rng(1).permuted(image, axis=1), 60).size
-    shuffled = image.copy()
-    shuffled[:20, :20] = rng.permuted(shuffled[:20, :20].ravel()).reshape(20, 20)
-    assert not patch_chi2(image, shuffled).any(), "only the histogram of a patch may matter"
-
-
 def test_floor_of_two_draws_of_one_distribution():
     """Two independent samples do not score 0: K / (2 n) for K equally filled bins and n pixels a patch."""
     rng = np.random.default_rng(3)
@@ -125,8 +116,7 @@ def test_masks_and_the_figure():
     assert rms(chi2, np.zeros_like(inside)) is None
 
 
-@pytest.mark.parametrize(("options", "message"), [({"patch": 0}, "patch"), ({"bins": 0}, "bins")])
-def test_refuses_what_makes_no_sense(options, message):
-    image = np.zeros((40, 40), np.uint8)
-    with pytest.raises(ValueError, match=message):
-        patch_chi2(image, image, **options)
+@pytest.mark.parametrize("options", [{"patch": 0}, {"bins": 0}])
+def test_refuses_what_makes_no_sense(options):
+    with pytest.raises(ValueError, match="must be"):
+        patch_chi2(*np.zeros((2, 40, 40), np.uint8), **options)

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from ablate.runs.identity import differences, semantic_key
+from ablate.runs.job import differences, semantic_key
 from ablate.runs.run import Run
 from ablate.setting import flat
 from ablate.settings.components import components

@@ -199,7 +199,7 @@ def _markdown(table: pd.DataFrame) -> str:
 def _left_out(runs: Sequence[Run]) -> list[str]:
     """What was left out of this study, and why."""
     try:
-        said = list(runs[0].data_set.left_out)
+        said = list(runs[0].data_set.about["left_out"])
     except (OSError, ValueError, KeyError):
         said = []  # the pairs have been deleted
     said += dict.fromkeys(str(note) for run in runs for note in run.result.get("notes", ()))

@@ -83,8 +83,8 @@ class Crops:
         mask = self._cut(self.mask, corner, mirror)
         batch["mask"][index, 0] = mask
         for name in self.names:  # in place: temporary arrays of this size cost more than the arithmetic
-            cut = self._cut(self._frame(name, item), corner, mirror)
-            place = batch[name][index, 0]
+            frame = self._in_memory[name][item] if item < self._kept else self.pairs.stored(name, self.frames[item])
+            cut, place = self._cut(frame, corner, mirror), batch[name][index, 0]
             if name == "segmentation":
                 np.take(self.values, cut, out=place)
             elif cut.dtype == np.uint16:  # attenuation
@@ -93,9 +93,6 @@ class Crops:
                 encode_grey_levels(cut, out=place)
                 np.copyto(place, -1, where=~mask)
         return int(rng.integers(2**62))
-
-    def _frame(self, name: str, item: int) -> np.ndarray:
-        return self._in_memory[name][item] if item < self._kept else self.pairs.stored(name, self.frames[item])
 
     def _window(self, rng: np.random.Generator) -> tuple[int, int]:
         """Top left corner of a crop with enough of the fan in it; where none is found, of the best one seen."""

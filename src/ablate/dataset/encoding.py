@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ablate.anatomy import Tissue, echogenicity_order
-from ablate.dataset.split import Drawn, generator_for
+from ablate.dataset.split import Drawn
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -42,7 +42,7 @@ def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -
     if encoding is Encoding.echogenicity:
         rank = np.asarray(echogenicity_order(tissues))
     else:
-        rank = generator_for(seed, Drawn.label_order).permutation(n)
+        rank = np.random.default_rng([seed, Drawn.label_order]).permutation(n)
     return np.concatenate([[-1.0], -1 + 2 * (rank + 1) / n]).astype(np.float32)
 
 

@@ -1,5 +1,6 @@
 """Fill a data set with shards; several processes can do so at the same time."""
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 import zarr
 from filelock import FileLock, Timeout
+from tqdm import tqdm
 from zarr.codecs import BloscCodec, Crc32cCodec
 from zarr.storage import MemoryStore
 
@@ -15,6 +17,7 @@ from ablate.dataset.encoding import encode_attenuation
 from ablate.dataset.pairs import FORMATS, DamagedShardError, Pairs
 from ablate.storage import remove_partial, written_whole
 
+_WAIT_S = 1.0
 #: Makes the wanted maps of some frames.
 MakeFrames = Callable[[np.ndarray, frozenset[str]], Mapping[str, np.ndarray]]
 
@@ -44,6 +47,22 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
                 for name in sorted(names):
                     _write(pairs, name, shard, made[name])
                 yield len(frames)
+
+
+def fill_all(pairs: Pairs, maps: frozenset[str], what: str, fill: Callable[[], Iterator[int]]) -> int:
+    """Call `fill`, such as `fill_pairs`, until nothing is missing, and return the number of frames that it made.
+
+    A bar called `what` grows by them. What other processes make meanwhile is waited for.
+    """
+    todo = sum(len(pairs.frames_of_shard(shard)) for shard in pairs.missing(maps))
+    with tqdm(total=todo, unit="frame", desc=what, mininterval=1.0) as bar:
+        while pairs.missing(maps):
+            before = bar.n
+            for frames in fill():
+                bar.update(frames)
+            if bar.n == before:
+                time.sleep(_WAIT_S)
+        return int(bar.n)
 
 
 def frame_array(name: str, frames: int, shape: tuple[int, int], slots: int) -> dict[str, object]:
@@ -84,25 +103,21 @@ def unclaimed(pairs: Pairs, maps: frozenset[str]) -> tuple[int, ...]:
     return tuple(free)
 
 
-def remove_damaged(
-    pairs: Pairs, maps: frozenset[str], progress: Callable[[int], object] = lambda _: None
-) -> tuple[str, ...]:
+def remove_damaged(pairs: Pairs, maps: frozenset[str]) -> tuple[str, ...]:
     """Remove the shards that are damaged, so that they count as missing; return what was wrong with each.
 
     A shard that another process is making is left to it.
     """
     found = []
-    for shard in range(pairs.shards):
+    for shard in tqdm(range(pairs.shards), unit="shard", desc="check", mininterval=1.0, leave=False):
         with _claimed(pairs, shard) as mine:
             for name in sorted(maps) if mine else ():
                 try:
-                    pairs.stored(name, pairs.frames_of_shard(shard))
-                except FileNotFoundError:
-                    continue
+                    with suppress(FileNotFoundError):
+                        pairs.stored(name, pairs.frames_of_shard(shard))
                 except DamagedShardError as error:
                     pairs.shard_file(name, shard).unlink()
                     found.append(error.what)
-                progress(1)
     return tuple(found)
 
 

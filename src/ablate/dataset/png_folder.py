@@ -9,8 +9,7 @@ import csv
 import difflib
 import hashlib
 import struct
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
@@ -20,7 +19,7 @@ import numpy as np
 from skimage.io import imread
 
 from ablate.anatomy import Tissue, load_tissues
-from ablate.dataset.filling import fill_pairs
+from ablate.dataset.filling import fill_all, fill_pairs
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.split import Part
 
@@ -28,7 +27,6 @@ from ablate.dataset.split import Part
 FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}
 MOST_LABELS = 254
 MOST_PIXELS = 2**24  # 4096 x 4096; a PNG of a few bytes can decode to gigabytes
-_WAIT_S = 1.0
 _COLOURS = {0: "grey", 2: "RGB", 3: "with a palette", 4: "grey with alpha", 6: "RGBA"}
 
 
@@ -143,13 +141,7 @@ def read_fan(checked: PngFolder) -> tuple[np.ndarray, int]:
     return mask, highest
 
 
-def import_pairs(
-    checked: PngFolder,
-    names: Sequence[str],
-    pairs: Pairs,
-    maps: frozenset[str],
-    progress: Callable[[int], object] = lambda _: None,
-) -> None:
+def import_pairs(checked: PngFolder, names: Sequence[str], pairs: Pairs, maps: frozenset[str]) -> None:
     """Fill what is missing of a data set from the PNGs; what lies outside the fan becomes 0.
 
     `names` are those of the frames, in the order of the data set; `maps` are some of `checked.maps`. A ValueError when
@@ -164,11 +156,7 @@ def import_pairs(
     def read(frames: np.ndarray, wanted: frozenset[str]) -> Mapping[str, np.ndarray]:
         return {name: np.stack([image(name, frame) for frame in frames]) for name in wanted}
 
-    while pairs.missing(maps):
-        for frames in fill_pairs(pairs, maps, read):
-            progress(frames)
-        if pairs.missing(maps):
-            time.sleep(_WAIT_S)  # another process makes the rest
+    fill_all(pairs, maps, "import", lambda: fill_pairs(pairs, maps, read))
 
 
 def _decoded(path: Path, shape: tuple[int, int]) -> np.ndarray:

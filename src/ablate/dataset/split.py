@@ -13,16 +13,11 @@ _STRIDE = 1_000_003
 
 
 class Drawn(IntEnum):
-    """What is drawn once for a data set or a run; each has a random stream of its own."""
+    """What is drawn once for a data set or a run; with the seed, each has a random stream of its own."""
 
     frames = 1
     split = 2
     label_order = 7
-
-
-def generator_for(seed: int, drawn: Drawn) -> np.random.Generator:
-    """The random generator of something that is drawn once."""
-    return np.random.default_rng([seed, int(drawn)])
 
 
 def resimulation_seed(seed: int) -> int:
@@ -61,7 +56,7 @@ def choose_frames(sites: Sequence[int] | np.ndarray, frames: int, seed: int) -> 
     `sites`, (n,) int, is the site of every candidate pose.
     """
     site = np.asarray(sites)
-    order = generator_for(seed, Drawn.frames).permutation(len(site))
+    order = np.random.default_rng([seed, Drawn.frames]).permutation(len(site))
     of_site: defaultdict[int, count[int]] = defaultdict(count)
     rank = [next(of_site[s]) for s in site[order]]  # how many poses of the same site come before, in that order
     return np.sort(order[np.argsort(rank, kind="stable")[:frames]])
@@ -83,7 +78,7 @@ def split_frames(
             f"dataset.split={by}: {len(units)} {by}s cannot be split into train, validation and test; "
             "ask for more frames or sites"
         )
-    order = generator_for(seed, Drawn.split).permutation(units)
+    order = np.random.default_rng([seed, Drawn.split]).permutation(units)
     part = np.full(len(member), Part.train, np.uint8)
     part[np.isin(member, order[:n_test])] = Part.test
     part[np.isin(member, order[n_test : n_test + n_validation])] = Part.validation

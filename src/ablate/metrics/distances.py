@@ -1,6 +1,6 @@
 """Frechet and kernel distances between two sets of features, and their bootstrap intervals over probe sites."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -173,7 +173,11 @@ def bootstrap_interval(
     X, Y = check_features(X, Y)
     owner = np.unique(groups, return_inverse=True)[1]
     count = int(owner.max()) + 1
-    of_draw = {frechet_distance: frechet_of_draw, kernel_distance: kernel_of_draw}[distance](X, Y, owner, owner)
+    drawn: Mapping[Callable[..., float], Callable[..., OfDraw]] = {
+        frechet_distance: frechet_of_draw,
+        kernel_distance: kernel_of_draw,
+    }
+    of_draw = drawn[distance](X, Y, owner, owner)
     rng = np.random.default_rng(0)
     draws = [of_draw(np.bincount(rng.integers(count, size=count), minlength=count)) for _ in range(resamples)]
     tail = (1.0 - 0.95) / 2.0
