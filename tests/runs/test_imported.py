@@ -147,6 +147,7 @@ def test_too_few_sites_and_too_small_a_fan_are_refused_before_anything_is_writte
     (made / "frames.csv").write_text("name,site\n" + "".join(f"{p.stem},one\n" for p in made.glob("image/*.png")))
     with pytest.raises(ConfigurationError, match=r"1 sites cannot be split into train, validation and test"):
         run("task=simulate", *where)
+    (made / "frames.csv").unlink()
     for path in made.glob("*/*.png"):
         imsave(path, np.ones((40, 40), np.uint8), check_contrast=False)
     with pytest.raises(ConfigurationError, match=r"no patch of 48 x 48 px lies wholly inside"):
