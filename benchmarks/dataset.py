@@ -19,11 +19,11 @@ import torch
 from numcodecs import Blosc, Zstd
 
 from ablate.dataset import CropLoader, Crops, CropSettings, Encoding, Pairs, Part, label_values
-from ablate.dataset.map_formats import FORMATS, decode_attenuation, encode_attenuation
+from ablate.dataset.encoding import decode_attenuation, encode_attenuation
+from ablate.dataset.pairs import FORMATS
 from ablate.jobs.compose import jobs_of
-from ablate.runs.data_set import DataSet, maps_needed
+from ablate.runs.data_set import DataSet, maps_needed, prepare_data
 from ablate.runs.job import Job
-from ablate.runs.prepare import prepare_data
 from ablate.runs.simulated import build_scene
 from ablate.settings.study import DatasetSettings
 from ablate.tracking import hardware
@@ -72,7 +72,7 @@ def simulated(job: Job) -> DataSet:
     done = np.zeros(pairs.shards)
     size = dict.fromkeys(sorted(maps), 0)
     for shard in range(pairs.shards):
-        for name in pairs.wanted_in_shard(shard, maps):
+        for name in (name for name in maps if pairs.shard_file(name, shard).exists()):
             file = pairs.shard_file(name, shard).stat()
             done[shard] = max(done[shard], file.st_mtime)
             size[name] += file.st_size
@@ -119,7 +119,7 @@ def codecs(job: Job, pairs: Pairs) -> None:
             write = median(milliseconds(codec.encode, frame) for frame in stack)
             read = median(milliseconds(codec.decode, frame) for frame in packed)
             rows.append((name, label, f"{np.mean([len(p) for p in packed]) / 1e3:.0f}", f"{write:.1f}", f"{read:.1f}"))
-    stored = ", ".join(f"{name}: zstd 3, {how.shuffle}" for name, how in FORMATS.items() if "_" not in name)
+    stored = ", ".join(f"{name}: zstd 3, {shuffle}" for name, (_, shuffle) in FORMATS.items() if "_" not in name)
     table(f"Codecs, one thread, {CODEC_FRAMES} frames (stored as {stored})", rows)
     print(f"9 bits of attenuation: off by {kept:.5f} at most")
 

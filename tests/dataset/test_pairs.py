@@ -1,14 +1,23 @@
-"""Pairs on disk: what is written is read back, here and by zarr, and what is not there or damaged is named."""
+"""Pairs on disk: what is written is read back, nothing is made twice, and what is damaged is named and made again."""
 
-import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zarr
+from filelock import FileLock
 
-from ablate.dataset import PAIRS_VERSION, DamagedShardError, Pairs, Part, create_pairs, fill_pairs, open_pairs
+from ablate.dataset import (
+    PAIRS_VERSION,
+    DamagedShardError,
+    Pairs,
+    Part,
+    create_pairs,
+    fill_pairs,
+    open_pairs,
+    remove_damaged,
+)
 
 SHAPE = (24, 40)
 SPLIT = np.array([Part.train] * 11 + [Part.validation] * 3 + [Part.test] * 4, np.uint8)
@@ -64,14 +73,10 @@ def test_a_set_opened_again_is_the_same(pairs: Pairs) -> None:
 
 
 def test_a_damaged_shard_is_named_on_reading_with_what_mends_it(pairs: Pairs) -> None:
-    file = pairs.shard_file("target", 2)
-    content = bytearray(file.read_bytes())
-    content[5] ^= 0x10
-    file.write_bytes(content)
-    with pytest.raises(
-        DamagedShardError, match=r"target/c/2/0/0, 'target' of frames 8 to 11.*checksum; .*task=simulate"
-    ):
-        pairs.read("target", [8])
+    flip(pairs.shard_file("target", 2))
+    said = r"target/c/2/0/0, 'target' of frames 8 to 11.*checksum; .*task=simulate"
+    with pytest.raises(DamagedShardError, match=said):
+        pairs.read("target", [8, 9, 10, 11])
     pairs.read("target", [7, 12])
 
 
@@ -92,24 +97,122 @@ def test_a_damaged_list_of_frames_is_named(empty: Pairs, name: str) -> None:
             open_pairs(empty.folder)
 
 
-def test_a_missing_set_says_how_to_make_it(tmp_path: Path) -> None:
+def test_pairs_of_another_version_are_refused_in_words(empty: Pairs) -> None:
+    zarr.open_group(empty.folder / "pairs.zarr", mode="a").attrs["version"] = PAIRS_VERSION + 1
+    message = f"stored in version {PAIRS_VERSION + 1}, this program reads version {PAIRS_VERSION}; .*=simulate"
+    with pytest.raises(ValueError, match=message):
+        open_pairs(empty.folder)
     with pytest.raises(FileNotFoundError, match="task=simulate"):
-        open_pairs(tmp_path)
+        open_pairs(empty.folder / "nowhere")
 
 
-def test_unknown_maps_are_named(empty: Pairs) -> None:
-    with pytest.raises(ValueError, match=r"doppler.*allowed: segmentation"):
-        list(fill_pairs(empty, frozenset({"doppler"}), render))
+class Recorder:
+    """A renderer of noise that depends on frame and map alone, and that remembers what it was asked for."""
+
+    def __init__(self) -> None:
+        self.rendered: list[tuple[int, str]] = []
+
+    def __call__(self, frames: np.ndarray, maps: frozenset[str]) -> Mapping[str, np.ndarray]:
+        self.rendered += [(int(f), m) for f in frames for m in maps]
+        return {m: np.stack([self.image(int(f), m) for f in frames]) for m in maps}
+
+    def image(self, frame: int, name: str) -> np.ndarray:
+        rng = np.random.default_rng([frame, len(name)])
+        return rng.random(SHAPE) if name == "attenuation" else rng.integers(0, 256, SHAPE)
 
 
-def test_pairs_of_another_version_are_refused_in_words(empty: Pairs, tmp_path: Path) -> None:
-    for version in (None, PAIRS_VERSION + 1):
-        older = tmp_path / str(version)
-        shutil.copytree(empty.folder, older)
-        group = zarr.open_group(older / "pairs.zarr", mode="a")
-        attributes = {k: v for k, v in group.attrs.items() if k != "version"}
-        group.attrs.put(attributes if version is None else {**attributes, "version": version})
-        stored = "2 or earlier" if version is None else str(version)
-        message = f"{older}: pairs stored in version {stored}, this program reads version {PAIRS_VERSION}; .*=simulate"
-        with pytest.raises(ValueError, match=message):
-            open_pairs(older)
+def state(pairs: Pairs) -> dict[str, tuple[bytes, int]]:
+    """Content and modification time of every file but the locks."""
+    found = [p for p in pairs.folder.rglob("*") if p.is_file() and p.suffix != ".lock"]
+    return {str(p): (p.read_bytes(), p.stat().st_mtime_ns) for p in found}
+
+
+def flip(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    content[len(content) // 3] ^= 0x10
+    file.write_bytes(content)
+
+
+def test_a_set_that_is_full_is_left_alone(empty: Pairs) -> None:
+    list(fill_pairs(empty, WANTED, Recorder()))
+    before, again = state(empty), Recorder()
+    assert list(fill_pairs(open_pairs(empty.folder), WANTED, again)) == []
+    assert again.rendered == []
+    assert state(empty) == before
+
+
+def test_a_new_map_is_added_without_touching_the_others(empty: Pairs) -> None:
+    list(fill_pairs(empty, WANTED, Recorder()))
+    before, again = state(empty), Recorder()
+    list(fill_pairs(empty, WANTED | {"low"}, again))
+    after = state(empty)
+    assert {name for _, name in again.rendered} == {"low"}
+    assert {path: after[path] for path in before} == before
+    assert all("/low/" in path for path in after.keys() - before.keys())
+    assert not empty.missing(WANTED | {"low"})
+
+
+def test_resimulation_is_for_unseen_frames_only(empty: Pairs) -> None:
+    recorder = Recorder()
+    list(fill_pairs(empty, WANTED, recorder))
+    again = {frame for frame, name in recorder.rendered if name == "resimulation"}
+    assert again >= set(np.flatnonzero(SPLIT != Part.train))
+    assert 0 not in again
+
+
+def test_a_shard_in_other_hands_is_skipped_and_made_later(empty: Pairs) -> None:
+    with FileLock(empty.folder / ".shard1.lock"):
+        list(fill_pairs(empty, WANTED, Recorder()))
+    assert empty.missing(WANTED) == (1,)
+    list(fill_pairs(empty, WANTED, Recorder()))
+    assert empty.missing(WANTED) == ()
+
+
+def test_images_that_are_black_are_made_once(empty: Pairs) -> None:
+    def black(frames: np.ndarray, maps: frozenset[str]) -> Mapping[str, np.ndarray]:
+        return {m: np.zeros((len(frames), *SHAPE)) for m in maps}
+
+    list(fill_pairs(empty, WANTED, black))
+    assert not empty.missing(WANTED)
+    assert (empty.read("target", range(len(empty))) == 0).all()
+
+
+def test_a_renderer_that_dies_leaves_the_shards_before_it(empty: Pairs) -> None:
+    class Dies(Recorder):
+        def __call__(self, frames: np.ndarray, maps: frozenset[str]) -> Mapping[str, np.ndarray]:
+            if frames[0] >= 8:
+                raise MemoryError
+            return super().__call__(frames, maps)
+
+    with pytest.raises(MemoryError):
+        list(fill_pairs(empty, WANTED, Dies()))
+    assert empty.missing(WANTED) == (2, 3, 4)
+
+
+def truncate(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:-9])
+
+
+@pytest.mark.parametrize("damage", [flip, truncate])
+def test_only_what_is_damaged_is_made_again(empty: Pairs, damage: Callable[[Path], None]) -> None:
+    list(fill_pairs(empty, WANTED, Recorder()))
+    assert remove_damaged(empty, WANTED) == ()
+    before = state(empty)
+    damaged = empty.shard_file("attenuation", 4)  # the last, which is not full
+    damage(damaged)
+    (why,) = remove_damaged(empty, WANTED)
+    assert f"{damaged}, 'attenuation' of frames 16 to 17, is damaged" in why
+    recorder = Recorder()
+    list(fill_pairs(empty, WANTED, recorder))
+    assert recorder.rendered == [(16, "attenuation"), (17, "attenuation")]
+    after = state(empty)
+    assert {path: content for path, (content, _) in after.items()} == {p: c for p, (c, _) in before.items()}
+    assert {path for path in before if after[path] != before[path]} == {str(damaged)}
+
+
+def test_a_damaged_shard_that_another_process_mends_is_left_to_it(empty: Pairs) -> None:
+    list(fill_pairs(empty, WANTED, Recorder()))
+    flip(empty.shard_file("target", 0))
+    with FileLock(empty.folder / ".shard0.lock"):
+        assert remove_damaged(empty, WANTED) == ()
+    assert len(remove_damaged(empty, WANTED)) == 1

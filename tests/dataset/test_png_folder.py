@@ -50,9 +50,7 @@ def imported(checked: PngFolder, path: Path) -> dict[str, np.ndarray]:
     n = len(checked.names)
     poses, part = np.zeros((n, 4, 4)), np.zeros(n, np.uint8)
     pairs = create_pairs(path, poses, np.arange(n), part, mask, 2, ["x"] * 3, {})
-    told: list[int] = []
-    import_pairs(checked, checked.names, pairs, checked.maps, told.append)
-    assert sum(told) == n
+    import_pairs(checked, checked.names, pairs, checked.maps)
     assert not pairs.missing(checked.maps)
     assert pairs.maps == checked.maps
     assert (pairs.mask() == FAN).all()
@@ -169,11 +167,8 @@ def test_what_does_not_fit_is_named_in_one_line(folder: Path, change: Callable[[
     with pytest.raises((ValueError, FileNotFoundError), match=message) as caught:
         validate_png_folder(folder)
     assert "\n" not in str(caught.value)
-
-
-def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="nowhere is not a folder"):
-        validate_png_folder(tmp_path / "nowhere")
+        validate_png_folder(folder / "nowhere")
 
 
 def repainted(folder: Path, name: str, where: tuple[int, int], value: int) -> None:
@@ -209,33 +204,26 @@ def test_a_mask_of_255_is_no_segmentation(folder: Path) -> None:
         read_fan(validate_png_folder(folder))
 
 
-def test_a_truncated_file_is_named(folder: Path) -> None:
-    path = folder / "segmentation" / "b_1.png"
-    path.write_bytes(path.read_bytes()[:60])
-    with pytest.raises(ValueError, match=r"b_1\.png: cannot be decoded"):
-        read_fan(validate_png_folder(folder))
-
-
 def test_a_small_file_that_decodes_to_gigabytes_is_named(folder: Path) -> None:
-    header = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0)
     for path in (folder / "image").glob("*.png"):
-        path.write_bytes(b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + header)
+        path.write_bytes(png(60_000, 60_000, 8, 0))
     with pytest.raises(ValueError, match=r"image/a_0\.png: is 60000 x 60000 px; allowed are 1 to 16777216 pixels"):
         validate_png_folder(folder)
 
 
-def test_a_flipped_byte_is_named_or_changes_nothing_but_pixels(folder: Path) -> None:
+def test_a_truncated_file_or_a_flipped_byte_is_named_or_changes_nothing_but_pixels(folder: Path) -> None:
     path = folder / "segmentation" / "a_0.png"
     good, rng = path.read_bytes(), np.random.default_rng(0)
     said = []
-    for place in rng.integers(0, len(good), 300):
-        path.write_bytes(good[:place] + bytes([rng.integers(256)]) + good[place + 1 :])
+    flipped = [good[:k] + bytes([rng.integers(256)]) + good[k + 1 :] for k in rng.integers(0, len(good), 100)]
+    for damaged in (good[:60], *flipped):
+        path.write_bytes(damaged)
         try:
             read_fan(validate_png_folder(folder))
         except (ValueError, FileNotFoundError) as error:
             said.append(str(error))
     assert all("a_0.png" in message and "\n" not in message for message in said)
-    assert len(said) > 200
+    assert len(said) > 60
 
 
 @pytest.mark.parametrize("content", [b"name,site\na_0,\xe4\n", b"name,site\n" + b"x" * 200_000 + b",1\n"])

@@ -11,15 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ablate.dataset import DamagedShardError, Pairs, Part, create_pairs, fill_pairs
+from ablate.dataset.encoding import decode_attenuation, encode_attenuation
 from ablate.dataset.filling import frame_array, write_shard
-from ablate.dataset.map_formats import FORMATS, decode_attenuation, encode_attenuation
+from ablate.dataset.pairs import FORMATS
 
-SHAPE, SLOTS = (21, 13), 4
+SHAPE, SLOTS = (9, 7), 4
 
 
 def frames(name: str, count: int) -> np.ndarray:
-    top = np.iinfo(FORMATS[name].dtype).max
-    stack = np.random.default_rng(count).integers(0, top, (count, *SHAPE), FORMATS[name].dtype, endpoint=True)
+    dtype, _ = FORMATS[name]
+    stack = np.random.default_rng(count).integers(0, np.iinfo(dtype).max, (count, *SHAPE), dtype, endpoint=True)
     stack[0] = 0  # Zarr's fill value: zarr itself would leave such a frame out
     return stack
 
@@ -29,8 +30,8 @@ def frames(name: str, count: int) -> np.ndarray:
 def test_zarr_reads_what_is_written(tmp_path: Path, name: str, count: int) -> None:
     stack = frames(name, count)
     group = zarr.open_group(tmp_path / "set.zarr", mode="w", zarr_format=3)
-    group.create_array(name, **frame_array(count, SHAPE, SLOTS, FORMATS[name]))
-    write_shard(tmp_path / "set.zarr" / name / "c" / "0" / "0" / "0", stack, SLOTS, FORMATS[name])
+    group.create_array(name, **frame_array(name, count, SHAPE, SLOTS))
+    write_shard(tmp_path / "set.zarr" / name / "c" / "0" / "0" / "0", name, stack, SLOTS)
     np.testing.assert_array_equal(group[name][...], stack)
 
 
@@ -50,21 +51,14 @@ def shard(pairs: Pairs) -> Path:
     return pairs.shard_file("target", 0)
 
 
-def test_any_flipped_bit_is_noticed(pairs: Pairs, shard: Path) -> None:
-    whole = shard.read_bytes()
-    pairs.check("target", 0)
-    for at in range(len(whole)):
-        shard.write_bytes(whole[:at] + bytes([whole[at] ^ 1 << at % 8]) + whole[at + 1 :])
+def test_any_flipped_bit_and_any_truncation_is_noticed(pairs: Pairs, shard: Path) -> None:
+    whole, numbers = shard.read_bytes(), pairs.frames_of_shard(0)
+    pairs.stored("target", numbers)
+    flipped = (whole[:at] + bytes([whole[at] ^ 1 << at % 8]) + whole[at + 1 :] for at in range(len(whole)))
+    for damaged in (*flipped, *(whole[:length] for length in range(len(whole)))):
+        shard.write_bytes(damaged)
         with pytest.raises(DamagedShardError, match="checksum"):
-            pairs.check("target", 0)
-
-
-def test_any_truncation_is_noticed(pairs: Pairs, shard: Path) -> None:
-    whole = shard.read_bytes()
-    for length in range(len(whole)):
-        shard.write_bytes(whole[:length])
-        with pytest.raises(DamagedShardError):
-            pairs.check("target", 0)
+            pairs.stored("target", numbers)
 
 
 def test_a_damaged_frame_costs_only_itself(pairs: Pairs, shard: Path) -> None:
@@ -88,14 +82,14 @@ def test_a_full_disk_leaves_what_was_there(shard: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="No space left"):
-        write_shard(shard, frames("target", 4), SLOTS, FORMATS["target"])
+        write_shard(shard, "target", frames("target", 4), SLOTS)
     assert [p.name for p in shard.parent.iterdir()] == ["0"]
     assert shard.read_bytes() == before
 
 
 def test_what_a_killed_process_left_is_removed(shard: Path) -> None:
     (shard.parent / "0.deadbeef.partial").write_bytes(b"half a shard")
-    write_shard(shard, frames("target", 3), SLOTS, FORMATS["target"])
+    write_shard(shard, "target", frames("target", 3), SLOTS)
     assert [p.name for p in shard.parent.iterdir()] == ["0"]
 
 

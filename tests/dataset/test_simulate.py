@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from ablate.dataset import Pairs, Part, Recipe, simulate_pairs
-from ablate.dataset.seeds import resimulation_seed
+from ablate.dataset.split import resimulation_seed
 from ablate.ultrasound import Display, Simulator
 
 Blank = Callable[..., Pairs]
@@ -23,9 +23,7 @@ def pairs(tmp_path: Path, blank: Blank) -> Pairs:
 
 
 def test_the_maps_are_those_of_the_simulator(pairs: Pairs, recipe: Recipe) -> None:
-    counted: list[int] = []
-    assert simulate_pairs(recipe, pairs, MAPS | {"low"}, 1, counted.append) == 7
-    assert sum(counted) == 7
+    assert simulate_pairs(recipe, pairs, MAPS | {"low"}, 1) == 7
     simulator = Simulator(recipe.scene, recipe.probe, recipe.settings)
     low = Simulator(recipe.scene, recipe.probe, replace(recipe.settings, rays=1, layers=1))
     for i, pose in enumerate(pairs.poses):

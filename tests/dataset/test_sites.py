@@ -67,8 +67,7 @@ def test_roll_turns_to_the_sagittal_plane_and_tilt_rocks_within_the_plane() -> N
     assert tilted[:3, 2] @ upright[:3, 2] == pytest.approx(np.cos(np.deg2rad(15)))
 
 
-@pytest.mark.parametrize("tilt", [-20.0, 0.0, 15.0])
-@pytest.mark.parametrize("press_mm", [0.0, 3.0, 8.0])
+@pytest.mark.parametrize(("tilt", "press_mm"), [(-20.0, 0.0), (0.0, 3.0), (15.0, 8.0)])
 def test_on_a_flat_skin_the_arc_reaches_the_press_and_no_deeper(tilt: float, press_mm: float) -> None:
     """The lowest point of a rocked arc is that of its circle: its centre stays 40 mm - press above a flat skin."""
     slab = scene((box((-100, 0, -100), (100, 80, 100)), SKIN))
@@ -166,8 +165,6 @@ def test_directions_that_miss_are_dropped_and_nothing_left_is_an_error() -> None
         probe_poses(cylinder(100), beyond, 5)
     with pytest.raises(ValueError, match="no structure"):
         probe_poses(Scene((), Tissue("gel"), "empty"), GRID, 5)
-    with pytest.raises(ValueError, match=r"dataset\.press_mm=-1"):
-        probe_poses(cylinder(100), GRID, -1)
 
 
 @pytest.mark.parametrize("where", ["fetal", "ircad11"])
@@ -202,13 +199,7 @@ def test_every_used_pose_of_a_scene_is_on_its_skin(where: str, request: pytest.F
 
 def test_a_grid_is_resampled_over_its_own_ranges() -> None:
     fine = resample_grid(GRID, (13, 19, 9, 3))
-    assert (len(fine.heights_mm), len(fine.angles_deg), len(fine.tilts_deg), len(fine.rolls_deg)) == (
-        13,
-        19,
-        9,
-        3,
-    )
+    counts = [len(v) for v in (fine.heights_mm, fine.angles_deg, fine.tilts_deg, fine.rolls_deg)]
+    assert counts == [13, 19, 9, 3]
     assert (fine.heights_mm[0], fine.heights_mm[-1]) == (-20, 20)
     assert 13 * 19 * 9 * 3 == 6669  # the paper's number of frames
-    with pytest.raises(ValueError, match=r"dataset\.grid"):
-        resample_grid(GRID, (0, 1, 1, 1))

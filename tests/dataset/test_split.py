@@ -35,12 +35,6 @@ def test_paper_split_draws_frames() -> None:
     assert len(set(part[site == 0])) > 1
 
 
-@pytest.mark.parametrize("frames", [0, -3, 301])
-def test_a_number_of_frames_that_cannot_be_is_refused(frames: int) -> None:
-    with pytest.raises(ValueError, match=r"dataset\.frames=.*1 to 300"):
-        choose_frames(np.repeat(np.arange(100), 3), frames, 0)
-
-
 def test_too_few_sites_are_refused() -> None:
     with pytest.raises(ValueError, match="2 sites cannot be split"):
         split_frames([0, 0, 1, 1], SplitBy.site, 0.1, 0.2, 0)

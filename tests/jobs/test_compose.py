@@ -10,8 +10,7 @@ import pytest
 from ablate.dataset import Encoding
 from ablate.jobs.compose import cells, jobs_of
 from ablate.networks import Family
-from ablate.runs.identity import not_shared
-from ablate.runs.job import Job
+from ablate.runs.job import Job, not_shared
 from ablate.settings.conf import variant_names
 from ablate.settings.study import ConfigurationError, SceneKind, SceneSettings, StudySettings, Task
 from support.studies import study_group

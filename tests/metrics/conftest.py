@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from ablate.metrics import Pair
+
 RADIUS_MM, HALF_FOV, DEPTH_MM = 40.0, np.deg2rad(35.0), 150.0
 
 
@@ -21,6 +23,12 @@ class SyntheticFrame:
     labels: np.ndarray
     bone: np.ndarray
     pixel_mm: tuple[float, float]
+
+    def pair(self, prediction, **changes):
+        """A prediction beside this frame and all its maps."""
+        maps = {"target": self.image, "mask": self.mask, "tissue_mask": self.tissue, "attenuation": self.attenuation}
+        maps |= {"depth_mm": self.depth_mm, "segmentation": self.labels, "bone_mask": self.bone}
+        return Pair(prediction, **(maps | {"pixel_mm": self.pixel_mm} | changes))
 
 
 def synthetic_frame(seed=0, shape=(250, 346), shadow_grey=-70.0, enhanced_grey=40.0):

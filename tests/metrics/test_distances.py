@@ -8,7 +8,7 @@ from torchmetrics.image.fid import FrechetInceptionDistance
 from torchmetrics.image.kid import KernelInceptionDistance
 
 from ablate.metrics import bootstrap_interval, frechet_distance, kernel_distance
-from ablate.metrics.distances import _frechet_of_draw, kernel_of_draw
+from ablate.metrics.distances import frechet_of_draw, kernel_of_draw
 
 
 class Identity(torch.nn.Module):
@@ -77,16 +77,6 @@ def test_agrees_with_torchmetrics_kid():
     assert kernel_distance(x, y) == pytest.approx(float(metric.compute()[0]), rel=1e-5)
 
 
-def test_stiff_covariances_keep_their_digits():
-    """Standard deviations over ten decades: forming covariances would leave the small ones to rounding."""
-    rng = np.random.default_rng(5)
-    sd = np.logspace(-5, 5, 6)
-    x = with_moments(np.zeros(6), np.eye(6), 40, rng) * sd
-    assert frechet_distance(x, x) / sd[-1] ** 2 < 1e-13
-    y = with_moments(np.zeros(6), np.eye(6), 40, rng) * sd * np.array([1, 1, 1, 1, 1, 2.0])
-    assert frechet_distance(x, y) == pytest.approx(sd[-1] ** 2, rel=1e-9)
-
-
 def test_kernel_distance_is_unbiased_where_frechet_is_not():
     rng = np.random.default_rng(7)
     pairs = [rng.standard_normal((2, 30, 16)) for _ in range(60)]
@@ -136,23 +126,23 @@ def test_a_resample_by_group_is_the_distance_of_the_rows_drawn(d, rows):
     x, y = rng.standard_normal((rows, d)) + 5, rng.gamma(2.0, size=(rows, d))
     times = np.array([2, 0, 1, 3, 0])
     drawn = np.concatenate([np.flatnonzero(owner == k) for k in range(5) for _ in range(times[k])])
-    found = _frechet_of_draw(x, y, owner, owner)(times, times)
+    found = frechet_of_draw(x, y, owner, owner)(times)
     assert found == pytest.approx(frechet_distance(x[drawn], y[drawn]), rel=1e-6)
-    found = kernel_of_draw(x, y, owner, owner)(times, times)
+    found = kernel_of_draw(x, y, owner, owner)(times)
     assert found == pytest.approx(kernel_distance(x[drawn], y[drawn]), rel=1e-9)
 
 
 def test_interval_covers_the_value_expected_at_this_size():
-    """At fixed n the estimator has an expectation; about 90 % of intervals should hold it."""
-    d, n, runs = 4, 60, 60
-    draws = [np.random.default_rng(k).standard_normal((2, n, d)) * [[[1.0]], [[1.5]]] for k in range(400)]
+    """At fixed n the estimator has an expectation; about 95 % of intervals should hold it."""
+    d, n, runs = 4, 60, 40
+    draws = [np.random.default_rng(k).standard_normal((2, n, d)) * [[[1.0]], [[1.5]]] for k in range(200)]
     expected = np.mean([frechet_distance(x, y) for x, y in draws])
     hits = 0
     for x, y in draws[:runs]:
-        lower, upper = bootstrap_interval(frechet_distance, x, y, level=0.9, resamples=100)
+        lower, upper = bootstrap_interval(frechet_distance, x, y, np.arange(n), resamples=100)
         assert lower < upper
         hits += lower <= expected <= upper
-    assert hits / runs > 0.78
+    assert hits / runs > 0.85
 
 
 def test_interval_by_groups_is_wider_when_rows_of_a_group_are_alike():
@@ -160,13 +150,7 @@ def test_interval_by_groups_is_wider_when_rows_of_a_group_are_alike():
     groups = np.repeat(np.arange(10), 8)
     x = (rng.standard_normal((10, 3)))[groups] + 0.1 * rng.standard_normal((80, 3))
     y = 1.0 + rng.standard_normal((10, 3))[groups] + 0.1 * rng.standard_normal((80, 3))
-    free = bootstrap_interval(frechet_distance, x, y)
-    grouped = bootstrap_interval(frechet_distance, x, y, groups=groups)
-    assert grouped == bootstrap_interval(frechet_distance, x, y, groups=groups), "same seed, same interval"
+    free = bootstrap_interval(frechet_distance, x, y, np.arange(80))
+    grouped = bootstrap_interval(frechet_distance, x, y, groups)
+    assert grouped == bootstrap_interval(frechet_distance, x, y, groups), "same seed, same interval"
     assert np.ptp(grouped) > 1.5 * np.ptp(free)
-    with pytest.raises(ValueError, match="at least 2 groups"):
-        bootstrap_interval(frechet_distance, x, y, groups=np.zeros(80))
-    with pytest.raises(ValueError, match="one label a row"):
-        bootstrap_interval(frechet_distance, x, y, groups=groups[:-1])
-    with pytest.raises(ValueError, match="no bootstrap of"):
-        bootstrap_interval(max, x, y)

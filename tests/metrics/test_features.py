@@ -72,16 +72,7 @@ def test_distance_orders_textures(make_frame, frames):
     assert 10 * resimulated < brighter
 
 
-@pytest.mark.parametrize(
-    ("images", "mask", "message"),
-    [
-        (np.zeros((50, 50), np.uint8), None, "uint8"),
-        (np.zeros((1, 50, 50)), None, "uint8"),
-        (np.zeros((1, 50, 50), np.uint8), np.ones((50, 51), bool), "mask must be"),
-        (np.zeros((1, 50, 50), np.uint8), np.zeros((50, 50), bool), "no patch"),
-        (np.zeros((1, 40, 40), np.uint8), None, "no patch"),
-    ],
-)
-def test_what_has_no_texture_is_refused(images, mask, message):
-    with pytest.raises(ValueError, match=message):
-        speckle_features(images, mask)
+def test_what_has_no_texture_is_refused():
+    for shape, mask in (((1, 50, 50), np.zeros((50, 50), bool)), ((1, 40, 40), None)):
+        with pytest.raises(ValueError, match="no patch"):
+            speckle_features(np.zeros(shape, np.uint8), mask)

@@ -13,7 +13,6 @@ from torchmetrics.image.fid import FrechetInceptionDistance
 from torchmetrics.image.kid import KernelInceptionDistance
 
 from ablate.metrics import frechet_distance, inception, inception_file, kernel_distance, load_inception
-from ablate.metrics.inception import four_crops
 
 
 class SmallNet(torch.nn.Module):
@@ -93,9 +92,7 @@ def test_no_network_says_so(monkeypatch, tmp_path):
         inception_file("download")
 
 
-def test_other_weights_may_not_be_called_inception(small_net, tmp_path):
-    with pytest.raises(ValueError, match="SHA-256"):
-        inception_file(str(small_net))
+def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match="no Inception weights"):
         inception_file(str(tmp_path / "absent.pt"))
 
@@ -108,8 +105,6 @@ def test_four_crops_of_the_centre(pinned):
     assert features[4, 12] == images[1, top, left]
     assert features[7, 13] == images[1, top + 511, left + 511]
     assert features[5, 14] == images[1, top, left + 511]
-    with pytest.raises(ValueError, match="too small"):
-        four_crops(np.zeros((1, 250, 346), np.uint8))
 
 
 @pytest.mark.filterwarnings("ignore:Metric `Kernel Inception Distance` will save")

@@ -106,11 +106,10 @@ def test_a_uniform_error_is_what_it_is(a: int, b: int, seed: int) -> None:
     mask = random.random(shape) < 0.7
     mask[0, 0] = True
     prediction, target = np.full(shape, a, np.uint8), np.full(shape, b, np.uint8)
-    assert abs(mae_smooth(prediction, target, mask) - abs(a - b)) <= 255 * 64 * 2**-24 / 0.01
-    attenuation = np.where(np.arange(50) < 20, 0.1, 0.9) * np.ones(shape, np.float32)
-    labels = np.ones(shape, np.uint8)
-    contrast = shadow_contrast(prediction, target, attenuation.astype(np.float32), mask, labels, np.zeros(shape))
-    assert contrast in (None, 0.0)
+    attenuation = np.where(np.arange(50) < 20, 0.1, 0.9).astype(np.float32) * np.ones(shape, np.float32)
+    pair = Pair(prediction, target, mask, mask, attenuation, np.zeros(shape), np.ones(shape, np.uint8))
+    assert abs(mae_smooth(pair) - abs(a - b)) <= 255 * 64 * 2**-24 / 0.01
+    assert shadow_contrast(pair) in (None, 0.0)
 
 
 @PROPERTY

@@ -6,31 +6,22 @@ import nibabel
 import numpy as np
 import pytest
 import trimesh
-import yaml
 
 from ablate.jobs.compose import jobs_of
 from ablate.networks import GeneratorSpec
 from ablate.runs.data_set import maps_needed
 
+SCENE = """
+structures: [{mesh: organs/body.obj, tissue: soft_tissue}]
+sites: {axis: [0, 0, 1], heights: {range: [-10, 10], count: 2}, angles: {range: [-20, 20], count: 2}}
+"""
+
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    scene = {
-        "unit": "mm",
-        "background": "coupling_gel",
-        "structures": [{"mesh": "organs/body.obj", "tissue": "soft_tissue"}],
-        "sites": {
-            "axis": [0, 0, 1],
-            "front": [0, -1, 0],
-            "heights": {"range": [-10, 10], "count": 2},
-            "angles": {"range": [-20, 20], "count": 2},
-            "tilts": [0],
-            "rolls": [0],
-        },
-    }
     (tmp_path / "organs").mkdir()
     trimesh.creation.icosphere(2, radius=60).export(tmp_path / "organs" / "body.obj")
-    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
+    (tmp_path / "scene.yaml").write_text(SCENE)
     return tmp_path
 
 

@@ -1,9 +1,7 @@
 """Pairs made elsewhere serve a study as simulated ones do, as far as they go."""
 
-import csv
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +9,9 @@ import pandas as pd
 import pytest
 from skimage.io import imsave
 
-from ablate.__main__ import main
-from ablate.dataset import Pairs, Part
+from ablate.dataset import Pairs
+from ablate.dataset.export_formats import write_png
+from ablate.dataset.png_folder import FOLDERS
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.launch import Launch
 from ablate.runs.data_set import DataSet
@@ -20,34 +19,10 @@ from ablate.settings.study import ConfigurationError
 from ablate.tasks import run_task as tasks
 from support.studies import TINY, TinyStudy, run
 
-FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}
-
-
-def study(arguments: list[str]) -> None:
-    """Make every map, then train the variant that `arguments` name."""
-    assert run(*arguments) == 0
-
 
 def make_all_maps(arguments: list[str]) -> None:
     lsa2h = ["study_name=maps", "variant=lsa2h"]  # the only one that reads `low`
     assert run("task=simulate", *arguments, *lsa2h) == 0
-
-
-def export(pairs: Pairs, folder: Path) -> None:
-    """Write a data set as PNGs, attenuation with 16 bits, and the tables that say what was what."""
-    names = [f"{i:02d}" for i in range(len(pairs))]
-    for map_name, place in FOLDERS.items():
-        (folder / place).mkdir(parents=True)
-        for i, name in enumerate(names):
-            image = pairs.read(map_name, [i])[0]
-            if map_name == "attenuation":
-                image = np.rint(image.astype(np.float64) * 65535).astype(np.uint16)
-            imsave(folder / place / f"{name}.png", image, check_contrast=False)
-    with (folder / "frames.csv").open("w", newline="") as stream:
-        rows = zip(names, pairs.sites.tolist(), [Part(p).name for p in pairs.split], strict=True)
-        csv.writer(stream).writerows([("name", "site", "part"), *rows])
-    with (folder / "labels.csv").open("w", newline="") as stream:
-        csv.writer(stream).writerows([("label", "tissue"), *enumerate(pairs.tissues, start=1)])
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +41,7 @@ def data_of(runs: Path) -> Pairs:
 @pytest.fixture(scope="module")
 def folder(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("elsewhere") / "pngs"
-    export(data_of(simulated), made)
+    write_png(data_of(simulated), made)
     return made
 
 
@@ -80,7 +55,7 @@ def test_exported_pairs_come_back_bit_for_bit_and_train_the_same_networks(
 ) -> None:
     arguments = [f"runs_dir={runs}", *TINY, "scene=pairs", f"scene.folder={folder}"]
     make_all_maps(arguments)
-    study(arguments)
+    assert run(*arguments) == 0
     there, here = data_of(simulated), data_of(runs)
     for name in FOLDERS:
         np.testing.assert_array_equal(here.read(name, range(12)), there.read(name, range(12)))
@@ -109,11 +84,10 @@ def test_exported_pairs_come_back_bit_for_bit_and_train_the_same_networks(
 def bare(folder: Path, tmp_path: Path) -> Path:
     """Only segmentations and images, of names that tell the site."""
     made = tmp_path / "bare"
-    with (folder / "frames.csv").open() as stream:
-        for row in csv.DictReader(stream):
-            for place in ("segmentation", "image"):
-                (made / place).mkdir(parents=True, exist_ok=True)
-                shutil.copy(folder / place / f"{row['name']}.png", made / place / f"p{row['site']}_{row['name']}.png")
+    for _, row in pd.read_csv(folder / "frames.csv").iterrows():
+        for place in ("segmentation", "image"):
+            (made / place).mkdir(parents=True, exist_ok=True)
+            shutil.copy(folder / place / f"{row['name']}.png", made / place / f"{row['site']}_{row['name']}.png")
     return made
 
 
@@ -121,13 +95,11 @@ def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenua
     folder: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     where = [*TINY, "scene=pairs", f"scene.folder={bare(folder, tmp_path)}", f"runs_dir={runs}"]
-    with pytest.raises(
-        ConfigurationError,
-        match=r"^variant sa2h reads attenuation, but .*bare has no folder attenuation; .* without it: sa2h-att$",
-    ):
-        study(["-m", "variant=sa2h-att,sa2h", *where])
+    said = r"^variant sa2h reads attenuation, but .*bare has no folder attenuation; .* without it: sa2h-att$"
+    with pytest.raises(ConfigurationError, match=said):
+        run("-m", "variant=sa2h-att,sa2h", *where)
     assert not (runs / "data").exists()
-    study(["variant=sa2h-att", *where])
+    assert run("variant=sa2h-att", *where) == 0
     told = capsys.readouterr()
     for line in (
         "Importing 12 pairs",
@@ -150,59 +122,34 @@ def test_depths_are_known_only_where_the_fan_is_that_of_the_probe(folder: Path, 
     where = ["scene=pairs", f"scene.folder={folder}", f"runs_dir={tmp_path}", "probe.depth_mm=100"]
     assert run("task=simulate", *TINY, *where) == 0
     data = DataSet(next(tmp_path.glob("data/*")))
-    assert any("depth_mm=100, so depths are not known" in line for line in data.left_out)
+    assert any("depth_mm=100, so depths are not known" in line for line in data.about["left_out"])
 
 
-def test_what_cannot_be_is_refused_before_anything_is_started(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    where = [f"runs_dir={tmp_path / 'runs'}", "scene=pairs"]
-    with pytest.raises(ConfigurationError, match=r"scene=pairs needs scene\.folder=path/to/folder"):
-        study(where)
-    with pytest.raises(ConfigurationError, match="task=preview: pairs made elsewhere have no scene"):
-        run("task=preview", *where, f"scene.folder={folder}")
+def test_a_variant_that_needs_the_simulators_time_gain_is_refused(folder: Path, tmp_path: Path) -> None:
+    where = [f"runs_dir={tmp_path / 'runs'}", "scene=pairs", f"scene.folder={folder}"]
     with pytest.raises(ConfigurationError, match=r"^model\.attenuation=compensated in variant sa2h-c.*allowed are int"):
-        study([*where, f"scene.folder={folder}", "variant=sa2h-compensated"])
-    broken = tmp_path / "broken"
-    shutil.copytree(folder, broken)
-    (broken / "image" / "03.png").unlink()
-    monkeypatch.setattr(sys, "argv", ["ablate", *where, f"scene.folder={broken}"])
-    capsys.readouterr()
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    error = capsys.readouterr().err
-    assert len(error.strip().splitlines()) == 1, error
-    assert f"{broken / 'image' / '03.png'}: missing, though its partner" in error
-    assert not list((tmp_path / "runs").glob("*/*")), "something was started"
+        run(*where, "variant=sa2h-compensated")
 
 
 def test_a_site_on_two_sides_is_refused_unless_frames_are_split(folder: Path, tmp_path: Path) -> None:
     moved = tmp_path / "moved"
     shutil.copytree(folder, moved)
-    text = (moved / "frames.csv").read_text().splitlines()
-    first = [line.split(",")[1] for line in text[1:]]
-    rows = [line.split(",") for line in text[1:]]
-    for row in rows:
-        row[1] = first[0]
-    (moved / "frames.csv").write_text("\n".join([text[0], *(",".join(row) for row in rows)]))
+    pd.read_csv(moved / "frames.csv").assign(site="one").to_csv(moved / "frames.csv", index=False)
     where = [*TINY, "scene=pairs", f"scene.folder={moved}", f"runs_dir={tmp_path / 'runs'}"]
-    with pytest.raises(ConfigurationError, match=r"frames\.csv: site '\d+' is in two parts; .*dataset\.split=frame"):
+    with pytest.raises(ConfigurationError, match=r"frames\.csv: site 'one' is in two parts; .*dataset\.split=frame"):
         run("task=simulate", *where)
     assert run("task=simulate", *where, "dataset.split=frame") == 0
 
 
 def test_too_few_sites_and_too_small_a_fan_are_refused_before_anything_is_written(folder: Path, tmp_path: Path) -> None:
     made = bare(folder, tmp_path)
-    one_site = tmp_path / "one"
-    shutil.copytree(made, one_site)
-    for path in list(one_site.glob("*/*.png")):
-        path.rename(path.with_name("p_" + path.stem.rpartition("_")[2] + ".png"))
-    where = [*TINY, f"runs_dir={tmp_path / 'runs'}", "scene=pairs", "variant=sa2h-att"]
+    where = [*TINY, f"runs_dir={tmp_path / 'runs'}", "scene=pairs", "variant=sa2h-att", f"scene.folder={made}"]
+    (made / "frames.csv").write_text("name,site\n" + "".join(f"{p.stem},one\n" for p in made.glob("image/*.png")))
     with pytest.raises(ConfigurationError, match=r"1 sites cannot be split into train, validation and test"):
-        run("task=simulate", *where, f"scene.folder={one_site}")
+        run("task=simulate", *where)
+    (made / "frames.csv").unlink()
     for path in made.glob("*/*.png"):
         imsave(path, np.ones((40, 40), np.uint8), check_contrast=False)
     with pytest.raises(ConfigurationError, match=r"no patch of 48 x 48 px lies wholly inside"):
-        run("task=simulate", *where, f"scene.folder={made}")
+        run("task=simulate", *where)
     assert not (tmp_path / "runs" / "data").exists()

@@ -12,7 +12,6 @@ import torch
 from ablate import tracking
 from ablate.comparison.results import appendix
 from ablate.jobs.compose import jobs_of
-from ablate.runs import provenance
 from ablate.runs.job import Job
 from ablate.runs.provenance import write_provenance
 from ablate.storage import write_json
@@ -123,4 +122,4 @@ def test_minimal_provenance_has_no_changes_and_no_environment(job: Job, monkeypa
     files = {path.name: path.read_text() for path in (job.folder / "provenance").iterdir()}
     assert files.keys() == {"config.json", "made_with.json", "starts.json"}
     assert not any("canary" in text for text in files.values())
-    assert provenance._earlier(job.folder / "provenance")[-1]["git_commit"] == "aaa"
+    assert job.run.starts[-1]["git_commit"] == "aaa"

@@ -15,17 +15,12 @@ from ablate.comparison.compare import compare_study
 from ablate.jobs.compose import jobs_of
 from ablate.runs import train as run_module
 from ablate.runs.job import Job
-from ablate.runs.store_texts import log_samples
+from ablate.runs.store_copy import log_samples
 from ablate.runs.train import run_job
 from ablate.tracking import default_uri
 
-TINY = [
-    "preset=tiny",
-    "simulator.image_shape=[96,134]",
-    "dataset.frames=10",
-    "training.steps=4",
-    "training.validate_every=1",
-]
+TINY = ["preset=tiny", "simulator.image_shape=[96,134]", "dataset.frames=10"]
+TINY += ["training.steps=4", "training.validate_every=1"]
 
 
 @pytest.fixture(scope="module")

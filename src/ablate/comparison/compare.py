@@ -197,7 +197,7 @@ def _markdown(table: pd.DataFrame) -> str:
 def _left_out(runs: Sequence[Run]) -> list[str]:
     """What was left out of this study, and why."""
     try:
-        notes = list(runs[0].data_set.left_out)
+        notes = list(runs[0].data_set.about["left_out"])
     except (OSError, ValueError, KeyError):
         notes = []  # the pairs have been deleted
     notes += dict.fromkeys(str(note) for run in runs for note in run.result.get("notes", ()))

@@ -7,7 +7,7 @@ from ablate.dataset import Part, label_values
 from ablate.metrics.stored_names import FLOOR_PREFIX
 from ablate.networks import conditions
 from ablate.runs.run import Run
-from ablate.runs.store_texts import logged
+from ablate.runs.store_copy import logged
 from ablate.settings.study import StudySettings
 from ablate.tracking import Store, StoredRun
 from ablate.training import load_generator

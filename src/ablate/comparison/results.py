@@ -12,7 +12,7 @@ from ablate.comparison.frame_times import network_of, read_times, shown_machine,
 from ablate.metrics import Shown, shown_in
 from ablate.metrics.stored_names import BOUNDS, FLOOR_PREFIX, FRAME_TIME, MODEL, RESIMULATED, is_bound
 from ablate.runs.run import Run
-from ablate.runs.store_texts import ABOUT_CODE
+from ablate.runs.store_copy import ABOUT_CODE
 
 _LOG = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ablate.analysis import REFERENCE, listed
-from ablate.runs.identity import differences, semantic_key
+from ablate.runs.job import differences, semantic_key
 from ablate.runs.run import Run, State, runs_of
 from ablate.setting import flat
 from ablate.settings.conf import components

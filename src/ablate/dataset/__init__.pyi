@@ -10,10 +10,10 @@ from .encoding import network_inputs as network_inputs
 from .export_formats import write_contact_sheet as write_contact_sheet
 from .filling import fill_pairs as fill_pairs
 from .filling import remove_damaged as remove_damaged
-from .map_formats import DERIVED as DERIVED
 from .own_poses import Sweep as Sweep
 from .own_poses import read_poses as read_poses
 from .own_poses import sweep as sweep
+from .pairs import DERIVED as DERIVED
 from .pairs import PAIRS_VERSION as PAIRS_VERSION
 from .pairs import DamagedShardError as DamagedShardError
 from .pairs import Pairs as Pairs
@@ -21,11 +21,10 @@ from .pairs import create_pairs as create_pairs
 from .pairs import open_pairs as open_pairs
 from .png_folder import PngFolder as PngFolder
 from .png_folder import content_digest as content_digest
+from .png_folder import import_pairs as import_pairs
+from .png_folder import read_fan as read_fan
 from .png_folder import validate_png_folder as validate_png_folder
-from .png_import import import_pairs as import_pairs
-from .png_import import read_fan as read_fan
 from .processes import end_with_parent as end_with_parent
-from .seeds import noise_seeds as noise_seeds
 from .simulate import Recipe as Recipe
 from .simulate import simulate_pairs as simulate_pairs
 from .sites import Dropped as Dropped
@@ -38,4 +37,5 @@ from .split import Part as Part
 from .split import SplitBy as SplitBy
 from .split import choose_frames as choose_frames
 from .split import equally_spaced as equally_spaced
+from .split import noise_seeds as noise_seeds
 from .split import split_frames as split_frames

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from ablate.dataset.encoding import encode_grey_levels
-from ablate.dataset.map_formats import decode_attenuation
-from ablate.dataset.seeds import crop_generator
+from ablate.dataset.encoding import decode_attenuation, encode_grey_levels
 
 if TYPE_CHECKING:
     from ablate.dataset.pairs import Pairs  # only here: frames that are read otherwise need no Zarr
@@ -47,12 +45,8 @@ class Crops:
 
     Crops are drawn from `frames`, (k,) int. `maps` says which maps are included besides, `values` come from
     `label_values`. As many frames as fit into `in_memory_bytes` are kept in memory, as `Pairs.stored` has them: Zarr
-    takes longer to find a frame than the crop is cut in.
-
-    Raises
-    ------
-    ValueError
-        When a batch is larger than the number of frames, or no pixel lies in the fan.
+    takes longer to find a frame than the crop is cut in. A ValueError when a batch is larger than the number of frames,
+    or no pixel lies in the fan.
     """
 
     def __init__(
@@ -82,15 +76,15 @@ class Crops:
 
     def _fill(self, batch: dict[str, np.ndarray], step: int, index: int) -> int:
         """Cut crop `index` of a batch into its place; returns its noise seed."""
-        rng = crop_generator(self.settings.seed, step, index)
+        rng = np.random.default_rng([self.settings.seed, step, index])
         item = int(rng.integers(len(self.frames)))
         corner = self._window(rng)
         mirror = self.settings.flip and bool(rng.integers(2))
         mask = self._cut(self.mask, corner, mirror)
         batch["mask"][index, 0] = mask
         for name in self.names:  # in place: temporary arrays of this size cost more than the arithmetic
-            cut = self._cut(self._frame(name, item), corner, mirror)
-            place = batch[name][index, 0]
+            frame = self._in_memory[name][item] if item < self._kept else self.pairs.stored(name, self.frames[item])
+            cut, place = self._cut(frame, corner, mirror), batch[name][index, 0]
             if name == "segmentation":
                 np.take(self.values, cut, out=place)
             elif cut.dtype == np.uint16:  # attenuation
@@ -99,9 +93,6 @@ class Crops:
                 encode_grey_levels(cut, out=place)
                 np.copyto(place, -1, where=~mask)
         return int(rng.integers(2**62))
-
-    def _frame(self, name: str, item: int) -> np.ndarray:
-        return self._in_memory[name][item] if item < self._kept else self.pairs.stored(name, self.frames[item])
 
     def _window(self, rng: np.random.Generator) -> tuple[int, int]:
         """Top left corner of a crop with enough of the fan in it; where none is found, of the best one seen."""

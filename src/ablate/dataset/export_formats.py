@@ -1,11 +1,10 @@
 """Pairs written for others: an overview picture, PNGs that `scene=pairs` reads, the folder of nnU-Net, DICOM."""
 
-import csv
 import json
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from PIL import Image
 from skimage.color import hsv2rgb
 from skimage.transform import resize
@@ -18,27 +17,27 @@ from ablate.dataset.split import Part
 from ablate.storage import write_json, write_text, written_whole
 from ablate.ultrasound import SIMULATOR_VERSION
 
-_THUMBNAIL_PX = 320
+_THUMBNAIL_PX, _PER_PART = 320, 8
 # A colour a label, the same in every frame: hues a golden angle apart, outside the fan black.
 _HUES = np.arange(256) * 0.381966 % 1
 _COLOURS = hsv2rgb(np.stack([_HUES, np.full(256, 0.55), np.where(np.arange(256) % 2, 0.95, 0.7)], axis=-1))
 _COLOURS[0] = 0
 
 
-def write_contact_sheet(pairs: Pairs, path: Path, per_part: int = 8) -> None:
+def write_contact_sheet(pairs: Pairs, path: Path) -> None:
     """Write frames of each part as B-mode with their segmentation below, train first, as one PNG.
 
-    `segmentation` and `target` must be filled. Of each part, `per_part` frames are shown, equally spaced, in one row.
+    `segmentation` and `target` must be filled. Of each part, eight frames are shown, equally spaced, in one row.
     """
     tiles = []
     for part in Part:
         frames = pairs.frames(part)
-        shown = frames[np.linspace(0, len(frames) - 1, per_part).round().astype(int)]  # repeated where there are few
+        shown = frames[np.linspace(0, len(frames) - 1, _PER_PART).round().astype(int)]  # repeated where there are few
         images = pairs.read("target", shown) / 255.0
         labels = pairs.read("segmentation", shown)
         tiles += [np.repeat(_thumbnail(i)[..., None], 3, axis=2) for i in images]
         tiles += [_thumbnail(_COLOURS[s]) for s in labels]
-    sheet = montage(np.stack(tiles), channel_axis=3, grid_shape=(2 * len(Part), per_part), padding_width=4)
+    sheet = montage(np.stack(tiles), channel_axis=3, grid_shape=(2 * len(Part), _PER_PART), padding_width=4)
     _save((np.clip(sheet, 0, 1) * 255).astype(np.uint8), path)  # other processes that filled the set write it too
 
 
@@ -53,13 +52,12 @@ def write_png(pairs: Pairs, folder: Path) -> None:
         (folder / FOLDERS[name]).mkdir(parents=True, exist_ok=True)
         for frame in range(len(pairs)):
             _save(pairs.stored(name, frame), folder / FOLDERS[name] / f"{_name(frame)}.png")
-    parts = [Part(part).name for part in pairs.split]
-    rows = [
-        (_name(frame), f"site{site}", part) for frame, (site, part) in enumerate(zip(pairs.sites, parts, strict=True))
-    ]
-    _write_table(folder / "frames.csv", ("name", "site", "part"), rows)
+    sites, parts = [f"site{site}" for site in pairs.sites], [Part(part).name for part in pairs.split]
+    frames = pd.DataFrame({"name": [_name(k) for k in range(len(pairs))], "site": sites, "part": parts})
+    frames.to_csv(folder / "frames.csv", index=False)
     if set(pairs.tissues) <= load_tissues().keys():
-        _write_table(folder / "labels.csv", ("label", "tissue"), list(enumerate(pairs.tissues, start=1)))
+        labels = pd.Series(pairs.tissues, pd.RangeIndex(1, len(pairs.tissues) + 1, name="label"), name="tissue")
+        labels.to_csv(folder / "labels.csv")
 
 
 def write_nnunet(pairs: Pairs, folder: Path) -> None:
@@ -95,7 +93,6 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: tuple[float, float]) -> No
     from pydicom.dataset import Dataset, FileMetaDataset
     from pydicom.uid import ExplicitVRLittleEndian, UltrasoundImageStorage, generate_uid
 
-    rows, columns = pairs.shape
     known_by = pairs.folder.name  # has the hash of the data set
     inside = np.argwhere(pairs.mask())
     folder.mkdir(parents=True, exist_ok=True)
@@ -115,7 +112,7 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: tuple[float, float]) -> No
         data.ImageType = ["DERIVED", "PRIMARY"]
         data.DerivationDescription = "Simulated, no patient"
         data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
-        data.Rows, data.Columns = rows, columns
+        data.Rows, data.Columns = pairs.shape
         data.BitsAllocated = data.BitsStored = 8
         data.HighBit, data.PixelRepresentation = 7, 0
         region = Dataset()
@@ -144,10 +141,3 @@ def _name(frame: int) -> str:
 def _save(values: np.ndarray, path: Path) -> None:
     with written_whole(path) as partial:
         Image.fromarray(values).save(partial)
-
-
-def _write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(header)
-        writer.writerows(rows)

@@ -1,5 +1,6 @@
 """Fill a data set with shards; several processes can do so at the same time."""
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -8,13 +9,15 @@ from typing import Any
 import numpy as np
 import zarr
 from filelock import FileLock, Timeout
+from tqdm import tqdm
 from zarr.codecs import BloscCodec, Crc32cCodec
 from zarr.storage import MemoryStore
 
-from ablate.dataset.map_formats import FORMATS, FrameFormat, encode_attenuation
-from ablate.dataset.pairs import DamagedShardError, Pairs
+from ablate.dataset.encoding import encode_attenuation
+from ablate.dataset.pairs import FORMATS, DamagedShardError, Pairs
 from ablate.storage import remove_partial, written_whole
 
+_WAIT_S = 1.0
 #: Makes the wanted maps of some frames.
 MakeFrames = Callable[[np.ndarray, frozenset[str]], Mapping[str, np.ndarray]]
 
@@ -27,14 +30,15 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
     from one machine to the other, a shard may be made twice, with the same content.
 
     `make` is called with the numbers of k frames and the names of the wanted maps, out of `FORMATS`. It returns arrays
-    (k, H, W) by name: `attenuation` float in [0, 1], the others uint8; frames that have no such map are zeros.
-
-    Raises
-    ------
-    OSError
-        When a shard cannot be written, as on a full disk; those before it stay.
+    (k, H, W) by name: `attenuation` float in [0, 1], the others uint8; frames that have no such map are zeros. An
+    OSError when a shard cannot be written, as on a full disk; those before it stay.
     """
-    _create_maps(pairs, maps)
+    with FileLock(pairs.folder / ".create.lock"):
+        for left in pairs.folder.glob("pairs.zarr/*/*.partial"):
+            left.unlink()
+        group = zarr.open_group(pairs.folder / "pairs.zarr", mode="a")
+        for name in sorted(m for m in maps if m not in group):
+            group.create_array(name, **frame_array(name, len(pairs), pairs.shape, pairs.shard))
     for shard in pairs.missing(maps):
         with _claimed(pairs, shard) as mine:
             if mine and (names := pairs.missing_in_shard(shard, maps)):
@@ -45,29 +49,44 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
                 yield len(frames)
 
 
-def frame_array(frames: int, shape: tuple[int, int], slots: int, how: FrameFormat) -> dict[str, object]:
-    """Arguments of `create_array` for an array of frames (n, H, W), `slots` of them a shard."""
+def fill_all(pairs: Pairs, maps: frozenset[str], what: str, fill: Callable[[], Iterator[int]]) -> int:
+    """Call `fill`, such as `fill_pairs`, until nothing is missing, and return the number of frames that it made.
+
+    A bar called `what` grows by them. What other processes make meanwhile is waited for.
+    """
+    todo = sum(len(pairs.frames_of_shard(shard)) for shard in pairs.missing(maps))
+    with tqdm(total=todo, unit="frame", desc=what, mininterval=1.0) as bar:
+        while pairs.missing(maps):
+            before = bar.n
+            for frames in fill():
+                bar.update(frames)
+            if bar.n == before:
+                time.sleep(_WAIT_S)
+        return int(bar.n)
+
+
+def frame_array(name: str, frames: int, shape: tuple[int, int], slots: int) -> dict[str, object]:
+    """Arguments of `create_array` for the frames (n, H, W) of a map, `slots` of them a shard."""
+    dtype, shuffle = FORMATS[name]
+    packed = BloscCodec(cname="zstd", clevel=3, shuffle=shuffle, typesize=np.dtype(dtype).itemsize)
     return {
         "shape": (frames, *shape),
-        "dtype": how.dtype,
+        "dtype": dtype,
         "chunks": (1, *shape),
         "shards": (slots, *shape),
-        "compressors": [
-            BloscCodec(cname="zstd", clevel=3, shuffle=how.shuffle, typesize=np.dtype(how.dtype).itemsize),
-            Crc32cCodec(),
-        ],
+        "compressors": [packed, Crc32cCodec()],
         "config": {"write_empty_chunks": True},  # a black frame is stored too, with its checksum
     }
 
 
-def write_shard(path: Path, stack: np.ndarray, slots: int, how: FrameFormat) -> None:
-    """Write the first frames, (n, H, W) of `how.dtype`, of a shard that has room for `slots`: whole, or not at all.
+def write_shard(path: Path, name: str, stack: np.ndarray, slots: int) -> None:
+    """Write the first frames of a map, (n, H, W), of a shard that has room for `slots`: whole, or not at all.
 
     Only one process at a time may write a shard; what others left half-written is removed. On a full disk OSError is
     raised and nothing is left.
     """
     encoded: dict[str, Any] = {}
-    zarr.create_array(MemoryStore(encoded), **frame_array(len(stack), stack.shape[1:], slots, how))[...] = stack
+    zarr.create_array(MemoryStore(encoded), **frame_array(name, len(stack), stack.shape[1:], slots))[...] = stack
     path.parent.mkdir(parents=True, exist_ok=True)
     remove_partial(path)
     with written_whole(path) as partial:
@@ -84,31 +103,22 @@ def unclaimed(pairs: Pairs, maps: frozenset[str]) -> tuple[int, ...]:
     return tuple(free)
 
 
-def remove_damaged(
-    pairs: Pairs, maps: frozenset[str], progress: Callable[[int], object] = lambda _: None
-) -> tuple[str, ...]:
-    """Remove the shards that are damaged, so that they count as missing; return what was wrong with each."""
+def remove_damaged(pairs: Pairs, maps: frozenset[str]) -> tuple[str, ...]:
+    """Remove the shards that are damaged, so that they count as missing; return what was wrong with each.
+
+    A shard that another process is making is left to it.
+    """
     found = []
-    for name in sorted(maps):
-        for shard in range(pairs.shards):
-            file = pairs.shard_file(name, shard)
-            if not file.exists():
-                continue
-            if _damage(pairs, name, shard):
-                with _lock(pairs, shard):
-                    if why := _damage(pairs, name, shard):  # another process may have made it anew meanwhile
-                        file.unlink()
-                        found.append(why)
-            progress(1)
+    for shard in tqdm(range(pairs.shards), unit="shard", desc="check", mininterval=1.0, leave=False):
+        with _claimed(pairs, shard) as mine:
+            for name in sorted(maps) if mine else ():
+                try:
+                    with suppress(FileNotFoundError):
+                        pairs.stored(name, pairs.frames_of_shard(shard))
+                except DamagedShardError as error:
+                    pairs.shard_file(name, shard).unlink()
+                    found.append(error.what)
     return tuple(found)
-
-
-def _damage(pairs: Pairs, name: str, shard: int) -> str | None:
-    try:
-        pairs.check(name, shard)
-    except DamagedShardError as error:
-        return error.what
-    return None
 
 
 def _write(pairs: Pairs, name: str, shard: int, stack: np.ndarray) -> None:
@@ -116,33 +126,17 @@ def _write(pairs: Pairs, name: str, shard: int, stack: np.ndarray) -> None:
     if name == "attenuation":
         stack = np.stack([encode_attenuation(frame) for frame in stack])
     try:
-        write_shard(file, stack.astype(FORMATS[name].dtype, copy=False), pairs.shard, FORMATS[name])
+        write_shard(file, name, stack.astype(FORMATS[name][0], copy=False), pairs.shard)
     except OSError as error:
         numbers = pairs.frames_of_shard(shard)
         what = f"'{name}' of frames {numbers[0]} to {numbers[-1]} was not written, the shards before it are"
         raise OSError(error.errno, f"{error.strerror}; {what}", str(file)) from error
 
 
-def _create_maps(pairs: Pairs, maps: frozenset[str]) -> None:
-    unknown = maps - FORMATS.keys()
-    if unknown:
-        raise ValueError(f"unknown maps {sorted(unknown)}; allowed: {', '.join(FORMATS)}")
-    with FileLock(pairs.folder / ".create.lock"):
-        for left in pairs.folder.glob("pairs.zarr/*/*.partial"):
-            left.unlink()
-        group = zarr.open_group(pairs.folder / "pairs.zarr", mode="a")
-        for name in sorted(m for m in maps if m not in group):
-            group.create_array(name, **frame_array(len(pairs), pairs.shape, pairs.shard, FORMATS[name]))
-
-
-def _lock(pairs: Pairs, shard: int) -> FileLock:
-    return FileLock(pairs.folder / f".shard{shard}.lock")
-
-
 @contextmanager
 def _claimed(pairs: Pairs, shard: int) -> Iterator[bool]:
     """Whether this process may make the shard, for as long as the context lasts."""
-    lock = _lock(pairs, shard)
+    lock = FileLock(pairs.folder / f".shard{shard}.lock")
     with suppress(Timeout):
         lock.acquire(timeout=0)
     try:

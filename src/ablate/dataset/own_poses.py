@@ -31,12 +31,8 @@ def read_poses(path: Path, key: str = "dataset.poses") -> tuple[np.ndarray, np.n
 
     A .npy file holds (n, 4, 4), and every pose is a site of its own. A .csv file has the columns x, y, z of the middle
     of the face, mm, and qw, qx, qy, qz, a unit quaternion; a column `site` is optional.
-    `key` stands in messages.
-
-    Raises
-    ------
-    FileNotFoundError, ValueError
-        When the file is missing or holds something else, or a pose is not rigid; names file and row.
+    `key` stands in messages. A FileNotFoundError or ValueError, when the file is missing or holds something else, or a
+    pose is not rigid, names file and row.
     """
     where = f"{key}={path}"
     if path.suffix.lower() not in (".npy", ".csv"):
@@ -66,14 +62,11 @@ def read_poses(path: Path, key: str = "dataset.poses") -> tuple[np.ndarray, np.n
 def sweep(first: np.ndarray, last: np.ndarray, kind: Sweep, count: int) -> np.ndarray:
     """Poses, (count, 4, 4), at equal steps from the first to the last, both (4, 4) and among them.
 
-    Raises
-    ------
-    ValueError
-        When a fan has no angle, or a rotation does anything but turn about the probe's z.
+    A ValueError when a fan has no angle, or a rotation does anything but turn about the probe's z.
     """
-    turn = last[:3, :3] @ first[:3, :3].T
     from scipy.spatial.transform import Rotation  # not for the settings, which name a sweep
 
+    turn = last[:3, :3] @ first[:3, :3].T
     turn_vector = Rotation.from_matrix(turn).as_rotvec()
     angle = float(np.linalg.norm(turn_vector))
     moved = last[:3, 3] - first[:3, 3]

@@ -1,7 +1,6 @@
 """Pairs on disk: one Zarr v3 group, what it holds, and how its frames are read."""
 
-import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,13 +10,24 @@ import zarr
 from filelock import FileLock
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from ablate.dataset.map_formats import ATTENUATION_SCALE, DERIVED, FORMATS, decode_attenuation
+from ablate.dataset.encoding import ATTENUATION_SCALE, decode_attenuation
 from ablate.dataset.split import Part
-from ablate.storage import written_whole
+from ablate.storage import write_json
 from ablate.ultrasound import Probe, compensated_attenuation
 
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
 PAIRS_VERSION = 4
+# How each map is stored: NumPy's name of the type, Blosc's of the shuffle. Labels repeat as whole bytes; other values
+# pack better with bits, or bytes, of like place together.
+FORMATS = {
+    "segmentation": ("uint8", "noshuffle"),
+    "attenuation": ("uint16", "shuffle"),
+    "target": ("uint8", "bitshuffle"),
+    "low": ("uint8", "bitshuffle"),
+    "resimulation": ("uint8", "bitshuffle"),
+}
+#: What is not stored but made from a stored map when it is read, by the name of that map.
+DERIVED = {"compensated": "attenuation"}
 _MEND = "`python -m ablate task=simulate` with the same settings"
 
 
@@ -68,10 +78,6 @@ class Pairs:
         """Names of the maps that are laid out; which shards of them are made tells `missing`."""
         return frozenset(m for m in FORMATS if (self.folder / "pairs.zarr" / m / "zarr.json").exists())
 
-    def dtypes(self, of: Collection[str]) -> dict[str, str]:
-        """What those of the maps that are laid out are stored as, in the order of their names."""
-        return {name: FORMATS[name].dtype for name in sorted(self.maps.intersection(of))}
-
     def frames(self, part: Part) -> np.ndarray:
         """Indices of the frames of one part, increasing."""
         return np.flatnonzero(self.split == part)
@@ -79,15 +85,11 @@ class Pairs:
     def frames_of_shard(self, shard: int) -> np.ndarray:
         return np.arange(shard * self.shard, min(len(self), (shard + 1) * self.shard))
 
-    def wanted_in_shard(self, shard: int, maps: frozenset[str]) -> frozenset[str]:
-        """Which of `maps` this shard holds: re-simulation only where there are validation or test frames."""
-        if (self.split[self.frames_of_shard(shard)] == Part.train).all():
-            return maps - {"resimulation"}
-        return maps
-
     def missing_in_shard(self, shard: int, maps: frozenset[str]) -> frozenset[str]:
-        """Which of `maps` this shard should hold and does not."""
-        return frozenset(m for m in self.wanted_in_shard(shard, maps) if not self.shard_file(m, shard).exists())
+        """Which of `maps` this shard lacks; re-simulation is only for validation and test frames."""
+        trains = (self.split[self.frames_of_shard(shard)] == Part.train).all()
+        wanted = maps - {"resimulation"} if trains else maps
+        return frozenset(m for m in wanted if not self.shard_file(m, shard).exists())
 
     def missing(self, maps: frozenset[str]) -> tuple[int, ...]:
         """Shards of which at least one wanted array is not yet on disk."""
@@ -96,37 +98,32 @@ class Pairs:
     def shard_file(self, name: str, shard: int) -> Path:
         return self.folder / "pairs.zarr" / name / "c" / str(shard) / "0" / "0"
 
-    def check(self, name: str, shard: int) -> None:
-        """Compare one shard of one map with its checksums; raises as `stored` does."""
-        self.stored(name, self.frames_of_shard(shard))
-
     def stored(self, name: str, frames: int | Sequence[int] | np.ndarray) -> np.ndarray:
         """Frames of one map as they are stored, uint8 or, of attenuation, uint16.
 
         The result is (H, W) for one number and (k, H, W) for several, of which those of one shard are read at once.
         `compensated` is `compensated_attenuation` in steps of 1/65535.
 
-        Raises
-        ------
-        DamagedShardError
-            When a frame is not as it was written.
-        FileNotFoundError
-            When it has not been made.
+        A DamagedShardError when a frame is not as it was written, a FileNotFoundError when it has not been made.
         """
         numbers = np.atleast_1d(np.asarray(frames, np.int64))
-        stack = np.empty((len(numbers), *self.shape), FORMATS[DERIVED.get(name, name)].dtype)
-        shards = numbers // self.shard
-        for shard in np.unique(shards):
-            first, last = numbers[shards == shard].min(), numbers[shards == shard].max()
-            stack[shards == shard] = self._of_shard(name, shard, slice(first, last + 1))[
-                numbers[shards == shard] - first
-            ]
+        stack = np.empty((len(numbers), *self.shape), FORMATS[DERIVED.get(name, name)][0])
+        for shard in np.unique(numbers // self.shard):
+            here = numbers // self.shard == shard
+            first, last = numbers[here].min(), numbers[here].max()
+            stack[here] = self._of_shard(name, shard, slice(first, last + 1))[numbers[here] - first]
         return stack if np.ndim(frames) else stack[0]
 
     def _of_shard(self, name: str, shard: int, frames: slice) -> np.ndarray:
         """A range of frames, all of one shard, (k, H, W)."""
         if name in DERIVED:
-            return self._compensated(self._of_shard(DERIVED[name], shard, frames))
+            if self.probe is None or self.tgc_db_cm_mhz is None:
+                raise ValueError(
+                    f"{self.folder}: compensated attenuation needs the probe and the TGC of the simulation"
+                )
+            attenuation = decode_attenuation(self._of_shard(DERIVED[name], shard, frames))
+            shares = compensated_attenuation(attenuation, self.probe, self.tgc_db_cm_mhz)
+            return np.rint(shares * ATTENUATION_SCALE).astype(np.uint16)
         file = self.shard_file(name, shard)
         if not file.exists():  # Zarr would read zeros
             raise FileNotFoundError(f"{file}: not made yet; {_MEND} makes it")
@@ -138,12 +135,6 @@ class Pairs:
             numbers = self.frames_of_shard(shard)
             what = f"{file}, '{name}' of frames {numbers[0]} to {numbers[-1]}, is damaged"
             raise DamagedShardError(f"{what}: it does not match its checksum") from error
-
-    def _compensated(self, attenuation: np.ndarray) -> np.ndarray:
-        if self.probe is None or self.tgc_db_cm_mhz is None:
-            raise ValueError(f"{self.folder}: compensated attenuation needs the probe and the TGC of the simulation")
-        shares = compensated_attenuation(decode_attenuation(attenuation), self.probe, self.tgc_db_cm_mhz)
-        return np.rint(shares * ATTENUATION_SCALE).astype(np.uint16)
 
     @cached_property
     def _arrays(self) -> dict[str, zarr.Array]:
@@ -173,11 +164,6 @@ def create_pairs(
     """Lay out an empty data set, or open the one that is there.
 
     Arrays of maps are created by `fill_pairs` when first needed. Safe to call from several processes.
-
-    Raises
-    ------
-    PermissionError
-        When the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with FileLock(folder / ".create.lock"):
@@ -186,20 +172,15 @@ def create_pairs(
             for name, data in {"pose": poses, "site": sites.astype("int32"), "split": split, "mask": mask}.items():
                 group.create_array(name, data=np.ascontiguousarray(data), compressors=[ZstdCodec(), Crc32cCodec()])
             group.attrs.update({"version": PAIRS_VERSION, "shard": shard, "tissues": list(tissues)})
-            with written_whole(folder / "about.json") as partial:
-                partial.write_text(json.dumps(dict(about), indent=2, sort_keys=True, default=str), "utf-8")
+            write_json(folder / "about.json", about)
     return open_pairs(folder)
 
 
 def open_pairs(folder: Path) -> Pairs:
     """Open a data set that `create_pairs` laid out.
 
-    Raises
-    ------
-    FileNotFoundError
-        When there is none.
-    ValueError
-        When its poses, sites, split or mask are not as they were written, or it is stored in another version.
+    A FileNotFoundError when there is none; a ValueError when its poses, sites, split or mask are not as they were
+    written, or it is stored in another version.
 
     Examples
     --------
@@ -214,23 +195,14 @@ def open_pairs(folder: Path) -> Pairs:
     if not (folder / "about.json").exists():
         raise FileNotFoundError(f"no data set at {folder}; {_MEND} makes it")
     group = zarr.open_group(folder / "pairs.zarr", mode="r")
-    version = group.attrs.get("version", "2 or earlier")  # was not stored before version 3
-    if version != PAIRS_VERSION:
+    if (version := group.attrs.get("version")) != PAIRS_VERSION:
         raise ValueError(
             f"{folder}: pairs stored in version {version}, this program reads version {PAIRS_VERSION}; {_MEND} makes "
             "them again in a folder of their own, after which this one can be removed"
         )
     pose, site, split, mask = (_read_whole(folder, name) for name in ("pose", "site", "split", "mask"))
-    height, width = mask.shape
-    return Pairs(
-        folder=folder,
-        poses=pose,
-        sites=site,
-        split=split,
-        shape=(int(height), int(width)),
-        shard=int(group.attrs["shard"]),
-        tissues=tuple(str(t) for t in group.attrs["tissues"]),
-    )
+    shard, tissues = int(group.attrs["shard"]), tuple(str(t) for t in group.attrs["tissues"])
+    return Pairs(folder, pose, site, split, (mask.shape[0], mask.shape[1]), shard, tissues)
 
 
 def _read_whole(folder: Path, name: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Pairs made elsewhere, as a folder of PNGs: what is in it and whether it fits together, before any pixel is read.
+"""Pairs made elsewhere, as a folder of PNGs: whether it fits together, and its pixels as a data set.
 
 segmentation/ and image/ hold files of the same names, attenuation/ and low/ may hold more of them. `labels.csv` (label,
 tissue) names what the labels stand for, `frames.csv` (name, site and, if wanted, part) says which frames belong
@@ -12,18 +12,21 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from skimage.io import imread
 
 from ablate.anatomy import Tissue, load_tissues
+from ablate.dataset.filling import fill_all, fill_pairs
+from ablate.dataset.pairs import Pairs
 from ablate.dataset.split import Part
 
 #: Folder of each map of a data set.
 FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}
 MOST_LABELS = 254
 MOST_PIXELS = 2**24  # 4096 x 4096; a PNG of a few bytes can decode to gigabytes
-_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOURS = {0: "grey", 2: "RGB", 3: "with a palette", 4: "grey with alpha", 6: "RGBA"}
 
 
@@ -61,13 +64,9 @@ class PngFolder:
 def validate_png_folder(folder: str | Path) -> PngFolder:
     """Check a folder by the names and headers of its files.
 
-    Raises
-    ------
-    FileNotFoundError
-        When a folder or a partner of a file is missing.
-    ValueError
-        When a file is no grey PNG of 8 bits (16 are allowed for attenuation), sizes differ, or a table is not as
-        it should be; the message names the file and what is allowed.
+    A FileNotFoundError when a folder or a partner of a file is missing. A ValueError when a file is no grey PNG of 8
+    bits (16 are allowed for attenuation), sizes differ, or a table is not as it should be; the message names the file
+    and what is allowed.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -90,79 +89,110 @@ def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
         for name, place in FOLDERS.items()
         if (folder / place).is_dir()
     }
-    names = _common_names(folder, files)
-    shape = _common_shape(files)
-    sites, parts = _frames(folder / "frames.csv", names)
-    return PngFolder(folder, names, files, shape, sites, parts, _tissues(folder / "labels.csv"))
+    everything = set().union(*files.values())
+    for name, found in files.items():
+        if not found:
+            raise FileNotFoundError(f"{folder / FOLDERS[name]}: no PNG in it")
+        if missing := sorted(everything - found.keys()):
+            partner = next(there[missing[0]] for there in files.values() if missing[0] in there)
+            more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
+            path = folder / FOLDERS[name] / f"{missing[0]}.png"
+            raise FileNotFoundError(f"{path}: missing{more}, though its partner {partner} is there")
+    names = tuple(sorted(everything))
+    first = files["segmentation"][names[0]]
+    shape, _, _ = _header(first)
+    for name, path in ((name, path) for name, found in files.items() for path in found.values()):
+        (height, width), bits, colour = _header(path)
+        allowed = (8, 16) if name == "attenuation" else (8,)
+        if colour != 0 or bits not in allowed:
+            kind = f"{bits}-bit {_COLOURS.get(colour, 'of an unknown kind')}"
+            raise ValueError(f"{path}: is {kind}; allowed is {' or '.join(f'{b}-bit' for b in allowed)} grey")
+        if (height, width) != shape:
+            here, there = f"{width} x {height} px", f"{shape[1]} x {shape[0]}"
+            raise ValueError(f"{path}: is {here}, but {first} is {there}; all must have one size")
+    return PngFolder(
+        folder, names, files, shape, *_frames(folder / "frames.csv", names), _tissues(folder / "labels.csv")
+    )
 
 
-def png_shape(folder: str | Path) -> tuple[int, int]:
-    """Height and width of the first segmentation in a folder, px.
+def read_fan(checked: PngFolder) -> tuple[np.ndarray, int]:
+    """Decode every segmentation; return the fan they share, (H, W) bool, where they are not 0, and the highest label.
 
-    Raises
-    ------
-    OSError, ValueError
-        When there is none, or it is no PNG.
+    A ValueError names the first file whose fan or labels do not fit, or which cannot be decoded.
     """
-    found = sorted(path for path in (Path(folder) / FOLDERS["segmentation"]).iterdir() if path.suffix.lower() == ".png")
-    if not found:
-        raise FileNotFoundError(f"{folder}: no PNG file in {FOLDERS['segmentation']}")
-    return _header(found[0])[0]
+    highest = 0
+    allowed = MOST_LABELS if checked.tissues is None else len(checked.tissues)
+    paths = [checked.files["segmentation"][name] for name in checked.names]
+    mask = _decoded(paths[0], checked.shape) > 0
+    for path in paths:
+        labels = _decoded(path, checked.shape)
+        found = int(labels.max())
+        if found > allowed:
+            why = "" if checked.tissues is None else f", those that {checked.folder / 'labels.csv'} names"
+            raise ValueError(f"{path}: has label {found}; allowed are 0, outside the fan, to {allowed}{why}")
+        highest = max(highest, found)
+        if differs := int(np.count_nonzero((labels > 0) != mask)):
+            raise ValueError(
+                f"{path}: its fan, the pixels that are not 0, differs at {differs} of {labels.size} pixels from "
+                f"that of {paths[0]}; all frames must have one fan"
+            )
+    if highest == 0:
+        raise ValueError(f"{paths[0]}: all its pixels are 0, so there is no fan")
+    return mask, highest
+
+
+def import_pairs(checked: PngFolder, names: Sequence[str], pairs: Pairs, maps: frozenset[str]) -> None:
+    """Fill what is missing of a data set from the PNGs; what lies outside the fan becomes 0.
+
+    `names` are those of the frames, in the order of the data set; `maps` are some of `checked.maps`. A ValueError when
+    a file cannot be decoded, an OSError when a shard cannot be written.
+    """
+    mask = pairs.mask()
+
+    def image(name: str, frame: int) -> np.ndarray:
+        decoded = mask * _decoded(checked.files[name][names[frame]], checked.shape)
+        return decoded / np.iinfo(decoded.dtype).max if name == "attenuation" else decoded
+
+    def read(frames: np.ndarray, wanted: frozenset[str]) -> Mapping[str, np.ndarray]:
+        return {name: np.stack([image(name, frame) for frame in frames]) for name in wanted}
+
+    fill_all(pairs, maps, "import", lambda: fill_pairs(pairs, maps, read))
+
+
+def _decoded(path: Path, shape: tuple[int, int]) -> np.ndarray:
+    """The grey levels of a PNG, (H, W) uint8 or uint16."""
+    try:
+        image: np.ndarray = imread(BytesIO(path.read_bytes()))  # closed, whatever is raised
+    except Exception as error:  # every chunk of a PNG raises its own
+        raise ValueError(f"{path}: cannot be decoded ({' '.join(str(error).split())})") from error
+    if image.shape != shape:
+        raise ValueError(f"{path}: is not plain grey (transparent pixels?)")
+    return image
 
 
 def content_digest(checked: PngFolder) -> str:
     """SHA-256, hexadecimal, of all that becomes part of a data set: names and bytes of the files."""
     files = [checked.files[name][frame] for name in sorted(checked.maps) for frame in checked.names]
     tables = [path for path in (checked.folder / "labels.csv", checked.folder / "frames.csv") if path.exists()]
-    stats = tuple((str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in (*files, *tables))
-    return _digest(checked.folder, stats)
+    stats = ((path, path.stat()) for path in (*files, *tables))
+    return _digest(checked.folder, tuple((path, stat.st_size, stat.st_mtime_ns) for path, stat in stats))
 
 
 @lru_cache(maxsize=8)
-def _digest(folder: Path, stats: tuple[tuple[str, int, int], ...]) -> str:
+def _digest(folder: Path, stats: tuple[tuple[Path, int, int], ...]) -> str:
     """Read once a process for as long as no file changes."""
     digest = hashlib.sha256()
     for path, _, _ in stats:
-        digest.update(Path(path).relative_to(folder).as_posix().encode())
-        digest.update(hashlib.sha256(Path(path).read_bytes()).digest())
+        digest.update(path.relative_to(folder).as_posix().encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
-
-
-def _common_names(folder: Path, files: Mapping[str, Mapping[str, Path]]) -> tuple[str, ...]:
-    everything = set().union(*files.values())
-    for name, found in files.items():
-        if not found:
-            raise FileNotFoundError(f"{folder / FOLDERS[name]}: no PNG in it")
-        missing = sorted(everything - found.keys())
-        if missing:
-            partner = next(there[missing[0]] for there in files.values() if missing[0] in there)
-            more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
-            path = folder / FOLDERS[name] / f"{missing[0]}.png"
-            raise FileNotFoundError(f"{path}: missing{more}, though its partner {partner} is there")
-    return tuple(sorted(everything))
-
-
-def _common_shape(files: Mapping[str, Mapping[str, Path]]) -> tuple[int, int]:
-    """Height and width of all images, px."""
-    first = next(iter(files["segmentation"].values()))
-    h0, w0 = _header(first)[0]
-    for name, paths in files.items():
-        allowed = (8, 16) if name == "attenuation" else (8,)
-        for path in paths.values():
-            (h, w), bits, colour = _header(path)
-            if colour != 0 or bits not in allowed:
-                kind = f"{bits}-bit {_COLOURS.get(colour, 'of an unknown kind')}"
-                raise ValueError(f"{path}: is {kind}; allowed is {' or '.join(f'{b}-bit' for b in allowed)} grey")
-            if (h, w) != (h0, w0):
-                raise ValueError(f"{path}: is {w} x {h} px, but {first} is {w0} x {h0}; all must have one size")
-    return h0, w0
 
 
 def _header(path: Path) -> tuple[tuple[int, int], int, int]:
     """Height and width, bits a sample and colour type of a PNG, from its first chunk."""
     with path.open("rb") as stream:
         data = stream.read(26)
-    if len(data) < 26 or data[:8] != _SIGNATURE or data[12:16] != b"IHDR":
+    if len(data) < 26 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
         raise ValueError(f"{path}: not a PNG file")
     width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
     if not 0 < width * height <= MOST_PIXELS:
@@ -174,32 +204,27 @@ def _frames(path: Path, names: tuple[str, ...]) -> tuple[tuple[str, ...], np.nda
     """Site and part of every frame; without the table a site is what stands before the last `_` of a name."""
     if not path.exists():
         return tuple(name.rpartition("_")[0] or name for name in names), None
-    known = set(names)
+    known, allowed = set(names), ", ".join(Part.__members__)
     rows: dict[str, dict[str, str]] = {}
-    for number, row in _table(path, ("name", "site"), ("part",)):
+    for where, row in _table(path, ("name", "site"), ("part",)):
         name = row["name"].removesuffix(".png")
         if name not in known:
-            raise ValueError(f"{path}, line {number}: there is no frame '{name}'")
+            raise ValueError(f"{where}: there is no frame '{name}'")
         if name in rows:
-            raise ValueError(f"{path}, line {number}: frame '{name}' is listed twice")
+            raise ValueError(f"{where}: frame '{name}' is listed twice")
         if not row["site"]:
-            raise ValueError(f"{path}, line {number}: no site; any word will do")
-        if "part" in row and row["part"] not in Part.__members__:
-            allowed = ", ".join(Part.__members__)
-            raise ValueError(f"{path}, line {number}: part '{row['part']}' is not one of {allowed}")
+            raise ValueError(f"{where}: no site; any word will do")
+        if row.get("part", "train") not in Part.__members__:
+            raise ValueError(f"{where}: part '{row['part']}' is not one of {allowed}")
         rows[name] = row
-    missing = [name for name in names if name not in rows]
-    if missing:
+    if missing := [name for name in names if name not in rows]:
         raise ValueError(f"{path}: {len(missing)} frames are not listed, the first is '{missing[0]}'")
     sites = tuple(rows[name]["site"] for name in names)
     if "part" not in rows[names[0]]:
         return sites, None
     parts = np.array([Part[rows[name]["part"]] for name in names], np.uint8)
-    for part in Part:
-        if part not in parts:
-            raise ValueError(
-                f"{path}: no frame is in part {part.name}; each of {', '.join(Part.__members__)} needs one"
-            )
+    if empty := [part.name for part in Part if part not in parts]:
+        raise ValueError(f"{path}: no frame is in part {empty[0]}; each of {allowed} needs one")
     return sites, parts
 
 
@@ -209,39 +234,34 @@ def _tissues(path: Path) -> tuple[Tissue, ...] | None:
         return None
     known = load_tissues()
     found: dict[int, Tissue] = {}
-    for number, row in _table(path, ("label", "tissue"), ()):
+    for where, row in _table(path, ("label", "tissue")):
         if not row["label"].isdecimal() or not 1 <= int(row["label"]) <= MOST_LABELS:
-            raise ValueError(f"{path}, line {number}: label '{row['label']}'; allowed are 1 to {MOST_LABELS}")
+            raise ValueError(f"{where}: label '{row['label']}'; allowed are 1 to {MOST_LABELS}")
         if row["tissue"] not in known:
-            close = difflib.get_close_matches(row["tissue"], list(known), n=1)
-            hint = f"; did you mean '{close[0]}'?" if close else ""
+            hint = "".join(f"did you mean '{name}'? " for name in difflib.get_close_matches(row["tissue"], known, n=1))
             raise ValueError(
-                f"{path}, line {number}: unknown tissue '{row['tissue']}'{hint} known: {', '.join(known)} "
+                f"{where}: unknown tissue '{row['tissue']}'; {hint}known: {', '.join(known)} "
                 "(take the one that is most alike: it decides the order of the labels and what is fluid)"
             )
         if int(row["label"]) in found:
-            raise ValueError(f"{path}, line {number}: label {row['label']} is listed twice")
+            raise ValueError(f"{where}: label {row['label']} is listed twice")
         found[int(row["label"])] = known[row["tissue"]]
     if sorted(found) != list(range(1, len(found) + 1)) or not found:
         raise ValueError(f"{path}: the labels must be 1, 2, ... without a gap, not {sorted(found)}")
     return tuple(found[label] for label in sorted(found))
 
 
-def _table(path: Path, needed: Sequence[str], optional: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
-    """Line numbers and rows of a CSV file with a header line, values without blanks around them."""
+def _table(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> list[tuple[str, dict[str, str]]]:
+    """Places, for messages, and rows of a CSV file with a header line, values without blanks around them."""
     try:
-        return _rows(path, needed, optional)
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.DictReader(stream, skipinitialspace=True)
+            columns = reader.fieldnames = [column.strip() for column in reader.fieldnames or ()]
+            stripped = ({k: (v or "").strip() for k, v in row.items() if k} for row in reader)
+            rows = [(f"{path}, line {reader.line_num}", row) for row in stripped]
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not readable as CSV in UTF-8 ({error})") from error
-
-
-def _rows(path: Path, needed: Sequence[str], optional: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
-    with path.open(newline="", encoding="utf-8-sig") as stream:
-        reader = csv.DictReader(stream, skipinitialspace=True)
-        columns = [column.strip() for column in reader.fieldnames or ()]
-        unknown = [column for column in columns if column not in (*needed, *optional)]
-        if unknown or any(column not in columns for column in needed):
-            also = f" and, if wanted, {', '.join(optional)}" if optional else ""
-            raise ValueError(f"{path}: its first line must be {','.join(needed)}{also}, not {','.join(columns)}")
-        reader.fieldnames = columns
-        return [(reader.line_num, {k: (v or "").strip() for k, v in row.items() if k}) for row in reader]
+    if not set(needed) <= set(columns) <= {*needed, *optional}:
+        also = f" and, if wanted, {', '.join(optional)}" if optional else ""
+        raise ValueError(f"{path}: its first line must be {','.join(needed)}{also}, not {','.join(columns)}")
+    return rows

@@ -6,24 +6,19 @@ import multiprocessing
 import queue
 import signal
 import sys
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from multiprocessing.synchronize import Event
 
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.dataset.filling import MakeFrames, fill_pairs, unclaimed
+from ablate.dataset.filling import MakeFrames, fill_all, fill_pairs, unclaimed
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.processes import allotted_cores, end_with_parent, interrupts_blocked
-from ablate.dataset.seeds import resimulation_seed
-from ablate.dataset.split import Part
+from ablate.dataset.split import Part, resimulation_seed
 from ablate.ultrasound import Probe, Simulator, SimulatorSettings
-
-Progress = Callable[[int], object]
-_WAIT_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -42,7 +37,6 @@ class Recipe:
 
 def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
     """A function that renders the wanted maps of some frames of a data set, for `fill_pairs`."""
-
     of_target, of_low = recipe.settings, replace(recipe.settings, rays=1, layers=1)
     again = replace(recipe.settings, path_seed=resimulation_seed(recipe.settings.path_seed))
 
@@ -71,82 +65,54 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
     return render
 
 
-def simulate_pairs(
-    recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int = 0, progress: Progress = lambda _: None
-) -> int:
+def simulate_pairs(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int = 0) -> int:
     """Fill what is missing of a data set and return the number of frames that this call made.
 
     Shards that another process makes meanwhile are waited for. There are `workers` processes, one a core if it is 0.
-
-    Raises
-    ------
-    OSError
-        When a shard cannot be written, as on a full disk; those before it stay.
-    RuntimeError
-        When a worker process dies.
+    An OSError when a shard cannot be written, as on a full disk; a RuntimeError when a worker process dies.
     """
-    made = 0
 
-    def count(frames: int) -> None:
-        nonlocal made
-        made += frames
-        progress(frames)
-
-    while pairs.missing(maps):
+    def fill() -> Iterator[int]:
         wanted = min(workers or allotted_cores(), len(unclaimed(pairs, maps)))
         if wanted > 1:
-            _fill_in_processes(recipe, pairs, maps, wanted, count)
+            yield from _fill_in_processes(recipe, pairs, maps, wanted)
         elif wanted == 1:
-            for frames in fill_pairs(pairs, maps, frame_simulator(recipe, pairs)):
-                count(frames)
-        else:
-            time.sleep(_WAIT_S)  # other processes make all that is missing
-    return made
+            yield from fill_pairs(pairs, maps, frame_simulator(recipe, pairs))
+
+    return fill_all(pairs, maps, "simulate", fill)
 
 
-def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int, count: Progress) -> None:
+def _fill_in_processes(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: int) -> Iterator[int]:
     context = multiprocessing.get_context("spawn")
-    done: multiprocessing.Queue[int | OSError] = context.Queue()
-    stop = context.Event()
-    arguments = recipe, pairs, maps, done, stop
+    told: multiprocessing.Queue[int | OSError] = context.Queue()
+    arguments = recipe, pairs, maps, told
     processes = [context.Process(target=_work, args=arguments, daemon=True) for _ in range(workers)]
     try:
         with interrupts_blocked():  # Ctrl-C reaches every process of a terminal; the parent ends its workers
             for process in processes:
                 process.start()
-        while any(p.is_alive() for p in processes) or not done.empty():
-            try:
-                told = done.get(timeout=0.2)
-            except queue.Empty:
-                _raise_for([p.exitcode for p in processes])
-                continue
-            if isinstance(told, OSError):
-                raise told
-            count(told)
-        _raise_for([p.exitcode for p in processes])
-    except KeyboardInterrupt:
-        for process in (p for p in processes if p.is_alive()):
-            process.terminate()
-        raise
+        alive = True
+        while alive or not told.empty():
+            alive = any(process.is_alive() for process in processes)
+            with suppress(queue.Empty):
+                made = told.get(timeout=0.2)
+                if isinstance(made, OSError):
+                    raise made
+                yield made
+            for code in (process.exitcode for process in processes if process.exitcode):
+                ended = f"ended with code {code}; its error is printed above"
+                if code < 0:
+                    often = "SIGKILL is often the system's, out of memory: try fewer dataset.workers"
+                    ended = f"was ended by {signal.Signals(-code).name}; {often}"
+                raise RuntimeError(f"a simulation process {ended}")
     finally:
-        stop.set()  # where one has failed, the others finish the shard they are at
         for process in processes:
             if process.pid is not None:
+                process.terminate()
                 process.join()
 
 
-def _raise_for(codes: list[int | None]) -> None:
-    for code in codes:
-        if code and code < 0:
-            killed = f"a simulation process was ended by {signal.Signals(-code).name}"
-            raise RuntimeError(f"{killed}; SIGKILL is often the system's, out of memory: try fewer dataset.workers")
-        if code:
-            raise RuntimeError(f"a simulation process ended with code {code}; its error is printed above")
-
-
-def _work(
-    recipe: Recipe, pairs: Pairs, maps: frozenset[str], done: multiprocessing.Queue[int | OSError], stop: Event
-) -> None:
+def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], told: multiprocessing.Queue[int | OSError]) -> None:
     import torch
 
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # what is half-written is removed
@@ -154,8 +120,6 @@ def _work(
     torch.set_num_threads(1)
     try:
         for frames in fill_pairs(pairs, maps, frame_simulator(recipe, pairs)):
-            done.put(frames)
-            if stop.is_set():
-                return
+            told.put(frames)
     except OSError as error:
-        done.put(error)
+        told.put(error)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
@@ -73,21 +74,14 @@ class Skin:
         return points[4], -normal * np.sign(normal @ outward)
 
 
-@dataclass(frozen=True)
-class Pressed:
-    """Poses after pressing, (n, 4, 4) float64, mm; for each whether all of the face has body before it, (n,) bool,
-    and whether any of it lies in bone or gas, (n,) bool.
-    """
-
-    poses: np.ndarray
-    on_body: np.ndarray
-    hard: np.ndarray
-
-
-def press(skin: Skin, probe: Probe, poses: np.ndarray, approaches: np.ndarray, press_mm: float) -> Pressed:
+def press(
+    skin: Skin, probe: Probe, poses: np.ndarray, approaches: np.ndarray, press_mm: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Move probes, (n, 4, 4), mm, along their approach until the deepest point of each face is `press_mm` in the skin.
 
-    `approaches`, (n, 3), are unit vectors into the body; a probe's own z may be tilted against its approach.
+    `approaches`, (n, 3), are unit vectors into the body; a probe's own z may be tilted against its approach. Returns
+    the poses, (n, 4, 4) float64, and for each whether all of the face has body before it and whether any of it lies in
+    bone or gas, (n,) bool each.
     """
     face = face_points(probe)
     n, k = len(poses), len(face)
@@ -98,7 +92,7 @@ def press(skin: Skin, probe: Probe, poses: np.ndarray, approaches: np.ndarray, p
     pressed = poses.copy()
     pressed[:, :3, 3] += np.where(np.isfinite(deepest), press_mm - deepest, 0.0)[:, None] * approaches
     hard = skin.hard_at(_in_world(pressed, face), directions).reshape(n, k)
-    return Pressed(pressed, on_body, np.asarray(hard.any(axis=1)))
+    return pressed, on_body, np.asarray(hard.any(axis=1))
 
 
 def meets(region: Skin, probe: Probe, poses: np.ndarray) -> np.ndarray:
@@ -155,7 +149,7 @@ class Placement:
 def resample_grid(grid: SiteGrid, counts: Sequence[int] | None) -> SiteGrid:
     """The same ranges with other counts of heights, angles, tilts and rolls, equally spaced; None keeps the grid.
 
-    A count of one keeps the middle of its range; one below is a ValueError.
+    A count of one keeps the middle of its range.
 
     Examples
     --------
@@ -165,22 +159,11 @@ def resample_grid(grid: SiteGrid, counts: Sequence[int] | None) -> SiteGrid:
     """
     if counts is None:
         return grid
-    if len(counts) != 4 or min(counts) < 1:
-        raise ValueError(f"dataset.grid={list(counts)}: four counts of at least 1 (heights, angles, tilts, rolls)")
-
-    heights, angles, tilts, rolls = counts
-    return replace(
-        grid,
-        heights_mm=_spread(grid.heights_mm, heights),
-        angles_deg=_spread(grid.angles_deg, angles),
-        tilts_deg=_spread(grid.tilts_deg, tilts),
-        rolls_deg=_spread(grid.rolls_deg, rolls),
-    )
-
-
-def _spread(values: Sequence[float], count: int) -> tuple[float, ...]:
-    lower, upper = min(values), max(values)
-    return tuple(np.linspace(lower, upper, count).tolist()) if count > 1 else ((lower + upper) / 2,)
+    spread: dict[str, Any] = {}
+    for name, count in zip(("heights_mm", "angles_deg", "tilts_deg", "rolls_deg"), counts, strict=True):
+        lower, upper = min(getattr(grid, name)), max(getattr(grid, name))
+        spread[name] = tuple(np.linspace(lower, upper, count).tolist()) if count > 1 else ((lower + upper) / 2,)
+    return replace(grid, **spread)
 
 
 def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | None = None) -> Placement:
@@ -188,18 +171,11 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
 
     The probe comes from outside along the mean inward normal of the skin around the point where a ray towards the
     body's axis first meets it, rolled and tilted, until the deepest part of its face lies `press_mm` under the
-    undeformed skin. The skin is the first surface met, of whichever structure.
-
-    Raises
-    ------
-    ValueError
-        When the scene has no structure, lacks one that `grid.region` names, no pose is left, or `press_mm` is
-        negative.
+    undeformed skin. The skin is the first surface met, of whichever structure. A ValueError when the scene has no
+    structure, lacks one that `grid.region` names, or no pose is left.
     """
     if not scene.structures:
         raise ValueError(f"scene '{scene.name}' has no structure to put a probe on")
-    if press_mm < 0:
-        raise ValueError(f"dataset.press_mm={press_mm}: allowed are 0 and more")
     probe = probe or ConvexProbe()
     skin, region = Skin(scene), _region(scene, grid)
     axis = _unit(np.asarray(grid.axis, float))
@@ -223,15 +199,15 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
     dropped[Dropped.no_skin] = len(places) * len(turns) - len(started)
     poses: tuple[Pose, ...] = ()
     if started:
-        pressed = press(skin, probe, np.stack(started), np.stack(approaches), press_mm)
+        pressed, on_body, hard = press(skin, probe, np.stack(started), np.stack(approaches), press_mm)
         kept = np.ones(len(started), bool)
-        reasons = [(Dropped.off_body, ~pressed.on_body), (Dropped.hard, pressed.hard)]
+        reasons = [(Dropped.off_body, ~on_body), (Dropped.hard, hard)]
         if region is not None:
-            reasons.append((Dropped.off_region, ~meets(region, probe, pressed.poses)))
+            reasons.append((Dropped.off_region, ~meets(region, probe, pressed)))
         for reason, holds in reasons:
             dropped[reason] = int((kept & holds).sum())
             kept &= ~holds
-        poses = tuple(Pose(pressed.poses[i], sites[i]) for i in np.flatnonzero(kept))
+        poses = tuple(Pose(pressed[i], sites[i]) for i in np.flatnonzero(kept))
     placement = Placement(poses, dropped)
     if not poses:
         raise ValueError(

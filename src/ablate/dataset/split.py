@@ -1,11 +1,33 @@
-"""Which frames train, validate and test."""
+"""Which frames are taken, which of them train, validate and test, and the seeds of what is drawn for them."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from enum import IntEnum, StrEnum
+from itertools import count
 
 import numpy as np
 
-from ablate.dataset.seeds import Drawn, generator_for
+# A prime above the number of noise draws of a frame, and of seeds that a study takes from 0 on: frames, draws and
+# scatterers never share a seed.
+_STRIDE = 1_000_003
+
+
+class Drawn(IntEnum):
+    """What is drawn once for a data set or a run; with the seed, each has a random stream of its own."""
+
+    frames = 1
+    split = 2
+    label_order = 7
+
+
+def resimulation_seed(seed: int) -> int:
+    """Seed, of the scatterers or of the paths, with which a data set's frames are simulated again."""
+    return seed + _STRIDE
+
+
+def noise_seeds(frames: np.ndarray, draw: int) -> np.ndarray:
+    """Seeds of the generator's noise, (k,) int64, for frames of a data set and the number of a noise draw."""
+    return np.asarray(frames, np.int64) * _STRIDE + draw
 
 
 class Part(IntEnum):
@@ -32,26 +54,12 @@ def choose_frames(sites: Sequence[int] | np.ndarray, frames: int, seed: int) -> 
     """Increasing indices, (frames,) int64, of poses as equally spread over the sites as the number allows.
 
     `sites`, (n,) int, is the site of every candidate pose.
-
-    Raises
-    ------
-    ValueError
-        When `frames` is below one or above the number of candidates.
     """
     site = np.asarray(sites)
-    if not 1 <= frames <= len(site):
-        raise ValueError(
-            f"dataset.frames={frames}: allowed are 1 to {len(site)}, the poses that the probe sites offer; "
-            "more sites or orientations: dataset.grid=[heights,angles,tilts,rolls]"
-        )
-    rng = generator_for(seed, Drawn.frames)
-    order = rng.permutation(len(site))
-    rank = np.empty(len(site), np.int64)  # how many poses of the same site come before, in that order
-    for s in np.unique(site):
-        members = order[site[order] == s]
-        rank[members] = np.arange(len(members))
-    position = np.argsort(order)
-    return np.sort(np.lexsort((position, rank))[:frames])
+    order = np.random.default_rng([seed, Drawn.frames]).permutation(len(site))
+    of_site: defaultdict[int, count[int]] = defaultdict(count)
+    rank = [next(of_site[s]) for s in site[order]]  # how many poses of the same site come before, in that order
+    return np.sort(order[np.argsort(rank, kind="stable")[:frames]])
 
 
 def split_frames(
@@ -59,26 +67,19 @@ def split_frames(
 ) -> np.ndarray:
     """`Part` of every frame, (n,) uint8, from its site, (n,) int.
 
-    `validation` and `test` are fractions of the sites (or frames), of which each gets at least one.
-
-    Raises
-    ------
-    ValueError
-        When the fractions leave nothing to train on, or there are fewer than three sites (or frames).
+    `validation` and `test` are fractions of the sites (or frames), of which each gets at least one. A ValueError when
+    that leaves nothing to train on.
     """
-    site = np.asarray(sites)
-    units = np.unique(site) if by is SplitBy.site else np.arange(len(site))
-    member = site if by is SplitBy.site else np.arange(len(site))
-    if not (0 < validation < 1 and 0 < test < 1 and validation + test < 1):
-        raise ValueError(f"dataset.validation={validation} and dataset.test={test}: each above 0 and together below 1")
+    member = np.asarray(sites) if by is SplitBy.site else np.arange(len(sites))
+    units = np.unique(member)
     n_validation, n_test = (max(1, round(f * len(units))) for f in (validation, test))
     if n_validation + n_test >= len(units):
         raise ValueError(
             f"dataset.split={by}: {len(units)} {by}s cannot be split into train, validation and test; "
             "ask for more frames or sites"
         )
-    order = generator_for(seed, Drawn.split).permutation(units)
-    part = np.full(len(site), Part.train, np.uint8)
+    order = np.random.default_rng([seed, Drawn.split]).permutation(units)
+    part = np.full(len(member), Part.train, np.uint8)
     part[np.isin(member, order[:n_test])] = Part.test
     part[np.isin(member, order[n_test : n_test + n_validation])] = Part.validation
     return part

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 from filelock import FileLock
-from pandas.api.types import is_float_dtype, is_integer_dtype
+from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 
 from ablate.dataset import Part, counted_clipping
 from ablate.evaluation.scorer import ImageSource, Scorer, Scores
@@ -45,24 +44,16 @@ def resimulation_scores(scorer: Scorer, part: Part) -> Scores:
     images_of = resimulation_images(scorer.pairs)
     if not scorer.metrics.keys() <= METRICS.keys():
         return scorer.score(part, images_of, draws_noise=True)
-    made_from = {
-        "version": METRICS_VERSION,
-        "metrics": sorted(scorer.metrics),
-        "inception": scorer.inception is not None,
-    }
-    kept = scorer.pairs.folder / "resimulation" / f"{part.name}-{digest(made_from)}.json"
+    known_by = {"version": METRICS_VERSION, "metrics": sorted(scorer.metrics), "inception": bool(scorer.inception)}
+    kept = scorer.pairs.folder / "resimulation" / f"{part.name}-{digest(known_by)}.json"
     kept.parent.mkdir(exist_ok=True)
     with FileLock(kept.with_suffix(".lock")):
         with suppress(OSError, ValueError, KeyError):  # not made yet, or damaged
-            return _read(kept)
+            read = read_json(kept)
+            return Scores(pd.DataFrame(read["per_image"]), read["scalars"])
         found = scorer.score(part, images_of, draws_noise=True)
         write_json(kept, {"per_image": found.per_image.to_dict("list"), "scalars": found.scalars})
-        return _read(kept)
-
-
-def _read(kept: Path) -> Scores:
-    read = read_json(kept)
-    return Scores(pd.DataFrame(read["per_image"]), read["scalars"])
+        return found
 
 
 def score_run(scorer: Scorer, images_of: ImageSource, draws_noise: bool) -> Scores:
@@ -75,7 +66,7 @@ def score_run(scorer: Scorer, images_of: ImageSource, draws_noise: bool) -> Scor
     scalars: dict[str, float] = {}
     notes: tuple[str, ...] = ()
     for part, prefix in ((Part.validation, "val"), (Part.test, "test")):
-        with counted_clipping() as clipping:
+        with counted_clipping() as counts:
             scored = {MODEL: scorer.score(part, images_of, draws_noise)}
         if "resimulation" in scorer.pairs.maps:
             scored[RESIMULATED] = resimulation_scores(scorer, part)
@@ -83,17 +74,18 @@ def score_run(scorer: Scorer, images_of: ImageSource, draws_noise: bool) -> Scor
             tables.append(found.per_image.assign(source=source, split=part.name))
             mark = FLOOR_PREFIX if source == RESIMULATED else ""
             scalars |= {f"{prefix}/{mark}{name}": value for name, value in found.scalars.items()}
-        notes = (*scored[MODEL].notes, *_about_output(clipping.share, images_of, scorer.pairs.frames(part)[:1]))
+        notes = (*scored[MODEL].notes, *_about_output(counts, images_of, scorer.pairs.frames(part)[:1]))
     return Scores(pd.concat(tables, ignore_index=True), scalars, notes)
 
 
-def _about_output(clipped: float, images_of: ImageSource, frame: np.ndarray) -> list[str]:
-    """What is wrong with a generator's output, a sentence each; `frame` holds the number of the one rendered twice."""
+def _about_output(counts: list[tuple[int, int]], images_of: ImageSource, frame: np.ndarray) -> list[str]:
+    """What is wrong with a generator's output, a sentence each: clipped pixels, a frame that differs when repeated."""
     notes = []
-    if clipped > MOST_CLIPPED:
+    clipped, pixels = (sum(column) for column in zip((0, 0), *counts, strict=True))
+    if clipped > MOST_CLIPPED * pixels:
         notes.append(
-            f"The generator's output lies outside [-1, 1] in {100 * clipped:.2g} % of the pixels of the fan; these "
-            "values were clipped to black or white."
+            f"The generator's output lies outside [-1, 1] in {100 * clipped / pixels:.2g} % of the pixels of the fan; "
+            "these values were clipped to black or white."
         )
     once, again = (images_of(frame, 0).astype(np.int16) for _ in range(2))
     apart = int(np.abs(once - again).max(initial=0))
@@ -106,24 +98,7 @@ def _about_output(clipped: float, images_of: ImageSource, frame: np.ndarray) -> 
 
 
 def check_stored_scores(frame: pd.DataFrame) -> str:
-    """Say what is wrong with the per-image scores of a run that were read back; empty where they can be used.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        What `per_image.parquet` holds.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from ablate.evaluation import check_stored_scores
-    >>> row = {"frame": 3, "site": 1, "metric": "psnr", "value": 19.5}
-    >>> row |= {"source": "model", "split": "test", "variant": "sa2h", "seed": 0}
-    >>> check_stored_scores(pd.DataFrame([row]))
-    ''
-    >>> check_stored_scores(pd.DataFrame([row, row]))
-    '1 row is there twice (psnr of frame 3)'
-    """
+    """Say what is wrong with the content of a run's `per_image.parquet`; empty where it can be used."""
     if missing := [name for name in STORED_COLUMNS if name not in frame]:
         return f"lacks the columns {', '.join(missing)}"
     kinds: dict[str, tuple[Callable[[Any], bool], str]] = {
@@ -131,7 +106,7 @@ def check_stored_scores(frame: pd.DataFrame) -> str:
         "value": (is_float_dtype, "numbers"),
     }
     for name in STORED_COLUMNS:
-        is_kind, kind = kinds.get(name, (_is_text, "text"))
+        is_kind, kind = kinds.get(name, (is_string_dtype, "text"))
         if not is_kind(frame[name]):
             return f"has something else than {kind} in the column {name}"
     twice = frame[frame.duplicated(["variant", "seed", "split", "source", "frame", "metric"])]
@@ -141,7 +116,3 @@ def check_stored_scores(frame: pd.DataFrame) -> str:
     if (frame.groupby(["split", "frame"])["site"].nunique() > 1).any():
         return "has a frame of two probe sites"
     return ""
-
-
-def _is_text(column: pd.Series) -> bool:
-    return bool(column.map(lambda value: isinstance(value, str)).all())

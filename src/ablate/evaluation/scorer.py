@@ -1,4 +1,4 @@
-"""Scores of images of the frames of a data set, such as those of a trained generator."""
+"""Scores of images of the frames of a data set, such as those of a trained generator, and reasons for gaps in them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,6 @@ from tqdm import tqdm
 
 from ablate.anatomy import Tissue, TissueKind
 from ablate.dataset import Part
-from ablate.evaluation.set_scores import distances, not_computed
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.metrics import (
     METRICS,
@@ -25,11 +24,18 @@ from ablate.metrics import (
     InceptionFeatures,
     Metric,
     Pair,
+    bootstrap_interval,
     choose_metrics,
     evaluate_image,
+    inception_file,
+    load_inception,
+    needs_inception,
+    patches_inside,
     speckle_features,
 )
-from ablate.metrics.stored_names import SCORE_COLUMNS
+from ablate.metrics.features import PATCH
+from ablate.metrics.inception import CENTRE
+from ablate.metrics.stored_names import BOUNDS, SCORE_COLUMNS
 from ablate.ultrasound import Probe, fan_mask
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
@@ -70,14 +76,49 @@ def tissue_labels(
     tissues: tuple[Tissue, ...], kinds: Collection[TissueKind] = (TissueKind.soft, TissueKind.bone)
 ) -> np.ndarray:
     """Labels of some kinds of tissue, uint8; those of soft tissue and bone leave out gas and fluid."""
-    found = [i + 1 for i, t in enumerate(tissues) if t.kind in kinds]
-    return np.asarray(found, np.uint8)
+    return np.array([i + 1 for i, t in enumerate(tissues) if t.kind in kinds], np.uint8)
 
 
 def describes_fan(probe: Probe, mask: np.ndarray) -> bool:
     """Whether a fan is that of a probe, up to a few pixels; only then are the depths of the pixels known."""
     expected = fan_mask(probe, (mask.shape[0], mask.shape[1]))
     return bool((expected & mask).sum() >= _SAME_FAN * (expected | mask).sum())
+
+
+def inception_for(
+    metrics: Mapping[str, Metric], shape: tuple[int, int], where: str | None, device: str
+) -> InceptionFeatures | None:
+    """The network of FID and KID, None where no metric needs it, frames are too small, or none was given.
+
+    `shape` is (H, W) of a frame in px, `where` is `EvaluationSettings.inception`.
+    """
+    if where is None or min(shape) < CENTRE or not needs_inception(metrics):
+        return None
+    return load_inception(inception_file(where), device)
+
+
+def not_computed(
+    metrics: Collection[Metric], mask: np.ndarray, frames: int, inception: InceptionFeatures | None
+) -> tuple[frozenset[str], tuple[str, ...]]:
+    """Return the names of distances that cannot be computed, and the reasons, a sentence each.
+
+    `mask`, (H, W) bool, is the fan of each of `frames` frames.
+    """
+    of_inception, of_texture = FeatureKind.inception, FeatureKind.speckle
+    reasons = {}
+    if min(mask.shape) < CENTRE:
+        size = f"{mask.shape[0]} x {mask.shape[1]} px"
+        reasons[of_inception] = f"frames of {size} are smaller than the {CENTRE} px centre that they are made of"
+    elif inception is None:
+        reasons[of_inception] = "no Inception weights were given (evaluation.inception=path/to/file or =download)"
+    if patches_inside(mask, PATCH).sum() * frames < 2:
+        reasons[of_texture] = f"fewer than two patches of {PATCH} x {PATCH} px lie inside the fan"
+    missing = {features: [m.name for m in metrics if m.uses(features)] for features in reasons}
+    notes = {kind: f"{' and '.join(names)}: not computed, {reasons[kind]}" for kind, names in missing.items() if names}
+    if of_inception in notes:
+        others = " and ".join(m.name for m in METRICS.values() if m.uses(of_texture))
+        notes[of_inception] += f"; {others} are these distances of a texture descriptor, not of Inception's features"
+    return frozenset().union(*missing.values()), tuple(f"{note}." for note in notes.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,20 +147,12 @@ class Scorer:
         return self.pairs.mask()
 
     @cached_property
-    def _solid(self) -> np.ndarray:
-        return tissue_labels(self.tissues)
-
-    @cached_property
-    def _bone(self) -> np.ndarray:
-        return tissue_labels(self.tissues, [TissueKind.bone])
-
-    @cached_property
-    def _depth_mm(self) -> np.ndarray | None:
-        return pixel_polar(self.probe, self.pairs.shape)[0] if describes_fan(self.probe, self._mask) else None
-
-    @cached_property
-    def _pixel_mm(self) -> tuple[float, float] | None:
-        return None if self._depth_mm is None else pixel_size_mm(self.probe, self.pairs.shape)
+    def _sizes(self) -> dict[str, Any]:
+        """Depth and size of a pixel, where they are known."""
+        if not describes_fan(self.probe, self._mask):
+            return {}
+        shape = self.pairs.shape
+        return {"depth_mm": pixel_polar(self.probe, shape)[0], "pixel_mm": pixel_size_mm(self.probe, shape)}
 
     def score(self, part: Part, images_of: ImageSource, draws_noise: bool, frames: np.ndarray | None = None) -> Scores:
         """Score images of the frames of one part, or of some of them, in as many threads as torch is set to use.
@@ -162,7 +195,8 @@ class Scorer:
         for of_sets, features in ((speckle, [texture for _, texture in scored]), (fid, of_inception)):
             if of_sets:
                 found, wanted = (np.concatenate(side) for side in zip(*features, strict=True))
-                scalars |= distances(of_sets, found, wanted, sites)
+                groups = np.repeat(sites, len(found) // len(sites))  # rows of features go image by image
+                scalars |= _distances(of_sets, found, wanted, groups)
         return Scores(per_image, scalars, notes)
 
     def _score_frame(self, frame: int, draws: np.ndarray, with_texture: bool) -> tuple[dict[str, float], Features]:
@@ -174,13 +208,12 @@ class Scorer:
             image,
             target,
             self._mask,
-            tissue_mask=np.isin(labels, self._solid),
+            tissue_mask=np.isin(labels, tissue_labels(self.tissues)),
             attenuation=attenuation,
-            depth_mm=self._depth_mm,
             segmentation=labels,
-            bone_mask=np.isin(labels, self._bone),
-            pixel_mm=self._pixel_mm,
+            bone_mask=np.isin(labels, tissue_labels(self.tissues, [TissueKind.bone])),
             draws=draws if len(draws) > 1 else None,
+            **self._sizes,
         )
         try:
             values = evaluate_image(pair, self.metrics.values())
@@ -190,6 +223,17 @@ class Scorer:
         if not with_texture:
             return values, (np.empty(0), np.empty(0))
         return values, (speckle_features(image[None], self._mask), speckle_features(target[None], self._mask))
+
+
+def _distances(metrics: list[Metric], found: np.ndarray, wanted: np.ndarray, sites: np.ndarray) -> dict[str, float]:
+    """Distances between features of images and of their targets, (n, d) each; intervals, over `sites`, need two."""
+    scalars = {}
+    for name, of_set in ((metric.name, metric.of_set) for metric in metrics if metric.of_set):
+        scalars[name] = of_set.distance(found, wanted)
+        if len(np.unique(sites)) > 1:
+            ends = bootstrap_interval(of_set.distance, found, wanted, sites, of_set.resamples)
+            scalars |= {f"{name}_{side}": end for side, end in zip(BOUNDS, ends, strict=True)}
+    return scalars
 
 
 def _table(part: Part, frames: np.ndarray, sites: np.ndarray, values: list[dict[str, float]]) -> pd.DataFrame:

@@ -89,10 +89,10 @@ def _preset_rows(preset: str) -> int:
 
 def _png_shape(*, _root_: DictConfig) -> list[int]:
     """The size of the images in `scene.folder`; the paper's where there are none, as that folder is refused later."""
-    from ablate.dataset.png_folder import png_shape
+    from ablate.dataset import validate_png_folder
 
     with suppress(OSError, ValueError, TypeError):
-        return list(png_shape(_root_.scene.folder))
+        return list(validate_png_folder(_root_.scene.folder).shape)
     return list(PAPER_SHAPE)
 
 

@@ -1,14 +1,14 @@
 """Frechet and kernel distances between two sets of features, and their bootstrap intervals over probe sites."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 LARGEST = 1e50  # of a feature: the kernel's cube of a square stays finite
 _BLOCK = 2048  # rows at a time: bounds the memory
 
-# (how often each group of X is drawn, (g,) int; the same for Y, (h,) int) -> the distance of what is drawn
-OfDraw = Callable[[np.ndarray, np.ndarray], float]
+# (how often each group of rows is drawn, (g,) int) -> the distance of what is drawn
+OfDraw = Callable[[np.ndarray], float]
 
 
 def check_features(X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -26,11 +26,6 @@ def check_features(X: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray
     if X.shape[1] != Y.shape[1]:
         raise ValueError(f"X and Y must have one feature dimension, got {X.shape[1]} and {Y.shape[1]}")
     return X, Y
-
-
-def _covariance_root(centred: np.ndarray) -> np.ndarray:
-    """R, (min(n, d), d), with R^T R the covariance: the triangle of a QR, so nothing is squared."""
-    return np.linalg.qr(centred, mode="r") / np.sqrt(centred.shape[0] - 1)
 
 
 def frechet_distance(X: np.ndarray, Y: np.ndarray) -> float:
@@ -66,7 +61,7 @@ def frechet_distance(X: np.ndarray, Y: np.ndarray) -> float:
     """
     X, Y = check_features(X, Y)
     mean_x, mean_y = X.mean(axis=0), Y.mean(axis=0)
-    root_x, root_y = _covariance_root(X - mean_x), _covariance_root(Y - mean_y)
+    root_x, root_y = (np.linalg.qr(Z - Z.mean(axis=0), mode="r") / np.sqrt(len(Z) - 1) for Z in (X, Y))
     overlap = np.linalg.svd(root_x @ root_y.T, compute_uv=False).sum()
     spread = np.square(root_x).sum() + np.square(root_y).sum() - 2.0 * overlap
     return float(max(np.square(mean_x - mean_y).sum() + spread, 0.0))
@@ -88,7 +83,7 @@ def kernel_distance(X: np.ndarray, Y: np.ndarray) -> float:
     True
     """
     X, Y = check_features(X, Y)
-    return kernel_of_draw(X, Y, np.zeros(len(X), np.intp), np.zeros(len(Y), np.intp))(np.ones(1), np.ones(1))
+    return kernel_of_draw(X, Y, np.zeros(len(X), np.intp), np.zeros(len(Y), np.intp))(np.ones(1))
 
 
 def kernel_of_draw(X: np.ndarray, Y: np.ndarray, groups_x: np.ndarray, groups_y: np.ndarray) -> OfDraw:
@@ -112,11 +107,11 @@ def kernel_of_draw(X: np.ndarray, Y: np.ndarray, groups_x: np.ndarray, groups_y:
         for features, groups in ((X, groups_x), (Y, groups_y))
     )
 
-    def distance(times_x: np.ndarray, times_y: np.ndarray) -> float:
-        n, m = float(times_x @ sizes_x), float(times_y @ sizes_y)
-        mean_x = (times_x @ within_x @ times_x - times_x @ selves_x) / (n * (n - 1))
-        mean_y = (times_y @ within_y @ times_y - times_y @ selves_y) / (m * (m - 1))
-        return float(mean_x + mean_y - 2.0 * (times_x @ between @ times_y) / (n * m))
+    def distance(times: np.ndarray) -> float:
+        n, m = float(times @ sizes_x), float(times @ sizes_y)
+        mean_x = (times @ within_x @ times - times @ selves_x) / (n * (n - 1))
+        mean_y = (times @ within_y @ times - times @ selves_y) / (m * (m - 1))
+        return float(mean_x + mean_y - 2.0 * (times @ between @ times) / (n * m))
 
     return distance
 
@@ -153,12 +148,10 @@ def bootstrap_interval(
     distance: Callable[[np.ndarray, np.ndarray], float],
     X: np.ndarray,
     Y: np.ndarray,
-    groups: np.ndarray | None = None,
-    level: float = 0.95,
+    groups: np.ndarray,
     resamples: int = 200,
-    seed: int = 0,
 ) -> tuple[float, float]:
-    """Bootstrap interval of a distance at this sample size.
+    """Bootstrap interval of a distance at this sample size, with a coverage of 95 %.
 
     Resampling with replacement repeats samples, which biases both distances upwards, as small n does. The spread of
     the resampled values is therefore centred on the estimate. The interval is for the value expected at this n.
@@ -167,57 +160,38 @@ def bootstrap_interval(
     ----------
     distance : callable
         `frechet_distance` or `kernel_distance`; a resample costs less than a call, as sums by group are kept.
-    X, Y : (n, d) and (m, d) float
+    X, Y : (n, d) float
         Features.
-    groups : (n,) int or str, optional
-        Frame or probe site of each row, then n = m and row i of X and of Y belong together: whole groups are
-        drawn, the same for both. Without it, rows of X and of Y are drawn independently.
-    level : float
-        Coverage.
+    groups : (n,) int or str
+        Frame or probe site of each row; row i of X and of Y belong together. Whole groups are drawn, the same for both.
 
     Raises
     ------
     ValueError
-        As `distance`; when it is another function, or groups do not fit the rows or there are fewer than two.
+        As `distance`.
     """
     X, Y = check_features(X, Y)
-    rng = np.random.default_rng(seed)
-    owner_x, owner_y = np.arange(len(X)), np.arange(len(Y))
-    if groups is not None:
-        groups = np.asarray(groups)
-        if groups.shape != (len(X),) or len(X) != len(Y):
-            raise ValueError(f"groups need one label a row of X and Y, got {groups.shape}, {len(X)}, {len(Y)}")
-        owner_x = owner_y = np.unique(groups, return_inverse=True)[1]
-        if owner_x.max() == 0:
-            raise ValueError("groups must name at least 2 groups to resample")
-    if distance is frechet_distance:
-        of_draw = _frechet_of_draw(X, Y, owner_x, owner_y)
-    elif distance is kernel_distance:
-        of_draw = kernel_of_draw(X, Y, owner_x, owner_y)
-    else:
-        raise ValueError(f"no bootstrap of {distance}: allowed are frechet_distance and kernel_distance")
-    size_x, size_y = int(owner_x.max()) + 1, int(owner_y.max()) + 1
-    draws = np.empty(resamples)
-    for i in range(resamples):
-        times_x = _drawn(rng, size_x)
-        draws[i] = of_draw(times_x, _drawn(rng, size_y) if groups is None else times_x)
-    tail = (1.0 - level) / 2.0
-    estimate = of_draw(np.ones(size_x, int), np.ones(size_y, int))
-    lower, upper = np.quantile(draws, [tail, 1.0 - tail]) - draws.mean() + estimate
+    owner = np.unique(groups, return_inverse=True)[1]
+    count = int(owner.max()) + 1
+    drawn: Mapping[Callable[..., float], Callable[..., OfDraw]] = {
+        frechet_distance: frechet_of_draw,
+        kernel_distance: kernel_of_draw,
+    }
+    of_draw = drawn[distance](X, Y, owner, owner)
+    rng = np.random.default_rng(0)
+    draws = [of_draw(np.bincount(rng.integers(count, size=count), minlength=count)) for _ in range(resamples)]
+    tail = (1.0 - 0.95) / 2.0
+    lower, upper = np.quantile(draws, [tail, 1.0 - tail]) - np.mean(draws) + of_draw(np.ones(count, int))
     return float(lower), float(upper)
 
 
-def _drawn(rng: np.random.Generator, groups: int) -> np.ndarray:
-    """(groups,) int: how often each is drawn, in as many draws with replacement."""
-    return np.bincount(rng.integers(groups, size=groups), minlength=groups)
+def frechet_of_draw(X: np.ndarray, Y: np.ndarray, groups_x: np.ndarray, groups_y: np.ndarray) -> OfDraw:
+    """Return the Frechet distance as a function of how often each group is drawn, as `kernel_of_draw` does."""
+    (rows_x, group_of_x), (rows_y, group_of_y) = _condensed(X, groups_x), _condensed(Y, groups_y)
 
-
-def _frechet_of_draw(X: np.ndarray, Y: np.ndarray, owner_x: np.ndarray, owner_y: np.ndarray) -> OfDraw:
-    (rows_x, row_owner_x), (rows_y, row_owner_y) = _condensed(X, owner_x), _condensed(Y, owner_y)
-
-    def value(times_x: np.ndarray, times_y: np.ndarray) -> float:
-        mean_x, root_x = _mean_and_root(rows_x, times_x[row_owner_x])
-        mean_y, root_y = _mean_and_root(rows_y, times_y[row_owner_y])
+    def value(times: np.ndarray) -> float:
+        mean_x, root_x = _mean_and_root(rows_x, times[group_of_x])
+        mean_y, root_y = _mean_and_root(rows_y, times[group_of_y])
         product = root_x @ root_y.T
         # Half the digits of `frechet_distance`, in a sixth of its time: a spread needs no more.
         overlap = np.sqrt(np.maximum(np.linalg.eigvalsh(product @ product.T), 0.0)).sum()

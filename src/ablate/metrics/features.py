@@ -4,8 +4,8 @@ import numpy as np
 from scipy.fft import rfft2
 
 from ablate.metrics.distances import frechet_distance, kernel_distance
+from ablate.metrics.fidelity import as_patches, patches_inside, value_counts
 from ablate.metrics.metric import Direction, FeatureKind, Group, Metric, Resimulation, SetDistance, Shown
-from ablate.metrics.patch_histograms import as_patches, patches_inside, value_counts
 
 PATCH = 48
 QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
@@ -16,6 +16,12 @@ BAND_EDGES = (1 / 24, 1 / 12, 1 / 6, 1 / 3, 1 / np.sqrt(2.0))  # cycles/px, octa
 # feature rules the distance. Fixed, so that values of two studies can be compared.
 GREY_UNIT, GRADIENT_UNIT, CORRELATION_UNIT, LOG10_POWER_UNIT, FRACTION_UNIT = 48.0, 4.0, 0.4, 0.75, 0.2
 QUANTISATION_VARIANCE = 1.0 / 12.0  # grey levels^2, of rounding to 8 bits; keeps flat patches finite
+
+# Pattern of each code, whose 8 bits tell which neighbours are at least as bright: the number of these bits where they
+# change at most twice around the circle, and 9 elsewhere.
+_BITS = np.arange(256)[:, None] >> np.arange(8) & 1
+_CHANGES = np.count_nonzero(_BITS != np.roll(_BITS, 1, axis=1), axis=1)
+_PATTERN_OF_CODE = np.where(_CHANGES <= 2, _BITS.sum(axis=1), 9).astype(np.uint8)
 
 FEATURE_NAMES: tuple[str, ...] = (
     "mean",
@@ -89,19 +95,6 @@ def _band_powers(x: np.ndarray) -> np.ndarray:
     return np.column_stack(columns)
 
 
-def _pattern_of_code() -> np.ndarray:
-    """(256,) uint8: pattern of each code, whose 8 bits tell which neighbours are at least as bright.
-
-    The pattern is the number of these bits where they change at most twice around the circle, and 9 elsewhere.
-    """
-    bits = np.arange(256)[:, None] >> np.arange(8) & 1
-    changes = np.count_nonzero(bits != np.roll(bits, 1, axis=1), axis=1)
-    return np.where(changes <= 2, bits.sum(axis=1), 9).astype(np.uint8)
-
-
-_PATTERN_OF_CODE = _pattern_of_code()
-
-
 def _local_binary_patterns(image: np.ndarray) -> np.ndarray:
     """(H, W) uint8: rotation-invariant uniform pattern of the 8 neighbours (Ojala et al. 2002)."""
     padded = np.pad(image, 1, mode="edge")
@@ -130,12 +123,8 @@ def speckle_features(images: np.ndarray, mask: np.ndarray | None = None) -> np.n
     Raises
     ------
     ValueError
-        When shapes or dtypes do not fit, or no patch lies inside the mask.
+        When no patch lies inside the mask.
     """
-    if images.ndim != 3 or images.dtype != np.uint8:
-        raise ValueError(f"images must be (n, H, W) uint8, got {images.shape} {images.dtype}")
-    if mask is not None and mask.shape != images.shape[1:]:
-        raise ValueError(f"mask must be {images.shape[1:]}, got {mask.shape}")
     inside = patches_inside(np.ones(images.shape[1:], bool) if mask is None else mask, PATCH)
     if not inside.any():
         raise ValueError(f"no patch of {PATCH} x {PATCH} px lies wholly inside the mask")

@@ -27,22 +27,6 @@ INCEPTION_SHA256 = "f58cb9b6ec323ed63459aa4fb441fe750cfe39fafad6da5cb504a16f19e9
 InceptionFeatures = Callable[[np.ndarray], np.ndarray]
 
 
-def four_crops(images: np.ndarray) -> np.ndarray:
-    """Cut images (n, H, W) uint8 into (4 n, 299, 299), image by image: the corner crops of their 512 px centres.
-
-    Raise ValueError when images are smaller than 512 px or not uint8.
-    """
-    if images.ndim != 3 or images.dtype != np.uint8:
-        raise ValueError(f"images must be (n, H, W) uint8, got {images.shape} {images.dtype}")
-    count, height, width = images.shape
-    if min(height, width) < CENTRE:
-        raise ValueError(f"FID cuts {CENTRE} px centres; images of {height} x {width} px are too small")
-    top, left = (height - CENTRE) // 2, (width - CENTRE) // 2
-    starts = (0, CENTRE - CROP)
-    crops = [images[:, top + i : top + i + CROP, left + j : left + j + CROP] for i in starts for j in starts]
-    return np.stack(crops, axis=1).reshape(4 * count, CROP, CROP)
-
-
 def inception_file(where: str) -> Path:
     """The network's file, downloaded if need be, and known to be the one.
 
@@ -100,19 +84,11 @@ def _check_digest(path: Path) -> None:
 
 
 def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> InceptionFeatures:
-    """The network as a function of images: pool features of four crops each, the grey channel repeated three times.
+    """The network as a function of images, (n, H, W) uint8 with at least 512 px a side -> (4 n, 2048) float64.
 
-    Parameters
-    ----------
-    path : Path
-        From `inception_file`. TorchScript, called as `module(x, return_features=True)` with x (b, 3, 299, 299) uint8.
-    batch : int
-        Crops at a time.
-
-    Returns
-    -------
-    callable (n, H, W) uint8 -> (4 n, d) float64
-        d = 2048; H and W at least 512, or it raises ValueError.
+    These are the pool features of the corner crops, of 299 px, of each image's 512 px centre, the grey channel repeated
+    three times; `batch` of them are computed at a time. The file, from `inception_file`, is TorchScript, called as
+    `module(x, return_features=True)` with x (b, 3, 299, 299) uint8.
     """
     import torch  # only here: every other metric does without it
 
@@ -121,9 +97,12 @@ def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> Inceptio
         module = torch.jit.load(str(path), map_location=device).eval()
 
     def features(images: np.ndarray) -> np.ndarray:
-        crops = torch.from_numpy(four_crops(images))[:, None]
+        top, left = ((size - CENTRE) // 2 for size in images.shape[1:])
+        starts = (0, CENTRE - CROP)
+        crops = [images[:, top + i : top + i + CROP, left + j : left + j + CROP] for i in starts for j in starts]
+        grey = torch.from_numpy(np.stack(crops, axis=1).reshape(-1, 1, CROP, CROP))
         with torch.inference_mode():
-            found = [module(c.to(device).expand(-1, 3, -1, -1), return_features=True) for c in crops.split(batch)]
+            found = [module(c.to(device).expand(-1, 3, -1, -1), return_features=True) for c in grey.split(batch)]
         return torch.cat(found).double().cpu().numpy()
 
     return features

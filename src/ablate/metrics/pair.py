@@ -5,8 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ablate.metrics.images import check_pair, check_shapes
-from ablate.metrics.patch_histograms import patch_chi2
+from ablate.metrics.fidelity import check_pair, patch_chi2
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +49,13 @@ class Pair:
 
     def __post_init__(self) -> None:
         check_pair(self.prediction, self.target)
-        names = ("mask", "tissue_mask", "attenuation", "depth_mm", "segmentation", "bone_mask")
-        check_shapes(self.target, **{name: getattr(self, name) for name in names})
+        shape = self.target.shape
         for name, array in vars(self).items():
             if isinstance(array, np.ndarray):
+                if name == "draws" and (array.shape[1:] != shape or len(array) < 2):
+                    raise ValueError(f"draws must be (k >= 2, {shape[0]}, {shape[1]}), got {array.shape}")
+                if name != "draws" and array.shape != shape:
+                    raise ValueError(f"{name} must be {shape}, got {array.shape}")
                 view = array.view()
                 view.flags.writeable = False
                 object.__setattr__(self, name, view)

@@ -3,7 +3,7 @@
 A new metric of the package is one module below `ablate.metrics` with a function and its `Metric`.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 from pkgutil import walk_packages
 
@@ -17,15 +17,10 @@ from ablate.validation import check_name
 METRICS_VERSION = 2
 
 
-def _declared() -> Iterator[Metric]:
-    """The constants of type `Metric` in all modules below `ablate.metrics`."""
-    for module in walk_packages(package.__path__, f"{package.__name__}."):
-        if module.name != __name__:
-            yield from (value for value in vars(import_module(module.name)).values() if isinstance(value, Metric))
-
-
+_MODULES = [m.name for m in walk_packages(package.__path__, f"{package.__name__}.") if m.name != __name__]
+_DECLARED = {m for name in _MODULES for m in vars(import_module(name)).values() if isinstance(m, Metric)}
 #: By name, in the order of every table and figure.
-METRICS: dict[str, Metric] = {metric.name: metric for metric in sorted(_declared(), key=lambda m: (m.place, m.name))}
+METRICS: dict[str, Metric] = {metric.name: metric for metric in sorted(_DECLARED, key=lambda m: (m.place, m.name))}
 METRIC_SETS = {
     "all": tuple(name for name, metric in METRICS.items() if metric.computed),
     "paper": tuple(name for name, metric in METRICS.items() if metric.computed and metric.shown & Shown.table),

@@ -1,4 +1,6 @@
-"""Names in stored scores, once for all rooms that write or read them: columns of tables, suffixes, prefixes."""
+"""Names in stored scores, once for all rooms that write or read them, and the metrics that no pair of images gives."""
+
+from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
 
 SCORE_COLUMNS = ("frame", "site", "metric", "value")  # of an evaluation, one row a metric of a frame
 SOURCES = MODEL, RESIMULATED = ("model", "resimulation")  # of images: the trained generator, or simulated again
@@ -13,3 +15,12 @@ FLOOR_PREFIX = "floor_"  # of a scalar of the re-simulation, as `test/floor_psnr
 def is_bound(name: str) -> bool:
     """Whether a scalar is an end of the interval of another."""
     return name.endswith(tuple(f"_{side}" for side in BOUNDS))
+
+
+_COST = (Resimulation.none, Group.cost)
+ENVELOPE_RMS = Metric(
+    *("envelope_rms", "Envelope error", "relative RMS", Direction.lower, Resimulation.level, Group.simulation, 4),
+    place=120,
+)
+TIME = Metric(FRAME_TIME, "Time", "ms/frame", Direction.lower, *_COST, 1, Shown.screen | Shown.report, place=130)
+PARAMETERS = Metric("parameters", "Parameters", "", Direction.none, *_COST, 0, Shown.table | Shown.report, place=140)

@@ -1,18 +1,29 @@
-"""One data set as it lies on disk: its pairs, its tissues, what it was made from, and the digest of its pixels."""
+"""One data set on disk: its pairs, what it was made from, the digest of its pixels, and how what is missing is made.
+
+What needs a scene, and with it Embree and numba, is imported where a scene is used.
+"""
+
+from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ablate.anatomy import Tissue
-from ablate.dataset import DERIVED, Pairs, Part, open_pairs
+from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, Part, open_pairs, remove_damaged, write_contact_sheet
 from ablate.networks import GeneratorSpec, conditions
+from ablate.runs.imported import about_imported, checked_folder, import_data
+from ablate.settings.study import SceneKind, StudySettings
 from ablate.settings.values import build
 from ablate.storage import read_json, write_json
 from ablate.ultrasound.settings import probe_from
+
+if TYPE_CHECKING:
+    from ablate.runs.job import Job  # only here: a job asks for its data set
 
 #: The maps that say which data a run was scored on; all of their test frames are read for the digest.
 _DIGESTED = ("segmentation", "attenuation", "target", "resimulation")
@@ -20,13 +31,7 @@ _DIGESTED = ("segmentation", "attenuation", "target", "resimulation")
 
 @dataclass(frozen=True)
 class DataSet:
-    """The folder of a data set, `data/<scene>-<hash>`; no scene is loaded to read it.
-
-    Examples
-    --------
-    >>> DataSet(Path("nowhere")).exists
-    False
-    """
+    """The folder of a data set, `data/<scene>-<hash>`; no scene is loaded to read it."""
 
     folder: Path
 
@@ -59,17 +64,12 @@ class DataSet:
         return tuple(build(Tissue, tissue) for tissue in self.about["tissues"])
 
     @property
-    def left_out(self) -> tuple[str, ...]:
-        """Sentences on what the plan of the scene left out."""
-        return tuple(self.about["left_out"])
-
-    @property
     def contact_sheet(self) -> Path:
         return self.folder / "contact_sheet.png"
 
-    def forget_pixels(self) -> None:
-        """Remove the kept digest: frames are made again, perhaps on another kind of processor."""
-        (self.folder / "pixels.json").unlink(missing_ok=True)
+    @property
+    def kept_digest(self) -> Path:
+        return self.folder / "pixels.json"
 
     def lacks(self, maps: frozenset[str]) -> bool:
         """Whether pairs of these maps are missing."""
@@ -82,16 +82,13 @@ class DataSet:
         The hash in the folder's name is that of the recipe. Two processors round otherwise, so one recipe can give two
         data sets; this digest tells them apart. It is computed once and kept beside the pairs.
         """
-        kept = self.folder / "pixels.json"
-        try:
-            return str(read_json(kept)["test_frames"])
-        except (OSError, ValueError, KeyError):
-            pass
+        with suppress(OSError, ValueError, KeyError):
+            return str(read_json(self.kept_digest)["test_frames"])
         digest = hashlib.sha256()
         for frame in self.pairs.frames(Part.test):
             for name in (name for name in _DIGESTED if name in self.pairs.maps):
                 digest.update(self.pairs.stored(name, int(frame)).tobytes())
-        write_json(kept, {"test_frames": digest.hexdigest()[:16]})
+        write_json(self.kept_digest, {"test_frames": digest.hexdigest()[:16]})
         return digest.hexdigest()[:16]
 
 
@@ -99,3 +96,47 @@ def maps_needed(models: Iterable[GeneratorSpec]) -> frozenset[str]:
     """Arrays that a study reads: L only where a variant does; A always, the mechanism metrics need it."""
     read = {DERIVED.get(name, name) for spec in models for name in conditions(spec)}
     return frozenset(read | {"segmentation", "attenuation", "target", "resimulation"})
+
+
+def about_data(settings: StudySettings) -> dict[str, Any]:
+    """What every pair of the data set is made from, as JSON values."""
+    if settings.scene.kind is SceneKind.pairs:
+        about = about_imported(settings)
+    else:
+        from ablate.runs.simulated import about_simulated
+
+        about = about_simulated(settings)
+    return {**about, "pairs_version": PAIRS_VERSION}
+
+
+def prepare_data(job: Job, maps: frozenset[str]) -> DataSet:
+    """Simulate, or import, what is missing of the job's pairs; returns at once when nothing is."""
+    settings, data = job.settings, job.data
+    if data.lacks(wanted := _offered(job, maps)):
+        data.kept_digest.unlink(missing_ok=True)  # frames are made again, perhaps on another kind of processor
+        if settings.scene.kind is SceneKind.pairs:
+            import_data(settings, data.folder, wanted)
+        else:
+            from ablate.runs.simulated import simulate_data
+
+            simulate_data(settings, data.folder, wanted, job.semantic["data"])
+        data = job.data
+    if not data.contact_sheet.exists():
+        write_contact_sheet(data.pairs, data.contact_sheet)
+    return data
+
+
+def made_data(job: Job, maps: frozenset[str]) -> DataSet | None:
+    """The job's pairs, or None where something is missing of them."""
+    data = job.data
+    return None if data.lacks(_offered(job, maps)) else data
+
+
+def drop_damaged(job: Job, maps: frozenset[str]) -> tuple[str, ...]:
+    """Compare what is on disk of the job's pairs with its checksums; what is damaged is removed and named."""
+    return remove_damaged(open_pairs(job.data.folder), maps) if job.data.exists else ()
+
+
+def _offered(job: Job, maps: frozenset[str]) -> frozenset[str]:
+    """Those of the maps that there can be: a folder of pairs made elsewhere may have fewer."""
+    return maps & checked_folder(job.settings).maps if job.settings.scene.kind is SceneKind.pairs else maps

@@ -51,8 +51,7 @@ def import_data(settings: StudySettings, folder: Path, maps: frozenset[str]) -> 
     speckle_features(np.zeros((1, *mask.shape), np.uint8), mask)  # raises where the fan is too small for metrics
     numbers = {site: number for number, site in enumerate(dict.fromkeys(checked.sites))}
     sites = np.array([numbers[site] for site in checked.sites])
-    chosen = settings.dataset
-    split = checked.parts
+    chosen, split = settings.dataset, checked.parts
     if split is None:
         split = dataset.split_frames(sites, chosen.split, chosen.validation, chosen.test, chosen.seed)
     order = np.argsort(split, kind="stable")
@@ -62,19 +61,12 @@ def import_data(settings: StudySettings, folder: Path, maps: frozenset[str]) -> 
     for line in left_out:
         tqdm.write(f"left out: {line}")
     names = [checked.names[i] for i in order]
-    about = {
-        **about_imported(settings),
-        "tissues": [plain(tissue) for tissue in tissues],
-        "left_out": left_out,
-        "frames": [{"name": checked.names[i], "site": checked.sites[i]} for i in order],
-    }
-    nowhere = np.full((len(names), 4, 4), np.nan)  # where the probe was is not known
-    pairs = dataset.create_pairs(
-        folder, nowhere, sites[order], split[order], mask, chosen.shard, [tissue.name for tissue in tissues], about
-    )
-    todo = sum(len(pairs.frames_of_shard(s)) for s in pairs.missing(maps))
-    with tqdm(total=todo, unit="frame", desc="import", mininterval=1.0) as bar:
-        dataset.import_pairs(checked, names, pairs, maps, bar.update)
+    frames = [{"name": checked.names[i], "site": checked.sites[i]} for i in order]
+    about = {"tissues": [plain(tissue) for tissue in tissues], "left_out": left_out, "frames": frames}
+    placed = np.full((len(names), 4, 4), np.nan), sites[order], split[order], mask  # where the probe was is not known
+    called = [tissue.name for tissue in tissues]
+    pairs = dataset.create_pairs(folder, *placed, chosen.shard, called, {**about_imported(settings), **about})
+    dataset.import_pairs(checked, names, pairs, maps)
     return pairs
 
 

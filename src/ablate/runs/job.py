@@ -1,14 +1,19 @@
-"""One run that a command line asks for: its settings, its label, its identity, and the place that they give it."""
+"""One run that a command line asks for: its label, its place, and its identity, the settings that decide its result."""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ablate.dataset.encoding import Encoding
+from ablate.setting import identity
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
+from ablate.training.settings import TRAINING_VERSION, TrainingPrecision, TrainingSettings
+from ablate.user_code import source_digest
 from ablate.validation import check_name
 
 if TYPE_CHECKING:
@@ -16,6 +21,9 @@ if TYPE_CHECKING:
     from ablate.runs.run import Run
 
 COMPARISON = "comparison"  # folder beside those of the variants
+#: The keys of `Job.semantic` in which the runs of one study may differ besides what their labels say.
+_OF_A_RUN = ("seed", "training.seed", "training.loss", "data.scene.anatomy_seed")
+_OF_THE_DATA = ("scene", "probe", "simulator", "dataset")
 
 
 @dataclass(frozen=True)
@@ -49,10 +57,25 @@ class Job:
 
     @cached_property
     def semantic(self) -> dict[str, Any]:
-        """The settings that decide the result, as JSON values; computed once, as files of scenes are read for it."""
-        from ablate.runs.identity import semantic
+        """The settings that decide the trained network and its scores, as JSON values.
 
-        return semantic(self.settings)
+        A network of the user's has the digest of its code. Where files decide, as of a scene folder, they are read:
+        it is computed once.
+        """
+        from ablate.runs.data_set import about_data
+
+        s, target = self.settings, self.settings.model.target
+        order = {"order": s.encoding.name}
+        return {
+            "data": about_data(s),
+            "encoding": order | ({"seed": s.encoding_seed} if s.encoding is Encoding.arbitrary else {}),
+            "model": identity(s.model) | ({"source": source_digest(target)} if target else {}),
+            "training": identity(s.training) | {"precision": precision_of(s.training).name},
+            "training_version": TRAINING_VERSION,
+            "evaluation": identity(s.evaluation),
+            "crops": identity(s.crops),
+            "seed": s.seed,
+        }
 
     @cached_property
     def hash(self) -> str:
@@ -73,6 +96,46 @@ class Job:
         from ablate.runs.run import Run
 
         return Run(self.folder)
+
+
+def precision_of(training: TrainingSettings) -> TrainingPrecision:
+    """The precision that a training has on this machine: `auto` depends on the device."""
+    if training.precision is not TrainingPrecision.auto:
+        return training.precision
+    from ablate.training import chosen_device, chosen_precision  # loads PyTorch
+
+    return chosen_precision(training.precision, chosen_device(training.device))
+
+
+def differences(a: Any, b: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Dotted keys in which two nested dicts differ, with the value of each; None where one has none."""
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        for k in sorted(a.keys() | b.keys()):
+            yield from differences(a.get(k), b.get(k), f"{key}.{k}".lstrip("."))
+    elif a != b:
+        yield key, a, b
+
+
+def not_shared(a: Mapping[str, Any], b: Mapping[str, Any], labelled: Collection[str]) -> list[tuple[str, Any, Any]]:
+    """What differs between two runs of one study, given by `Job.semantic`, and should not.
+
+    The runs of a study share pairs, training, crops, evaluation and width. They may differ in what their labels tell
+    apart: network, encoding, seed, adversarial loss, anatomy, and the configuration keys `labelled`.
+    """
+    if "preset" in labelled:
+        return []
+    told = (*_OF_A_RUN, "encoding", "model", *(semantic_key(key) for key in labelled))
+    width = () if "model.width" in labelled else ("model.width",)
+    return [
+        (key, there, here)
+        for key, there, here in differences(a, b)
+        if key in width or not f"{key}.".startswith(tuple(f"{one}." for one in told))
+    ]
+
+
+def semantic_key(key: str) -> str:
+    """The key of `Job.semantic` that a key of the command line decides, such as `data.dataset.frames`."""
+    return f"data.{key}" if key.partition(".")[0] in _OF_THE_DATA else key
 
 
 def parameters(s: StudySettings) -> dict[str, float]:

@@ -6,11 +6,11 @@ from dataclasses import replace
 from filelock import FileLock
 
 from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, choose_metrics, needs_inception
-from ablate.runs.identity import differences, not_shared
-from ablate.runs.job import Job
+from ablate.runs.job import Job, differences, not_shared
 from ablate.runs.run import Run, State, runs_of
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings
+from ablate.storage import write_json
 from ablate.user_code import source_digest
 
 
@@ -50,9 +50,8 @@ def claim_place(job: Job) -> None:
             unknown = f"what {run.checkpoint.name} beside it was trained on is not known"
             where = f"{run.folder / 'spec.json'} is damaged"
             raise ConfigurationError(f"{where}: {unknown}; remove {run.folder} to start again")
-        changed = {key: plain(value) for key, value in job.changed}
-        known_by = {"label": job.label, "hash": job.hash, "changed": changed}
-        run.write_spec({**known_by, "semantic": job.semantic, "settings": plain(job.settings)})
+        known_by = {"label": job.label, "hash": job.hash, "changed": {k: plain(v) for k, v in job.changed}}
+        write_json(run.folder / "spec.json", {**known_by, "semantic": job.semantic, "settings": plain(job.settings)})
 
 
 def finished_run(job: Job) -> Run | None:
@@ -60,16 +59,16 @@ def finished_run(job: Job) -> Run | None:
 
     A metric of the user's whose code was edited since is asked for again.
     """
-    run, settings = job.run, job.settings
+    run, asked, inception = job.run, job.settings.metrics, job.settings.evaluation.inception
     if run.hash != job.hash or run.state is not State.finished:
         return None
-    result = run.result
-    if names_of(settings.metrics) - names_of(result["metrics"]):
+    if (
+        names_of(asked) - names_of(run.result["metrics"])
+        or not sources_of(asked).items() <= run.result["sources"].items()
+    ):
         return None
-    if any(result["sources"].get(path) != code for path, code in sources_of(settings.metrics).items()):
-        return None
-    with_network = settings.evaluation.inception is not None and needs_inception(choose_metrics(settings.metrics))
-    return None if with_network and result.get("inception") is None else run
+    lacks_inception = inception is not None and run.result.get("inception") is None
+    return None if lacks_inception and needs_inception(choose_metrics(asked)) else run
 
 
 def names_of(asked: str | Iterable[str]) -> set[str]:

@@ -4,22 +4,18 @@ import logging
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import torch
 
 from ablate import tracking
-from ablate.runs.identity import precision_of
-from ablate.runs.job import Job
+from ablate.runs.job import Job, precision_of
 from ablate.setting import plain
 from ablate.settings.study import Provenance
-from ablate.storage import digest, read_json, write_json, write_text
+from ablate.storage import digest, write_json, write_text
 from ablate.training import chosen_device, read_checkpoint
 
 _LOG = logging.getLogger(__name__)
-_ENVIRONMENT, _DIFF = "environment.txt", "uncommitted.diff"
-_STARTS, _MADE_WITH = "starts.json", "made_with.json"
 _OF_ONE_START = ("time", "step", "device", "precision", "git_diff", "source")  # not in `made_with.json`
 
 
@@ -35,55 +31,36 @@ def write_provenance(job: Job) -> None:
     write_json(folder / "config.json", plain(job.settings))
     code = tracking.git_state()
     diff = code.pop("git_diff", "")
-    now = {**code, **({"git_diff": digest(diff)} if diff else {}), "source": tracking.source_digest()}
-    now |= {**_machine(job), **tracking.packages()}
-    starts = [*_earlier(folder), {"time": datetime.now(UTC).isoformat(timespec="seconds"), **now}]
-    if len(starts) > 1:
-        _tell_changes(job, starts[-2], now)
-    if job.settings.tracking.provenance is Provenance.full:
-        write_text(folder / _ENVIRONMENT, tracking.environment())
-        _write_diff(folder, diff)
-    else:
-        for left in (folder / _ENVIRONMENT, *folder.glob("uncommitted*.diff")):
-            left.unlink(missing_ok=True)
-    write_json(folder / _STARTS, {"starts": starts})
-    write_json(folder / _MADE_WITH, _in_short(starts))
-
-
-def _machine(job: Job) -> dict[str, Any]:
-    """Where and from which step a job is trained now."""
-    training = job.settings.training
-    known: dict[str, Any] = {"hardware": tracking.hardware(), "threads": training.threads or torch.get_num_threads()}
-    known |= {"device": str(chosen_device(training.device)), "precision": precision_of(training).name, "step": 0}
+    now: dict[str, Any] = {**code, **({"git_diff": digest(diff)} if diff else {}), "source": tracking.source_digest()}
+    training, step = job.settings.training, 0
     if job.run.checkpoint.exists():
         with suppress(ValueError):  # a damaged one is refused when training begins
-            known["step"] = read_checkpoint(job.run.checkpoint)["steps_done"]
-    return known
+            step = read_checkpoint(job.run.checkpoint)["steps_done"]
+    now |= {"hardware": tracking.hardware(), "threads": training.threads or torch.get_num_threads(), "step": step}
+    now |= {"device": str(chosen_device(training.device)), "precision": precision_of(training).name}
+    now |= tracking.packages()
+    starts = [*job.run.starts, {"time": datetime.now(UTC).isoformat(timespec="seconds"), **now}]
+    if len(starts) > 1 and now["step"] and job.run.result.get("hash") != job.hash:
+        _tell_changes(starts[-2], now)
+    if job.settings.tracking.provenance is Provenance.full:
+        write_text(folder / "environment.txt", tracking.environment())
+        path = folder / "uncommitted.diff"
+        earlier = path.read_text("utf-8", "replace") if path.exists() else ""
+        if earlier not in ("", diff):
+            path.rename(path.with_stem(f"{path.stem}.{digest(earlier)}"))
+        write_text(path, diff)
+    else:
+        for left in (folder / "environment.txt", *folder.glob("uncommitted*.diff")):
+            left.unlink(missing_ok=True)
+    write_json(folder / "starts.json", {"starts": starts})
+    write_json(folder / "made_with.json", _in_short(starts))
 
 
-def _earlier(folder: Path) -> list[dict[str, Any]]:
-    """The starts before this one."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        return [dict(start) for start in read_json(folder / _STARTS)["starts"]]
-    return []
-
-
-def _tell_changes(job: Job, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    if not now["step"] or job.run.result.get("hash") == job.hash:
-        return
+def _tell_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     known = [key for key in now if key != "step" and (key in before or key == "git_diff")]
     changed = [f"{key} {before.get(key, 'none')}, now {now[key]}" for key in known if before.get(key) != now[key]]
     if changed:
         _LOG.warning("step %d: training goes on with other code or hardware (%s)", now["step"], "; ".join(changed))
-
-
-def _write_diff(folder: Path, diff: str) -> None:
-    """Write the uncommitted changes; others that are there are kept under another name."""
-    path = folder / _DIFF
-    earlier = path.read_text("utf-8", "replace") if path.exists() else ""
-    if earlier not in ("", diff):
-        path.rename(path.with_stem(f"{path.stem}.{digest(earlier)}"))
-    write_text(path, diff)
 
 
 def _in_short(starts: Sequence[Mapping[str, Any]]) -> dict[str, str]:

@@ -1,8 +1,8 @@
 """One run as it lies on disk: everything in its folder, and the state that this makes up."""
 
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -12,7 +12,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 import pandas as pd
-from filelock import FileLock, Timeout
+from filelock import FileLock
 
 from ablate.evaluation import check_stored_scores
 from ablate.metrics import METRICS_VERSION
@@ -20,8 +20,7 @@ from ablate.metrics.stored_names import SOURCES
 from ablate.runs.data_set import DataSet
 from ablate.settings.study import StudySettings
 from ablate.settings.values import build
-from ablate.storage import digest, digest_of_files, read_json, remove_partial, write_json, written_whole
-from ablate.tracking import LocalLog
+from ablate.storage import digest, digest_of_files, read_json
 from ablate.validation import check_name
 
 #: The checkpoint of a training; `ablate.training.LAST`, whose import loads PyTorch.
@@ -44,13 +43,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Run:
-    """The folder of a run: `<study>/<label>/seed<k>`. Values are read when they are asked for, and once.
-
-    Examples
-    --------
-    >>> Run(Path("nowhere")).state
-    <State.missing: 'missing'>
-    """
+    """The folder of a run: `<study>/<label>/seed<k>`. Values are read when they are asked for, and once."""
 
     folder: Path
 
@@ -72,42 +65,35 @@ class Run:
         return sorted((self.folder / "provenance").glob("uncommitted*.diff"))
 
     @property
-    def log(self) -> LocalLog:
-        """Curves, images and states as the training went on; opened for writing."""
-        return LocalLog(self.folder)
-
-    @property
     def scores_file(self) -> Path:
         """Every metric of every frame, as Parquet."""
         return self.folder / "per_image.parquet"
 
+    @property
+    def pictures_file(self) -> Path:
+        """Rendered frames and their numbers, for figures."""
+        return self.folder / "pictures.npz"
+
     @cached_property
     def spec(self) -> dict[str, Any]:
         """What the run is: hash, label, changed, semantic, settings; empty where it is missing or damaged."""
-        with suppress(OSError, ValueError):
-            return read_json(self.folder / "spec.json")
-        return {}
+        return _read(self.folder / "spec.json")
 
     @cached_property
     def result(self) -> dict[str, Any]:
         """What the run came to: its scalars and what they were computed from; empty where missing or damaged."""
-        with suppress(OSError, ValueError):
-            return read_json(self.folder / "result.json")
-        return {}
+        return _read(self.folder / "result.json")
 
     @cached_property
     def made_with(self) -> dict[str, Any]:
         """Code, packages and hardware in short; empty where missing or damaged."""
-        with suppress(OSError, ValueError):
-            return read_json(self.folder / "provenance" / "made_with.json")
-        return {}
+        return _read(self.folder / "provenance" / "made_with.json")
 
     @property
-    def first_start(self) -> str:
-        """When a process began to train it, in ISO 8601; empty where that is not known."""
-        with suppress(OSError, ValueError, KeyError, IndexError, TypeError):
-            return str(read_json(self.folder / "provenance" / "starts.json")["starts"][0]["time"])
-        return ""
+    def starts(self) -> list[dict[str, Any]]:
+        """What each process that began to train it was started with; empty where that is not known."""
+        starts = _read(self.folder / "provenance" / "starts.json").get("starts")
+        return [start for start in starts if isinstance(start, dict)] if isinstance(starts, list) else []
 
     # What it is called.
 
@@ -155,14 +141,13 @@ class Run:
     @property
     def pictures(self) -> dict[int, np.ndarray]:
         """Rendered frames, (H, W) uint8, by their number in the data set; a ValueError where the file is damaged."""
-        path = self.folder / "pictures.npz"
         try:
-            with np.load(path) as kept:
+            with np.load(self.pictures_file) as kept:
                 return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, KeyError, AttributeError, EOFError, BadZipFile, zlib.error) as error:
-            raise ValueError(f"{path} is damaged: {' '.join(str(error).split())}") from error
+            raise ValueError(f"{self.pictures_file} is damaged: {' '.join(str(error).split())}") from error
 
     # What can be done with it.
 
@@ -225,36 +210,15 @@ class Run:
         own = [self.folder / name for name in ("spec.json", "result.json", "per_image.parquet", "pictures.npz")]
         return digest_of_files([*own, made_with, *self.uncommitted])
 
-    def is_in_training(self) -> bool:
-        """Whether a process trains it now."""
-        try:
-            with self.lock(timeout=0):
-                return False
-        except Timeout:
-            return True
-
-    # What the process that trains it writes.
-
     def lock(self, timeout: float = -1) -> FileLock:
         """Held by the process that trains the run."""
         return FileLock(self.folder / ".lock", timeout=timeout)
 
-    @contextmanager
-    def writing_pictures(self) -> Iterator[Path]:
-        with written_whole(self.folder / "pictures.npz") as partial:
-            yield partial
 
-    def remove_partial_files(self) -> None:
-        """Remove what a killed process began to write."""
-        for name in ("per_image.parquet", "pictures.npz", "result.json"):
-            remove_partial(self.folder / name)
-
-    def write_spec(self, spec: Mapping[str, Any]) -> None:
-        write_json(self.folder / "spec.json", spec)
-
-    def write_result(self, result: Mapping[str, Any]) -> None:
-        """Write what the run came to; last of all, because a run that has it is finished."""
-        write_json(self.folder / "result.json", result)
+def _read(path: Path) -> dict[str, Any]:
+    with suppress(OSError, ValueError):
+        return read_json(path)
+    return {}
 
 
 def runs_of(study_dir: Path) -> list[Run]:
@@ -265,11 +229,8 @@ def runs_of(study_dir: Path) -> list[Run]:
 def _unusable_keys(result: Mapping[str, Any]) -> list[str]:
     """The keys that are missing from a `result.json`, or hold what no run writes there."""
     wrong = [key for key, kind in _KINDS.items() if not isinstance(result.get(key), kind)]
-    if wrong:
-        return wrong
-    if wrong := [key for key in ("metrics", "notes") if not all(isinstance(text, str) for text in result[key])]:
-        return wrong
-    scalars = result["scalars"]
-    if not all(isinstance(value, int | float) for value in scalars.values()):
-        return ["scalars"]
-    return sorted(f"scalars.{name}" for name in _PARAMETERS - scalars.keys())
+    if not wrong:
+        wrong = [key for key in ("metrics", "notes") if not all(isinstance(text, str) for text in result[key])]
+    if not wrong and not all(isinstance(value, int | float) for value in result["scalars"].values()):
+        wrong = ["scalars"]
+    return wrong or sorted(f"scalars.{name}" for name in _PARAMETERS - result["scalars"].keys())

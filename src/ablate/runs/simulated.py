@@ -25,38 +25,28 @@ def about_simulated(settings: StudySettings) -> dict[str, Any]:
     if settings.dataset.poses:  # what they are counts, not where they lie
         poses, sites = own_poses(settings)
         chosen["poses"] = hashlib.sha256(poses.tobytes() + sites.tobytes()).hexdigest()[:16]
-    return {
-        "scene": _scene_identity(settings),
-        "probe": plain(settings.probe),
-        "simulator": identity(settings.simulator),
-        "simulator_version": SIMULATOR_VERSION,
-        "dataset": chosen,
-    }
-
-
-def _scene_identity(settings: StudySettings) -> dict[str, Any]:
-    scene = settings.scene
-    if scene.kind is SceneKind.fetal:
-        shaped_by = {"triangles": scene.triangles, "anatomy_seed": scene.anatomy_seed}
-        return {"kind": "fetal", **shaped_by, "version": ANATOMY_VERSION}
-    folder = Path(scene.folder or "")
-    checked = anatomy.validate_scene_folder(folder)
-    files = digest_of_files([folder / "scene.yaml", *checked.files])
-    known_by = {"kind": "folder", "files": files, "version": ANATOMY_VERSION}
-    return {**known_by, "labels_version": LABELS_VERSION} if checked.labels else known_by
+    scene: dict[str, Any] = {"kind": settings.scene.kind.name, "version": ANATOMY_VERSION}
+    if settings.scene.kind is SceneKind.fetal:
+        scene |= {"triangles": settings.scene.triangles, "anatomy_seed": settings.scene.anatomy_seed}
+    else:
+        folder = Path(settings.scene.folder or "")
+        checked = anatomy.validate_scene_folder(folder)
+        scene["files"] = digest_of_files([folder / "scene.yaml", *checked.files])
+        if checked.labels:
+            scene["labels_version"] = LABELS_VERSION
+    simulator = {"simulator": identity(settings.simulator), "simulator_version": SIMULATOR_VERSION}
+    return {"scene": scene, "probe": plain(settings.probe), **simulator, "dataset": chosen}
 
 
 def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
     """The scene and its own grid of probe sites; a ValueError for pairs made elsewhere, or a mesh that is unusable."""
-    scene = settings.scene
+    scene, kept = settings.scene, settings.results / "data" / "anatomy"
     if scene.kind is SceneKind.pairs:
         raise ValueError("scene=pairs: pairs made elsewhere have no scene; allowed are scene=fetal and scene=folder")
     if scene.kind is SceneKind.fetal:
-        kept = settings.results / "data" / "anatomy"
-        made = anatomy.fetal_abdomen(triangles=scene.triangles, seed=scene.anatomy_seed, cache_dir=kept)
-        return made, anatomy.fetal_sites()
+        return anatomy.fetal_abdomen(scene.triangles, scene.anatomy_seed, cache_dir=kept), anatomy.fetal_sites()
     folder = Path(scene.folder or "")
-    loaded = anatomy.load_scene(folder, settings.results / "data" / "anatomy")
+    loaded = anatomy.load_scene(folder, kept)
     if settings.dataset.poses or settings.pose:  # then the folder may do without sites
         return loaded, anatomy.validate_scene_folder(folder).sites or SiteGrid()
     return loaded, anatomy.load_sites(folder)
@@ -104,7 +94,7 @@ def lay_out(settings: StudySettings, scene: Scene, grid: SiteGrid) -> Layout:
         resampled = dataset.resample_grid(grid, chosen.grid)
         placement = dataset.place_probe(scene, resampled, chosen.press_mm, settings.probe)
     poses = placement.poses
-    picked = dataset.choose_frames([p.site for p in poses], min(chosen.frames, len(poses)), chosen.seed)
+    picked = dataset.choose_frames([p.site for p in poses], chosen.frames, chosen.seed)
     sites = np.array([poses[i].site for i in picked])
     split = dataset.split_frames(sites, chosen.split, chosen.validation, chosen.test, chosen.seed)
     order = np.argsort(split, kind="stable")  # validation and test frames lie together: few shards hold both
@@ -117,26 +107,13 @@ def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], a
     layout = lay_out(settings, scene, grid)
     left_out = plan_scene(scene, settings.probe, settings.simulator, layout.poses).left_out
     tqdm.write(f"Simulating pairs into {folder}")
-    tqdm.write(f"{layout.placement}; {len(layout)} of {settings.dataset.frames} frames asked for")
+    tqdm.write(f"{layout.placement}; {len(layout.sites)} of {settings.dataset.frames} frames asked for")
     for line in left_out:
         tqdm.write(f"left out: {line}")
-    pairs = dataset.create_pairs(
-        folder,
-        layout.poses,
-        layout.sites,
-        layout.split,
-        fan_mask(settings.probe, settings.simulator.image_shape),
-        settings.dataset.shard,
-        [t.name for t in scene.tissues],
-        {
-            **about,
-            "tissues": [plain(t) for t in scene.tissues],
-            "left_out": left_out,
-            "poses": {"usable": len(layout.placement.poses), "dropped": layout.placement.dropped},
-        },
-    )
+    poses = {"usable": len(layout.placement.poses), "dropped": layout.placement.dropped}
+    about = {**about, "tissues": [plain(t) for t in scene.tissues], "left_out": left_out, "poses": poses}
+    placed = layout.poses, layout.sites, layout.split, fan_mask(settings.probe, settings.simulator.image_shape)
+    pairs = dataset.create_pairs(folder, *placed, settings.dataset.shard, [t.name for t in scene.tissues], about)
     recipe = Recipe(scene, settings.probe, settings.simulator, settings.dataset.seed)
-    todo = sum(len(pairs.frames_of_shard(s)) for s in pairs.missing(maps))
-    with tqdm(total=todo, unit="frame", desc="simulate", mininterval=1.0) as bar:
-        dataset.simulate_pairs(recipe, pairs, maps, settings.dataset.workers, bar.update)
+    dataset.simulate_pairs(recipe, pairs, maps, settings.dataset.workers)
     return pairs

@@ -1,19 +1,34 @@
-"""Bring the tracking store up to date with the runs of a study on disk: the store is a copy of them."""
+"""Bring the tracking store up to date with the runs of a study on disk: the store is a copy, with texts, of them."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from typing import Any
 
-from filelock import FileLock
+import numpy as np
+from filelock import FileLock, Timeout
 
 from ablate import tracking
+from ablate.dataset.pairs import FORMATS
+from ablate.metrics.stored_names import FLOOR_PREFIX, FRAME_TIME, is_bound
 from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run, State, runs_of
-from ablate.runs.store_texts import ABOUT_CODE, about_run, logged, own_parameters, shared_parameters
-from ablate.settings.study import StudySettings
+from ablate.setting import plain
+from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest
 from ablate.tracking import STATE, LocalLog, Status, Store, StoredRun
 
+#: What is told of the code and the machine of a run.
+ABOUT_CODE = ("git_commit", "git_dirty", "hardware", "threads")
+_SHARED = (  # settings that all runs of a study have in common, shown as its parameters
+    "model.width",
+    *("dataset.frames", "dataset.split", "dataset.validation", "dataset.test"),
+    *("simulator.rays", "simulator.layers", "simulator.scanlines", "simulator.image_shape"),
+    *("training.steps", "training.batch_size", "training.crop", "training.learning_rate", "training.schedule"),
+    *("training.reconstruction", "training.l1_weight", "training.ema_decay", "training.precision"),
+)
+_SAMPLES = 2  # validation frames shown through training
+_SAMPLE_PX = 512  # larger frames are shrunk before they are logged: a run keeps a few dozen of them
 _LOG = logging.getLogger(__name__)
 _LOCK_S = 30.0
 _DRAWN = frozenset({"target", "resimulation"})  # the other maps of a data set are what networks read
@@ -28,7 +43,11 @@ def open_tracking(settings: StudySettings) -> StoredRun:
     """The study's parent run; it and the store are created when they are missing."""
     store = open_store(settings)
     run = StoredRun(store, tracking.parent_run(store, settings.study))
-    run.parameters(shared_parameters(settings))
+    about: dict[str, Any] = {"scene": settings.scene_name, "preset": settings.preset}
+    for group, name in (key.split(".") for key in _SHARED):
+        if group in ("model", "training") or settings.scene.kind is not SceneKind.pairs:  # those were made elsewhere
+            about[f"{group}.{name}"] = plain(getattr(settings, group))[name]
+    run.parameters(about)
     return run
 
 
@@ -66,9 +85,12 @@ def copy_study(settings: StudySettings) -> tuple[StoredRun, dict[str, str]]:
     ids: dict[str, str] = {}
     for run in runs_of(settings.study_dir):
         run_id, tags = stored.get((run.label, run.hash), ("", {}))
-        if run.spec and tags.get(STATE) != run.copied_state() and not run.is_in_training():
+        if run.spec and tags.get(STATE) != run.copied_state():
             try:
-                run_id = _Copy(settings, run).everything()
+                with run.lock(timeout=0):
+                    run_id = _Copy(settings, run).everything()
+            except Timeout:
+                pass  # another process trains it
             except (KeyError, TypeError, AttributeError) as error:
                 _LOG.warning("%s: not copied to the tracking store, %s is not as runs are now", run.folder, error)
         if run_id:
@@ -121,13 +143,45 @@ def _opened(settings: StudySettings, run: Run) -> StoredRun:
     stored = StoredRun(store, tracking.child_run(store, parent.run_id, run.name, run.hash, tags, started))
     stored.mark(Status.running)
     stored.tags({k: v for k, v in run.made_with.items() if k in ABOUT_CODE})
-    stored.describe(about_run(label, of_run["seed"], settings.study))
-    stored.parameters(own_parameters(label, of_run, run.changed))
+    stored.describe(
+        f"`{label}`, seed {of_run['seed']}, of the study `{settings.study}`. **Model metrics**: `frames/` are "
+        "validation frames as training went on, rendered above, their target below; `train/` and `val/` are curves; "
+        "the step of all these is the number of images seen. `test/` was measured once, on frames of unseen probe "
+        "sites; `test/floor_` is what the same frames simulated with other scatterers and ray paths score. "
+        "**Artifacts**: every metric of every frame in `per_image.parquet`; configuration, code and environment in "
+        "`provenance`."
+    )
+    model = of_run["model"].items()
+    components = {f"model.{k}": v for k, v in model if k != "width" and (k not in ("noise_start", "target") or v)}
+    own = {"encoding": of_run["encoding"], "training.loss": of_run["training"]["loss"], "seed": of_run["seed"]}
+    # The label is called `model`, so that it comes before its components: of the parameters that differ, MLflow's
+    # comparison draws the first three by name.
+    stored.parameters({"model": label, **components, **own, **run.changed})
     for folder in (settings.results / "data").glob(f"*-{data}"):
         with suppress(OSError, ValueError, KeyError):  # pairs that are being made again
             pairs = DataSet(folder).pairs
-            read, drawn = pairs.dtypes(pairs.maps - _DRAWN), pairs.dtypes(_DRAWN)
-            stored.dataset(folder.name, data, folder, len(pairs), read, drawn)
+            halves = pairs.maps - _DRAWN, pairs.maps & _DRAWN
+            stored_as = [{name: FORMATS[name][0] for name in sorted(maps)} for maps in halves]
+            stored.dataset(folder.name, data, folder, len(pairs), *stored_as)
     for path in run.provenance:
         stored.artifact(path, "provenance")
     return stored
+
+
+def log_samples(log: LocalLog, frames: np.ndarray, images: np.ndarray, targets: np.ndarray, images_seen: int) -> None:
+    """Log some of the validation frames of these numbers, (n,), each rendered above its target: MLflow shows squares.
+
+    `images` and `targets` are (n, H, W) uint8.
+    """
+    step = -(-images.shape[1] // _SAMPLE_PX)
+    height, width = (size // step * step for size in images.shape[1:])
+    for k in range(0, len(frames), -(-len(frames) // _SAMPLES)):
+        both = np.stack([images[k], targets[k]])[:, :height, :width]
+        blocks = both.reshape(2 * height // step, step, width // step, step)
+        log.image(f"frames/{frames[k]}", blocks.mean((1, 3)).round().astype(np.uint8), images_seen)
+
+
+def logged(scalars: Mapping[str, float]) -> dict[str, float]:
+    """The scalars that a run's page shows: not the bounds of intervals, nor the re-simulation on validation frames."""
+    hidden = f"val/{FLOOR_PREFIX}"
+    return {k: v for k, v in scalars.items() if not k.startswith(hidden) and not is_bound(k) and k != FRAME_TIME}

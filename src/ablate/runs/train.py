@@ -7,23 +7,20 @@ from datetime import UTC, datetime
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from ablate import dataset
 from ablate.dataset import CropLoader, Crops, CropSettings, Part
 from ablate.evaluation import ImageSource, Scorer, inception_for, score_run
 from ablate.metrics import METRICS_VERSION, choose_metrics
 from ablate.networks import Generator, conditions, draws_noise
-from ablate.runs.data_set import DataSet, maps_needed
+from ablate.runs.data_set import DataSet, maps_needed, prepare_data
 from ablate.runs.job import Job, parameters
 from ablate.runs.place import claim_place, finished_run, sources_of, with_earlier_metrics
-from ablate.runs.prepare import prepare_data
 from ablate.runs.provenance import write_provenance
 from ablate.runs.run import Run
-from ablate.runs.store_copy import copying
-from ablate.runs.store_texts import log_samples
+from ablate.runs.store_copy import copying, log_samples
 from ablate.settings.study import StudySettings
-from ablate.storage import written_whole
+from ablate.storage import remove_partial, write_json, written_whole
 from ablate.tracking import LocalLog, system_metrics
 from ablate.training import TrainingPrecision, Validation, chosen_device, generate, train
 
@@ -51,8 +48,7 @@ def _run(job: Job) -> None:
     claim_place(job)
     data = prepare_data(job, maps_needed([job.settings.model]))
     write_provenance(job)
-    run = job.run
-    log = run.log
+    run, log = job.run, LocalLog(job.folder)  # curves, images and states as the training goes on
     watch = system_metrics(job.folder, log) if job.settings.tracking.system_metrics else nullcontext()
     with copying(job.settings, run, log), watch:
         _train_score_and_store(job, run, data, log)
@@ -60,7 +56,8 @@ def _run(job: Job) -> None:
 
 def _train_score_and_store(job: Job, run: Run, data: DataSet, log: LocalLog) -> None:
     clock, started = time.perf_counter(), _now()
-    run.remove_partial_files()
+    for file in (run.scores_file, run.pictures_file, run.folder / "result.json"):
+        remove_partial(file)
     before = run.result if run.result.get("hash") == job.hash else {}
     scalars, notes = _train_and_score(job, run, data, log)
     first_scored = _now()
@@ -70,18 +67,17 @@ def _train_score_and_store(job: Job, run: Run, data: DataSet, log: LocalLog) -> 
         started, first_scored = before.get("started", started), before.get("first_scored", first_scored)
     elif scalars["train/resumed_at"] == 0:
         scalars["seconds"] = time.perf_counter() - clock  # task=plan estimates the time of other jobs from it
-    elif earlier := run.first_start:
-        started = earlier
+    elif run.starts:
+        started = str(run.starts[0].get("time", started))
     asked = with_earlier_metrics(job)
-    run.write_result(
-        {
-            **{"hash": job.hash, "label": job.label, "seed": job.settings.seed},
-            **{"data": data.name, "pixels": data.pixels},
-            **{"started": started, "ended": _now(), "first_scored": first_scored},
-            **{"metrics": asked.metrics, "sources": sources_of(asked.metrics), "metrics_version": METRICS_VERSION},
-            **{"inception": asked.evaluation.inception, "notes": list(notes), "scalars": scalars},
-        }
-    )
+    result = {
+        **{"hash": job.hash, "label": job.label, "seed": job.settings.seed},
+        **{"data": data.name, "pixels": data.pixels},
+        **{"started": started, "ended": _now(), "first_scored": first_scored},
+        **{"metrics": asked.metrics, "sources": sources_of(asked.metrics), "metrics_version": METRICS_VERSION},
+        **{"inception": asked.evaluation.inception, "notes": list(notes), "scalars": scalars},
+    }
+    write_json(run.folder / "result.json", result)  # last of all, because a run that has it is finished
 
 
 def _now() -> str:
@@ -114,7 +110,7 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
         scores.per_image.assign(variant=job.label, seed=s.seed).to_parquet(partial)
     shown = dataset.equally_spaced(pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant
     images = render(shown, 0)
-    with run.writing_pictures() as partial:
+    with written_whole(run.pictures_file) as partial:
         np.savez_compressed(partial, frames=shown, images=images)
     return scalars, scores.notes
 
@@ -142,20 +138,15 @@ def _validation(s: StudySettings, data: DataSet, values: np.ndarray, log: LocalL
     return validate
 
 
-def _inputs(generator: Generator, data: DataSet, frames: np.ndarray, values: np.ndarray) -> dict[str, Tensor]:
-    """The maps of some frames that a generator reads, (k, 1, H, W) float32 each."""
-    maps = {name: data.pairs.read(name, frames) for name in conditions(generator.spec)}
-    return dataset.network_inputs(maps, values, data.pairs.mask())
-
-
 def generated_images(
     generator: Generator, data: DataSet, values: np.ndarray, precision: TrainingPrecision
 ) -> ImageSource:
     """A function that renders frames of a data set with a generator; the noise depends on frame number and draw."""
-    mask = torch.from_numpy(data.pairs.mask())
+    mask = data.pairs.mask()
 
     def render(frames: np.ndarray, draw: int) -> np.ndarray:
+        maps = {name: data.pairs.read(name, frames) for name in conditions(generator.spec)}
         seeds = torch.from_numpy(dataset.noise_seeds(frames, draw))
-        return generate(generator, _inputs(generator, data, frames, values), mask, seeds, precision)
+        return generate(generator, dataset.network_inputs(maps, values, mask), torch.from_numpy(mask), seeds, precision)
 
     return render

@@ -64,8 +64,8 @@ class Hand:
         pose = np.eye(4)
         pose[:3, :3] = self._frame(inward) @ turned.as_matrix()
         pose[:3, 3] = point
-        pressed = press(self._skin, self._probe, pose[None], inward[None], self._press_mm)
-        return pressed.poses[0], _words(bool(pressed.on_body[0]), bool(pressed.hard[0]))
+        poses, on_body, hard = press(self._skin, self._probe, pose[None], inward[None], self._press_mm)
+        return poses[0], _words(bool(on_body[0]), bool(hard[0]))
 
     def judge(self, pose: np.ndarray) -> str:
         """Say what is wrong with the contact of a pose that was not pressed; empty if nothing is."""

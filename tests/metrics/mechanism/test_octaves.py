@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, zoom
 
-from ablate.metrics import octave_sd
+from ablate.metrics import Pair, octave_sd
 from ablate.metrics.mechanism.octaves import octave_variances
 
 
@@ -44,7 +44,7 @@ def test_each_wave_has_its_octave():
 def test_smooth_and_coarse_speckle_counts_and_other_speckle_hardly(make_frame):
     target, again = make_frame(0), make_frame(1)
     error = [
-        octave_sd(image, target.image, target.tissue)
+        octave_sd(target.pair(image))
         for image in (target.image, again.image, *(gaussian_filter(again.image, sigma) for sigma in (1, 2, 4)))
     ]
     assert error[0] == 0
@@ -52,21 +52,14 @@ def test_smooth_and_coarse_speckle_counts_and_other_speckle_hardly(make_frame):
     assert 2 < error[2] < error[3] < error[4]
     middle = (slice(80, 160), slice(130, 230))
     large, own = zoom(again.image[middle], 2, order=1)[:80, :100], target.image[middle]
-    assert octave_sd(large, own, target.tissue[middle]) > 1.5, "speckle of twice the size"
-    assert octave_sd(again.image[middle], own, target.tissue[middle]) < 1
+    assert octave_sd(Pair(large, own, target.mask[middle], target.tissue[middle])) > 1.5, "speckle of twice the size"
+    assert octave_sd(Pair(again.image[middle], own, target.mask[middle], target.tissue[middle])) < 1
 
 
 def test_half_the_contrast_is_6_db_and_the_level_does_not_count():
     rng = np.random.default_rng(1)
     target = rng.normal(128, 24, (200, 200)).clip(0, 255).astype(np.uint8)
-    everywhere = np.ones(target.shape, bool)
-    assert octave_sd((target // 2).astype(np.uint8), target, everywhere) == pytest.approx(20 * np.log10(2), abs=0.3)
-    assert octave_sd(np.minimum(target, 200) + np.uint8(9), np.minimum(target, 200), everywhere) < 1e-4
-    assert octave_sd(np.zeros_like(target), np.full_like(target, 255), everywhere) == 0
-
-
-def test_nothing_to_measure_is_none(make_frame):
-    frame = make_frame(0)
-    assert octave_sd(frame.image, frame.image, np.zeros_like(frame.mask)) is None
-    with pytest.raises(ValueError, match="tissue_mask must be"):
-        octave_sd(frame.image, frame.image, frame.mask[1:])
+    maps = [np.ones(target.shape, bool)] * 2
+    assert octave_sd(Pair((target // 2).astype(np.uint8), target, *maps)) == pytest.approx(20 * np.log10(2), abs=0.3)
+    assert octave_sd(Pair(np.minimum(target, 200) + np.uint8(9), np.minimum(target, 200), *maps)) < 1e-4
+    assert octave_sd(Pair(target, target, maps[0], ~maps[0])) is None

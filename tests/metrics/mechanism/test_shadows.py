@@ -7,9 +7,8 @@ from ablate.metrics import shadow_contrast
 from ablate.metrics.mechanism.shadows import relative_attenuation
 
 
-def contrast(prediction, frame):
-    labels = np.where(frame.tissue, frame.labels, 0)
-    return shadow_contrast(prediction, frame.image, frame.attenuation, frame.mask, labels, frame.depth_mm)
+def contrast(prediction, frame, **changes):
+    return shadow_contrast(frame.pair(prediction, **changes))
 
 
 def shifted(image, mask, grey):
@@ -72,13 +71,13 @@ def test_an_error_of_a_tissue_or_a_depth_is_no_error_of_shadow(make_frame):
 def test_nothing_to_measure_is_none(make_frame):
     frame = make_frame(0)
     level = np.full_like(frame.attenuation, 0.5)
-    for attenuation, mask, labels in (
-        (level, frame.mask, frame.labels),
-        (np.zeros_like(level), frame.mask, frame.labels),
-        (frame.attenuation, frame.mask, np.zeros_like(frame.labels)),
-        (frame.attenuation, frame.mask, np.where(frame.shadow, 1, 2).astype(np.uint8)),
-        (frame.attenuation, np.zeros_like(frame.mask), frame.labels),
+    none = np.zeros_like(frame.mask)
+    for changes in (
+        {"attenuation": level},
+        {"attenuation": np.zeros_like(level)},
+        {"attenuation": None},
+        {"tissue_mask": none},
+        {"mask": none},
+        {"segmentation": np.where(frame.shadow, 1, 2).astype(np.uint8)},
     ):
-        assert shadow_contrast(frame.image, frame.image, attenuation, mask, labels, frame.depth_mm) is None
-    with pytest.raises(ValueError, match="labels must be"):
-        shadow_contrast(frame.image, frame.image, level, frame.mask, frame.labels[1:], frame.depth_mm)
+        assert contrast(frame.image, frame, **changes) is None

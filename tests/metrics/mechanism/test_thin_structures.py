@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from ablate.metrics import thin_contrast
+from ablate.metrics import Pair, thin_contrast
 from ablate.metrics.mechanism.thin_structures import surface_band
 
 
 def contrast(prediction, frame, **changes):
-    maps = {"mask": frame.mask, "bone": frame.bone, "depth_mm": frame.depth_mm, "pixel_mm": frame.pixel_mm} | changes
-    return thin_contrast(prediction, frame.image, **maps)
+    return thin_contrast(frame.pair(prediction, **changes))
 
 
 def plain(prediction, frame, parts):
@@ -91,14 +90,13 @@ def test_bone_that_is_too_bright_does_not_make_up_for_bone_that_is_too_dark(make
 def test_nothing_to_measure_is_none(make_frame):
     frame = make_frame(0)
     none = np.zeros_like(frame.mask)
-    assert contrast(frame.image, frame, bone=none) is None
+    assert contrast(frame.image, frame, bone_mask=none) is None
     assert contrast(frame.image, frame, mask=none) is None
-    assert contrast(frame.image, frame, bone=frame.mask) is None, "bone without a surround"
+    assert contrast(frame.image, frame, bone_mask=frame.mask) is None, "bone without a surround"
     speck = none.copy()
     speck[120, 170] = True
-    assert contrast(frame.image, frame, bone=speck) is None, "less than 4 mm^2"
+    assert contrast(frame.image, frame, bone_mask=speck) is None, "less than 4 mm^2"
     for shape in ((1, 1), (1, 40), (40, 1)):
         everywhere, image = np.ones(shape, bool), np.zeros(shape, np.uint8)
-        assert thin_contrast(image, image, everywhere, everywhere, np.zeros(shape), (1.0, 1.0)) is None
-    with pytest.raises(ValueError, match="bone must be"):
-        contrast(frame.image, frame, bone=none[1:])
+        maps = {"depth_mm": np.zeros(shape), "pixel_mm": (1.0, 1.0), "bone_mask": everywhere}
+        assert thin_contrast(Pair(image, image, everywhere, **maps)) is None

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.fft import rfft2
 
-from ablate.metrics.images import check_pair
+from ablate.metrics.fidelity import as_patches, patches_inside
 from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
-from ablate.metrics.patch_histograms import as_patches, patches_inside
+from ablate.metrics.pair import Pair
 
 BLOCK = 32  # px, of the spectra
 RING_PX = 3  # how far around a spectral line its surround is taken
@@ -44,7 +44,7 @@ def line_power(image: np.ndarray, blocks: np.ndarray, period_px: int = 2) -> tup
     return np.array(on), np.array(around)
 
 
-def nyquist_excess(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray, period_px: int = 2) -> float | None:
+def nyquist_excess(pair: Pair, period_px: int = 2) -> float | None:
     """Checkerboard of up-sampling: the power that lines of a grid add to the prediction, against the target's, dB.
 
     Strided transposed convolutions leave a pattern of period 2 px, and of 4 px from the level before (Odena et al.
@@ -52,38 +52,19 @@ def nyquist_excess(prediction: np.ndarray, target: np.ndarray, mask: np.ndarray,
     e = 10 log10(1 + mean over lines of max(on - around, 0) / around in the target). The value is |e - e of the target|.
     So a smooth prediction, whose own surround is faint, is not punished for being smooth.
 
-    Parameters
-    ----------
-    prediction, target : (H, W) uint8
-        Grey levels.
-    mask : (H, W) bool
-        The fan; only blocks of 32 px wholly inside count.
-    period_px : {2, 4}
-        Period of the pattern, px.
-
-    Returns
-    -------
-    float or None
-        dB, at least 0, which is right. None when no block lies inside the fan.
-
-    Raises
-    ------
-    ValueError
-        When shapes or dtypes do not fit, or the period is another.
+    It is at least 0, which is right, and None when no block of 32 px lies wholly inside the fan. `period_px`, 2 or 4,
+    is the period of the pattern.
     """
-    check_pair(prediction, target)
-    if period_px not in (2, 4):
-        raise ValueError(f"period_px must be 2 or 4, got {period_px}")
-    blocks = patches_inside(mask, BLOCK)
+    blocks = patches_inside(pair.mask, BLOCK)
     if not blocks.any():
         return None
-    found, right = line_power(prediction, blocks, period_px), line_power(target, blocks, period_px)
+    found, right = (line_power(image, blocks, period_px) for image in (pair.prediction, pair.target))
     added = [np.mean(np.maximum(on - around, 0.0) / right[1]) for on, around in (found, right)]
     return float(abs(10.0 * np.log10((1.0 + added[0]) / (1.0 + added[1]))))
 
 
 NYQUIST_EXCESS = Metric(
     *("nyquist_excess", "Nyquist excess", "dB", Direction.lower, Resimulation.floor, Group.mechanism, 2, Shown.drawn),
-    of_image=lambda pair: nyquist_excess(pair.prediction, pair.target, pair.mask) if pair.mask.any() else None,
+    of_image=nyquist_excess,
     place=80,
 )

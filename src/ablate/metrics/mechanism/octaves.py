@@ -3,7 +3,6 @@
 import numpy as np
 from scipy.ndimage import convolve1d
 
-from ablate.metrics.images import check_pair, check_shapes
 from ablate.metrics.metric import Direction, Group, Metric, Resimulation
 from ablate.metrics.pair import Pair
 
@@ -36,42 +35,22 @@ def _blurred(values: np.ndarray) -> np.ndarray:
     return np.asarray(convolve1d(down, BINOMIAL, axis=1, mode="constant"))
 
 
-def octave_sd(prediction: np.ndarray, target: np.ndarray, tissue_mask: np.ndarray) -> float | None:
+def octave_sd(pair: Pair) -> float | None:
     """Error of the standard deviation in octave bands of tissue: mean over bands of |20 log10(sd / sd of the target)|.
 
-    Parameters
-    ----------
-    prediction, target : (H, W) uint8
-        Grey levels.
-    tissue_mask : (H, W) bool
-        Pixels of tissue rather than fluid, in the fan.
-
-    Returns
-    -------
-    float or None
-        dB, at least 0, which is right. None when there are fewer than 100 pixels of tissue.
-
-    Raises
-    ------
-    ValueError
-        When shapes or dtypes do not fit.
+    In dB, at least 0, which is right; None when fewer than 100 pixels of the fan are tissue.
     """
-    check_pair(prediction, target)
-    check_shapes(target, tissue_mask=tissue_mask)
-    found, right = (np.array(octave_variances(image, tissue_mask)) for image in (prediction, target))
+    if pair.tissue_mask is None:
+        return None
+    tissue = pair.tissue_mask & pair.mask
+    found, right = (np.array(octave_variances(image, tissue)) for image in (pair.prediction, pair.target))
     if not len(right):
         return None
     return float(np.abs(10.0 * np.log10((found + ROUNDING) / (right + ROUNDING))).mean())
 
 
-def _octave_sd(pair: Pair) -> float | None:
-    if pair.tissue_mask is None:
-        return None
-    return octave_sd(pair.prediction, pair.target, pair.tissue_mask & pair.mask)
-
-
 OCTAVE_SD = Metric(
     *("octave_sd", "Octave sd", "dB", Direction.lower, Resimulation.floor, Group.mechanism, 2),
-    of_image=_octave_sd,
+    of_image=octave_sd,
     place=90,
 )

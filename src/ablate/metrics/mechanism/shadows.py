@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from ablate.metrics.images import check_pair, check_shapes
 from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
 from ablate.metrics.pair import Pair
 
@@ -17,7 +16,7 @@ def relative_attenuation(
 ) -> np.ndarray:
     """Attenuation map over its median in the fan at the same depth, (H, W) float32: under 1 in shadow.
 
-    It is NaN outside the fan and where the median is 0. The arrays are those of `shadow_contrast`.
+    It is NaN outside the fan and where the median is 0. The arrays are those of `Pair`.
     """
     depth_bin = np.clip(depth_mm[mask] / bin_mm, 0, np.iinfo(np.uint16).max).astype(np.uint16)
     values = np.ascontiguousarray(attenuation[mask], dtype=np.float32)
@@ -29,53 +28,27 @@ def relative_attenuation(
     return relative
 
 
-def shadow_contrast(
-    prediction: np.ndarray,
-    target: np.ndarray,
-    attenuation: np.ndarray,
-    mask: np.ndarray,
-    labels: np.ndarray,
-    depth_mm: np.ndarray,
-) -> float | None:
+def shadow_contrast(pair: Pair) -> float | None:
     """Error of the contrast between shadow and enhancement of the same tissue at the same depth, grey levels.
 
-    In each bin of one label and 10 mm of depth, the mean error in shadow minus the mean error in enhancement is
-    taken. The value is the magnitude of the mean over bins with the weights m n / (m + n), where m and n are the
-    numbers of pixels in shadow and in enhancement: these weights are the inverse variance of the difference of two
-    means. A constant error of a tissue, of a depth or of the whole image cancels.
+    Shadow is where the attenuation map is under 0.6 of its median in the fan at the same depth, enhancement where it
+    is over 1.4 of it. In each bin of one label and 10 mm of depth, the mean error in shadow minus the mean error in
+    enhancement is taken. The value is the magnitude of the mean over bins with the weights m n / (m + n), where m and n
+    are the numbers of pixels in shadow and in enhancement: these weights are the inverse variance of the difference of
+    two means. A constant error of a tissue, of a depth or of the whole image cancels.
 
-    Parameters
-    ----------
-    prediction, target : (H, W) uint8
-        Grey levels.
-    attenuation : (H, W) float in [0, 1]
-        The integral attenuation map. Shadow is where it is under 0.6 of its median in the fan at the same depth,
-        enhancement where it is over 1.4 of it.
-    mask : (H, W) bool
-        The fan.
-    labels : (H, W) uint8
-        Tissue labels; 0 is left out, such as fluid and gas.
-    depth_mm : (H, W) float, mm
-        Distance from the probe's face along the scanline.
-
-    Returns
-    -------
-    float or None
-        At least 0, which is right. None when the bins that hold both have fewer than 100 pixels of either.
-
-    Raises
-    ------
-    ValueError
-        When shapes or dtypes do not fit.
+    It is at least 0, which is right. It is None when the bins that hold both have fewer than 100 pixels of either, or
+    the pair has no tissue, attenuation, depth or labels.
     """
-    check_pair(prediction, target)
-    check_shapes(target, attenuation=attenuation, mask=mask, labels=labels, depth_mm=depth_mm)
-    relative = relative_attenuation(attenuation, mask, depth_mm)
-    compared = mask & (labels > 0) & ((relative < SHADOW) | (relative > ENHANCEMENT))
-    depth_bin = np.clip(depth_mm[compared] / COMPARED_BIN_MM, 0, np.iinfo(np.uint8).max).astype(np.intp)
-    bins = depth_bin * 256 + labels[compared]
+    if pair.attenuation is None or pair.tissue_mask is None or pair.segmentation is None or pair.depth_mm is None:
+        return None
+    relative = relative_attenuation(pair.attenuation, pair.mask, pair.depth_mm)
+    labelled = pair.mask & pair.tissue_mask & (pair.segmentation > 0)
+    compared = labelled & ((relative < SHADOW) | (relative > ENHANCEMENT))
+    depth_bin = np.clip(pair.depth_mm[compared] / COMPARED_BIN_MM, 0, np.iinfo(np.uint8).max).astype(np.intp)
+    bins = depth_bin * 256 + pair.segmentation[compared]
     in_shadow = relative[compared] < SHADOW
-    error = np.subtract(prediction, target, dtype=np.int16)[compared]
+    error = np.subtract(pair.prediction, pair.target, dtype=np.int16)[compared]
     sums, counts = [], []
     for chosen in (in_shadow, ~in_shadow):
         sums.append(np.bincount(bins[chosen], error[chosen], minlength=256 * 256))
@@ -87,16 +60,9 @@ def shadow_contrast(
     return float(abs(np.average(shadow / m - enhanced / n, weights=m * n / (m + n))))
 
 
-def _shadow_contrast(pair: Pair) -> float | None:
-    if pair.attenuation is None or pair.tissue_mask is None or pair.segmentation is None or pair.depth_mm is None:
-        return None
-    labels = np.where(pair.tissue_mask, pair.segmentation, 0)
-    return shadow_contrast(pair.prediction, pair.target, pair.attenuation, pair.mask, labels, pair.depth_mm)
-
-
 SHADOW_CONTRAST = Metric(
     *("shadow_contrast", "Shadow contrast", "grey levels", Direction.lower, Resimulation.floor, Group.mechanism, 1),
     shown=Shown.drawn | Shown.report,
-    of_image=_shadow_contrast,
+    of_image=shadow_contrast,
     place=50,
 )

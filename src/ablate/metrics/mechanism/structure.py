@@ -5,38 +5,24 @@ from functools import lru_cache
 import numpy as np
 from scipy.fft import fft, irfft2, next_fast_len, rfft2
 
-from ablate.metrics.images import check_pair
 from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
+from ablate.metrics.pair import Pair
 
 SMOOTH_SIGMA_MM = 1.5
 SMOOTH_SIGMA_PX = 4.0  # where the size of a pixel is not known
 
 
-def mae_smooth(
-    prediction: np.ndarray, target: np.ndarray, mask: np.ndarray, pixel_mm: tuple[float, float] | None = None
-) -> float:
+def mae_smooth(pair: Pair) -> float | None:
     """MAE in grey levels inside the fan after a Gaussian, which averages speckle and keeps structure and level.
 
     The Gaussian has a standard deviation of 1.5 mm along both axes, or of 4 px without `pixel_mm`, and is normalised
-    inside the fan, so the black outside does not count.
-
-    Parameters
-    ----------
-    prediction, target : (H, W) uint8
-        Grey levels.
-    mask : (H, W) bool
-        The fan.
-    pixel_mm : (float, float), mm, optional
-        Height and width of a pixel.
-
-    Raises
-    ------
-    ValueError
-        When shapes or dtypes do not fit, or the mask is empty.
+    inside the fan, so the black outside does not count. The value is None where there is no fan.
     """
-    check_pair(prediction, target, mask)
-    sigma = (SMOOTH_SIGMA_PX,) * 2 if pixel_mm is None else tuple(SMOOTH_SIGMA_MM / size for size in pixel_mm)
-    difference = np.subtract(prediction, target, dtype=np.float32) * mask
+    mask = pair.mask
+    if not mask.any():
+        return None
+    sigma = tuple(SMOOTH_SIGMA_MM / size for size in pair.pixel_mm) if pair.pixel_mm else (SMOOTH_SIGMA_PX,) * 2
+    difference = np.subtract(pair.prediction, pair.target, dtype=np.float32) * mask
     smooth = _smooth(difference, sigma) / _smoothed_mask(mask.tobytes(), mask.shape, sigma)
     return float(np.abs(smooth[mask]).mean(dtype=np.float64))
 
@@ -70,8 +56,6 @@ def _gaussian_transfer(shape: tuple[int, int], sigma_px: tuple[float, ...]) -> t
 
 MAE_SMOOTH = Metric(
     *("mae_smooth", "Smooth MAE", "grey levels", Direction.lower, Resimulation.level, Group.mechanism, 2, Shown.drawn),
-    of_image=lambda pair: (
-        mae_smooth(pair.prediction, pair.target, pair.mask, pair.pixel_mm) if pair.mask.any() else None
-    ),
+    of_image=mae_smooth,
     place=60,
 )

@@ -3,7 +3,6 @@
 import numpy as np
 from scipy.ndimage import distance_transform_edt, find_objects, label
 
-from ablate.metrics.images import check_pair, check_shapes
 from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
 from ablate.metrics.pair import Pair
 
@@ -15,8 +14,8 @@ FEWEST_MM2 = 4.0  # of a band and of its surround
 def surface_band(bone: np.ndarray, depth_mm: np.ndarray, pixel_mm: tuple[float, float]) -> np.ndarray:
     """Bone at most 2 mm below a surface that faces the probe, (H, W) bool; thinner bone is in it as a whole.
 
-    A pixel belongs to it if the point 2 mm before it, along its scanline, is no bone. Arguments are those of
-    `thin_contrast`.
+    A pixel belongs to it if the point 2 mm before it, along its scanline, is no bone. The arrays are those of
+    `Pair`.
     """
     down, right = np.gradient(depth_mm, *pixel_mm)  # away from the probe
     rows, columns = np.nonzero(bone)
@@ -32,14 +31,7 @@ def surface_band(bone: np.ndarray, depth_mm: np.ndarray, pixel_mm: tuple[float, 
     return band
 
 
-def thin_contrast(
-    prediction: np.ndarray,
-    target: np.ndarray,
-    mask: np.ndarray,
-    bone: np.ndarray,
-    depth_mm: np.ndarray,
-    pixel_mm: tuple[float, float],
-) -> float | None:
+def thin_contrast(pair: Pair) -> float | None:
     """Error of the contrast of bone surfaces with their surround, grey levels.
 
     The contrast of a structure is the mean of its surface band minus the mean of its surround. The value is the mean
@@ -48,34 +40,16 @@ def thin_contrast(
     5 mm from it, is no bone, and is not deeper than its deepest pixel, so that the shadow below is left out. Bands and
     surrounds of less than 4 mm^2 are left out.
 
-    Parameters
-    ----------
-    prediction, target : (H, W) uint8
-        Grey levels.
-    mask, bone : (H, W) bool
-        The fan; pixels of bone.
-    depth_mm : (H, W) float, mm
-        Distance from the probe's face along the scanline.
-    pixel_mm : (float, float), mm
-        Height and width of a pixel.
-
-    Returns
-    -------
-    float or None
-        At least 0, which is right. None where there is no such structure.
-
-    Raises
-    ------
-    ValueError
-        When shapes or dtypes do not fit.
+    It is at least 0, which is right. It is None where there is no such structure, or the pair has no bone, depth or
+    size of a pixel.
     """
-    check_pair(prediction, target)
-    check_shapes(target, mask=mask, bone=bone, depth_mm=depth_mm)
-    bone = bone & mask
-    if min(target.shape) < 2 or not bone.any():
+    if pair.bone_mask is None or pair.depth_mm is None or pair.pixel_mm is None:
+        return None
+    depth_mm, pixel_mm, bone = pair.depth_mm, pair.pixel_mm, pair.bone_mask & pair.mask
+    if min(bone.shape) < 2 or not bone.any():
         return None
     parts, _ = label(surface_band(bone, depth_mm, pixel_mm), np.ones((3, 3)))
-    error = np.subtract(prediction, target, dtype=np.int16)
+    error = np.subtract(pair.prediction, pair.target, dtype=np.int16)
     fewest = FEWEST_MM2 / (pixel_mm[0] * pixel_mm[1])
     reach = [int(np.ceil(RING_MM[1] / size)) for size in pixel_mm]
     errors, weights = [], []
@@ -83,7 +57,7 @@ def thin_contrast(
         window = tuple(slice(max(s.start - r, 0), s.stop + r) for s, r in zip((rows, columns), reach, strict=True))
         band = parts[window] == number
         away = distance_transform_edt(~band, pixel_mm)
-        around = (away >= RING_MM[0]) & (away <= RING_MM[1]) & mask[window] & ~bone[window]
+        around = (away >= RING_MM[0]) & (away <= RING_MM[1]) & pair.mask[window] & ~bone[window]
         around &= depth_mm[window] <= depth_mm[window][band].max()
         if min(band.sum(), around.sum()) >= fewest:
             errors.append(abs(error[window][band].mean() - error[window][around].mean()))
@@ -91,15 +65,9 @@ def thin_contrast(
     return float(np.average(errors, weights=weights)) if errors else None
 
 
-def _thin_contrast(pair: Pair) -> float | None:
-    if pair.bone_mask is None or pair.depth_mm is None or pair.pixel_mm is None:
-        return None
-    return thin_contrast(pair.prediction, pair.target, pair.mask, pair.bone_mask, pair.depth_mm, pair.pixel_mm)
-
-
 THIN_CONTRAST = Metric(
     *("thin_contrast", "Thin contrast", "grey levels", Direction.lower, Resimulation.floor, Group.mechanism, 1),
     shown=Shown.drawn,
-    of_image=_thin_contrast,
+    of_image=thin_contrast,
     place=70,
 )

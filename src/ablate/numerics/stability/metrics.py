@@ -73,11 +73,12 @@ def _in_double(checks: Checks) -> None:
     difference = (NOISE[1].astype(float) - NOISE[2]) * FAN
     sigma = [1.5 / size for size in PIXEL_MM]
     smooth, weight = (gaussian_filter(x, sigma, mode="constant", truncate=3.0) for x in (difference, FAN.astype(float)))
-    error = abs(metrics.mae_smooth(NOISE[1], NOISE[2], FAN, PIXEL_MM) - np.abs(smooth[FAN] / weight[FAN]).mean())
+    noise = metrics.Pair(NOISE[1], NOISE[2], FAN, FAN, pixel_mm=PIXEL_MM, draws=NOISE)
+    error = abs((metrics.mae_smooth(noise) or math.nan) - np.abs(smooth[FAN] / weight[FAN]).mean())
     why = "Sums of values up to 255 by an FFT with some ten factors."
     checks.add("mae_smooth against float64, grey levels", error, FFT_ERROR, why, "float32")
     right = float(np.sqrt(NOISE[:, FAN].astype(np.longdouble).var(axis=0, ddof=1).mean()))
-    error = abs((metrics.noise_sd(NOISE, FAN) or math.nan) / right - 1)
+    error = abs((metrics.noise_sd(noise) or math.nan) / right - 1)
     checks.add("noise_sd against long doubles, relative", error, 64 * FLOAT64, "There are few roundings.")
 
 
@@ -87,7 +88,8 @@ def _shadows(checks: Checks) -> None:
     checks.dtype, tiny = "float32", float(np.finfo(np.float32).tiny)
     for label, value in (("0", 0.0), ("the smallest float32", tiny), ("-0", -0.0)):
         attenuation = np.full(SHAPE, value, np.float32)
-        shadow = metrics.shadow_contrast(NOISE[1], NOISE[2], attenuation, FAN, FAN.astype(np.uint8), DEPTH_MM)
+        pair = metrics.Pair(NOISE[1], NOISE[2], FAN, FAN, attenuation, DEPTH_MM, FAN.astype(np.uint8))
+        shadow = metrics.shadow_contrast(pair)
         checks.none(f"A is {label}: shadows found", shadow is not None, "A is constant at every depth.")
 
 
@@ -95,9 +97,10 @@ def _shadows(checks: Checks) -> None:
 def _empty(checks: Checks) -> None:
     """Empty masks and histograms, images smaller than a patch, and a fan of one pixel."""
     nowhere, one = np.zeros((2, *SHAPE), bool)
+    empty = metrics.Pair(BLACK, WHITE, nowhere, nowhere, draws=np.stack([BLACK, WHITE]))
     one[100, 138] = True
     checks.dtype = "uint8"
-    masked = (partial(score, BLACK, WHITE, nowhere) for score in (metrics.psnr, metrics.mae, metrics.mae_smooth))
+    masked = (partial(score, BLACK, WHITE, nowhere) for score in (metrics.psnr, metrics.mae))
     features = partial(metrics.speckle_features, BLACK[None], nowhere)
     checks.refused(*masked, partial(metrics.psnr, BLACK[:0], WHITE[:0]), features)
     more = len(_scores(BLACK, WHITE, nowhere).keys() - {"psnr", "mae", "pchi2"})
@@ -109,9 +112,8 @@ def _empty(checks: Checks) -> None:
     checks.none("smaller than a patch: scores", small is not None, "There is no patch.")
     outside = metrics.rms(metrics.patch_chi2(BLACK, WHITE), metrics.patches_inside(nowhere))
     checks.none("no patch in the fan: scores", outside is not None, "There is no patch.")
-    spread = metrics.noise_sd(np.stack([BLACK, WHITE]), nowhere)
-    checks.none("no tissue: spreads", spread is not None, "There is no pixel.")
-    error = abs(metrics.mae_smooth(BLACK, WHITE, one) - 255)
+    checks.none("no tissue: spreads", metrics.noise_sd(empty) is not None, "There is no pixel.")
+    error = abs((metrics.mae_smooth(metrics.Pair(BLACK, WHITE, one)) or math.nan) - 255)
     why = "The sum is divided by the peak of the Gaussian, 1/100."
     checks.add("a fan of one pixel: mae_smooth against 255", error, FFT_ERROR * 2 * math.pi * 16, why, "float32")
 
@@ -146,7 +148,7 @@ def _frechet(checks: Checks) -> None:
         why = "Two traces cancel a nuclear norm."
         checks.add("of a set to itself", metrics.frechet_distance(x, x), 64 * d * FLOAT64 * np.trace(a), why)
     alike, checks.label = np.ones((6, 5)), "without variance"
-    interval = metrics.bootstrap_interval(metrics.frechet_distance, alike, alike, resamples=20)
+    interval = metrics.bootstrap_interval(metrics.frechet_distance, alike, alike, np.arange(6), resamples=20)
     distances = np.array([*(distance(alike, alike) for distance in DISTANCES), *interval])
     checks.finite(distances, what="distances")
     checks.add("largest distance", np.abs(distances).max(), 64 * FLOAT64 * 8, "All samples are the same.")
