@@ -65,7 +65,7 @@ def shown_machine(times: pd.DataFrame, networks: Iterable[str]) -> str | None:
 def _quartiles(times: pd.DataFrame) -> pd.DataFrame:
     """Quartiles of the whole frame over rounds: columns lower, ms (the median), upper, by machine and network."""
     frames = times.groupby(["machine", "network", "round"], sort=False)["ms"].sum()
-    quartiles = frames.groupby(["machine", "network"], sort=False).quantile([0.25, 0.5, 0.75]).unstack()
+    quartiles = frames.groupby(["machine", "network"], sort=False).quantile(np.array([0.25, 0.5, 0.75])).unstack()
     return quartiles.set_axis(["lower", "ms", "upper"], axis=1)
 
 
@@ -79,7 +79,7 @@ def time_rows(study_dir: Path, runs: Mapping[tuple[str, int, str], str]) -> pd.D
     machine = shown_machine(times, runs.values())
     if machine is None:
         return pd.DataFrame(columns=columns)
-    timed = _quartiles(times).loc[machine].to_dict("index")
+    timed = _quartiles(times[times["machine"] == machine]).droplevel("machine").to_dict("index")
     rows = [
         (*run, FRAME_TIME, timed[network]["ms"], timed[network]["lower"], timed[network]["upper"])
         for run, network in runs.items()
