@@ -26,8 +26,7 @@ from ablate.analysis import (
     seed_plot,
     seeds_caption,
 )
-from ablate.analysis.figures.metric_panels import shown_name
-from ablate.analysis.figures.style import COLOURS
+from ablate.analysis.figures.style import COLOURS, shown_name
 from ablate.metrics import patch_chi2
 from support.components import COMPONENTS
 
@@ -41,7 +40,7 @@ def figures(monkeypatch):
         drawn[stem.name] = figure
         return [stem]
 
-    for module in ("boxplots", "training_figures", "forest_figure", "image_figures"):
+    for module in ("panel_figures", "forest_figure", "image_figures"):
         monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", keep)
     return drawn
 

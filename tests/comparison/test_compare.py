@@ -81,7 +81,7 @@ def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
             path.write_bytes(b"")
         return paths
 
-    for module in ("boxplots", "training_figures", "forest_figure", "image_figures", "runtime_figure"):
+    for module in ("panel_figures", "forest_figure", "image_figures", "runtime_figure"):
         monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", save)
 
 

@@ -8,7 +8,7 @@ from html import escape
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ablate.analysis.figures.tissue_colours import Colour
+from ablate.analysis.figures.scene_parts import Colour
 from ablate.anatomy import Scene
 from ablate.viewer.pictures import difference_picture, empty_picture, framed, label_picture, marked, share_picture
 from ablate.viewer.state import Quality, State, Views
