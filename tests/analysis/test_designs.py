@@ -262,7 +262,7 @@ def test_saturated_designs_have_no_interval_and_bad_ones_are_refused():
     table = factorial_effects(runs, ["a", "b"])
     assert table["lower"].isna().all()
     assert (table["dof"] == 0).all()
-    with pytest.raises(ValueError, match="lack the columns"):
+    with pytest.raises(ValueError, match="lacks the columns"):
         factorial_effects(runs, ["a", "c"])
     with pytest.raises(ValueError, match="needs 2 levels"):
         factorial_effects(runs.assign(b=0), ["a", "b"])

@@ -18,7 +18,6 @@ from ablate.analysis import (
     error_vs_runtime,
     forest_figure,
     frames_a_page,
-    paired_boxplots,
     paired_table,
     qualitative_caption,
     qualitative_figure,
@@ -51,9 +50,9 @@ def written(study, pictures, tmp_path_factory):
     folder = tmp_path_factory.mktemp("figures")
     effects = pd.DataFrame({"effect": ["a"], "estimate": [1.0], "lower": [0.5], "upper": [2.0], "metric": ["psnr"]})
     bare = FramePictures("frame 8", pictures.target, {"sa2h": pictures.target})
-    boxes = paired_boxplots(study, folder, paired=paired_table(study, resamples=50))
+    pairs = paired_table(study, resamples=50)
     return {
-        **{f"box of {metric}": paths for metric, paths in boxes.items()},
+        "boxes": boxplot_panels(study, ["psnr"], folder / "boxplot_psnr", paired=pairs),
         "seeds": seed_plot(study, None, ["psnr", "pchi2"], folder / "seeds"),
         "effects": effects_plot(effects, ["psnr"], folder / "effects"),
         "forest": forest_figure(verdicts_of(), NOTHING, NOTHING, COMPONENTS, folder / "verdicts"),
@@ -63,7 +62,7 @@ def written(study, pictures, tmp_path_factory):
     }
 
 
-FIGURES = ("box of psnr", "box of pchi2", "seeds", "effects", "forest", "pictures", "maps", "runtime")
+FIGURES = ("boxes", "seeds", "effects", "forest", "pictures", "maps", "runtime")
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -92,7 +91,7 @@ def test_what_cannot_be_drawn_is_refused(pictures, tmp_path):
     with pytest.raises(ValueError, match="no prediction"):
         chi2_maps_figure(FramePictures("empty", pictures.target), tmp_path / "none")
     points = runtime_points()
-    with pytest.raises(ValueError, match="lack the columns"):
+    with pytest.raises(ValueError, match="lacks the columns"):
         error_vs_runtime(points.drop(columns="ms"), tmp_path / "none")
     with pytest.raises(ValueError, match="no finite point"):
         error_vs_runtime(points[points["ms"] == 0], tmp_path / "none")
@@ -103,9 +102,8 @@ def legend_of(figure):
 
 
 def test_boxplots_without_pairs_draw_nothing(study_of, tmp_path):
-    assert paired_boxplots(study_of(variants=("sa2h",)), tmp_path) == {}
-    assert paired_boxplots(study_of(variants=("nsa2h", "sa2h-att")), tmp_path) == {}
-    assert boxplot_panels(study_of(variants=("sa2h",)), ["psnr"], tmp_path / "boxplots") == []
+    for variants in (("sa2h",), ("nsa2h", "sa2h-att")):
+        assert boxplot_panels(study_of(variants=variants), ["psnr"], tmp_path / "boxplots") == []
 
 
 @pytest.mark.parametrize("metrics", [["psnr"], ["psnr", "pchi2"]])

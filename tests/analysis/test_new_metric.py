@@ -10,12 +10,12 @@ import pytest
 from ablate.analysis import (
     RESIMULATION,
     boxplot_caption,
+    boxplot_panels,
     comparison_table,
     effects_caption,
     effects_plot,
     effects_table,
     find_design,
-    paired_boxplots,
     paired_table,
     seed_claims,
     seed_plot,
@@ -85,9 +85,8 @@ def scored(metrics):
 
 
 def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypatch):
-    for module in ("boxplots", "training_figures"):  # figures are laid out, not written
-        name = f"ablate.analysis.figures.{module}.save_figure"
-        monkeypatch.setattr(name, lambda _figure, stem: [stem.with_suffix(".png")])
+    name = "ablate.analysis.figures.panel_figures.save_figure"  # figures are laid out, not written
+    monkeypatch.setattr(name, lambda _figure, stem: [stem.with_suffix(".png")])
     assert metric_of("brightness") is NEW
     assert all("brightness" in shown_in(place) for place in Shown.everywhere)
     per_image = scored(chosen)
@@ -109,8 +108,7 @@ def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypat
     effects = effects_table(per_image, design)
     assert effects.set_index(["metric", "effect"]).loc[("brightness", "noise"), "estimate"] == pytest.approx(12, abs=2)
 
-    boxes = paired_boxplots(per_image, tmp_path, paired=paired)
-    assert boxes["brightness"][0].name == "boxplot_brightness.png"
+    assert boxplot_panels(per_image, ["brightness"], tmp_path / "boxplot_brightness", paired=paired)
     assert seed_plot(per_image, None, shown_in(Shown.panels), tmp_path / "seeds")
     assert effects_plot(effects, shown_in(Shown.panels), tmp_path / "effects")
     captions = (boxplot_caption(["brightness"]), seeds_caption(["brightness"]), effects_caption(design, effects))

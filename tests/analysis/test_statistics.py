@@ -120,7 +120,7 @@ def test_holm_is_closed_testing_with_bonferroni():
 
 
 def test_component_claims_need_three_seeds():
-    assert str(component_claim([1.0], [2.0])) == "not claimable, 1 seed"
+    assert component_claim([1.0], [2.0]).seeds == 1
     assert component_claim([1.0, 2.0, 3.0], [2.0, 2.1]).verdict is Verdict.not_claimable
     assert component_claim([1.0, 2.0, math.inf], [2.0, 2.1, 2.2]).seeds == 2
     assert component_claim([1.0] * 3, [2.0] * 3).verdict is Verdict.not_claimable

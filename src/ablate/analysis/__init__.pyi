@@ -1,5 +1,3 @@
-from .cautions import cautions as cautions
-from .cautions import listed as listed
 from .components import Component as Component
 from .components import with_undeclared as with_undeclared
 from .figures.forest_figure import forest_figure as forest_figure
@@ -21,6 +19,8 @@ from .figures.preview_figure import preview_figure as preview_figure
 from .figures.runtime_figure import error_vs_runtime as error_vs_runtime
 from .figures.runtime_figure import order_figure as order_figure
 from .figures.runtime_figure import runtime_caption as runtime_caption
+from .report import cautions as cautions
+from .report import listed as listed
 from .report import to_html as to_html
 from .report import write_report as write_report
 from .scored import REFERENCE as REFERENCE
@@ -31,7 +31,6 @@ from .statistics.component_claims import ComponentClaim as ComponentClaim
 from .statistics.component_claims import Verdict as Verdict
 from .statistics.component_claims import component_claim as component_claim
 from .statistics.component_claims import seed_claims as seed_claims
-from .statistics.component_models import paper_effects as paper_effects
 from .statistics.designs import Design as Design
 from .statistics.designs import effects_table as effects_table
 from .statistics.designs import find_design as find_design
@@ -42,15 +41,16 @@ from .statistics.paired import holm as holm
 from .statistics.paired import paired_difference as paired_difference
 from .statistics.paired import paired_table as paired_table
 from .statistics.verdicts import Answer as Answer
-from .statistics.verdicts import distances_to_resimulation as distances_to_resimulation
 from .statistics.verdicts import improvements as improvements
 from .statistics.verdicts import interactions as interactions
+from .statistics.verdicts import paper_effects as paper_effects
 from .statistics.verdicts import verdict_table as verdict_table
 from .statistics.work_precision import budget_table as budget_table
 from .statistics.work_precision import observed_order as observed_order
 from .statistics.work_precision import pareto_front as pareto_front
 from .tables import Spread as Spread
 from .tables import comparison_table as comparison_table
+from .tables import distances_to_resimulation as distances_to_resimulation
 from .tables import resimulation_note as resimulation_note
 from .tables import to_latex as to_latex
 from .tables import to_markdown as to_markdown

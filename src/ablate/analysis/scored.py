@@ -11,6 +11,7 @@ from ablate.metrics.stored_names import SCALAR_COLUMNS
 REFERENCE = "sa2h"
 RESIMULATION = "re-simulation"  # shown among the variants
 CHANGED = 3
+LEVEL = 0.95  # coverage of the intervals of all tables
 
 
 def ordered_variants(variants: Sequence[str], reference: str = REFERENCE) -> list[str]:

@@ -110,6 +110,22 @@ def comparison_table(
     return table.iloc[np.argsort(keys.to_numpy(), kind="stable")].reset_index(drop=True)
 
 
+def distances_to_resimulation(table: pd.DataFrame, reference: str = REFERENCE) -> dict[str, float]:
+    """By metric, how much worse the reference is than re-simulation, in units of the metric: what there is to gain.
+
+    `table` is what `comparison_table` gives. Metrics that one of the two lacks, or that do not judge, are left out.
+    """
+    means = table.pivot(index="metric", columns="variant", values="mean")
+    if not {RESIMULATION, reference} <= set(means.columns):
+        return {}
+    found = {}
+    for name, row in means.iterrows():
+        here, there = (metric_of(str(name)).badness(row[variant]) for variant in (reference, RESIMULATION))
+        if np.isfinite(here - there):
+            found[str(name)] = float(here - there)
+    return found
+
+
 def wide_table(table: pd.DataFrame) -> pd.DataFrame:
     """A `comparison_table` with one row a variant, for `table.csv`.
 

@@ -94,7 +94,7 @@ def error_vs_runtime(
     ValueError
         When a column is missing, or there is no finite point with a positive time.
     """
-    require_columns(points, COLUMNS, "points")
+    require_columns(points, COLUMNS, "the table of points")
     points = points[np.isfinite(points["error"]) & np.isfinite(points["ms"]) & (points["ms"] > 0)]
     metrics = list(dict.fromkeys(points["metric"]))
     if not metrics:

@@ -170,9 +170,7 @@ def run_means(
     return means if design is None else means.join(design.cells, on="variant")
 
 
-def effects_table(
-    per_image: pd.DataFrame, design: Design, scalars: pd.DataFrame | None = None, level: float = 0.95
-) -> pd.DataFrame:
+def effects_table(per_image: pd.DataFrame, design: Design, scalars: pd.DataFrame | None = None) -> pd.DataFrame:
     """Effects of every component and two-way interaction on every metric, from one mean a run.
 
     Parameters
@@ -182,8 +180,6 @@ def effects_table(
         blocks.
     scalars : DataFrame, optional
         Columns variant, seed, metric, value, and data like `per_image`; costs are left out.
-    level : float
-        Coverage of the intervals.
 
     Returns
     -------
@@ -197,7 +193,7 @@ def effects_table(
     for metric in judged_metrics(list(means["metric"])):
         runs = means[means["metric"] == metric]
         try:
-            found = factorial_effects(runs, design.factors, level=level, block="data")
+            found = factorial_effects(runs, design.factors, block="data")
         except ValueError:
             continue
         tables.append(found.assign(metric=metric))
