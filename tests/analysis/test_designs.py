@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from ablate.analysis import effects_table, factorial_effects, find_design
+from ablate.analysis import effects_table, factorial_effects, find_design, run_means
 from ablate.analysis.statistics.effects import defining_relation
 from support.components import without
 
@@ -50,7 +50,7 @@ def runs_of(runs, response, seeds=3, noise=0.0):
 
 def effects_of(runs, design):
     """The table of effects, with the last parts of the keys that its effects and aliases are named by."""
-    table = effects_table(runs, design)
+    table = effects_table(run_means(runs, None, design), design)
     return table.assign(**{name: table[name].str.replace("model.", "") for name in ("effect", "aliases")})
 
 
@@ -150,10 +150,10 @@ def test_cells_beside_a_half_are_left_out_because_they_would_confound_it():
     beside = find_design(study_of([*HALF, ("attenuation",), ("depth",)]), FACTORS)
     pd.testing.assert_frame_equal(beside.cells, half.cells)
     assert (beside.name, beside.reading) == (half.name, half.reading)
-    assert set(beside.left_out) == {label_of(("attenuation",)), label_of(("depth",))}
+    assert not {label_of(("attenuation",)), label_of(("depth",))} & set(beside.cells.index)
     third = study_of(HALF)
     third["sa2h.attenuation-compensated"] = {**third["sa2h"], "model.attenuation": "compensated"}
-    assert find_design(third, FACTORS).left_out == ("sa2h.attenuation-compensated",)
+    assert "sa2h.attenuation-compensated" not in find_design(third, FACTORS).cells.index
 
 
 def test_blocks_are_taken_out_of_effects_and_cost_one_degree_of_freedom_each():
@@ -179,7 +179,7 @@ def test_what_differs_otherwise_is_left_out():
     components["sa2h.noise-none"] = {**components["sa2h"], "model.noise": "none"}
     components["sa2h-again"] = {**components["sa2h"], "model.noise": "input"}
     design = find_design(components, FACTORS)
-    assert set(design.left_out) == {"nsa2h", "sa2h.noise-none"}
+    assert set(components) - set(design.cells.index) == {"nsa2h", "sa2h.noise-none"}
     assert find_design({}, FACTORS) is None
     assert find_design({k: components[k] for k in ("sa2h", "nsa2h")}, FACTORS) is None
 

@@ -269,7 +269,7 @@ def test_labels_are_short_on_figures(label, shown):
 def test_captions_tell_a_floor_from_a_level():
     effects = pd.DataFrame({"metric": ["psnr", "pchi2"], "p": [0.1, None], "effect": "attenuation"})
     cells = pd.DataFrame({"model.attenuation": pd.Categorical(["integral", "none"])}, index=["sa2h", "sa2h-att"])
-    design = Design(cells, "one change", "Read it so.", ())
+    design = Design(cells, "one change", "Read it so.")
     both = ["psnr", "pchi2"]
     texts = [boxplot_caption(both), seeds_caption(both), runtime_caption(both), effects_caption(design, effects)]
     for text in texts:

@@ -17,6 +17,7 @@ from ablate.analysis import (
     effects_table,
     find_design,
     paired_table,
+    run_means,
     seed_claims,
     seed_plot,
     seeds_caption,
@@ -105,7 +106,7 @@ def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypat
     assert set(paired["metric"]) == set(claims["metric"]) == {"psnr", "brightness"}
     components = {label: dict(zip(SAID.values(), levels, strict=True)) for label, levels in VARIANTS.items()}
     design = find_design(components, tuple(SAID.values()))
-    effects = effects_table(per_image, design)
+    effects = effects_table(run_means(per_image, None, design), design)
     assert effects.set_index(["metric", "effect"]).loc[("brightness", "noise"), "estimate"] == pytest.approx(12, abs=2)
 
     assert boxplot_panels(per_image, ["brightness"], tmp_path / "boxplot_brightness", paired=paired)

@@ -88,8 +88,3 @@ def level_with(component: Component, levels: Sequence[object]) -> object:
         smaller = component.on < component.off  # type: ignore[operator]  # both are real numbers
         return min(levels) if smaller else max(levels)  # type: ignore[type-var]
     return component.on if component.on in levels else levels[0]
-
-
-def labels_of(components: Iterable[Component]) -> dict[str, str]:
-    """What figures and reports call each component, by its name."""
-    return {component.name: component.label for component in components}

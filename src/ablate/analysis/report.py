@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from ablate.analysis.components import Component, labels_of
+from ablate.analysis.components import Component
 from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS, Verdict
 from ablate.analysis.statistics.verdicts import Answer
@@ -31,13 +31,7 @@ _TEMPLATES.globals["resimulation"] = RESIMULATION
 
 
 def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
-    """Return what a reader must not conclude from this study, one sentence each; empty when nothing is amiss.
-
-    Parameters
-    ----------
-    per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value.
-    """
+    """Return what a reader must not conclude from a study, one sentence each; `per_image` as for `comparison_table`."""
     networks = per_image[per_image["variant"] != RESIMULATION]
     variants = ordered_variants(list(networks["variant"]), reference)
     seeds = networks.groupby("variant")["seed"].nunique()
@@ -198,7 +192,7 @@ def write_report(
     title : str
         Heading, usually the study's name.
     per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value.
+        As for `comparison_table`.
     table, paired, claims, verdicts : DataFrame
         What `comparison_table`, `paired_table`, `seed_claims` and `verdict_table` give.
     figures : sequence of (Path, str)
@@ -235,7 +229,7 @@ def write_report(
         claims=None if claims is None or claims.empty else _claims(claims),
         fewest_seeds=FEWEST_SEEDS,
         answers=shown["answer"],
-        verdicts=None if verdicts is None else _verdicts(verdicts, labels_of(components)),
+        verdicts=None if verdicts is None else _verdicts(verdicts, {c.name: c.label for c in components}),
         figures=shown["figure"],
         more_figures=shown["folded"],
         left_out=left_out,

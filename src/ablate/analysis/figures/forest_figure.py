@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.ticker import PercentFormatter
 
-from ablate.analysis.components import Component, labels_of
+from ablate.analysis.components import Component
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, one_legend, save_figure
 from ablate.analysis.scored import REFERENCE
 from ablate.analysis.statistics.designs import Design
@@ -52,7 +52,7 @@ def forest_figure(
         return []
     unit = shown["distance"].where(shown["distance"] > shown["band"], 10 * shown["band"])
     units = dict(zip(shown["component"], unit, strict=True))
-    labels = {name: name for name in shown["component"]} | labels_of(components)
+    labels = {name: name for name in shown["component"]} | {c.name: c.label for c in components}
     rows = [HEAD_IN + ROW_IN * len(shown), *([1.0 + CELL_IN * len(shown)] if len(pairs) else [])]
     with house_style():
         figure = new_figure(PAGE_IN, sum(rows))

@@ -18,7 +18,8 @@ from ablate.analysis.figures.style import (
     shown_name,
 )
 from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, ordered_variants
-from ablate.analysis.statistics.designs import Design, interval_note
+from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
+from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.paired import aligned_differences
 from ablate.analysis.tables import resimulation_note
 from ablate.metrics import Resimulation, metric_of
@@ -31,6 +32,10 @@ BOX_STYLE = {
     "capprops": {"lw": 0.7},
     "flierprops": {"marker": ".", "ms": 2, "mfc": "#777777", "mec": "none"},
 }
+NO_INTERVAL = (
+    f"An effect has no interval if it rests on fewer than {FEWEST_SEEDS} trainings on one side, or if the design leaves "
+    "no degree of freedom for the error. More seeds give intervals."
+)
 INTERACTION = "An interaction a:b is half the difference that b makes to the effect of a."
 
 
@@ -52,7 +57,7 @@ def boxplot_panels(
     Parameters
     ----------
     per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value.
+        As for `comparison_table`.
     paired : DataFrame, optional
         What `paired_table` gives, for the intervals.
     components : sequence of Component
@@ -127,10 +132,8 @@ def seed_plot(
 
     Parameters
     ----------
-    per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value.
-    scalars : DataFrame, optional
-        Columns variant, seed, metric, value.
+    per_image, scalars : DataFrame
+        As for `comparison_table`.
     components : sequence of Component
         Changes of these are written in short.
     """
@@ -226,7 +229,7 @@ def effects_caption(design: Design, effects: pd.DataFrame, gap_to: str | None = 
         f"Effects of changing a component ({changes}), computed from one mean per training. The 95 % intervals are not "
         f"corrected for the number of effects. The design is: {design.name}. {design.reading}",
         INTERACTION if effects["effect"].str.contains(":").any() else "",
-        interval_note(effects),
+        "" if effects["p"].notna().all() else NO_INTERVAL,
         f"The number below a panel is the re-simulation minus {gap_to}." if gap_to else "",
         resimulation_note(list(dict.fromkeys(effects["metric"]))),
     ]

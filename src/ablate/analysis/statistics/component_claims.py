@@ -9,7 +9,7 @@ import pandas as pd
 from scipy import stats
 
 from ablate.analysis.scored import LEVEL, REFERENCE, RESIMULATION, finite_values, judged_metrics, ordered_variants
-from ablate.analysis.statistics.paired import holm_where_known
+from ablate.analysis.statistics.paired import holm, where_known
 
 FEWEST_SEEDS = 3
 
@@ -84,10 +84,8 @@ def seed_claims(
 
     Parameters
     ----------
-    per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value.
-    scalars : DataFrame, optional
-        Columns variant, seed, metric, value; costs are not judged.
+    per_image, scalars : DataFrame
+        As for `comparison_table`; costs are not judged.
 
     Returns
     -------
@@ -106,7 +104,7 @@ def seed_claims(
                 claim = component_claim(of_metric.loc[variant].to_numpy(), of_metric.loc[reference].to_numpy())
                 rows.append({"variant": variant, "metric": metric, **vars(claim)})
     table = pd.DataFrame(rows, columns=["variant", "metric", "verdict", "seeds", "shift", "lower", "upper", "p"])
-    table["p_holm"] = holm_where_known(table["p"])
+    table["p_holm"] = where_known(holm, table["p"])
     weak = (table["verdict"] == Verdict.differs) & (table["p_holm"].astype(float) >= 1 - LEVEL)
     table.loc[weak, "verdict"] = Verdict.suggested
     return table

@@ -64,7 +64,6 @@ class LinearModel:
 def fit_effects(
     runs: pd.DataFrame,
     factors: Sequence[str],
-    block: str | None = None,
     interactions: bool = True,
 ) -> LinearModel:
     """Fit main effects, two-way interactions and blocks (Box, Hunter and Hunter 2005, chapters 5 and 6).
@@ -75,12 +74,11 @@ def fit_effects(
     Parameters
     ----------
     runs : DataFrame
-        One row a run: a column for each factor, `value`, and perhaps one for the block; seeds are further rows.
+        One row a run: a column for each factor, `value`, and perhaps `data`, the block of a run: blocks differ by a
+        constant. Seeds are further rows.
     factors : sequence of str
         Columns with two levels each, in the order of their categories or else of first appearance (the first level is
         the baseline).
-    block : str, optional
-        Column that names the block of a run. Blocks differ by a constant.
     interactions : bool
         Whether two-way interactions are terms; without them they are part of the error.
 
@@ -89,11 +87,11 @@ def fit_effects(
     ValueError
         When a column is missing, a factor has not two levels, or the runs cannot tell the factors apart.
     """
-    require_columns(runs, [*factors, "value", *([block] if block else [])], "the table of runs")
+    require_columns(runs, [*factors, "value"], "the table of runs")
     signs = _signs(runs, factors)
     blocks = np.empty((len(runs), 0))
-    if block:
-        blocks = pd.get_dummies(runs[block], drop_first=True).to_numpy(dtype=np.float64)
+    if "data" in runs:
+        blocks = pd.get_dummies(runs["data"], drop_first=True).to_numpy(dtype=np.float64)
     terms: list[tuple[str, ...]] = [(factor,) for factor in factors]
     if np.linalg.matrix_rank(_columns(signs, terms, blocks)) <= len(terms) + blocks.shape[1]:
         among = " and blocks" if blocks.shape[1] else ""
@@ -121,7 +119,7 @@ def fit_effects(
     )
 
 
-def factorial_effects(runs: pd.DataFrame, factors: Sequence[str], block: str | None = None) -> pd.DataFrame:
+def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFrame:
     """Effects of two-level factors with intervals, from `fit_effects`, which says what the arguments are.
 
     Returns
@@ -141,7 +139,7 @@ def factorial_effects(runs: pd.DataFrame, factors: Sequence[str], block: str | N
     1      noise       0.0
     2  att:noise      -1.0
     """
-    model = fit_effects(runs, factors, block)
+    model = fit_effects(runs, factors)
     rows = []
     for k, term in enumerate(model.terms):
         one = np.eye(len(model.terms))[k]

@@ -13,7 +13,7 @@ from ablate.analysis.components import Component, level_with, with_undeclared
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.effects import LinearModel, fit_effects
-from ablate.analysis.statistics.paired import holm_where_known
+from ablate.analysis.statistics.paired import holm, where_known
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.stored_names import FRAME_TIME
 
@@ -102,7 +102,7 @@ def verdict_table(
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in components]
     table["distance"] = [(distances or {}).get(str(c.metric), np.nan) for c in components]
     for name in ("p", "p_band"):
-        table[f"{name}_holm"] = holm_where_known(table[name])
+        table[f"{name}_holm"] = where_known(holm, table[name])
     known = table["p_holm"].notna()
     verdicts = [answer(*row) for row in table.loc[known, ["improvement", "p_holm", "p_band_holm"]].to_numpy(float)]
     table["verdict"] = str(Answer.undecided)
@@ -156,9 +156,7 @@ def interactions(means: pd.DataFrame, design: Design | None, components: Sequenc
                 p = model.p_value(np.eye(len(model.terms))[k]) if model.dof > 0 else np.nan
                 rows.append((component.name, other, _sign(component) * model.effects[k], p))
     table = pd.DataFrame(rows, columns=["component", "other", "improvement", "q"])
-    known = table["q"].notna()
-    table.loc[known, "q"] = stats.false_discovery_control(table.loc[known, "q"].to_numpy(dtype=np.float64))
-    return table
+    return table.assign(q=where_known(stats.false_discovery_control, table["q"]).astype("float64"))
 
 
 def paper_effects(means: pd.DataFrame, design: Design | None, components: Sequence[Component]) -> pd.DataFrame:
@@ -265,7 +263,7 @@ def _fitted(
     """
     if design is None or metric not in set(means["metric"]):
         raise ValueError(f"no run was scored by {metric}")
-    return fit_effects(_runs_by(metric, means, design, components), design.factors, "data", interactions)
+    return fit_effects(_runs_by(metric, means, design, components), design.factors, interactions)
 
 
 def _runs_by(metric: str, means: pd.DataFrame, design: Design, components: Sequence[Component]) -> pd.DataFrame:
