@@ -172,9 +172,9 @@ def _look(task: Task, jobs: Sequence[Job]) -> int:
 
         return export(jobs)
     if task is Task.precision:
-        from ablate.numerics.precision import precision
+        from ablate.numerics.precision.task import precision
 
         return precision(jobs)
-    from ablate.numerics.stability import stability
+    from ablate.numerics.stability.task import stability
 
     return stability(jobs)

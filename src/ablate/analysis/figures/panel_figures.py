@@ -33,8 +33,8 @@ BOX_STYLE = {
     "flierprops": {"marker": ".", "ms": 2, "mfc": "#777777", "mec": "none"},
 }
 NO_INTERVAL = (
-    f"An effect has no interval if it rests on fewer than {FEWEST_SEEDS} trainings on one side, or if the design leaves "
-    "no degree of freedom for the error. More seeds give intervals."
+    f"An effect has no interval if it rests on fewer than {FEWEST_SEEDS} trainings on one side, or if the design "
+    "leaves no degree of freedom for the error. More seeds give intervals."
 )
 INTERACTION = "An interaction a:b is half the difference that b makes to the effect of a."
 
