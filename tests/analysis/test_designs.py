@@ -126,7 +126,6 @@ def test_one_change_at_a_time_says_that_interactions_are_out_of_reach():
     assert "cannot be told" in design.reading
     table = effects_of(runs_of(components, respond, noise=0.1), design)
     assert set(table["aliases"]) == {"its interactions"}
-    assert (table["dof"] == 18 - 6).all()
 
 
 def test_a_quarter_fraction_keeps_only_what_is_not_confounded():
@@ -196,28 +195,6 @@ def test_intervals_need_three_trainings_a_side():
     assert (once["dof"] == 16).all()
 
 
-def test_missing_cells_are_said_and_do_not_stop():
-    components = study_of(LEAVE_ONE_OUT[:4])
-    design = find_design(components, FACTORS)
-    assert design.factors == list(FACTORS[:3])
-    assert len(effects_of(runs_of(components, respond), design)) == 3
-
-
-def test_intervals_cover_the_truth():
-    """95 % intervals of 200 half fractions with three seeds a cell."""
-    components = study_of(HALF)
-    design = find_design(components, FACTORS)
-    rng = np.random.default_rng(0)
-    runs = design.cells.loc[[label for label in components for _ in range(3)]]
-    truth = np.array([respond(off_of(components[x])) for x in runs.index])
-    covered = []
-    for _ in range(200):
-        table = factorial_effects(runs.assign(value=truth + rng.normal(size=len(runs))), list(FACTORS))
-        row = table.set_index("effect").loc["model.concat"]
-        covered.append(row["lower"] <= -1 <= row["upper"])
-    assert np.mean(covered) == pytest.approx(0.95, abs=3.5 * np.sqrt(0.95 * 0.05 / 200))
-
-
 def factorial(seeds, effect, noise=0.0):
     rng = np.random.default_rng(0)
     rows = [
@@ -240,16 +217,6 @@ def test_known_effects_are_recovered():
     assert (table["dof"] == 1).all()
 
 
-def test_balanced_estimates_are_differences_of_means_and_intervals_hold_them():
-    runs = factorial(3, lambda i, j, _: i - j, noise=0.5)
-    table = factorial_effects(runs, ["att", "conv", "noise"]).set_index("effect")
-    by_level = runs.groupby("att")["value"].mean()
-    assert table.loc["att", "estimate"] == pytest.approx(by_level["off"] - by_level["on"])
-    assert table.loc["att", "lower"] < 1 < table.loc["att", "upper"]
-    assert table.loc["att", "p"] < 0.01
-    assert (table["dof"] == 24 - 7).all()
-
-
 def test_one_factor_is_the_two_sample_t_test():
     values = [1.0, 1.4, 0.9, 2.0, 2.2, 2.9]
     runs = pd.DataFrame({"att": ["on"] * 3 + ["off"] * 3, "value": values})
@@ -262,8 +229,6 @@ def test_saturated_designs_have_no_interval_and_bad_ones_are_refused():
     table = factorial_effects(runs, ["a", "b"])
     assert table["lower"].isna().all()
     assert (table["dof"] == 0).all()
-    with pytest.raises(ValueError, match="lacks the columns"):
-        factorial_effects(runs, ["a", "c"])
     with pytest.raises(ValueError, match="needs 2 levels"):
         factorial_effects(runs.assign(b=0), ["a", "b"])
     with pytest.raises(ValueError, match="tell"):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from ablate.analysis import PairedDifference, component_claim, holm, paired_difference
 from ablate.analysis.statistics.paired import LATTICE
 
-PROPERTY = settings(max_examples=25, deadline=None, derandomize=True, database=None)
+PROPERTY = settings(max_examples=15, deadline=None, derandomize=True, database=None)
 #: Whole numbers are often tied or zero; their sums and halves are exact.
 WHOLE = st.integers(-50, 50).map(float)
 ROUGH = st.floats(-1e3, 1e3, width=32).map(float)
@@ -49,7 +49,11 @@ def test_a_shift_of_all_frames_shifts_the_figures(data: tuple[np.ndarray, np.nda
 
 
 @PROPERTY
-@given(st.one_of(compared(), compared(ROUGH)), st.sampled_from([2.0**-30, 0.5, 4.0, 2.0**40]), st.sampled_from([1, -1]))
+@given(
+    st.one_of(compared(), compared(ROUGH)),
+    st.sampled_from([2.0**-900, 0.5, 4.0, 2.0**300]),
+    st.sampled_from([1, -1]),
+)
 def test_another_unit_scales_the_figures(data: tuple[np.ndarray, np.ndarray], unit: float, sign: int) -> None:
     """Up to a point of the bootstrap's lattice where the sign turns: it rounds halves to even."""
     values, sites = data

@@ -191,20 +191,15 @@ def write_report(
     ----------
     title : str
         Heading, usually the study's name.
-    per_image : DataFrame
-        As for `comparison_table`.
-    table, paired, claims, verdicts : DataFrame
-        What `comparison_table`, `paired_table`, `seed_claims` and `verdict_table` give.
+    per_image, table, paired, claims, verdicts : DataFrame
+        As for `comparison_table`; and what that, `paired_table`, `seed_claims` and `verdict_table` give.
     figures : sequence of (Path, str)
         PNG files and their captions, in order; they are inlined. That of the verdicts, `verdicts.png`, comes first.
-    left_out : sequence of str
-        What the simulator or the networks did not compute, and why.
-    provenance : mapping, optional
-        Commit, data hash, hardware and the like, shown as a list.
-    appendix : mapping of str to str, optional
-        Longer texts by title, folded at the end: packages, uncommitted changes.
-    notes : sequence of str
-        What else a reader must know before the numbers: runs left aside, images that are missing.
+    left_out, notes : sequence of str
+        What the simulator or the networks did not compute, and why; what else a reader must know before the numbers:
+        runs left aside, images that are missing.
+    provenance, appendix : mapping, optional
+        Commit, data hash, hardware and the like, shown as a list; longer texts by title, folded at the end.
     components : sequence of Component
         Those of `verdicts`, for their labels.
     """

@@ -35,13 +35,6 @@ def judged_metrics(metrics: Sequence[str]) -> list[str]:
     return [name for name in ordered_metrics(metrics) if metric_of(name).group is not Group.cost]
 
 
-def require_columns(frame: pd.DataFrame, columns: Sequence[str], name: str) -> None:
-    """Raise ValueError where a table lacks columns; the message calls it by `name`."""
-    missing = [column for column in columns if column not in frame.columns]
-    if missing:
-        raise ValueError(f"{name} lacks the columns {missing}, it has {list(frame.columns)}")
-
-
 def finite_values(per_image: pd.DataFrame, scalars: pd.DataFrame | None = None) -> pd.DataFrame:
     """The finite values of both tables, with the columns variant, seed, metric, value, and data where they have it."""
     columns = [*SCALAR_COLUMNS, *({"data"} & set(per_image))]

@@ -7,16 +7,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.scored import (
-    REFERENCE,
-    RESIMULATION,
-    ordered_metrics,
-    ordered_variants,
-    require_columns,
-    variant_group,
-)
+from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants, variant_group
 from ablate.metrics import Direction, Resimulation, metric_of
-from ablate.metrics.stored_names import BOUNDS, FRAME_TIME, PER_IMAGE_COLUMNS, SCALAR_COLUMNS
+from ablate.metrics.stored_names import BOUNDS, FRAME_TIME, SCALAR_COLUMNS
 
 NOTHING = "–"  # where a variant has no value
 ARROWS = {Direction.higher: "↑", Direction.lower: "↓", Direction.zero: "→0", Direction.none: ""}
@@ -59,11 +52,6 @@ def comparison_table(
         NaN), lower, upper (where runs carry an interval of their own: the mean of its bounds), best (of the networks;
         the re-simulation does not compete; all times that the fastest one's spread reaches are best).
 
-    Raises
-    ------
-    ValueError
-        When a column is missing.
-
     Examples
     --------
     >>> import pandas as pd
@@ -76,10 +64,8 @@ def comparison_table(
     0      sa2h  19.0  2   True
     1  sa2h-att  16.0  2  False
     """
-    require_columns(per_image, PER_IMAGE_COLUMNS, "per_image")
     parts = [per_image[[*SCALAR_COLUMNS]]]
     if scalars is not None and len(scalars):
-        require_columns(scalars, SCALAR_COLUMNS, "scalars")
         parts.append(scalars[[c for c in (*SCALAR_COLUMNS, *BOUNDS) if c in scalars]])
     values = pd.concat(parts, ignore_index=True)
     rows = []

@@ -74,8 +74,6 @@ def _insets(axes: Axes, frame: FramePictures) -> None:
 
 def _columns(frames: Sequence[FramePictures]) -> list[str]:
     """Names of all predictions as they come, what was changed beside a variant last."""
-    if not frames:
-        raise ValueError("no frame to draw")
     names = dict.fromkeys(name for frame in frames for name in frame.predictions)
     return sorted(names, key=lambda name: variant_group(name) == CHANGED)
 
@@ -93,7 +91,7 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path, components: 
 
     Variants that do not fit continue in further columns; `frames_a_page` says how many frames fit. The pictures of a
     single frame fill line after line instead, each below its name. The files are a PNG and a PDF at `stem`, a path
-    without suffix. Raises ValueError when there is no frame.
+    without suffix.
     """
     names = ["target", *_columns(frames)]
     blocks = min(max(-(-len(names) // MOST_DOWN), ACROSS // len(frames)), len(names))
@@ -132,11 +130,9 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path, components: 
 def chi2_maps_figure(frame: FramePictures, stem: Path, components: Sequence[Component] = ()) -> list[Path]:
     """Patch chi-square maps on [0, 1] above their images; the target comes last, as in the paper.
 
-    The files are a PNG and a PDF at `stem`, a path without suffix. Raises ValueError when there is no prediction.
+    The files are a PNG and a PDF at `stem`, a path without suffix.
     """
     names = _columns([frame])
-    if not names:
-        raise ValueError(f"frame {frame.name} has no prediction to map")
     height, width = frame.target.shape
     inside = None if frame.mask is None else patches_inside(frame.mask, PATCH)
     pictures = len(names) + 1

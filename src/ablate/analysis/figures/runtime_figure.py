@@ -24,13 +24,11 @@ from ablate.analysis.figures.style import (
     save_figure,
     shown_name,
 )
-from ablate.analysis.scored import require_columns
 from ablate.analysis.statistics.work_precision import observed_order, pareto_front
 from ablate.analysis.tables import resimulation_note
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.stored_names import BOUNDS
 
-COLUMNS = ("series", "setting", "ms", "metric", "error")
 PAPER_ANCHORS_MS = {"simulated": 75.0, "generated": 40.0}
 # The simulator with speckle of its own, as a generator has: only this series compares fairly with a trained run.
 OTHER_SPECKLE = "simulator, other scatterers"
@@ -89,12 +87,8 @@ def error_vs_runtime(
     components : sequence of Component
         Changes of these are written in short.
 
-    Raises
-    ------
-    ValueError
-        When a column is missing, or there is no finite point with a positive time.
+    Raises ValueError when there is no finite point with a positive time.
     """
-    require_columns(points, COLUMNS, "the table of points")
     points = points[np.isfinite(points["error"]) & np.isfinite(points["ms"]) & (points["ms"] > 0)]
     metrics = list(dict.fromkeys(points["metric"]))
     if not metrics:

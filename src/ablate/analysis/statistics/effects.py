@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy import linalg, stats
 
-from ablate.analysis.scored import LEVEL, require_columns
+from ablate.analysis.scored import LEVEL
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 
 MOST_NAMED = 3  # aliases of an effect; more are summed up
@@ -85,9 +85,8 @@ def fit_effects(
     Raises
     ------
     ValueError
-        When a column is missing, a factor has not two levels, or the runs cannot tell the factors apart.
+        When a factor has not two levels, or the runs cannot tell the factors apart.
     """
-    require_columns(runs, [*factors, "value"], "the table of runs")
     signs = _signs(runs, factors)
     blocks = np.empty((len(runs), 0))
     if "data" in runs:

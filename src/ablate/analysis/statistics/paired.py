@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants, require_columns
-from ablate.metrics.stored_names import PER_IMAGE_COLUMNS
+from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
 
 PAIRED_COLUMNS = (
     *("variant", "reference", "metric", "shift", "lower", "upper", "p_holm", "effect", "n"),
@@ -61,14 +60,11 @@ def hodges_lehmann(differences: np.ndarray) -> float:
 def rank_biserial(differences: np.ndarray) -> float:
     """Matched-pairs rank-biserial correlation, (W+ - W-) / (W+ + W-), of (n,) differences (Kerby 2014).
 
-    It is -1 where all are negative and 1 where all are positive. Zeros are dropped, as by Wilcoxon; 0 if nothing
-    differs.
+    It is -1 where all are negative and 1 where all are positive; 0 if nothing differs. Zeros are dropped.
     """
     differences = differences[differences != 0]
-    if not differences.size:
-        return 0.0
     ranks = stats.rankdata(np.abs(differences))
-    return float(np.sum(np.sign(differences) * ranks) / ranks.sum())
+    return float(np.sum(np.sign(differences) * ranks) / ranks.sum()) if len(ranks) else 0.0
 
 
 def _bootstrap_shifts(
@@ -244,7 +240,6 @@ def paired_table(per_image: pd.DataFrame, reference: str = REFERENCE, resamples:
         Columns variant, reference, metric, shift, lower, upper, p_holm (Wilcoxon over frames), effect, n (frames),
         p_sites_holm (Wilcoxon over the sites' means), sites, dropped (frames without two finite values).
     """
-    require_columns(per_image, PER_IMAGE_COLUMNS, "per_image")
     rows = []
     for metric in ordered_metrics(list(per_image["metric"])):
         for variant, pairs in aligned_differences(per_image, metric, reference).items():

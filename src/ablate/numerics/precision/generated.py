@@ -52,12 +52,13 @@ def comparable_runs(job: Job) -> tuple[list[Run], str]:
         return [], f"no trained run in {results}: the simulator alone"
     same = [run for run in runs if run.spec["semantic"]["data"] == job.semantic["data"]]
     fit = [run for run in same if run.checkpoint.exists()]
-    counts = f"{len(fit)} trained runs"
-    if others := len(runs) - len(same):
-        counts += f"; {others} left out, they learned from other data"
-    if bare := len(same) - len(fit):
-        counts += f"; {bare} left out, without a checkpoint"
-    return fit, counts
+    others, bare = len(runs) - len(same), len(same) - len(fit)
+    counts = [
+        f"{len(fit)} trained runs",
+        f"{others} left out, they learned from other data" if others else "",
+        f"{bare} left out, without a checkpoint" if bare else "",
+    ]
+    return fit, "; ".join(filter(None, counts))
 
 
 def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...]]:
@@ -86,13 +87,9 @@ def schedule_of(runs: list[Run], settings: StudySettings) -> list[tuple[Run, lis
     """
     every, _ = executions(settings)
     eager = [execution for execution in every if execution.engine is Engine.eager]
-    seen: set[str] = set()
-    planned = []
-    for run in sorted(runs, key=lambda r: (str(r.folder.parents[1]), r.label, r.seed)):
-        network = digest(run.spec["semantic"]["model"])
-        planned.append((run, eager if network in seen else every))
-        seen.add(network)
-    return planned
+    first: dict[str, Run] = {}
+    ordered = sorted(runs, key=lambda run: (str(run.folder.parents[1]), run.label, run.seed))
+    return [(r, every if first.setdefault(digest(r.spec["semantic"]["model"]), r) is r else eager) for r in ordered]
 
 
 def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
