@@ -1,7 +1,7 @@
 """What may not be concluded from a study, and its report: one self-contained page of tables, statistics and figures."""
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -73,7 +73,8 @@ def _about_frames(networks: pd.DataFrame) -> list[str]:
     if moved := [str(frame) for frame in sites_of.index[sites_of > 1]]:
         texts.append(f"Runs name different probe sites for frame {listed(moved)}: intervals over sites mean nothing.")
     frames = networks.groupby(["variant", "seed"])["frame"].nunique()
-    if short := [f"{v}/seed{s} ({n})" for (v, s), n in frames.items() if n < frames.max()]:
+    runs = zip(frames.index, frames, strict=True)
+    if short := [f"{variant}/seed{seed} ({n})" for (variant, seed), n in runs if n < frames.max()]:
         texts.append(
             f"Not all runs have all {frames.max()} test frames: {listed(short)}; pairs are of frames that both have."
         )
@@ -115,7 +116,7 @@ def _comparison(table: pd.DataFrame) -> Grid:
     return Grid([head(metric) for metric in metrics], rows)
 
 
-def _estimate(row: Mapping[str, Any], name: str, sign: str = "+") -> tuple[Cell, Cell]:
+def _estimate(row: Mapping[Hashable, Any], name: str, sign: str = "+") -> tuple[Cell, Cell]:
     """An estimate and the ends of its interval, one decimal more than its metric has; bold where it excludes 0."""
     decimals = metric_of(row["metric"]).decimals + 1
     lower, upper = row["lower"], row["upper"]

@@ -119,7 +119,7 @@ def wide_table(table: pd.DataFrame) -> pd.DataFrame:
     wide = table.pivot(index="variant", columns="metric", values=parts).swaplevel(axis="columns")
     metrics, variants = (table[name].unique() for name in ("metric", "variant"))
     wide = wide.reindex(variants).reindex(columns=[(metric, part) for metric in metrics for part in parts])
-    wide.columns = pd.Index([f"{metric}_{part}" for metric, part in wide.columns])
+    wide.columns = pd.Index(["_".join(pair) for pair in wide.columns])
     wide.insert(0, "seeds", table.groupby("variant")["seeds"].max())
     return wide.rename_axis("variant").reset_index().dropna(axis="columns", how="all")
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,7 +26,7 @@ from ablate.analysis.tables import resimulation_note
 from ablate.metrics import Resimulation, metric_of
 
 BOX_IN = 0.26  # height of a row with a box
-BOX_STYLE = {
+BOX_STYLE: dict[str, Any] = {
     "boxprops": {"facecolor": "#9ECAE9", "lw": 0.7},
     "medianprops": {"color": "black", "lw": 1.3},
     "whiskerprops": {"lw": 0.7},

@@ -64,7 +64,7 @@ def preview_figure(scene: Scene, probe: Probe, shown: Preview, path: Path) -> Pa
         names = {i: scene.tissues[i - 1].name.replace("_", " ") for i in np.unique(shown.segmentation) if i}
         patches = [Patch(facecolor=colours[i - 1], label=name) for i, name in names.items()]
         where: dict[str, Any] = {"loc": "upper right", "bbox_to_anchor": (1.0, 0.13), "ncols": 4, "fontsize": 6}
-        small = {"handlelength": 0.8, "handleheight": 0.8, "columnspacing": 0.8, "labelspacing": 0.3}
+        small: dict[str, Any] = {"handlelength": 0.8, "handleheight": 0.8, "columnspacing": 0.8, "labelspacing": 0.3}
         figure.legend(handles=patches, frameon=False, **where, **small)
         figure.text(0.01, 0.98, shown.title, va="top")
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -31,6 +31,7 @@ def tissue_colours(tissues: Sequence[Tissue]) -> list[Colour]:
     """
     colours: list[Colour] = []
     fluids = others = 0
+    colour: Colour | np.ndarray
     for i, tissue in enumerate(tissues):
         if tissue.kind is TissueKind.bone:
             colour = BONE

@@ -244,11 +244,12 @@ def paired_table(per_image: pd.DataFrame, reference: str = REFERENCE, resamples:
     for metric in ordered_metrics(list(per_image["metric"])):
         for variant, pairs in aligned_differences(per_image, metric, reference).items():
             if np.isfinite(pairs[["value", "reference"]]).all(axis=1).any():
-                difference = paired_difference(pairs["value"], pairs["reference"], pairs["site"], resamples=resamples)
+                value, base, site = (pairs[name].to_numpy() for name in ("value", "reference", "site"))
+                difference = paired_difference(value, base, site, resamples=resamples)
                 rows.append({"variant": variant, "reference": reference, "metric": metric, **vars(difference)})
     table = pd.DataFrame(rows, columns=["variant", "reference", "metric", *PairedDifference.__annotations__])
     table = table.rename(columns={"p": "p_holm", "p_sites": "p_sites_holm", "clusters": "sites"})[list(PAIRED_COLUMNS)]
     for p in ("p_holm", "p_sites_holm"):
-        table[p] = table.groupby(table["variant"] == RESIMULATION)[p].transform(holm)
+        table[p] = table.groupby(table["variant"] == RESIMULATION)[p].transform(lambda family: holm(family.to_numpy()))
     order = ordered_variants(list(table["variant"]), reference)
     return table.sort_values("variant", key=lambda v: v.map(order.index), kind="stable", ignore_index=True)

@@ -127,6 +127,7 @@ def improvements(means: pd.DataFrame, design: Design | None, components: Sequenc
     """
     tables = []
     for component, model in _judged(means, design, components, interactions=False):
+        assert design is not None  # or none could be judged
         runs = _runs_by(str(component.metric), means, design, components)
         on = runs[component.key].cat.codes.to_numpy() == 1
         effect, _ = model.contrast(_of_component(component, model))

@@ -73,7 +73,8 @@ def _probes(checks: Checks) -> None:
 @case("time gain and dynamic range beyond float32")
 def _display(checks: Checks) -> None:
     """Gains of 240,000 and 2,400 dB, ranges of 1 and 800 dB: tissue is white and anechoic gel black, never NaN."""
-    for name, values in {"tgc_db_cm_mhz": (1e3, 10.0), "dynamic_range_db": (800.0,)}.items():
+    tried: dict[str, tuple[Any, ...]] = {"tgc_db_cm_mhz": (1e3, 10.0), "dynamic_range_db": (800.0,)}
+    for name, values in tried.items():
         for value in values:
             settings = replace(SMALL, noise_floor_db=-1e3, **{name: value})
             for frame in checks.frames(_BETWEEN_GEL, settings, label=f"{name} {value:g}"):
