@@ -5,7 +5,6 @@ import itertools
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import stats
 
 from ablate.analysis import effects_table, factorial_effects, find_design, run_means
 from ablate.analysis.statistics.effects import defining_relation
@@ -202,13 +201,6 @@ def test_known_effects_are_recovered():
         {"att": -0.5, "conv": 0.5, "noise": 1.5, "att:conv": 0, "att:noise": 1.5, "conv:noise": 0}, abs=1e-12
     )
     assert (table["dof"] == 1).all()
-
-
-def test_one_factor_is_the_two_sample_t_test():
-    values = [1.0, 1.4, 0.9, 2.0, 2.2, 2.9]
-    runs = pd.DataFrame({"att": ["on"] * 3 + ["off"] * 3, "value": values})
-    row = factorial_effects(runs, ["att"]).iloc[0]
-    assert row["p"] == pytest.approx(stats.ttest_ind(values[:3], values[3:]).pvalue)
 
 
 def test_saturated_designs_have_no_interval_and_bad_ones_are_refused():

@@ -122,12 +122,3 @@ def test_a_metric_without_an_entry_is_shown_under_its_name_and_not_judged():
     unknown = metric_of("never_seen")
     assert (unknown.title, unknown.better, unknown.resimulation) == ("never_seen", Direction.none, Resimulation.none)
     assert np.isnan(unknown.badness(1.0))
-
-
-def test_what_is_no_metric_of_an_image_is_refused(monkeypatch):
-    module = ModuleType("of_a_user")
-    module.empty, module.taken, module.number = Metric("empty"), Metric("psnr", of_image=brightness), 3
-    monkeypatch.setitem(sys.modules, "of_a_user", module)
-    for name, words in (("empty", "is no function"), ("number", "is no function"), ("taken", "name of another metric")):
-        with pytest.raises(ValueError, match=words):
-            choose_metrics([f"of_a_user.{name}"])

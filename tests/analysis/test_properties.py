@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ablate.analysis import PairedDifference, component_claim, holm, paired_difference
+from ablate.analysis import PairedDifference, component_claim, paired_difference
 from ablate.analysis.statistics.paired import LATTICE
 
 PROPERTY = settings(max_examples=15, deadline=None, derandomize=True, database=None)
@@ -75,20 +75,6 @@ def test_frames_have_no_order(data: tuple[np.ndarray, np.ndarray], random: np.ra
     here, there = difference(values, sites), difference(values[order], sites[order])
     for name in ("shift", "lower", "upper", "p", "effect", "n", "clusters"):
         assert getattr(there, name) == pytest.approx(getattr(here, name), abs=1e-12)
-
-
-@PROPERTY
-@given(st.lists(st.floats(0, 1), max_size=30), st.randoms(use_true_random=False))
-def test_holm_is_monotone_and_no_less(p: list[float], random: np.random.Generator) -> None:
-    adjusted = holm(p)
-    assert ((adjusted >= p) & (adjusted <= 1)).all()
-    assert (np.diff(adjusted[np.argsort(p, kind="stable")]) >= 0).all()
-    order = list(range(len(p)))
-    random.shuffle(order)
-    np.testing.assert_array_equal(holm(np.array(p)[order]), adjusted[order])
-    for fewer in range(len(p)):
-        kept = [k for k in range(len(p)) if k != fewer]
-        assert (holm(np.array(p)[kept]) <= adjusted[kept]).all(), "a smaller family is corrected less"
 
 
 @PROPERTY

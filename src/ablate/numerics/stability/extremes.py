@@ -87,19 +87,6 @@ def _display(checks: Checks) -> None:
     _settings(checks, _BETWEEN_GEL, levels)
 
 
-@case("a hertz and a gigahertz")
-def _frequencies(checks: Checks) -> None:
-    """1 Hz and 1 GHz in a tissue whose attenuation grows with the fourth power of frequency: 0 and 10^16 dB/cm."""
-    steep = replace(SOFT, name="steep", attenuation_db_cm_mhz=1e4, attenuation_power=4.0)
-    scene = Scene((slab(steep, 60.0, 80.0),), SOFT, "steep")
-    for frequency in (1e-6, 1e3):
-        probe = ConvexProbe(frequency_mhz=frequency)
-        for frame in checks.frames(scene, SMALL, probe, label=f"{frequency:g} MHz"):
-            column = frame.attenuation[frame.mask[:, 138], 138]
-            rise = np.diff(column, prepend=np.float32(1)).max()
-            checks.add("rise of A along a line", rise, 0, "Attenuation only grows.")
-
-
 @case("pulses of a nanometre and of a metre")
 def _pulses(checks: Checks) -> None:
     """Pulses and beams of a nanometre and of a metre; the power of speckle stays that of its scatterers."""
