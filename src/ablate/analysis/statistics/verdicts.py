@@ -103,12 +103,11 @@ def verdict_table(
     table["distance"] = [(distances or {}).get(str(c.metric), np.nan) for c in components]
     for name in ("p", "p_band"):
         table[f"{name}_holm"] = where_known(holm, table[name])
-    known = table["p_holm"].notna()
-    verdicts = [answer(*row) for row in table.loc[known, ["improvement", "p_holm", "p_band_holm"]].to_numpy(float)]
-    table["verdict"] = str(Answer.undecided)
-    table.loc[known, "verdict"] = [str(verdict) for verdict in verdicts]
-    open_ = known & (table["verdict"] == Answer.undecided)
+    # A missing p-value is below no level: undecided.
+    judged = table[["improvement", "p_holm", "p_band_holm"]].to_numpy(float)
+    table["verdict"] = [str(answer(*row)) for row in judged]
     table["why"] = table["why"].astype(object)
+    open_ = table["p_holm"].notna() & (table["verdict"] == Answer.undecided)
     table.loc[open_, "why"] = "the runs can neither tell its improvement from zero nor from the band"
     words = ("component", "metric", "verdict", "better", "why")
     types = {name: "float64" for name in VERDICT_COLUMNS if name not in words}
