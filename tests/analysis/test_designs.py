@@ -48,9 +48,9 @@ def runs_of(runs, response, seeds=3, noise=0.0):
 
 
 def effects_of(runs, design):
-    """The table of effects, with the last parts of the keys that they are named by."""
+    """The table of effects, with the last parts of the keys that its effects and aliases are named by."""
     table = effects_table(run_means(runs, None, design), design)
-    return table.assign(effect=table["effect"].str.replace("model.", ""))
+    return table.assign(**{name: table[name].str.replace("model.", "") for name in ("effect", "aliases")})
 
 
 def respond(off):
@@ -103,6 +103,9 @@ def test_the_half_fraction_says_what_it_cannot_tell_apart():
     words = defining_relation(design.cells.rename(columns=dict(zip(FACTORS, NAMES, strict=True))), NAMES)
     assert words == ["-attenuation:concat:upsampling:noise:depth"], "an even number changed: their product is -1"
     assert words[0] in design.reading
+    table = effects_of(runs_of(components, respond), design).set_index("effect")
+    assert table.loc["attenuation", "aliases"] == "-concat:upsampling:noise:depth"
+    assert table.loc["noise:depth", "aliases"] == "-attenuation:concat:upsampling"
 
     def four_way(off):
         signs = [1 if off[f] else -1 for f in NAMES[1:]]
@@ -113,6 +116,15 @@ def test_the_half_fraction_says_what_it_cannot_tell_apart():
     full = study_of(ALL)
     told = effects_of(runs_of(full, four_way), find_design(full, FACTORS)).set_index("effect")
     assert told["estimate"].abs().max() == pytest.approx(0, abs=1e-9)
+    assert (told["aliases"] != "").sum() == 0
+
+
+def test_one_change_at_a_time_says_that_interactions_are_out_of_reach():
+    components = study_of(LEAVE_ONE_OUT)
+    design = find_design(components, FACTORS)
+    assert "cannot be told" in design.reading
+    table = effects_of(runs_of(components, respond, noise=0.1), design)
+    assert set(table["aliases"]) == {"its interactions"}
 
 
 def test_a_quarter_fraction_keeps_only_what_is_not_confounded():
@@ -127,7 +139,8 @@ def test_a_quarter_fraction_keeps_only_what_is_not_confounded():
     design = find_design(study_of([(), *quarter[1:]]), FACTORS)
     assert len(defining_relation(design.cells, design.factors)) == 3
     table = effects_of(runs_of(study_of(quarter), respond), design).set_index("effect")
-    assert set(table.index) == set(NAMES)
+    assert {"attenuation", "concat", "upsampling", "noise", "depth"} <= set(table.index)
+    assert "concat:noise" in table.loc["attenuation", "aliases"]
 
 
 def test_cells_beside_a_half_are_left_out_because_they_would_confound_it():

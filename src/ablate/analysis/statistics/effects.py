@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, combinations
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
@@ -11,7 +11,8 @@ from scipy import linalg, stats
 from ablate.analysis.scored import LEVEL
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 
-EFFECT_COLUMNS = ("effect", "estimate", "lower", "upper", "p", "dof")
+MOST_NAMED = 3  # aliases of an effect; more are summed up
+EFFECT_COLUMNS = ("effect", "estimate", "lower", "upper", "p", "dof", "aliases")
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,8 @@ class LinearModel:
         Degrees of freedom of the error.
     runs : (len(terms), 2) int
         Runs on the first and on the second side of each effect.
+    aliases : dict
+        By term, what the runs cannot tell from it (text, empty where there is nothing).
     residuals : (runs,) float
     """
 
@@ -39,6 +42,7 @@ class LinearModel:
     covariance: np.ndarray
     dof: int
     runs: np.ndarray
+    aliases: dict[tuple[str, ...], str]
     residuals: np.ndarray
 
     def contrast(self, weights: np.ndarray) -> tuple[float, float]:
@@ -64,8 +68,8 @@ def fit_effects(
 ) -> LinearModel:
     """Fit main effects, two-way interactions and blocks (Box, Hunter and Hunter 2005, chapters 5 and 6).
 
-    Interactions that the runs cannot tell from other effects or from blocks are taken as zero. Higher interactions and
-    seeds are the error.
+    Interactions that the runs cannot tell from other effects or from blocks are taken as zero, and named as aliases of
+    those effects. Higher interactions and seeds are the error.
 
     Parameters
     ----------
@@ -109,6 +113,7 @@ def fit_effects(
         variance * linalg.inv(design.T @ design)[chosen, chosen],
         dof,
         np.column_stack([len(runs) - changed, changed]),
+        _aliases(signs, factors, terms, blocks),
         residuals,
     )
 
@@ -119,7 +124,7 @@ def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFram
     Returns
     -------
     DataFrame
-        Columns effect (`a` or `a:b`), estimate, lower, upper (a 95 % interval), p, dof. Where no degree of
+        Columns effect (`a` or `a:b`), estimate, lower, upper (a 95 % interval), p, dof, aliases. Where no degree of
         freedom is left for error, or an effect rests on fewer than three runs a side, lower, upper and p are None.
 
     Examples
@@ -140,7 +145,7 @@ def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFram
         known: tuple[float | None, ...] = (None, None, None)
         if model.dof > 0 and model.runs[k].min() >= FEWEST_SEEDS:
             known = (*model.interval(one)[1:], model.p_value(one))
-        rows.append((":".join(term), model.effects[k], *known, model.dof))
+        rows.append((":".join(term), model.effects[k], *known, model.dof, model.aliases[term]))
     return pd.DataFrame(rows, columns=list(EFFECT_COLUMNS))
 
 
@@ -151,7 +156,7 @@ def defining_relation(runs: pd.DataFrame, factors: Sequence[str]) -> list[str]:
     """
     signs = _signs(runs, factors)
     words = []
-    for word in chain.from_iterable(combinations(factors, size + 1) for size in range(len(factors))):
+    for word in _subsets(factors, 1):
         product = _product(signs, word)
         if (product == product[0]).all():
             words.append(("-" if product[0] < 0 else "") + ":".join(word))
@@ -176,3 +181,25 @@ def _product(signs: dict[str, np.ndarray], term: Sequence[str]) -> np.ndarray:
 def _columns(signs: dict[str, np.ndarray], terms: Sequence[tuple[str, ...]], blocks: np.ndarray) -> np.ndarray:
     """Design matrix whose coefficients are effects: the mean, then half a sign a term, then the blocks."""
     return np.column_stack([np.ones(len(blocks)), *(_product(signs, term) / 2 for term in terms), blocks])
+
+
+def _subsets(factors: Sequence[str], smallest: int) -> list[tuple[str, ...]]:
+    return [term for size in range(smallest, len(factors) + 1) for term in combinations(factors, size)]
+
+
+def _aliases(
+    signs: dict[str, np.ndarray], factors: Sequence[str], terms: Sequence[tuple[str, ...]], blocks: np.ndarray
+) -> dict[tuple[str, ...], str]:
+    """What each estimate holds beside its effect: from the alias matrix (X'X)^-1 X'Z (Box and Wilson 1951)."""
+    left_out = [term for term in _subsets(factors, 2) if term not in terms]
+    if not left_out:
+        return dict.fromkeys(terms, "")
+    others = np.column_stack([_product(signs, term) / 2 for term in left_out])
+    matrix = linalg.lstsq(_columns(signs, terms, blocks), others)[0].round(6)
+    found = {}
+    for term, shares in zip(terms, matrix[1:], strict=False):
+        named = [(":".join(alias), share) for alias, share in zip(left_out, shares, strict=True) if share]
+        whole = all(abs(share) == 1 for _, share in named) and len(named) <= MOST_NAMED
+        text = " ".join(("-" if share < 0 else "+") + alias for alias, share in named)
+        found[term] = text if whole else "its interactions"
+    return found
