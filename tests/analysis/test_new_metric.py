@@ -21,7 +21,6 @@ from ablate.analysis import (
     seed_claims,
     seed_plot,
     seeds_caption,
-    to_html,
     to_latex,
     to_markdown,
     to_text,
@@ -96,7 +95,7 @@ def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypat
     assert set(table["metric"]) == {"psnr", "brightness"}
     best = table[table["best"] & (table["metric"] == "brightness")]
     assert best["variant"].tolist() == ["sa2h"], "lower is better"
-    for printed in (to_text(table), to_markdown(table), to_html(table)):
+    for printed in (to_text(table), to_markdown(table)):
         assert "Brightness error (grey levels) ↓" in printed
     assert "the floor for Brightness error" in to_text(table)
     assert r"Brightness error (grey levels) $\downarrow$" in to_latex(table)

@@ -21,7 +21,6 @@ from .figures.runtime_figure import order_figure as order_figure
 from .figures.runtime_figure import runtime_caption as runtime_caption
 from .report import cautions as cautions
 from .report import listed as listed
-from .report import to_html as to_html
 from .report import write_report as write_report
 from .scored import REFERENCE as REFERENCE
 from .scored import RESIMULATION as RESIMULATION

@@ -110,12 +110,6 @@ class Grid(NamedTuple):
     rows: list[tuple[str, list[Cell]]]
 
 
-def to_html(table: pd.DataFrame) -> str:
-    """The table of `comparison_table` as an HTML element."""
-    template = _TEMPLATES.from_string('{% from "grid.html.jinja" import grid %}{{ grid(table) }}')
-    return template.render(table=_comparison(table))
-
-
 def _comparison(table: pd.DataFrame) -> Grid:
     variants, metrics, cells = cell_texts(table)
     rows = [(v, [Cell(mean, best, sd) for mean, sd, best in (cells[v, m] for m in metrics)]) for v in variants]
