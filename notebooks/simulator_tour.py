@@ -27,7 +27,7 @@ from matplotlib.patches import Patch
 from scipy.ndimage import maximum_filter1d
 
 from ablate.analysis.figures.body_view import draw_body
-from ablate.analysis.figures.tissue_colours import tissue_colours
+from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import bounds_mm
 from ablate.comparison.reading import open_study
 from ablate.dataset import Part

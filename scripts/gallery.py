@@ -13,7 +13,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from ablate.analysis.figures.tissue_colours import tissue_colours
+from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import Scene, fetal_abdomen, fetal_planes, load_scene, load_sites
 from ablate.dataset import probe_poses
 from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings

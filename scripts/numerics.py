@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from ablate.numerics.precision.summary import tables, verdict
+from ablate.numerics.precision.task import tables, verdict
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "numerics.md"

@@ -13,7 +13,7 @@ from skimage.io import imsave
 from skimage.transform import resize
 
 from ablate.analysis import Preview, preview_figure
-from ablate.analysis.figures.tissue_colours import tissue_colours
+from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import Scene, fetal_abdomen, fetal_planes, fetal_sites
 from ablate.ultrasound import ConvexProbe, Frame, Simulator
 

@@ -31,26 +31,19 @@ def test_what_is_missing_is_said(variants, said, study_of):
     assert only(cautions(study_of(variants=variants)), said)
 
 
-def test_few_seeds_are_named_with_their_number(study_of):
+def test_few_seeds_and_few_sites_are_named(study_of):
     both = study_of()
     one = both[(both["variant"] != "nsa2h") | (both["seed"] == 0)]
     assert "nsa2h (1):" in only(cautions(one), "not claimable")
-
-
-def test_a_handful_of_sites_can_show_nothing(study_of):
     assert "can show nothing" in only(cautions(study_of(sites=5)), "5 probe sites")
     assert only(cautions(study_of(sites=1)), "1 probe site:")
 
 
-def test_half_scored_runs_are_named(study):
-    part = study[~((study["variant"] == "nsa2h") & (study["seed"] == 2) & (study["frame"] > 9))]
+def test_half_scored_runs_and_runs_of_other_sites_are_named(study):
+    part = study[~((study["variant"] == "nsa2h") & (study["seed"] == 2) & (study["frame"] > 9))].copy()
+    part.loc[(part["variant"] == "nsa2h") & (part["frame"] < 2), "site"] = "elsewhere"
     assert "nsa2h/seed2 (10)" in only(cautions(part), "all 24 test frames")
-
-
-def test_runs_that_name_other_sites_are_told(study):
-    moved = study.copy()
-    moved.loc[(moved["variant"] == "nsa2h") & (moved["frame"] < 2), "site"] = "elsewhere"
-    assert only(cautions(moved), "different probe sites for frame 0, 1:")
+    assert only(cautions(part), "different probe sites for frame 0, 1:")
 
 
 def test_infinite_and_nan_values_are_named_with_their_frames(study):
@@ -69,11 +62,7 @@ def test_infinite_and_nan_values_are_named_with_their_frames(study):
     assert "24 NaNs" in only(cautions(broken), "NaN")
 
 
-def test_an_empty_study_is_said_to_be_empty():
+def test_an_empty_study_is_said_to_be_empty_and_long_lists_are_cut():
     empty = pd.DataFrame(columns=["variant", "seed", "frame", "site", "metric", "value"])
     assert only(cautions(empty), "no network")
-
-
-def test_long_lists_are_cut_and_counted():
-    assert listed(["a", "b"]) == "a, b"
     assert listed([str(k) for k in range(9)]) == "0, 1, 2, 3, 4, 5 and 3 more"

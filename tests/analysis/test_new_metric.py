@@ -10,17 +10,17 @@ import pytest
 from ablate.analysis import (
     RESIMULATION,
     boxplot_caption,
+    boxplot_panels,
     comparison_table,
     effects_caption,
     effects_plot,
     effects_table,
     find_design,
-    paired_boxplots,
     paired_table,
+    run_means,
     seed_claims,
     seed_plot,
     seeds_caption,
-    to_html,
     to_latex,
     to_markdown,
     to_text,
@@ -85,9 +85,8 @@ def scored(metrics):
 
 
 def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypatch):
-    for module in ("boxplots", "training_figures"):  # figures are laid out, not written
-        name = f"ablate.analysis.figures.{module}.save_figure"
-        monkeypatch.setattr(name, lambda _figure, stem: [stem.with_suffix(".png")])
+    name = "ablate.analysis.figures.panel_figures.save_figure"  # figures are laid out, not written
+    monkeypatch.setattr(name, lambda _figure, stem: [stem.with_suffix(".png")])
     assert metric_of("brightness") is NEW
     assert all("brightness" in shown_in(place) for place in Shown.everywhere)
     per_image = scored(chosen)
@@ -96,7 +95,7 @@ def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypat
     assert set(table["metric"]) == {"psnr", "brightness"}
     best = table[table["best"] & (table["metric"] == "brightness")]
     assert best["variant"].tolist() == ["sa2h"], "lower is better"
-    for printed in (to_text(table), to_markdown(table), to_html(table)):
+    for printed in (to_text(table), to_markdown(table)):
         assert "Brightness error (grey levels) ↓" in printed
     assert "the floor for Brightness error" in to_text(table)
     assert r"Brightness error (grey levels) $\downarrow$" in to_latex(table)
@@ -106,11 +105,10 @@ def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypat
     assert set(paired["metric"]) == set(claims["metric"]) == {"psnr", "brightness"}
     components = {label: dict(zip(SAID.values(), levels, strict=True)) for label, levels in VARIANTS.items()}
     design = find_design(components, tuple(SAID.values()))
-    effects = effects_table(per_image, design)
+    effects = effects_table(run_means(per_image, None, design), design)
     assert effects.set_index(["metric", "effect"]).loc[("brightness", "noise"), "estimate"] == pytest.approx(12, abs=2)
 
-    boxes = paired_boxplots(per_image, tmp_path, paired=paired)
-    assert boxes["brightness"][0].name == "boxplot_brightness.png"
+    assert boxplot_panels(per_image, ["brightness"], tmp_path / "boxplot_brightness", paired=paired)
     assert seed_plot(per_image, None, shown_in(Shown.panels), tmp_path / "seeds")
     assert effects_plot(effects, shown_in(Shown.panels), tmp_path / "effects")
     captions = (boxplot_caption(["brightness"]), seeds_caption(["brightness"]), effects_caption(design, effects))
@@ -124,12 +122,3 @@ def test_a_metric_without_an_entry_is_shown_under_its_name_and_not_judged():
     unknown = metric_of("never_seen")
     assert (unknown.title, unknown.better, unknown.resimulation) == ("never_seen", Direction.none, Resimulation.none)
     assert np.isnan(unknown.badness(1.0))
-
-
-def test_what_is_no_metric_of_an_image_is_refused(monkeypatch):
-    module = ModuleType("of_a_user")
-    module.empty, module.taken, module.number = Metric("empty"), Metric("psnr", of_image=brightness), 3
-    monkeypatch.setitem(sys.modules, "of_a_user", module)
-    for name, words in (("empty", "is no function"), ("number", "is no function"), ("taken", "name of another metric")):
-        with pytest.raises(ValueError, match=words):
-            choose_metrics([f"of_a_user.{name}"])

@@ -12,8 +12,15 @@ from matplotlib.image import imread
 from ablate.analysis import Preview, preview_figure
 from ablate.analysis.figures import body_view
 from ablate.analysis.figures.body_view import Surface, look_through
-from ablate.analysis.figures.probe_model import probe_body, probe_face
-from ablate.analysis.figures.tissue_colours import BACKGROUND, BLOOD, BONE, GAS, tissue_colours
+from ablate.analysis.figures.scene_parts import (
+    BACKGROUND,
+    BLOOD,
+    BONE,
+    GAS,
+    probe_body,
+    probe_face,
+    tissue_colours,
+)
 from ablate.anatomy import Scene, Structure, Tissue, load_tissues
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.ultrasound.probe import fan_outline, to_world
@@ -78,7 +85,8 @@ def test_every_pixel_of_the_image_is_painted_where_it_was_seen() -> None:
     shape = 40, 56
     image = np.random.default_rng(0).integers(0, 255, shape, dtype=np.uint8)
     mask = fan_mask(PROBE, shape)
-    painted = body_view._image_on_fan(PROBE, FRONT, image, mask)
+    painted = body_view._image_on_fan(PROBE, FRONT, image, mask).paint
+    assert painted is not None
     width, height = 2 * 190 * np.sin(np.deg2rad(35)), 190 - 40 * np.cos(np.deg2rad(35))
     x, z = np.meshgrid((np.arange(56) + 0.5) / 56 * width - width / 2, (np.arange(40) + 0.5) / 40 * height)
     sag = 40 * (1 - np.cos(np.deg2rad(35)))

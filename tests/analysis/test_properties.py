@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ablate.analysis import PairedDifference, component_claim, holm, paired_difference
+from ablate.analysis import PairedDifference, component_claim, paired_difference
 from ablate.analysis.statistics.paired import LATTICE
 
-PROPERTY = settings(max_examples=25, deadline=None, derandomize=True, database=None)
+PROPERTY = settings(max_examples=15, deadline=None, derandomize=True, database=None)
 #: Whole numbers are often tied or zero; their sums and halves are exact.
 WHOLE = st.integers(-50, 50).map(float)
 ROUGH = st.floats(-1e3, 1e3, width=32).map(float)
@@ -49,7 +49,11 @@ def test_a_shift_of_all_frames_shifts_the_figures(data: tuple[np.ndarray, np.nda
 
 
 @PROPERTY
-@given(st.one_of(compared(), compared(ROUGH)), st.sampled_from([2.0**-30, 0.5, 4.0, 2.0**40]), st.sampled_from([1, -1]))
+@given(
+    st.one_of(compared(), compared(ROUGH)),
+    st.sampled_from([2.0**-900, 0.5, 4.0, 2.0**300]),
+    st.sampled_from([1, -1]),
+)
 def test_another_unit_scales_the_figures(data: tuple[np.ndarray, np.ndarray], unit: float, sign: int) -> None:
     """Up to a point of the bootstrap's lattice where the sign turns: it rounds halves to even."""
     values, sites = data
@@ -71,20 +75,6 @@ def test_frames_have_no_order(data: tuple[np.ndarray, np.ndarray], random: np.ra
     here, there = difference(values, sites), difference(values[order], sites[order])
     for name in ("shift", "lower", "upper", "p", "effect", "n", "clusters"):
         assert getattr(there, name) == pytest.approx(getattr(here, name), abs=1e-12)
-
-
-@PROPERTY
-@given(st.lists(st.floats(0, 1), max_size=30), st.randoms(use_true_random=False))
-def test_holm_is_monotone_and_no_less(p: list[float], random: np.random.Generator) -> None:
-    adjusted = holm(p)
-    assert ((adjusted >= p) & (adjusted <= 1)).all()
-    assert (np.diff(adjusted[np.argsort(p, kind="stable")]) >= 0).all()
-    order = list(range(len(p)))
-    random.shuffle(order)
-    np.testing.assert_array_equal(holm(np.array(p)[order]), adjusted[order])
-    for fewer in range(len(p)):
-        kept = [k for k in range(len(p)) if k != fewer]
-        assert (holm(np.array(p)[kept]) <= adjusted[kept]).all(), "a smaller family is corrected less"
 
 
 @PROPERTY

@@ -163,28 +163,6 @@ def test_verdicts_follow_the_rule_with_holms_correction_by_hand(cells: pd.DataFr
     assert all(isinstance(why[name], str) == (word == "undecided") for name, word in said.items())
 
 
-def test_chance_earns_nothing_and_what_reaches_the_band_is_not_said_to_fail(
-    cells: pd.DataFrame, design: Design
-) -> None:
-    """Shares of false claims about any component, in studies whose runs differ by chance and by exactly the band."""
-    studies, rng = 20, np.random.default_rng(0)
-    earned, failed, covered = 0, 0, 0
-    for _ in range(studies):
-        chance = means_of(cells, design, response(cells, {}, {}))
-        runs = chance.groupby("metric")["value"].transform(lambda v: v + rng.normal(size=len(v)))
-        nothing = verdict_table(chance.assign(value=runs), design, bands=False)
-        earned += (nothing["verdict"] == "earns").any()
-        at_band = response(cells, dict.fromkeys(NAMES, -1.0), {})
-        shifted = means_of(cells, design, at_band).assign(value=lambda t, r=runs, c=chance: t["value"] + r - c["value"])
-        band = verdict_table(shifted, design, bands=False)
-        failed += (band["verdict"] == "does_not").any()
-        covered += int(((band["lower"] <= -1) & (-1 <= band["upper"])).sum())
-    most = stats.binom.ppf(0.999, studies, 0.05)
-    assert earned <= most
-    assert failed <= most
-    assert covered / (6 * studies) == pytest.approx(0.95, abs=3.5 * np.sqrt(0.95 * 0.05 / (6 * studies)))
-
-
 def test_what_cannot_be_judged_says_why(design: Design, cells: pd.DataFrame) -> None:
     means = means_of(cells, design, response(cells, {}, {}))
     nothing = verdict_table(means, None)

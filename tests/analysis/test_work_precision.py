@@ -1,4 +1,4 @@
-"""Orders, budgets and their figures, against what they were made from."""
+"""Orders and Pareto fronts, against what they were made from."""
 
 from pathlib import Path
 
@@ -7,9 +7,10 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from matplotlib.image import imread
+from matplotlib.figure import Figure
 
-from ablate.analysis import budget_table, error_vs_runtime, observed_order, order_figure, pareto_front
+from ablate.analysis import observed_order, order_figure, pareto_front
+from ablate.analysis.figures import runtime_figure
 
 N = np.array([1, 2, 4, 8, 16, 32, 64, 128])
 
@@ -46,20 +47,6 @@ def test_no_order_without_two_errors() -> None:
     assert np.isnan(fit.standard_error)
 
 
-def points(seed: int = 0) -> pd.DataFrame:
-    random = np.random.default_rng(seed)
-    rows = []
-    for series, fixed in (("simulator, rays", 60.0), ("simulator, other scatterers", 60.0), ("sa2h", 20.0)):
-        for n in N:
-            ms = fixed + n * random.uniform(1, 9)
-            for metric in ("envelope_rms", "mae", "psnr") if series != "sa2h" else ("mae", "psnr"):
-                value = 30 + 2 * np.log2(n) if metric == "psnr" else 1 / n
-                rows.append(
-                    (series, f"{n} eager" if series == "sa2h" else str(n), ms, metric, value * random.uniform())
-                )
-    return pd.DataFrame(rows, columns=["series", "setting", "ms", "metric", "error"])
-
-
 def test_pareto_front_against_brute_force() -> None:
     rng = np.random.default_rng(0)
     for n in (0, 1, 30):
@@ -71,55 +58,21 @@ def test_pareto_front_against_brute_force() -> None:
         assert len(front) == len(expected)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_the_best_within_a_budget_against_brute_force(seed: int) -> None:
-    table = points(seed)
-    groups = {"same": ["simulator, rays"], "other": ["simulator, other scatterers"], "run": ["sa2h"]}
-    found = budget_table(table, groups, ("other", "run"))
-    assert sorted(set(found["budget_ms"])) == [10, 40, 75, 200, 1000]
-    for row in found.to_dict("records"):
-        sign = -1 if row["metric"] == "psnr" else 1
-        best = {}
-        for group, series in groups.items():
-            fit = [
-                (sign * p["error"], p["ms"], f"{p['series']}: {p['setting']}")
-                for p in table.to_dict("records")
-                if p["series"] in series and p["metric"] == row["metric"] and p["ms"] <= row["budget_ms"]
-            ]
-            assert row[group] == (min(fit)[2] if fit else "")
-            if fit:
-                best[group] = min(fit)[0]
-        rivals = {g: e for g, e in best.items() if g != "same"}
-        compared = row["metric"] != "envelope_rms"  # a trained run has no envelope
-        assert row["better"] == (min(rivals, key=lambda g: rivals[g]) if rivals and compared else "")
-
-
-def test_the_fastest_of_equal_points_is_taken() -> None:
-    equal = points().assign(error=1.0)
-    row = budget_table(equal, {"a": ["sa2h"]}, ("a", "a")).set_index(["metric", "budget_ms"]).loc[("mae", 1000.0)]
-    assert row["a_ms"] == equal[equal["series"] == "sa2h"]["ms"].min()
-
-
-def assert_drawn(paths: list[Path]) -> None:
-    assert [path.suffix for path in paths] == [".png", ".pdf"]
-    assert imread(paths[0])[..., :3].std() > 0.01
-    assert paths[1].read_bytes().startswith(b"%PDF")
-
-
-def test_figures_are_drawn(tmp_path: Path) -> None:
-    table = points()
-    floors = {"mae": 0.3, "psnr": 20.0}
-    times = [("simulator, rays", "1", "signal chain", 5.0), ("simulator, rays", "1", "S", 0.01)]
-    times += [("sa2h", f"fp32, {engine}, seed 0", "network", ms) for engine, ms in (("eager", 9.0), ("compiled", 4.0))]
-    parts = pd.DataFrame(times, columns=["series", "setting", "part", "ms"])
-    assert_drawn(error_vs_runtime(table, tmp_path / "precision", floors, "a test", parts))
-    alone = table[table["series"] == "simulator, rays"].assign(error=lambda t: t["error"].where(t["ms"] > 70, np.inf))
-    assert_drawn(error_vs_runtime(alone, tmp_path / "alone", {}, "a test", parts[:2]))
+def test_lines_of_all_errors_start_at_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(runtime_figure, "save_figure", lambda figure, _: drawn.append(figure))
+    rays = [(str(n), metric, 30 + np.log2(n) if metric == "psnr" else 2 / n) for n in N for metric in ("mae", "psnr")]
     grids = [
         ("simulator, layers", setting, metric, value)
         for metric in ("mae_smooth", "pchi2")
         for setting, value in (("other scatterers", 2.0), ("1", 5.0), ("3", 2.5))
     ]
+    of_rays = pd.DataFrame(rays, columns=["setting", "metric", "error"])
     convergence = pd.DataFrame(grids, columns=["series", "setting", "quantity", "value"])
-    of_rays = table[table["series"] == "simulator, rays"]
-    assert_drawn(order_figure(of_rays, convergence, {"simulator, layers": 3}, tmp_path / "order"))
+    order_figure(of_rays, convergence, {"simulator, layers": 3}, tmp_path / "order")
+    drawn[0].draw_without_rendering()
+    left, right = drawn[0].axes
+    assert [line.get_ydata()[0] for line in left.lines] == [1, 1, 1]
+    assert left.lines[0].get_label().endswith("p = 1.00")
+    np.testing.assert_allclose(right.lines[0].get_xdata(), [1 / 3, 1])
+    np.testing.assert_allclose(right.lines[0].get_ydata(), [2.5, 1.25])

@@ -85,7 +85,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> None:
             path.write_bytes(b"")
         return paths
 
-    for module in ("boxplots", "training_figures", "forest_figure", "image_figures", "runtime_figure"):
+    for module in ("panel_figures", "forest_figure", "image_figures", "runtime_figure"):
         monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", save)
 
 
@@ -378,12 +378,12 @@ def test_a_start_of_noise_that_is_not_injected_and_a_seed_of_training_make_no_ot
         made[label] = levels_of(spec["semantic"])
     design = find_design(made, FACTORS)
     assert design is not None
-    assert (design.factors, design.left_out) == (["model.attenuation", "model.noise"], ())
+    assert (design.factors, set(design.cells.index)) == (["model.attenuation", "model.noise"], set(made))
     made["sa2h-quiet"] = made["sa2h"] | {"model.noise_start": 0.0}
     made["sa2h-long"] = made["sa2h"] | {"training.steps": 99}
     design = find_design(made, FACTORS)
     assert design is not None
-    assert design.left_out == ("sa2h-quiet", "sa2h-long")
+    assert set(made) - set(design.cells.index) == {"sa2h-quiet", "sa2h-long"}
 
 
 def test_a_metric_that_a_result_names_is_not_imported(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,6 @@ import math
 import shutil
 from collections.abc import Iterator
 from contextlib import redirect_stdout
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,14 +18,13 @@ from mlflow import MlflowClient
 from ablate.dataset import Part, label_values, network_inputs
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import mae, psnr
-from ablate.numerics.precision import generated, simulated, summary
+from ablate.numerics.precision import bench, generated
 from ablate.numerics.precision import task as module
 from ablate.numerics.precision.bench import (
     CsvTable,
     Frames,
     bench_of,
     envelope_rms,
-    make_inputs,
     mean_errors,
     relative_change,
     render_all,
@@ -54,8 +52,10 @@ def _small() -> Iterator[None]:
     """Few rays and tables of scatterers made once; eager only, because compiling takes a minute."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(speckle, "scatterer_tables", cache(speckle.scatterer_tables))
-        patch.setattr(simulated, "RAYS", (1, 2, 4))
-        patch.setattr(simulated, "REFERENCE_RAYS", 32)
+        patch.setattr(bench, "RAYS", (1, 2, 4))
+        patch.setattr(bench, "REFERENCE_RAYS", 32)
+        patch.setattr(bench, "LAYERS", (1, 2))
+        patch.setattr(bench, "TOLERANCES", (0.8, 0.2))
         patch.setattr(generated, "missing_for", lambda e, _: None if e is Engine.eager else "what a test has not")
         yield
 
@@ -100,7 +100,7 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     assert np.array_equal(full["error"], rays["error"]), "what the plan leaves out changes nothing"
     adaptive = points[points["series"] == "simulator, tolerance"]
     assert set(adaptive["metric"]) == set(rays["metric"])
-    assert [float(t) for t in dict.fromkeys(adaptive["setting"])] == list(simulated.TOLERANCES)
+    assert [float(t) for t in dict.fromkeys(adaptive["setting"])] == list(bench.TOLERANCES)
     network = points[points["series"] == "sa2h"]
     assert "width 0.05, fp32, eager, seed 0" in set(network["setting"])
     assert "envelope_rms" not in set(network["metric"])
@@ -154,9 +154,9 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
 
 def test_the_compensated_attenuation_is_that_of_the_pairs_and_costs_more_than_the_integral_one(trained: Path) -> None:
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
-    bench, pairs = bench_of(job), job.data.pairs
-    maps, ms = make_inputs(bench, lambda: None)
-    stored = pairs.read("compensated", bench.frames)
+    chosen = bench_of(job)
+    maps, ms = generated.make_inputs(chosen, lambda: None)
+    stored = job.data.pairs.read("compensated", chosen.frames)
     steps = 2 * 20 * np.log10(1 + 2**-9) / 72 + 1e-4  # A is stored with nine bits
     bright = maps["attenuation"] > 0.01
     np.testing.assert_allclose(maps["compensated"][bright], stored[bright], atol=steps)
@@ -175,11 +175,11 @@ def test_an_engine_that_fails_costs_its_points_alone(
     monkeypatch.setattr(generated, "open_engine", fails)
     monkeypatch.setattr(generated, "chosen_precision", lambda *_: TrainingPrecision.bf16)
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
-    bench = bench_of(job)
-    ((reference,), _) = render_all(bench, [bench.simulator], (bench.seed,), lambda: None)[0]
+    chosen = bench_of(job)
+    ((reference,), _) = render_all(chosen, [chosen.simulator], (chosen.seed,), lambda: None)[0]
     points, details = CsvTable(tmp_path / "p.csv", POINTS), CsvTable(tmp_path / "d.csv", DETAILS)
     planned = generated.schedule_of(generated.comparable_runs(job)[0], job.settings)
-    generated.measure_generators(bench, planned, job.settings, reference, points, details, lambda: None)
+    generated.measure_generators(chosen, planned, job.settings, reference, points, details, lambda: None)
     assert "left out, sa2h, width 0.05, bf16, eager, seed 0: no such kernel" in caplog.text
     table = points.table()
     assert set(table.loc[table["series"] == "sa2h", "setting"]) == {"width 0.05, fp32, eager, seed 0"}
@@ -193,7 +193,7 @@ def test_an_interruption_leaves_what_was_measured_and_the_same_command_measures_
 
     arguments = f"runs_dir={tmp_path}", "evaluation.timed_frames=1"
     with monkeypatch.context() as patch:
-        patch.setattr(simulated, "_converging", stopped)
+        patch.setattr(bench, "_converging", stopped)
         with pytest.raises(SystemExit, match="interrupted; what was measured is in"):
             run(*arguments)
     points = pd.read_csv(tmp_path / "precision" / "precision.csv")
@@ -213,12 +213,10 @@ def test_an_interruption_leaves_what_was_measured_and_the_same_command_measures_
     assert not (tmp_path / "data" / "fetal").exists(), "no pair is simulated for it"
 
 
-def test_pairs_without_a_scene_are_refused(tmp_path: Path) -> None:
+def test_what_has_no_scene_to_measure_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigurationError, match="task=precision: pairs made elsewhere have no scene"):
         run(f"runs_dir={tmp_path}", "scene=pairs", f"scene.folder={tmp_path}")
 
-
-def test_a_scene_that_cannot_be_used_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(_: object) -> None:
         raise ValueError("liver.obj: a hole of 12 mm")
 
@@ -258,16 +256,14 @@ def test_mean_errors_of_identical_and_of_incomparable_frames() -> None:
 
 def test_every_ladder_holds_the_data_sets_own_setting() -> None:
     base = SimulatorSettings(rays=3, layers=2, scanlines=6, axial_samples=1)
-    found = simulated.ladders(base)
+    found = bench.ladders(base)
     assert {name: tuple(ladder) for name, ladder in found.items()} == {
         "rays": (1, 2, 3, 4),
-        "layers": (1, 2, 3, 5),
+        "layers": (1, 2),
         "scanlines": (2, 3, 6, 12),
         "axial_samples": (1, 2),
     }
-    for name, ladder in found.items():
-        assert ladder[getattr(base, name)] == base
-        assert all(replace(s, **{name: getattr(base, name)}) == base for s in ladder.values())
+    assert all(ladder[getattr(base, name)] == base for name, ladder in found.items())
 
 
 def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
@@ -278,7 +274,7 @@ def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
         for way, error in (("bf16, eager", 0.3), ("fp32, compiled", 0.1))
         for metric, value in (("mae", scale * error), ("psnr", 60 / scale))
     ]
-    found = summary._worst(pd.DataFrame([kept, *rows], columns=["table", "series", "setting", "quantity", "value"]))
+    found = module._worst(pd.DataFrame([kept, *rows], columns=["table", "series", "setting", "quantity", "value"]))
     assert tuple(found.iloc[0]) == kept
     worst = {(row["setting"], row["quantity"]): row["value"] for row in found[1:].to_dict("records")}
     assert worst == {
@@ -290,44 +286,63 @@ def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
     assert set(found[1:]["series"]) == {"trained runs against fp32 eager, worst of 2"}
 
 
-def test_how_far_a_reference_moves_an_error() -> None:
-    assert relative_change("mae", 2.0, 2.1) == pytest.approx(0.05)
-    assert relative_change("mae", 2.0, 1.9) == pytest.approx(0.05)
-    assert relative_change("mae", 0.0, 0.0) == 0
-    assert relative_change("psnr", 40.0, 40.0 - 20 * math.log10(1.05)) == pytest.approx(0.05)
-    assert relative_change("psnr", math.inf, math.inf) == 0
+@pytest.mark.parametrize(
+    ("metric", "error", "other", "moved"),
+    [
+        *(("mae", 2.0, 2.1, 0.05), ("mae", 2.0, 1.9, 0.05), ("mae", 0.0, 0.0, 0), ("psnr", math.inf, math.inf, 0)),
+        ("psnr", 40.0, 40.0 - 20 * math.log10(1.05), 0.05),
+    ],
+)
+def test_how_far_a_reference_moves_an_error(metric: str, error: float, other: float, moved: float) -> None:
+    assert relative_change(metric, error, other) == pytest.approx(moved)
 
 
-def test_a_table_grows_on_disk(tmp_path: Path) -> None:
-    table = CsvTable(tmp_path / "deep" / "a.csv", "series setting value")
-    table.add("a, b", 16, 0.1)
-    assert (tmp_path / "deep" / "a.csv").read_text().split() == ["series,setting,value", '"a,', 'b",16,0.1']
-    assert table.table().to_dict("records") == [{"series": "a, b", "setting": "16", "value": 0.1}]
-
-
-def test_a_kill_while_a_row_is_written_leaves_the_rows_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "a.csv"
-    table = CsvTable(path, "series value")
-    table.add("a", 1)
+def test_a_table_grows_on_disk_and_a_kill_leaves_the_rows_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "deep" / "a.csv"
+    table = CsvTable(path, "series setting quantity value")
+    table.add_each("a, b", 16, values={"mae": 0.1})
+    assert table.table().to_dict("records") == [{"series": "a, b", "setting": "16", "quantity": "mae", "value": 0.1}]
 
     def killed(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
+    before = path.read_text()
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", killed)
         patch.setattr(Path, "unlink", killed)  # nothing is tidied up
         with pytest.raises(KeyboardInterrupt):
-            table.add("b", 2)
-    assert path.read_text() == "series,value\na,1\n"
-    assert len(list(tmp_path.iterdir())) == 2
+            table.add_each("c", 1, values={"mae": 0.2})
+    assert path.read_text() == before
+    assert len(list(path.parent.iterdir())) == 2
     CsvTable(path, "series value")
-    assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
+    assert [p.name for p in path.parent.iterdir()] == ["a.csv"]
 
 
-@pytest.mark.parametrize("device", ["cpu"])
-def test_bf16_only_where_it_is_multiplied(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bf16_only_where_it_is_multiplied(monkeypatch: pytest.MonkeyPatch) -> None:
     (job,) = jobs_of(TINY)
-    monkeypatch.setattr(generated, "chosen_precision", lambda *_: generated.TrainingPrecision.fp32)
+    monkeypatch.setattr(generated, "chosen_precision", lambda *_: TrainingPrecision.fp32)
     found, notes = generated.executions(job.settings)
-    assert found == [generated.Execution(generated.TrainingPrecision.fp32, Engine.eager)]
-    assert f"bf16: {torch.device(device).type} here does not multiply it" in notes
+    assert found == [generated.Execution(TrainingPrecision.fp32, Engine.eager)]
+    assert "bf16: cpu here does not multiply it" in notes
+
+
+def test_the_best_within_a_budget_and_of_equal_ones_the_fastest() -> None:
+    points = [
+        *(("simulator, rays", n, 30.0 + n, 1 / n) for n in (1, 4, 16)),
+        *(("simulator, rays, plan=full", n, 20.0 + n, 0.0) for n in (1, 4)),
+        *(("simulator, other scatterers", f"rays {n}", 30.0 + n, 2 / n) for n in (1, 4)),
+        *(("sa2h", way, ms, 0.7) for way, ms in (("bf16", 20.0), ("fp32", 9.0))),
+    ]
+    rows = [(series, str(setting), ms, "mae", error) for series, setting, ms, error in points]
+    rows += [("simulator, rays", "1", 31.0, "envelope_rms", 0.5)]
+    table = module._budgets(pd.DataFrame(rows, columns=["series", "setting", "ms", "metric", "error"]))
+    same, other, run = table.columns[:3]
+    of_mae = table[table.index.get_level_values("metric") == "MAE (grey levels)"]
+    assert of_mae[same].to_list() == ["", "0.25 (rays: 4)", *["0.06 (rays: 16)"] * 3]
+    assert of_mae[other].to_list() == ["", *["0.50 (rays 4)"] * 4]
+    assert of_mae[run].to_list() == ["0.70 (sa2h: fp32)"] * 5
+    assert of_mae["better"].to_list() == ["trained run", *["simulator"] * 4]
+    alone = table[table.index.get_level_values("metric") != "MAE (grey levels)"]["better"].to_list()
+    assert alone == ["none is that fast", *["not compared"] * 4], "a trained run has no envelope"

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from ablate.jobs.variants import variant_names
 from mlflow import MlflowClient
 
 from ablate.numerics.stability import task
@@ -12,38 +13,21 @@ from ablate.numerics.stability.checks import CASES, Case, Checks
 from ablate.ultrasound import attenuation
 from support.studies import run as run_command
 
-#: Each with the cases that try it.
+#: What a reader of the design expects to find.
 MUST_BE_TRIED = {
-    "40 dB/cm/MHz bone across 150 mm": ["bone of 40 dB/cm/MHz across 150 mm", "A: thousands of decibels"],
-    "air behind soft tissue": ["air behind soft tissue"],
-    "a 20000:1 impedance step": ["an impedance step of 20000 to 1", "an impedance step of 1 to 20000"],
-    "a 0.1 mm layer": ["a layer of 0.1 mm"],
-    "grazing incidence": ["grazing incidence, by the formulas", "grazing incidence, scanlines along a face"],
-    "total reflection": ["total reflection"],
-    "a closed cavity with R near 1": ["a closed cavity with R near 1"],
-    "zero attenuation": ["zero attenuation", "A: no loss, and next to none"],
-    "zero scatterers": ["zero scatterers"],
-    "a fan entirely in gel": ["a fan entirely in gel"],
-    "a fan entirely in bone": ["a fan entirely in bone"],
-    "a fan entirely outside": ["a fan entirely outside the scene"],
-    "coincident surfaces": ["coincident surfaces"],
-    "slivers and needle triangles": ["slivers", "needle triangles"],
-    "metre-sized scenes": ["a scene of metres", "a scene of metres, 1000 km from the origin"],
-    "micrometre-sized scenes": ["a scene of micrometres", "a scene of micrometres, a metre from the origin"],
-    "one ray, one line, one sample": ["one ray, one line, one sample, one pixel", "A: one line, one sample"],
-    "a constant image through instance norm": ["a constant image through instance norm"],
-    "a crop entirely outside the fan": ["a crop entirely outside the fan"],
-    "saturated discriminator logits": ["saturated discriminator logits", "losses of saturated logits"],
-    "lambda 0 and 1e6": ["lambda 0", "lambda 1e6"],
-    "black, white and identical images": ["all-black, all-white and identical images in every metric"],
-    "n < d and n = 1 in the Frechet distance": ["Frechet distance: n < d, n = 2, n = 1"],
-    "empty histograms": ["empty histograms, masks and images"],
-    "every variant": [
-        f"{name} in bf16, float32 and float64"
-        for name in ("sa2h", "sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h-depth", "lsa2h", "nsa2h")
-    ],
+    *("bone of 40 dB/cm/MHz across 150 mm", "A: thousands of decibels", "air behind soft tissue", "a layer of 0.1 mm"),
+    *("an impedance step of 20000 to 1", "an impedance step of 1 to 20000", "grazing incidence, by the formulas"),
+    *("grazing incidence, scanlines along a face", "total reflection", "a closed cavity with R near 1"),
+    *("zero attenuation", "zero scatterers", "a fan entirely in gel", "a fan entirely in bone"),
+    *("a fan entirely outside the scene", "coincident surfaces", "slivers", "needle triangles", "a scene of metres"),
+    *("a scene of metres, 1000 km from the origin", "a scene of micrometres, a metre from the origin"),
+    *("a scene of micrometres", "one ray, one line, one sample, one pixel", "A: one line, one sample, no loss"),
+    *("a constant image through instance norm", "a crop entirely outside the fan", "saturated discriminator logits"),
+    *("losses of saturated logits", "lambda 0", "lambda 1e6", "Frechet distance: n < d, n = 2, n = 1"),
+    *("all-black, all-white and identical images in every metric", "empty histograms, masks and images"),
+    *(f"{name} in bf16, float32 and float64" for name in variant_names()),
 }
-CHEAP = ("A: soft tissue behind 2200 dB", "A: one line, one sample", "statistics: p-values of 0 and 1")
+CHEAP = ("A: soft tissue behind 2200 dB", "A: one line, one sample, no loss", "grazing incidence, by the formulas")
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
@@ -54,9 +38,8 @@ def test_every_error_is_within_its_bound(case: Case) -> None:
     assert case.measure.__doc__, "what is tried is told"
 
 
-@pytest.mark.parametrize("tried_by", MUST_BE_TRIED.values(), ids=MUST_BE_TRIED)
-def test_what_must_be_tried_is(tried_by: list[str]) -> None:
-    assert set(tried_by) <= set(CASES)
+def test_what_must_be_tried_is() -> None:
+    assert set(CASES) >= MUST_BE_TRIED
 
 
 def test_what_is_not_a_number_does_not_hold() -> None:
@@ -147,9 +130,3 @@ def test_an_exception_is_the_fall_of_its_case_alone(
     (what,) = table.loc[table["case"] == "breaks", "quantity"]
     assert what == "ZeroDivisionError: no reason"
     assert set(table.loc[table["holds"], "case"]) == set(CHEAP)
-
-
-@pytest.mark.usefixtures("cheap")
-def test_a_server_that_is_gone_stops_nothing(tmp_path: Path) -> None:
-    assert run_command("task=stability", f"runs_dir={tmp_path}", "tracking.uri=http://127.0.0.1:9") == 0
-    assert set(pd.read_csv(tmp_path / "stability" / "stability.csv")["case"]) == set(CHEAP)

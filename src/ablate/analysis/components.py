@@ -88,15 +88,3 @@ def level_with(component: Component, levels: Sequence[object]) -> object:
         smaller = component.on < component.off  # type: ignore[operator]  # both are real numbers
         return min(levels) if smaller else max(levels)  # type: ignore[type-var]
     return component.on if component.on in levels else levels[0]
-
-
-def why_not_compared(component: Component, levels: Sequence[object]) -> str:
-    """Why runs at these two levels say nothing of a component; empty where they do."""
-    if isinstance(component.on, str) and set(levels) != {component.on, component.off}:
-        return f"the runs compare {levels[0]} with {levels[1]}"
-    return ""
-
-
-def labels_of(components: Iterable[Component]) -> dict[str, str]:
-    """What figures and reports call each component, by its name."""
-    return {component.name: component.label for component in components}

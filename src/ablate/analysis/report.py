@@ -1,22 +1,25 @@
-"""One self-contained HTML page: table, statistics, figures, and what may not be concluded from them."""
+"""What may not be concluded from a study, and its report: one self-contained page of tables, statistics and figures."""
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from ablate.analysis.cautions import cautions
-from ablate.analysis.components import Component, labels_of
-from ablate.analysis.scored import REFERENCE, RESIMULATION
+from ablate.analysis.components import Component
+from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS, Verdict
 from ablate.analysis.statistics.verdicts import Answer
 from ablate.analysis.tables import cell_texts, head, resimulation_note
-from ablate.metrics import Shown, metric_of, shown_in
+from ablate.metrics import METRICS, Shown, metric_of, shown_in
 from ablate.storage import write_text
 
+FEW_SITES = 10  # below, intervals over sites are rough
+FEWEST_SITES = 6  # below, a signed-rank test over sites cannot reach 5 %
+MOST_NAMED = 6  # of a list; the rest are counted
 _TEMPLATES = Environment(
     loader=FileSystemLoader(Path(__file__).parent),
     autoescape=True,
@@ -25,6 +28,71 @@ _TEMPLATES = Environment(
     lstrip_blocks=True,
 )
 _TEMPLATES.globals["resimulation"] = RESIMULATION
+
+
+def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
+    """Return what a reader must not conclude from a study, one sentence each; `per_image` as for `comparison_table`."""
+    networks = per_image[per_image["variant"] != RESIMULATION]
+    variants = ordered_variants(list(networks["variant"]), reference)
+    seeds = networks.groupby("variant")["seed"].nunique()
+    texts = []
+    if not variants:
+        texts.append("There is no network in this study.")
+    elif reference not in variants:
+        texts.append(
+            f"The reference {reference} is missing, so there are no paired differences (reference=... names another)."
+        )
+    elif len(variants) == 1:
+        texts.append(f"There is one variant, {variants[0]}: nothing is compared.")
+    if few := [f"{v} ({seeds[v]})" for v in variants if seeds[v] < FEWEST_SEEDS]:
+        texts.append(
+            f"Fewer than {FEWEST_SEEDS} seeds for {listed(few)}: from these alone it is not claimable that a variant "
+            "is better or worse; the paired differences are between these trained networks only. Verdicts about "
+            "components count all runs of a design."
+        )
+    if RESIMULATION not in set(per_image["variant"]):
+        texts.append("The re-simulation is missing, so floors and levels are unknown.")
+    return [*texts, *_about_frames(networks), *_about_values(per_image)]
+
+
+def listed(names: list[str]) -> str:
+    """Names in a sentence, the rest counted where there are many."""
+    more = len(names) - MOST_NAMED
+    return ", ".join(names) if more <= 0 else f"{', '.join(names[:MOST_NAMED])} and {more} more"
+
+
+def _about_frames(networks: pd.DataFrame) -> list[str]:
+    texts = []
+    sites = networks["site"].nunique()
+    if 0 < sites < FEW_SITES:
+        text = f"Only {sites} probe site{'' if sites == 1 else 's'}: intervals over sites are rough"
+        if sites < FEWEST_SITES:
+            text += f", and a test over fewer than {FEWEST_SITES} sites can show nothing"
+        texts.append(f"{text}.")
+    sites_of = networks.groupby("frame")["site"].nunique()
+    if moved := [str(frame) for frame in sites_of.index[sites_of > 1]]:
+        texts.append(f"Runs name different probe sites for frame {listed(moved)}: intervals over sites mean nothing.")
+    frames = networks.groupby(["variant", "seed"])["frame"].nunique()
+    runs = zip(frames.index, frames, strict=True)
+    if short := [f"{variant}/seed{seed} ({n})" for (variant, seed), n in runs if n < frames.max()]:
+        texts.append(
+            f"Not all runs have all {frames.max()} test frames: {listed(short)}; pairs are of frames that both have."
+        )
+    return texts
+
+
+def _about_values(per_image: pd.DataFrame) -> list[str]:
+    texts = []
+    for metric in ordered_metrics(list(per_image["metric"])):
+        rows = per_image[per_image["metric"] == metric]
+        why = "identical images: " if metric in METRICS else ""  # of the package's, PSNR alone is ever infinite
+        for kind, left_out in (("infinite value", rows[np.isinf(rows["value"])]), ("NaN", rows[rows["value"].isna()])):
+            if len(left_out):
+                of_runs = left_out["frame"].astype(str).groupby([left_out["variant"], left_out["seed"]], sort=False)
+                where = [f"{v}/seed{s} frame {', '.join(f.iloc[:3])}{' ...' * (len(f) > 3)}" for (v, s), f in of_runs]
+                text = f"{metric_of(metric).label}: {len(left_out)} {kind}{'s' * (len(left_out) > 1)} left out"
+                texts.append(f"{text} ({why if kind != 'NaN' else ''}{listed(where)}).")
+    return texts
 
 
 class Cell(NamedTuple):
@@ -42,71 +110,49 @@ class Grid(NamedTuple):
     rows: list[tuple[str, list[Cell]]]
 
 
-def to_html(table: pd.DataFrame) -> str:
-    """The table of `comparison_table` as an HTML element."""
-    template = _TEMPLATES.from_string('{% from "grid.html.jinja" import grid %}{{ grid(table) }}')
-    return template.render(table=_comparison(table))
-
-
 def _comparison(table: pd.DataFrame) -> Grid:
     variants, metrics, cells = cell_texts(table)
-    rows = []
-    for variant in variants:
-        texts = [cells[variant, metric] for metric in metrics]
-        rows.append((variant, [Cell(mean, best, sd) for mean, sd, best in texts]))
+    rows = [(v, [Cell(mean, best, sd) for mean, sd, best in (cells[v, m] for m in metrics)]) for v in variants]
     return Grid([head(metric) for metric in metrics], rows)
+
+
+def _estimate(row: Mapping[Hashable, Any], name: str, sign: str = "+") -> tuple[Cell, Cell]:
+    """An estimate and the ends of its interval, one decimal more than its metric has; bold where it excludes 0."""
+    decimals = metric_of(row["metric"]).decimals + 1
+    lower, upper = row["lower"], row["upper"]
+    ends = "–" if pd.isna(lower) else f"[{lower:.{decimals}f}, {upper:.{decimals}f}]"
+    return Cell(f"{row[name]:{sign}.{decimals}f}"), Cell(ends, lower > 0 or upper < 0)
 
 
 def _paired(paired: pd.DataFrame) -> Grid:
     rows = []
     for row in paired.to_dict("records"):
-        decimals = metric_of(row["metric"]).decimals + 1
-        cells = [
-            Cell(metric_of(row["metric"]).title),
-            Cell(f"{row['shift']:+.{decimals}f}"),
-            Cell(f"[{row['lower']:.{decimals}f}, {row['upper']:.{decimals}f}]", row["lower"] > 0 or row["upper"] < 0),
-            Cell(f"{row['p_sites_holm']:.2g}"),
-            Cell(f"{row['p_holm']:.2g}"),
-            Cell(f"{row['effect']:+.2f}"),
-            Cell(f"{row['sites']} / {row['n']}"),
-        ]
-        rows.append((row["variant"], cells))
+        texts = (f"{row['p_sites_holm']:.2g}", f"{row['p_holm']:.2g}", f"{row['effect']:+.2f}")
+        others = map(Cell, (*texts, f"{row['sites']} / {row['n']}"))
+        rows.append((row["variant"], [Cell(metric_of(row["metric"]).title), *_estimate(row, "shift"), *others]))
     return Grid(["metric", "shift", "95 % interval", "p, sites", "p, frames", "effect", "sites / frames"], rows)
 
 
 def _claims(claims: pd.DataFrame) -> Grid:
     rows = []
     for row in claims[claims["verdict"] != Verdict.not_claimable].to_dict("records"):
-        decimals = metric_of(row["metric"]).decimals + 1
-        shift, lower, upper = (f"{row[name]:.{decimals}f}" for name in ("shift", "lower", "upper"))
-        texts = (shift, f"[{lower}, {upper}]", f"{row['p']:.2g}", str(row["seeds"]))
-        rows.append((row["variant"], [Cell(t) for t in (metric_of(row["metric"]).title, str(row["verdict"]), *texts)]))
+        shift, (ends, _, _) = _estimate(row, "shift", "")
+        cells = Cell(metric_of(row["metric"]).title), Cell(str(row["verdict"])), shift, Cell(ends)
+        rows.append((row["variant"], [*cells, Cell(f"{row['p']:.2g}"), Cell(str(row["seeds"]))]))
     return Grid(["metric", "verdict", "shift", "95 % interval", "p", "seeds"], rows)
 
 
 def _verdicts(verdicts: pd.DataFrame, labels: Mapping[str, str]) -> Grid:
     rows = []
     for row in verdicts[verdicts["effect"].notna()].to_dict("records"):
-        metric, known = metric_of(row["metric"]), pd.notna(row["lower"])
-        decimals = metric.decimals + 1
-        lower, upper, p = row["lower"], row["upper"], row["p_holm"]
-        cells = [
-            Cell(metric.title),
-            Cell(f"{row['effect']:+.{decimals}f}"),
-            Cell(f"[{lower:.{decimals}f}, {upper:.{decimals}f}]" if known else "–"),
-            Cell(f"{row['band']:g}"),
-            Cell(f"{row['runs_a']} / {row['runs_b']}"),
-            Cell(f"{p:.2g}" if known else "–"),
-            Cell(f"{row['verdict']}".replace("_", " "), True),
-            Cell(row["why"] if row["verdict"] == Answer.undecided else ""),
-        ]
+        effect, (ends, _, _) = _estimate(row, "effect")
+        p = f"{row['p_holm']:.2g}" if pd.notna(row["lower"]) else "–"
+        texts = (f"{row['band']:g}", f"{row['runs_a']} / {row['runs_b']}", p)
+        said = Cell(str(row["verdict"]).replace("_", " "), True)
+        why = Cell(row["why"] if row["verdict"] == Answer.undecided else "")
+        cells = [Cell(metric_of(row["metric"]).title), effect, Cell(ends), *map(Cell, texts), said, why]
         rows.append((labels.get(row["component"], row["component"]), cells))
     return Grid(["metric", "effect", "95 % interval", "band", "runs with / without", "p, Holm", "verdict", "why"], rows)
-
-
-def _is_lesser(stem: str) -> bool:
-    """Whether a figure is folded: box plots of one metric, chi-square maps of all frames but the first."""
-    return stem.startswith("boxplot_") or (stem.startswith("pchi2_maps_") and stem != "pchi2_maps_0")
 
 
 def _compared(per_image: pd.DataFrame) -> str:
@@ -140,20 +186,15 @@ def write_report(
     ----------
     title : str
         Heading, usually the study's name.
-    per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value.
-    table, paired, claims, verdicts : DataFrame
-        What `comparison_table`, `paired_table`, `seed_claims` and `verdict_table` give.
+    per_image, table, paired, claims, verdicts : DataFrame
+        As for `comparison_table`; and what that, `paired_table`, `seed_claims` and `verdict_table` give.
     figures : sequence of (Path, str)
         PNG files and their captions, in order; they are inlined. That of the verdicts, `verdicts.png`, comes first.
-    left_out : sequence of str
-        What the simulator or the networks did not compute, and why.
-    provenance : mapping, optional
-        Commit, data hash, hardware and the like, shown as a list.
-    appendix : mapping of str to str, optional
-        Longer texts by title, folded at the end: packages, uncommitted changes.
-    notes : sequence of str
-        What else a reader must know before the numbers: runs left aside, images that are missing.
+    left_out, notes : sequence of str
+        What the simulator or the networks did not compute, and why; what else a reader must know before the numbers:
+        runs left aside, images that are missing.
+    provenance, appendix : mapping, optional
+        Commit, data hash, hardware and the like, shown as a list; longer texts by title, folded at the end.
     components : sequence of Component
         Those of `verdicts`, for their labels.
     """
@@ -162,9 +203,11 @@ def write_report(
     def parts(rows: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
         return rows[rows["metric"].isin(unfolded)], rows[~rows["metric"].isin(unfolded)]
 
-    answered = [place for place, (file, _) in enumerate(figures) if file.stem == "verdicts"]
-    inlined = [(base64.b64encode(file.read_bytes()).decode("ascii"), caption) for file, caption in figures]
-    lesser = [_is_lesser(file.stem) for file, _ in figures]
+    shown: dict[str, list[tuple[str, str]]] = {"answer": [], "figure": [], "folded": []}
+    for file, caption in figures:  # folded are box plots of one metric, and chi-square maps of all frames but the first
+        folded = file.stem.startswith(("boxplot_", "pchi2_maps_")) and file.stem != "pchi2_maps_0"
+        place = "answer" if file.stem == "verdicts" else "folded" if folded else "figure"
+        shown[place].append((base64.b64encode(file.read_bytes()).decode("ascii"), caption))
     text = _TEMPLATES.get_template("report.html.jinja").render(
         title=title,
         compared=_compared(per_image),
@@ -175,14 +218,10 @@ def write_report(
         paired=[_paired(part) for part in parts(paired)] if len(paired) else None,
         claims=None if claims is None or claims.empty else _claims(claims),
         fewest_seeds=FEWEST_SEEDS,
-        answers=[inlined[place] for place in answered],
-        verdicts=None if verdicts is None else _verdicts(verdicts, labels_of(components)),
-        figures=[
-            figure
-            for k, (figure, folded) in enumerate(zip(inlined, lesser, strict=True))
-            if not folded and k not in answered
-        ],
-        more_figures=[figure for figure, folded in zip(inlined, lesser, strict=True) if folded],
+        answers=shown["answer"],
+        verdicts=None if verdicts is None else _verdicts(verdicts, {c.name: c.label for c in components}),
+        figures=shown["figure"],
+        more_figures=shown["folded"],
         left_out=left_out,
         provenance=provenance,
         appendix=appendix or {},

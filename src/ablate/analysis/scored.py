@@ -11,6 +11,7 @@ from ablate.metrics.stored_names import SCALAR_COLUMNS
 REFERENCE = "sa2h"
 RESIMULATION = "re-simulation"  # shown among the variants
 CHANGED = 3
+LEVEL = 0.95  # coverage of the intervals of all tables
 
 
 def ordered_variants(variants: Sequence[str], reference: str = REFERENCE) -> list[str]:
@@ -32,13 +33,6 @@ def ordered_metrics(metrics: Sequence[str]) -> list[str]:
 def judged_metrics(metrics: Sequence[str]) -> list[str]:
     """Metrics that claims are made about, in the same order: all but what a network costs."""
     return [name for name in ordered_metrics(metrics) if metric_of(name).group is not Group.cost]
-
-
-def require_columns(frame: pd.DataFrame, columns: Sequence[str], name: str) -> None:
-    """Raise ValueError where a table lacks columns; the message calls it by `name`."""
-    missing = [column for column in columns if column not in frame.columns]
-    if missing:
-        raise ValueError(f"{name} lacks the columns {missing}, it has {list(frame.columns)}")
 
 
 def finite_values(per_image: pd.DataFrame, scalars: pd.DataFrame | None = None) -> pd.DataFrame:

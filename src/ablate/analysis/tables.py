@@ -7,16 +7,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.scored import (
-    REFERENCE,
-    RESIMULATION,
-    ordered_metrics,
-    ordered_variants,
-    require_columns,
-    variant_group,
-)
+from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants, variant_group
 from ablate.metrics import Direction, Resimulation, metric_of
-from ablate.metrics.stored_names import BOUNDS, FRAME_TIME, PER_IMAGE_COLUMNS, SCALAR_COLUMNS
+from ablate.metrics.stored_names import BOUNDS, FRAME_TIME, SCALAR_COLUMNS
 
 NOTHING = "–"  # where a variant has no value
 ARROWS = {Direction.higher: "↑", Direction.lower: "↓", Direction.zero: "→0", Direction.none: ""}
@@ -59,11 +52,6 @@ def comparison_table(
         NaN), lower, upper (where runs carry an interval of their own: the mean of its bounds), best (of the networks;
         the re-simulation does not compete; all times that the fastest one's spread reaches are best).
 
-    Raises
-    ------
-    ValueError
-        When a column is missing.
-
     Examples
     --------
     >>> import pandas as pd
@@ -76,18 +64,15 @@ def comparison_table(
     0      sa2h  19.0  2   True
     1  sa2h-att  16.0  2  False
     """
-    require_columns(per_image, PER_IMAGE_COLUMNS, "per_image")
     parts = [per_image[[*SCALAR_COLUMNS]]]
     if scalars is not None and len(scalars):
-        require_columns(scalars, SCALAR_COLUMNS, "scalars")
         parts.append(scalars[[c for c in (*SCALAR_COLUMNS, *BOUNDS) if c in scalars]])
     values = pd.concat(parts, ignore_index=True)
     rows = []
     for (variant, metric), cell in values.groupby(["variant", "metric"], sort=False):
         finite = cell[np.isfinite(cell["value"])]
         seed_means = finite.groupby("seed")["value"].mean()
-        sd = float(finite["value"].std(ddof=1)) if len(finite) > 1 else None
-        seed_sd = float(seed_means.std(ddof=1)) if len(seed_means) > 1 else None
+        sd, seed_sd = (float(v.std()) if len(v) > 1 else None for v in (finite["value"], seed_means))
         # The mean over runs of the bounds of their intervals, where runs carry some.
         lower, upper = (float(cell[b].mean()) if b in cell and cell[b].notna().any() else None for b in BOUNDS)
         if metric == FRAME_TIME and lower is not None and upper is not None:
@@ -104,10 +89,24 @@ def comparison_table(
             if metric == FRAME_TIME:
                 best |= group["lower"].astype(float) <= group.loc[best, "upper"].astype(float).max()
             table.loc[scores.index[best], "best"] = True
-    variants = {name: k for k, name in enumerate(ordered_variants(list(table["variant"]), reference))}
-    metrics = {name: k for k, name in enumerate(ordered_metrics(list(table["metric"])))}
-    keys = table["variant"].map(variants) * (len(metrics) + 1) + table["metric"].map(metrics)
-    return table.iloc[np.argsort(keys.to_numpy(), kind="stable")].reset_index(drop=True)
+    order = [*ordered_variants(list(table["variant"]), reference), *ordered_metrics(list(table["metric"]))]
+    return table.sort_values(["variant", "metric"], key=lambda names: names.map(order.index), ignore_index=True)
+
+
+def distances_to_resimulation(table: pd.DataFrame, reference: str = REFERENCE) -> dict[str, float]:
+    """By metric, how much worse the reference is than re-simulation, in units of the metric: what there is to gain.
+
+    `table` is what `comparison_table` gives. Metrics that one of the two lacks, or that do not judge, are left out.
+    """
+    means = table.pivot(index="metric", columns="variant", values="mean")
+    if not {RESIMULATION, reference} <= set(means.columns):
+        return {}
+    found = {}
+    for name, row in means.iterrows():
+        here, there = (metric_of(str(name)).badness(row[variant]) for variant in (reference, RESIMULATION))
+        if np.isfinite(here - there):
+            found[str(name)] = float(here - there)
+    return found
 
 
 def wide_table(table: pd.DataFrame) -> pd.DataFrame:
@@ -116,12 +115,13 @@ def wide_table(table: pd.DataFrame) -> pd.DataFrame:
     Its columns are variant, seeds, `<metric>_mean`, `_sd`, `_seed_sd`, `_lower`, `_upper`; those without a value are
     left out.
     """
-    rows: dict[str, dict[str, object]] = {}
-    seeds = table.groupby("variant")["seeds"].max()
-    for cell in table.to_dict("records"):
-        row = rows.setdefault(cell["variant"], {"variant": cell["variant"], "seeds": int(seeds[cell["variant"]])})
-        row |= {f"{cell['metric']}_{part}": cell[part] for part in ("mean", "sd", "seed_sd", *BOUNDS)}
-    return pd.DataFrame(list(rows.values())).dropna(axis="columns", how="all")
+    parts = ["mean", "sd", "seed_sd", *BOUNDS]
+    wide = table.pivot(index="variant", columns="metric", values=parts).swaplevel(axis="columns")
+    metrics, variants = (table[name].unique() for name in ("metric", "variant"))
+    wide = wide.reindex(variants).reindex(columns=[(metric, part) for metric in metrics for part in parts])
+    wide.columns = pd.Index(["_".join(pair) for pair in wide.columns])
+    wide.insert(0, "seeds", table.groupby("variant")["seeds"].max())
+    return wide.rename_axis("variant").reset_index().dropna(axis="columns", how="all")
 
 
 class Spread(StrEnum):
@@ -157,18 +157,16 @@ def head(metric: str) -> str:
 
 def resimulation_note(metrics: list[str]) -> str:
     """One sentence on what the re-simulation row means for these metrics."""
-    floor, level = (
-        ", ".join(metric_of(m).label for m in metrics if metric_of(m).resimulation is kind)
-        for kind in (Resimulation.floor, Resimulation.level)
-    )
-    parts = []
-    if floor:
-        parts.append(f"It is the floor for {floor}.")
-    if level:
-        parts.append(f"It is the level of a perfect stochastic renderer for {level}, which a network can exceed.")
-    return " ".join(
-        ["Re-simulation is the same frame with other scatterers and ray paths.", *(parts or ["It is not judged."])]
-    )
+    labels = {
+        kind: ", ".join(metric_of(m).label for m in metrics if metric_of(m).resimulation is kind)
+        for kind in Resimulation
+    }
+    said = ["Re-simulation is the same frame with other scatterers and ray paths."]
+    if floor := labels[Resimulation.floor]:
+        said.append(f"It is the floor for {floor}.")
+    if level := labels[Resimulation.level]:
+        said.append(f"It is the level of a perfect stochastic renderer for {level}, which a network can exceed.")
+    return " ".join(said if len(said) > 1 else [*said, "It is not judged."])
 
 
 def to_text(table: pd.DataFrame) -> str:
@@ -177,21 +175,16 @@ def to_text(table: pd.DataFrame) -> str:
     The best network of a column carries a star.
     """
     variants, metrics, cells = cell_texts(table)
-    lines = [["variant", *map(head, metrics)]]
-    for variant in variants:
-        texts = [cells[variant, metric] for metric in metrics]
-        lines.append(
-            [variant, *(f"{mean}{' ± ' + sd if sd else ''}{'*' if best else ' '}" for mean, sd, best in texts)]
-        )
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    text = [
-        "  ".join([line[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(line[1:], widths[1:], strict=True))])
-        for line in lines
-    ]
-    text.insert(1, "-" * len(text[0]))
-    if RESIMULATION in variants:
-        text += ["", resimulation_note(metrics)]
-    return "\n".join(text) + "\n"
+    columns = {
+        head(metric): [
+            f"{mean}{' ± ' + sd if sd else ''}{'*' if best else ' '}"
+            for mean, sd, best in (cells[variant, metric] for variant in variants)
+        ]
+        for metric in metrics
+    }
+    lines = pd.DataFrame(columns, variants).rename_axis(columns="variant").to_string().splitlines()
+    note = ["", resimulation_note(metrics)] if RESIMULATION in variants else []
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], *note]) + "\n"
 
 
 def to_markdown(table: pd.DataFrame, spread: Spread = Spread.frames) -> str:
@@ -222,18 +215,15 @@ def to_latex(table: pd.DataFrame, reference: str = REFERENCE, label: str = "tab:
     variants, metrics, cells = cell_texts(table)
     per_frame = table[(table["n"] > table["seeds"]) & table["sd"].notna()]
     double = set(per_frame["metric"])
-    titles: dict[str, str] = {}
     columns: dict[tuple[str, str], list[str]] = {}
     for metric in metrics:
         texts, title = [cells[variant, metric] for variant in variants], latex_text(head(metric))
         means = [rf"\textbf{{{mean}}}" if best else latex_text(mean) for mean, _, best in texts]
         if metric in double:
-            titles[metric] = title
-            columns |= {(metric, "mean"): means, (metric, "sd"): [sd for _, sd, _ in texts]}
+            columns |= {(title, "mean"): means, (title, "sd"): [sd for _, sd, _ in texts]}
         else:
-            titles[metric] = rf"\multicolumn{{1}}{{c}}{{{title}}}"
-            columns[metric, ""] = means
-    shown = pd.DataFrame(columns, [latex_text(variant) for variant in variants]).rename(columns=titles, level=0)
+            columns[rf"\multicolumn{{1}}{{c}}{{{title}}}", ""] = means
+    shown = pd.DataFrame(columns, [latex_text(variant) for variant in variants])
     if not double:
         shown = shown.droplevel(1, axis="columns")
     styler = shown.style.set_table_styles([{"selector": "footnotesize", "props": ":;"}])
@@ -246,8 +236,8 @@ def to_latex(table: pd.DataFrame, reference: str = REFERENCE, label: str = "tab:
     for k in range(len(groups) - 1, 0, -1):
         if groups[k] != groups[k - 1]:
             lines.insert(first + k, r"\midrule")
-    spans = [k for k, (_, below) in enumerate(columns, start=2) if below == "mean"]
-    if spans:
+    if double:
+        spans = [k for k, (_, below) in enumerate(columns, start=2) if below == "mean"]
         lines.insert(first - 2, " ".join(rf"\cmidrule(lr){{{k}-{k + 1}}}" for k in spans))
     return "\n".join([r"% needs \usepackage{booktabs}", *lines]) + "\n"
 

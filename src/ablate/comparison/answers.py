@@ -59,7 +59,7 @@ def answers(runs: Sequence[Run], table: pd.DataFrame, reference: str = REFERENCE
     return Answers(
         design,
         means,
-        pd.DataFrame() if design is None else analysis.effects_table(per_image, design, scalars),
+        pd.DataFrame() if design is None else analysis.effects_table(means, design),
         analysis.verdict_table(
             means,
             design,

@@ -77,6 +77,8 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
             points, folder / "error_vs_runtime", floors, numbers.timed_on, components=components
         )
         add(paths, analysis.runtime_caption(list(dict.fromkeys(points["metric"]))))
-    for metric, paths in analysis.paired_boxplots(per_image, folder, reference, numbers.paired, components).items():
+    for metric in analysis.ordered_metrics(list(per_image["metric"])):
+        stem = folder / f"boxplot_{metric}"
+        paths = analysis.boxplot_panels(per_image, [metric], stem, reference, numbers.paired, components)
         add(paths, analysis.boxplot_caption([metric], reference))
     return made

@@ -23,8 +23,8 @@ _LOOKING = {
     Task.render: "ablate.tasks.render:render",
     Task.view: "ablate.viewer.task:view",
     Task.export: "ablate.tasks.export:export",
-    Task.precision: "ablate.numerics.precision:precision",
-    Task.stability: "ablate.numerics.stability:stability",
+    Task.precision: "ablate.numerics.precision.task:precision",
+    Task.stability: "ablate.numerics.stability.task:stability",
 }
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib import colormaps
 from PIL import Image, ImageDraw, ImageFont
 
-from ablate.analysis.figures.tissue_colours import Colour
+from ablate.analysis.figures.scene_parts import Colour
 from ablate.anatomy import Scene
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_sag_mm, pixel_coordinates_mm, pixel_size_mm

@@ -10,10 +10,10 @@ import trimesh
 from matplotlib.colors import to_rgb
 from matplotlib.image import AxesImage
 from matplotlib.ticker import MultipleLocator
+from mpl_toolkits.mplot3d.proj3d import inv_transform, proj_transform
 from skimage.transform import resize
 
-from ablate.analysis.figures import probe_model
-from ablate.analysis.figures.tissue_colours import tissue_colours
+from ablate.analysis.figures.scene_parts import first_column_mark, probe_body, probe_face, tissue_colours
 from ablate.anatomy import Scene, Structure, Tissue, TissueKind, bounds_mm
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_sag_mm, fan_outline, fan_size_mm, to_world
@@ -69,20 +69,28 @@ def draw_body(
     from behind the probe and a little from above. `pose` is probe to world, (4, 4), mm; `image` is (H, W) uint8 and
     `fan` (H, W) bool; `axis` is the scene's long axis, drawn upright.
     """
-    surfaces = _surfaces(scene, probe, pose, _image_on_fan(probe, pose, image, fan))
-    lower, upper = bounds_mm(s.mesh for s in surfaces) + np.array([[-_MARGIN_MM], [_MARGIN_MM]])
-    space.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
-    space.set_box_aspect(upper - lower)
+    surfaces = [
+        *_structures(scene),
+        _image_on_fan(probe, pose, image, fan),
+        Surface(probe_body(probe, pose), _HOUSING),
+        Surface(probe_face(probe, pose), _FACE),
+        Surface(first_column_mark(probe, pose), to_rgb(MARK)),
+    ]
+    box = bounds_mm(s.mesh for s in surfaces) + np.array([[-_MARGIN_MM], [_MARGIN_MM]])
+    size = tuple(box[1] - box[0])  # not an array, which `set_box_aspect` would change
+    space.set(**dict(zip(("xlim", "ylim", "zlim"), box.T, strict=True)))
+    space.set_box_aspect(size)
     view = _turn_camera(space, pose, np.asarray(axis, float) / np.linalg.norm(axis))
-    _zoom_to_fit(space, lower, upper)
-    space.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)")
+    half_panel = np.array([space.viewLim.width, space.viewLim.height]) / 2
+    space.set_box_aspect(size, zoom=float((_FILLED * half_panel / np.abs(_corners_seen(space, box)).max(axis=0)).min()))
     space.tick_params(pad=2)
     upright = np.argmax(np.abs(axis))
-    for number, each in enumerate((space.xaxis, space.yaxis, space.zaxis)):
+    for number, (name, each) in enumerate({"x": space.xaxis, "y": space.yaxis, "z": space.zaxis}.items()):
+        each.set_label_text(f"{name} (mm)")
         each.labelpad = -4 if number == upright else 1  # the upright one stands next to the image
         each.set_pane_color((0.97, 0.97, 0.98))
-        each.set_major_locator(MultipleLocator(tick_mm(float((upper - lower).max()))))
-    space.add_artist(_picture(space, surfaces, lower, upper, view, (pose[:3, 3], pose[:3, 1])))
+        each.set_major_locator(MultipleLocator(tick_mm(max(size))))
+    space.add_artist(_picture(space, surfaces, box, view, (pose[:3, 3], pose[:3, 1])))
     space.plot(*to_world(pose, fan_outline(probe)).T, color=_OUTLINE, lw=0.8)
 
 
@@ -102,7 +110,7 @@ def tick_mm(extent: float) -> float:
 def _turn_camera(space: Axes3D, pose: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Point the axes' camera at the probe, the body upright; its direction from the body, a unit vector."""
     across = pose[:3, 1] if pose[:3, 1] @ axis >= 0 else -pose[:3, 1]
-    view = 0.75 * across - 0.7 * pose[:3, 2] + 0.2 * axis
+    view: np.ndarray = 0.75 * across - 0.7 * pose[:3, 2] + 0.2 * axis
     view /= np.linalg.norm(view)
     upright = int(np.argmax(np.abs(axis)))
     forward, side, up = np.roll(view, 2 - upright)
@@ -111,66 +119,46 @@ def _turn_camera(space: Axes3D, pose: np.ndarray, axis: np.ndarray) -> np.ndarra
     return view
 
 
-def _zoom_to_fit(space: Axes3D, lower: np.ndarray, upper: np.ndarray) -> None:
-    """Fill the panel with the box, but for room for the labels of its axes."""
-    half_view = np.array([space.viewLim.width, space.viewLim.height]) / 2
-    reach = np.abs(_flat_corners(space, lower, upper)).max(axis=0)
-    space.set_box_aspect(upper - lower, zoom=float((_FILLED * half_view / reach).min()))
-
-
-def _flat_corners(space: Axes3D, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """The box's corners in the plane of the picture, (8, 2)."""
-    corners = np.stack(np.meshgrid(*np.stack([lower, upper], axis=-1)), axis=-1).reshape(-1, 3)
-    projection = space.get_proj()
-    flat: np.ndarray = (corners @ projection[:2, :3].T + projection[:2, 3]) / projection[3, 3]
-    return flat
+def _corners_seen(space: Axes3D, box: np.ndarray) -> np.ndarray:
+    """The corners of a box, (2, 3) in mm, in the plane of the picture, (8, 2)."""
+    return np.column_stack(proj_transform(*trimesh.bounds.corners(box).T, space.get_proj())[:2])
 
 
 def _picture(
     space: Axes3D,
     surfaces: Sequence[Surface],
-    lower: np.ndarray,
-    upper: np.ndarray,
+    box: np.ndarray,
     view: np.ndarray,
     plane: tuple[np.ndarray, np.ndarray],
 ) -> AxesImage:
-    """All surfaces as the axes' projection sees them, as an image that lies on it."""
-    projection = space.get_proj()
-    scale, shift = projection[:3, :3] / projection[3, 3], projection[:3, 3] / projection[3, 3]
-    flat = _flat_corners(space, lower, upper)
+    """All surfaces in a box as the axes' projection sees them, as an image that lies on it."""
+    flat = _corners_seen(space, box)
     (left, bottom), (right, top) = flat.min(axis=0), flat.max(axis=0)
     columns, rows = _COLUMNS_PX, round(_COLUMNS_PX * (top - bottom) / (right - left))
     x = left + (np.arange(columns) + 0.5) * (right - left) / columns
     y = top - (np.arange(rows) + 0.5) * (top - bottom) / rows
-    grid = np.stack([*np.meshgrid(x, y), np.zeros((rows, columns))], axis=-1).reshape(-1, 3)
-    points = np.linalg.solve(scale, (grid - shift).T).T
-    points += np.outer(np.linalg.norm(upper - lower) - (points - (lower + upper) / 2) @ view, view)
+    grid = (values.ravel() for values in np.meshgrid(x, y))
+    points = np.column_stack(inv_transform(*grid, np.zeros(rows * columns), np.linalg.inv(space.get_proj())))
+    points += np.outer(np.linalg.norm(box[1] - box[0]) - (points - box.mean(axis=0)) @ view, view)
     seen = look_through(surfaces, points, -view, plane).reshape(rows, columns, 4)
     picture = AxesImage(space, extent=(left, right, bottom, top), origin="upper", interpolation="antialiased")
     picture.set_data(np.clip(seen, 0, 1))
     return picture
 
 
-def _surfaces(scene: Scene, probe: Probe, pose: np.ndarray, paint: Callable[[np.ndarray], np.ndarray]) -> list[Surface]:
-    """The scene's structures, the image on its plane, and the probe."""
+def _structures(scene: Scene) -> list[Surface]:
+    """The structures of a scene, each the more translucent the more it surrounds."""
     colours = tissue_colours(scene.tissues)
     whole = np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).prod()
     drawn = []
     for structure, tissue in zip(scene.structures, scene.structure_tissues, strict=True):
-        large = structure.mesh.extents.prod() > _LARGE * whole
-        opacity, rim = _OPACITY.get(structure.tissue.kind, _ENVELOPE if large else _ORGAN)
-        drawn.append(Surface(structure.mesh, colours[tissue], opacity, rim))
-    drawn.append(Surface(probe_model.fan_plane(probe, pose), paint=paint))
-    drawn.append(Surface(probe_model.probe_body(probe, pose), _HOUSING))
-    drawn.append(Surface(probe_model.probe_face(probe, pose), _FACE))
-    drawn.append(Surface(probe_model.first_column_mark(probe, pose), to_rgb(MARK)))
+        other = _ENVELOPE if structure.mesh.extents.prod() > _LARGE * whole else _ORGAN
+        drawn.append(Surface(structure.mesh, colours[tissue], *_OPACITY.get(structure.tissue.kind, other)))
     return drawn
 
 
-def _image_on_fan(
-    probe: Probe, pose: np.ndarray, image: np.ndarray, fan: np.ndarray
-) -> Callable[[np.ndarray], np.ndarray]:
-    """The image's grey at points of its plane, transparent outside the fan."""
+def _image_on_fan(probe: Probe, pose: np.ndarray, image: np.ndarray, fan: np.ndarray) -> Surface:
+    """The rectangle that an image fills, painted with its grey and transparent outside the fan."""
     fewer = min(1.0, _TEXTURE_PX / image.shape[0])
     shape = round(image.shape[0] * fewer), round(image.shape[1] * fewer)
     grey = resize(image / 255, shape, anti_aliasing=fewer < 1)
@@ -184,7 +172,10 @@ def _image_on_fan(
         row, column = np.clip(pixel, 0, np.array(shape) - 1).T
         return np.column_stack([*[grey[row, column]] * 3, alpha[row, column]])
 
-    return paint
+    (top, left), (bottom, right) = corner, corner + size
+    corners = np.array([(left, 0, top), (right, 0, top), (left, 0, bottom), (right, 0, bottom)])
+    rectangle = trimesh.Trimesh(to_world(pose, corners), [[0, 1, 2], [1, 3, 2]], process=False)
+    return Surface(rectangle, paint=paint)
 
 
 def look_through(
@@ -205,6 +196,7 @@ def look_through(
     centre = corners.mean(axis=0)
     reach = float(np.linalg.norm(origins - centre, axis=-1).max() + np.linalg.norm(corners[1] - corners[0]))
     geometry = Geometry([Structure(s.mesh, _DRAWN) for s in surfaces], corners, centre, reach)
+    looks = np.array([(*s.colour, s.opacity, s.rim) for s in surfaces], np.float32)
     step_mm = np.float32(max(geometry.step_mm, 1e-3))
     normal = plane[1] * np.sign(plane[1] @ direction)
     colour, light = np.zeros((len(origins), 3), np.float32), np.ones(len(origins), np.float32)
@@ -219,30 +211,19 @@ def look_through(
         active, hit, normals = active[found], hits.structure[found], hits.normal[found]
         at = at[found] + hits.distance_mm[found, None] * along
         facing = np.abs(normals @ along) / np.maximum(np.linalg.norm(normals, axis=-1), 1e-12)
-        points = at + centre
-        before = (points - plane[0]) @ normal < 0
-        shown = _shade(surfaces, hit, facing, before, points)
-        share = light[active] * shown[:, 3]
-        colour[active] += share[:, None] * shown[:, :3]
+        points, (opacity, rim) = at + centre, looks[hit, 3:].T
+        veiled = ((points - plane[0]) @ normal < 0) & (opacity < 1)
+        shown = looks[hit, :3] * (_AMBIENT + (1 - _AMBIENT) * facing)[:, None]
+        alpha = (opacity + (rim - opacity) * (1 - facing) ** 3) * np.where(veiled, _VEILED, 1.0)
+        for number, surface in enumerate(surfaces):
+            if surface.paint is not None:
+                chosen = hit == number
+                painted = surface.paint(points[chosen])
+                shown[chosen], alpha[chosen] = painted[:, :3], painted[:, 3]
+        share = (light[active] * alpha).astype(np.float32)
+        colour[active] += share[:, None] * shown
         light[active] -= share
         on = light[active] > _SPENT
         active, at = active[on], at[on] + step_mm * along
     alpha = 1 - light
     return np.column_stack([colour / np.maximum(alpha, 1e-6)[:, None], alpha])
-
-
-def _shade(
-    surfaces: Sequence[Surface], hit: np.ndarray, facing: np.ndarray, before: np.ndarray, points: np.ndarray
-) -> np.ndarray:
-    """RGBA of hits on some surfaces, (n, 4) float32; `facing` is the cosine to the camera."""
-    colours = np.array([s.colour for s in surfaces], np.float32)[hit]
-    opacity = np.array([s.opacity for s in surfaces], np.float32)[hit]
-    rim = np.array([s.rim for s in surfaces], np.float32)[hit]
-    lit = colours * (_AMBIENT + (1 - _AMBIENT) * facing)[:, None]
-    alpha = (opacity + (rim - opacity) * (1 - facing) ** 3) * np.where(before & (opacity < 1), _VEILED, 1.0)
-    shown = np.column_stack([lit, alpha]).astype(np.float32)
-    for number, surface in enumerate(surfaces):
-        if surface.paint is not None:
-            chosen = hit == number
-            shown[chosen] = surface.paint(points[chosen])
-    return shown

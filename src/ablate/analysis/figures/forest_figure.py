@@ -11,9 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.ticker import PercentFormatter
 
-from ablate.analysis.components import Component, labels_of
-from ablate.analysis.figures.metric_panels import one_legend
-from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, save_figure
+from ablate.analysis.components import Component
+from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, one_legend, save_figure
 from ablate.analysis.scored import REFERENCE
 from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.verdicts import ALPHA, Answer
@@ -22,10 +21,15 @@ from ablate.metrics import Direction, metric_of
 ROW_IN, HEAD_IN, CELL_IN = 0.42, 0.9, 0.27
 FAINT = 0.3  # opacity of an interaction that may be chance
 BAND_COLOUR, RUN_COLOUR = "#DDDDDD", "#0072B2"
-WORDS = {Answer.earns: "earns", Answer.does_not: "does not", Answer.undecided: "undecided"}
 COLOURS = {Answer.earns: "#007A55", Answer.does_not: "#B04A00", Answer.undecided: "#555555"}
+MAP_NOTE = """Half of the difference between
+a component's improvement (row)
+with and without another
+component (column),
+in the unit of (a).
 
-
+* and strong colour: false
+discovery rate < 5 %"""
 _MAP = LinearSegmentedColormap.from_list("harm to gain", ["#E08A4F", "#FFFFFF", "#6BAED6"]).with_extremes(bad="#F2F2F2")
 
 
@@ -46,27 +50,23 @@ def forest_figure(
     shown = verdicts[verdicts["effect"].notna()].reset_index(drop=True)
     if shown.empty:
         return []
-    units = {row["component"]: _unit(row["distance"], row["band"]) for row in shown.to_dict("records")}
-    labels = {name: name for name in shown["component"]} | labels_of(components)
-    mapped = len(pairs) > 0
-    forest_in = HEAD_IN + ROW_IN * len(shown)
-    map_in = 1.0 + CELL_IN * len(shown) if mapped else 0.0
+    unit = shown["distance"].where(shown["distance"] > shown["band"], 10 * shown["band"])
+    units = dict(zip(shown["component"], unit, strict=True))
+    labels = {name: name for name in shown["component"]} | {c.name: c.label for c in components}
+    rows = [HEAD_IN + ROW_IN * len(shown), *([1.0 + CELL_IN * len(shown)] if len(pairs) else [])]
     with house_style():
-        figure = new_figure(PAGE_IN, forest_in + map_in)
-        rows = [forest_in, map_in] if mapped else [forest_in]
+        figure = new_figure(PAGE_IN, sum(rows))
         grid = figure.add_gridspec(len(rows), 2, height_ratios=rows, width_ratios=[2.0, 1])
         forest = figure.add_subplot(grid[0, 0])
         _draw_forest(forest, shown, runs, units, labels)
         _write_beside(figure.add_subplot(grid[0, 1], sharey=forest), shown)
-        if mapped:
+        if len(pairs):
             _draw_map(figure.add_subplot(grid[1, 0]), shown, pairs, units, labels)
-            _explain_map(figure.add_subplot(grid[1, 1]))
+            beside = figure.add_subplot(grid[1, 1])
+            beside.set_axis_off()
+            beside.text(0.03, 0.5, MAP_NOTE, va="center", color="#444444", transform=beside.transAxes, linespacing=1.4)
         one_legend(figure, [forest], 5)
         return save_figure(figure, stem)
-
-
-def _unit(distance: float, band: float) -> float:
-    return distance if distance > band else 10 * band
 
 
 def _draw_forest(
@@ -105,9 +105,9 @@ def _write_beside(axes: Axes, shown: pd.DataFrame) -> None:
     axes.set_xlim(0, 1)
     for x, head, side in ((0.03, "verdict", "left"), (0.66, "ms/frame", "right"), (1.0, "weights", "right")):
         axes.text(x, len(shown) + 0.72, head, ha=side, va="center", color="#666666")
-    for k, row in enumerate(shown.to_dict("records")):
-        place, word = len(shown) - k, Answer(row["verdict"])
-        axes.text(0.03, place, WORDS[word], va="center", weight="bold", color=COLOURS[word])
+    for place, row in zip(range(len(shown), 0, -1), shown.to_dict("records"), strict=True):
+        word = Answer(row["verdict"])
+        axes.text(0.03, place, word.replace("_", " "), va="center", weight="bold", color=COLOURS[word])
         time = _signed(row["ms_per_frame"], 1 if abs(row["ms_per_frame"]) < 10 else 0)
         axes.text(0.66, place, time, ha="right", va="center")
         axes.text(1.0, place, _signed(row["parameters"] / 1000, 0, "k"), ha="right", va="center")
@@ -143,13 +143,6 @@ def _draw_map(
     axes.xaxis.tick_top()
     axes.set_title("(b) interactions", loc="left")
     axes.spines[:].set_visible(False)
-
-
-def _explain_map(axes: Axes) -> None:
-    axes.set_axis_off()
-    half = "Half of the difference between a component's improvement (row) with and without another component (column),"
-    text = "\n".join([*wrap(half, 31), "in the unit of (a).", "", "* and strong colour: false", "discovery rate < 5 %"])
-    axes.text(0.03, 0.5, text, va="center", color="#444444", transform=axes.transAxes, linespacing=1.4)
 
 
 def verdicts_caption(design: Design | None, reference: str = REFERENCE) -> str:

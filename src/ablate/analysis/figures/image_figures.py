@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
 from ablate.analysis.components import Component
-from ablate.analysis.figures.metric_panels import shown_name
-from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, save_figure
+from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, save_figure, shown_name
 from ablate.analysis.scored import CHANGED, REFERENCE, variant_group
 from ablate.metrics import patch_chi2, patches_inside, rms
 
@@ -19,6 +19,7 @@ MOST_DOWN = 7  # rows of pictures that a page holds
 PAGE_HIGH_IN = 9.6  # what a page of a paper has
 NAME_IN, HEAD_IN = 0.2, 0.25  # beside and above the pictures, for their names
 PATCH = 20  # px, of the chi-square maps
+GREY: dict[str, Any] = {"vmin": 0, "vmax": 255, "interpolation": "antialiased"}  # how 8 bits are shown
 INSET = 0.27  # of the picture's width and height: what fits beside a 70 degree fan
 
 
@@ -47,16 +48,12 @@ class FramePictures:
     attenuation: np.ndarray | None = None
 
 
-def _picture(axes: Axes, image: np.ndarray) -> None:
-    axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
-    _bare(axes)
-
-
-def _bare(axes: Axes) -> None:
+def _picture(axes: Axes, image: np.ndarray, colours: str = "gray", **how: Any) -> AxesImage:
     axes.set_axis_on()
     axes.set_xticks([])
     axes.set_yticks([])
     axes.spines[:].set_visible(False)
+    return axes.imshow(image, cmap=colours, **how)
 
 
 def _insets(axes: Axes, frame: FramePictures) -> None:
@@ -71,26 +68,12 @@ def _insets(axes: Axes, frame: FramePictures) -> None:
         log = np.log10(np.maximum(frame.attenuation.astype(np.float32), 1e-4))
         corners.append((1 - INSET, np.ma.masked_array(log, outside), "gray"))
     for left, shown, colours in corners:
-        corner = axes.inset_axes((left, 1 - INSET, INSET, INSET))
-        corner.imshow(shown, cmap=colours, interpolation="nearest")
-        _bare(corner)
-        corner.set_facecolor("none")
-
-
-def _map(axes: Axes, chi2: np.ndarray, inside: np.ndarray | None, shape: tuple[int, int]) -> AxesImage:
-    _bare(axes)
-    axes.set_facecolor("#EEEEEE")
-    extent = (0, chi2.shape[1] * PATCH, chi2.shape[0] * PATCH, 0)
-    shown = chi2 if inside is None else np.ma.masked_array(chi2, ~inside)
-    drawn = axes.imshow(shown, cmap="inferno", vmin=0, vmax=1, extent=extent)
-    axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0), aspect="equal")
-    return drawn
+        corner = axes.inset_axes((left, 1 - INSET, INSET, INSET), facecolor="none")
+        _picture(corner, shown, colours, interpolation="nearest")
 
 
 def _columns(frames: Sequence[FramePictures]) -> list[str]:
     """Names of all predictions as they come, what was changed beside a variant last."""
-    if not frames:
-        raise ValueError("no frame to draw")
     names = dict.fromkeys(name for frame in frames for name in frame.predictions)
     return sorted(names, key=lambda name: variant_group(name) == CHANGED)
 
@@ -108,7 +91,7 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path, components: 
 
     Variants that do not fit continue in further columns; `frames_a_page` says how many frames fit. The pictures of a
     single frame fill line after line instead, each below its name. The files are a PNG and a PDF at `stem`, a path
-    without suffix. Raises ValueError when there is no frame.
+    without suffix.
     """
     names = ["target", *_columns(frames)]
     blocks = min(max(-(-len(names) // MOST_DOWN), ACROSS // len(frames)), len(names))
@@ -132,7 +115,7 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path, components: 
                 image = frame.target if name == "target" else frame.predictions.get(name)
                 if image is None:
                     continue
-                _picture(axes, image)
+                _picture(axes, image, **GREY)
                 if name == "target":
                     _insets(axes, frame)
                 if single:
@@ -144,48 +127,39 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path, components: 
         return save_figure(figure, stem)
 
 
-def _maps_line_in(across: int, ratio: float) -> float:
-    """Height in inches of a line of maps above their images; `ratio` is the height of a picture over its width."""
-    return 0.45 + 2 * PAGE_IN / max(across, 3) * ratio
-
-
-def _maps_across(pictures: int, ratio: float) -> int:
-    """How many pictures go side by side: 3 to 5, as many as leave the fewest places of a page empty."""
-    fitting = [n for n in (ACROSS, 3, ACROSS + 1) if -(-pictures // n) * _maps_line_in(n, ratio) <= PAGE_HIGH_IN]
-    return min(pictures, min(fitting, key=lambda n: -pictures % n, default=ACROSS + 1))
-
-
 def chi2_maps_figure(frame: FramePictures, stem: Path, components: Sequence[Component] = ()) -> list[Path]:
     """Patch chi-square maps on [0, 1] above their images; the target comes last, as in the paper.
 
-    The files are a PNG and a PDF at `stem`, a path without suffix. Raises ValueError when there is no prediction.
+    The files are a PNG and a PDF at `stem`, a path without suffix.
     """
     names = _columns([frame])
-    if not names:
-        raise ValueError(f"frame {frame.name} has no prediction to map")
     height, width = frame.target.shape
     inside = None if frame.mask is None else patches_inside(frame.mask, PATCH)
-    across = _maps_across(len(names) + 1, height / width)
-    lines = -(-(len(names) + 1) // across)
+    pictures = len(names) + 1
+    line_in = {n: 0.45 + 2 * PAGE_IN / max(n, 3) * height / width for n in range(1, ACROSS + 2)}  # maps above images
+    # Three to five side by side, as many as leave the fewest places of a page empty.
+    fitting = [n for n in (ACROSS, 3, ACROSS + 1) if -(-pictures // n) * line_in[n] <= PAGE_HIGH_IN]
+    across = min(pictures, min(fitting, key=lambda n: -pictures % n, default=ACROSS + 1))
+    lines = -(-pictures // across)
     with house_style():
-        figure = new_figure(PAGE_IN, lines * _maps_line_in(across, height / width), pad_in=0.015)
+        figure = new_figure(PAGE_IN, lines * line_in[across], pad_in=0.015)
         grid = figure.subplots(2 * lines, across, squeeze=False)
         for axes in grid.ravel():
             axes.set_axis_off()
-        for k, name in enumerate(names):
-            line, column = divmod(k, across)
-            upper, lower = grid[2 * line, column], grid[2 * line + 1, column]
+        maps, images = grid[::2].ravel(), grid[1::2].ravel()
+        for upper, lower, name in zip(maps, images, names, strict=False):
             chi2 = patch_chi2(frame.predictions[name], frame.target, PATCH)
-            drawn = _map(upper, chi2, inside, (height, width))
+            shown = chi2 if inside is None else np.ma.masked_array(chi2, ~inside)
+            extent = (0, chi2.shape[1] * PATCH, chi2.shape[0] * PATCH, 0)
+            drawn = _picture(upper, shown, "inferno", vmin=0, vmax=1, extent=extent)
+            upper.set(xlim=(0, width), ylim=(height, 0), aspect="equal", facecolor="#EEEEEE")
             upper.set_title(f"{shown_name(name, components)}\n{rms(chi2, inside) or 0.0:.3f}")
-            _picture(lower, frame.predictions[name])
-        line, column = divmod(len(names), across)
-        upper, lower = grid[2 * line, column], grid[2 * line + 1, column]
-        bar = figure.colorbar(drawn, cax=upper.inset_axes((0.1, 0.5, 0.8, 0.1)), orientation="horizontal")
+            _picture(lower, frame.predictions[name], **GREY)
+        bar = figure.colorbar(drawn, cax=maps[len(names)].inset_axes((0.1, 0.5, 0.8, 0.1)), orientation="horizontal")
         bar.set_label("pχ²")
         bar.set_ticks([0, 0.5, 1])
-        _picture(lower, frame.target)
-        lower.set_title("target")
+        _picture(images[len(names)], frame.target, **GREY)
+        images[len(names)].set_title("target")
         return save_figure(figure, stem)
 
 

@@ -1,8 +1,8 @@
 """One frame with the probe that saw it: the body in 3-D, beside it the image and its segmentation."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -12,8 +12,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MultipleLocator
 
 from ablate.analysis.figures.body_view import MARK, Axes3D, draw_body, seen_direction, tick_mm
+from ablate.analysis.figures.scene_parts import Colour, tissue_colours
 from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
-from ablate.analysis.figures.tissue_colours import Colour, tissue_colours
 from ablate.anatomy import Scene
 from ablate.storage import written_whole
 from ablate.ultrasound import Probe
@@ -56,13 +56,16 @@ def preview_figure(scene: Scene, probe: Probe, shown: Preview, path: Path) -> Pa
         space = figure.add_axes((-0.01, 0.02, 0.6, 0.6 / _HEIGHT), projection="3d", proj_type="ortho")
         draw_body(space, scene, probe, shown.pose, shown.image, shown.segmentation > 0, shown.axis)
         _draw_compass(figure, space, shown)
-        upper = figure.add_axes((0.69, 0.61, 0.3, 0.355))
-        lower = figure.add_axes((0.69, 0.205, 0.3, 0.355))
+        upper, lower = (figure.add_axes((0.69, bottom, 0.3, 0.355)) for bottom in (0.61, 0.205))
         _draw_image(upper, probe, shown.image, "image")
         _draw_image(lower, probe, np.array([_OUTSIDE, *colours])[shown.segmentation], "segmentation")
         upper.tick_params(labelbottom=False)
         lower.set_xlabel("lateral (mm)")
-        _draw_legend(figure, scene, shown, colours)
+        names = {i: scene.tissues[i - 1].name.replace("_", " ") for i in np.unique(shown.segmentation) if i}
+        patches = [Patch(facecolor=colours[i - 1], label=name) for i, name in names.items()]
+        where: dict[str, Any] = {"loc": "upper right", "bbox_to_anchor": (1.0, 0.13), "ncols": 4, "fontsize": 6}
+        small: dict[str, Any] = {"handlelength": 0.8, "handleheight": 0.8, "columnspacing": 0.8, "labelspacing": 0.3}
+        figure.legend(handles=patches, frameon=False, **where, **small)
         figure.text(0.01, 0.98, shown.title, va="top")
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as partial:
@@ -78,9 +81,8 @@ def _draw_image(axes: Axes, probe: Probe, image: np.ndarray, title: str) -> None
     axes.plot(-0.42 * width, top + 0.07 * height, "o", color=MARK, ms=4)
     axes.set_title(title, loc="right", pad=2)
     axes.set_ylabel("depth (mm)")
-    apart = tick_mm(min(height, width))
-    axes.xaxis.set_major_locator(MultipleLocator(apart))
-    axes.yaxis.set_major_locator(MultipleLocator(apart))
+    for each in (axes.xaxis, axes.yaxis):
+        each.set_major_locator(MultipleLocator(tick_mm(min(height, width))))
 
 
 def _draw_compass(figure: Figure, space: Axes3D, shown: Preview) -> None:
@@ -94,20 +96,3 @@ def _draw_compass(figure: Figure, space: Axes3D, shown: Preview) -> None:
         axes.annotate("", tuple(seen), (0, 0), arrowprops={"arrowstyle": "->", "lw": 1.0, "shrinkA": 0, "shrinkB": 0})
         across, up = seen * (length + 0.4) / length
         axes.text(across, up, name, ha="center", va="center")
-
-
-def _draw_legend(figure: Figure, scene: Scene, shown: Preview, colours: Sequence[Colour]) -> None:
-    """The tissues that the frame's segmentation holds."""
-    present = [i - 1 for i in np.unique(shown.segmentation) if i]
-    figure.legend(
-        handles=[Patch(facecolor=colours[i], label=scene.tissues[i].name.replace("_", " ")) for i in present],
-        loc="upper right",
-        bbox_to_anchor=(1.0, 0.13),
-        ncols=4,
-        fontsize=6,
-        frameon=False,
-        handlelength=0.8,
-        handleheight=0.8,
-        columnspacing=0.8,
-        labelspacing=0.3,
-    )

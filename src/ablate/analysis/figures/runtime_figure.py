@@ -1,4 +1,4 @@
-"""The figure of error against time, for the networks of a study and for every setting of the simulator beside them."""
+"""Work against precision: error against time, of networks and of the simulator beside them, and how its errors fall."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -6,21 +6,29 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter, NullLocator
 
 from ablate.analysis.components import Component
-from ablate.analysis.figures.metric_panels import legend_entries, resimulation_line, shown_name
-from ablate.analysis.figures.style import PAGE_IN, colour_of, house_style, new_figure, save_figure
-from ablate.analysis.statistics.work_precision import pareto_front
+from ablate.analysis.figures.style import (
+    COLOURS,
+    FLOOR_COLOUR,
+    PAGE_IN,
+    colour_of,
+    house_style,
+    legend_entries,
+    new_figure,
+    resimulation_line,
+    save_figure,
+    shown_name,
+)
+from ablate.analysis.statistics.work_precision import observed_order, pareto_front
 from ablate.analysis.tables import resimulation_note
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.stored_names import BOUNDS
 
-COLUMNS = ("series", "setting", "ms", "metric", "error")
 PAPER_ANCHORS_MS = {"simulated": 75.0, "generated": 40.0}
 # The simulator with speckle of its own, as a generator has: only this series compares fairly with a trained run.
 OTHER_SPECKLE = "simulator, other scatterers"
@@ -34,7 +42,6 @@ SIMULATOR: dict[str, tuple[str, str, str, float]] = {
     "simulator, axial samples": ("#666666", "v", "none", 4.5),
     OTHER_SPECKLE: ("#AAAAAA", "x", "none", 3.5),
 }
-_HOLLOW = ("simulator, rays, plan=full",)
 # Of these the first and the last setting is written beside its point.
 _LABELLED = ("simulator, rays", "simulator, tolerance", "simulator, layers", "simulator, scanlines")
 _RUN_MARKERS = ("D", "P", "X", "*", "h", "<", ">", "d", "p", "8")
@@ -48,6 +55,7 @@ _PARTS = {
     "L": ("#AAAAAA", "xxxx"),
     "network": ("#E69F00", "...."),
 }
+_LEVEL = "other scatterers"  # the row of a grid that is the level of re-simulation
 _LOGARITHMIC_FROM = 5.0  # ratio of the largest error to the smallest
 
 
@@ -79,14 +87,8 @@ def error_vs_runtime(
     components : sequence of Component
         Changes of these are written in short.
 
-    Raises
-    ------
-    ValueError
-        When a column is missing, or there is no finite point with a positive time.
+    Raises ValueError when there is no finite point with a positive time.
     """
-    missing = [name for name in COLUMNS if name not in points.columns]
-    if missing:
-        raise ValueError(f"points lack the columns {missing}, they have {list(points.columns)}")
     points = points[np.isfinite(points["error"]) & np.isfinite(points["ms"]) & (points["ms"] > 0)]
     metrics = list(dict.fromkeys(points["metric"]))
     if not metrics:
@@ -106,27 +108,22 @@ def error_vs_runtime(
         runs = {name: shown_name(name, components) for name in points["series"] if name not in SIMULATOR}
         for metric in metrics:
             _diagram(grid[metric], points[points["metric"] == metric], metric, (floors or {}).get(metric), runs)
-        handles = _legend([grid[metric] for metric in metrics], points)
-        style: dict[str, Any] = {"frameon": False, "handlelength": 1.5, "columnspacing": 1.0}
+        handles = legend_entries([grid[metric] for metric in metrics])
+        settings = points.loc[points["series"].isin(list(runs)), "setting"]
+        for engine in _ENGINE_FILL:  # what a marker's fill means comes last
+            if settings.str.contains(engine).any():
+                handles[f"run, {engine}"] = Line2D([], [], ls="none", **_marker("#555555", "D", engine))
+        style: dict[str, Any] = {"loc": "outside upper center", "ncols": across + 1}
         if "legend" in cells:
             grid["legend"].set_axis_off()
-            grid["legend"].legend(handles.values(), handles.keys(), loc="center", ncols=2, fontsize=6, **style)
-        else:
-            figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=across + 1, **style)
+            style = {"loc": "center", "ncols": 2, "fontsize": 6}
+        legend = (grid["legend"] if "legend" in cells else figure).legend
+        legend(handles.values(), handles.keys(), frameon=False, handlelength=1.5, columnspacing=1.0, **style)
         if bars is not None:
             _time_of_parts(grid["parts"], bars, runs)
         if hardware:
             figure.supxlabel(f"times measured on {hardware}", fontsize=7, color="#555555")
         return save_figure(figure, stem)
-
-
-def _legend(panels: Sequence[Axes], points: pd.DataFrame) -> dict[str, Artist]:
-    """The legend's entries, each once; what a marker's fill means comes last."""
-    handles = legend_entries(panels)
-    for engine in _ENGINE_FILL:
-        if points.loc[~points["series"].isin(list(SIMULATOR)), "setting"].str.contains(engine).any():
-            handles[f"run, {engine}"] = Line2D([], [], ls="none", **_marker("#555555", "D", engine))
-    return handles
 
 
 def _marker(colour: str, marker: str, engine: str) -> dict[str, Any]:
@@ -142,7 +139,7 @@ def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None,
         if drawn.empty:
             continue
         style: dict[str, Any] = {"marker": marker, "ls": line, "ms": size, "lw": 0.8, "color": colour, "label": name}
-        axes.plot(drawn["ms"], drawn["error"], mfc="none" if name in _HOLLOW else colour, **style)
+        axes.plot(drawn["ms"], drawn["error"], mfc="none" if name == "simulator, rays, plan=full" else colour, **style)
         for _, end in drawn.iloc[[0, -1]].iterrows() if name in _LABELLED else ():
             shift: dict[str, Any] = {"xytext": (4, 3), "textcoords": "offset points"}
             axes.annotate(str(end["setting"]), (end["ms"], end["error"]), fontsize=6, color=colour, **shift)
@@ -161,24 +158,17 @@ def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None,
         axes.set_yscale("log")
         plain_numbers(axes.yaxis)
     fair = points[points["series"].isin([*runs, OTHER_SPECKLE])]
-    _background(axes, points if fair.empty else fair, metric, floor)
-
-
-def _background(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None) -> None:
-    """Draw the Pareto front of these points, re-simulation, the paper's times, and the axes' names."""
-    ms, error = points["ms"].to_numpy(dtype=np.float64), points["error"].to_numpy(dtype=np.float64)
-    spread = [points[side].to_numpy(dtype=np.float64) for side in BOUNDS if side in points]
-    front = pareto_front(ms, -error if metric_of(metric).better is Direction.higher else error, *spread)
+    fair = points if fair.empty else fair
+    ms, error = (fair[name].to_numpy(dtype=np.float64) for name in ("ms", "error"))
+    spread = [fair[side].to_numpy(dtype=np.float64) for side in BOUNDS if side in fair]
+    front = pareto_front(ms, -error if decibels else error, *spread)
     axes.step(ms[front], error[front], where="post", color="#BBBBBB", lw=3, zorder=0, label="Pareto front")
     if floor is not None:
         axes.axhline(floor, lw=0.9, **resimulation_line(metric))
     for (name, anchor), line in zip(PAPER_ANCHORS_MS.items(), (":", "-."), strict=True):
-        label = f"paper, {name}: {anchor:.0f} ms, unknown GPU"
-        axes.axvline(anchor, color="#999999", ls=line, lw=0.9, label=label)
-    axes.set_xscale("log")
+        axes.axvline(anchor, color="#999999", ls=line, lw=0.9, label=f"paper, {name}: {anchor:.0f} ms, unknown GPU")
+    axes.set(xscale="log", xlabel="median time, ms/frame", ylabel=metric_of(metric).title)
     plain_numbers(axes.xaxis)
-    axes.set_xlabel("median time, ms/frame")
-    axes.set_ylabel(metric_of(metric).title)
 
 
 def plain_numbers(axis: Axis, subs: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
@@ -192,15 +182,17 @@ def _bars(parts: pd.DataFrame) -> pd.DataFrame:
     """A row a bar, a column a part, ms: every setting of the simulator, and of each trained run the fastest."""
     wide = parts.pivot_table(index=["series", "setting"], columns="part", values="ms", aggfunc="sum", sort=False)
     wide = wide.fillna(0.0)
-    fastest = wide.sum(axis=1).sort_values(kind="stable").reset_index()
-    fastest = fastest[~fastest["series"].isin(list(SIMULATOR))].drop_duplicates("series")
-    places = set(zip(fastest["series"], fastest["setting"], strict=True))
-    return wide.loc[[place for place in wide.index if place[0] in SIMULATOR or place in places]]
+    fastest = wide.sum(axis=1).groupby(level="series", sort=False).idxmin()
+    return wide.loc[[place for place in wide.index if place[0] in SIMULATOR or place == fastest[place[0]]]]
 
 
 def _time_of_parts(axes: Axes, bars: pd.DataFrame, runs: Mapping[str, str]) -> None:
     """Draw a bar a row, a section for each part that takes time."""
-    names = [_bar_name(series, setting, runs) for series, setting in bars.index]
+    names = []
+    for series, setting in bars.index:
+        kept = [p for p in setting.split(", ") if p.startswith("width") or p in ("fp32", "bf16", *_ENGINE_FILL)]
+        simulated = f"{series.removeprefix('simulator, ')} {setting}"
+        names.append(simulated if series in SIMULATOR else ", ".join([runs.get(series, series), *kept]))
     left = np.zeros(len(bars))
     for name, (colour, hatch) in _PARTS.items():
         if name in bars:
@@ -211,16 +203,8 @@ def _time_of_parts(axes: Axes, bars: pd.DataFrame, runs: Mapping[str, str]) -> N
         axes.annotate(name, (end, name), xytext=(4, 0), textcoords="offset points", fontsize=6.5, va="center")
     axes.invert_yaxis()
     axes.set_yticks([])
-    axes.set_xlim(0, 1.15 * left.max())
-    axes.set_xlabel("median time, ms/frame")
+    axes.set(xlim=(0, 1.15 * left.max()), xlabel="median time, ms/frame")
     axes.legend(frameon=False, fontsize=6.5, loc="lower left", bbox_to_anchor=(0, 1), ncols=6)
-
-
-def _bar_name(series: str, setting: str, runs: Mapping[str, str]) -> str:
-    if series in SIMULATOR:
-        return f"{series.removeprefix('simulator, ')} {setting}"
-    shown = [p for p in setting.split(", ") if p.startswith("width") or p in ("fp32", "bf16", *_ENGINE_FILL)]
-    return ", ".join([runs.get(series, series), *shown])
 
 
 def runtime_caption(metrics: Sequence[str]) -> str:
@@ -231,3 +215,70 @@ def runtime_caption(metrics: Sequence[str]) -> str:
         f"is the Pareto front; no point is on it for a time that differs by less than the bars. The paper does "
         f"not name the GPU of its times. {resimulation_note(list(metrics))}"
     )
+
+
+def order_figure(points: pd.DataFrame, grids: pd.DataFrame, base: dict[str, int], stem: Path) -> list[Path]:
+    """Draw how errors fall: with rays, beside n^(-1/2), and with each grid, beside another draw of the speckle.
+
+    The files are a PNG and a PDF at `stem`, a path without suffix.
+
+    Parameters
+    ----------
+    points : DataFrame
+        Of the series `simulator, rays`: columns setting, metric, error.
+    grids : DataFrame
+        Columns series, setting (`other scatterers` for the level), quantity (the metric), value.
+    base : dict of str to int
+        The data set's value by series.
+    """
+    with house_style():
+        figure = new_figure(PAGE_IN, 2.9)
+        left, right = figure.subplots(1, 2)
+        _rays_panel(left, points)
+        _grids_panel(right, grids, base)
+        for axes in (left, right):
+            axes.set_xscale("log", base=2)
+            axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+            axes.xaxis.set_minor_locator(NullLocator())
+            axes.legend(frameon=False, fontsize=6.5)
+        return save_figure(figure, stem)
+
+
+def _rays_panel(axes: Axes, points: pd.DataFrame) -> None:
+    """Draw errors relative to that of one ray, so that all lines start at 1."""
+    styles = zip(("o", "s", "^", "v", "D"), ("-", "--", "-.", ":", "-"), COLOURS, strict=False)
+    for metric, (marker, line, colour) in zip(dict.fromkeys(points["metric"]), styles, strict=False):
+        drawn = points[points["metric"] == metric]
+        rays, error = drawn["setting"].astype(int).to_numpy(), drawn["error"].to_numpy(float)
+        fit = observed_order(rays, error, metric)
+        if metric == "psnr":
+            error = 10 ** (-error / 20)
+        if fit is None or not error[0] > 0:
+            continue
+        name = "RMS error of the image" if metric == "psnr" else metric_of(metric).label
+        label = f"{name}: p = {fit.order:.2f}"
+        axes.loglog(rays, error / error[0], marker=marker, ls=line, ms=3.5, lw=0.8, color=colour, label=label)
+    rays = np.array([1.0, float(points["setting"].astype(int).max())])
+    axes.loglog(rays, rays**-0.5, color="#BBBBBB", lw=3, zorder=0, label="$n^{-1/2}$")
+    plain_numbers(axes.yaxis)
+    axes.set(xlabel="rays of a scanline and layer, n", ylabel="error over that of one ray")
+
+
+def _grids_panel(axes: Axes, table: pd.DataFrame, base: dict[str, int]) -> None:
+    """Draw patch chi-square and smooth MAE relative to those of other scatterers on the finest grid."""
+    for k, name in enumerate(dict.fromkeys(table["series"])):
+        marker = SIMULATOR[name][1]
+        for metric, line in (("mae_smooth", "-"), ("pchi2", ":")):
+            errors = table[(table["series"] == name) & (table["quantity"] == metric)].set_index("setting")["value"]
+            if _LEVEL not in errors.index or not errors[_LEVEL] > 0:
+                continue
+            level = errors.pop(_LEVEL)
+            values = np.array([int(v) for v in errors.index]) / base[name]
+            label = f"{name.removeprefix('simulator, ')}, {metric_of(metric).label}"
+            style: dict[str, Any] = {"marker": marker, "ls": line, "ms": 3.5, "lw": 0.8, "color": COLOURS[k]}
+            axes.loglog(values, errors.to_numpy(float) / level, label=label, **style)
+    axes.axhline(1.0, color=FLOOR_COLOUR, ls="--", lw=0.9)
+    where: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "xytext": (0, -8), "textcoords": "offset points"}
+    axes.annotate("another draw of the speckle", (0.02, 1.0), fontsize=6.5, color=FLOOR_COLOUR, **where)
+    plain_numbers(axes.yaxis, (1.0, 1.5, 2.0, 3.0, 5.0))
+    axes.set(xlabel="number over the data set's", ylabel="error to a finer grid over re-simulation")

@@ -1,21 +1,30 @@
-"""One look for all figures: paper widths, 8 pt, colours that survive colour blindness and grey print."""
+"""One look for all figures: paper widths, 8 pt, colours that survive grey print, names, and a panel a metric."""
 
+import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import MaxNLocator
 
+from ablate.analysis.components import Component
 from ablate.analysis.scored import REFERENCE, RESIMULATION
+from ablate.metrics import Direction, Resimulation, metric_of
 from ablate.storage import written_whole
 
 COLUMN_IN, PAGE_IN = 3.5, 7.16  # widths of a column and a page of an IEEE paper, inches
 PNG_DPI = 200
+ROW_IN, HEAD_IN, LEGEND_IN = 0.19, 0.55, 0.25  # of a figure of panels
+HINTS = {Direction.higher: "better →", Direction.lower: "← better", Direction.zero: "0 is right", Direction.none: ""}
 
-# Okabe and Ito (2008), from dark to light so that the order also holds in grey.
+# Okabe and Ito (2008), told apart by the colour-blind, from dark to light so that the order also holds in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#999999", "#F0E442")
 FLOOR_COLOUR = "#444444"
 
@@ -60,3 +69,83 @@ def colour_of(name: str, names: Sequence[str]) -> str:
         return {RESIMULATION: FLOOR_COLOUR, REFERENCE: "#000000"}[name]
     others = [other for other in names if other not in (RESIMULATION, REFERENCE)]
     return COLOURS[others.index(name) % len(COLOURS)]
+
+
+def metric_panels(
+    metrics: Sequence[str], rows: Sequence[str], across: int, row_in: float = ROW_IN, head_in: float = HEAD_IN
+) -> tuple[Figure, list[Axes]]:
+    """An empty figure with one axes a metric, `across` side by side, and the shown names of rows from top to bottom.
+
+    Row k lies at the ordinate `len(rows) - k`. A row takes `row_in` inches, a panel's title `head_in`.
+    """
+    across = min(across, len(metrics))
+    down = -(-len(metrics) // across)
+    width = PAGE_IN if across > 1 else COLUMN_IN
+    legend_in = LEGEND_IN * (1 if across > 1 else 2)  # its entries stand below each other in a narrow figure
+    figure = new_figure(width, legend_in + down * (head_in + row_in * max(len(rows), 2)))
+    grid = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
+    places = range(len(rows), 0, -1)
+    for axes in grid[: len(metrics)]:
+        axes.set_yticks(places, rows)
+        axes.set_ylim(0.4, len(rows) + 0.6)
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.tick_params(axis="y", length=0)
+        axes.hlines(places, 0, 1, colors="#EEEEEE", lw=0.5, zorder=0, transform=axes.get_yaxis_transform())
+    for axes in grid[len(metrics) :]:
+        axes.set_axis_off()
+    return figure, grid[: len(metrics)]
+
+
+def shown_name(label: str, components: Sequence[Component] = ()) -> str:
+    """A label as it is written on a figure: `sa2h.concat-input.depth-6` becomes `sa2h −concat depth 6`.
+
+    What was changed beside a variant is written in short where it is one of the components.
+    """
+    variant, *changes = re.split(r"\.(?=[a-z])", label)
+    short = {component.key.rpartition(".")[2]: component for component in reversed(components)}
+    shown = [variant]
+    for change in changes:
+        key, _, level = change.partition("-")
+        component = short.get(key)
+        if component is not None and isinstance(component.off, int | float):  # which number is "off" follows the frame
+            shown.append(f"{key} {level}")
+        elif component is None or level != str(component.off):
+            shown.append(f"+ {change}")
+        else:  # of a whole group nothing is left out
+            shown.append(f"−{component.name}" if "." in component.key else f"+ {level}")
+    return " ".join(shown)
+
+
+def axis_title(metric: str, shown: str = "{}") -> str:
+    """Name of a metric within `shown` (`Δ {} to sa2h`), and on a line below its unit and which way is better."""
+    entry = metric_of(metric)
+    hint = "" if entry.better is Direction.zero and shown != "{}" else HINTS[entry.better]
+    return f"{shown.format(entry.label)}\n{', '.join(filter(None, (entry.unit, hint)))}"
+
+
+def resimulation_line(metric: str, name: str = "re-simulation") -> dict[str, Any]:
+    """How a figure draws the re-simulation: dashed for a floor, dotted for a level, as one entry of the legend."""
+    style = "--" if metric_of(metric).resimulation is Resimulation.floor else ":"
+    return {"color": FLOOR_COLOUR, "ls": style, "label": f"{name} (dashed: floor, dotted: level)"}
+
+
+def draw_resimulation(axes: Axes, metric: str, value: float, name: str = "re-simulation") -> None:
+    """Draw the re-simulation as a vertical line where it is finite."""
+    if np.isfinite(value):
+        axes.axvline(value, lw=1.0, zorder=1, **resimulation_line(metric, name))
+
+
+def legend_entries(panels: Sequence[Axes]) -> dict[str, Artist]:
+    """What the legends of these panels would show, each entry once."""
+    entries: dict[str, Artist] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    return entries
+
+
+def one_legend(figure: Figure, panels: Sequence[Axes], columns: int = 4) -> None:
+    """One legend above all panels, each entry once; none without an entry."""
+    if entries := legend_entries(panels):
+        style: dict[str, Any] = {"ncols": columns, "frameon": False, "handlelength": 1.6}
+        figure.legend(entries.values(), entries.keys(), loc="outside upper center", **style)

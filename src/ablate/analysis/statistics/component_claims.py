@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, judged_metrics, ordered_variants
-from ablate.analysis.statistics.paired import holm_where_known
+from ablate.analysis.scored import LEVEL, REFERENCE, RESIMULATION, finite_values, judged_metrics, ordered_variants
+from ablate.analysis.statistics.paired import holm, where_known
 
 FEWEST_SEEDS = 3
 
@@ -38,33 +38,25 @@ class ComponentClaim:
     upper: float | None = None
     p: float | None = None
 
-    def __str__(self) -> str:
-        if self.p is None:
-            return f"{self.verdict}, {self.seeds} seed{'' if self.seeds == 1 else 's'}"
-        return f"{self.verdict} (p = {self.p:.2g}, {self.seeds} seeds)"
 
+def component_claim(values: Sequence[float] | np.ndarray, reference: Sequence[float] | np.ndarray) -> ComponentClaim:
+    """Judge a component by Welch's test on one mean a seed: `differs` where the 95 % interval excludes 0.
 
-def component_claim(
-    values: Sequence[float] | np.ndarray, reference: Sequence[float] | np.ndarray, level: float = 0.95
-) -> ComponentClaim:
-    """Judge a component by Welch's test on one mean a seed; `not_claimable` where no seed changes anything.
-
-    Frames cannot answer this: two trainings of one network differ on them with p down to 1e-12.
+    It is `not_claimable` where no seed changes anything. Frames cannot answer this: two trainings of one network differ
+    on them with p down to 1e-12.
 
     Parameters
     ----------
     values, reference : (k,) and (l,) float
         Test mean of each seed, with and without the change. At least three on either side must be finite.
-    level : float
-        Coverage of the interval; `differs` when it excludes 0.
 
     Examples
     --------
     >>> from ablate.analysis import component_claim
-    >>> print(component_claim([18.1, 18.3, 18.2], [17.0, 17.3, 17.1]))
-    differs (p = 0.0011, 3 seeds)
-    >>> print(component_claim([18.1, 18.3], [17.0, 17.3]))
-    not claimable, 2 seeds
+    >>> print(component_claim([18.1, 18.3, 18.2], [17.0, 17.3, 17.1]).verdict)
+    differs
+    >>> print(component_claim([18.1, 18.3], [17.0, 17.3]).verdict)
+    not claimable
     """
     sides = [np.asarray(side, dtype=np.float64) for side in (values, reference)]
     a, b = (side[np.isfinite(side)] for side in sides)
@@ -77,13 +69,13 @@ def component_claim(
     error = float(unit * np.sqrt(terms.sum()))
     dof = float(terms.sum() ** 2 / np.sum(terms**2 / (np.array([len(a), len(b)]) - 1)))
     p = float(2 * stats.t.sf(abs(shift) / error, dof))
-    reach = float(stats.t.ppf((1 + level) / 2, dof)) * error
-    verdict = Verdict.differs if p < 1 - level else Verdict.no_difference_found
+    reach = float(stats.t.ppf((1 + LEVEL) / 2, dof)) * error
+    verdict = Verdict.differs if p < 1 - LEVEL else Verdict.no_difference_found
     return ComponentClaim(verdict, seeds, shift, shift - reach, shift + reach, p)
 
 
 def seed_claims(
-    per_image: pd.DataFrame, scalars: pd.DataFrame | None = None, reference: str = REFERENCE, level: float = 0.95
+    per_image: pd.DataFrame, scalars: pd.DataFrame | None = None, reference: str = REFERENCE
 ) -> pd.DataFrame:
     """Which components may be said to matter: `component_claim` on the seeds' means, and Holm's correction.
 
@@ -92,10 +84,8 @@ def seed_claims(
 
     Parameters
     ----------
-    per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value.
-    scalars : DataFrame, optional
-        Columns variant, seed, metric, value; costs are not judged.
+    per_image, scalars : DataFrame
+        As for `comparison_table`; costs are not judged.
 
     Returns
     -------
@@ -111,10 +101,10 @@ def seed_claims(
         variants = ordered_variants(list(of_metric.index.get_level_values("variant")), reference)
         for variant in variants if reference in variants else ():
             if variant != reference:
-                claim = component_claim(of_metric.loc[variant].to_numpy(), of_metric.loc[reference].to_numpy(), level)
+                claim = component_claim(of_metric.loc[variant].to_numpy(), of_metric.loc[reference].to_numpy())
                 rows.append({"variant": variant, "metric": metric, **vars(claim)})
     table = pd.DataFrame(rows, columns=["variant", "metric", "verdict", "seeds", "shift", "lower", "upper", "p"])
-    table["p_holm"] = holm_where_known(table["p"])
-    weak = (table["verdict"] == Verdict.differs) & (table["p_holm"].astype(float) >= 1 - level)
+    table["p_holm"] = where_known(holm, table["p"])
+    weak = (table["verdict"] == Verdict.differs) & (table["p_holm"].astype(float) >= 1 - LEVEL)
     table.loc[weak, "verdict"] = Verdict.suggested
     return table

@@ -1,6 +1,7 @@
 """Which experiment the runs of a study make up: a factorial, a fraction of one, or one change at a time."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from numbers import Real
 
@@ -10,9 +11,8 @@ from scipy import stats
 
 from ablate.analysis.components import short_keys
 from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, judged_metrics
-from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.statistics.effects import EFFECT_COLUMNS, defining_relation, factorial_effects
-from ablate.analysis.statistics.paired import holm_where_known
+from ablate.analysis.statistics.paired import holm, where_known
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,14 +26,11 @@ class Design:
         configuration key, the reference's level first.
     reading : str
         What its effects mean, and what they cannot be told from.
-    left_out : tuple of str
-        Labels that differ in something else, or in a third level.
     """
 
     cells: pd.DataFrame
     name: str
     reading: str
-    left_out: tuple[str, ...]
 
     @property
     def factors(self) -> list[str]:
@@ -51,8 +48,8 @@ def find_design(
     runs : mapping of str to mapping
         By label, everything that a run was made from, by dotted configuration key.
     factors : sequence of str
-        Keys of it that count as components. A label that differs from the reference in another key that both have is
-        left out.
+        Keys of it that count as components. A label that differs from the reference in another key that both have, or
+        in a third level of one, is left out.
     reference : str
         Where it is missing, the label that most others are one change away from stands in for it.
 
@@ -66,7 +63,10 @@ def find_design(
     if not runs:
         return None
     if reference not in runs:
-        near = {label: sum(_changes(run, other) == 1 for other in runs.values()) for label, run in runs.items()}
+        near = {
+            label: [sum(run.get(key) != other.get(key) for key in {*run, *other}) for other in runs.values()].count(1)
+            for label, run in runs.items()
+        }
         reference = max(near, key=lambda label: near[label])
     base = runs[reference]
     alike = {
@@ -86,12 +86,7 @@ def find_design(
     cells = pd.DataFrame(
         {f: pd.Categorical([alike[label][f] for label in kept], pair) for f, pair in levels.items()}, index=kept
     )
-    cells, name, reading = _read(cells)
-    return Design(cells, name, reading, tuple(label for label in runs if label not in cells.index))
-
-
-def _changes(a: Mapping[str, object], b: Mapping[str, object]) -> int:
-    return sum(a.get(key) != b.get(key) for key in {*a, *b})
+    return _read(cells)
 
 
 def _level(value: object) -> object:
@@ -99,11 +94,12 @@ def _level(value: object) -> object:
     return value if isinstance(value, str | Real) else "null" if value is None else str(value)
 
 
-def _read(cells: pd.DataFrame) -> tuple[pd.DataFrame, str, str]:
-    """The cells that make up a design, what it is called, and how its effects are read."""
+def _read(cells: pd.DataFrame) -> Design:
+    """The design that cells make up, perhaps without some of them."""
     factors = list(cells.columns)
     short = short_keys(factors)
     full = 2 ** len(factors)
+    components = f"{len(factors)} component{'' if len(factors) == 1 else 's'}"
     changed = pd.DataFrame({factor: cells[factor].cat.codes for factor in cells})
     even = changed.sum(axis=1) % 2 == 0
     if len(factors) >= 5 and 2 * len(changed[even].drop_duplicates()) == full != len(changed.drop_duplicates()):
@@ -113,9 +109,9 @@ def _read(cells: pd.DataFrame) -> tuple[pd.DataFrame, str, str]:
     if count == full:
         if len(factors) == 1:
             name = f"with and without one component ({short[factors[0]]})"
-            return cells, name, "Nothing else differs between these runs."
+            return Design(cells, name, "Nothing else differs between these runs.")
         reading = "An effect is averaged over all combinations of the other components."
-        return cells, f"full factorial of {_components(factors)} ({count} cells)", reading
+        return Design(cells, f"full factorial of {components} ({count} cells)", reading)
     words = defining_relation(cells.rename(columns=short), list(short.values()))
     if len(words) == 1 and 2 * count == full:
         order = words[0].count(":") + 1
@@ -124,7 +120,7 @@ def _read(cells: pd.DataFrame) -> tuple[pd.DataFrame, str, str]:
             f"be separated from an interaction of {order - 1} components. An interaction of two components cannot be "
             f"separated from one of {order - 2} components."
         )
-        return cells, f"half of the factorial of {_components(factors)} ({count} of {full} cells)", reading
+        return Design(cells, f"half of the factorial of {components} ({count} of {full} cells)", reading)
     apart = np.abs(codes[:, None, :] - codes[None, :, :]).sum(axis=2)
     centre = int(np.argmax((apart == 1).sum(axis=1)))
     near = apart[centre] <= 1
@@ -136,16 +132,12 @@ def _read(cells: pd.DataFrame) -> tuple[pd.DataFrame, str, str]:
         )
         cells = cells[near]
         cells = cells[[factor for factor in cells.columns if cells[factor].nunique() == 2]]
-        return cells, f"one change at a time around {base} ({len(cells)} cells)", reading
+        return Design(cells, f"one change at a time around {base} ({len(cells)} cells)", reading)
     reading = (
         "An interaction of two components is estimated if all four combinations were run. The effect of a component is "
         "averaged over these combinations. It is valid where the other components are as in most of the cells."
     )
-    return cells, f"{count} of the {full} cells of {_components(factors)}", reading
-
-
-def _components(factors: list[str]) -> str:
-    return f"{len(factors)} component{'' if len(factors) == 1 else 's'}"
+    return Design(cells, f"{count} of the {full} cells of {components}", reading)
 
 
 def run_means(
@@ -153,7 +145,10 @@ def run_means(
 ) -> pd.DataFrame:
     """Mean of every metric over the test frames of every run, or of the runs of a design.
 
-    Arguments as for `effects_table`.
+    Parameters
+    ----------
+    per_image, scalars : DataFrame
+        As for `comparison_table`, with a column data where the runs have several data sets.
 
     Returns
     -------
@@ -170,20 +165,8 @@ def run_means(
     return means if design is None else means.join(design.cells, on="variant")
 
 
-def effects_table(
-    per_image: pd.DataFrame, design: Design, scalars: pd.DataFrame | None = None, level: float = 0.95
-) -> pd.DataFrame:
-    """Effects of every component and two-way interaction on every metric, from one mean a run.
-
-    Parameters
-    ----------
-    per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value, and data where the runs have several data sets; these are
-        blocks.
-    scalars : DataFrame, optional
-        Columns variant, seed, metric, value, and data like `per_image`; costs are left out.
-    level : float
-        Coverage of the intervals.
+def effects_table(means: pd.DataFrame, design: Design) -> pd.DataFrame:
+    """Effects of every component and two-way interaction on every metric but costs, from what `run_means` gives.
 
     Returns
     -------
@@ -192,32 +175,15 @@ def effects_table(
         false claims among effects with a q as small (Benjamini and Hochberg 1995). A metric that the runs do not
         suffice for is left out.
     """
-    means = run_means(per_image, scalars, design)
     tables = []
     for metric in judged_metrics(list(means["metric"])):
-        runs = means[means["metric"] == metric]
-        try:
-            found = factorial_effects(runs, design.factors, level=level, block="data")
-        except ValueError:
-            continue
-        tables.append(found.assign(metric=metric))
+        with suppress(ValueError):
+            found = factorial_effects(means[means["metric"] == metric], design.factors)
+            tables.append(found.assign(metric=metric))
     names = ["metric", *EFFECT_COLUMNS, "p_holm", "q"]
     if not tables:
         return pd.DataFrame(columns=names)
     table = pd.concat(tables, ignore_index=True)
-    table["p_holm"] = holm_where_known(table["p"])
-    known = table["p"].notna()
-    table["q"] = pd.Series(None, table.index, dtype=object)
-    if known.any():
-        table.loc[known, "q"] = stats.false_discovery_control(table.loc[known, "p"].to_numpy(dtype=np.float64))
+    table["p_holm"] = where_known(holm, table["p"])
+    table["q"] = where_known(stats.false_discovery_control, table["p"])
     return table[names]
-
-
-def interval_note(table: pd.DataFrame) -> str:
-    """Why some effects of an `effects_table` carry no interval; empty where all do."""
-    if table["p"].notna().all():
-        return ""
-    return (
-        f"An effect has no interval if it rests on fewer than {FEWEST_SEEDS} trainings on one side, or if the design "
-        "leaves no degree of freedom for the error. More seeds give intervals."
-    )

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy import linalg, stats
 
+from ablate.analysis.scored import LEVEL
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 
 MOST_NAMED = 3  # aliases of an effect; more are summed up
@@ -48,10 +49,10 @@ class LinearModel:
         """A weighted sum of the effects and its standard error; `weights` is (len(terms),) float."""
         return float(weights @ self.effects), float(np.sqrt(weights @ self.covariance @ weights))
 
-    def interval(self, weights: np.ndarray, level: float) -> tuple[float, float, float]:
-        """A weighted sum of the effects with the ends of its interval, which covers with probability `level`."""
+    def interval(self, weights: np.ndarray) -> tuple[float, float, float]:
+        """A weighted sum of the effects with the ends of its 95 % interval."""
         effect, error = self.contrast(weights)
-        reach = float(stats.t.ppf((1 + level) / 2, self.dof)) * error
+        reach = float(stats.t.ppf((1 + LEVEL) / 2, self.dof)) * error
         return effect, effect - reach, effect + reach
 
     def p_value(self, weights: np.ndarray) -> float:
@@ -63,8 +64,6 @@ class LinearModel:
 def fit_effects(
     runs: pd.DataFrame,
     factors: Sequence[str],
-    value: str = "value",
-    block: str | None = None,
     interactions: bool = True,
 ) -> LinearModel:
     """Fit main effects, two-way interactions and blocks (Box, Hunter and Hunter 2005, chapters 5 and 6).
@@ -75,37 +74,33 @@ def fit_effects(
     Parameters
     ----------
     runs : DataFrame
-        One row a run: a column for each factor, one for the value, perhaps one for the block; seeds are further rows.
+        One row a run: a column for each factor, `value`, and perhaps `data`, the block of a run: blocks differ by a
+        constant. Seeds are further rows.
     factors : sequence of str
         Columns with two levels each, in the order of their categories or else of first appearance (the first level is
         the baseline).
-    value : str
-        Column of the response.
-    block : str, optional
-        Column that names the block of a run. Blocks differ by a constant.
     interactions : bool
         Whether two-way interactions are terms; without them they are part of the error.
 
     Raises
     ------
     ValueError
-        When a column is missing, a factor has not two levels, or the runs cannot tell the factors apart.
+        When a factor has not two levels, or the runs cannot tell the factors apart.
     """
-    missing = [name for name in (*factors, value, *([block] if block else [])) if name not in runs.columns]
-    if missing:
-        raise ValueError(f"runs lack the columns {missing}, they have {list(runs.columns)}")
     signs = _signs(runs, factors)
     blocks = np.empty((len(runs), 0))
-    if block:
-        blocks = pd.get_dummies(runs[block], drop_first=True).to_numpy(dtype=np.float64)
+    if "data" in runs:
+        blocks = pd.get_dummies(runs["data"], drop_first=True).to_numpy(dtype=np.float64)
     terms: list[tuple[str, ...]] = [(factor,) for factor in factors]
     if np.linalg.matrix_rank(_columns(signs, terms, blocks)) <= len(terms) + blocks.shape[1]:
         among = " and blocks" if blocks.shape[1] else ""
         raise ValueError(f"{len(runs)} runs cannot tell the factors {list(factors)}{among} apart: add cells")
-    if interactions:
-        terms += _separable_pairs(signs, factors, blocks)
+    if interactions:  # of which all four cells were run, and that no other term or block stands in for
+        four = [pair for pair in combinations(factors, 2) if len({*zip(*(signs[f] for f in pair), strict=True)}) == 4]
+        null = np.abs(linalg.null_space(_columns(signs, [*terms, *four], blocks))).sum(axis=1)[1 + len(terms) :]
+        terms += [pair for pair, share in zip(four, null, strict=False) if share < 1e-9]  # 0 of a column of its own
     design = _columns(signs, terms, blocks)
-    response = runs[value].to_numpy(dtype=np.float64)
+    response = runs["value"].to_numpy(dtype=np.float64)
     estimate = linalg.lstsq(design, response)[0]
     dof = len(runs) - design.shape[1]
     residuals = response - design @ estimate
@@ -123,17 +118,14 @@ def fit_effects(
     )
 
 
-def factorial_effects(
-    runs: pd.DataFrame, factors: Sequence[str], value: str = "value", level: float = 0.95, block: str | None = None
-) -> pd.DataFrame:
+def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFrame:
     """Effects of two-level factors with intervals, from `fit_effects`, which says what the arguments are.
 
     Returns
     -------
     DataFrame
-        Columns effect (`a` or `a:b`), estimate, lower, upper (an interval that covers with probability `level`), p,
-        dof, aliases. Where no degree of freedom is left for error, or an effect rests on fewer than three runs a side,
-        lower, upper and p are None.
+        Columns effect (`a` or `a:b`), estimate, lower, upper (a 95 % interval), p, dof, aliases. Where no degree of
+        freedom is left for error, or an effect rests on fewer than three runs a side, lower, upper and p are None.
 
     Examples
     --------
@@ -146,13 +138,13 @@ def factorial_effects(
     1      noise       0.0
     2  att:noise      -1.0
     """
-    model = fit_effects(runs, factors, value, block)
+    model = fit_effects(runs, factors)
     rows = []
     for k, term in enumerate(model.terms):
         one = np.eye(len(model.terms))[k]
         known: tuple[float | None, ...] = (None, None, None)
         if model.dof > 0 and model.runs[k].min() >= FEWEST_SEEDS:
-            known = (*model.interval(one, level)[1:], model.p_value(one))
+            known = (*model.interval(one)[1:], model.p_value(one))
         rows.append((":".join(term), model.effects[k], *known, model.dof, model.aliases[term]))
     return pd.DataFrame(rows, columns=list(EFFECT_COLUMNS))
 
@@ -175,11 +167,10 @@ def _signs(runs: pd.DataFrame, factors: Sequence[str]) -> dict[str, np.ndarray]:
     coded = {}
     for factor in factors:
         column = runs[factor]
-        categorical = isinstance(column.dtype, pd.CategoricalDtype)
-        levels = list(column.cat.categories if categorical else pd.unique(column))
+        levels = list(column.cat.categories if hasattr(column, "cat") else column.unique())
         if len(levels) != 2 or column.nunique() != 2:
             raise ValueError(f"factor {factor} needs 2 levels, got {levels}")
-        coded[factor] = np.where(runs[factor] == levels[1], 1.0, -1.0)
+        coded[factor] = np.where(column == levels[1], 1.0, -1.0)
     return coded
 
 
@@ -190,14 +181,6 @@ def _product(signs: dict[str, np.ndarray], term: Sequence[str]) -> np.ndarray:
 def _columns(signs: dict[str, np.ndarray], terms: Sequence[tuple[str, ...]], blocks: np.ndarray) -> np.ndarray:
     """Design matrix whose coefficients are effects: the mean, then half a sign a term, then the blocks."""
     return np.column_stack([np.ones(len(blocks)), *(_product(signs, term) / 2 for term in terms), blocks])
-
-
-def _separable_pairs(signs: dict[str, np.ndarray], factors: Sequence[str], blocks: np.ndarray) -> list[tuple[str, ...]]:
-    """Two-way interactions of which all four cells were run, and that no other term or block stands in for."""
-    mains: list[tuple[str, ...]] = [(factor,) for factor in factors]
-    four = [pair for pair in combinations(factors, 2) if len(np.unique([signs[f] for f in pair], axis=1).T) == 4]
-    same = np.abs(linalg.null_space(_columns(signs, [*mains, *four], blocks))).sum(axis=1)  # 0 of a column of its own
-    return [pair for pair, share in zip(four, same[1 + len(mains) :], strict=False) if share < 1e-9]
 
 
 def _subsets(factors: Sequence[str], smallest: int) -> list[tuple[str, ...]]:
@@ -212,17 +195,11 @@ def _aliases(
     if not left_out:
         return dict.fromkeys(terms, "")
     others = np.column_stack([_product(signs, term) / 2 for term in left_out])
-    matrix = linalg.lstsq(_columns(signs, terms, blocks), others)[0]
+    matrix = linalg.lstsq(_columns(signs, terms, blocks), others)[0].round(6)
     found = {}
-    for term, shares in zip(terms, matrix[1 : 1 + len(terms)], strict=True):
-        whole = np.isclose(np.abs(shares), 1)
-        if (whole | np.isclose(shares, 0)).all() and whole.sum() <= MOST_NAMED:
-            names = [
-                ("-" if share < 0 else "+") + ":".join(alias)
-                for alias, share, one in zip(left_out, shares, whole, strict=True)
-                if one
-            ]
-            found[term] = " ".join(names)
-        else:
-            found[term] = "its interactions"
+    for term, shares in zip(terms, matrix[1:], strict=False):
+        named = [(":".join(alias), share) for alias, share in zip(left_out, shares, strict=True) if share]
+        whole = all(abs(share) == 1 for _, share in named) and len(named) <= MOST_NAMED
+        text = " ".join(("-" if share < 0 else "+") + alias for alias, share in named)
+        found[term] = text if whole else "its interactions"
     return found

@@ -1,14 +1,13 @@
 """Paired differences on the same frames: of two trained networks, and of every variant to the reference."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants, require_columns
-from ablate.metrics.stored_names import PER_IMAGE_COLUMNS
+from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
 
 PAIRED_COLUMNS = (
     *("variant", "reference", "metric", "shift", "lower", "upper", "p_holm", "effect", "n"),
@@ -61,14 +60,11 @@ def hodges_lehmann(differences: np.ndarray) -> float:
 def rank_biserial(differences: np.ndarray) -> float:
     """Matched-pairs rank-biserial correlation, (W+ - W-) / (W+ + W-), of (n,) differences (Kerby 2014).
 
-    It is -1 where all are negative and 1 where all are positive. Zeros are dropped, as by Wilcoxon; 0 if nothing
-    differs.
+    It is -1 where all are negative and 1 where all are positive; 0 if nothing differs. Zeros are dropped.
     """
     differences = differences[differences != 0]
-    if not differences.size:
-        return 0.0
     ranks = stats.rankdata(np.abs(differences))
-    return float(np.sum(np.sign(differences) * ranks) / ranks.sum())
+    return float(np.sum(np.sign(differences) * ranks) / ranks.sum()) if len(ranks) else 0.0
 
 
 def _bootstrap_shifts(
@@ -207,72 +203,53 @@ def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
     return adjusted
 
 
-def holm_where_known(p: pd.Series) -> pd.Series:
-    """Holm's adjustment of the values of a column that are known; None for the others."""
+def where_known(adjustment: Callable[[np.ndarray], np.ndarray], p: pd.Series) -> pd.Series:
+    """An adjustment for several tests, as `holm`, of the values of a column that are known; None for the others."""
     adjusted = pd.Series(None, p.index, dtype=object)
     if p.notna().any():
-        adjusted[p.notna()] = holm(p[p.notna()].to_numpy(dtype=np.float64))
+        adjusted[p.notna()] = adjustment(p[p.notna()].to_numpy(dtype=np.float64))
     return adjusted
 
 
 def aligned_differences(per_image: pd.DataFrame, metric: str, reference: str = REFERENCE) -> dict[str, pd.DataFrame]:
-    """By variant, its values beside those of the reference, on the frames that both have.
+    """By variant, a row a frame that it and the reference have: columns site, value, reference.
 
-    Columns frame, site, value, reference; values are means over seeds, infinite where one seed's is not finite.
+    Values are means over seeds, infinite where one seed's is not finite.
     """
     chosen = per_image[per_image["metric"] == metric]
     chosen = chosen.assign(value=chosen["value"].fillna(np.inf))
-    means = chosen.groupby(["variant", "frame"], as_index=False).agg(value=("value", "mean"), site=("site", "first"))
-    base = means[means["variant"] == reference][["frame", "value"]]
-    base = base.rename(columns={"value": "reference"})
-    result = {}
-    for variant in ordered_variants(list(means["variant"]), reference):
-        joined = means[means["variant"] == variant].merge(base, on="frame", validate="one_to_one")
-        if variant != reference and len(joined):
-            result[variant] = joined[["frame", "site", "value", "reference"]]
-    return result
+    means = chosen.groupby(["variant", "frame"]).agg(value=("value", "mean"), site=("site", "first"))
+    by_variant = {name: means.loc[name] for name in ordered_variants(list(chosen["variant"]), reference)}
+    if reference not in by_variant:
+        return {}
+    base = by_variant.pop(reference)["value"].rename("reference")
+    joined = {name: values.join(base, how="inner") for name, values in by_variant.items()}
+    return {name: pairs for name, pairs in joined.items() if len(pairs)}
 
 
-def paired_table(
-    per_image: pd.DataFrame, reference: str = REFERENCE, resamples: int = 2000, seed: int = 0
-) -> pd.DataFrame:
+def paired_table(per_image: pd.DataFrame, reference: str = REFERENCE, resamples: int = 2000) -> pd.DataFrame:
     """Paired differences of every variant to the reference, in every metric; empty if it is missing or alone.
 
     Holm's correction runs over all networks and metrics together; the re-simulation is no network and has a family of
-    its own. Metrics without one finite pair are left out.
-
-    Parameters
-    ----------
-    per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value.
-    resamples, seed : int
-        Of the bootstrap over sites.
+    its own. Metrics without one finite pair are left out. `per_image` is as for `comparison_table`; `resamples` are
+    those of the bootstrap over sites.
 
     Returns
     -------
     DataFrame
         Columns variant, reference, metric, shift, lower, upper, p_holm (Wilcoxon over frames), effect, n (frames),
         p_sites_holm (Wilcoxon over the sites' means), sites, dropped (frames without two finite values).
-
-    Raises
-    ------
-    ValueError
-        When a column is missing.
     """
-    require_columns(per_image, PER_IMAGE_COLUMNS, "per_image")
     rows = []
     for metric in ordered_metrics(list(per_image["metric"])):
         for variant, pairs in aligned_differences(per_image, metric, reference).items():
-            value, base = pairs["value"].to_numpy(), pairs["reference"].to_numpy()
-            if not (np.isfinite(value) & np.isfinite(base)).any():
-                continue
-            difference = paired_difference(value, base, pairs["site"].to_numpy(), resamples=resamples, seed=seed)
-            rows.append({"variant": variant, "reference": reference, "metric": metric, **vars(difference)})
+            if np.isfinite(pairs[["value", "reference"]]).all(axis=1).any():
+                value, base, site = (pairs[name].to_numpy() for name in ("value", "reference", "site"))
+                difference = paired_difference(value, base, site, resamples=resamples)
+                rows.append({"variant": variant, "reference": reference, "metric": metric, **vars(difference)})
     table = pd.DataFrame(rows, columns=["variant", "reference", "metric", *PairedDifference.__annotations__])
     table = table.rename(columns={"p": "p_holm", "p_sites": "p_sites_holm", "clusters": "sites"})[list(PAIRED_COLUMNS)]
-    for family in (table["variant"] == RESIMULATION, table["variant"] != RESIMULATION):
-        for p in ("p_holm", "p_sites_holm"):
-            if family.any():
-                table.loc[family, p] = holm(table.loc[family, p].to_numpy())
-    order = {name: k for k, name in enumerate(ordered_variants(list(table["variant"]), reference))}
-    return table.sort_values("variant", key=lambda v: v.map(order), kind="stable").reset_index(drop=True)
+    for p in ("p_holm", "p_sites_holm"):
+        table[p] = table.groupby(table["variant"] == RESIMULATION)[p].transform(lambda family: holm(family.to_numpy()))
+    order = ordered_variants(list(table["variant"]), reference)
+    return table.sort_values("variant", key=lambda v: v.map(order.index), kind="stable", ignore_index=True)

@@ -1,19 +1,19 @@
 """Which components earn their keep: each on its one primary metric, by a rule that was written down before the runs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from enum import StrEnum
+from functools import cache
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.components import Component, with_undeclared
-from ablate.analysis.scored import REFERENCE, RESIMULATION
+from ablate.analysis.components import Component, level_with, with_undeclared
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
-from ablate.analysis.statistics.component_models import models_of, of_component, oriented, why_untold
 from ablate.analysis.statistics.designs import Design
-from ablate.analysis.statistics.effects import LinearModel
-from ablate.analysis.statistics.paired import holm_where_known
+from ablate.analysis.statistics.effects import LinearModel, fit_effects
+from ablate.analysis.statistics.paired import holm, where_known
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.stored_names import FRAME_TIME
 
@@ -25,6 +25,18 @@ VERDICT_COLUMNS = (
     *("ms_per_frame", "parameters", "why"),
 )
 COSTS = (FRAME_TIME, "parameters")
+# Means of the paper's Table II. Patch chi-square is printed there times 100.
+_FULL = {"psnr": 28.19, "mae": 6.37, "pchi2": 0.1860}
+_WITHOUT: dict[str, dict[str, float]] = {
+    "att": {"psnr": 25.04, "mae": 8.75, "pchi2": 0.2940},
+    "concat": {"psnr": 26.23, "mae": 9.08, "pchi2": 0.2936},
+    "conv": {"psnr": 24.85, "mae": 8.87, "pchi2": 0.3270},
+    "noise": {"psnr": 26.45, "mae": 8.14, "pchi2": 0.2595},
+}
+PAPER_COLUMNS = (
+    *("component", "metric", "paper", "effect", "lower", "upper", "excluded"),
+    *("averaged", "averaged_lower", "averaged_upper"),
+)
 
 
 class Answer(StrEnum):
@@ -53,7 +65,6 @@ def verdict_table(
     design: Design | None,
     components: Sequence[Component],
     distances: Mapping[str, float] | None = None,
-    level: float = 1 - ALPHA,
     spreads: Mapping[str, float] | None = None,
 ) -> pd.DataFrame:
     """Judge every component on its primary metric, from one mean a run.
@@ -71,8 +82,6 @@ def verdict_table(
         Factors of the design that none of them switches are judged like components without a metric: undecided.
     distances : mapping of str to float, optional
         By metric, what `distances_to_resimulation` gives.
-    level : float
-        Coverage of the intervals.
     spreads : mapping of str to float, optional
         By cost, the spread of what was measured of a run: a component that adds no more adds none, 0.
 
@@ -87,38 +96,22 @@ def verdict_table(
         undecided. What the runs cannot tell is missing.
     """
     components = with_undeclared(components, [] if design is None else design.factors)
-    models = models_of(_judged_by(components), means, design, components)
-    rows = [_row(component, models, design, level, spreads or {}) for component in components]
+    model_by = cache(lambda metric: _fitted(metric, means, design, components))
+    rows = [_row(component, model_by, design, spreads or {}) for component in components]
     table = pd.DataFrame(rows, columns=[*VERDICT_COLUMNS, "improvement", "p", "p_band"])
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in components]
     table["distance"] = [(distances or {}).get(str(c.metric), np.nan) for c in components]
     for name in ("p", "p_band"):
-        table[f"{name}_holm"] = holm_where_known(table[name])
-    known = table["p_holm"].notna()
-    verdicts = [answer(*row) for row in table.loc[known, ["improvement", "p_holm", "p_band_holm"]].to_numpy(float)]
-    table["verdict"] = str(Answer.undecided)
-    table.loc[known, "verdict"] = [str(verdict) for verdict in verdicts]
-    open_ = known & (table["verdict"] == Answer.undecided)
+        table[f"{name}_holm"] = where_known(holm, table[name])
+    # A missing p-value is below no level: undecided.
+    judged = table[["improvement", "p_holm", "p_band_holm"]].to_numpy(float)
+    table["verdict"] = [str(answer(*row)) for row in judged]
     table["why"] = table["why"].astype(object)
+    open_ = table["p_holm"].notna() & (table["verdict"] == Answer.undecided)
     table.loc[open_, "why"] = "the runs can neither tell its improvement from zero nor from the band"
     words = ("component", "metric", "verdict", "better", "why")
     types = {name: "float64" for name in VERDICT_COLUMNS if name not in words}
     return table[list(VERDICT_COLUMNS)].astype(types | dict.fromkeys(("runs_a", "runs_b", "dof"), "Int64"))
-
-
-def distances_to_resimulation(table: pd.DataFrame, reference: str = REFERENCE) -> dict[str, float]:
-    """By metric, how much worse the reference is than re-simulation, in units of the metric: what there is to gain.
-
-    `table` is what `comparison_table` gives. Metrics that one of the two lacks, or that do not judge, are left out.
-    """
-    means = table.pivot(index="metric", columns="variant", values="mean")
-    if not {RESIMULATION, reference} <= set(means.columns):
-        return {}
-    found = {}
-    for name, row in means.iterrows():
-        metric = metric_of(str(name))
-        found[str(name)] = metric.badness(row[reference]) - metric.badness(row[RESIMULATION])
-    return {name: float(value) for name, value in found.items() if np.isfinite(value)}
 
 
 def improvements(means: pd.DataFrame, design: Design | None, components: Sequence[Component]) -> pd.DataFrame:
@@ -131,17 +124,14 @@ def improvements(means: pd.DataFrame, design: Design | None, components: Sequenc
         without it, in units of the metric): residuals of the model of main effects and blocks, plus the effect for the
         runs that have the component.
     """
-    tables, models = [], models_of(_judged_by(components), means, design, components, interactions=False)
-    for component in components:
-        model = _model(component, models, design)
-        if isinstance(model, str) or design is None:
-            continue
-        runs = oriented(str(component.metric), means, design, components)
+    tables = []
+    for component, model in _judged(means, design, components, interactions=False):
+        assert design is not None  # or none could be judged
+        runs = _runs_by(str(component.metric), means, design, components)
         on = runs[component.key].cat.codes.to_numpy() == 1
-        effect, _ = model.contrast(of_component(component, model))
+        effect, _ = model.contrast(_of_component(component, model))
         improvement = _sign(component) * (model.residuals + effect * on)
-        shown = runs[["variant", "seed"]].assign(component=component.name, on=on, improvement=improvement)
-        tables.append(shown)
+        tables.append(runs[["variant", "seed"]].assign(component=component.name, on=on, improvement=improvement))
     names = ["component", "variant", "seed", "on", "improvement"]
     return pd.concat(tables, ignore_index=True)[names] if tables else pd.DataFrame(columns=names)
 
@@ -158,40 +148,67 @@ def interactions(means: pd.DataFrame, design: Design | None, components: Sequenc
     """
     components = with_undeclared(components, [] if design is None else design.factors)
     named = {component.key: component.name for component in components}
-    rows, models = [], models_of(_judged_by(components), means, design, components)
-    for component in components:
-        model = _model(component, models, design)
-        if isinstance(model, str):
-            continue
+    rows = []
+    for component, model in _judged(means, design, components):
         for k, term in enumerate(model.terms):
             if len(term) == 2 and component.key in term:
                 other = named[term[0] if term[1] == component.key else term[1]]
                 p = model.p_value(np.eye(len(model.terms))[k]) if model.dof > 0 else np.nan
                 rows.append((component.name, other, _sign(component) * model.effects[k], p))
     table = pd.DataFrame(rows, columns=["component", "other", "improvement", "q"])
-    known = table["q"].notna()
-    table.loc[known, "q"] = stats.false_discovery_control(table.loc[known, "q"].to_numpy(dtype=np.float64))
-    return table
+    return table.assign(q=where_known(stats.false_discovery_control, table["q"]).astype("float64"))
+
+
+def paper_effects(means: pd.DataFrame, design: Design | None, components: Sequence[Component]) -> pd.DataFrame:
+    """Compare the paper's ablations with the effect of a component where all others are on.
+
+    Parameters
+    ----------
+    means : DataFrame
+        What `run_means` gives.
+    design : Design or None
+    components : sequence of Component
+        Those that the paper ablated are known by their names.
+
+    Returns
+    -------
+    DataFrame
+        One row a component and metric of the paper that the runs can tell: columns component, metric, paper (SA2H minus
+        SA2H without the component), effect (the same of these runs, at the full model), lower, upper, excluded (whether
+        the paper's effect lies outside this interval), and the effect averaged over the design with its interval.
+    """
+    rows = []
+    for component in components:
+        for metric, without in _WITHOUT.get(component.name, {}).items():
+            try:
+                _require_told(component, design)
+                model = _fitted(metric, means, design, components)
+            except ValueError:
+                continue
+            if model.dof > 0:
+                claimed = _FULL[metric] - without
+                effect, lower, upper = model.interval(_of_component(component, model, full=True))
+                averaged = model.interval(_of_component(component, model))
+                excluded = not lower <= claimed <= upper
+                rows.append((component.name, metric, claimed, effect, lower, upper, excluded, *averaged))
+    return pd.DataFrame(rows, columns=list(PAPER_COLUMNS))
 
 
 def _row(
-    component: Component,
-    models: Mapping[str, LinearModel | str],
-    design: Design | None,
-    level: float,
-    spreads: Mapping[str, float],
+    component: Component, model_by: Callable[[str], LinearModel], design: Design | None, spreads: Mapping[str, float]
 ) -> dict[str, object]:
     """What `verdict_table` and the rule need of one component, by column."""
     row: dict[str, object] = {"component": component.name, "metric": component.metric, "band": component.band}
-    model = _model(component, models, design)
-    if isinstance(model, str) or component.band is None:
-        return row | {"why": model}
+    try:
+        metric, band = _require_judged(component, design)
+        model = model_by(metric)
+    except ValueError as why:
+        return row | {"why": str(why)}
     for cost in COSTS:
-        priced = models[cost]
-        if not isinstance(priced, str):
-            added = priced.contrast(of_component(component, priced))[0]
+        with suppress(ValueError):  # not measured
+            added = model_by(cost).contrast(_of_component(component, model_by(cost)))[0]
             row[cost] = added if abs(added) > spreads.get(cost, 0.0) else 0.0
-    averaged, at_full = (of_component(component, model, full=full) for full in (False, True))
+    averaged, at_full = (_of_component(component, model, full=full) for full in (False, True))
     effect, error = model.contrast(averaged)
     off, on = (int(n) for n in model.runs[model.terms.index((component.key,))])
     row |= {"effect": effect, "full_effect": model.contrast(at_full)[0]}
@@ -199,28 +216,77 @@ def _row(
     if model.dof < 1 or min(on, off) < FEWEST_SEEDS:
         least = f"{FEWEST_SEEDS} on either side and a degree of freedom for the error are needed"
         return row | {"why": f"{on} runs with it and {off} without it; {least}"}
-    row["lower"], row["upper"] = model.interval(averaged, level)[1:]
-    row["full_lower"], row["full_upper"] = model.interval(at_full, level)[1:]
+    row["lower"], row["upper"] = model.interval(averaged)[1:]
+    row["full_lower"], row["full_upper"] = model.interval(at_full)[1:]
     improvement = _sign(component) * effect
-    above = improvement - component.band
-    below = float(stats.t.cdf(above / error, model.dof)) if error > 0 else float(above >= 0)
+    below = float(stats.t.cdf((improvement - band) / error, model.dof)) if error > 0 else float(improvement >= band)
     return row | {"improvement": improvement, "p": model.p_value(averaged), "p_band": below}
 
 
-def _model(component: Component, models: Mapping[str, LinearModel | str], design: Design | None) -> LinearModel | str:
-    """The model of a component's primary metric, or why nothing can be said of the component."""
+def _require_told(component: Component, design: Design | None) -> None:
+    """Raise ValueError where a design says nothing of a component; the message says why."""
+    if design is None or component.key not in design.factors:
+        raise ValueError("no run goes without it")
+    here, there = design.cells[component.key].cat.categories
+    if isinstance(component.on, str) and {here, there} != {component.on, component.off}:
+        raise ValueError(f"the runs compare {here} with {there}")
+
+
+def _require_judged(component: Component, design: Design | None) -> tuple[str, float]:
+    """A component's metric and band; raises ValueError where it cannot be judged by them."""
     if component.metric is None or component.band is None:
-        return UNDECLARED
+        raise ValueError(UNDECLARED)
     if metric_of(component.metric).better is Direction.none:
-        return "it has no metric that judges it"
-    return why_untold(component, design) or models[component.metric]
+        raise ValueError("it has no metric that judges it")
+    _require_told(component, design)
+    return component.metric, component.band
+
+
+def _judged(
+    means: pd.DataFrame, design: Design | None, components: Sequence[Component], interactions: bool = True
+) -> Iterator[tuple[Component, LinearModel]]:
+    """The components that can be judged, each with the model of its primary metric."""
+    for component in components:
+        try:
+            model = _fitted(_require_judged(component, design)[0], means, design, components, interactions)
+        except ValueError:
+            continue
+        yield component, model
+
+
+def _fitted(
+    metric: str, means: pd.DataFrame, design: Design | None, components: Sequence[Component], interactions: bool = True
+) -> LinearModel:
+    """The model of a metric: main effects, blocks, and two-way interactions if asked for; ValueError if there is none.
+
+    An effect is the mean of the runs with a component minus the mean of those without it.
+    """
+    if design is None or metric not in set(means["metric"]):
+        raise ValueError(f"no run was scored by {metric}")
+    return fit_effects(_runs_by(metric, means, design, components), design.factors, interactions)
+
+
+def _runs_by(metric: str, means: pd.DataFrame, design: Design, components: Sequence[Component]) -> pd.DataFrame:
+    """The runs by a metric, with the level that has the component as the second one of every factor.
+
+    A metric that is best at 0 is replaced by its absolute value.
+    """
+    runs = means[means["metric"] == metric]
+    if metric_of(metric).better is Direction.zero:
+        runs = runs.assign(value=runs["value"].abs())
+    switched = {component.key: component for component in with_undeclared(components, design.factors)}
+    for factor in design.factors:
+        levels = list(design.cells[factor].cat.categories)
+        on = level_with(switched[factor], levels)
+        runs = runs.assign(**{factor: runs[factor].cat.set_categories([*(set(levels) - {on}), on])})
+    return runs
+
+
+def _of_component(component: Component, model: LinearModel, full: bool = False) -> np.ndarray:
+    """(terms,) weights of the effect of a component; with `full` where all others are on, else averaged."""
+    return np.array([component.key in term and (full or len(term) == 1) for term in model.terms], dtype=np.float64)
 
 
 def _sign(component: Component) -> int:
     """1 where larger values of its metric are better, and -1 where smaller ones are."""
     return 1 if metric_of(str(component.metric)).better is Direction.higher else -1
-
-
-def _judged_by(components: Sequence[Component]) -> tuple[str, ...]:
-    """The primary metrics of components, and what a network costs."""
-    return (*dict.fromkeys(c.metric for c in components if c.metric is not None), *COSTS)

@@ -1,17 +1,11 @@
-"""What a work-precision table says: the order at which an error falls, and the best point within a budget of time."""
+"""What a work-precision table says: the order at which an error falls, and the points that no other one beats."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
-
-from ablate.metrics import metric_of
-
-BUDGETS_MS = (10.0, 40.0, 75.0, 200.0, 1000.0)
 
 
-@dataclass(frozen=True)
-class Order:
+class Order(NamedTuple):
     """error = c n^-order, fitted on logarithms by least squares; the standard error is NaN with two points."""
 
     order: float
@@ -74,53 +68,3 @@ def pareto_front(
     better = (error[None] < error[:, None]) & (lower[None] <= upper[:, None])
     earlier = (error[None] == error[:, None]) & (place[None] < place[:, None])
     return order[~(better | earlier).any(axis=1)[order]]
-
-
-def best_within(points: pd.DataFrame, metric: str, budget_ms: float) -> pd.Series | None:
-    """Find the best point of a metric within a budget of time, and the fastest of equal ones; None if none is so fast.
-
-    `points` has the columns ms, metric and error, and those that name a point.
-    """
-    fit = points[(points["metric"] == metric) & (points["ms"] <= budget_ms)]
-    fit = fit[np.isfinite(fit["error"])]
-    if fit.empty:
-        return None
-    order = fit.assign(badness=[metric_of(metric).badness(e) for e in fit["error"]]).sort_values(["badness", "ms"])
-    return order.iloc[0]
-
-
-def budget_table(points: pd.DataFrame, groups: dict[str, list[str]], rivals: tuple[str, str]) -> pd.DataFrame:
-    """Tabulate what to use for a budget of milliseconds a frame.
-
-    Parameters
-    ----------
-    points : DataFrame
-        Columns series, setting, ms, metric, error.
-    groups : dict of str to list of str
-        Series by the name of the column that they share.
-    rivals : two of the groups
-        Between which `better` decides.
-
-    Returns
-    -------
-    DataFrame
-        Columns metric, budget_ms; then for each group its best point as text, `<group>_error` and `<group>_ms`; and
-        better: one of the rivals; empty where neither is fast enough, or where one has no such error at any time.
-    """
-    rows = []
-    for metric in dict.fromkeys(points["metric"]):
-        measured = set(points.loc[points["metric"] == metric, "series"])
-        comparable = all(measured.intersection(groups[rival]) for rival in rivals)
-        for budget in BUDGETS_MS:
-            row: dict[str, object] = {"metric": metric, "budget_ms": budget}
-            scores: dict[str, float] = {}
-            for group, series in groups.items():
-                best = best_within(points[points["series"].isin(series)], metric, budget)
-                row[group] = "" if best is None else f"{best['series']}: {best['setting']}"
-                row[f"{group}_error"] = float("nan") if best is None else float(best["error"])
-                row[f"{group}_ms"] = float("nan") if best is None else float(best["ms"])
-                if best is not None and group in rivals:
-                    scores[group] = metric_of(metric).badness(float(best["error"]))
-            row["better"] = min(scores, key=lambda g: scores[g]) if scores and comparable else ""
-            rows.append(row)
-    return pd.DataFrame(rows)

@@ -1,5 +1,1 @@
 """Error against run time, of the simulator and of every trained run on disk: `task=precision`."""
-
-from ablate.numerics.precision.task import precision
-
-__all__ = ["precision"]

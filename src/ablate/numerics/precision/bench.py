@@ -1,10 +1,11 @@
-"""What all measurements share: test frames, the simulator timed on them, errors, and the table on disk."""
+"""What all measurements share, and the simulator measured one setting at a time away from those of the data set."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,18 +15,36 @@ from ablate.dataset import Part, equally_spaced
 from ablate.metrics import METRICS, Pair, evaluate_image
 from ablate.runs.job import Job
 from ablate.runs.simulated import build_scene, lay_out
-from ablate.runs.timed_maps import TimedMaps, nudged
+from ablate.runs.timed_maps import nudged
 from ablate.storage import remove_partial, write_text
-from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, fan_mask
+from ablate.ultrasound import (
+    PlanMode,
+    Probe,
+    Simulator,
+    SimulatorPrecision,
+    SimulatorSettings,
+    fan_mask,
+)
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.ultrasound.stages import Stage, stage_times
 
 _TURN = 2  # poses of one setting before the next setting
-
-
 ENVELOPE = "envelope_rms"
 #: On the whole image as in the tables of a study; `mae_smooth` in the fan, after a Gaussian that averages speckle.
 IMAGE_ERRORS = tuple(METRICS[name] for name in ("mae", "psnr", "pchi2", "mae_smooth"))
+
+RAYS = (1, 2, 4, 8, 16, 32, 64, 128)
+LAYERS = (1, 3, 5)
+TOLERANCES = (0.8, 0.4, 0.2, 0.1, 0.05)  # with the most of RAYS at most
+_FRACTIONS = (0.25, 0.5, 1, 2)  # of the data set's scanlines and axial samples
+REFERENCE_RAYS = 4096
+_FINEST_LAYERS = 8  # even, so that only its two outermost planes are also planes of the ladder
+_FINER = 4  # times as many scanlines or axial samples, and rays, so that Monte-Carlo noise is negligible
+_GRIDS = ("layers", "scanlines", "axial_samples")
+RAYS_SERIES = "simulator, rays"
+FULL_SERIES = "simulator, rays, plan=full"
+TOLERANCE_SERIES = "simulator, tolerance"
+OTHER_SERIES = "simulator, other scatterers"
 
 
 @dataclass(frozen=True)
@@ -70,75 +89,6 @@ def bench_of(job: Job) -> Bench:
     return Bench(scene, settings.probe, fixed, frames, known.poses[frames], settings.dataset.seed)
 
 
-def render_all(
-    bench: Bench, several: Sequence[SimulatorSettings], seeds: Sequence[int], advance: Callable[[], object]
-) -> list[tuple[list[Frames], float]]:
-    """Return the frames of each seed of the scatterers, and the median milliseconds of an image, by setting.
-
-    The speed of a machine changes over seconds. Therefore the settings take turns, a few poses each, in an order that
-    is reversed every time. Only the first seed is timed; the others reuse its rays. Each pose is new to the simulator,
-    and the first rendering of a turn is not counted. The time excludes segmentation and attenuation, which an image
-    does not need, and the noise of the receiver, which is kept over a series of frames.
-    """
-    simulators = [Simulator(bench.scene, bench.probe, settings, poses=bench.poses) for settings in several]
-    rows: list[list[list[tuple[np.ndarray, np.ndarray]]]] = [[] for _ in several]
-    times: list[list[float]] = [[] for _ in several]
-    turns = list(range(len(several)))
-    for begin in range(0, len(bench.poses), _TURN):
-        for k in turns:
-            simulator = simulators[k]
-            simulator.render(nudged(bench.poses[begin]), seeds[0])
-            for pose in bench.poses[begin : begin + _TURN]:
-                simulator.maps(pose)
-                start = time.perf_counter()
-                first = simulator.render(pose, seeds[0])
-                times[k].append(1e3 * (time.perf_counter() - start))
-                rows[k].append([_shown(first), *(_shown(simulator.render(pose, seed)) for seed in seeds[1:])])
-                if len(seeds) > 1:
-                    simulator.render(pose, seeds[0])  # a simulator keeps the noise of its last seed
-                advance()
-        turns.reverse()
-    stacked = [[Frames(*map(np.stack, zip(*column, strict=True))) for column in zip(*r, strict=True)] for r in rows]
-    return [(frames, median(t)) for frames, t in zip(stacked, times, strict=True)]
-
-
-def _shown(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-    """Keep what errors need; the maps of all settings would take gigabytes."""
-    return frame.image, frame.envelope
-
-
-def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[], object]) -> dict[str, float]:
-    """Measure the median milliseconds of each stage of an image, in order; the rest is `everything else`."""
-    simulator = Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
-    simulator.render(nudged(bench.poses[0]), bench.seed)
-    whole, each = [], []
-    for pose in bench.poses:
-        simulator.maps(pose)
-        with stage_times() as taken:
-            start = time.perf_counter()
-            simulator.render(pose, bench.seed)
-            whole.append(1e3 * (time.perf_counter() - start))
-        each.append([sum(taken[name]) for name in Stage])
-        advance()
-    columns = zip(Stage, zip(*each, strict=True), strict=True)
-    stages = {name.value: median(column) for name, column in columns if any(column)}
-    return stages | {"everything else": median(np.subtract(whole, np.sum(each, axis=1)).tolist())}
-
-
-def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
-    """Make the inputs of generators, (n, H, W) each, and measure the median milliseconds of each, as `TimedMaps`."""
-    make = TimedMaps(bench.scene, bench.probe, bench.simulator, bench.poses, low=True)
-    make(nudged(bench.poses[0]), bench.seed)
-    inputs, times = [], []
-    for pose in bench.poses:
-        maps, taken = make(pose, bench.seed)
-        inputs.append(maps)
-        times.append(taken)
-        advance()
-    arrays = {name: np.stack([maps[name] for maps in inputs]) for name in inputs[0]}
-    return arrays, {name: median(taken[name] for taken in times) for name in times[0]}
-
-
 def envelope_rms(envelope: np.ndarray, reference: np.ndarray) -> float:
     """Compute the root of the sum of squared differences over that of the reference; sums are in float64.
 
@@ -167,12 +117,8 @@ def mean_errors(rendered: Frames, reference: Frames, probe: Probe) -> dict[str, 
     for image, target in zip(rendered.images, reference.images, strict=True):
         for name, error in evaluate_image(Pair(image, target, mask, pixel_mm=pixel_mm), IMAGE_ERRORS).items():
             errors.setdefault(name, []).append(error)
-    return {name: _mean(values) for name, values in errors.items()}
-
-
-def _mean(values: list[float]) -> float:
-    finite = [v for v in values if np.isfinite(v)]
-    return float(np.mean(finite)) if finite else values[0]
+    finite = {name: [v for v in values if np.isfinite(v)] for name, values in errors.items()}
+    return {name: float(np.mean(finite[name])) if finite[name] else values[0] for name, values in errors.items()}
 
 
 def relative_change(metric: str, error: float, other: float) -> float:
@@ -195,22 +141,157 @@ class CsvTable:
         self._rows: list[tuple[object, ...]] = []
         path.parent.mkdir(parents=True, exist_ok=True)
         remove_partial(path)
-        self._write()
-
-    def add(self, *values: object) -> None:
-        """Add one row, in the order of the columns."""
-        self._rows.append(values)
-        self._write()
+        self.add_each(values={})
 
     def add_each(self, *first: object, values: Mapping[str, float]) -> None:
         """Add one row for each value: the first columns, its name and the value."""
         self._rows += [(*first, name, value) for name, value in values.items()]
-        self._write()
+        frame = pd.DataFrame(self._rows, columns=self.columns, dtype=object)
+        write_text(self.path, frame.to_csv(index=False, na_rep="nan"))
 
     def table(self) -> pd.DataFrame:
         """Read all rows; names and settings are text."""
         return pd.read_csv(self.path, dtype={"setting": str}, keep_default_na=False, na_values=["nan"])
 
-    def _write(self) -> None:
-        frame = pd.DataFrame(self._rows, columns=self.columns, dtype=object)
-        write_text(self.path, frame.to_csv(index=False, na_rep="nan"))
+
+def render_all(
+    bench: Bench, several: Sequence[SimulatorSettings], seeds: Sequence[int], advance: Callable[[], object]
+) -> list[tuple[list[Frames], float]]:
+    """Return the frames of each seed of the scatterers, and the median milliseconds of an image, by setting.
+
+    The speed of a machine changes over seconds. Therefore the settings take turns, a few poses each, in an order that
+    is reversed every time. Only the first seed is timed; the others reuse its rays. Each pose is new to the simulator,
+    and the first rendering of a turn is not counted. The time excludes segmentation and attenuation, which an image
+    does not need, and the noise of the receiver, which is kept over a series of frames.
+    """
+    simulators = [Simulator(bench.scene, bench.probe, settings, poses=bench.poses) for settings in several]
+    rows: list[list[list[tuple[np.ndarray, np.ndarray]]]] = [[] for _ in several]
+    times: list[list[float]] = [[] for _ in several]
+    turns = list(range(len(several)))
+    for begin in range(0, len(bench.poses), _TURN):
+        for k in turns:
+            simulator = simulators[k]
+            simulator.render(nudged(bench.poses[begin]), seeds[0])
+            for pose in bench.poses[begin : begin + _TURN]:
+                simulator.maps(pose)
+                start = time.perf_counter()
+                first = simulator.render(pose, seeds[0])
+                times[k].append(1e3 * (time.perf_counter() - start))
+                shown = first, *(simulator.render(pose, seed) for seed in seeds[1:])
+                rows[k].append([(f.image, f.envelope) for f in shown])  # the maps of all settings would take gigabytes
+                if len(seeds) > 1:
+                    simulator.render(pose, seeds[0])  # a simulator keeps the noise of its last seed
+                advance()
+        turns.reverse()
+    stacked = [[Frames(*map(np.stack, zip(*column, strict=True))) for column in zip(*r, strict=True)] for r in rows]
+    return [(frames, median(t)) for frames, t in zip(stacked, times, strict=True)]
+
+
+def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[], object]) -> dict[str, float]:
+    """Measure the median milliseconds of each stage of an image, in order; the rest is `everything else`."""
+    simulator = Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
+    simulator.render(nudged(bench.poses[0]), bench.seed)
+    whole, each = [], []
+    for pose in bench.poses:
+        simulator.maps(pose)
+        with stage_times() as taken:
+            start = time.perf_counter()
+            simulator.render(pose, bench.seed)
+            whole.append(1e3 * (time.perf_counter() - start))
+        each.append([sum(taken[name]) for name in Stage])
+        advance()
+    columns = zip(Stage, zip(*each, strict=True), strict=True)
+    stages = {name.value: median(column) for name, column in columns if any(column)}
+    return stages | {"everything else": median(np.subtract(whole, np.sum(each, axis=1)).tolist())}
+
+
+def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
+    """List settings by the name and the value of what is changed; each ladder includes `base` itself."""
+    values: dict[str, set[int]] = {"rays": {*RAYS, base.rays}, "layers": {*LAYERS, base.layers}}
+    for name in ("scanlines", "axial_samples"):
+        values[name] = {max(1, round(part * getattr(base, name))) for part in _FRACTIONS}
+    return {name: _each(base, name, sorted(chosen)) for name, chosen in values.items()}
+
+
+def _each(base: SimulatorSettings, name: str, values: Iterable[Any]) -> dict[Any, SimulatorSettings]:
+    """Settings with each of these values of one of them."""
+    return {value: replace(base, **{name: value}) for value in values}
+
+
+def series_name(name: str) -> str:
+    """Name a ladder as tables and figures do."""
+    return f"simulator, {name.replace('_', ' ')}"
+
+
+def work(base: SimulatorSettings, frames: int) -> int:
+    """Count how many times `measure_simulator` calls `advance`."""
+    all_ladders = ladders(base)
+    settings = sum(map(len, all_ladders.values()))
+    on_grids = sum(1 + len(all_ladders[name]) for name in _GRIDS)
+    return frames * (2 + settings + len(all_ladders["rays"]) + len(TOLERANCES) + on_grids + 1 + len(_staged(base)))
+
+
+def _staged(base: SimulatorSettings) -> list[int]:
+    return sorted({RAYS[0], base.rays, RAYS[-1]})
+
+
+def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance: Callable[[], object]) -> Frames:
+    """Measure errors, times, convergence and stages of the simulator, and return the reference.
+
+    The reference has `REFERENCE_RAYS` rays and otherwise the settings of the data set. The receiver's noise and the
+    phases of clutter depend on `path_seed` and on the grid, not on the rays. With another number of rays and the same
+    `path_seed` only the paths differ.
+    """
+    base, seeds = bench.simulator, (bench.seed, bench.seed + 1)
+    ((reference,), _), ((half,), _) = (
+        render_all(bench, [replace(base, rays=rays)], seeds[:1], advance)[0]
+        for rays in (REFERENCE_RAYS, REFERENCE_RAYS // 2)
+    )
+
+    def errors_of(frames: Frames, other: Frames = reference) -> dict[str, float]:
+        return mean_errors(frames, other, bench.probe)
+
+    usual: Frames | None = None
+    for name, ladder in ladders(base).items():
+        several = {(series_name(name), value): settings for value, settings in ladder.items()}
+        if name == "rays":
+            most = replace(base, rays=max(ladder))
+            several |= {(TOLERANCE_SERIES, t): s for t, s in _each(most, "tolerance", TOLERANCES).items()}
+            several |= {(FULL_SERIES, n): replace(s, plan=PlanMode.full) for n, s in ladder.items()}
+        measured = dict(zip(several, render_all(bench, list(several.values()), seeds, advance), strict=True))
+        for (series, value), ((rendered, other), ms) in measured.items():
+            errors = errors_of(rendered)
+            points.add_each(series, value, ms, values=errors)
+            if series == series_name(name):
+                points.add_each(OTHER_SERIES, f"{name.replace('_', ' ')} {value}", ms, values=errors_of(other))
+                usual = rendered if several[series, value] == base else usual
+            if series == RAYS_SERIES:
+                to_half = errors_of(rendered, half)
+                changes = {metric: relative_change(metric, errors[metric], to_half[metric]) for metric in errors}
+                details.add_each("reference", series, value, values=changes)
+            if series == FULL_SERIES:
+                ((as_planned, _), _) = measured[RAYS_SERIES, value]
+                apart = np.abs(rendered.images.astype(np.int16) - as_planned.images).max()
+                details.add_each("plan", series, value, values={"largest grey difference to planned": int(apart)})
+    for name in _GRIDS:
+        for setting, errors in _converging(bench, name, advance).items():
+            details.add_each("convergence", series_name(name), setting, values=errors)
+    assert usual is not None  # every ladder has the data set's settings
+    in_float64 = replace(base, precision=SimulatorPrecision.float64)
+    (((double,), _),) = render_all(bench, [in_float64], seeds[:1], advance)
+    limits = errors_of(usual, double)  # of the signal chain in single precision, on the same paths
+    details.add_each("limit", "simulator, float32 against float64", base.rays, values=limits)
+    for rays in _staged(base):
+        details.add_each("stage", RAYS_SERIES, rays, values=time_stages(bench, replace(base, rays=rays), advance))
+    return reference
+
+
+def _converging(bench: Bench, name: str, advance: Callable[[], object]) -> dict[str | int, dict[str, float]]:
+    """Compare grids with a finer one, all with more rays, and the finer one with other scatterers as a scale."""
+    base, seeds = replace(bench.simulator, rays=_FINER * bench.simulator.rays), (bench.seed, bench.seed + 1)
+    finest = _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name)
+    (((fine, other), _),) = render_all(bench, [*_each(base, name, [finest]).values()], seeds, advance)
+    grids = ladders(base)[name]
+    measured = render_all(bench, list(grids.values()), seeds[:1], advance)
+    rendered = {"other scatterers": other} | {v: f for v, ((f,), _) in zip(grids, measured, strict=True)}
+    return {setting: mean_errors(frames, fine, bench.probe) for setting, frames in rendered.items()}

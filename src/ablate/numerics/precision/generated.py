@@ -11,9 +11,10 @@ import torch
 
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.networks import Generator, conditions
-from ablate.numerics.precision.bench import Bench, CsvTable, Frames, make_inputs, mean_errors
+from ablate.numerics.precision.bench import Bench, CsvTable, Frames, mean_errors
 from ablate.runs.job import Job
 from ablate.runs.run import Run, State, runs_of
+from ablate.runs.timed_maps import TimedMaps, nudged
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
 from ablate.training import (
@@ -51,12 +52,13 @@ def comparable_runs(job: Job) -> tuple[list[Run], str]:
         return [], f"no trained run in {results}: the simulator alone"
     same = [run for run in runs if run.spec["semantic"]["data"] == job.semantic["data"]]
     fit = [run for run in same if run.checkpoint.exists()]
-    counts = f"{len(fit)} trained runs"
-    if others := len(runs) - len(same):
-        counts += f"; {others} left out, they learned from other data"
-    if bare := len(same) - len(fit):
-        counts += f"; {bare} left out, without a checkpoint"
-    return fit, counts
+    others, bare = len(runs) - len(same), len(same) - len(fit)
+    counts = [
+        f"{len(fit)} trained runs",
+        f"{others} left out, they learned from other data" if others else "",
+        f"{bare} left out, without a checkpoint" if bare else "",
+    ]
+    return fit, "; ".join(filter(None, counts))
 
 
 def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...]]:
@@ -85,13 +87,23 @@ def schedule_of(runs: list[Run], settings: StudySettings) -> list[tuple[Run, lis
     """
     every, _ = executions(settings)
     eager = [execution for execution in every if execution.engine is Engine.eager]
-    seen: set[str] = set()
-    planned = []
-    for run in sorted(runs, key=lambda r: (str(r.folder.parents[1]), r.label, r.seed)):
-        network = digest(run.spec["semantic"]["model"])
-        planned.append((run, eager if network in seen else every))
-        seen.add(network)
-    return planned
+    first: dict[str, Run] = {}
+    ordered = sorted(runs, key=lambda run: (str(run.folder.parents[1]), run.label, run.seed))
+    return [(r, every if first.setdefault(digest(r.spec["semantic"]["model"]), r) is r else eager) for r in ordered]
+
+
+def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """Make the inputs of generators, (n, H, W) each, and measure the median milliseconds of each, as `TimedMaps`."""
+    make = TimedMaps(bench.scene, bench.probe, bench.simulator, bench.poses, low=True)
+    make(nudged(bench.poses[0]), bench.seed)
+    inputs, times = [], []
+    for pose in bench.poses:
+        maps, taken = make(pose, bench.seed)
+        inputs.append(maps)
+        times.append(taken)
+        advance()
+    arrays = {name: np.stack([maps[name] for maps in inputs]) for name in inputs[0]}
+    return arrays, {name: median(taken[name] for taken in times) for name in times[0]}
 
 
 def measure_generators(
@@ -114,8 +126,11 @@ def measure_generators(
     device = chosen_device(settings.training.device)
     for run, its_executions in planned:
         exact: Frames | None = None
+        study = run.folder.parents[1].name
+        elsewhere = "" if study == settings.study else f", {study}"
         for execution in its_executions:
-            setting = _setting(run, execution, settings)
+            width = run.spec["settings"]["model"]["width"]
+            setting = f"width {width:g}, {execution.precision}, {execution.engine}, seed {run.seed}{elsewhere}"
             advance()
             try:
                 generator = load_generator(run.checkpoint).to(device)
@@ -132,14 +147,6 @@ def measure_generators(
                 continue
             errors = mean_errors(rendered, exact, bench.probe)
             details.add_each("limit", f"{run.label}, against fp32 eager", setting, values=errors)
-
-
-def _setting(run: Run, execution: Execution, settings: StudySettings) -> str:
-    """Name an execution among those of a label; the study is named if it is not the present one."""
-    width = run.spec["settings"]["model"]["width"]
-    study = run.folder.parents[1].name
-    elsewhere = "" if study == settings.study else f", {study}"
-    return f"width {width:g}, {execution.precision}, {execution.engine}, seed {run.seed}{elsewhere}"
 
 
 @torch.inference_mode()

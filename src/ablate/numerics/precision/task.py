@@ -1,24 +1,50 @@
 """`task=precision`: measure, draw, print, and log everything to an MLflow run."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import torch
 from tqdm import tqdm
 
-from ablate.analysis import RESIMULATION, error_vs_runtime, order_figure
-from ablate.numerics.precision.bench import Bench, CsvTable, bench_of
+from ablate.analysis import RESIMULATION, error_vs_runtime, observed_order, order_figure
+from ablate.metrics import metric_of
+from ablate.numerics.precision.bench import (
+    FULL_SERIES,
+    OTHER_SERIES,
+    RAYS_SERIES,
+    REFERENCE_RAYS,
+    Bench,
+    CsvTable,
+    bench_of,
+    ladders,
+    measure_simulator,
+    series_name,
+    work,
+)
 from ablate.numerics.precision.generated import comparable_runs, executions, measure_generators, schedule_of
-from ablate.numerics.precision.simulated import RAYS_SERIES, ladders, measure_simulator, series_name, work
-from ablate.numerics.precision.summary import as_text, floors, orders, tables, time_of_parts, verdict
 from ablate.runs.job import Job
-from ablate.runs.run import Run
 from ablate.runs.store_copy import open_store
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_text
 from ablate.tracking import TaskRecord, git_state, hardware, recorded_task
 from ablate.ultrasound.media import plan_scene
+from ablate.ultrasound.stages import Stage
+
+WELL_CONVERGED = 0.05
+BUDGETS_MS = (10.0, 40.0, 75.0, 200.0, 1000.0)
+_SAME, _OTHER, _RUN = "simulator, same speckle", "simulator, other speckle", "trained run"
+
+_RAYS = (Stage.probe_rays, Stage.tracing, Stage.surface_echoes, Stage.clutter, Stage.illumination)
+_PART_OF_STAGE: dict[str, str] = {
+    **dict.fromkeys((Stage.pixel_labels, "segmentation"), "S"),
+    **dict.fromkeys((Stage.attenuation_labels, Stage.attenuation_sum, "attenuation", "compensated"), "A"),
+    **dict.fromkeys(_RAYS, "rays"),
+    "low": "L",
+    "network": "network",
+}
 
 
 def precision(jobs: Sequence[Job]) -> int:
@@ -39,7 +65,12 @@ def precision(jobs: Sequence[Job]) -> int:
         with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
             record.files += [points.path, details.path]
             record.tags |= {"hardware": hardware(), "scene": settings.scene_name, **code}
-            _measure(settings, bench, runs, points, details)
+            planned = schedule_of(runs, settings)
+            steps = work(bench.simulator, len(bench.frames)) + len(bench.frames) * bool(planned)
+            steps += sum(len(its_executions) for _, its_executions in planned)
+            with tqdm(total=steps, unit="step", desc="precision", mininterval=1.0) as bar:
+                reference = measure_simulator(bench, points, details, bar.update)
+                measure_generators(bench, planned, settings, reference, points, details, bar.update)
             for path in _report(bench, about, points, details, record):
                 print(path)
     except KeyboardInterrupt:
@@ -63,20 +94,12 @@ def _about(settings: StudySettings, bench: Bench, counts: str, lacking: Sequence
     ]
 
 
-def _measure(settings: StudySettings, bench: Bench, runs: list[Run], points: CsvTable, details: CsvTable) -> None:
-    planned = schedule_of(runs, settings)
-    steps = work(bench.simulator, len(bench.frames))
-    steps += len(bench.frames) * bool(planned) + sum(len(its_executions) for _, its_executions in planned)
-    with tqdm(total=steps, unit="step", desc="precision", mininterval=1.0) as bar:
-        reference = measure_simulator(bench, points, details, bar.update)
-        measure_generators(bench, planned, settings, reference, points, details, bar.update)
-
-
 def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable, record: TaskRecord) -> list[Path]:
     """Print the tables, draw the figures, record both, and return the paths of the files except PDFs."""
     folder, errors, more = points.path.parent, points.table(), details.table()
-    level = floors(errors, bench.simulator.rays)
-    figures = error_vs_runtime(errors, folder / "precision", level, hardware(), time_of_parts(more))
+    usual = (errors["series"] == OTHER_SERIES) & (errors["setting"] == f"rays {bench.simulator.rays}")
+    level = dict(zip(errors.loc[usual, "metric"], errors.loc[usual, "error"].astype(float), strict=True))
+    figures = error_vs_runtime(errors, folder / "precision", level, hardware(), _time_of_parts(more))
     base = {series_name(name): getattr(bench.simulator, name) for name in ladders(bench.simulator)}
     of_rays, grids = errors[errors["series"] == RAYS_SERIES], more[more["table"] == "convergence"]
     figures += order_figure(of_rays, grids, base, folder / "precision_order")
@@ -86,7 +109,153 @@ def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable,
     summary = folder / "summary.txt"
     write_text(summary, "\n".join([*about, *head, "", as_text(shown), ""]))
     record.files += [summary, *figures]
-    record.scores |= {f"order/{row['metric']}": row["p"] for row in orders(errors).to_dict("records")}
+    record.scores |= {f"order/{metric}": p for metric, (p, _) in _orders(errors).items()}
     first = as_text(dict(list(shown.items())[:1]))  # the run's first page has room for one table
     record.description = "\n\n".join([*about, *head, f"```\n{first}\n```", "The rest: Artifacts, `summary.txt`."])
     return [points.path, details.path, summary, *(f for f in figures if f.suffix == ".png")]
+
+
+def _time_of_parts(details: pd.DataFrame) -> pd.DataFrame:
+    """Group the stages of a frame into parts: columns series, setting, part, ms, as `error_vs_runtime` takes them."""
+    stages = details[details["table"] == "stage"]
+    parts = [_PART_OF_STAGE.get(stage, "signal chain") for stage in stages["quantity"]]
+    return stages[["series", "setting"]].assign(part=parts, ms=stages["value"].astype(float))
+
+
+def _orders(points: pd.DataFrame) -> dict[str, tuple[float, float]]:
+    """By metric the observed order p of the simulator, error ~ rays^-p, and its standard error."""
+    found = {}
+    for metric, group in points[points["series"] == RAYS_SERIES].groupby("metric", sort=False):
+        rays = group["setting"].astype(float).to_numpy()
+        if fit := observed_order(rays, group["error"].to_numpy(float), str(metric)):
+            found[str(metric)] = (fit.order, fit.standard_error)
+    return found
+
+
+def verdict(details: pd.DataFrame) -> str:
+    """Say whether the reference is converged."""
+    halved = details[details["table"] == "reference"]
+    places = [f"{metric_of(q).label} at {s} rays" for q, s in zip(halved["quantity"], halved["setting"], strict=True)]
+    shares = pd.Series(halved["value"].astype(float).to_numpy(), places)
+    text = f"With half of its {REFERENCE_RAYS} rays the reference changes the errors by at most "
+    text += f"{shares.max():.1%} ({shares.idxmax()})."
+    over = list(shares.index[shares >= WELL_CONVERGED])
+    return f"{text} Not within {WELL_CONVERGED:.0%}: {', '.join(over)}." if over else f"{text} It is converged."
+
+
+def tables(points: pd.DataFrame, details: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Make every table of the summary by its heading, with cells as text; tables without rows are left out.
+
+    `points` has the columns series, setting, ms, metric, error; `details` table, series, setting, quantity, value.
+    """
+
+    def rows_of(table: str) -> pd.DataFrame:
+        return details[details["table"] == table]
+
+    stages = rows_of("stage")
+    simulated = stages["series"].str.startswith("simulator")
+    halved = f"By how much halving the reference's {REFERENCE_RAYS} rays moves these errors"
+    grids = "Error of a grid to a finer one, and of another draw of the speckle on that"
+    limits = "Single precision, bf16 and engines: how far they move a frame"
+    shown = points[points["series"] != OTHER_SERIES].rename(columns={"metric": "quantity", "error": "value"})
+    errors = _spread_out(shown, _cell)
+    errors.insert(0, "ms", shown.drop_duplicates(["series", "setting"])["ms"].map("{:.1f}".format).to_list())
+    fits = {
+        "RMS error of the image" if metric == "psnr" else metric_of(metric).label: (f"{p:.2f}", f"{error:.2f}")
+        for metric, (p, error) in _orders(points).items()
+    }
+    by_heading = {
+        "Error to the reference": errors,
+        halved: _spread_out(rows_of("reference"), lambda _, share: f"{share:.1%}"),
+        "Observed order p, error ~ rays^-p": pd.DataFrame(fits, ["p", "standard error"]).T.rename_axis("error"),
+        grids: _spread_out(rows_of("convergence"), _cell),
+        limits: _spread_out(_worst(rows_of("limit")), lambda _, value: f"{value:.2g}"),
+        "What the plan saves": _plan(points, rows_of("plan")),
+        "The best within a budget": _budgets(points),
+        "Stages of a simulated frame, ms": _stages(stages[simulated]),
+        "Stages of a generated frame, ms": _stages(stages[~simulated]).T,
+    }
+    return {heading: table for heading, table in by_heading.items() if len(table)}
+
+
+def as_text(tables: dict[str, pd.DataFrame]) -> str:
+    """Print tables for a console, each under its heading, never truncated."""
+    return "\n\n".join(f"{heading}\n\n{table.to_string()}" for heading, table in tables.items())
+
+
+def _cell(metric: str, value: float) -> str:
+    return f"{value:.{metric_of(metric).decimals}f}"
+
+
+def _spread_out(rows: pd.DataFrame, show: Callable[[str, float], str]) -> pd.DataFrame:
+    """Pivot to a row for each series and setting, and a column for each metric."""
+    titles = rows["quantity"].map(lambda q: metric_of(q).title)
+    cells = [show(q, float(v)) for q, v in zip(rows["quantity"], rows["value"], strict=True)]
+    named = rows.assign(title=titles, cell=cells)
+    wide = named.pivot_table("cell", ["series", "setting"], "title", "first", fill_value="", sort=False)
+    return wide.rename_axis(columns=None)
+
+
+def _worst(limits: pd.DataFrame) -> pd.DataFrame:
+    """Keep, for each precision and engine, the largest error over the trained runs; the simulator's rows stay."""
+    runs = limits[~limits["series"].str.startswith("simulator")]
+    if runs.empty:
+        return limits
+    way = runs["setting"].str.extract(r"(\w+, \w+), seed", expand=False)
+    badness_of = [metric_of(m).badness(v) for m, v in zip(runs["quantity"], runs["value"].astype(float), strict=True)]
+    ranked = runs.assign(way=way, badness=badness_of).sort_values("badness", ascending=False, kind="stable")
+    worst = ranked.drop_duplicates(["way", "quantity"]).sort_index()
+    count = way[runs["quantity"] == runs["quantity"].iloc[0]].value_counts()
+    series = [f"trained runs against fp32 eager, worst of {count[w]}" for w in worst["way"]]
+    rows = worst.assign(series=series, setting=worst["way"]).sort_values("way", kind="stable")
+    return pd.concat([limits.drop(runs.index), rows[limits.columns]])
+
+
+def _plan(points: pd.DataFrame, plan: pd.DataFrame) -> pd.DataFrame:
+    ms = {(p["series"], p["setting"]): p["ms"] for p in points.to_dict("records")}
+    rows = []
+    for row in plan.to_dict("records"):
+        full, planned = ms[FULL_SERIES, row["setting"]], ms[RAYS_SERIES, row["setting"]]
+        times = {"full, ms": f"{full:.0f}", "planned, ms": f"{planned:.0f}", "saved": f"{1 - planned / full:.0%}"}
+        rows.append({"rays": row["setting"], **times, row["quantity"]: f"{float(row['value']):.0f}"})
+    return _indexed(rows, ["rays"])
+
+
+def _budgets(points: pd.DataFrame) -> pd.DataFrame:
+    """Find the best within each budget; only renderers with speckle of their own are compared with each other."""
+    finite = points[np.isfinite(points["error"])]
+    badness_of = [metric_of(m).badness(e) for m, e in zip(finite["metric"], finite["error"], strict=True)]
+    kinds = finite["series"].where(finite["series"].str.startswith("simulator"), _RUN)
+    kinds = kinds.mask(kinds == OTHER_SERIES, _OTHER).where(kinds.isin((_RUN, OTHER_SERIES)), _SAME)
+    ranked = finite.assign(badness=badness_of, kind=kinds)[finite["series"] != FULL_SERIES]
+    ranked = ranked.sort_values(["badness", "ms"], kind="stable")  # of equal ones the fastest
+    rows = []
+    for metric in dict.fromkeys(points["metric"]):
+        of_metric = ranked[ranked["metric"] == metric]
+        comparable = {_OTHER, _RUN} <= set(of_metric["kind"])  # a trained run has no envelope
+        for budget in BUDGETS_MS:
+            best = of_metric[of_metric["ms"] <= budget].drop_duplicates("kind").set_index("kind")
+            cells = dict.fromkeys((_SAME, _OTHER, _RUN), "")
+            for kind, row in best.iterrows():
+                name = f"{row['series']}: {row['setting']}".replace("simulator, ", "").replace("other scatterers: ", "")
+                cells[str(kind)] = f"{_cell(metric, row['error'])} ({name})"
+            rivals = best.index.intersection([_OTHER, _RUN]) if comparable else []
+            better = "not compared" if len(best) else "none is that fast"
+            if len(rivals):
+                better = str(best.loc[rivals, "badness"].idxmin()).removesuffix(", other speckle")
+            rows.append({"metric": metric_of(metric).title, "ms": f"{budget:g}", **cells, "better": better})
+    return _indexed(rows, ["metric", "ms"])
+
+
+def _indexed(rows: list[dict[str, str]], names: list[str]) -> pd.DataFrame:
+    return pd.DataFrame(rows).set_index(names) if rows else pd.DataFrame()
+
+
+def _stages(stages: pd.DataFrame) -> pd.DataFrame:
+    """Pivot to a row for each stage, and a column for each simulator setting or network."""
+    if stages.empty:
+        return pd.DataFrame()
+    series = stages["series"].str.replace(RAYS_SERIES, "rays", regex=False)
+    named = stages.assign(renderer=series + " " + stages["setting"], value=stages["value"].astype(float))
+    wide = named.pivot_table(index="quantity", columns="renderer", values="value", sort=False)
+    return wide.map(lambda v: "" if pd.isna(v) else f"{v:.1f}").rename_axis("", axis=1).rename_axis("")

@@ -1,5 +1,1 @@
 """Stiff and extreme cases, in float32 against float64 and networks in bf16 too, that `task=stability` and tests run."""
-
-from ablate.numerics.stability.task import stability
-
-__all__ = ["stability"]

@@ -1,16 +1,14 @@
-"""Scores of constant and too small images, distances of odd features, and statistics of few or equal values."""
+"""Scores of constant and too small images, and distances of odd features."""
 
 import math
 from functools import partial
 from itertools import product
 
 import numpy as np
-import pandas as pd
 from scipy.linalg import eigvals
 from scipy.ndimage import gaussian_filter
 
 from ablate import metrics
-from ablate.analysis import PairedDifference, Verdict, component_claim, factorial_effects, holm, paired_difference
 from ablate.metrics.features import GRADIENT_UNIT
 from ablate.numerics.stability.checks import FLOAT32, FLOAT64, Checks, case, off
 from ablate.ultrasound import ConvexProbe, fan_mask
@@ -82,20 +80,9 @@ def _in_double(checks: Checks) -> None:
     checks.add("noise_sd against long doubles, relative", error, 64 * FLOAT64, "There are few roundings.")
 
 
-@case("maps without a shadow")
-def _shadows(checks: Checks) -> None:
-    """Attenuation maps that are 0, -0 and the smallest float32 everywhere."""
-    checks.dtype, tiny = "float32", float(np.finfo(np.float32).tiny)
-    for label, value in (("0", 0.0), ("the smallest float32", tiny), ("-0", -0.0)):
-        attenuation = np.full(SHAPE, value, np.float32)
-        pair = metrics.Pair(NOISE[1], NOISE[2], FAN, FAN, attenuation, DEPTH_MM, FAN.astype(np.uint8))
-        shadow = metrics.shadow_contrast(pair)
-        checks.none(f"A is {label}: shadows found", shadow is not None, "A is constant at every depth.")
-
-
 @case("empty histograms, masks and images")
 def _empty(checks: Checks) -> None:
-    """Empty masks and histograms, images smaller than a patch, and a fan of one pixel."""
+    """Empty masks and histograms, maps without a shadow, images smaller than a patch, and a fan of one pixel."""
     nowhere, one = np.zeros((2, *SHAPE), bool)
     empty = metrics.Pair(BLACK, WHITE, nowhere, nowhere, draws=np.stack([BLACK, WHITE]))
     one[100, 138] = True
@@ -108,23 +95,20 @@ def _empty(checks: Checks) -> None:
     for bins in (1, 50, 256):  # all but one are empty in both images: 0 / 0
         error = off(metrics.patch_chi2(BLACK, WHITE, bins=bins), float(bins > 1))
         checks.add(f"{bins} bins: chi-square against its value", error, 0, "0 / 0 counts as 0.")
-    small = metrics.rms(metrics.patch_chi2(BLACK[:19, :19], WHITE[:19, :19]))
-    checks.none("smaller than a patch: scores", small is not None, "There is no patch.")
-    outside = metrics.rms(metrics.patch_chi2(BLACK, WHITE), metrics.patches_inside(nowhere))
-    checks.none("no patch in the fan: scores", outside is not None, "There is no patch.")
-    checks.none("no tissue: spreads", metrics.noise_sd(empty) is not None, "There is no pixel.")
+    for where, score in (
+        ("smaller than a patch", metrics.rms(metrics.patch_chi2(BLACK[:19, :19], WHITE[:19, :19]))),
+        ("no patch in the fan", metrics.rms(metrics.patch_chi2(BLACK, WHITE), metrics.patches_inside(nowhere))),
+        ("no tissue", metrics.noise_sd(empty)),
+    ):
+        checks.none(f"{where}: scores", score is not None, "There is no patch, or no pixel.")
+    for value in (0.0, float(np.finfo(np.float32).tiny), -0.0):
+        attenuation = np.full(SHAPE, value, np.float32)
+        pair = metrics.Pair(NOISE[1], NOISE[2], FAN, FAN, attenuation, DEPTH_MM, FAN.astype(np.uint8))
+        shadow = metrics.shadow_contrast(pair)
+        checks.none(f"A is {value:.1g}: shadows found", shadow is not None, "A is constant at every depth.")
     error = abs((metrics.mae_smooth(metrics.Pair(BLACK, WHITE, one)) or math.nan) - 255)
     why = "The sum is divided by the peak of the Gaussian, 1/100."
     checks.add("a fan of one pixel: mae_smooth against 255", error, FFT_ERROR * 2 * math.pi * 16, why, "float32")
-
-
-@case("images of 25 million pixels")
-def _large(checks: Checks) -> None:
-    """Images of 25 million pixels, black against white: the sum of squares is 1.6e12."""
-    checks.dtype = "uint8"
-    black, white = np.zeros((5000, 5000), np.uint8), np.full((5000, 5000), 255, np.uint8)
-    checks.add("psnr against 0 dB", abs(metrics.psnr(black, white)), 0, "Sums of squares are 64-bit integers.")
-    checks.add("mae against 255", abs(metrics.mae(black, white) - 255), 0, "Sums are 64-bit integers.")
 
 
 @case("Frechet distance: n < d, n = 2, n = 1")
@@ -183,120 +167,3 @@ def _textures(checks: Checks) -> None:
     checks.add("largest feature", np.abs(features).max(), 255 / GRADIENT_UNIT, why)
     excess = metrics.evaluate_image(metrics.Pair(CHECKERBOARD, BLACK, FAN))["nyquist_excess"]
     checks.finite(np.array(excess), what="checkerboard: excess", dtype="float32")
-
-
-def _compared(differences: np.ndarray, clusters: np.ndarray | None = None) -> PairedDifference:
-    return paired_difference(differences, np.zeros(len(differences)), clusters)
-
-
-def _consistent(checks: Checks, label: str, values: np.ndarray, clusters: np.ndarray | None = None) -> PairedDifference:
-    """Check that the interval holds the estimate, that the data's range does, and that p is a probability."""
-    checks.label, result = label, _compared(values, clusters)
-    checks.finite(np.array([result.shift, result.p, result.effect]), what="figures")
-    outside = max(result.lower - result.shift, result.shift - result.upper, 0.0)
-    checks.add("estimate outside its interval", outside, 0, "An interval holds its estimate.")
-    beyond = max(values.min() - result.shift, result.shift - values.max(), 0.0)
-    checks.add("estimate outside the data", beyond, 0, "A median of means of two lies in their range.")
-    checks.add("p outside [0, 1]", max(-result.p, result.p - 1, 0.0), 0, "It is a probability.")
-    return result
-
-
-@case("statistics: ties")
-def _ties(checks: Checks) -> None:
-    """Differences that are 0 on most frames, the same on most frames, or only two values."""
-    _consistent(checks, "1000 of 1, 0 and pi", np.array([1.0] * 1000 + [0.0, np.pi]))
-    _consistent(checks, "zeros and ones", np.repeat([0.0, 1.0], 15))
-    _consistent(checks, "one in a hundred", np.array([0.0] * 99 + [1.0]))
-    result = _consistent(checks, "60 zeros, -1 and pi", np.array([0.0] * 60 + [-1.0, np.pi]))
-    checks.add("width of the interval", result.upper - result.lower, 0, "Every resample has the same median.")
-
-
-@case("statistics: constant differences")
-def _constant(checks: Checks) -> None:
-    """The same difference on all frames."""
-    for value in (0.0, 2.0, -1e-12, 1e12):
-        result = _consistent(checks, f"{value:g} throughout", np.full(12, value))
-        spread = max(abs(result.lower - value), abs(result.upper - value), abs(result.shift - value))
-        checks.add("interval and estimate off it", spread, 0, "Every resample is the same.")
-        checks.add("effect", abs(result.effect - np.sign(value)), 0, "All differences have one sign.")
-
-
-@case("statistics: n of 1, 2 and 3, and one site")
-def _few(checks: Checks) -> None:
-    """One, two and three frames, many frames of one site, and no frame."""
-    for n in (1, 2, 3):
-        result = _consistent(checks, f"n = {n}", np.arange(1.0, n + 1))
-        checks.add("p against 2^(1 - n)", abs(result.p - 2.0 ** (1 - n)), 4 * FLOAT64, "All signs are the same.")
-    _consistent(checks, "two sites", np.arange(20.0), np.repeat([0, 1], 10))
-    checks.label, one_site = "", _compared(np.arange(20.0), np.zeros(20))
-    ends = np.isfinite([one_site.lower, one_site.upper])
-    checks.none("one site: finite ends of the interval", ends, "One site does not show how sites differ.")
-    checks.refused(partial(_compared, np.array([])), partial(_compared, np.array([np.inf])))
-    verdict = component_claim([1.0, 2.0], [3.0, 4.0, 5.0]).verdict
-    checks.none("two seeds: claims", verdict is not Verdict.not_claimable, "Three seeds are needed.")
-
-
-@case("statistics: differences of every size")
-def _sizes(checks: Checks) -> None:
-    """Differences of 10^-300 and 10^90, with an offset of 10^12, and too large to be squared."""
-    plain = np.random.default_rng(0).normal(0.3, 1.0, 40)
-    right = _compared(plain)
-    for scale in (2.0**-997, 2.0**-100, 2.0**300):
-        result = _consistent(checks, f"times {scale:.1e}", plain * scale)
-        apart = max(abs(getattr(result, name) / scale - getattr(right, name)) for name in ("shift", "lower", "upper"))
-        checks.add("figures over the scale", apart, 64 * FLOAT64, "A power of two is exact.")
-    offset, checks.label = 1e12, ""
-    error = abs(paired_difference(plain + offset, np.full(40, offset)).shift - right.shift)
-    checks.add("offset 1e12: shift", error, 2 * offset * FLOAT64, "Values are rounded.")
-    error = abs(paired_difference(plain.astype(np.float32), np.zeros(40, np.float32)).shift - right.shift)
-    checks.add("shift against float64", error, 4 * FLOAT32, "Values are rounded; medians are not.", "float32")
-    checks.refused(*(partial(_compared, np.array(v)) for v in ([1e300, 2e300], [1.0, np.nan], [1e308, -1e308])))
-
-
-@case("statistics: seeds that hardly vary")
-def _claims(checks: Checks) -> None:
-    """Seeds with the same result on one side, with results that differ in the last digit, and by 10^-150."""
-    for checks.label, a, b in (
-        ("one side constant", [1.0, 1.0, 1.0], [1.0, 2.0, 3.0]),
-        ("last digit", [1.0, 1.0, 1 + 2e-16], [1.0, 1 + 2e-16, 1.0]),
-        ("1e8 and 1e-7", [1e8, 1e8 + 1e-7, 1e8], [1e8, 1e8, 1e8 + 1e-7]),
-        ("spread 1e-150", [1e-150, 2e-150, 3e-150], [1e-150, 5e-150, 2e-150]),
-        ("spread 1e90", [1e90, 2e90, 3e90], [1e90, 5e90, 2e90]),
-    ):
-        claim = component_claim(a, b)
-        checks.finite(np.array([claim.shift, claim.lower, claim.upper, claim.p], float), what="figures")
-        checks.none("differences claimed", claim.verdict is Verdict.differs, "The two sides overlap.")
-    checks.label, claim = "no seed changes anything", component_claim([1.0] * 3, [2.0] * 3)
-    checks.none("claims", claim.verdict is not Verdict.not_claimable, "There is no spread to compare with.")
-
-
-@case("statistics: p-values of 0 and 1")
-def _families(checks: Checks) -> None:
-    """Holm's correction of p-values of 0, of 1, of the smallest double and of ties."""
-    p = np.array([0.0, 1.0, 5e-324, 0.02, 0.02, 0.5])
-    adjusted = holm(p)
-    checks.finite(adjusted, what="p-values")
-    why = "The correction increases p, to 1 at most."
-    checks.none("p-values that fell or exceed 1", (adjusted < p) | (adjusted > 1), why)
-    fall = max(-np.diff(adjusted[np.argsort(p, kind="stable")]).min(), 0)
-    checks.add("order that changed", fall, 0, "The correction is a running maximum.")
-    checks.add("values of an empty family", holm([]).size, 0, "An empty family has no values.")
-    checks.refused(partial(holm, [1.0 + 1e-12]), partial(holm, [np.nan]), partial(holm, [-1e-300]))
-
-
-@case("statistics: effects of constants")
-def _effects(checks: Checks) -> None:
-    """Factorial studies with a constant result, with an exact effect, and with values of 10^100."""
-    cells = pd.DataFrame([(a, b, s) for a in "xy" for b in "uv" for s in range(3)], columns=["a", "b", "seed"])
-    second = (cells["a"] == "y").to_numpy(float)
-    noise = np.random.default_rng(0).normal(size=len(cells))
-    for checks.label, values, effect, bound in (
-        ("constant 0.1", np.full(len(cells), 0.1), 0.0, 64 * FLOAT64),
-        ("effect of 0.1", 0.3 + 0.1 * second, 0.1, 64 * FLOAT64),
-        ("values of 1e100", 1e100 * (second + 1e-3 * noise), 1e100, 5e-3),
-    ):
-        table = factorial_effects(cells.assign(value=values), ["a", "b"])
-        figures = table[["estimate", "lower", "upper", "p"]].to_numpy(float)
-        checks.finite(figures, what="figures")
-        error = abs(figures[0, 0] - effect) / np.abs(values).max()
-        checks.add("effect of a", error, bound, "Sums of twelve; the last has noise of 1e-3 over six runs.")

@@ -1,4 +1,4 @@
-"""Generators and discriminator in bf16 and float32 against float64, and with constant maps."""
+"""Generators, discriminator and training steps with extreme losses, in bf16 and float32 against float64."""
 
 from copy import deepcopy
 from dataclasses import replace
@@ -11,15 +11,19 @@ from torch.nn import functional as F
 from torch.optim import Adam
 
 from ablate.jobs.compose import variant_model
-from ablate.networks import Generator, GeneratorSpec, Noise, PatchDiscriminator, conditions, gaussian_field
+from ablate.networks import GeneratorSpec, Noise, PatchDiscriminator, conditions
 from ablate.networks.layers import EPSILON, convolutions, instance_norm
 from ablate.numerics.stability.checks import BFLOAT16, FLOAT32, FLOAT64, TF32, Checks, case
 from ablate.settings.conf import variant_names
-from ablate.training import PairGAN, TrainingSettings
+from ablate.training import AdversarialLoss, PairGAN, TrainingSettings
 
 WIDTH = 0.125  # rounding errors depend on the depth of a network more than on its width
 SIDE = 256  # px; eight levels of stride 2 leave one pixel of it
 SETTINGS = TrainingSettings(batch_size=2, device="cpu")
+SPEC = GeneratorSpec(depth=2, width=0.1, noise_start=0.1)
+ADVERSARIAL = (AdversarialLoss.nonsaturating, AdversarialLoss.minimax)
+STEPS = 8
+SMALL_SIDE = 64
 
 
 def maps_of(device: str, seed: int = 0, side: int = SIDE) -> dict[str, Tensor]:
@@ -115,9 +119,9 @@ def _compared(checks: Checks, spec: GeneratorSpec, maps: dict[str, Tensor]) -> N
 
 def _variant(checks: Checks, name: str) -> None:
     """Image, loss and gradients of a training step, at an eighth of the paper's width."""
-    spec = replace(variant_model(name), width=WIDTH)
-    spec = replace(spec, noise_start=0.1 if spec.noise is Noise.inject else 0.0)
-    _compared(checks, spec, maps_of(checks.device))
+    spec = variant_model(name)
+    noise_start = 0.1 if spec.noise is Noise.inject else 0.0
+    _compared(checks, replace(spec, width=WIDTH, noise_start=noise_start), maps_of(checks.device))
 
 
 for _name in variant_names():  # each file of conf/variant
@@ -126,7 +130,7 @@ for _name in variant_names():  # each file of conf/variant
 
 @case("a constant image through instance norm")
 def _constant_norm(checks: Checks) -> None:
-    """Instance norm of constant maps: the deviation is 0, and so is the result."""
+    """Instance norm of constant maps, whose deviation is 0: the result is 0, and a map of one pixel stays as it is."""
     units = {torch.float32: FLOAT32, torch.bfloat16: BFLOAT16, torch.float64: FLOAT64}
     for (kind, unit), value in product(units.items(), (0.0, 1.0, -1e4, 1e30)):
         checks.dtype, checks.label = str(kind).removeprefix("torch."), f"{value:g}"
@@ -138,21 +142,14 @@ def _constant_norm(checks: Checks) -> None:
         why = "The mean is rounded, the deviation is at least sqrt(epsilon), and no result exceeds 1."
         bound = min(1.0, 2 * abs(value) * unit / np.sqrt(EPSILON))
         checks.add("largest value", np.abs(in_double(out)).max(), bound, why)
-
-
-@case("a map of one pixel through instance norm")
-def _one_pixel(checks: Checks) -> None:
-    """Instance norm of a map of one pixel does not change it."""
-    for checks.dtype in ("float32", "bfloat16"):
-        features = torch.randn(2, 8, 1, 1, device=checks.device).to(getattr(torch, checks.dtype))
-        changed = float((instance_norm(features) - features).abs().max())
-        checks.add("change of a map of 1 x 1", changed, 0, "Its deviation is 0; normalising it would give 0.")
+        changed = (instance_norm(features[..., :1, :1]) != features[..., :1, :1]).cpu().numpy()
+        checks.none("maps of one pixel that changed", changed, "Normalising one would give 0.")
 
 
 @case("constant maps through the generators")
 def _constant_maps(checks: Checks) -> None:
-    """Constant maps: one tissue everywhere, no fan, and shadow everywhere."""
-    constants = ("all one tissue", 1.0, 1.0), ("all outside", -1.0, 0.0), ("all shadow", 0.0, 0.0)
+    """Constant maps: one tissue everywhere, and no fan with shadow everywhere."""
+    constants = ("all one tissue", 1.0, 1.0), ("all outside, in shadow", -1.0, 0.0)
     for (label, segmentation, attenuation), name in product(constants, ("sa2h", "lsa2h")):
         maps = maps_of(checks.device)
         maps["segmentation"].fill_(segmentation)
@@ -185,28 +182,80 @@ def _discriminator(checks: Checks) -> None:
         checks.add("logits against float64, of their root mean square", error, bound, why)
 
 
-@case("noise of seeds at the ends of int64")
-def _fields(checks: Checks) -> None:
-    """Noise of seeds at both ends of int64: finite, with mean 0 and deviation 1, and not correlated."""
-    seeds = torch.tensor([-(2**63), -1, 0, 1, 2**63 - 1], device=checks.device)
-    field = in_double(gaussian_field(seeds, 0, 256, 256).flatten(1))
-    n, checks.dtype = field.shape[1], "float32"
-    checks.finite(field)
-    checks.add("mean", np.abs(field.mean(axis=1)).max(), 5 / np.sqrt(n), "Five standard errors.")
-    error = np.abs(field.std(axis=1) - 1).max()
-    checks.add("deviation against 1", error, 5 / np.sqrt(2 * n), "Five standard errors.")
-    alike = np.abs(np.corrcoef(field) - np.eye(len(seeds))).max()
-    checks.add("correlation of two seeds", alike, 5 / np.sqrt(n), "Five standard errors.")
+def _steps(
+    checks: Checks, settings: TrainingSettings, maps: dict[str, Tensor] | None = None, alike: bool = False
+) -> None:
+    """Take steps of Adam: check losses and gradients of the first, and how far weights have moved after the last.
+
+    If real and generated images are alike, their gradients in the discriminator cancel and are not compared.
+    """
+    first = {}
+    # Kingma and Ba 2015, section 2.1: a step is at most lr (1 - b1) / sqrt(1 - b2) when that is over lr.
+    farthest = settings.learning_rate * max(1.0, (1 - settings.beta1) / np.sqrt(1 - settings.beta2)) * STEPS
+    for checks.dtype in ("float32", "float64", "bfloat16"):
+        module = Stepped(SPEC, settings, checks.device, checks.dtype)
+        before, losses = module.weights(), []
+        for k in range(STEPS):
+            losses.append(list(module.step(maps or maps_of(checks.device, k, SMALL_SIDE), k).values()))
+            if k == 0:
+                first[checks.dtype] = np.array(losses[0]), np.concatenate([g.ravel() for g in gradients_of(module)])
+        checks.finite(np.array(losses), what="losses")
+        checks.finite(*gradients_of(module), module.weights(), what="gradients and weights")
+        why = "A step of Adam is at most lr (1 - b1) / sqrt(1 - b2) for any gradient (Kingma and Ba 2015)."
+        checks.add("farthest that a weight went", np.abs(module.weights() - before).max(), farthest, why)
+    layers = convolutions(module)
+    terms = max(layer.weight[0].numel() for layer in layers)
+    right, right_gradient = first["float64"]
+    for checks.dtype, unit in (("float32", terms * FLOAT32), ("bfloat16", 3 * BFLOAT16)):
+        losses_here, gradient = first[checks.dtype]
+        apart = (np.abs(losses_here - right) / (np.abs(right) + (right == 0))).max()
+        why = f"{len(layers)} layers of both networks, if all rounding errors add up."
+        checks.add("losses of the first step against float64, relative", apart, len(layers) * unit, why)
+        if not alike:
+            apart = float(np.linalg.norm(gradient - right_gradient)) / (float(np.linalg.norm(right_gradient)) or 1.0)
+            why = "There are as many layers in the backward pass."
+            checks.add("gradient of the first step against float64, of its norm", apart, 2 * len(layers) * unit, why)
 
 
-@case("images of one pixel, one row and odd sizes")
-def _odd_sizes(checks: Checks) -> None:
-    """Images of one pixel, of one row, and of odd sizes."""
-    generator = Generator(GeneratorSpec(width=WIDTH, noise_start=0.1)).to(checks.device)
-    checks.dtype = "float32"
-    for height, width in ((1, 1), (1, 17), (33, 47)):
-        segmentation = torch.zeros(1, 1, height, width, device=checks.device)
-        image = generator(segmentation, segmentation, noise_seed=torch.tensor([1], device=checks.device))
-        checks.label = f"{height} x {width}"
-        checks.finite(in_double(image), what="pixels")
-        checks.none("size that is wrong", image.shape[-2:] != (height, width), "The padding is cropped.")
+@case("lambda 1e6", 1e6)
+@case("lambda 0", 0.0)
+def _lambda(checks: Checks, weight: float) -> None:
+    """Only the L1 loss, or only the adversarial loss, in both of its forms."""
+    for loss in ADVERSARIAL:
+        checks.label = loss.value
+        _steps(checks, replace(SETTINGS, l1_weight=weight, loss=loss))
+
+
+@case("a crop entirely outside the fan")
+def _outside(checks: Checks) -> None:
+    """A crop outside the fan: its images are black, and the generator's weights do not change."""
+    maps = maps_of(checks.device, side=SMALL_SIDE)
+    for name, value in (("mask", 0.0), ("target", -1.0), ("segmentation", -1.0), ("attenuation", 0.0)):
+        maps[name].fill_(value)
+    _steps(checks, SETTINGS, maps, alike=True)
+    for checks.dtype in ("float32", "float64", "bfloat16"):
+        module = Stepped(SPEC, SETTINGS, checks.device, checks.dtype)
+        before = [p.detach().clone() for p in module.generator.parameters()]
+        losses = module.step(maps, 0)
+        checks.add("L1", losses["train/l1"], 0, "Both images are black outside the fan.")
+        moved = max(float((p - q).abs().max()) for p, q in zip(module.generator.parameters(), before, strict=True))
+        checks.add("farthest that a weight of the generator went", moved, 0, "Masked pixels have no gradient.")
+
+
+@case("losses of saturated logits")
+def _saturated(checks: Checks) -> None:
+    """Logits of +-1e4 and +-1e30, made by the bias of the discriminator's last layer."""
+    for logit in (1e4, -1e4, 1e30, -1e30):
+        for loss in ADVERSARIAL:
+            for checks.dtype, unit in (("float32", FLOAT32), ("float64", FLOAT32), ("bfloat16", BFLOAT16)):
+                module = Stepped(SPEC, replace(SETTINGS, loss=loss, l1_weight=0.0), checks.device, checks.dtype)
+                assert module.discriminator is not None
+                torch.nn.init.constant_(module.discriminator.last.bias, logit)  # type: ignore[arg-type]
+                losses = module.step(maps_of(checks.device, side=SMALL_SIDE), 0)
+                right_g = max(-logit, 0.0) if loss is AdversarialLoss.nonsaturating else -max(logit, 0.0)
+                checks.label = f"{loss.value}, logits {logit:g}"
+                checks.finite(*gradients_of(module), module.weights(), what="gradients and weights")
+                error = max(abs(losses["train/loss_d"] - abs(logit)), abs(losses["train/loss_g"] - right_g))
+                bound = 4 * unit + 10 / abs(logit)
+                why = "Far from 0, softplus is the larger of 0 and x; features add less than 10 to the bias."
+                checks.add("losses against max(0, x), relative", error / abs(logit), bound, why)

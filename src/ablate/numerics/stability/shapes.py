@@ -138,14 +138,6 @@ def _far(checks: Checks, away_mm: float, size: float) -> None:
         _same_speckle(checks, frame, near)
 
 
-@case("a probe 1000 km from its scene")
-def _lost(checks: Checks) -> None:
-    """A probe 1000 km from its scene, surrounded by soft tissue only."""
-    plain = checks.both(Scene((), SOFT, "plain"))
-    for frame in checks.frames(Scene((slab(HARD, 40.0, 60.0),), SOFT, "left"), pose=moved(1e9, -1e9, 1e9)):
-        _same_speckle(checks, frame, plain)
-
-
 def _same_speckle(checks: Checks, frame: Frame, right: dict[str, Frame]) -> None:
     """Compare speckle between 15 and 37 mm with another frame's mean, and with the deviation of a Rayleigh variable."""
     part, other = (f.envelope[100:250].astype(float) for f in (frame, right[checks.dtype]))
@@ -156,18 +148,6 @@ def _same_speckle(checks: Checks, frame: Frame, right: dict[str, Frame]) -> None
     error = abs((part / part.mean(axis=1, keepdims=True)).std() - 0.523)
     why = "Five standard errors; the square of a cell varies about as much."
     checks.add("deviation over mean of speckle against 0.523", error, 5 * 0.523 / np.sqrt(grains), why)
-
-
-@case("sixty-four shells")
-def _shells(checks: Checks) -> None:
-    """Sixty-four nested boxes, 0.9 mm apart."""
-    tissues = [replace(HARD, name=f"t{i}", impedance_mrayl=1.63 + 0.01 * (i % 2)) for i in range(64)]
-    boxes = tuple(slab(t, 20.0 + 0.9 * i, 140.0 - 0.9 * i, 280.0 - i) for i, t in enumerate(tissues))
-    _, z = pixel_coordinates_mm(PROBE, SMALL.image_shape)
-    right = 1 + np.clip(np.ceil(np.minimum(z - 20, 140 - z) / 0.9), 0, 64)
-    for frame in checks.frames(Scene(boxes, SOFT, "shells")):
-        wrong = (frame.segmentation[:, 138] != right) & frame.mask[:, 138]
-        checks.none("rows of S that are wrong", wrong, "Each crossing changes one bit.")
 
 
 @case("64 surfaces of R_p = 0.97, 1 mm apart", 0.97, 1.0, 64)
@@ -201,11 +181,3 @@ def _labels(checks: Checks) -> None:
     missing = 254 - len(np.unique(frame.segmentation[frame.mask]))
     checks.add("labels missing", missing, 0, "All tissues are in view, each with its own label.")
     checks.refused(lambda: Simulator(Scene(boxes, SOFT, "too many"), None, settings))
-
-
-@case("a probe's face in a surface")
-def _on_a_face(checks: Checks) -> None:
-    """A surface that touches the middle of the probe's face, and a sphere that coincides with the whole face."""
-    sphere = trimesh.creation.icosphere(5, 40.0).apply_translation((0, 0, -40.0))
-    checks.render(Scene((slab(HARD, 0.0, 100.0),), SOFT, "plane"), label="plane")
-    checks.render(Scene((Structure(sphere, HARD),), SOFT, "sphere"), label="sphere")

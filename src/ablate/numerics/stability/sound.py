@@ -4,8 +4,9 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
+import trimesh
 
-from ablate.anatomy import Scene, Tissue
+from ablate.anatomy import Scene, Structure, Tissue
 from ablate.numerics.stability.checks import AHEAD, FLOAT32, GEL, PROBE, SMALL, SOFT, Checks, case, moved, slab
 from ablate.ultrasound import ConvexProbe, Frame, SimulatorSettings
 from ablate.ultrasound.imaging.point_spread import axial_kernel
@@ -126,11 +127,13 @@ def _total_reflection(checks: Checks) -> None:
 
 @case("grazing incidence, scanlines along a face")
 def _grazing(checks: Checks) -> None:
-    """Scanlines exactly along a surface, and 1e-6 and 0.1 degrees off it."""
+    """Scanlines along a surface and 1e-6 and 0.1 degrees off it; a surface and a sphere that touch the probe's face."""
     hard = Tissue("hard", 2600, 4.5, 0.5, 0.6, 0.0, 1.0, roughness=0.0)
-    scene = Scene((slab(hard, 50.0, 100.0, 300.0),), SOFT, "grazing")
-    for tilt, z in ((90.0, 50.0), (90 - 1e-6, 50.0), (89.9, 49.9)):
+    for tilt, z in ((90.0, 50.0), (90 - 1e-6, 50.0), (89.9, 49.9), (0.0, 50.0)):
+        scene = Scene((slab(hard, 50.0, 100.0),), SOFT, "grazing")
         checks.render(scene, pose=moved(z_mm=z, tilt_deg=tilt), label=f"{90 - tilt:g} degrees off")
+    sphere = trimesh.creation.icosphere(5, PROBE.radius_mm).apply_translation((0, 0, -PROBE.radius_mm))
+    checks.render(Scene((Structure(sphere, hard),), SOFT, "sphere"), label="sphere")
 
 
 @case("a closed cavity with R near 1")

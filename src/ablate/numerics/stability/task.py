@@ -2,7 +2,7 @@
 
 import sys
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from inspect import cleandoc
 from pathlib import Path
 
@@ -10,11 +10,11 @@ import pandas as pd
 import torch
 from tqdm import tqdm
 
-from ablate.numerics.stability import extremes, losses, metrics, networks, shapes, sound  # noqa: F401 (their cases)
+from ablate.numerics.stability import extremes, metrics, networks, shapes, sound  # noqa: F401 (their cases)
 from ablate.numerics.stability.checks import CASES, Case, Check
 from ablate.runs.job import Job
 from ablate.runs.store_copy import open_store
-from ablate.storage import write_text, written_whole
+from ablate.storage import write_text
 from ablate.tracking import Status, git_state, hardware, recorded_task
 from ablate.training import chosen_device
 
@@ -34,7 +34,7 @@ def stability(jobs: Sequence[Job]) -> int:
                 bar.set_postfix_str(case.name)
                 rows += [{"case": case.name, **vars(c), "holds": c.holds} for c in run_case(case, device)]
         table = pd.DataFrame(rows, columns=[*COLUMNS, "why"])
-        files = _written(table, CASES, folder)
+        files = _written(table, folder)
         fallen = list(table.loc[~table["holds"], "case"].unique())
         verdict = f"{len(CASES) - len(fallen)} of {len(CASES)} cases hold, {len(table)} figures"
         print(f"{_shown(table)}\n\n{verdict}\n", *files, sep="\n")
@@ -60,24 +60,20 @@ def run_case(case: Case, device: str) -> list[Check]:
         torch.set_num_threads(threads)
 
 
-def _written(table: pd.DataFrame, cases: Mapping[str, Case], folder: Path) -> list[Path]:
+def _written(table: pd.DataFrame, folder: Path) -> list[Path]:
     """Write the table as CSV, and as Markdown with what each case tries and the reason of each bound."""
     folder.mkdir(parents=True, exist_ok=True)
     csv, pages = folder / "stability.csv", folder / "stability.md"
-    with written_whole(csv) as partial:
-        table[COLUMNS].to_csv(partial, index=False)
+    write_text(csv, table[COLUMNS].to_csv(index=False))
     text = ["# Numerical stability on stiff and extreme cases"]
+    head = [*COLUMNS[1:], "why"]
     for name, rows in table.groupby("case", sort=False):
-        text += [f"## {name}", cleandoc(cases[str(name)].measure.__doc__ or ""), "\n".join(_markdown(rows))]
+        cells = rows[head].map(lambda cell: f"{cell:.3g}" if isinstance(cell, float) else str(cell).replace("|", r"\|"))
+        lines = [head, ["---"] * len(head), *cells.to_numpy().tolist()]
+        tried = cleandoc(CASES[str(name)].measure.__doc__ or "")
+        text += [f"## {name}", tried, "\n".join(f"| {' | '.join(line)} |" for line in lines)]
     write_text(pages, "\n\n".join(text) + "\n")
     return [csv, pages]
-
-
-def _markdown(rows: pd.DataFrame) -> list[str]:
-    columns = [*COLUMNS[1:], "why"]
-    shown = rows[columns].map(lambda cell: f"{cell:.3g}" if isinstance(cell, float) else str(cell))
-    lines = [columns, ["---"] * len(columns), *shown.to_numpy().tolist()]
-    return [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines]
 
 
 def _shown(table: pd.DataFrame) -> str:

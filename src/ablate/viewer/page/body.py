@@ -7,8 +7,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from ablate.analysis.figures import probe_model
-from ablate.analysis.figures.tissue_colours import Colour
+from ablate.analysis.figures.scene_parts import Colour, first_column_mark, probe_body, probe_face
 from ablate.anatomy import Scene, TissueKind, bounds_mm
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_sag_mm, fan_outline, fan_size_mm
@@ -105,9 +104,9 @@ class Body:
     def _add_probe(self, probe: Probe) -> None:
         self._probe = probe
         scene, own = self._scene, np.eye(4)
-        housing = _add(scene, "/probe/housing", probe_model.probe_body(probe, own), _HOUSING)
-        _add(scene, "/probe/face", probe_model.probe_face(probe, own), _FACE)
-        _add(scene, "/probe/mark", probe_model.first_column_mark(probe, own), _MARK)
+        housing = _add(scene, "/probe/housing", probe_body(probe, own), _HOUSING)
+        _add(scene, "/probe/face", probe_face(probe, own), _FACE)
+        _add(scene, "/probe/mark", first_column_mark(probe, own), _MARK)
         outline = fan_outline(probe) / _UNIT_MM
         points = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
         scene.add_line_segments("/probe/outline", points, _OUTLINE, thickness=2.0, thickness_units="screen")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ablate.analysis.figures.tissue_colours import tissue_colours
+from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import Scene
 from ablate.settings.study import StudySettings
 from ablate.viewer.page.body import Body

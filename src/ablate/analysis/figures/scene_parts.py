@@ -1,14 +1,56 @@
-"""A probe and its fan as meshes in world coordinates, to be drawn."""
+"""What pictures of a scene share: a colour for each tissue, by what it is to ultrasound, and the probe as meshes."""
+
+from collections.abc import Sequence
 
 import numpy as np
 import trimesh
+from matplotlib.colors import hsv_to_rgb
 
+from ablate.anatomy import Tissue, TissueKind
 from ablate.ultrasound import Probe
-from ablate.ultrasound.probe import face_arc, face_sag_mm, fan_size_mm, to_world
+from ablate.ultrasound.probe import face_arc, to_world
 
-_HALF_WIDTH_MM = 7.0
+Colour = tuple[float, float, float]
+
+BACKGROUND: Colour = (0.88, 0.90, 0.92)
+BONE: Colour = (0.95, 0.90, 0.76)
+GAS: Colour = (0.50, 0.55, 0.62)
+BLOOD: Colour = (0.75, 0.10, 0.15)
+_GOLDEN = 0.618034
+_SATURATIONS, _VALUES = (0.35, 0.60, 0.48), (0.93, 0.72)
+_BLOOD_POWER = 0.02  # what scatters less is red: blood, and the thalamus, which is not a fluid
+_HALF_WIDTH_MM = 7.0  # of the probe
 _BODY_MM = ((1.0, 14.0), (0.5, 36.0), (0.42, 85.0))  # share of the face's width, and how far behind its edges
 _FACE_MM = 0.5  # in front of the body, so that it is seen
+
+
+def tissue_colours(tissues: Sequence[Tissue]) -> list[Colour]:
+    """A colour in [0, 1]^3 a tissue, for all of `Scene.tissues`, of which the first is the background.
+
+    The background is pale, bone ivory, gas grey, blood red; clear fluids are blue and all others warm.
+    """
+    colours: list[Colour] = []
+    fluids = others = 0
+    colour: Colour | np.ndarray
+    for i, tissue in enumerate(tissues):
+        if tissue.kind is TissueKind.bone:
+            colour = BONE
+        elif tissue.kind is TissueKind.gas:
+            colour = GAS
+        elif i == 0:
+            colour = BACKGROUND
+        elif tissue.scatter_power == 0:
+            colour = hsv_to_rgb((0.52 + 0.045 * (fluids % 4), 0.5, 0.9))
+            fluids += 1
+        elif tissue.scatter_power < _BLOOD_POWER:
+            colour = BLOOD
+        else:
+            hue = (0.9 + 0.24 * (others * _GOLDEN % 1)) % 1  # from pink over red to yellow
+            colour = hsv_to_rgb((hue, _SATURATIONS[others % 3], _VALUES[others % 2]))
+            others += 1
+        red, green, blue = map(float, colour)
+        colours.append((red, green, blue))
+    return colours
 
 
 def probe_body(probe: Probe, pose: np.ndarray) -> trimesh.Trimesh:
@@ -42,14 +84,6 @@ def first_column_mark(probe: Probe, pose: np.ndarray, radius_mm: float = 4.0) ->
     ball = trimesh.creation.icosphere(2, radius=radius_mm)
     ball.apply_translation(to_world(pose, np.array([edge - 0.5 * radius_mm, 0.0, height - 9.0])))
     return ball
-
-
-def fan_plane(probe: Probe, pose: np.ndarray) -> trimesh.Trimesh:
-    """The rectangle that the image fills, as two triangles."""
-    height, width = fan_size_mm(probe)
-    top = -face_sag_mm(probe)
-    corners = np.array([[x, 0, z] for z in (top, top + height) for x in (-width / 2, width / 2)])
-    return trimesh.Trimesh(to_world(pose, corners), [[0, 1, 2], [1, 3, 2]], process=False)
 
 
 def _arc(probe: Probe) -> np.ndarray:

@@ -1,0 +1,237 @@
+"""Figures with a panel a metric: paired differences as the paper's Fig. 4, every training, and factorial effects."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from ablate.analysis.components import Component, short_keys
+from ablate.analysis.figures.style import (
+    axis_title,
+    draw_resimulation,
+    house_style,
+    metric_panels,
+    one_legend,
+    save_figure,
+    shown_name,
+)
+from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, ordered_variants
+from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
+from ablate.analysis.statistics.designs import Design
+from ablate.analysis.statistics.paired import aligned_differences
+from ablate.analysis.tables import resimulation_note
+from ablate.metrics import Resimulation, metric_of
+
+BOX_IN = 0.26  # height of a row with a box
+BOX_STYLE: dict[str, Any] = {
+    "boxprops": {"facecolor": "#9ECAE9", "lw": 0.7},
+    "medianprops": {"color": "black", "lw": 1.3},
+    "whiskerprops": {"lw": 0.7},
+    "capprops": {"lw": 0.7},
+    "flierprops": {"marker": ".", "ms": 2, "mfc": "#777777", "mec": "none"},
+}
+NO_INTERVAL = (
+    f"An effect has no interval if it rests on fewer than {FEWEST_SEEDS} trainings on one side, or if the design "
+    "leaves no degree of freedom for the error. More seeds give intervals."
+)
+INTERACTION = "An interaction a:b is half the difference that b makes to the effect of a."
+
+
+def boxplot_panels(
+    per_image: pd.DataFrame,
+    metrics: Sequence[str],
+    stem: Path,
+    reference: str = REFERENCE,
+    paired: pd.DataFrame | None = None,
+    components: Sequence[Component] = (),
+) -> list[Path]:
+    """Draw paired differences to the reference as box plots of these metrics side by side, as the paper's Fig. 4.
+
+    Boxes are quartiles, whiskers the 5th and 95th percentile over frames; the grey band and the line in it are the re-
+    simulation's difference; the bar under a box is the interval of the median shift over sites. Metrics without pairs
+    are left out. The files are a PNG and a PDF at `stem`, a path without suffix; none without the reference or a second
+    variant.
+
+    Parameters
+    ----------
+    per_image : DataFrame
+        As for `comparison_table`.
+    paired : DataFrame, optional
+        What `paired_table` gives, for the intervals.
+    components : sequence of Component
+        Changes of these are written in short.
+    """
+    drawn: dict[str, dict[str, np.ndarray]] = {}
+    for metric in metrics:
+        pairs = aligned_differences(per_image, metric, reference)
+        finite = {v: p[np.isfinite(p[["value", "reference"]]).all(axis=1)] for v, p in pairs.items()}
+        found = {v: (p["value"] - p["reference"]).to_numpy() for v, p in finite.items() if len(p)}
+        if set(found) - {RESIMULATION}:
+            drawn[metric] = found
+    networks = list(dict.fromkeys(name for found in drawn.values() for name in found if name != RESIMULATION))
+    if not networks:
+        return []
+    with house_style():
+        figure, panels = metric_panels(list(drawn), [shown_name(n, components) for n in networks], 3, BOX_IN)
+        for axes, (metric, found) in zip(panels, drawn.items(), strict=True):
+            _draw_boxes(axes, found, networks, metric)
+            places = {name: len(networks) - k - 0.37 for k, name in enumerate(networks) if name in found}
+            for row in [] if paired is None else paired[paired["metric"] == metric].to_dict("records"):
+                if row["variant"] in places and np.isfinite([row["lower"], row["upper"]]).all():
+                    place = [places[row["variant"]]] * 2
+                    axes.plot([row["lower"], row["upper"]], place, color="black", lw=1.8, solid_capstyle="butt")
+            axes.set_xlabel(axis_title(metric, f"Δ {{}} to {reference}"))
+        one_legend(figure, panels, 3 if len(panels) > 1 else 1)
+        return save_figure(figure, stem)
+
+
+def _draw_boxes(axes: Axes, differences: dict[str, np.ndarray], networks: Sequence[str], metric: str) -> None:
+    """A box for each network that has differences, and the re-simulation's as a line in a band."""
+    if RESIMULATION in differences:
+        lower, middle, upper = np.quantile(differences[RESIMULATION], [0.25, 0.5, 0.75])
+        axes.axvspan(lower, upper, color="#DDDDDD", zorder=0)
+        draw_resimulation(axes, metric, float(middle), "re-simulation, median and quartiles")
+    axes.axvline(0, color="black", lw=0.8, zorder=1)
+    places = {len(networks) - k: name for k, name in enumerate(networks) if name in differences}
+    axes.boxplot(
+        [differences[name] for name in places.values()],
+        positions=list(places),
+        orientation="horizontal",
+        manage_ticks=False,
+        widths=0.5,
+        whis=(5, 95),
+        patch_artist=True,
+        **BOX_STYLE,
+    )
+
+
+def boxplot_caption(metrics: Sequence[str], reference: str = REFERENCE) -> str:
+    """Caption of `boxplot_panels`."""
+    names = ", ".join(metric_of(metric).label for metric in metrics)
+    return (
+        f"Paired differences from {reference} in {names} on the same test frames (means over seeds). A box shows "
+        "quartiles, and its whiskers show the 5th and 95th percentiles. The bar below a box is the 95 % interval of "
+        f"the median shift over probe sites. {resimulation_note(list(metrics))}"
+    )
+
+
+def seed_plot(
+    per_image: pd.DataFrame,
+    scalars: pd.DataFrame | None,
+    metrics: Sequence[str],
+    stem: Path,
+    reference: str = REFERENCE,
+    components: Sequence[Component] = (),
+) -> list[Path]:
+    """Draw one ring a training at its mean over the test frames, with the re-simulation.
+
+    The grey band is the range of the reference's trainings. Metrics without a finite value are left out. The files are
+    as for `boxplot_panels`, none without a network.
+
+    Parameters
+    ----------
+    per_image, scalars : DataFrame
+        As for `comparison_table`.
+    components : sequence of Component
+        Changes of these are written in short.
+    """
+    values = finite_values(per_image, scalars)
+    networks = values[values["variant"] != RESIMULATION]
+    shown = [metric for metric in metrics if metric in set(networks["metric"])]
+    if not shown:
+        return []
+    rows = ordered_variants(list(networks["variant"]), reference)
+    means = networks.groupby(["metric", "variant", "seed"])["value"].mean()
+    floors = values[values["variant"] == RESIMULATION].groupby("metric")["value"].mean()
+    with house_style():
+        figure, panels = metric_panels(shown, [shown_name(row, components) for row in rows], 4)
+        for axes, metric in zip(panels, shown, strict=True):
+            for place, variant in zip(range(len(rows), 0, -1), rows, strict=True):
+                if (metric, variant) not in means.index:
+                    continue
+                scores = means[metric, variant].to_numpy()
+                places = [place] * len(scores)
+                axes.plot(scores, places, "o", ms=4, mfc="none", mec="black", mew=0.8, label="one training")
+                axes.plot([scores.mean()], [place], "|", ms=9, color="#0072B2", mew=1.8, label="mean", zorder=1)
+                if variant == reference:
+                    axes.axvspan(scores.min(), scores.max(), color="#E3E3E3", zorder=0, label=f"range of {reference}")
+            draw_resimulation(axes, metric, floors.get(metric, np.nan))
+            axes.set_xlabel(axis_title(metric))
+        one_legend(figure, panels, 5)
+        return save_figure(figure, stem)
+
+
+def seeds_caption(metrics: Sequence[str], reference: str = REFERENCE) -> str:
+    """Caption of `seed_plot`."""
+    return (
+        "Scores of all trainings. A ring is the mean over the test frames for one seed. A component matters where its "
+        f"rings are separate from those of {reference} (grey). {resimulation_note(list(metrics))}"
+    )
+
+
+def effects_plot(
+    effects: pd.DataFrame, metrics: Sequence[str], stem: Path, gaps: Mapping[str, float] | None = None
+) -> list[Path]:
+    """Draw every effect as a dot with its interval; filled where the interval excludes 0, a ring where it does not.
+
+    Metrics without effects are left out. The files are as for `boxplot_panels`, none without effects.
+
+    Parameters
+    ----------
+    effects : DataFrame
+        What `effects_table` gives.
+    gaps : mapping of str to float, optional
+        By metric, the re-simulation minus the reference: what there is to gain where it is a floor. It is written under
+        the panel, and drawn where it lies within.
+    """
+    shown = [metric for metric in metrics if metric in set(effects["metric"])]
+    if not shown:
+        return []
+    names = list(dict.fromkeys(effects["effect"]))
+    short = short_keys(dict.fromkeys(key for name in names for key in name.split(":")))
+    rows = [":".join(short[key] for key in name.split(":")) for name in names]
+    with house_style():
+        figure, panels = metric_panels(shown, rows, 4, head_in=0.7)
+        for axes, metric in zip(panels, shown, strict=True):
+            axes.axvline(0, color="black", lw=0.8, zorder=1)
+            for row in effects[effects["metric"] == metric].to_dict("records"):
+                place = len(names) - names.index(row["effect"])
+                marker, fill, label = "D", "white", "no interval"
+                if pd.notna(row["lower"]):
+                    axes.plot([row["lower"], row["upper"]], [place] * 2, color="black", lw=1.0, solid_capstyle="butt")
+                    excludes = row["lower"] > 0 or row["upper"] < 0
+                    marker, label = "o", "interval excludes 0" if excludes else "interval holds 0"
+                    fill = "black" if excludes else "white"
+                axes.plot([row["estimate"]], [place], marker, ms=4, mfc=fill, mec="black", mew=0.8, label=label)
+            title, gap = axis_title(metric, "effect on {}"), (gaps or {}).get(metric, np.nan)
+            lower, upper = axes.get_xlim()
+            if lower < gap < upper:
+                draw_resimulation(axes, metric, gap)
+            if np.isfinite(gap):
+                entry = metric_of(metric)
+                kind = "floor" if entry.resimulation is Resimulation.floor else "level"
+                distance = f"{gap:+.{entry.decimals}f}".replace("-", "−")
+                title += f"\nre-simulation {distance} ({kind})"
+            axes.set_xlabel(title)
+        one_legend(figure, panels)
+        return save_figure(figure, stem)
+
+
+def effects_caption(design: Design, effects: pd.DataFrame, gap_to: str | None = None) -> str:
+    """Caption of `effects_plot`; `gap_to` names the reference where gaps are written below the panels."""
+    changes = ", ".join(
+        f"{name} {' → '.join(map(str, design.cells[key].cat.categories))}"
+        for key, name in short_keys(design.factors).items()
+    )
+    said = [
+        f"Effects of changing a component ({changes}), computed from one mean per training. The 95 % intervals are not "
+        f"corrected for the number of effects. The design is: {design.name}. {design.reading}",
+        INTERACTION if effects["effect"].str.contains(":").any() else "",
+        "" if effects["p"].notna().all() else NO_INTERVAL,
+        f"The number below a panel is the re-simulation minus {gap_to}." if gap_to else "",
+        resimulation_note(list(dict.fromkeys(effects["metric"]))),
+    ]
+    return " ".join(filter(None, said))
