@@ -163,6 +163,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["task=render", "frame=-1"], r"frame=-1: allowed are 0 to"),
     (["task=render", "pose=archive.npy"], r"pose=archive\.npy: is an archive"),
     (["runs_dir='100%/runs'"], r"100%/runs: allowed is a path without %"),
+    (["runs_dir='what?/runs'", "task=compare"], r"what\?/runs: allowed is a path without \?"),
     (["task=compare"], r"runs/quick-fetal holds no finished run to compare"),
     # Scenes and pairs.
     (["scene=folder"], r"scene\.folder"),

@@ -1,17 +1,12 @@
 """docs/numerics.md takes what scripts/numerics.py measures, and shows only what is there."""
 
-import importlib.util
 import re
-from pathlib import Path
 
 import pandas as pd
 
-ROOT = Path(__file__).parents[1]
-spec = importlib.util.spec_from_file_location("numerics_page", ROOT / "scripts" / "numerics.py")
-assert spec is not None
-assert spec.loader is not None
-page = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(page)
+from support.scripts import ROOT, script
+
+page = script("scripts/numerics.py")
 
 
 def test_every_mark_of_the_page_is_filled() -> None:

@@ -1,16 +1,10 @@
 """docs/settings.md is what scripts/settings_page.py prints."""
 
-import importlib.util
-from pathlib import Path
-
 from ablate.settings.values import keys
+from support.scripts import ROOT
+from support.scripts import script as load
 
-ROOT = Path(__file__).parents[1]
-spec = importlib.util.spec_from_file_location("settings_page", ROOT / "scripts" / "settings_page.py")
-assert spec is not None
-assert spec.loader is not None
-script = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(script)
+script = load("scripts/settings_page.py")
 
 
 def test_the_page_is_what_the_script_prints() -> None:

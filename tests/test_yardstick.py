@@ -1,6 +1,5 @@
 """The fixed work that benchmarks are compared by."""
 
-import importlib.util
 import subprocess
 import time
 from pathlib import Path
@@ -9,17 +8,14 @@ from types import ModuleType
 import pytest
 import torch
 
+from support.scripts import script
+
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 
 @pytest.fixture
 def yardstick() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("yardstick", BENCHMARKS / "yardstick.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("benchmarks/yardstick.py")
 
 
 def test_ratios_are_taken_round_by_round(yardstick: ModuleType) -> None:

@@ -1,11 +1,17 @@
 """What `task=describe` prints is the paper's table, beside what the networks see of this preset's frames."""
 
-import pytest
+from pathlib import Path
 
+import pytest
+import trimesh
+
+from ablate.anatomy import validate_scene_folder
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.describe import described, description
 from ablate.networks import GeneratorSpec, count_discriminator
 from ablate.settings.conf import variant_names
+from ablate.settings.study import ConfigurationError
+from ablate.tasks.run_task import describe
 
 TOTALS = {
     "lsa2h": 57_171_266,
@@ -64,3 +70,15 @@ def test_a_variant_without_a_discriminator_has_no_parameters_of_one(arguments: l
     assert (with_one["discriminator"], without["discriminator"]) == (2_764_737, 0)
     assert without["total"] == without["generator"] == with_one["generator"]
     assert with_one["total_here"] - without["total_here"] == count_discriminator(GeneratorSpec(width=0.25))
+
+
+def test_a_folder_without_scene_yaml_gets_a_proposal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    jobs = jobs_of(["task=describe", f"scene.folder={tmp_path}"])
+    with pytest.raises(ConfigurationError, match=r"has no scene\.yaml and no mesh"):
+        describe(jobs)
+    trimesh.creation.icosphere(1, radius=60).export(tmp_path / "liver.ply")
+    assert describe(jobs) == 0
+    (tmp_path / "scene.yaml").write_text(capsys.readouterr().out)
+    assert validate_scene_folder(tmp_path).meshes[0][1].name == "liver"
+    assert describe(jobs) == 0
+    assert "receptive field" in capsys.readouterr().out

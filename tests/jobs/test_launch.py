@@ -1,4 +1,7 @@
-"""A launcher, whichever it is, gets every job of a sweep once, and brings it to a process where it runs."""
+"""A launcher gets every job of a sweep once, and brings it to a process of its own with a GPU of its own.
+
+The number of GPUs is faked.
+"""
 
 import os
 import signal
@@ -9,9 +12,10 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+import torch
 from omegaconf import DictConfig
 
-from ablate.jobs.launch import Launch
+from ablate.jobs.launch import VISIBLE, Launch, devices_to_share, least_busy
 from ablate.runs.job import Job
 from ablate.settings.study import ConfigurationError
 from ablate.tasks import command
@@ -171,6 +175,52 @@ def test_callbacks_and_the_folder_of_a_sweep_are_those_that_are_asked_for(
         "on_multirun_end 0",
     ]
     assert (tmp_path / "sweep" / "sa2h").is_dir()
+
+
+def seen_devices(launched: Callable[..., int], folder: Path, *arguments: str) -> list[str]:
+    """What each of two jobs sees of the GPUs, one after another or side by side."""
+    told = str(folder)
+
+    def work(job: Job) -> None:
+        import os
+        import time
+        from pathlib import Path
+
+        time.sleep(1)
+        (Path(told) / str(job.settings.seed)).write_text(os.environ.get("CUDA_VISIBLE_DEVICES", "all"))
+
+    launched(work, "-m", "seed=0,1", *arguments)
+    return [(folder / str(seed)).read_text() for seed in range(2)]
+
+
+def test_jobs_are_dealt_to_all_devices(
+    launched: Callable[..., int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.delenv(VISIBLE, raising=False)
+    seen = seen_devices(launched, tmp_path, "training.device=auto", "hydra.launcher.n_jobs=2")
+    assert sorted(seen) == ["0", "1"]
+    assert VISIBLE not in os.environ
+
+
+def test_one_device_is_left_as_it_is(
+    launched: Callable[..., int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    monkeypatch.delenv(VISIBLE, raising=False)
+    assert seen_devices(launched, tmp_path, "hydra.launcher.n_jobs=2") == ["all"] * 2
+
+
+def test_only_devices_that_are_visible_are_dealt(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setenv(VISIBLE, "GPU-5a, GPU-7c")
+    assert devices_to_share("auto") == ("GPU-5a", "GPU-7c")
+    assert devices_to_share("cpu") == ()
+
+
+def test_the_least_busy_device_is_next() -> None:
+    assert [least_busy("ab", busy) for busy in ([], ["a"], ["a", "b"], ["a", "b", "a"])] == ["a", "b", "a", "b"]
+    assert least_busy((), []) is None
 
 
 @pytest.mark.slow

@@ -22,12 +22,3 @@ def test_a_batch_has_at_most_as_many_crops_as_there_are_training_frames(tmp_path
     with pytest.raises(ConfigurationError, match=f"batch_size={frames + 1}: more than the {frames} training frames"):
         check_batch(frames + 1)
     assert not any(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("task", ["study", "compare", "precision"])
-@pytest.mark.parametrize("sign", ["?", "%"])
-def test_runs_lie_where_the_address_of_a_database_can_point_to(tmp_path: Path, task: str, sign: str) -> None:
-    runs = tmp_path / f"100{sign}20" / "runs"
-    with pytest.raises(ConfigurationError, match=re.escape(f"{runs}: allowed is a path without {sign}")):
-        check(jobs_of([f"task={task}", f"runs_dir='{runs}'"]))
-    assert not any(tmp_path.iterdir())
