@@ -27,10 +27,10 @@ COLUMNS = ("key", "values", "default", "unit", "decides", "about")
 def page() -> str:
     """The text of docs/settings.md: a table for the keys without a group, then one for each group."""
     groups: dict[str, list[tuple[str, Setting]]] = {}
-    for key in keys():
-        group = key.name.rpartition(".")[0]
+    for key, setting in keys().items():
+        group = key.rpartition(".")[0]
         if group != "probe":
-            groups.setdefault(f"`{group}`" if group else "Without a group", []).append((key.name, key.setting))
+            groups.setdefault(f"`{group}`" if group else "Without a group", []).append((key, setting))
         for kind, probe in PROBES.items() if group == "probe" else ():
             groups[f"`probe` with `probe.kind={kind}`"] = [(f"probe.{one.name}", one) for one in settings_of(probe)]
     lines = [HEAD, ""]

@@ -13,7 +13,7 @@ def test_the_page_is_what_the_script_prints() -> None:
 
 def test_every_key_has_a_row() -> None:
     page = script.page()
-    assert not [key.name for key in keys() if f"| `{key.name}` |" not in page]
+    assert not [key for key in keys() if f"| `{key}` |" not in page]
 
 
 def test_values_are_written_as_the_command_line_takes_them() -> None:

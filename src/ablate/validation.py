@@ -1,10 +1,8 @@
-"""Checks of names, addresses and numbers that several rooms share; declared settings are checked by `setting`."""
+"""Checks of names and addresses that several rooms share; declared settings are checked by `setting`."""
 
-import math
 import re
 import reprlib
 from collections.abc import Collection
-from numbers import Real
 
 LONGEST_NAME = 200  # bytes; file systems take 255, and endings are added to names
 _REPR = reprlib.Repr()
@@ -27,12 +25,6 @@ def check_name(key: str, value: str, reserved: Collection[str] = ()) -> None:
         raise ValueError(f"{key}={shown(value)}: allowed are {allowed}")
     if value.partition(".")[0].lower() in reserved:
         raise ValueError(f"{key}={value}: the names {', '.join(sorted(reserved))} are taken by other folders")
-
-
-def check_number(name: str, value: object, lower: float, upper: float) -> None:
-    """Raise ValueError unless `value` is a finite number in [lower, upper]."""
-    if not isinstance(value, Real) or not math.isfinite(value) or not lower <= float(value) <= upper:
-        raise ValueError(f"{name}={shown(value)}: allowed are numbers from {lower:g} to {upper:g}")
 
 
 def check_store(key: str, uri: str) -> None:

@@ -64,7 +64,7 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
         others = [run for run in runs if run.data != chosen]
         factors = factors_of(runs)
         runs = [run for run in runs if run.data == chosen]
-        blocks = [run for run in others if is_block(run, runs[0], factors)]
+        blocks = [run for run in others if _is_block(run, runs[0], factors)]
         if names := [run.name for run in others if run not in blocks]:
             notes.append(f"{_counted(names)} left aside, made from other pairs than {chosen}: {listed(names)}.")
         if names := [run.name for run in blocks]:
@@ -97,7 +97,7 @@ def factors_of(runs: Sequence[Run]) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*declared, *swept]))
 
 
-def is_block(run: Run, other: Run, factors: Collection[str]) -> bool:
+def _is_block(run: Run, other: Run, factors: Collection[str]) -> bool:
     """Whether the pairs of two runs differ in the anatomy or in components, and in nothing else."""
     varied = {semantic_key(key) for key in factors} | {_ANATOMY}
     unlike = differences(run.spec["semantic"]["data"], other.spec["semantic"]["data"], "data")

@@ -84,7 +84,7 @@ def changed_keys(
     than without them; `fixed` are words for Hydra itself. Keys that decide no result are left out. Of groups of conf/,
     a swept probe is named, and presets and scenes are where they share the name of a study.
     """
-    deciding = {key.name for key in keys() if not key.setting.declared.incidental} - _IN_NO_LABEL
+    deciding = {key for key, one in keys().items() if not one.declared.incidental} - _IN_NO_LABEL
     wanted = {*named, *_LIKE_A_COMPONENT, *(key for key in deciding if key.startswith("model."))}
     groups = {"probe"} if made.study_name is None else {"probe", "preset", "scene"}
     changed = {o.key_or_group: o.value() for o in overrides if o.key_or_group in groups & set(named)}

@@ -11,7 +11,7 @@ from yaml import YAMLError
 
 from ablate.settings.conf import conf_folder
 from ablate.settings.study import ConfigurationError
-from ablate.settings.values import Key, keys
+from ablate.settings.values import keys
 from ablate.validation import shown
 
 
@@ -78,16 +78,12 @@ def _unknown_key(cause: BaseException, text: str) -> str:
         return ""
     parent, _, last = key.rpartition(".")
     prefix = f"{parent}." if parent else ""
-    names = sorted({known.name.removeprefix(prefix).partition(".")[0] for known in _known(prefix)})
+    names = sorted({known.removeprefix(prefix).partition(".")[0] for known in keys() if known.startswith(prefix)})
     if not names:
         return ""
     close = get_close_matches(last, names, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     return f"unknown key '{key}'{hint} allowed{' in ' + parent if parent else ''}: {', '.join(names)}"
-
-
-def _known(prefix: str) -> list[Key]:
-    return [key for key in keys() if key.name.startswith(prefix)]
 
 
 def _one_line(error: BaseException) -> str:

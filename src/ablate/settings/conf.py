@@ -35,7 +35,7 @@ def components() -> tuple[Component, ...]:
     """
     files = {path.stem: path for path in (conf_folder() / "component").glob("*.yaml")}
     names = [*(name for name in _COMPONENTS if name in files), *sorted(files.keys() - set(_COMPONENTS))]
-    known = {key.name for key in keys()}
+    known = keys()
     declared = []
     for name in names:
         where = f"conf/component/{name}.yaml"

@@ -1,7 +1,5 @@
 """From plain values, as Hydra composes them or JSON stores them, to frozen settings; and the table of all keys."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, TypeVar, get_type_hints
 
 from ablate.setting import Setting, is_group, settings_of
@@ -43,22 +41,18 @@ def _group(hint: Any, values: Any, prefix: str) -> Any:
         raise ValueError(f"{prefix}{error}") from error
 
 
-@dataclass(frozen=True)
-class Key:
-    """A key of the command line, such as `training.steps`."""
+def keys(cls: type = StudySettings, prefix: str = "") -> dict[str, Setting]:
+    """Every key of the command line, such as `training.steps`, in the order of the dataclasses.
 
-    name: str
-    setting: Setting
-
-
-def keys(cls: type = StudySettings, prefix: str = "") -> Iterator[Key]:
-    """Every key of the command line in the order of the dataclasses; of the probe those of every kind."""
+    Of the probe they are those of every kind.
+    """
     own = {one.name: one for one in settings_of(cls)}
+    table: dict[str, Setting] = {}
     for name, hint in get_type_hints(cls).items():
         if hint == Probe:
-            of_kinds = {one.name: one for kind in PROBES.values() for one in settings_of(kind)}
-            yield from (Key(f"{prefix}{name}.{one.name}", one) for one in of_kinds.values())
+            table |= {f"{prefix}{name}.{one.name}": one for kind in PROBES.values() for one in settings_of(kind)}
         elif is_group(hint):
-            yield from keys(hint, f"{prefix}{name}.")
+            table |= keys(hint, f"{prefix}{name}.")
         else:
-            yield Key(prefix + name, own[name])
+            table[prefix + name] = own[name]
+    return table

@@ -16,7 +16,6 @@ from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, fan_of, pixel_polar, sample_depths_mm
 from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
-from ablate.validation import check_number
 
 _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
 _PIXELS_OF_A_PART = 1 << 16
@@ -54,7 +53,8 @@ class Display:
     def __post_init__(self) -> None:
         object.__setattr__(self, "tgc_db", tuple(float(value) for value in self.tgc_db))
         for name, value in (("gain_db", self.gain_db), *(("tgc_db", value) for value in self.tgc_db)):
-            check_number(name, value, -_MOST_DB, _MOST_DB)
+            if not abs(value) <= _MOST_DB:  # NaN too
+                raise ValueError(f"{name}={value:g}: allowed are numbers from {-_MOST_DB:g} to {_MOST_DB:g}")
 
     def gain_at(self, depth: np.ndarray) -> np.ndarray:
         """What is added at shares of the imaging depth, an array of any shape with values in [0, 1]; dB."""
