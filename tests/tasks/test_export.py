@@ -7,24 +7,20 @@ from pathlib import Path
 import numpy as np
 import pydicom
 import pytest
-import trimesh
-import yaml
 from PIL import Image
 
 from ablate.dataset import Pairs, Part, open_pairs
 from ablate.jobs.compose import jobs_of
 from ablate.settings.study import ConfigurationError
+from support.scene_folders import ball_folder
 from support.studies import run
 
 
 @pytest.fixture(scope="module")
 def arguments(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     """A small scene, whose data set has been simulated."""
-    folder = tmp_path_factory.mktemp("ball")
-    trimesh.creation.icosphere(3, radius=60).export(folder / "body.obj")
     sites = {"heights": [-15, 0, 15], "angles": [-40, -10, 10, 40], "axis": [0, 0, 1]}
-    scene = {"structures": [{"mesh": "body.obj", "tissue": "liver"}], "sites": sites}
-    (folder / "scene.yaml").write_text(yaml.safe_dump(scene))
+    folder = ball_folder(tmp_path_factory.mktemp("export") / "ball", sites)
     where = ["scene=folder", f"scene.folder={folder}", f"runs_dir={folder / 'runs'}", "dataset.grid=null"]
     made = ["preset=tiny", "simulator.image_shape=[129,179]", *where]
     run("task=simulate", *made)
