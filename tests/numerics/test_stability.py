@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from ablate.jobs.variants import variant_names
 from mlflow import MlflowClient
 
 from ablate.numerics.stability import task
 from ablate.numerics.stability.checks import CASES, Case, Checks
+from ablate.settings.conf import variant_names
 from ablate.ultrasound import attenuation
 from support.studies import run as run_command
 

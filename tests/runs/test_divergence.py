@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from ablate.training.losses import DivergenceError
 
 from ablate.dataset import CropLoader
 from ablate.jobs.compose import jobs_of
 from ablate.runs.train import run_job
-from ablate.training import load_generator, read_checkpoint
+from ablate.training import DivergenceError, load_generator, read_checkpoint
 from support.studies import TINY, TinyStudy
 
 BROKEN_STEP = 9
