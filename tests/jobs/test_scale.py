@@ -47,8 +47,9 @@ def test_a_users_own_frame_size_is_to_scale() -> None:
 
 
 def test_images_made_elsewhere_are_to_the_scale_of_their_own_pixels(tmp_path: Path) -> None:
-    (tmp_path / "segmentation").mkdir()
-    imsave(tmp_path / "segmentation" / "0.png", np.ones((512, 600), np.uint8), check_contrast=False)
+    for name in ("segmentation", "image"):
+        (tmp_path / name).mkdir()
+        imsave(tmp_path / name / "0.png", np.ones((512, 600), np.uint8), check_contrast=False)
     where = ["preset=tiny", "scene=pairs", f"scene.folder={tmp_path}"]
     (job,) = jobs_of([*where, "model.depth=${levels:8}"])
     assert job.settings.simulator.image_shape == (512, 600)

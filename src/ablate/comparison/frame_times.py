@@ -19,7 +19,7 @@ from ablate.networks import Family, Generator, conditions
 from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run
 from ablate.settings.study import SceneKind, StudySettings
-from ablate.storage import digest, write_text
+from ablate.storage import digest, written_whole
 from ablate.tracking import hardware
 from ablate.training import chosen_device, generate, load_generator
 
@@ -53,7 +53,8 @@ def read_times(study_dir: Path) -> pd.DataFrame:
 
 def write_times(study_dir: Path, times: pd.DataFrame) -> None:
     """Keep the times of a study, in the columns of `read_times`."""
-    write_text(study_dir / TIMES, times.to_csv(index=False))
+    with written_whole(study_dir / TIMES) as partial:
+        times.to_csv(partial, index=False)
 
 
 def shown_machine(times: pd.DataFrame, networks: Iterable[str]) -> str | None:
@@ -93,8 +94,9 @@ def all_times(study_dir: Path, labels: Mapping[str, str]) -> pd.DataFrame:
 
     `labels` names the network of each variant.
     """
-    times = read_times(study_dir)
-    key = ["machine", "network"]
+    times, key = read_times(study_dir), ["machine", "network"]
+    if times.empty:
+        return pd.DataFrame()
     rounds = times.groupby(key)["round"].nunique().rename("rounds")
     parts = times.groupby([*key, "part"], sort=False)["ms"].median().unstack().add_suffix("_ms")
     kept = _quartiles(times)[["ms", "lower", "upper"]].join(rounds).join(parts).reset_index()

@@ -54,10 +54,10 @@ def write_png(pairs: Pairs, folder: Path) -> None:
             _save(pairs.stored(name, frame), folder / FOLDERS[name] / f"{_name(frame)}.png")
     sites, parts = [f"site{site}" for site in pairs.sites], [Part(part).name for part in pairs.split]
     frames = pd.DataFrame({"name": [_name(k) for k in range(len(pairs))], "site": sites, "part": parts})
-    frames.to_csv(folder / "frames.csv", index=False)
+    write_text(folder / "frames.csv", frames.to_csv(index=False))
     if set(pairs.tissues) <= load_tissues().keys():
         labels = pd.Series(pairs.tissues, pd.RangeIndex(1, len(pairs.tissues) + 1, name="label"), name="tissue")
-        labels.to_csv(folder / "labels.csv")
+        write_text(folder / "labels.csv", labels.to_csv())
 
 
 def write_nnunet(pairs: Pairs, folder: Path) -> None:
