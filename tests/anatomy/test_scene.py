@@ -1,4 +1,4 @@
-"""A scene's identity; and built scenes on disk: the same again, made anew when the file is not what was written."""
+"""A scene: its identity and imports; kept on disk the same again, made anew when the file is not what was written."""
 
 import logging
 import subprocess
@@ -157,3 +157,18 @@ def test_a_file_with_any_bit_flipped_gives_the_scene_that_was_written(tmp_path: 
         path.write_bytes(flipped)
         assert content_hash(cached_scene(tmp_path, build)) == content_hash(small())
     assert build.call_count > 50
+
+
+LIGHT = """
+import sys
+from ablate.anatomy.scene import FEWEST_TRIANGLES
+from ablate.anatomy import Scene, SiteGrid, Structure, Tissue, content_hash
+from ablate.anatomy import fetal_sites, load_tissues, validate_scene_folder
+Scene((), load_tissues()["fat"], "fat"), fetal_sites()
+print([name for name in ("trimesh", "scipy", "skimage", "torch", "mapbox_earcut") if name in sys.modules])
+"""
+
+
+def test_tissues_sites_and_scene_folders_need_no_mesh_library() -> None:
+    result = subprocess.run([sys.executable, "-c", LIGHT], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
