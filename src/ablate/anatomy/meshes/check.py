@@ -80,7 +80,8 @@ def openings(vertices: np.ndarray, faces: np.ndarray) -> tuple[int, float]:
     a hole that is narrower, where one long edge meets several short ones, does not count.
     """
     vertices, faces = repair.merge_vertices(vertices, faces)
-    faces = np.unique(np.sort(repair.with_three_corners(faces), axis=1), axis=0)
+    faces = np.sort(repair.with_three_corners(faces), axis=1)
+    faces = faces[trimesh.grouping.unique_rows(faces)[0]]  # np.unique is many times slower
     if len(repair.odd_edges(faces)) == 0:  # closed as it is: no need to look for vertices that are near each other
         return 0, 0.0
     gap_mm = GAP * float(np.ptp(vertices, axis=0).max())
