@@ -35,7 +35,7 @@ from ablate.runs.simulated import build_scene
 from ablate.settings.study import SceneKind
 from ablate.ultrasound import Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.imaging.point_spread import blur
-from ablate.ultrasound.probe import fan_size_mm, sample_depths_mm, scanline_positions, scanlines_in_plane, to_world
+from ablate.ultrasound.probe import fan_of, sample_depths_mm, scanline_positions, scanlines_in_plane, to_world
 from ablate.ultrasound.stages import Stage, observe_stages
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples
@@ -76,7 +76,7 @@ print("\n".join(noted))
 # What all pictures share: colours, the fan's size in mm, and scanlines shown in the fan.
 colours = tissue_colours(scene.tissues)
 names = [tissue.name.replace("_", " ") for tissue in scene.tissues]
-height, width = fan_size_mm(probe)
+height, width = fan_of(probe).size_mm
 top = probe.depth_mm - height
 extent = (-width / 2, width / 2, probe.depth_mm, top)
 to_fan = noted[Stage.scan_conversion].arguments[0]  # from (scanlines, samples) to the image of the fan

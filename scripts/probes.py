@@ -13,7 +13,7 @@ from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.anatomy import fetal_abdomen, fetal_planes
 from ablate.jobs.compose import jobs_of
 from ablate.ultrasound import Simulator
-from ablate.ultrasound.probe import face_sag_mm, fan_size_mm
+from ablate.ultrasound.probe import fan_of
 
 DOCS = Path(__file__).parents[1] / "docs"
 PLANE = "abdomen"
@@ -33,7 +33,7 @@ def main() -> None:
         for axes, job, title in zip(panels, jobs, SHOWN.values(), strict=True):
             pose = fetal_planes(press_mm=job.dataset.press_mm)[PLANE]
             image = Simulator(scene, job.probe, job.simulator, poses=[pose]).render(pose).image
-            (height, width), top = fan_size_mm(job.probe), -face_sag_mm(job.probe)
+            (height, width), top = fan_of(job.probe).size_mm, -fan_of(job.probe).sag_mm
             axes.imshow(image, cmap="gray", vmin=0, vmax=255, extent=(-width / 2, width / 2, top + height, top))
             axes.set_title(f"{title}, {job.probe.frequency_mhz:g} MHz")
             axes.set_xlabel("lateral (mm)")

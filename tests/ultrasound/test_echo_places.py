@@ -104,11 +104,7 @@ def test_dots_lie_on_their_pixels(gel, ball, ahead) -> None:
     half = np.radians(35)
     x = ((np.arange(1386) + 0.5) / 1386 - 0.5) * 2 * 190 * np.sin(half)
     z = (np.arange(1000) + 0.5) / 1000 * (190 - 40 * np.cos(half)) - 40 * (1 - np.cos(half))
-    assert (x[-1] - x[0], z[0]) == (
-        pytest.approx(217.96 * 1385 / 1386, abs=0.01),
-        pytest.approx(-7.23 + 0.08, abs=0.01),
-    )
-
+    assert (x[-1] - x[0], z[0]) == pytest.approx((217.96 * 1385 / 1386, -7.23 + 0.08), abs=0.01)
     for place in places_mm:
         near = np.hypot(x - place[0], z[:, None] - place[1]) < 5
 

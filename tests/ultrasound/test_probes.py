@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.setting import plain
 from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, Probe, Simulator, SimulatorSettings
-from ablate.ultrasound.probe import face_points, fan_outline, fan_size_mm, square_pixels
+from ablate.ultrasound.probe import face_points, fan_of, fan_outline, square_pixels
 from ablate.ultrasound.settings import probe_from
 
 CONVEX = ConvexProbe(radius_mm=30.0, fov_deg=60.0, depth_mm=100.0, frequency_mhz=3.0)
@@ -66,7 +66,7 @@ def test_the_mask_is_the_fan(probe) -> None:
     expected = (depth >= 0) & (depth <= probe.depth_mm) & (np.abs(across) <= 1)
     sure = np.minimum(np.abs(np.abs(across) - 1), np.minimum(np.abs(depth), np.abs(depth - probe.depth_mm))) > 1e-9
     np.testing.assert_array_equal(mask[sure], expected[sure])
-    assert (fan_size_mm(probe)[0] / shape[0]) == pytest.approx(fan_size_mm(probe)[1] / shape[1], rel=0.003)
+    assert (fan_of(probe).size_mm[0] / shape[0]) == pytest.approx(fan_of(probe).size_mm[1] / shape[1], rel=0.003)
     assert mask.all() == isinstance(probe, LinearProbe)
 
 
@@ -81,7 +81,7 @@ def test_segmentation_is_exact_to_the_pixel(probe, slab, ball, gel, ahead) -> No
     assert (labels[fan & (z < 39.999) & (x == x)] == 1).all()
     assert (labels[fan & (z > 40.001) & (from_ball > 9)] == 2).all()
     assert (labels[fan & (from_ball < 8.98)] == 3).all()
-    assert (labels == 3).sum() * np.prod(fan_size_mm(probe)) / labels.size == pytest.approx(np.pi * 81, rel=0.02)
+    assert (labels == 3).sum() * np.prod(fan_of(probe).size_mm) / labels.size == pytest.approx(np.pi * 81, rel=0.02)
 
 
 @KINDS
@@ -282,9 +282,9 @@ def test_faces_and_fans_have_their_sizes() -> None:
         face = face_points(probe)
         assert np.ptp(face[:, 0]) == pytest.approx(wide)
         assert np.ptp(face[:, 2]) == pytest.approx(30 * (1 - math.cos(math.radians(30))) if probe is CONVEX else 0)
-        assert tuple(np.ptp(fan_outline(probe), axis=0)[[2, 0]]) == pytest.approx(fan_size_mm(probe), rel=1e-3)
-    assert fan_size_mm(LINEAR) == (100.0, 60.0)
-    assert fan_size_mm(PHASED) == pytest.approx((100.0, 200 * math.sin(math.radians(40))))
+        assert tuple(np.ptp(fan_outline(probe), axis=0)[[2, 0]]) == pytest.approx(fan_of(probe).size_mm, rel=1e-3)
+    assert fan_of(LINEAR).size_mm == (100.0, 60.0)
+    assert fan_of(PHASED).size_mm == pytest.approx((100.0, 200 * math.sin(math.radians(40))))
 
 
 @KINDS

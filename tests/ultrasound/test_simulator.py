@@ -78,16 +78,10 @@ def test_nothing_is_cast_where_nothing_comes_back(slab, gel, probe, small, ahead
 
 def test_the_frame_has_the_promised_shapes(scene, probe, small, ahead) -> None:
     frame = Simulator(scene, probe, small).render(ahead)
-    for array, kind in (
-        (frame.segmentation, np.uint8),
-        (frame.attenuation, np.float32),
-        (frame.image, np.uint8),
-        (frame.mask, np.bool_),
-    ):
-        assert array.shape == small.image_shape
-        assert array.dtype == kind
-    assert frame.envelope.shape == (1024, 64)
-    assert frame.envelope.dtype == np.float32
+    arrays = frame.segmentation, frame.attenuation, frame.image, frame.mask
+    assert [array.shape for array in arrays] == 4 * [small.image_shape]
+    assert [array.dtype for array in arrays] == [np.uint8, np.float32, np.uint8, np.bool_]
+    assert (frame.envelope.shape, frame.envelope.dtype) == ((1024, 64), np.float32)
     assert ((frame.segmentation > 0) == frame.mask).all()
 
 
@@ -122,7 +116,6 @@ def test_threads_do_not_change_the_frame(scene, probe, small, ahead) -> None:
     finally:
         torch.set_num_threads(1)
     assert images_equal(*frames)
-    assert (frames[0].envelope == frames[1].envelope).all()
 
 
 def test_no_operation_of_a_frame_is_given_to_a_team_of_threads(scene, probe, small, ahead) -> None:

@@ -13,11 +13,11 @@ from ablate.networks import ExtraInput, GeneratorSpec, Noise, PatchDiscriminator
 from ablate.runs.job import Job, parameters
 from ablate.settings.conf import components_of_networks, variant_names
 from ablate.settings.study import StudySettings
-from ablate.ultrasound.probe import fan_size_mm
+from ablate.ultrasound.probe import fan_of
 from ablate.ultrasound.settings import ConvexProbe
 
 _UNKNOWN = "-"
-_PAPER_MM = fan_size_mm(ConvexProbe())[0]
+_PAPER_MM = fan_of(ConvexProbe()).size_mm[0]
 
 
 def described(jobs: Sequence[Job]) -> pd.DataFrame:
@@ -78,7 +78,7 @@ def _row(settings: StudySettings) -> dict[str, object]:
         "family": spec.family.value,
         **{component.name: _level(spec, field) for field, component in components_of_networks().items()},
         "inputs": "+".join(networks.inputs(spec)),
-        **_field(spec, "field", rows, fan_size_mm(settings.probe)[0]),
+        **_field(spec, "field", rows, fan_of(settings.probe).size_mm[0]),
         "total_here": sum(parameters(settings).values()),
         "paper_depth": at_paper,
     }
@@ -100,7 +100,7 @@ def _field(spec: GeneratorSpec, name: str, rows: int, height_mm: float) -> dict[
 
 def _same_for_all(settings: StudySettings) -> list[str]:
     """The frame, the crop and the discriminator's patch, beside the paper's."""
-    (rows, columns), height = settings.simulator.image_shape, fan_size_mm(settings.probe)[0]
+    (rows, columns), height = settings.simulator.image_shape, fan_of(settings.probe).size_mm[0]
     patch = networks.patch_size(PatchDiscriminator(networks.discriminator_channels(settings.model), 0.01))
     lengths = {"crop": (settings.training.crop, PAPER_CROP), "patch of the discriminator": (patch, patch)}
     return [

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from ablate.networks.spec import DEPTHS, GeneratorSpec
 from ablate.settings.conf import conf_folder
 from ablate.training.settings import SMALLEST_CROP, TrainingSettings
-from ablate.ultrasound.probe import fan_size_mm, square_pixels
+from ablate.ultrasound.probe import fan_of, square_pixels
 from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings, probe_from
 
 PAPER_SHAPE = SimulatorSettings().image_shape
@@ -67,7 +67,7 @@ def _fan_shape(*, _root_: DictConfig) -> list[int]:
 
 def _two_pixels(length_mm: float, *, _root_: DictConfig) -> float:
     """A length, or that of two rows of the image where this is more."""
-    return max(float(length_mm), round(2 * fan_size_mm(_probe(_root_))[0] / max(_rows(_root_), 1), 3))
+    return max(float(length_mm), round(2 * fan_of(_probe(_root_)).size_mm[0] / max(_rows(_root_), 1), 3))
 
 
 def _probe(root: DictConfig) -> Probe:

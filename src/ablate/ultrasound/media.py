@@ -31,6 +31,14 @@ class Media(NamedTuple):
     thick: bool
 
 
+class Medium(NamedTuple):
+    """A row of `Media`, in numbers: what a ray that travels in it needs."""
+
+    loss_db_mm: float
+    stretch: float
+    anechoic: bool
+
+
 def loss_db_mm(tissue: Tissue, frequency_mhz: float) -> float:
     """Amplitude lost one way, alpha f^b, dB/mm."""
     return tissue.attenuation_db_cm_mhz * frequency_mhz**tissue.attenuation_power / 10

@@ -22,7 +22,7 @@ class Fan(NamedTuple):
     """The shape of a probe's fan; the position of a scanline is its angle, rad, or its x, mm, if all are parallel."""
 
     size_mm: tuple[float, float]  # height and width of the bounding box
-    sag_mm: float  # along z from the middle of the face to its edges
+    sag_mm: float  # along z from the middle of the face to its edges; 0 for a flat face
     reach_mm: float  # from where the scanlines meet to the deepest sample
     outer: float  # position of the last scanline
     width_mm: Callable[[np.ndarray], np.ndarray]  # from the first scanline to the last, at depths
@@ -35,36 +35,39 @@ def _sector(probe: ConvexProbe | PhasedProbe, radius: float, flat_face_mm: float
     """Scanlines that meet at `radius` behind their starts."""
     half, reach = math.radians(probe.fov_deg) / 2, radius + probe.depth_mm
 
-    def polar(x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.hypot(x, z + radius) - radius, np.arctan2(x, z + radius)
-
     def lines(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         directions = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=-1)
         return radius * directions - (0.0, 0.0, radius), directions
 
-    def width(depth_mm: np.ndarray) -> np.ndarray:
-        return (radius + depth_mm) * (2 * half)
-
-    size = reach - radius * math.cos(half), 2 * reach * math.sin(half)
-    return Fan(size, radius * (1 - math.cos(half)), reach, half, width, polar, lines, flat_face_mm)
+    return Fan(
+        size_mm=(reach - radius * math.cos(half), 2 * reach * math.sin(half)),
+        sag_mm=radius * (1 - math.cos(half)),
+        reach_mm=reach,
+        outer=half,
+        width_mm=lambda depth_mm: (radius + depth_mm) * (2 * half),
+        polar=lambda x, z: (np.hypot(x, z + radius) - radius, np.arctan2(x, z + radius)),
+        lines=lines,
+        flat_face_mm=flat_face_mm,
+    )
 
 
 def _rectangle(probe: LinearProbe) -> Fan:
     """Parallel scanlines."""
     wide = probe.width_mm
 
-    def polar(x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        position, depth = np.broadcast_arrays(x, z)
-        return depth.copy(), position.copy()
-
     def lines(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         zero = np.zeros_like(x)
         return np.stack([x, zero, zero], axis=-1), np.stack([zero, zero, zero + 1], axis=-1)
 
-    def width(depth_mm: np.ndarray) -> np.ndarray:
-        return np.full(np.shape(depth_mm), wide)
-
-    return Fan((probe.depth_mm, wide), 0.0, wide + probe.depth_mm, wide / 2, width, polar, lines)
+    return Fan(
+        size_mm=(probe.depth_mm, wide),
+        sag_mm=0.0,
+        reach_mm=wide + probe.depth_mm,
+        outer=wide / 2,
+        width_mm=lambda depth_mm: np.full(np.shape(depth_mm), wide),
+        polar=lambda x, z: (z + np.zeros_like(x), x + np.zeros_like(z)),
+        lines=lines,
+    )
 
 
 def fan_of(probe: Probe) -> Fan:
@@ -91,37 +94,27 @@ def check_pose(pose: np.ndarray) -> np.ndarray:
     return pose
 
 
-def fan_size_mm(probe: Probe) -> tuple[float, float]:
-    """Height and width of the fan's bounding box, mm."""
-    return fan_of(probe).size_mm
-
-
 def pixel_size_mm(probe: Probe, shape: tuple[int, int]) -> tuple[float, float]:
     """Height and width, mm, of a pixel of an image of the fan's bounding box; the two axes scale independently."""
-    height, width = fan_size_mm(probe)
+    height, width = fan_of(probe).size_mm
     return height / shape[0], width / shape[1]
 
 
 def square_pixels(probe: Probe, rows: int) -> tuple[int, int]:
     """The shape of an image of so many rows whose pixels are as wide as they are high, to half a pixel."""
-    height, width = fan_size_mm(probe)
+    height, width = fan_of(probe).size_mm
     return rows, max(1, round(rows * width / height))
-
-
-def face_sag_mm(probe: Probe) -> float:
-    """Distance along z from the middle of the face to its edges, mm; 0 for a flat face."""
-    return fan_of(probe).sag_mm
 
 
 def pixel_coordinates_mm(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Centres x, (W,), and z, (H,), float64 in mm, of the pixels of an image of the fan's bounding box.
 
-    The image begins `face_sag_mm` above the middle of the face.
+    The first row begins `Fan.sag_mm` above the middle of the face.
     """
     rows, columns = shape
-    height, width = fan_size_mm(probe)
+    height, width = fan_of(probe).size_mm
     x = (np.arange(columns) + 0.5) * (width / columns) - width / 2
-    z = (np.arange(rows) + 0.5) * (height / rows) - face_sag_mm(probe)
+    z = (np.arange(rows) + 0.5) * (height / rows) - fan_of(probe).sag_mm
     return x, z
 
 
@@ -131,12 +124,7 @@ def pixel_polar(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.nd
     Depths are mm below the face. Positions are those of `scanline_positions`: angles, or mm for parallel scanlines.
     """
     x, z = pixel_coordinates_mm(probe, shape)
-    return point_polar(probe, x, z[:, None])
-
-
-def point_polar(probe: Probe, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same of points of the image plane, mm; `x` and `z` are broadcast."""
-    return fan_of(probe).polar(x, z)
+    return fan_of(probe).polar(x, z[:, None])
 
 
 def fan_mask(probe: Probe, shape: tuple[int, int]) -> np.ndarray:

@@ -144,17 +144,21 @@ class ProbeKind(StrEnum):
     phased = "phased"
 
 
+class _CheckedProbe:
+    """A probe: a value that is not finite or outside its range is a ValueError that names it."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
 _span_mm = partial(setting, least=1e-6, most=1e6, unit="mm")
 _depth_mm = partial(_span_mm, about="Imaging depth from the face.")
 _frequency = partial(setting, about="Frequency that attenuation is computed at.", least=1e-6, most=1e3, unit="MHz")
 
 
 @dataclass(frozen=True)
-class ConvexProbe:
-    """A curved array; with these defaults the fan's bounding box is 217.96 x 157.23 mm.
-
-    A value that is not finite or outside its range is a ValueError that names it.
-    """
+class ConvexProbe(_CheckedProbe):
+    """A curved array; with these defaults the fan's bounding box is 217.96 x 157.23 mm."""
 
     kind: ClassVar[ProbeKind] = ProbeKind.convex
     radius_mm: float = _span_mm(40.0, "Radius of curvature of the face.")
@@ -162,17 +166,13 @@ class ConvexProbe:
     depth_mm: float = _depth_mm(150.0)
     frequency_mhz: float = _frequency(8.0)
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True)
-class LinearProbe:
+class LinearProbe(_CheckedProbe):
     """A flat array whose scanlines are parallel; its image is a rectangle as wide as the array.
 
     The active aperture opens with depth, at a constant f-number, so the beam is as wide at all depths (Szabo,
-    Diagnostic Ultrasound Imaging, 2014, ch. 7). A value that is not finite or outside its range is a ValueError that
-    names it.
+    Diagnostic Ultrasound Imaging, 2014, ch. 7).
     """
 
     kind: ClassVar[ProbeKind] = ProbeKind.linear
@@ -180,17 +180,14 @@ class LinearProbe:
     depth_mm: float = _depth_mm(50.0)
     frequency_mhz: float = _frequency(7.5)
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True)
-class PhasedProbe:
+class PhasedProbe(_CheckedProbe):
     """A small flat array whose scanlines all leave the middle of its face, steered to either side: a sector.
 
     The beam's width grows with depth and, because the aperture is seen from aside, as 1 / cos of the steering angle
     (Szabo, Diagnostic Ultrasound Imaging, 2014, ch. 7). Nearer than `aperture_mm` it is as wide as there: the f-number
-    is at least 1. A value that is not finite or outside its range is a ValueError that names it.
+    is at least 1.
     """
 
     kind: ClassVar[ProbeKind] = ProbeKind.phased
@@ -199,16 +196,9 @@ class PhasedProbe:
     depth_mm: float = _depth_mm(150.0)
     frequency_mhz: float = _frequency(2.5)
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 Probe = ConvexProbe | LinearProbe | PhasedProbe
-PROBES: dict[ProbeKind, type[ConvexProbe] | type[LinearProbe] | type[PhasedProbe]] = {
-    cls.kind: cls for cls in (ConvexProbe, LinearProbe, PhasedProbe)
-}
-
-
+PROBES: dict[ProbeKind, type[Probe]] = {cls.kind: cls for cls in (ConvexProbe, LinearProbe, PhasedProbe)}
 #: Every value that some probe has, with its default; None where not all kinds have it.
 PROBE_KEYS: dict[str, float | None] = {
     "radius_mm": None,

@@ -19,15 +19,8 @@ from ablate.ultrasound.probe import check_pose, fan_of
 from ablate.ultrasound.settings import ConvexProbe, Frame, Probe, SimulatorSettings
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
+from ablate.ultrasound.transport import lines
 from ablate.ultrasound.transport.adaptive import Shown, trace_to_tolerance
-from ablate.ultrasound.transport.lines import (
-    Nodes,
-    clutter_lines,
-    empty_nodes,
-    mean_level_db,
-    surface_lines,
-    transmit_beam,
-)
 from ablate.ultrasound.transport.rays import Draws, View, at_pose, leave_probe, probe_rays, progressive, stratified
 from ablate.ultrasound.transport.tracing import Paths, trace
 
@@ -111,7 +104,7 @@ class Simulator:
         spread = stratified if settings.tolerance is None else progressive
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays, spread)
         self._rays = probe_rays(probe, settings, self._draws)
-        self._beam = transmit_beam(probe, settings)
+        self._beam = lines.transmit_beam(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
         self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None
         self._prepared: tuple[bytes, Prepared] | None = None
@@ -181,8 +174,8 @@ class Simulator:
                 tissue_of_owner, losses = self._plan.tissue_of_owner, self._plan.media.loss_db_mm
                 labels = segment(geometry, tissue_of_owner, self.probe, self.settings.image_shape, local)
                 polar = plane_labels(geometry, tissue_of_owner, self.probe, self.settings, local)
-                lines = integral_attenuation(polar, losses, self.probe.depth_mm / self.settings.axial_samples)
-                attenuation = self._chain.convert(self._chain.tensor(lines)).clip(0, 1)
+                polar_map = integral_attenuation(polar, losses, self.probe.depth_mm / self.settings.axial_samples)
+                attenuation = self._chain.convert(self._chain.tensor(polar_map)).clip(0, 1)
                 self._maps = pose.tobytes(), np.where(inside, labels + np.uint8(1), np.uint8(0)), attenuation
         return self._maps[1].copy(), self._maps[2].copy()
 
@@ -213,7 +206,7 @@ class Simulator:
         if words is not None and words not in self._warned:  # once a simulator, however many frames it renders
             self._warned.add(words)
             warnings.warn(words, stacklevel=3)
-        nodes = empty_nodes(plan.media.anechoic[labels], probe.depth_mm)
+        nodes = lines.empty_nodes(plan.media.anechoic[labels], probe.depth_mm)
         paths = Paths(self._geometry, view, self._draws, bundle, nodes)
         if settings.tolerance is None:
             send(np.arange(len(bundle.origins)))
@@ -222,25 +215,25 @@ class Simulator:
             echoes, counts = trace_to_tolerance(paths, self._shown(labels, nodes), settings.tolerance, send)
         weights = layer_weights(probe, settings)[1]
         where = weights, counts, probe.depth_mm, shape
-        surfaces, clutter = surface_lines(echoes, *where), clutter_lines(echoes, *where)
-        level = mean_level_db(nodes, counts, self._beam)
-        lines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
-        self._prepared = pose.tobytes(), self._chain.prepare(lines, level, surfaces, clutter)
+        surfaces, clutter = lines.surface_lines(echoes, *where), lines.clutter_lines(echoes, *where)
+        level = lines.mean_level_db(nodes, counts, self._beam)
+        scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
+        self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level, surfaces, clutter)
         return self._prepared[1]
 
-    def _shown(self, labels: np.ndarray, nodes: Nodes) -> Shown:
+    def _shown(self, labels: np.ndarray, nodes: lines.Nodes) -> Shown:
         """What is seen of rays at the nodes of each group, from the tissues that its samples display."""
         settings, tissues = self.settings, self.scene.tissues
-        lines, count = settings.scanlines, nodes.amplitude.shape[1]
+        count = nodes.amplitude.shape[1]
         at_nodes = np.rint(np.linspace(0, settings.axial_samples - 1, count)).astype(int)
         seen = self._chain.gain[at_nodes].double().cpu().numpy() * layer_weights(self.probe, settings)[1][:, at_nodes]
-        echo = np.repeat(seen, lines, axis=0)
+        echo = np.repeat(seen, settings.scanlines, axis=0)
         strength = np.sqrt([tissue.scatter_power for tissue in tissues]) * 10 ** (settings.scatterer_level_db / 20)
         overlap = float(
             self._chain.spread.scatterer_scale.square().reciprocal().mean() / self._chain.spread.axial.square().sum()
         )
         floor = settings.reference_level * 10 ** (settings.noise_floor_db / 20)
-        return Shown(echo, echo * strength[labels[:, at_nodes]], floor, overlap, lines)
+        return Shown(echo, echo * strength[labels[:, at_nodes]], floor, overlap, settings.scanlines)
 
     def _local(self, pose: np.ndarray) -> np.ndarray:
         local = pose.copy()

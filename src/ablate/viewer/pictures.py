@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ablate.analysis.figures.scene_parts import Colour
 from ablate.anatomy import Scene
 from ablate.ultrasound import Probe
-from ablate.ultrasound.probe import face_sag_mm, pixel_coordinates_mm, pixel_size_mm
+from ablate.ultrasound.probe import fan_of, pixel_coordinates_mm, pixel_size_mm
 from ablate.viewer.session import Quality, Views
 
 _HEIGHT_PX = 384  # a picture has at least so many rows, for its letters, and at most twice as many
@@ -104,7 +104,7 @@ def label_at(labels: np.ndarray, point: tuple[float, float], probe: Probe) -> in
 def _pixel(point: tuple[float, float], shape: tuple[int, int], probe: Probe) -> tuple[float, float]:
     """Column and row, from the edges of an image of this shape, of a point, x and z in mm."""
     tall, wide = pixel_size_mm(probe, shape)
-    return point[0] / wide + shape[1] / 2, (point[1] + face_sag_mm(probe)) / tall
+    return point[0] / wide + shape[1] / 2, (point[1] + fan_of(probe).sag_mm) / tall
 
 
 def _size(shape: tuple[int, int]) -> tuple[int, int]:

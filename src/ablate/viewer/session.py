@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ablate.ultrasound import ConvexProbe, Display, Probe, SimulatorSettings
-from ablate.ultrasound.probe import fan_size_mm
+from ablate.ultrasound.probe import fan_of
 from ablate.viewer.hand import Hand, Hold
 
 OFF_BODY = "off the body: there is no skin at this place, and the probe stays where it was"
@@ -156,7 +156,7 @@ class Session:
         """Change the probe: keys are those of its kind. Pixels stay square, and there are as many rows."""
         probe: Probe = replace(self.state.probe, **changes)  # type: ignore[arg-type]  # keys of its kind
         rows, columns = self.start.simulator.image_shape
-        (height, width), (first_height, first_width) = fan_size_mm(probe), fan_size_mm(self.start.probe)
+        (height, width), (first_height, first_width) = fan_of(probe).size_mm, fan_of(self.start.probe).size_mm
         shape = rows, max(1, round(columns * (width / height) / (first_width / first_height)))
         settings = replace(self.state.simulator, image_shape=shape)
         self._become(replace(self.state, probe=probe, simulator=settings))

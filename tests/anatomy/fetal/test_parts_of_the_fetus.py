@@ -11,6 +11,7 @@ from ablate.anatomy import Scene
 from ablate.anatomy.fetal.body import curl, curled, trunk
 from ablate.anatomy.fetal.fetal_abdomen import abdomen_plane, fetal_planes, head_plane
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
+from ablate.anatomy.fetal.shapes import unit
 
 SEEDS = [0, 1, 2, 3]
 TRIANGLES = 30_000
@@ -27,8 +28,7 @@ def perimeter(segments: np.ndarray) -> float:
 
 def narrowest(segments: np.ndarray, normal: np.ndarray) -> float:
     """Smallest calliper width within the plane."""
-    first = np.cross(normal, [0.3, 0.5, 0.8])
-    first /= np.linalg.norm(first)
+    first = unit(np.cross(normal, [0.3, 0.5, 0.8]))
     second = np.cross(normal, first)
     angle = np.linspace(0, math.pi, 180, endpoint=False)
     directions = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
@@ -139,25 +139,22 @@ def test_left_is_left(scene, mesh_of) -> None:
 
 @pytest.mark.parametrize("name", ["thalami", "falx", "cavum septi pellucidi", "lateral ventricles", "choroid plexus"])
 def test_the_plane_of_the_bpd_shows(scene, mesh_of, name: str) -> None:
-    point, normal = head_plane(draw_pregnancy(0))
-    assert len(trimesh.intersections.mesh_plane(mesh_of(scene, name), normal, point)) > 0
+    assert len(section(mesh_of(scene, name), head_plane(draw_pregnancy(0)))) > 0
 
 
 def test_the_four_chamber_plane_cuts_all_chambers_lungs_and_aorta(scene, mesh_of) -> None:
     pose = fetal_planes(0)["four_chambers"]
-    plane = {"plane_normal": pose[:3, 1], "plane_origin": pose[:3, 3]}
-    for chamber in mesh_of(scene, "heart chambers").split():
-        assert len(trimesh.intersections.mesh_plane(chamber, **plane)) > 0
-    for name in ("lungs", "ribs", "aorta and venae cavae"):
-        assert len(trimesh.intersections.mesh_plane(mesh_of(scene, name), **plane)) > 0
+    others = [mesh_of(scene, name) for name in ("lungs", "ribs", "aorta and venae cavae")]
+    for mesh in (*mesh_of(scene, "heart chambers").split(), *others):
+        assert len(section(mesh, (pose[:3, 3], pose[:3, 1]))) > 0
 
 
 def test_the_umbilical_vein_turns_to_the_right(scene, mesh_of) -> None:
     """A J in the plane of the abdominal circumference: straight back from the navel, then to the fetus's right."""
     pregnancy = draw_pregnancy(0)
-    point, normal = abdomen_plane(pregnancy)
-    cut = trimesh.intersections.mesh_plane(mesh_of(scene, "umbilical vein"), normal, point).reshape(-1, 3)
-    x, y, _ = ((cut - point) @ pregnancy.rotation).T
+    plane = abdomen_plane(pregnancy)
+    cut = section(mesh_of(scene, "umbilical vein"), plane).reshape(-1, 3)
+    x, y, _ = ((cut - plane[0]) @ pregnancy.rotation).T
     assert np.ptp(y) > 10.0
     assert x.min() < -8.0
     assert x.max() < 4.0

@@ -66,12 +66,11 @@ def test_union_and_difference_of_spheres_have_the_lens_volume() -> None:
 
 def test_ripple_has_the_given_size_and_follows_its_seed() -> None:
     points = np.random.default_rng(1).uniform(-500, 500, (3, 40_000))
-    flat = sdf.rippled(lambda x, y, z: 0.0 * x, seed=5, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
-    again = sdf.rippled(lambda x, y, z: 0.0 * x, seed=5, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
-    other = sdf.rippled(lambda x, y, z: 0.0 * x, seed=6, amplitude_mm=1.5, wavelength_mm=20.0)  # noqa: ARG005
-    assert flat(*points).std() == pytest.approx(1.5, rel=0.02)
-    assert (flat(*points) == again(*points)).all()
-    assert not np.allclose(flat(*points), other(*points))
+    plane = sdf.half_space((0.0, 0.0, 1.0), 0.0)
+    moved, again, other = (sdf.rippled(plane, seed, 1.5, 20.0)(*points) - plane(*points) for seed in (5, 5, 6))
+    assert moved.std() == pytest.approx(1.5, rel=0.02)
+    assert (moved == again).all()
+    assert not np.allclose(moved, other)
 
 
 def test_empty_and_clipped_shapes_are_refused_by_name() -> None:

@@ -10,7 +10,6 @@ from ablate.anatomy.fetal.mother import torso
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
 
 SEEDS = [0, 1, 2, 3]
-NAMES = ["head", "abdomen", "four_chambers", "femur", "spine", "placenta"]
 SHOWN = {
     "head": "skull",
     "abdomen": "stomach",
@@ -24,7 +23,7 @@ SHOWN = {
 @pytest.mark.parametrize("seed", SEEDS)
 def test_poses_are_rigid_and_on_the_skin(seed: int) -> None:
     poses = fetal_planes(seed, press_mm=6.0)
-    assert list(poses) == NAMES
+    assert list(poses) == list(SHOWN)
     for name, pose in poses.items():
         assert pose[:3, :3] @ pose[:3, :3].T == pytest.approx(np.eye(3)), name
         assert np.linalg.det(pose[:3, :3]) == pytest.approx(1.0)
@@ -60,7 +59,6 @@ def test_the_textbook_case_is_seen_in_every_plane() -> None:
     assert abs(poses["spine"][:3, 2] @ back) > np.cos(np.deg2rad(10))
     assert abs(poses["spine"][:3, 1] @ left) > np.cos(np.deg2rad(3))
     thighs = [pregnancy.rotation @ (limb.bend - limb.root) / 46.0 for limb in map(pregnancy.limbs.leg, (1.0, -1.0))]
-    assert (
-        max(np.linalg.norm(thigh - poses["femur"][:3, 1] * (thigh @ poses["femur"][:3, 1])) for thigh in thighs) > 0.999
-    )
-    assert min(abs(thigh @ poses["femur"][:3, 2]) for thigh in thighs) < np.sin(np.deg2rad(25))
+    _, across, beam = poses["femur"][:3, :3].T
+    assert max(np.linalg.norm(thigh - across * (thigh @ across)) for thigh in thighs) > 0.999
+    assert min(abs(thigh @ beam) for thigh in thighs) < np.sin(np.deg2rad(25))

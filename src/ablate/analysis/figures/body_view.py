@@ -16,7 +16,7 @@ from skimage.transform import resize
 from ablate.analysis.figures.scene_parts import first_column_mark, probe_body, probe_face, tissue_colours
 from ablate.anatomy import Scene, Structure, Tissue, TissueKind, bounds_mm
 from ablate.ultrasound import Probe
-from ablate.ultrasound.probe import face_sag_mm, fan_outline, fan_size_mm, to_world
+from ablate.ultrasound.probe import fan_of, fan_outline, to_world
 from ablate.ultrasound.surfaces.embree import Geometry
 
 Axes3D = Any  # mpl_toolkits carries no types
@@ -163,8 +163,8 @@ def _image_on_fan(probe: Probe, pose: np.ndarray, image: np.ndarray, fan: np.nda
     shape = round(image.shape[0] * fewer), round(image.shape[1] * fewer)
     grey = resize(image / 255, shape, anti_aliasing=fewer < 1)
     alpha = _FAN_OPACITY * resize(fan.astype(float), shape, anti_aliasing=fewer < 1)
-    size = np.array(fan_size_mm(probe))
-    corner = np.array([-face_sag_mm(probe), -size[1] / 2])
+    size = np.array(fan_of(probe).size_mm)
+    corner = np.array([-fan_of(probe).sag_mm, -size[1] / 2])
 
     def paint(points: np.ndarray) -> np.ndarray:
         local = (points - pose[:3, 3]) @ pose[:3, :3]

@@ -17,7 +17,7 @@ from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.anatomy import Scene
 from ablate.storage import written_whole
 from ablate.ultrasound import Probe
-from ablate.ultrasound.probe import face_sag_mm, fan_size_mm
+from ablate.ultrasound.probe import fan_of
 
 _HEIGHT = 0.64  # of the figure, over its width
 _OUTSIDE: Colour = (0.0, 0.0, 0.0)
@@ -74,8 +74,8 @@ def preview_figure(scene: Scene, probe: Probe, shown: Preview, path: Path) -> Pa
 
 
 def _draw_image(axes: Axes, probe: Probe, image: np.ndarray, title: str) -> None:
-    height, width = fan_size_mm(probe)
-    top = -face_sag_mm(probe)
+    height, width = fan_of(probe).size_mm
+    top = -fan_of(probe).sag_mm
     extent = (-width / 2, width / 2, top + height, top)
     axes.imshow(image, cmap="gray", vmin=0, vmax=255, extent=extent, interpolation="antialiased")
     axes.plot(-0.42 * width, top + 0.07 * height, "o", color=MARK, ms=4)

@@ -244,10 +244,9 @@ def limb_flesh(scale: float, seed: int, limbs: Limbs) -> list[Part]:
     shapes += [(sdf.rippled(field, seed + 2, 0.12, 12.0), 0.85, 1.5) for field in arms]
     skin, muscles = [], []
     for name, (field, pitch_mm, fat_mm) in zip(("left leg", "right leg", "left arm", "right arm"), shapes, strict=True):
-        pitch_mm = min(pitch_mm * scale, 4.0 + 5.0 * pitch_mm)
-        skin.append(Part(sdf.mesh_field(field, LIMBS_BOX, pitch_mm, name), "soft_tissue"))
-        inner = sdf.mesh_field(sdf.shrunk(field, fat_mm), LIMBS_BOX, pitch_mm, f"{name} muscles")
-        muscles.append(Part(inner, "muscle"))
+        solid = sdf.solids_in(LIMBS_BOX, scale, 4.0 + 5.0 * pitch_mm)
+        skin.append(solid(field, "soft_tissue", pitch_mm, name))
+        muscles.append(solid(sdf.shrunk(field, fat_mm), "muscle", pitch_mm, f"{name} muscles"))
     return [*skin, *muscles]
 
 
@@ -262,19 +261,13 @@ def untangled(limbs: Limbs) -> bool:
     """Whether no limb runs through another one, the trunk, the head, or the place of the cord at the navel."""
     navel = np.array([[*curl(np.array([NAVEL_IN_TRUNK]))[0], 6.0]])
     fixed = np.concatenate([_body_balls(), navel])
-    lower, whole = [], []
-    for side in SIDES:
-        for capsules in (leg_capsules(limbs.leg(side)), arm_capsules(limbs.arm(side))):
-            lower.append(_in_capsules(capsules[1:]))
-            whole.append(_in_capsules(capsules))
+    capsules = [rods for s in SIDES for rods in (leg_capsules(limbs.leg(s)), arm_capsules(limbs.arm(s)))]
+    lower, whole = [_in_capsules(rods[1:]) for rods in capsules], [_in_capsules(rods) for rods in capsules]
     pairs = [(lower[i], fixed) for i in range(4)]
     pairs += [(whole[i][4:], navel) for i in (0, 2)]
     pairs += [(lower[i], whole[j]) for i in range(4) for j in range(4) if i != j]
-    for first, second in pairs:
-        apart = np.linalg.norm(first[:, None, :3] - second[None, :, :3], axis=2)
-        if (apart - first[:, None, 3] - second[None, :, 3]).min() <= 0.0:
-            return False
-    return True
+    apart = (np.linalg.norm(a[:, None, :3] - b[:, :3], axis=2) - a[:, None, 3] - b[:, 3] for a, b in pairs)
+    return all(gap.min() > 0.0 for gap in apart)
 
 
 def _body_balls() -> np.ndarray:

@@ -1,22 +1,13 @@
 """The built-in anatomy as a scene: generated and not downloaded, and where the probe is held to see standard planes."""
 
 import math
-from dataclasses import dataclass
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 
-from ablate.anatomy.fetal.body import (
-    ABDOMEN_S_MM,
-    HEAD_ORIGIN,
-    HEAD_ROTATION,
-    SIDES,
-    curl,
-    fetal_body,
-    head_to_fetus,
-    limb_flesh,
-)
+from ablate.anatomy.fetal import body
 from ablate.anatomy.fetal.bones import face_bones, limb_bones, trunk_bones
 from ablate.anatomy.fetal.mother import UTERUS_CENTER, UTERUS_RADII, mother, placenta, torso
 from ablate.anatomy.fetal.organs import HEART_AXES, HEART_CENTER, fetal_belly, fetal_chest, fetal_head
@@ -76,12 +67,12 @@ def _build(triangles: int, seed: int) -> Scene:
     pregnancy = draw_pregnancy(seed)
     path, insertion = cord_route(pregnancy)
     fetus = [
-        fetal_body(scale, seed + 100),
-        *limb_flesh(scale, seed + 100, pregnancy.limbs),
-        *moved([*fetal_belly(scale, seed + 200), *fetal_chest(scale, seed + 200)], curl),
-        *moved(fetal_head(scale, seed + 300), head_to_fetus),
-        *moved(trunk_bones(scale), curl),
-        *moved([face_bones(scale)], head_to_fetus),
+        body.fetal_body(scale, seed + 100),
+        *body.limb_flesh(scale, seed + 100, pregnancy.limbs),
+        *moved([*fetal_belly(scale, seed + 200), *fetal_chest(scale, seed + 200)], body.curl),
+        *moved(fetal_head(scale, seed + 300), body.head_to_fetus),
+        *moved(trunk_bones(scale), body.curl),
+        *moved([face_bones(scale)], body.head_to_fetus),
         *limb_bones(scale, pregnancy.limbs),
     ]
     parts = [
@@ -93,19 +84,6 @@ def _build(triangles: int, seed: int) -> Scene:
     tissues = load_tissues()
     structures = tuple(Structure(part.mesh, tissues[part.tissue]) for part in parts)
     return Scene(structures, tissues["coupling_gel"], "fetal_abdomen")
-
-
-@dataclass(frozen=True)
-class _Plane:
-    """What to see: a point, the plane's normal or a line in the plane, and the best direction of the beam.
-
-    Signs do not matter; without `beam` any direction in the plane is as good.
-    """
-
-    point: np.ndarray
-    normal: np.ndarray | None = None
-    line: np.ndarray | None = None
-    beam: np.ndarray | None = None
 
 
 def fetal_planes(seed: int = 0, press_mm: float = 8.0) -> dict[str, np.ndarray]:
@@ -128,57 +106,66 @@ def fetal_planes(seed: int = 0, press_mm: float = 8.0) -> dict[str, np.ndarray]:
     ['abdomen', 'femur', 'four_chambers', 'head', 'placenta', 'spine']
     """
     pregnancy = draw_pregnancy(seed)
-    heart, base = pregnancy.to_world(curl(np.stack([HEART_CENTER, HEART_CENTER + 0.1 * HEART_AXES[:, 2]])))
-    legs = [pregnancy.to_world(np.stack(pregnancy.limbs.leg(side))[:2]) for side in SIDES]
-    spine = pregnancy.to_world(curl(np.array([[0.0, 12.0, 5.0]])))[0]
+    heart, base = pregnancy.to_world(body.curl(np.stack([HEART_CENTER, HEART_CENTER + 0.1 * HEART_AXES[:, 2]])))
+    legs = [pregnancy.to_world(np.stack(pregnancy.limbs.leg(side))[:2]) for side in body.SIDES]
+    spine = pregnancy.to_world(body.curl(np.array([[0.0, 12.0, 5.0]])))[0]
     placenta = np.array(UTERUS_CENTER) + 0.85 * np.array(UTERUS_RADII) * pregnancy.placenta
     left, back, _ = pregnancy.rotation.T
-    # of several planes the one is taken that the probe reaches best
+    pose = partial(_pose, press_mm)
     planes = {
-        "head": (_Plane(*head_plane(pregnancy), beam=left),),
-        "abdomen": (_Plane(*abdomen_plane(pregnancy), beam=left),),
-        "four_chambers": (_Plane(heart, unit(base - heart)),),
-        "femur": tuple(_Plane((hip + knee) / 2, line=unit(knee - hip)) for hip, knee in legs),
-        "spine": (_Plane(spine, left, beam=back),),
-        "placenta": (_Plane(placenta, np.array([1.0, 0.0, 0.0]), beam=pregnancy.placenta),),
+        "head": [pose(*head_plane(pregnancy), beam=left)],
+        "abdomen": [pose(*abdomen_plane(pregnancy), beam=left)],
+        "four_chambers": [pose(heart, unit(base - heart))],
+        "femur": [pose((hip + knee) / 2, line=unit(knee - hip)) for hip, knee in legs],
+        "spine": [pose(spine, left, beam=back)],
+        "placenta": [pose(placenta, np.array([1.0, 0.0, 0.0]), beam=pregnancy.placenta)],
     }
-    best = {
-        name: min((_pose(plane, press_mm) for plane in several), key=itemgetter(0)) for name, several in planes.items()
-    }
-    return {name: pose for name, (_, pose) in best.items()}
+    # of several planes the one is taken that the probe reaches best
+    return {name: min(several, key=itemgetter(0))[1] for name, several in planes.items()}
 
 
 def head_plane(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
     """Point (3,), mm, and unit normal (3,) of the plane where BPD and HC are measured."""
-    return pregnancy.to_world(HEAD_ORIGIN), pregnancy.rotation @ HEAD_ROTATION[:, 2]
+    return pregnancy.to_world(body.HEAD_ORIGIN), pregnancy.rotation @ body.HEAD_ROTATION[:, 2]
 
 
 def abdomen_plane(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
     """Point (3,), mm, and unit normal (3,) of the plane where AC is measured."""
-    point, ahead = pregnancy.to_world(curl(np.array([[0.0, 0.0, ABDOMEN_S_MM], [0.0, 0.0, ABDOMEN_S_MM + 1e-3]])))
+    s = body.ABDOMEN_S_MM
+    point, ahead = pregnancy.to_world(body.curl(np.array([[0.0, 0.0, s], [0.0, 0.0, s + 1e-3]])))
     return point, unit(ahead - point)
 
 
-def _pose(plane: _Plane, press_mm: float) -> tuple[float, np.ndarray]:
-    """The pose on the skin that fits the plane best, and how badly it does."""
+def _pose(
+    press_mm: float,
+    point: np.ndarray,
+    normal: np.ndarray | None = None,
+    line: np.ndarray | None = None,
+    beam: np.ndarray | None = None,
+) -> tuple[float, np.ndarray]:
+    """How badly the best pose on the skin fits, and that pose, to see a point in a plane.
+
+    The plane has a normal, or a line in it. `beam` is the best direction of the beam; without it any direction in the
+    plane is as good. Signs do not matter.
+    """
     skin, inward = _skin()
-    beam = plane.point - skin
-    depth = np.linalg.norm(beam, axis=1)
-    beam /= depth[:, None]
-    oblique = np.arccos(np.clip((beam * inward).sum(1), -1.0, 1.0))
+    towards = point - skin
+    depth = np.linalg.norm(towards, axis=1)
+    towards /= depth[:, None]
+    oblique = np.arccos(np.clip((towards * inward).sum(1), -1.0, 1.0))
     cost = (oblique / np.deg2rad(20.0)) ** 2 + (depth / 120.0) ** 2
     cost += (np.maximum(depth - DEEPEST_MM, 0.0) / 5.0) ** 2
     cost += 1e3 * (oblique > np.deg2rad(MOST_OBLIQUE_DEG))
-    if plane.normal is not None:
-        cost += (np.arcsin(np.clip(beam @ plane.normal, -1.0, 1.0)) / np.deg2rad(3.0)) ** 2
-    if plane.line is not None:
-        cost += 4.0 * (beam @ plane.line) ** 2
-    if plane.beam is not None:
-        cost += 6.0 * (1.0 - (beam @ unit(plane.beam)) ** 2)
+    if normal is not None:
+        cost += (np.arcsin(np.clip(towards @ normal, -1.0, 1.0)) / np.deg2rad(3.0)) ** 2
+    if line is not None:
+        cost += 4.0 * (towards @ line) ** 2
+    if beam is not None:
+        cost += 6.0 * (1.0 - (towards @ unit(beam)) ** 2)
     best = int(np.argmin(cost))
-    z = beam[best]
-    normal = plane.normal if plane.line is None else np.cross(z, plane.line)
-    y = unit(normal - z * (normal @ z))
+    z = towards[best]
+    across = normal if line is None else np.cross(z, line)
+    y = unit(across - z * (across @ z))
     x = np.cross(y, z)
     if x @ (1.0, 0.0, -1.0) < 0.0:  # her left or her feet belong on the right of the image
         x, y = -x, -y

@@ -120,7 +120,10 @@ def draw_pregnancy(seed: int) -> Pregnancy:
     room = uterine_space(seed, towards)
     best: tuple[float, np.ndarray, np.ndarray, Limbs] | None = None
     for _ in range(_DRAWS):
-        limbs = _draw_limbs(generator)
+        # of 200 draws the first whose limbs do not run into each other, the trunk or the cord, else those of seed 0
+        angles_deg = (_LEG_DEG, _LEG_DEG, _ARM_DEG, _ARM_DEG)
+        drawn = (Limbs(*(LimbPose(*generator.uniform(*ends)) for ends in angles_deg)) for _ in range(200))
+        limbs = next(filter(untangled, drawn), Limbs())
         rotation = lie(
             head_down=bool(generator.random() < 0.67),
             back_deg=generator.uniform(-180.0, 180.0),
@@ -152,27 +155,14 @@ def lie(head_down: bool, back_deg: float, oblique_deg: float, nod_deg: float) ->
 def _place(room: FreeSpace, balls: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, float]:
     """The origin that keeps balls (n, 4) farthest from wall and placenta, and how far: mm."""
     turned, radius = balls[:, :3] @ rotation.T, balls[:, 3]
-
-    def clearance(origins: np.ndarray) -> np.ndarray:
-        return (room.clearance_at(turned + origins[:, None]) - radius).min(axis=1)
-
     middle = room.first + 1.5 * np.array(room.clearance.shape) - (turned.min(axis=0) + turned.max(axis=0)) / 2.0
     best, most, step = middle, -np.inf, 8.0
     around = np.stack(np.meshgrid(*3 * [np.arange(-1, 2)], indexing="ij"), axis=-1).reshape(-1, 3)
     while step > 0.4:
         origins = best + step * around
-        clearances = clearance(origins)
+        clearances = (room.clearance_at(turned + origins[:, None]) - radius).min(axis=1)
         if clearances.max() > most + 0.01:
             best, most = origins[int(np.argmax(clearances))], float(clearances.max())
         else:
             step /= 2.0
     return best, most
-
-
-def _draw_limbs(generator: np.random.Generator) -> Limbs:
-    """Limbs that do not run into each other, the trunk or the cord; those of seed 0 if none is found."""
-    for _ in range(200):
-        limbs = Limbs(*(LimbPose(*generator.uniform(*angles)) for angles in (_LEG_DEG, _LEG_DEG, _ARM_DEG, _ARM_DEG)))
-        if untangled(limbs):
-            return limbs
-    return Limbs()

@@ -13,6 +13,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from scipy import ndimage
 from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
@@ -57,13 +58,9 @@ def label_surface(
     level, voxels = 0.0, int((order[tuple(box)] == number).sum())
     for steps in _LEVELS:
         level = _level_of_volume(blocks, number, spacing_mm, level + max(spacing_mm) * steps, voxels)
-    parts, corners, count = [], [], 0
-    for start, block in blocks:
-        vertices, faces = _triangles(_fields(block, number, spacing_mm)[0], level, start)
-        parts.append(vertices)
-        corners.append(faces + count)
-        count += len(vertices)
-    return np.round(np.concatenate(parts) / _FRACTION) * _FRACTION, np.concatenate(corners)
+    parts = (_triangles(_fields(block, number, spacing_mm)[0], level, start) for start, block in blocks)
+    vertices, faces = trimesh.util.append_faces(*zip(*parts, strict=True))
+    return np.round(vertices / _FRACTION) * _FRACTION, faces
 
 
 def _level_of_volume(

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
 from ablate.ultrasound.imaging.point_spread import along_lines, blur, point_spread
-from ablate.ultrasound.imaging.speckle import InsonifiedLines, Speckle
+from ablate.ultrasound.imaging.speckle import InsonifiedLines, Lines, Speckle
 from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, fan_of, pixel_polar, sample_depths_mm
 from ablate.ultrasound.settings import Probe, SimulatorSettings
@@ -22,7 +22,6 @@ _PIXELS_OF_A_PART = 1 << 16
 _MOST_DB = 100.0  # that an operator can add
 _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
 _CLUTTER_ROLL = (61, 1021)  # lines and samples between the noise of the display and that of clutter
-Lines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # starts, directions, labels, ranges_mm
 
 
 @dataclass(frozen=True)
@@ -155,7 +154,7 @@ class SignalChain:
         `surfaces` and `clutter`, (scanlines, samples), are amplitudes at the receiver: echoes, and reverberation.
         """
         received = None if clutter is None else self.tensor(clutter) * self.spread.axial.sum()
-        return Prepared(self.speckle.insonify(*lines, level_db), self.tensor(surfaces), received)
+        return Prepared(self.speckle.insonify(lines, level_db), self.tensor(surfaces), received)
 
     def noise(self, pose: np.ndarray, seed: int) -> torch.Tensor:
         """Complex Gaussian noise of unit mean power with the pulse's bandwidth, (2, scanlines, samples).

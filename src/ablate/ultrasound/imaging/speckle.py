@@ -11,20 +11,8 @@ from torch.nn import functional as F
 
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
+from ablate.ultrasound.imaging import scatterers
 from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, axial_kernel, lateral_sigma, layer_weights
-from ablate.ultrasound.imaging.scatterers import (
-    ANCHOR_CELLS,
-    TABLE_SIZE,
-    add_scatterers,
-    cell_hash,
-    mix_seed,
-    scatterer_tables,
-    shared_cell_gain,
-    shared_cell_gain_across,
-    shared_cell_gain_of_layers,
-    texture_gain_db,
-    wrapped,
-)
 from ablate.ultrasound.probe import fan_of
 from ablate.ultrasound.settings import PlanMode, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
@@ -32,6 +20,7 @@ from ablate.ultrasound.stages import Stage, stage
 _DB_TO_NEPER = math.log(10) / 20
 _TEXTURE_SPACING_MM = 0.3
 _MOST_CELLS = 1 << 24  # of the lattice along a scanline: float32 tells no more apart
+Lines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # starts, directions, labels, ranges_mm
 
 
 @dataclass(frozen=True)
@@ -55,7 +44,7 @@ class Speckle:
         self._probe, self._settings, self._dtype = probe, settings, dtype
         self._spacing_mm = probe.depth_mm / settings.axial_samples
         self._pitch_mm = max(settings.scatterer_pitch_mm, fan_of(probe).reach_mm / _MOST_CELLS)
-        tables = torch.from_numpy(scatterer_tables(tissues)).to(settings.device)
+        tables = torch.from_numpy(scatterers.scatterer_tables(tissues)).to(settings.device)
         self._tables = torch.view_as_real(tables).flatten(0, 1).to(dtype)
         planned = settings.plan is PlanMode.auto
         self._silent = np.array([planned and tissue.scatter_power == 0 for tissue in tissues])
@@ -68,23 +57,16 @@ class Speckle:
         self._weights_db = 20 * np.log10(np.maximum(layer_weights(probe, settings)[0], 1e-15))
 
     @stage(Stage.scatterer_level)
-    def insonify(
-        self,
-        starts: np.ndarray,
-        directions: np.ndarray,
-        labels: np.ndarray,
-        ranges_mm: np.ndarray,
-        level_db: torch.Tensor,
-    ) -> InsonifiedLines:
+    def insonify(self, lines: Lines, level_db: torch.Tensor) -> InsonifiedLines:
         """Prepare the scatterers of a pose.
 
-        For groups = layers * scanlines: `starts` and `directions` are (groups, 3) float64 in world coordinates, mm,
-        `labels` (groups, samples) the tissues, `ranges_mm` (samples,) or (groups, samples), and `level_db`, (groups,
-        nodes), the illumination from the first sample to the last.
+        For groups = layers * scanlines, the lines are starts and directions, (groups, 3) float64 in world coordinates,
+        mm, labels (groups, samples) of the tissues, and ranges, mm, (samples,) or (groups, samples). `level_db`,
+        (groups, nodes), is the illumination from the first sample to the last.
         """
-        settings = self._settings
+        (starts, directions, labels, ranges_mm), settings = lines, self._settings
         shape = settings.layers, settings.scanlines, settings.axial_samples
-        gain = shared_cell_gain(directions, self._spacing_mm, self._pitch_mm, self._kernel_correlation)
+        gain = scatterers.shared_cell_gain(directions, self._spacing_mm, self._pitch_mm, self._kernel_correlation)
         line_db = settings.scatterer_level_db - 10 * np.log10(gain)
         nodes = level_db.shape[-1]
         at_nodes = np.rint(np.linspace(0, shape[2] - 1, nodes)).astype(int)
@@ -92,7 +74,8 @@ class Speckle:
         first_layer = slice(0, shape[1])
         own_db = own_db - self._across_db(starts[first_layer], directions[first_layer], at_nodes)
         weights = 10 ** (self._weights_db[:, at_nodes] / 20)
-        own_db = own_db - 10 * np.log10(shared_cell_gain_of_layers(starts[:: shape[1]], weights, self._pitch_mm))
+        of_layers = scatterers.shared_cell_gain_of_layers(starts[:: shape[1]], weights, self._pitch_mm)
+        own_db = own_db - 10 * np.log10(of_layers)
         level = level_db.reshape(*shape[:2], nodes) + torch.from_numpy(own_db.astype(np.float32))
         level = level.to(settings.device)
         label = torch.from_numpy(labels).to(settings.device).reshape(shape)
@@ -115,7 +98,7 @@ class Speckle:
 
         in_parts(of_lines, shape[1], LINES_OF_A_PART if settings.device == "cpu" else shape[1])
         # near the first start, so that float32 tells cells apart: 0 within 50 m of the origin at a pitch of 0.1 mm
-        anchor = np.rint(starts[0] / (self._pitch_mm * ANCHOR_CELLS)) * ANCHOR_CELLS
+        anchor = np.rint(starts[0] / (self._pitch_mm * scatterers.ANCHOR_CELLS)) * scatterers.ANCHOR_CELLS
         from_anchor = tensor(starts - anchor * self._pitch_mm, *shape[:2], 3)
         return InsonifiedLines(from_anchor, ends[1], anchor, ranges, label, amplitude)
 
@@ -138,8 +121,8 @@ class Speckle:
                 each[layer, some] for each in (lines.starts, lines.directions, lines.ranges_mm)
             )
             points = [starts[:, axis, None] + directions[:, axis, None] * along for axis in range(3)]
-            entry = cell_hash(points, self._pitch_mm, seed, lines.anchor)
-            entry.add_(lines.tissue[layer, some].to(torch.int32), alpha=TABLE_SIZE)
+            entry = scatterers.cell_hash(points, self._pitch_mm, seed, lines.anchor)
+            entry.add_(lines.tissue[layer, some].to(torch.int32), alpha=scatterers.TABLE_SIZE)
             strength = self._tables.index_select(0, entry.flatten()).view_as(total)
             total.addcmul_(strength, amplitude[..., None])
         summed[:, some] = total.permute(2, 0, 1)
@@ -147,14 +130,14 @@ class Speckle:
     def _add_compiled(self, summed: torch.Tensor, lines: InsonifiedLines, seed: int, begin: int, end: int) -> None:
         """The same sample by sample, without those that are silent."""
         some = slice(begin, end)
-        add_scatterers(
+        scatterers.add_scatterers(
             summed[:, some].numpy(),
             lines.starts[:, some].numpy(),
             lines.directions[:, some].numpy(),
             lines.ranges_mm[:, some].numpy(),
-            np.array([wrapped(int(cells)) for cells in lines.anchor], np.int32).view(np.uint32),
+            np.array([scatterers.wrapped(int(cells)) for cells in lines.anchor], np.int32).view(np.uint32),
             np.float32(1 / self._pitch_mm),
-            np.int32(mix_seed(seed)).view(np.uint32),
+            np.int32(scatterers.mix_seed(seed)).view(np.uint32),
             lines.tissue[:, some].numpy(),
             self._silent,
             self._tables.numpy(),
@@ -168,7 +151,7 @@ class Speckle:
         depth_mm = (samples + 0.5) * self._spacing_mm
         steps = np.gradient(starts, axis=0)[:, None] + depth_mm[:, None] * np.gradient(directions, axis=0)[:, None]
         sigma = lateral_sigma(self._probe, self._settings, depth_mm).T
-        return 10 * np.log10(shared_cell_gain_across(steps, sigma, self._pitch_mm))
+        return 10 * np.log10(scatterers.shared_cell_gain_across(steps, sigma, self._pitch_mm))
 
     def _texture_db(
         self, starts: torch.Tensor, directions: torch.Tensor, ranges_mm: torch.Tensor, label: torch.Tensor
@@ -179,7 +162,7 @@ class Speckle:
         coarse = torch.linspace(0, samples - 1, max(2, samples // stride)).round().long()[:samples]
         coarse = coarse.to(label.device)
         points = starts[:, :, None] + directions[:, :, None] * ranges_mm[..., coarse, None]
-        return texture_gain_db(points, label[..., coarse].long(), self._textures)
+        return scatterers.texture_gain_db(points, label[..., coarse].long(), self._textures)
 
 
 def _interpolated(values: torch.Tensor, size: int) -> torch.Tensor:

@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.media import Media
-from ablate.ultrasound.transport.lines import Segment
+from ablate.ultrasound.media import Media, Medium
 from ablate.ultrasound.transport.rays import COS_AZIMUTH, LOG_U, SIN_AZIMUTH, Ray
 
 Vector = tuple[float, float, float]
@@ -161,14 +160,6 @@ def scatter_about(
     return Scattering(mirrored, transmitted, pressure), cos_i, cos_t == 0
 
 
-class Medium(NamedTuple):
-    """A row of `Media`, in numbers: what a ray that travels in it needs."""
-
-    loss_db_mm: float
-    stretch: float
-    anechoic: bool
-
-
 class Connection(NamedTuple):
     """The straight way back from a surface to the ray's element: displayed depth, and loss there and back.
 
@@ -180,13 +171,6 @@ class Connection(NamedTuple):
     depth_mm: float
     two_way_db: float
     received: float
-
-
-@compiled
-def segment_ahead(ray: Ray, medium: Medium, length_mm: float) -> Segment:
-    """From the last surface that a ray met on, over a displayed length."""
-    to_mm = ray.displayed_mm + length_mm
-    return Segment(ray.displayed_mm, to_mm, ray.loss_db, medium.loss_db_mm / medium.stretch, medium.anechoic)
 
 
 @compiled

@@ -10,8 +10,10 @@ from torch.nn import functional as F
 
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.imaging.point_spread import Across, lateral_kernels
+from ablate.ultrasound.media import Medium
 from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
+from ablate.ultrasound.transport.rays import Ray
 
 #: Echoes of reflected rays are few and out of focus: they are spread over these standard deviations.
 _CLUTTER_LINES = 12.0
@@ -129,16 +131,6 @@ class Nodes(NamedTuple):
     amplitude: np.ndarray  # (groups, nodes) float64, sum over the rays of weight x 10^(-2 loss / 20)
 
 
-class Segment(NamedTuple):
-    """A piece of a ray's path within one medium: displayed depths, one-way loss where it begins, and its slope."""
-
-    from_mm: float
-    to_mm: float
-    loss_db: float
-    slope_db_mm: float
-    anechoic: bool
-
-
 def empty_nodes(anechoic: np.ndarray, depth_mm: float) -> Nodes:
     """Nodes from the first sample to the last, before any ray has come; from (groups, samples) bool."""
     groups, samples = anechoic.shape
@@ -152,26 +144,27 @@ def empty_nodes(anechoic: np.ndarray, depth_mm: float) -> Nodes:
 
 
 @compiled
-def accumulate(nodes: Nodes, group: int, segment: Segment, weight: float) -> None:
-    """Add a ray of this weight at the nodes in [from_mm, to_mm) of its segment.
+def accumulate(nodes: Nodes, group: int, ray: Ray, medium: Medium, length_mm: float, weight: float) -> None:
+    """Add a ray of this weight at the nodes that it passes over a displayed length, from its last surface on.
 
-    Between nodes the amplitude falls by one factor, so a segment costs two exponentials, however long it is. A ray in
+    Between nodes the amplitude falls by one factor, so a length costs two exponentials, however long it is. A ray in
     the anechoic background does not insonify a scanline that is in the body: bone bends rays out of the body, and a
     ray that loses nothing outside would fill the shadow behind the bone.
     """
     amplitude = nodes.amplitude[group]
     count = len(amplitude)
-    first = min(max(math.ceil((segment.from_mm - nodes.first_mm) / nodes.spacing_mm), 0), count)
+    to_mm, slope_db_mm = ray.displayed_mm + length_mm, medium.loss_db_mm / medium.stretch
+    first = min(max(math.ceil((ray.displayed_mm - nodes.first_mm) / nodes.spacing_mm), 0), count)
     last = count
-    if segment.to_mm < nodes.first_mm + count * nodes.spacing_mm:
-        last = max(math.ceil((segment.to_mm - nodes.first_mm) / nodes.spacing_mm), 0)
+    if to_mm < nodes.first_mm + count * nodes.spacing_mm:
+        last = max(math.ceil((to_mm - nodes.first_mm) / nodes.spacing_mm), 0)
     if first >= last:
         return
-    at_first = segment.loss_db + segment.slope_db_mm * (nodes.first_mm + first * nodes.spacing_mm - segment.from_mm)
+    at_first = ray.loss_db + slope_db_mm * (nodes.first_mm + first * nodes.spacing_mm - ray.displayed_mm)
     level = weight * math.exp(-at_first * _NEPER_PER_TWO_WAY_DB)
-    factor = math.exp(-segment.slope_db_mm * nodes.spacing_mm * _NEPER_PER_TWO_WAY_DB)
+    factor = math.exp(-slope_db_mm * nodes.spacing_mm * _NEPER_PER_TWO_WAY_DB)
     for k in range(first, last):
-        if not segment.anechoic or nodes.anechoic[group, k]:
+        if not medium.anechoic or nodes.anechoic[group, k]:
             amplitude[k] += level
         level *= factor
 

@@ -22,22 +22,11 @@ import numpy as np
 
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.media import Medium
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Geometry, asked_ray, closest_of
 from ablate.ultrasound.surfaces.line_walk import next_step, owner, toggle
-from ablate.ultrasound.transport.bounce import (
-    LEAST_RECEIVED,
-    SMALLEST_REFLECTION,
-    Medium,
-    along,
-    connect,
-    echo,
-    go_on,
-    sample_scattering,
-    segment_ahead,
-    spawn,
-    vector,
-)
+from ablate.ultrasound.transport import bounce
 from ablate.ultrasound.transport.lines import ECHO, Nodes, accumulate
 from ablate.ultrasound.transport.rays import (
     CHOICE,
@@ -157,7 +146,7 @@ def _advance(
         medium = Medium(float(media.loss_db_mm[tissue]), float(media.stretch[tissue]), media.anechoic[tissue])
         if direct:  # up to the surface, or to the end of the image
             ahead_mm = (hit.distance_mm + ray.step_mm) * medium.stretch if hit.structure >= 0 else math.inf
-            accumulate(nodes, group, segment_ahead(ray, medium, ahead_mm), ray.weight)
+            accumulate(nodes, group, ray, medium, ahead_mm, ray.weight)
         if hit.structure < 0:
             continue
         fresh = hit.structure != ray.structure or hit.triangle != ray.triangle  # a plane is met only once
@@ -166,13 +155,13 @@ def _advance(
             toggle(inside[i], hit.structure)
             beyond = view.tissue_of_owner[owner(inside[i])]
         step_mm = next_step(ray.step_mm, fresh and hit.distance_mm > ray.step_mm, view.step_mm)
-        point = along(vector(ray.origin), vector(ray.direction), hit.distance_mm)
+        point = bounce.along(bounce.vector(ray.origin), bounce.vector(ray.direction), hit.distance_mm)
         length_mm = hit.distance_mm + ray.step_mm
         ray.path_mm += length_mm
         ray.displayed_mm += length_mm * medium.stretch
         ray.loss_db += length_mm * medium.loss_db_mm
         ray.structure, ray.triangle, ray.step_mm = hit.structure, hit.triangle, step_mm
-        direction, weight = vector(ray.direction), ray.weight
+        direction, weight = bounce.vector(ray.direction), ray.weight
 
         if media.differs[ray.medium, beyond]:
             if ray.interfaces < MAX_ROWS:
@@ -180,14 +169,14 @@ def _advance(
             else:
                 drawn = unstratified(view.path_seed, ray.interfaces, ray.number, beyond_table)
             surface = view.tissue_of_owner[hit.structure + 1]
-            scattering = sample_scattering(direction, hit.normal, ray.medium, beyond, surface, drawn, media)
+            scattering = bounce.sample_scattering(direction, hit.normal, ray.medium, beyond, surface, drawn, media)
             thickness_mm = float(drawn[THICKNESS]) * media.thickness_mm[surface] if media.thick else 0.0
 
-            element, axis = vector(view.elements[group]), vector(view.axes[group])
-            link = connect(ray, point, medium, thickness_mm, element, axis)
+            element, axis = bounce.vector(view.elements[group]), bounce.vector(view.axes[group])
+            link = bounce.connect(ray, point, medium, thickness_mm, element, axis)
             depth_mm = link.depth_mm + thickness_mm * medium.stretch
             if depth_mm < view.depth_mm:
-                amplitude = echo(ray, scattering, link, media.specularity[surface])
+                amplitude = bounce.echo(ray, scattering, link, media.specularity[surface])
                 if amplitude > 0:
                     found = echoes[received]
                     found.group, found.depth_mm = group, depth_mm
@@ -198,17 +187,17 @@ def _advance(
 
             ray.interfaces += 1
             # That a ray is reflected which is not split: then it keeps its weight, else 1 + |R_p| times that goes on.
-            probability = abs(scattering.pressure) if abs(scattering.pressure) >= SMALLEST_REFLECTION else 0.0
+            probability = abs(scattering.pressure) if abs(scattering.pressure) >= bounce.SMALLEST_REFLECTION else 0.0
             if direct and probability > 0:  # the level is interpolated between nodes: keep it up to the surface
                 energy = scattering.pressure * scattering.pressure
-                accumulate(nodes, group, segment_ahead(ray, medium, nodes.spacing_mm), weight * energy)
+                accumulate(nodes, group, ray, medium, nodes.spacing_mm, weight * energy)
             pressure, choice, luck = scattering.pressure, drawn[CHOICE], drawn[SURVIVAL]
             faint_db = 0.0  # not read where a direct ray is transmitted alone
             if not direct or probability > 0:  # how much fainter than its weight: loss, direction, half the gain ahead
                 # What the time gain adds up to the end of the image makes up for loss in tissue, not in fluid.
                 ahead_db = view.gain_db_mm * max(view.depth_mm - link.depth_mm, 0.0)
-                faint_db = link.two_way_db + ahead_db / 2 - 20 * math.log10(max(link.received, LEAST_RECEIVED))
-            back_weight, weight = go_on(ray, pressure, probability, choice, luck, faint_db, view.roulette_db)
+                faint_db = link.two_way_db + ahead_db / 2 - 20 * math.log10(max(link.received, bounce.LEAST_RECEIVED))
+            back_weight, weight = bounce.go_on(ray, pressure, probability, choice, luck, faint_db, view.roulette_db)
             if back_weight > 0:
                 rays[reflected], inside[reflected] = ray, inside[i]
                 toggle(inside[reflected], hit.structure)
@@ -217,14 +206,16 @@ def _advance(
                 child.path_mm += 2 * thickness_mm  # there and back
                 child.displayed_mm += 2 * thickness_mm * medium.stretch
                 child.loss_db += 2 * thickness_mm * medium.loss_db_mm
-                spawn(child, along(point, back, step_mm), back, back_weight, view.depth_mm, medium.stretch)
+                bounce.spawn(
+                    child, bounce.along(point, back, step_mm), back, back_weight, view.depth_mm, medium.stretch
+                )
                 reflected += 1
             direction = scattering.transmitted
         if weight > 0:
             rays[transmitted], inside[transmitted] = ray, inside[i]
             child, stretch = rays[transmitted], float(media.stretch[beyond])
             child.medium = beyond
-            spawn(child, along(point, direction, step_mm), direction, weight, view.depth_mm, stretch)
+            bounce.spawn(child, bounce.along(point, direction, step_mm), direction, weight, view.depth_mm, stretch)
             transmitted += 1
     for i in range(n, reflected):
         rays[transmitted], inside[transmitted] = rays[i], inside[i]

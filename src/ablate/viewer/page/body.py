@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ablate.analysis.figures.scene_parts import Colour, first_column_mark, probe_body, probe_face
 from ablate.anatomy import Scene, TissueKind, bounds_mm
 from ablate.ultrasound import Probe
-from ablate.ultrasound.probe import face_sag_mm, fan_outline, fan_size_mm
+from ablate.ultrasound.probe import fan_of, fan_outline
 from ablate.viewer.pictures import on_fan
 from ablate.viewer.session import Quality, State, Views
 
@@ -91,7 +91,7 @@ class Body:
 
     def face(self, client: Any, state: State) -> None:
         """Turn a browser's camera so that the fan is seen as the image is."""
-        pose, (height, width) = state.pose, fan_size_mm(state.probe)
+        pose, (height, width) = state.pose, fan_of(state.probe).size_mm
         middle = pose[:3, 3] + 0.45 * height * pose[:3, 2]
         share = 2 * np.tan(client.camera.fov / 2)  # of the distance, that is seen
         away = 1.1 * max(height / share, width / (share * max(client.camera.aspect, 0.1)))
@@ -110,7 +110,7 @@ class Body:
         outline = fan_outline(probe) / _UNIT_MM
         points = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
         scene.add_line_segments("/probe/outline", points, _OUTLINE, thickness=2.0, thickness_units="screen")
-        height, width = fan_size_mm(probe)
+        height, width = fan_of(probe).size_mm
         self.fan = scene.add_image(
             "/probe/fan",
             np.zeros((2, 2, 4), np.uint8),
@@ -118,7 +118,7 @@ class Body:
             height / _UNIT_MM,
             format="png",
             wxyz=_UPRIGHT,
-            position=(0.0, 0.0, (height / 2 - face_sag_mm(probe)) / _UNIT_MM),
+            position=(0.0, 0.0, (height / 2 - fan_of(probe).sag_mm) / _UNIT_MM),
             cast_shadow=False,
             receive_shadow=False,
         )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ablate.metrics import patch_chi2, psnr, rms
-from ablate.ultrasound.probe import point_polar
+from ablate.ultrasound.probe import fan_of
 from ablate.viewer.generators import is_shipped, pickable
 from ablate.viewer.page.page import Page
 from ablate.viewer.pictures import label_at
@@ -102,7 +102,7 @@ def _measured(page: Page, views: Views, points: tuple[tuple[float, float], ...])
     for point in points:
         label = label_at(views.segmentation, point, views.state.probe)
         name = page.scene.tissues[label - 1].name.replace("_", " ") if label else "outside the fan"
-        depth_mm = float(point_polar(views.state.probe, *map(np.asarray, point))[0])
+        depth_mm = float(fan_of(views.state.probe).polar(*map(np.asarray, point))[0])
         sentences.append(f"**{name}**, {depth_mm:.0f} mm deep.")
     if len(points) == _MOST_POINTS:
         sentences.append(f"Between them **{math.dist(*points):.1f} mm**.")
