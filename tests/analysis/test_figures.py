@@ -6,12 +6,13 @@ import pytest
 from matplotlib.image import imread
 
 from ablate.analysis import (
+    CHI2_CAPTION,
+    QUALITATIVE_CAPTION,
     RESIMULATION,
     Design,
     FramePictures,
     boxplot_caption,
     boxplot_panels,
-    chi2_caption,
     chi2_maps_figure,
     effects_caption,
     effects_plot,
@@ -19,7 +20,6 @@ from ablate.analysis import (
     forest_figure,
     frames_a_page,
     paired_table,
-    qualitative_caption,
     qualitative_figure,
     runtime_caption,
     seed_plot,
@@ -58,7 +58,7 @@ def written(study, pictures, tmp_path_factory):
         "forest": forest_figure(verdicts_of(), NOTHING, NOTHING, COMPONENTS, folder / "verdicts"),
         "pictures": qualitative_figure([pictures, bare], folder / "deep" / "qualitative_0"),
         "maps": chi2_maps_figure(pictures, folder / "pchi2_maps_0"),
-        "runtime": error_vs_runtime(runtime_points(), folder / "error_vs_runtime", {"mae": 0.2}, "a test", PARTS),
+        "runtime": error_vs_runtime(runtime_points(), folder / "error_vs_runtime", {"mae": 0.2}, "a test"),
     }
 
 
@@ -77,15 +77,6 @@ def test_figures_are_written_whole_in_both_formats(name, written):
     assert page.startswith(b"%PDF")
     assert b"/FontFile2" in page, "journals want TrueType fonts"
     assert {path.name for path in paths[0].parent.iterdir()} >= {path.name for path in paths}
-
-
-PARTS = pd.DataFrame(
-    [
-        *(("simulator, rays", "1", part, ms) for part, ms in (("signal chain", 5.0), ("S", 0.01))),
-        *(("sa2h", f"fp32, {engine}, seed 0", "network", ms) for engine, ms in (("eager", 9.0), ("compiled", 4.0))),
-    ],
-    columns=["series", "setting", "part", "ms"],
-)
 
 
 def runtime_points():
@@ -271,5 +262,5 @@ def test_captions_tell_a_floor_from_a_level():
         assert "level of a perfect stochastic renderer for PSNR" in text
     assert "attenuation integral → none" in texts[-1]
     assert "fewer than 3 trainings" in texts[-1]
-    assert "floor" in chi2_caption("frame 7")
-    assert "other scatterers" in qualitative_caption()
+    assert "floor" in CHI2_CAPTION
+    assert "other scatterers" in QUALITATIVE_CAPTION

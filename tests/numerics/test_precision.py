@@ -324,7 +324,7 @@ def test_bf16_only_where_it_is_multiplied(monkeypatch: pytest.MonkeyPatch) -> No
     (job,) = jobs_of(TINY)
     monkeypatch.setattr(generated, "chosen_precision", lambda *_: TrainingPrecision.fp32)
     found, notes = generated.executions(job.settings)
-    assert found == [generated.Execution(TrainingPrecision.fp32, Engine.eager)]
+    assert found == [(TrainingPrecision.fp32, Engine.eager)]
     assert "bf16: cpu here does not multiply it" in notes
 
 

@@ -69,11 +69,6 @@ class Bench:
     poses: np.ndarray
     seed: int
 
-    @property
-    def mask(self) -> np.ndarray:
-        """The fan, (H, W) bool."""
-        return fan_mask(self.probe, self.simulator.image_shape)
-
 
 def bench_of(job: Job) -> Bench:
     """Choose `evaluation.timed_frames` test frames of the study's data set, which need not be simulated yet.
