@@ -124,7 +124,7 @@ def _paired(paired: pd.DataFrame) -> Grid:
         shift, ends = _estimate(row, "shift")
         interval = ends, "", row["lower"] > 0 or row["upper"] < 0
         texts = (f"{row['p_sites_holm']:.2g}", f"{row['p_holm']:.2g}", f"{row['effect']:+.2f}")
-        cells = [metric_of(row["metric"]).title, shift, interval, *texts, f"{row['sites']} / {row['n']}"]
+        cells: list[Cell] = [metric_of(row["metric"]).title, shift, interval, *texts, f"{row['sites']} / {row['n']}"]
         rows.append((row["variant"], cells))
     return Grid(["metric", "shift", "95 % interval", "p, sites", "p, frames", "effect", "sites / frames"], rows)
 
@@ -132,8 +132,9 @@ def _paired(paired: pd.DataFrame) -> Grid:
 def _claims(claims: pd.DataFrame) -> Grid:
     rows = []
     for row in claims[claims["verdict"] != Verdict.not_claimable].to_dict("records"):
-        cells = [metric_of(row["metric"]).title, str(row["verdict"]), *_estimate(row, "shift", "")]
-        rows.append((row["variant"], [*cells, f"{row['p']:.2g}", str(row["seeds"])]))
+        texts = str(row["verdict"]), *_estimate(row, "shift", ""), f"{row['p']:.2g}", str(row["seeds"])
+        cells: list[Cell] = [metric_of(row["metric"]).title, *texts]
+        rows.append((row["variant"], cells))
     return Grid(["metric", "verdict", "shift", "95 % interval", "p", "seeds"], rows)
 
 
@@ -144,7 +145,7 @@ def _verdicts(verdicts: pd.DataFrame, labels: Mapping[str, str]) -> Grid:
         texts = (f"{row['band']:g}", f"{row['runs_a']} / {row['runs_b']}", p)
         verdict = str(row["verdict"]).replace("_", " "), "", True
         why = row["why"] if row["verdict"] == Answer.undecided else ""
-        cells = [metric_of(row["metric"]).title, *_estimate(row, "effect"), *texts, verdict, why]
+        cells: list[Cell] = [metric_of(row["metric"]).title, *_estimate(row, "effect"), *texts, verdict, why]
         rows.append((labels.get(row["component"], row["component"]), cells))
     return Grid(["metric", "effect", "95 % interval", "band", "runs with / without", "p, Holm", "verdict", "why"], rows)
 
