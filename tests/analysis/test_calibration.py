@@ -49,9 +49,8 @@ def test_random_effects_are_estimated_from_a_study(tmp_path):
             table = pd.DataFrame({"value": 20 + values, "frame": frames, "site": frames // 6, "metric": "psnr"})
             folder = tmp_path / variant / f"seed{seed}"
             folder.mkdir(parents=True)
-            table.assign(variant=variant, seed=seed, split="test", source="model").to_parquet(
-                folder / "per_image.parquet"
-            )
+            table = table.assign(variant=variant, seed=seed, split="test", source="model")
+            table.to_parquet(folder / "per_image.parquet")
     found = SCRIPT["sizes_of"](tmp_path)
     assert found.run == pytest.approx(0.3, rel=0.3)
     assert found.run_site == pytest.approx(0.2, rel=0.1)

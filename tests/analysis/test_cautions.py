@@ -54,10 +54,8 @@ def test_infinite_and_nan_values_are_named_with_their_frames(study):
     said = cautions(broken)
     assert "1 infinite value left out (identical images: sa2h-att/seed1 frame 7)" in only(said, "infinite")
     assert "PSNR: 1 NaN left out (sa2h-att/seed1 frame 9)" in only(said, "NaN")
-    own = cautions(broken.replace({"metric": {"psnr": "of_mine"}}))
-    assert "of_mine: 1 infinite value left out (sa2h-att/seed1 frame 7)" in only(own, "infinite"), (
-        "nothing is identical"
-    )
+    own = only(cautions(broken.replace({"metric": {"psnr": "of_mine"}})), "infinite")
+    assert "of_mine: 1 infinite value left out (sa2h-att/seed1 frame 7)" in own, "nothing is identical"
     broken.loc[at, "value"] = np.nan
     assert "24 NaNs" in only(cautions(broken), "NaN")
 

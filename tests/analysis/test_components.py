@@ -7,15 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ablate.analysis import (
-    Component,
-    effects_table,
-    find_design,
-    improvements,
-    interactions,
-    run_means,
-    verdict_table,
-)
+from ablate import analysis
+from ablate.analysis import Component
 from ablate.analysis.components import level_with
 from ablate.analysis.statistics.verdicts import UNDECLARED
 from support.components import COMPONENTS, FULL, without
@@ -44,16 +37,16 @@ def test_a_seventh_component_of_any_key_has_effects_interactions_and_a_verdict()
     }
     per_image = scored_runs(runs, lambda made: 9.0 + 3.0 * (made["training.reconstruction"] == "l2"))
     components = (*COMPONENTS, loss)
-    design = find_design(runs, [component.key for component in components])
+    design = analysis.find_design(runs, [component.key for component in components])
     assert design is not None
     assert design.name == "full factorial of 2 components (4 cells)"
-    means = run_means(per_image, None, design)
-    effects = effects_table(means, design).set_index("effect")["estimate"]
+    means = analysis.run_means(per_image, None, design)
+    effects = analysis.effects_table(means, design).set_index("effect")["estimate"]
     assert effects["training.reconstruction"] == pytest.approx(3.0, abs=0.2)
-    row = verdict_table(means, design, components).set_index("component").loc["loss"]
+    row = analysis.verdict_table(means, design, components).set_index("component").loc["loss"]
     assert (row["verdict"], row["band"], row["runs_a"]) == ("earns", 0.5, 6)
     assert row["effect"] == pytest.approx(-3.0, abs=0.2)
-    assert set(interactions(means, design, components)["other"]) == {"att"}, "att itself has no score here"
+    assert set(analysis.interactions(means, design, components)["other"]) == {"att"}, "att itself has no score here"
 
 
 @pytest.mark.parametrize(
@@ -67,18 +60,18 @@ def test_a_component_that_nobody_declared_has_effects_and_no_verdict(key: str, h
         "sa2h-depth": without("depth") | {key: here},
     }
     per_image = scored_runs(runs, lambda made: 9.0 + 3.0 * (made[key] == other))
-    design = find_design(runs, [*FULL, key])
+    design = analysis.find_design(runs, [*FULL, key])
     assert design is not None
-    means = run_means(per_image, None, design)
-    assert effects_table(means, design).set_index("effect").loc[key, "estimate"] == pytest.approx(3.0, abs=0.2)
+    means = analysis.run_means(per_image, None, design)
+    assert analysis.effects_table(means, design).set_index("effect").loc[key, "estimate"] == pytest.approx(3.0, abs=0.2)
     for components in (COMPONENTS, (*COMPONENTS, Component("mine", key))):
-        row = verdict_table(means, design, components).iloc[-1]
+        row = analysis.verdict_table(means, design, components).iloc[-1]
         assert row["component"] == (components[6].name if len(components) > 6 else key.rpartition(".")[2])
         assert (row["verdict"], row["why"], pd.isna(row["metric"])) == ("undecided", UNDECLARED, True)
-        assert set(improvements(means, design, components)["component"]) == {"depth"}
-        assert interactions(means, design, components).empty
+        assert set(analysis.improvements(means, design, components)["component"]) == {"depth"}
+        assert analysis.interactions(means, design, components).empty
     declared = replace(Component("rate", key), metric="mae_smooth", band=0.5)
-    row = verdict_table(means, design, [declared]).set_index("component").loc["rate"]
+    row = analysis.verdict_table(means, design, [declared]).set_index("component").loc["rate"]
     assert row["effect"] == pytest.approx(-3.0, abs=0.2), "the level of the reference is the one with it"
 
 

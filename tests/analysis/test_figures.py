@@ -5,26 +5,8 @@ import pandas as pd
 import pytest
 from matplotlib.image import imread
 
-from ablate.analysis import (
-    RESIMULATION,
-    Design,
-    FramePictures,
-    boxplot_caption,
-    boxplot_panels,
-    chi2_caption,
-    chi2_maps_figure,
-    effects_caption,
-    effects_plot,
-    error_vs_runtime,
-    forest_figure,
-    frames_a_page,
-    paired_table,
-    qualitative_caption,
-    qualitative_figure,
-    runtime_caption,
-    seed_plot,
-    seeds_caption,
-)
+from ablate import analysis
+from ablate.analysis import CHI2_CAPTION, QUALITATIVE_CAPTION, RESIMULATION, Design, FramePictures
 from ablate.analysis.figures.style import shown_name
 from ablate.metrics import patch_chi2
 from support.components import COMPONENTS
@@ -44,48 +26,26 @@ def figures(monkeypatch):
     return drawn
 
 
-@pytest.fixture(scope="module")
-def written(study, pictures, tmp_path_factory):
-    """Every figure as it is written, once: its files by name."""
-    folder = tmp_path_factory.mktemp("figures")
+def test_figures_are_written_whole_in_both_formats(study, pictures, tmp_path):
     effects = pd.DataFrame({"effect": ["a"], "estimate": [1.0], "lower": [0.5], "upper": [2.0], "metric": ["psnr"]})
     bare = FramePictures("frame 8", pictures.target, {"sa2h": pictures.target})
-    pairs = paired_table(study, resamples=50)
-    return {
-        "boxes": boxplot_panels(study, ["psnr"], folder / "boxplot_psnr", paired=pairs),
-        "seeds": seed_plot(study, None, ["psnr", "pchi2"], folder / "seeds"),
-        "effects": effects_plot(effects, ["psnr"], folder / "effects"),
-        "forest": forest_figure(verdicts_of(), NOTHING, NOTHING, COMPONENTS, folder / "verdicts"),
-        "pictures": qualitative_figure([pictures, bare], folder / "deep" / "qualitative_0"),
-        "maps": chi2_maps_figure(pictures, folder / "pchi2_maps_0"),
-        "runtime": error_vs_runtime(runtime_points(), folder / "error_vs_runtime", {"mae": 0.2}, "a test", PARTS),
-    }
-
-
-FIGURES = ("boxes", "seeds", "effects", "forest", "pictures", "maps", "runtime")
-
-
-@pytest.mark.parametrize("name", FIGURES)
-def test_figures_are_written_whole_in_both_formats(name, written):
-    assert set(written) == set(FIGURES)
-    paths = written[name]
-    assert [path.suffix for path in paths] == [".png", ".pdf"]
-    picture = imread(paths[0])
-    assert picture.shape[1] >= 600
-    assert picture[..., :3].std() > 0.01, "a blank page"
-    page = paths[1].read_bytes()
-    assert page.startswith(b"%PDF")
-    assert b"/FontFile2" in page, "journals want TrueType fonts"
-    assert {path.name for path in paths[0].parent.iterdir()} >= {path.name for path in paths}
-
-
-PARTS = pd.DataFrame(
-    [
-        *(("simulator, rays", "1", part, ms) for part, ms in (("signal chain", 5.0), ("S", 0.01))),
-        *(("sa2h", f"fp32, {engine}, seed 0", "network", ms) for engine, ms in (("eager", 9.0), ("compiled", 4.0))),
-    ],
-    columns=["series", "setting", "part", "ms"],
-)
+    pairs = analysis.paired_table(study, resamples=50)
+    for paths in (
+        analysis.boxplot_panels(study, ["psnr"], tmp_path / "boxplot_psnr", paired=pairs),
+        analysis.seed_plot(study, None, ["psnr", "pchi2"], tmp_path / "seeds"),
+        analysis.effects_plot(effects, ["psnr"], tmp_path / "effects"),
+        analysis.forest_figure(verdicts_of(), NOTHING, NOTHING, COMPONENTS, tmp_path / "verdicts"),
+        analysis.qualitative_figure([pictures, bare], tmp_path / "deep" / "qualitative_0"),
+        analysis.chi2_maps_figure(pictures, tmp_path / "pchi2_maps_0"),
+        analysis.error_vs_runtime(runtime_points(), tmp_path / "error_vs_runtime", {"mae": 0.2}, "a test"),
+    ):
+        assert [path.suffix for path in paths] == [".png", ".pdf"]
+        picture = imread(paths[0])
+        assert picture.shape[1] >= 600
+        assert picture[..., :3].std() > 0.01, "a blank page"
+        page = paths[1].read_bytes()
+        assert page.startswith(b"%PDF")
+        assert b"/FontFile2" in page, "journals want TrueType fonts"
 
 
 def runtime_points():
@@ -97,7 +57,7 @@ def runtime_points():
 def test_points_without_a_time_are_refused(tmp_path):
     points = runtime_points()
     with pytest.raises(ValueError, match="no finite point"):
-        error_vs_runtime(points[points["ms"] == 0], tmp_path / "none")
+        analysis.error_vs_runtime(points[points["ms"] == 0], tmp_path / "none")
 
 
 def legend_of(figure):
@@ -106,20 +66,22 @@ def legend_of(figure):
 
 def test_boxplots_without_pairs_draw_nothing(study_of, tmp_path):
     for variants in (("sa2h",), ("nsa2h", "sa2h-att")):
-        assert boxplot_panels(study_of(variants=variants), ["psnr"], tmp_path / "boxplots") == []
+        assert analysis.boxplot_panels(study_of(variants=variants), ["psnr"], tmp_path / "boxplots") == []
 
 
 @pytest.mark.parametrize("metrics", [["psnr"], ["psnr", "pchi2"]])
 def test_a_single_network_leaves_room_to_draw(metrics, study_of, figures, tmp_path):
-    boxplot_panels(study_of(variants=(RESIMULATION, "sa2h", "nsa2h")), metrics, tmp_path / "boxplots")
-    seed_plot(study_of(variants=(RESIMULATION, "sa2h")), None, metrics, tmp_path / "seeds")
+    analysis.boxplot_panels(study_of(variants=(RESIMULATION, "sa2h", "nsa2h")), metrics, tmp_path / "boxplots")
+    analysis.seed_plot(study_of(variants=(RESIMULATION, "sa2h")), None, metrics, tmp_path / "seeds")
     for figure in figures.values():
         figure.draw_without_rendering()
         assert min(axes.get_position().height * figure.get_size_inches()[1] for axes in figure.axes) > 0.25, "inches"
 
 
 def test_boxes_are_quartiles_of_the_paired_differences_and_resimulation_is_a_band(study, figures, tmp_path):
-    boxplot_panels(study, ["psnr", "pchi2"], tmp_path / "boxplots", paired=paired_table(study, resamples=50))
+    analysis.boxplot_panels(
+        study, ["psnr", "pchi2"], tmp_path / "boxplots", paired=analysis.paired_table(study, resamples=50)
+    )
     left, right = figures["boxplots"].axes
     assert [text.get_text() for text in left.get_yticklabels()] == ["nsa2h", "sa2h-att"]
     means = study[study["metric"] == "psnr"].groupby(["variant", "frame"])["value"].mean()
@@ -133,11 +95,9 @@ def test_boxes_are_quartiles_of_the_paired_differences_and_resimulation_is_a_ban
 
 
 def test_every_training_is_a_ring(study, figures, tmp_path):
-    scalars = pd.DataFrame(
-        [("sa2h", 0, "fd_speckle", 3.0), ("nsa2h", 0, "fd_speckle", 1.0)],
-        columns=["variant", "seed", "metric", "value"],
-    )
-    assert seed_plot(study, scalars, ["psnr", "pchi2", "fd_speckle", "absent"], tmp_path / "seeds")
+    rows = [("sa2h", 0, "fd_speckle", 3.0), ("nsa2h", 0, "fd_speckle", 1.0)]
+    scalars = pd.DataFrame(rows, columns=["variant", "seed", "metric", "value"])
+    assert analysis.seed_plot(study, scalars, ["psnr", "pchi2", "fd_speckle", "absent"], tmp_path / "seeds")
     panels = figures["seeds"].axes
     assert len(panels) == 3
     rings = [line for line in panels[0].lines if line.get_marker() == "o"]
@@ -146,13 +106,13 @@ def test_every_training_is_a_ring(study, figures, tmp_path):
     entries = legend_of(figures["seeds"])
     assert "range of sa2h" in entries
     assert [entry for entry in entries if "re-sim" in entry] == ["re-simulation (dashed: floor, dotted: level)"]
-    assert seed_plot(study[study["variant"] == RESIMULATION], None, ["psnr"], tmp_path / "none") == []
+    assert analysis.seed_plot(study[study["variant"] == RESIMULATION], None, ["psnr"], tmp_path / "none") == []
 
 
 def test_effects_are_filled_where_their_interval_excludes_nought(figures, tmp_path):
     rows = [("a", 1.0, 0.5, 1.5), ("b", 0.1, -0.2, 0.4), ("a:b", 0.3, None, None)]
     effects = pd.DataFrame(rows, columns=["effect", "estimate", "lower", "upper"]).assign(metric="psnr")
-    effects_plot(effects, ["psnr", "mae"], tmp_path / "effects", {"psnr": 1.2})
+    analysis.effects_plot(effects, ["psnr", "mae"], tmp_path / "effects", {"psnr": 1.2})
     (axes,) = figures["effects"].axes
     dots = {line.get_label(): line for line in axes.lines}
     assert dots["interval excludes 0"].get_markerfacecolor() == "black"
@@ -161,7 +121,7 @@ def test_effects_are_filled_where_their_interval_excludes_nought(figures, tmp_pa
     assert dots["no interval"].get_marker() == "D"
     assert dots["re-simulation (dashed: floor, dotted: level)"].get_xdata()[0] == 1.2
     assert "re-simulation +1.20 (level)" in axes.get_xlabel()
-    assert effects_plot(effects, ["mae"], tmp_path / "none") == []
+    assert analysis.effects_plot(effects, ["mae"], tmp_path / "none") == []
 
 
 NOTHING = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])  # of runs, or of interactions
@@ -172,13 +132,8 @@ def verdicts_of(**more):
     first = {"component": "att", "metric": "shadow_contrast", "effect": -6.0, "lower": -8.0, "upper": -4.0, "band": 3.0}
     first |= {"verdict": "earns", "distance": 30.0, "ms_per_frame": 1.26, "parameters": -2400.0}
     second = dict.fromkeys(first, np.nan) | {"component": "conv", "metric": "nyquist_excess", "verdict": "undecided"}
-    third = first | {
-        "component": "depth",
-        "metric": "mae_smooth",
-        "distance": 0.5,
-        "verdict": "does_not",
-        "effect": 1.0,
-    }
+    third = first | {"component": "depth", "metric": "mae_smooth", "distance": 0.5, "effect": 1.0}
+    third["verdict"] = "does_not"
     return pd.DataFrame([first | more, second, third])
 
 
@@ -187,7 +142,7 @@ def test_the_forest_is_in_units_of_what_is_missing_and_says_the_verdict(figures,
     runs = pd.DataFrame(dots, columns=["component", "on", "improvement"])
     rows = [("att", "depth", 3.0, 0.01), ("depth", "att", -6.0, 0.2), ("conv", "att", 9.0, 0.01)]
     pairs = pd.DataFrame(rows, columns=["component", "other", "improvement", "q"])
-    forest_figure(verdicts_of(), runs, pairs, COMPONENTS, tmp_path / "verdicts")
+    analysis.forest_figure(verdicts_of(), runs, pairs, COMPONENTS, tmp_path / "verdicts")
     forest, beside, table, _ = figures["verdicts"].axes
     drawn = {}
     for line in forest.lines:
@@ -208,19 +163,19 @@ def test_the_forest_is_in_units_of_what_is_missing_and_says_the_verdict(figures,
 
 def test_a_forest_of_one_run_a_side_has_no_interval_and_none_without_an_effect(figures, tmp_path):
     alone = verdicts_of(lower=np.nan, upper=np.nan, ms_per_frame=np.nan, verdict="undecided").iloc[:2]
-    assert forest_figure(alone, NOTHING, NOTHING, COMPONENTS, tmp_path / "verdicts")
+    assert analysis.forest_figure(alone, NOTHING, NOTHING, COMPONENTS, tmp_path / "verdicts")
     forest, beside = figures["verdicts"].axes
     assert not [line for line in forest.lines if line.get_linewidth() > 2]
     assert [text.get_text() for text in beside.texts][3:] == ["undecided", "–", "−2k"]
-    assert forest_figure(alone.iloc[1:], NOTHING, NOTHING, COMPONENTS, tmp_path / "none") == []
+    assert analysis.forest_figure(alone.iloc[1:], NOTHING, NOTHING, COMPONENTS, tmp_path / "none") == []
 
 
 @pytest.mark.parametrize(("predictions", "frames"), [(1, 4), (6, 4), (7, 2), (13, 2), (14, 1)])
 def test_a_page_holds_fewer_frames_of_more_variants(predictions, frames, pictures, figures, tmp_path):
-    assert frames_a_page(predictions) == frames
+    assert analysis.frames_a_page(predictions) == frames
     names = [f"v{k}" for k in range(predictions)]
     frame = FramePictures("frame", pictures.target, dict.fromkeys(names, pictures.target), pictures.mask)
-    qualitative_figure([frame] * frames, tmp_path / "grid")
+    analysis.qualitative_figure([frame] * frames, tmp_path / "grid")
     shown = [axes for axes in figures["grid"].axes if axes.images]
     assert len(shown) == frames * (predictions + 1), "every variant of every frame"
     figures["grid"].draw_without_rendering()
@@ -234,7 +189,7 @@ def test_a_page_holds_fewer_frames_of_more_variants(predictions, frames, picture
 def test_chi2_maps_of_eleven_networks_fit_a_page(pictures, figures, tmp_path):
     names = [RESIMULATION, "sa2h", "sa2h.encoding-arbitrary", *(f"v{k}" for k in range(9))]
     many = FramePictures("frame", pictures.target, dict.fromkeys(names, pictures.predictions["sa2h"]), pictures.mask)
-    chi2_maps_figure(many, tmp_path / "maps", COMPONENTS)
+    analysis.chi2_maps_figure(many, tmp_path / "maps", COMPONENTS)
     figure = figures["maps"]
     assert tuple(figure.get_size_inches() <= (7.17, 9.6)) == (True, True)
     maps = [image for axes in figure.axes for image in axes.images if image.get_cmap().name == "inferno"]
@@ -265,11 +220,16 @@ def test_captions_tell_a_floor_from_a_level():
     cells = pd.DataFrame({"model.attenuation": pd.Categorical(["integral", "none"])}, index=["sa2h", "sa2h-att"])
     design = Design(cells, "one change", "Read it so.")
     both = ["psnr", "pchi2"]
-    texts = [boxplot_caption(both), seeds_caption(both), runtime_caption(both), effects_caption(design, effects)]
+    texts = [
+        analysis.boxplot_caption(both),
+        analysis.seeds_caption(both),
+        analysis.runtime_caption(both),
+        analysis.effects_caption(design, effects),
+    ]
     for text in texts:
         assert "floor for pχ²" in text
         assert "level of a perfect stochastic renderer for PSNR" in text
     assert "attenuation integral → none" in texts[-1]
     assert "fewer than 3 trainings" in texts[-1]
-    assert "floor" in chi2_caption("frame 7")
-    assert "other scatterers" in qualitative_caption()
+    assert "floor" in CHI2_CAPTION
+    assert "other scatterers" in QUALITATIVE_CAPTION

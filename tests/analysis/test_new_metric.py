@@ -7,26 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ablate.analysis import (
-    RESIMULATION,
-    boxplot_caption,
-    boxplot_panels,
-    comparison_table,
-    effects_caption,
-    effects_plot,
-    effects_table,
-    find_design,
-    paired_table,
-    run_means,
-    seed_claims,
-    seed_plot,
-    seeds_caption,
-    to_latex,
-    to_markdown,
-    to_text,
-    wide_table,
-    write_report,
-)
+from ablate import analysis
+from ablate.analysis import RESIMULATION
 from ablate.metrics import (
     METRICS,
     Direction,
@@ -91,29 +73,33 @@ def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypat
     assert all("brightness" in shown_in(place) for place in Shown.everywhere)
     per_image = scored(chosen)
 
-    table = comparison_table(per_image)
+    table = analysis.comparison_table(per_image)
     assert set(table["metric"]) == {"psnr", "brightness"}
     best = table[table["best"] & (table["metric"] == "brightness")]
     assert best["variant"].tolist() == ["sa2h"], "lower is better"
-    for printed in (to_text(table), to_markdown(table)):
+    for printed in (analysis.to_text(table), analysis.to_markdown(table)):
         assert "Brightness error (grey levels) ↓" in printed
-    assert "the floor for Brightness error" in to_text(table)
-    assert r"Brightness error (grey levels) $\downarrow$" in to_latex(table)
-    assert "brightness_mean" in wide_table(table)
+    assert "the floor for Brightness error" in analysis.to_text(table)
+    assert r"Brightness error (grey levels) $\downarrow$" in analysis.to_latex(table)
+    assert "brightness_mean" in analysis.wide_table(table)
 
-    paired, claims = paired_table(per_image, resamples=50), seed_claims(per_image)
+    paired, claims = analysis.paired_table(per_image, resamples=50), analysis.seed_claims(per_image)
     assert set(paired["metric"]) == set(claims["metric"]) == {"psnr", "brightness"}
     components = {label: dict(zip(SAID.values(), levels, strict=True)) for label, levels in VARIANTS.items()}
-    design = find_design(components, tuple(SAID.values()))
-    effects = effects_table(run_means(per_image, None, design), design)
+    design = analysis.find_design(components, tuple(SAID.values()))
+    effects = analysis.effects_table(analysis.run_means(per_image, None, design), design)
     assert effects.set_index(["metric", "effect"]).loc[("brightness", "noise"), "estimate"] == pytest.approx(12, abs=2)
 
-    assert boxplot_panels(per_image, ["brightness"], tmp_path / "boxplot_brightness", paired=paired)
-    assert seed_plot(per_image, None, shown_in(Shown.panels), tmp_path / "seeds")
-    assert effects_plot(effects, shown_in(Shown.panels), tmp_path / "effects")
-    captions = (boxplot_caption(["brightness"]), seeds_caption(["brightness"]), effects_caption(design, effects))
+    assert analysis.boxplot_panels(per_image, ["brightness"], tmp_path / "boxplot_brightness", paired=paired)
+    assert analysis.seed_plot(per_image, None, shown_in(Shown.panels), tmp_path / "seeds")
+    assert analysis.effects_plot(effects, shown_in(Shown.panels), tmp_path / "effects")
+    captions = (
+        analysis.boxplot_caption(["brightness"]),
+        analysis.seeds_caption(["brightness"]),
+        analysis.effects_caption(design, effects),
+    )
     assert all("Brightness error" in caption for caption in captions)
-    page = write_report(tmp_path / "report.html", "new", per_image, table, paired, claims).read_text("utf-8")
+    page = analysis.write_report(tmp_path / "report.html", "new", per_image, table, paired, claims).read_text("utf-8")
     shown = page.partition("<details>")[0]
     assert "Brightness error (grey levels)" in shown, "it is among those that are not folded"
 

@@ -5,12 +5,7 @@ from html.parser import HTMLParser
 
 import pandas as pd
 
-from ablate.analysis import (
-    comparison_table,
-    paired_table,
-    seed_claims,
-    write_report,
-)
+from ablate.analysis import comparison_table, paired_table, seed_claims, write_report
 
 
 class Resources(HTMLParser):
@@ -37,18 +32,10 @@ def picture(folder, name):
 
 
 def test_report_is_self_contained(study, tmp_path):
-    paired = paired_table(study, resamples=50)
-    path = write_report(
-        tmp_path / "report.html",
-        "quick <study>",
-        study,
-        comparison_table(study),
-        paired,
-        seed_claims(study),
-        [(picture(tmp_path, "boxplot_psnr"), "Paired differences in PSNR")],
-        ["refraction: speeds agree"],
-        {"commit": "abc123"},
-    )
+    tables = study, comparison_table(study), paired_table(study, resamples=50), seed_claims(study)
+    figures = [(picture(tmp_path, "boxplot_psnr"), "Paired differences in PSNR")]
+    more = ["refraction: speeds agree"], {"commit": "abc123"}
+    path = write_report(tmp_path / "report.html", "quick <study>", *tables, figures, *more)
     page = path.read_text("utf-8")
     parser = Resources()
     parser.feed(page)
@@ -66,15 +53,10 @@ def test_report_folds_what_is_secondary(study, tmp_path):
     both = pd.concat([study, lesser[lesser["metric"] == "pchi2_fan"]])
     paired = paired_table(both, resamples=50)
     shown = {"boxplots": "Box plots", "boxplot_psnr": "One box plot"}
-    path = write_report(
-        tmp_path / "report.html",
-        "folded",
-        both,
-        comparison_table(both),
-        paired,
-        figures=[(picture(tmp_path, name), text) for name, text in shown.items()],
-        appendix={"Uncommitted changes: sa2h/seed0": "-a <b>\n+c"},
-    )
+    figures = [(picture(tmp_path, name), text) for name, text in shown.items()]
+    more = {"Uncommitted changes: sa2h/seed0": "-a <b>\n+c"}
+    tables = both, comparison_table(both), paired
+    path = write_report(tmp_path / "report.html", "folded", *tables, figures=figures, appendix=more)
     page = re.sub(r"base64,[^\"]*", "", path.read_text("utf-8"))
     folded = re.findall(r"<details><summary>(.*?)</summary>(.*?)</details>", page, re.S)
     titles = [title for title, _ in folded]

@@ -10,38 +10,21 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from ablate.analysis import (
-    RESIMULATION,
-    Spread,
-    comparison_table,
-    holm,
-    ordered_variants,
-    paired_difference,
-    paired_table,
-    seed_claims,
-    to_latex,
-    to_markdown,
-    to_text,
-    wide_table,
-)
+from ablate import analysis
+from ablate.analysis import RESIMULATION, Spread
 from ablate.analysis.statistics.paired import PAIRED_COLUMNS
 from ablate.analysis.tables import latex_text
 
 
 @pytest.fixture(scope="module")
 def scalars():
-    rows = [
-        ("sa2h", 0, "parameters", 14450964.0),
-        ("nsa2h", 0, "parameters", 57170242.0),
-        ("sa2h", 0, "fd_speckle", 0.5),
-        ("nsa2h", 0, "fd_speckle", 0.4),
-        (RESIMULATION, 0, "fd_speckle", 0.01),
-    ]
+    rows = [("sa2h", 0, "parameters", 14450964.0), ("nsa2h", 0, "parameters", 57170242.0)]
+    rows += [(v, 0, "fd_speckle", value) for v, value in (("sa2h", 0.5), ("nsa2h", 0.4), (RESIMULATION, 0.01))]
     return pd.DataFrame(rows, columns=["variant", "seed", "metric", "value"])
 
 
 def test_cells_are_means_and_deviations_and_order_is_fixed(study, scalars):
-    table = comparison_table(study, scalars)
+    table = analysis.comparison_table(study, scalars)
     assert list(dict.fromkeys(table["variant"])) == [RESIMULATION, "sa2h", "nsa2h", "sa2h-att"]
     assert list(dict.fromkeys(table["metric"])) == ["psnr", "pchi2", "fd_speckle", "parameters"]
     cell = table[(table["variant"] == "sa2h") & (table["metric"] == "psnr")].iloc[0]
@@ -55,20 +38,20 @@ def test_cells_are_means_and_deviations_and_order_is_fixed(study, scalars):
 
 
 def test_formats_hold_every_variant_and_round_trip(study, scalars):
-    table = comparison_table(study, scalars)
-    for printed in (to_text(table), to_markdown(table)):
+    table = analysis.comparison_table(study, scalars)
+    for printed in (analysis.to_text(table), analysis.to_markdown(table)):
         assert all(name in printed for name in ("sa2h-att", "nsa2h", RESIMULATION, "57.2M", "14.5M"))
-    assert "floor" in to_text(table)
-    assert "…" not in to_text(table)
-    wide = wide_table(table)
+    assert "floor" in analysis.to_text(table)
+    assert "…" not in analysis.to_text(table)
+    wide = analysis.wide_table(table)
     back = pd.read_csv(io.StringIO(wide.to_csv(index=False)))
     pd.testing.assert_frame_equal(back, wide, check_dtype=False)
     assert list(wide["variant"]) == [RESIMULATION, "sa2h", "nsa2h", "sa2h-att"]
 
 
 def test_markdown_has_a_cell_for_every_head_and_either_spread(study, scalars):
-    table = comparison_table(study, scalars)
-    by_frame, by_seed = to_markdown(table), to_markdown(table, Spread.seeds)
+    table = analysis.comparison_table(study, scalars)
+    by_frame, by_seed = analysis.to_markdown(table), analysis.to_markdown(table, Spread.seeds)
     lines = by_frame.splitlines()
     assert {line.count("|") for line in lines} == {2 + len(set(table["metric"])) + 1}
     cell = table.query("variant == 'sa2h' and metric == 'psnr'").iloc[0]
@@ -80,55 +63,53 @@ def test_markdown_has_a_cell_for_every_head_and_either_spread(study, scalars):
 
 def test_variants_are_ordered_with_what_was_changed_beside_them_last():
     names = ["sa2h.depth-8", "sa2h-conv", "lsa2h", "sa2h", "sa2h-att.encoding-arbitrary", RESIMULATION]
-    assert ordered_variants(names) == [
+    assert analysis.ordered_variants(names) == [
         *(RESIMULATION, "sa2h", "lsa2h", "sa2h-conv"),
         *("sa2h.depth-8", "sa2h-att.encoding-arbitrary"),
     ]
 
 
 def test_paired_table_is_the_paired_difference_with_holm_over_networks(study):
-    table = paired_table(study, resamples=200)
+    table = analysis.paired_table(study, resamples=200)
     assert tuple(table.columns) == PAIRED_COLUMNS
     assert set(table["variant"]) == {RESIMULATION, "sa2h-att", "nsa2h"}
     means = study.groupby(["metric", "variant", "frame"])["value"].mean()
     raw = []
     for row in table.to_dict("records"):
         a, b = means[row["metric"], row["variant"]], means[row["metric"], "sa2h"]
-        found = paired_difference(a, b, [f"site{k % 8}" for k in a.index], resamples=200)
+        found = analysis.paired_difference(a, b, [f"site{k % 8}" for k in a.index], resamples=200)
         assert (row["shift"], row["lower"], row["upper"]) == (found.shift, found.lower, found.upper)
         raw.append(found.p)
     networks = (table["variant"] != RESIMULATION).to_numpy()
-    np.testing.assert_allclose(table["p_holm"][networks], holm(np.array(raw)[networks]))
+    np.testing.assert_allclose(table["p_holm"][networks], analysis.holm(np.array(raw)[networks]))
     site_means = (study.groupby(["metric", "variant", "site"])["value"].mean()).unstack("site")
-    raw = [
-        stats.wilcoxon(site_means.loc[row["metric"], row["variant"]] - site_means.loc[row["metric"], "sa2h"]).pvalue
-        for row in table[networks].to_dict("records")
-    ]
-    np.testing.assert_allclose(table["p_sites_holm"][networks], holm(raw))
+    compared = zip(table["metric"][networks], table["variant"][networks], strict=True)
+    raw = [stats.wilcoxon(site_means.loc[m, v] - site_means.loc[m, "sa2h"]).pvalue for m, v in compared]
+    np.testing.assert_allclose(table["p_sites_holm"][networks], analysis.holm(raw))
     assert set(table["sites"]) == {8}
     assert table.query("variant == 'nsa2h' and metric == 'psnr'")["shift"].iloc[0] == pytest.approx(-2, abs=0.1)
 
 
 def test_missing_reference_or_single_variant_give_empty_tables(study_of):
-    assert paired_table(study_of(variants=("nsa2h", "sa2h-att"))).empty
-    assert paired_table(study_of(variants=("sa2h",))).empty
-    alone = comparison_table(study_of(variants=("sa2h",)))
+    assert analysis.paired_table(study_of(variants=("nsa2h", "sa2h-att"))).empty
+    assert analysis.paired_table(study_of(variants=("sa2h",))).empty
+    alone = analysis.comparison_table(study_of(variants=("sa2h",)))
     assert not alone["best"].any(), "one network alone is not the best of anything"
-    assert "sa2h" in to_text(alone)
+    assert "sa2h" in analysis.to_text(alone)
 
 
 def test_seed_claims(study, study_of, scalars):
-    claims = seed_claims(study).set_index(["variant", "metric"])
+    claims = analysis.seed_claims(study).set_index(["variant", "metric"])
     assert claims.loc[("nsa2h", "psnr"), "verdict"] == "differs"
     means = study.groupby(["variant", "metric", "seed"])["value"].mean()
     p = stats.ttest_ind(means["nsa2h", "psnr"], means["sa2h", "psnr"], equal_var=False).pvalue
     assert claims.loc[("nsa2h", "psnr"), "p"] == pytest.approx(p)
     assert claims.loc[("nsa2h", "pchi2"), "verdict"] == "not claimable", "no seed changes it: no error to judge by"
     assert RESIMULATION not in claims.index.get_level_values("variant")
-    assert set(seed_claims(study_of(seeds=(0,)))["verdict"]) == {"not claimable"}
-    assert "fd_speckle" in set(seed_claims(study, scalars)["metric"])
-    assert "parameters" not in set(seed_claims(study, scalars)["metric"])
-    assert seed_claims(study, reference="elsewhere").empty
+    assert set(analysis.seed_claims(study_of(seeds=(0,)))["verdict"]) == {"not claimable"}
+    assert "fd_speckle" in set(analysis.seed_claims(study, scalars)["metric"])
+    assert "parameters" not in set(analysis.seed_claims(study, scalars)["metric"])
+    assert analysis.seed_claims(study, reference="elsewhere").empty
 
 
 def test_a_claim_that_does_not_survive_holm_is_a_suggestion():
@@ -140,8 +121,8 @@ def test_a_claim_that_does_not_survive_holm_is_a_suggestion():
         for seed, value in enumerate(values)
     ]
     table = pd.DataFrame(rows, columns=["variant", "seed", "frame", "site", "metric", "value"])
-    claims = seed_claims(table)
-    np.testing.assert_allclose(claims["p_holm"].astype(float), holm(claims["p"].astype(float)))
+    claims = analysis.seed_claims(table)
+    np.testing.assert_allclose(claims["p_holm"].astype(float), analysis.holm(claims["p"].astype(float)))
     row = claims.query("variant == 'b0' and metric == 'm0'").iloc[0]
     assert row["p"] < 0.05 < row["p_holm"]
     assert row["verdict"] == "suggested"
@@ -153,21 +134,21 @@ def test_one_nan_costs_one_frame_and_an_infinite_value_one_too(study):
     hit = (broken["variant"] == "nsa2h") & (broken["metric"] == "psnr") & (broken["seed"] == 1)
     broken.loc[hit & (broken["frame"] == 5), "value"] = np.nan
     broken.loc[hit & (broken["frame"] == 6), "value"] = np.inf
-    cell = comparison_table(broken).query("variant == 'nsa2h' and metric == 'psnr'").iloc[0]
+    cell = analysis.comparison_table(broken).query("variant == 'nsa2h' and metric == 'psnr'").iloc[0]
     assert (cell["n"], cell["dropped"], np.isfinite(cell["mean"])) == (58, 2, True)
-    row = paired_table(broken, resamples=10).query("variant == 'nsa2h' and metric == 'psnr'").iloc[0]
+    row = analysis.paired_table(broken, resamples=10).query("variant == 'nsa2h' and metric == 'psnr'").iloc[0]
     assert (row["n"], row["dropped"]) == (18, 2), "a frame that one seed has no value for is compared by no seed"
-    assert seed_claims(broken).query("variant == 'nsa2h' and metric == 'psnr'")["verdict"].iloc[0] == "differs"
+    assert analysis.seed_claims(broken).query("variant == 'nsa2h' and metric == 'psnr'")["verdict"].iloc[0] == "differs"
 
 
 def test_a_metric_without_one_value_is_shown_as_such(study):
     broken = study.copy()
     broken.loc[(broken["variant"] == "nsa2h") & (broken["metric"] == "psnr"), "value"] = np.nan
-    table = comparison_table(broken)
+    table = analysis.comparison_table(broken)
     assert table.query("variant == 'nsa2h' and metric == 'psnr'")["n"].iloc[0] == 0
-    for printed in (to_text(table), to_latex(table)):
+    for printed in (analysis.to_text(table), analysis.to_latex(table)):
         assert "nan" not in printed.lower()
-    assert paired_table(broken, resamples=10).query("variant == 'nsa2h' and metric == 'psnr'").empty
+    assert analysis.paired_table(broken, resamples=10).query("variant == 'nsa2h' and metric == 'psnr'").empty
 
 
 LABELS = [f"sa2h{part}{more}" for part in ("", "-att", "-conv", "-noise") for more in ("", ".encoding-arbitrary")]
@@ -183,7 +164,7 @@ def large(study_of):
     names = ["sa2h", "nsa2h", *LABELS[1:]]
     rows = [(v, s, m, 1.0 + k) for k, v in enumerate(names) for s in (0, 1, 2) for m in ("fd_speckle", "parameters")]
     rows += [(RESIMULATION, 0, "fd_speckle", 0.1)]
-    return comparison_table(study, pd.DataFrame(rows, columns=["variant", "seed", "metric", "value"]))
+    return analysis.comparison_table(study, pd.DataFrame(rows, columns=["variant", "seed", "metric", "value"]))
 
 
 def width(line):
@@ -193,7 +174,7 @@ def width(line):
 
 
 def test_every_row_is_as_wide_as_the_tabular(large):
-    latex = to_latex(large)
+    latex = analysis.to_latex(large)
     columns = len(re.search(r"\\begin\{tabular\}\{(l[r]+)\}", latex)[1])
     rows = [line for line in latex.splitlines() if line.endswith(r"\\")]
     assert {width(line) for line in rows} == {columns}
@@ -208,7 +189,7 @@ def test_every_row_is_as_wide_as_the_tabular(large):
 
 
 def test_bold_is_the_best_network_and_never_the_resimulation(large):
-    lines = {line.split(" & ")[0]: line for line in to_latex(large).splitlines() if line.endswith(r"\\")}
+    lines = {line.split(" & ")[0]: line for line in analysis.to_latex(large).splitlines() if line.endswith(r"\\")}
     assert r"\textbf" not in lines[RESIMULATION]
     best = large[large["best"]]
     for row in best.to_dict("records"):
@@ -217,12 +198,12 @@ def test_bold_is_the_best_network_and_never_the_resimulation(large):
 
 
 def test_the_caption_tells_a_floor_from_a_level(large):
-    caption = re.search(r"\\caption\{(.*)\}\n", to_latex(large))[1]
+    caption = re.search(r"\\caption\{(.*)\}\n", analysis.to_latex(large))[1]
     assert "floor for p$\\chi^2$, FD speckle" in caption
     assert "level of a perfect stochastic renderer for PSNR" in caption
     assert "24 test frames" in caption
     assert "3 seeds" in caption
-    alone = to_latex(large[large["variant"] != RESIMULATION])
+    alone = analysis.to_latex(large[large["variant"] != RESIMULATION])
     assert "floor" not in alone
 
 
@@ -235,7 +216,7 @@ def test_special_signs_are_escaped():
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="there is no LaTeX here")
 def test_it_compiles(large, tmp_path):
     head = [r"\documentclass[twocolumn]{article}", r"\usepackage{booktabs}", r"\begin{document}"]
-    (tmp_path / "table.tex").write_text("\n".join([*head, to_latex(large), r"\end{document}"]))
+    (tmp_path / "table.tex").write_text("\n".join([*head, analysis.to_latex(large), r"\end{document}"]))
     command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "table.tex"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:]

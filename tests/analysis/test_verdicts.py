@@ -8,17 +8,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from ablate.analysis import (
-    RESIMULATION,
-    Answer,
-    Design,
-    distances_to_resimulation,
-    find_design,
-    improvements,
-    interactions,
-    paper_effects,
-)
-from ablate.analysis import verdict_table as table_of
+from ablate import analysis
+from ablate.analysis import RESIMULATION, Answer, Design, distances_to_resimulation, find_design, paper_effects
 from ablate.analysis.statistics.verdicts import VERDICT_COLUMNS, answer
 from support.components import COMPONENTS, FULL, without
 
@@ -28,7 +19,7 @@ OF_ONE = tuple(replace(component, band=1.0) for component in COMPONENTS)  # all 
 
 
 def verdict_table(means: pd.DataFrame, design: Design | None, bands: bool = True, **more: object) -> pd.DataFrame:
-    return table_of(means, design, COMPONENTS if bands else OF_ONE, **more)
+    return analysis.verdict_table(means, design, COMPONENTS if bands else OF_ONE, **more)
 
 
 @pytest.fixture(scope="module")
@@ -81,19 +72,14 @@ def test_known_effects_come_out_and_neither_blocks_nor_interactions_touch_them(
     assert table["effect"].to_dict() == pytest.approx(averaged, abs=1e-9)
     at_full = {"att": -11, "depth": -2, "concat": 1.5, "noise": 1.5, "conv": 0, "encoding": 0}
     assert table["full_effect"].to_dict() == pytest.approx(at_full, abs=1e-9)
-    assert (table["runs_a"] == 18).all()
-    assert (table["runs_b"] == 16).all()
-    assert (table["dof"] == 34 - 1 - 6 - 15 - 1).all()
-    found = interactions(means_of(cells, design, response(cells, mains, pairs)), design, COMPONENTS).set_index(
-        ["component", "other"]
-    )
+    counts = set(table[["runs_a", "runs_b", "dof"]].itertuples(index=False, name=None))
+    assert counts == {(18, 16, 34 - 1 - 6 - 15 - 1)}
+    found = analysis.interactions(means_of(cells, design, response(cells, mains, pairs)), design, COMPONENTS)
     assert len(found) == 30
-    sizes = found["improvement"]  # less is better in all primaries, so a smaller value improves
-    assert sizes["att", "depth"] == pytest.approx(2)
-    assert sizes["depth", "att"] == pytest.approx(2)
-    assert sizes["noise", "concat"] == pytest.approx(-0.75)
-    others = sizes.drop([("att", "depth"), ("depth", "att"), ("noise", "concat"), ("concat", "noise")])
-    assert others.abs().max() == pytest.approx(0, abs=1e-9)
+    # Less is better in all primaries, so a smaller value improves.
+    sizes = found.set_index(["component", "other"])["improvement"]
+    put_in = {("att", "depth"): 2, ("depth", "att"): 2, ("noise", "concat"): -0.75, ("concat", "noise"): -0.75}
+    assert sizes.to_dict() == pytest.approx(dict.fromkeys(sizes.index, 0) | put_in, abs=1e-9)
 
 
 def test_intervals_are_those_of_least_squares_on_dummy_variables(cells: pd.DataFrame, design: Design) -> None:
@@ -102,13 +88,8 @@ def test_intervals_are_those_of_least_squares_on_dummy_variables(cells: pd.DataF
     table = verdict_table(means_of(cells, design, values), design).set_index("component")
     on = {name: cells[name].to_numpy(float) for name in NAMES}
     pairs = list(combinations(NAMES, 2))
-    columns = [
-        np.ones(len(cells)),
-        (cells["data"] == "1").to_numpy(float),
-        *on.values(),
-        *(on[a] * on[b] for a, b in pairs),
-    ]
-    x = np.column_stack(columns)
+    anatomy = (cells["data"] == "1").to_numpy(float)
+    x = np.column_stack([np.ones(len(cells)), anatomy, *on.values(), *(on[a] * on[b] for a, b in pairs)])
     beta, rss, rank, _ = np.linalg.lstsq(x, values, rcond=None)
     dof = len(cells) - rank
     for k, name in enumerate(NAMES):
@@ -163,6 +144,15 @@ def test_verdicts_follow_the_rule_with_holms_correction_by_hand(cells: pd.DataFr
     assert all(isinstance(why[name], str) == (word == "undecided") for name, word in said.items())
 
 
+def with_and_without(other: str) -> Design:
+    """SA2H, and the same with another attenuation map."""
+    made = {"model.family": "local", "model.attenuation": "integral", "model.noise": "inject"}
+    runs = {"sa2h": made, "sa2h-att": made | {"model.attenuation": other}}
+    design = find_design(runs, ("model.attenuation", "model.noise"))
+    assert design is not None
+    return design
+
+
 def test_what_cannot_be_judged_says_why(design: Design, cells: pd.DataFrame) -> None:
     means = means_of(cells, design, response(cells, {}, {}))
     nothing = verdict_table(means, None)
@@ -170,11 +160,7 @@ def test_what_cannot_be_judged_says_why(design: Design, cells: pd.DataFrame) -> 
     assert set(nothing["why"]) == {"no run goes without it"}
     assert list(nothing["component"]) == NAMES
     assert nothing["band"].to_dict() == dict(enumerate(c.band for c in COMPONENTS))
-    made = {"model.family": "local", "model.attenuation": "integral", "model.noise": "inject"}
-    pair = find_design(
-        {"sa2h": made, "sa2h-att": made | {"model.attenuation": "none"}}, ("model.attenuation", "model.noise")
-    )
-    assert pair is not None
+    pair = with_and_without("none")
     assert pair.name == "with and without one component (attenuation)"
     for seeds, why in ((1, "1 runs with it and 1 without it"), (2, "2 runs with it and 2 without it")):
         rows = [(v, s, "", 9.0 + s) for v in pair.cells.index for s in range(seeds)]
@@ -182,10 +168,7 @@ def test_what_cannot_be_judged_says_why(design: Design, cells: pd.DataFrame) -> 
         row = verdict_table(runs.join(pair.cells, on="variant"), pair).set_index("component").loc["att"]
         assert (row["verdict"], row["effect"]) == ("undecided", pytest.approx(0.0, abs=1e-9))
         assert row["why"].startswith(why)
-    third = find_design(
-        {"sa2h": made, "b": made | {"model.attenuation": "compensated"}}, ("model.attenuation", "model.noise")
-    )
-    assert third is not None
+    third = with_and_without("compensated")
     row = verdict_table(runs.join(third.cells, on="variant"), third).iloc[0]
     assert row["why"] == "the runs compare integral with compensated"
     unscored = verdict_table(means[means["metric"] != METRIC["conv"]], design).set_index("component")
@@ -195,11 +178,9 @@ def test_what_cannot_be_judged_says_why(design: Design, cells: pd.DataFrame) -> 
 
 
 def test_three_seeds_of_two_variants_are_the_t_test() -> None:
-    made = {"model.family": "local", "model.attenuation": "integral"}
-    pair = find_design({"sa2h": made, "sa2h-att": made | {"model.attenuation": "none"}}, ("model.attenuation",))
-    assert pair is not None
+    pair = with_and_without("none")
     values = {"sa2h": [3.0, 3.4, 2.9], "sa2h-att": [9.0, 9.9, 9.2]}
-    rows = [(v, s, "", value) for v, of in values.items() for s, value in enumerate(of)]
+    rows = [(v, s, "", value) for v, scores in values.items() for s, value in enumerate(scores)]
     runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric=METRIC["att"])
     table = verdict_table(runs.join(pair.cells, on="variant"), pair, distances={METRIC["att"]: 12.0})
     row = table.set_index("component").loc["att"]
@@ -212,12 +193,13 @@ def test_three_seeds_of_two_variants_are_the_t_test() -> None:
 
 def test_dots_are_the_runs_without_what_other_components_and_anatomies_add(cells: pd.DataFrame, design: Design) -> None:
     sizes = {"att": -3.0, "concat": 2.0, "depth": -5.0}
-    dots = improvements(means_of(cells, design, response(cells, sizes, {})), design, COMPONENTS)
+    dots = analysis.improvements(means_of(cells, design, response(cells, sizes, {})), design, COMPONENTS)
     assert len(dots) == 6 * len(cells)
     for name in NAMES:
-        of = dots[dots["component"] == name]
-        assert of.loc[~of["on"], "improvement"].to_numpy() == pytest.approx(np.zeros(16), abs=1e-9)
-        assert of.loc[of["on"], "improvement"].to_numpy() == pytest.approx(np.full(18, -sizes.get(name, 0.0)), abs=1e-9)
+        chosen = dots[dots["component"] == name]
+        expected = np.where(chosen["on"], -sizes.get(name, 0.0), 0.0)
+        assert chosen["improvement"].to_numpy() == pytest.approx(expected, abs=1e-9)
+        assert chosen["on"].sum() == 18
 
 
 def test_the_papers_effects_are_excluded_where_the_interval_excludes_them(cells: pd.DataFrame, design: Design) -> None:

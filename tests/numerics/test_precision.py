@@ -5,6 +5,7 @@ import math
 import shutil
 from collections.abc import Iterator
 from contextlib import redirect_stdout
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,15 +21,7 @@ from ablate.jobs.compose import jobs_of
 from ablate.metrics import mae, psnr
 from ablate.numerics.precision import bench, generated
 from ablate.numerics.precision import task as module
-from ablate.numerics.precision.bench import (
-    CsvTable,
-    Frames,
-    bench_of,
-    envelope_rms,
-    mean_errors,
-    relative_change,
-    render_all,
-)
+from ablate.numerics.precision.bench import CsvTable, Frames, bench_of, mean_errors
 from ablate.runs.simulated import build_scene
 from ablate.runs.train import run_job
 from ablate.settings.study import ConfigurationError
@@ -130,8 +123,7 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
     pairs = job.data.pairs
     frames = pairs.frames(Part.test)[[0, -1]]
     scene, _ = build_scene(s)
-    changed = {n: getattr(s.simulator, n) for n in s.simulator.__dataclass_fields__}
-    exact, coarse = (Simulator(scene, s.probe, type(s.simulator)(**{**changed, "rays": rays})) for rays in (32, 4))
+    exact, coarse = (Simulator(scene, s.probe, replace(s.simulator, rays=rays)) for rays in (32, 4))
     targets = [exact.render(pairs.poses[f], s.dataset.seed).image for f in frames]
     points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})
     found = points.set_index(["series", "setting", "metric"])["error"]
@@ -142,10 +134,8 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
     assert found["simulator, other scatterers", "rays 4", "mae"] == pytest.approx(np.mean([*map(mae, other, targets)]))
 
     generator = load_generator(job.folder / "last.ckpt")
-    maps = [exact.maps(pairs.poses[f]) for f in frames]
-    stacked = {
-        name: np.stack(m) for name, m in zip(("segmentation", "attenuation"), zip(*maps, strict=True), strict=True)
-    }
+    labels, attenuation = map(np.stack, zip(*(exact.maps(pairs.poses[f]) for f in frames), strict=True))
+    stacked = {"segmentation": labels, "attenuation": attenuation}
     inputs = network_inputs(stacked, label_values(scene.tissues, s.encoding), exact.mask)
     made = generate(generator, inputs, torch.from_numpy(exact.mask), torch.from_numpy(frames), TrainingPrecision.fp32)
     label = "sa2h", "width 0.05, fp32, eager, seed 0"
@@ -176,7 +166,7 @@ def test_an_engine_that_fails_costs_its_points_alone(
     monkeypatch.setattr(generated, "chosen_precision", lambda *_: TrainingPrecision.bf16)
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
     chosen = bench_of(job)
-    ((reference,), _) = render_all(chosen, [chosen.simulator], (chosen.seed,), lambda: None)[0]
+    ((reference,), _) = bench.render_all(chosen, [chosen.simulator], (chosen.seed,), lambda: None)[0]
     points, details = CsvTable(tmp_path / "p.csv", POINTS), CsvTable(tmp_path / "d.csv", DETAILS)
     planned = generated.schedule_of(generated.comparable_runs(job)[0], job.settings)
     generated.measure_generators(chosen, planned, job.settings, reference, points, details, lambda: None)
@@ -229,13 +219,13 @@ def test_what_has_no_scene_to_measure_is_one_line(tmp_path: Path, monkeypatch: p
 def test_the_error_of_an_envelope_is_relative() -> None:
     random = np.random.default_rng(0)
     reference = random.rayleigh(size=(40, 30)).astype(np.float32)
-    assert envelope_rms(1.25 * reference, reference) == pytest.approx(0.25, rel=1e-6)
+    assert bench.envelope_rms(1.25 * reference, reference) == pytest.approx(0.25, rel=1e-6)
     noise = random.normal(size=reference.shape)
     expected = np.linalg.norm(noise) / np.linalg.norm(reference)
-    assert envelope_rms(reference + noise, reference) == pytest.approx(expected, rel=1e-6)
+    assert bench.envelope_rms(reference + noise, reference) == pytest.approx(expected, rel=1e-6)
     silent = np.zeros_like(reference)
-    assert envelope_rms(silent, silent) == 0
-    assert envelope_rms(reference, silent) == math.inf
+    assert bench.envelope_rms(silent, silent) == 0
+    assert bench.envelope_rms(reference, silent) == math.inf
 
 
 def test_mean_errors_of_identical_and_of_incomparable_frames() -> None:
@@ -257,12 +247,8 @@ def test_mean_errors_of_identical_and_of_incomparable_frames() -> None:
 def test_every_ladder_holds_the_data_sets_own_setting() -> None:
     base = SimulatorSettings(rays=3, layers=2, scanlines=6, axial_samples=1)
     found = bench.ladders(base)
-    assert {name: tuple(ladder) for name, ladder in found.items()} == {
-        "rays": (1, 2, 3, 4),
-        "layers": (1, 2),
-        "scanlines": (2, 3, 6, 12),
-        "axial_samples": (1, 2),
-    }
+    values = {"rays": [1, 2, 3, 4], "layers": [1, 2], "scanlines": [2, 3, 6, 12], "axial_samples": [1, 2]}
+    assert {name: list(ladder) for name, ladder in found.items()} == values
     assert all(ladder[getattr(base, name)] == base for name, ladder in found.items())
 
 
@@ -276,12 +262,10 @@ def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
     ]
     found = module._worst(pd.DataFrame([kept, *rows], columns=["table", "series", "setting", "quantity", "value"]))
     assert tuple(found.iloc[0]) == kept
-    worst = {(row["setting"], row["quantity"]): row["value"] for row in found[1:].to_dict("records")}
-    assert worst == {
-        ("bf16, eager", "mae"): 0.6,
-        ("bf16, eager", "psnr"): 30.0,
-        ("fp32, compiled", "mae"): 0.2,
-        ("fp32, compiled", "psnr"): 30.0,
+    worst = found[1:].pivot(index="setting", columns="quantity", values="value")
+    assert worst.to_dict("index") == {
+        "bf16, eager": {"mae": 0.6, "psnr": 30.0},
+        "fp32, compiled": {"mae": 0.2, "psnr": 30.0},
     }
     assert set(found[1:]["series"]) == {"trained runs against fp32 eager, worst of 2"}
 
@@ -294,7 +278,7 @@ def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
     ],
 )
 def test_how_far_a_reference_moves_an_error(metric: str, error: float, other: float, moved: float) -> None:
-    assert relative_change(metric, error, other) == pytest.approx(moved)
+    assert bench.relative_change(metric, error, other) == pytest.approx(moved)
 
 
 def test_a_table_grows_on_disk_and_a_kill_leaves_the_rows_before(
@@ -324,7 +308,7 @@ def test_bf16_only_where_it_is_multiplied(monkeypatch: pytest.MonkeyPatch) -> No
     (job,) = jobs_of(TINY)
     monkeypatch.setattr(generated, "chosen_precision", lambda *_: TrainingPrecision.fp32)
     found, notes = generated.executions(job.settings)
-    assert found == [generated.Execution(TrainingPrecision.fp32, Engine.eager)]
+    assert found == [(TrainingPrecision.fp32, Engine.eager)]
     assert "bf16: cpu here does not multiply it" in notes
 
 

@@ -2,11 +2,11 @@ from .components import Component as Component
 from .components import with_undeclared as with_undeclared
 from .figures.forest_figure import forest_figure as forest_figure
 from .figures.forest_figure import verdicts_caption as verdicts_caption
+from .figures.image_figures import CHI2_CAPTION as CHI2_CAPTION
+from .figures.image_figures import QUALITATIVE_CAPTION as QUALITATIVE_CAPTION
 from .figures.image_figures import FramePictures as FramePictures
-from .figures.image_figures import chi2_caption as chi2_caption
 from .figures.image_figures import chi2_maps_figure as chi2_maps_figure
 from .figures.image_figures import frames_a_page as frames_a_page
-from .figures.image_figures import qualitative_caption as qualitative_caption
 from .figures.image_figures import qualitative_figure as qualitative_figure
 from .figures.panel_figures import boxplot_caption as boxplot_caption
 from .figures.panel_figures import boxplot_panels as boxplot_panels

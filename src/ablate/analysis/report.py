@@ -95,12 +95,8 @@ def _about_values(per_image: pd.DataFrame) -> list[str]:
     return texts
 
 
-class Cell(NamedTuple):
-    """A cell of a table."""
-
-    text: str
-    bold: bool = False
-    spread: str = ""
+#: Text, or text, spread and whether it is bold, as `cell_texts` gives them.
+Cell = str | tuple[str, str, bool]
 
 
 class Grid(NamedTuple):
@@ -112,45 +108,44 @@ class Grid(NamedTuple):
 
 def _comparison(table: pd.DataFrame) -> Grid:
     variants, metrics, cells = cell_texts(table)
-    rows = [(v, [Cell(mean, best, sd) for mean, sd, best in (cells[v, m] for m in metrics)]) for v in variants]
-    return Grid([head(metric) for metric in metrics], rows)
+    return Grid([head(metric) for metric in metrics], [(v, [cells[v, m] for m in metrics]) for v in variants])
 
 
-def _estimate(row: Mapping[Hashable, Any], name: str, sign: str = "+") -> tuple[Cell, Cell]:
-    """An estimate and the ends of its interval, one decimal more than its metric has; bold where it excludes 0."""
+def _estimate(row: Mapping[Hashable, Any], name: str, sign: str = "+") -> tuple[str, str]:
+    """An estimate and the ends of its interval, one decimal more than its metric has."""
     decimals = metric_of(row["metric"]).decimals + 1
-    lower, upper = row["lower"], row["upper"]
-    ends = "–" if pd.isna(lower) else f"[{lower:.{decimals}f}, {upper:.{decimals}f}]"
-    return Cell(f"{row[name]:{sign}.{decimals}f}"), Cell(ends, lower > 0 or upper < 0)
+    ends = "–" if pd.isna(row["lower"]) else f"[{row['lower']:.{decimals}f}, {row['upper']:.{decimals}f}]"
+    return f"{row[name]:{sign}.{decimals}f}", ends
 
 
 def _paired(paired: pd.DataFrame) -> Grid:
     rows = []
     for row in paired.to_dict("records"):
+        shift, ends = _estimate(row, "shift")
+        interval = ends, "", row["lower"] > 0 or row["upper"] < 0
         texts = (f"{row['p_sites_holm']:.2g}", f"{row['p_holm']:.2g}", f"{row['effect']:+.2f}")
-        others = map(Cell, (*texts, f"{row['sites']} / {row['n']}"))
-        rows.append((row["variant"], [Cell(metric_of(row["metric"]).title), *_estimate(row, "shift"), *others]))
+        cells: list[Cell] = [metric_of(row["metric"]).title, shift, interval, *texts, f"{row['sites']} / {row['n']}"]
+        rows.append((row["variant"], cells))
     return Grid(["metric", "shift", "95 % interval", "p, sites", "p, frames", "effect", "sites / frames"], rows)
 
 
 def _claims(claims: pd.DataFrame) -> Grid:
     rows = []
     for row in claims[claims["verdict"] != Verdict.not_claimable].to_dict("records"):
-        shift, (ends, _, _) = _estimate(row, "shift", "")
-        cells = Cell(metric_of(row["metric"]).title), Cell(str(row["verdict"])), shift, Cell(ends)
-        rows.append((row["variant"], [*cells, Cell(f"{row['p']:.2g}"), Cell(str(row["seeds"]))]))
+        texts = str(row["verdict"]), *_estimate(row, "shift", ""), f"{row['p']:.2g}", str(row["seeds"])
+        cells: list[Cell] = [metric_of(row["metric"]).title, *texts]
+        rows.append((row["variant"], cells))
     return Grid(["metric", "verdict", "shift", "95 % interval", "p", "seeds"], rows)
 
 
 def _verdicts(verdicts: pd.DataFrame, labels: Mapping[str, str]) -> Grid:
     rows = []
     for row in verdicts[verdicts["effect"].notna()].to_dict("records"):
-        effect, (ends, _, _) = _estimate(row, "effect")
         p = f"{row['p_holm']:.2g}" if pd.notna(row["lower"]) else "–"
         texts = (f"{row['band']:g}", f"{row['runs_a']} / {row['runs_b']}", p)
-        said = Cell(str(row["verdict"]).replace("_", " "), True)
-        why = Cell(row["why"] if row["verdict"] == Answer.undecided else "")
-        cells = [Cell(metric_of(row["metric"]).title), effect, Cell(ends), *map(Cell, texts), said, why]
+        verdict = str(row["verdict"]).replace("_", " "), "", True
+        why = row["why"] if row["verdict"] == Answer.undecided else ""
+        cells: list[Cell] = [metric_of(row["metric"]).title, *_estimate(row, "effect"), *texts, verdict, why]
         rows.append((labels.get(row["component"], row["component"]), cells))
     return Grid(["metric", "effect", "95 % interval", "band", "runs with / without", "p, Holm", "verdict", "why"], rows)
 

@@ -1,5 +1,6 @@
 """The comparison table: mean and spread of every metric of every variant; in print, and as the paper's Table II."""
 
+import re
 from enum import StrEnum
 from itertools import product
 from typing import Any
@@ -98,15 +99,9 @@ def distances_to_resimulation(table: pd.DataFrame, reference: str = REFERENCE) -
 
     `table` is what `comparison_table` gives. Metrics that one of the two lacks, or that do not judge, are left out.
     """
-    means = table.pivot(index="metric", columns="variant", values="mean")
-    if not {RESIMULATION, reference} <= set(means.columns):
-        return {}
-    found = {}
-    for name, row in means.iterrows():
-        here, there = (metric_of(str(name)).badness(row[variant]) for variant in (reference, RESIMULATION))
-        if np.isfinite(here - there):
-            found[str(name)] = float(here - there)
-    return found
+    means = table.pivot(index="metric", columns="variant", values="mean").reindex(columns=[reference, RESIMULATION])
+    badness = {m: [metric_of(m).badness(value) for value in means.loc[m].to_numpy()] for m in map(str, means.index)}
+    return {m: float(here - there) for m, (here, there) in badness.items() if np.isfinite(here - there)}
 
 
 def wide_table(table: pd.DataFrame) -> pd.DataFrame:
@@ -202,8 +197,7 @@ def to_markdown(table: pd.DataFrame, spread: Spread = Spread.frames) -> str:
 
 def latex_text(text: str) -> str:
     """Text that LaTeX prints as it stands."""
-    text = text.replace("χ²", "\0")
-    return "".join(_SPECIAL.get(sign, sign) for sign in text).replace("\0", _SPECIAL["χ²"])
+    return re.sub("|".join(map(re.escape, _SPECIAL)), lambda sign: _SPECIAL[sign[0]], text)
 
 
 def to_latex(table: pd.DataFrame, reference: str = REFERENCE, label: str = "tab:comparison") -> str:

@@ -53,7 +53,7 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
     page = analysis.frames_a_page(len(frames[0].predictions)) if frames else 1
     for k, start in enumerate(range(0, len(frames), page)):
         paths = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}", components)
-        add(paths, analysis.qualitative_caption(reference))
+        add(paths, analysis.QUALITATIVE_CAPTION.format(reference=reference))
     boxes = [name for name in shown_in(Shown.headline) if name in set(per_image["metric"])]
     drawn = analysis.boxplot_panels(per_image, boxes, folder / "boxplots", reference, numbers.paired, components)
     add(drawn, analysis.boxplot_caption(boxes, reference))
@@ -63,14 +63,14 @@ def draw_figures(numbers: Numbers, frames: Sequence[FramePictures], folder: Path
         analysis.seeds_caption(panels, reference),
     )
     if design is not None and len(effects):
-        by_variant = numbers.table.pivot(index="metric", columns="variant", values="mean")
-        gaps: dict[str, float] = {}  # by metric, the re-simulation minus the reference
-        if {RESIMULATION, reference} <= set(by_variant.columns):
-            gaps = {str(m): float(gap) for m, gap in (by_variant[RESIMULATION] - by_variant[reference]).items()}
+        scored = numbers.table.pivot(index="metric", columns="variant", values="mean")
+        scored = scored.reindex(columns=[RESIMULATION, reference])  # NaN where there is none
+        gaps = {str(m): floor - mean for m, floor, mean in scored.dropna().itertuples()}
         drawn = analysis.effects_plot(effects, panels, folder / "effects", gaps)
         add(drawn, analysis.effects_caption(design, effects, reference if gaps else None))
     for k, frame in enumerate(frames):
-        add(analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}", components), analysis.chi2_caption(frame.name))
+        paths = analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}", components)
+        add(paths, analysis.CHI2_CAPTION.format(frame=frame.name))
     points, floors = runtime_points(numbers.table)
     if len(points):
         paths = analysis.error_vs_runtime(

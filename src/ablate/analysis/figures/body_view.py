@@ -125,11 +125,7 @@ def _corners_seen(space: Axes3D, box: np.ndarray) -> np.ndarray:
 
 
 def _picture(
-    space: Axes3D,
-    surfaces: Sequence[Surface],
-    box: np.ndarray,
-    view: np.ndarray,
-    plane: tuple[np.ndarray, np.ndarray],
+    space: Axes3D, surfaces: Sequence[Surface], box: np.ndarray, view: np.ndarray, plane: tuple[np.ndarray, np.ndarray]
 ) -> AxesImage:
     """All surfaces in a box as the axes' projection sees them, as an image that lies on it."""
     flat = _corners_seen(space, box)
@@ -150,11 +146,9 @@ def _structures(scene: Scene) -> list[Surface]:
     """The structures of a scene, each the more translucent the more it surrounds."""
     colours = tissue_colours(scene.tissues)
     whole = np.ptp(bounds_mm(s.mesh for s in scene.structures), axis=0).prod()
-    drawn = []
-    for structure, tissue in zip(scene.structures, scene.structure_tissues, strict=True):
-        other = _ENVELOPE if structure.mesh.extents.prod() > _LARGE * whole else _ORGAN
-        drawn.append(Surface(structure.mesh, colours[tissue], *_OPACITY.get(structure.tissue.kind, other)))
-    return drawn
+    other = [_ENVELOPE if s.mesh.extents.prod() > _LARGE * whole else _ORGAN for s in scene.structures]
+    drawn = zip(scene.structures, scene.structure_tissues, other, strict=True)
+    return [Surface(s.mesh, colours[tissue], *_OPACITY.get(s.tissue.kind, usual)) for s, tissue, usual in drawn]
 
 
 def _image_on_fan(probe: Probe, pose: np.ndarray, image: np.ndarray, fan: np.ndarray) -> Surface:
@@ -201,17 +195,17 @@ def look_through(
     normal = plane[1] * np.sign(plane[1] @ direction)
     colour, light = np.zeros((len(origins), 3), np.float32), np.ones(len(origins), np.float32)
     active = np.arange(len(origins))
-    at = (origins - centre).astype(np.float32)
+    start = (origins - centre).astype(np.float32)
     along = direction.astype(np.float32)
     for _ in range(_MOST_SURFACES):
-        hits = geometry.closest(at, np.tile(along, (len(at), 1)), np.full(len(at), reach, np.float32))
-        found = np.flatnonzero(hits.structure >= 0)
-        if not found.size:
+        hits = geometry.closest(start, np.tile(along, (len(start), 1)), np.full(len(start), reach, np.float32))
+        struck = np.flatnonzero(hits.structure >= 0)
+        if not struck.size:
             break
-        active, hit, normals = active[found], hits.structure[found], hits.normal[found]
-        at = at[found] + hits.distance_mm[found, None] * along
+        active, hit, normals = active[struck], hits.structure[struck], hits.normal[struck]
+        place = start[struck] + hits.distance_mm[struck, None] * along
         facing = np.abs(normals @ along) / np.maximum(np.linalg.norm(normals, axis=-1), 1e-12)
-        points, (opacity, rim) = at + centre, looks[hit, 3:].T
+        points, (opacity, rim) = place + centre, looks[hit, 3:].T
         veiled = ((points - plane[0]) @ normal < 0) & (opacity < 1)
         shown = looks[hit, :3] * (_AMBIENT + (1 - _AMBIENT) * facing)[:, None]
         alpha = (opacity + (rim - opacity) * (1 - facing) ** 3) * np.where(veiled, _VEILED, 1.0)
@@ -224,6 +218,6 @@ def look_through(
         colour[active] += share[:, None] * shown
         light[active] -= share
         on = light[active] > _SPENT
-        active, at = active[on], at[on] + step_mm * along
+        active, start = active[on], place[on] + step_mm * along
     alpha = 1 - light
     return np.column_stack([colour / np.maximum(alpha, 1e-6)[:, None], alpha])

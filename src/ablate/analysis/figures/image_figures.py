@@ -11,7 +11,7 @@ from matplotlib.image import AxesImage
 
 from ablate.analysis.components import Component
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, save_figure, shown_name
-from ablate.analysis.scored import CHANGED, REFERENCE, variant_group
+from ablate.analysis.scored import CHANGED, variant_group
 from ablate.metrics import patch_chi2, patches_inside, rms
 
 ACROSS = 4  # pictures side by side on a page; with more of them, speckle is lost in print
@@ -21,6 +21,17 @@ NAME_IN, HEAD_IN = 0.2, 0.25  # beside and above the pictures, for their names
 PATCH = 20  # px, of the chi-square maps
 GREY: dict[str, Any] = {"vmin": 0, "vmax": 255, "interpolation": "antialiased"}  # how 8 bits are shown
 INSET = 0.27  # of the picture's width and height: what fits beside a 70 degree fan
+QUALITATIVE_CAPTION = (
+    "Test frames of unseen probe sites. The target has its segmentation S in the left corner and the logarithm of its "
+    "attenuation A in the right corner. The re-simulation is the same frame with other scatterers and ray paths. Where "
+    "it differs from the target, no network can know the target. The other images are by {reference} and all other "
+    "variants, with the lowest seed of each."
+)
+CHI2_CAPTION = (
+    "Maps of patch chi-square against the target on [0, 1], each above its image ({frame}). The number is the RMS over "
+    "all patches that lie wholly in the fan. The map of the re-simulation is the floor, because it differs from the "
+    "target by its scatterers alone."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +61,7 @@ class FramePictures:
 
 def _picture(axes: Axes, image: np.ndarray, colours: str = "gray", **how: Any) -> AxesImage:
     axes.set_axis_on()
-    axes.set_xticks([])
-    axes.set_yticks([])
+    axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
     return axes.imshow(image, cmap=colours, **how)
 
@@ -161,22 +171,3 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, components: Sequence[Comp
         _picture(images[len(names)], frame.target, **GREY)
         images[len(names)].set_title("target")
         return save_figure(figure, stem)
-
-
-def qualitative_caption(reference: str = REFERENCE) -> str:
-    """Caption of `qualitative_figure`."""
-    return (
-        "Test frames of unseen probe sites. The target has its segmentation S in the left corner and the logarithm of "
-        "its attenuation A in the right corner. The re-simulation is the same frame with other scatterers and ray "
-        "paths. Where it differs from the target, no network can know the target. The other images are by "
-        f"{reference} and all other variants, with the lowest seed of each."
-    )
-
-
-def chi2_caption(frame: str) -> str:
-    """Caption of `chi2_maps_figure` of the frame of that name."""
-    return (
-        f"Maps of patch chi-square against the target on [0, 1], each above its image ({frame}). The number is the RMS "
-        "over all patches that lie wholly in the fan. The map of the re-simulation is the floor, because it differs "
-        "from the target by its scatterers alone."
-    )

@@ -27,6 +27,7 @@ from ablate.metrics import Resimulation, metric_of
 
 BOX_IN = 0.26  # height of a row with a box
 BOX_STYLE: dict[str, Any] = {
+    **{"orientation": "horizontal", "widths": 0.5, "whis": (5, 95), "patch_artist": True, "manage_ticks": False},
     "boxprops": {"facecolor": "#9ECAE9", "lw": 0.7},
     "medianprops": {"color": "black", "lw": 1.3},
     "whiskerprops": {"lw": 0.7},
@@ -96,16 +97,7 @@ def _draw_boxes(axes: Axes, differences: dict[str, np.ndarray], networks: Sequen
         draw_resimulation(axes, metric, float(middle), "re-simulation, median and quartiles")
     axes.axvline(0, color="black", lw=0.8, zorder=1)
     places = {len(networks) - k: name for k, name in enumerate(networks) if name in differences}
-    axes.boxplot(
-        [differences[name] for name in places.values()],
-        positions=list(places),
-        orientation="horizontal",
-        manage_ticks=False,
-        widths=0.5,
-        whis=(5, 95),
-        patch_artist=True,
-        **BOX_STYLE,
-    )
+    axes.boxplot([differences[name] for name in places.values()], positions=list(places), **BOX_STYLE)
 
 
 def boxplot_caption(metrics: Sequence[str], reference: str = REFERENCE) -> str:

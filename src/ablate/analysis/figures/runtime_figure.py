@@ -46,15 +46,6 @@ SIMULATOR: dict[str, tuple[str, str, str, float]] = {
 _LABELLED = ("simulator, rays", "simulator, tolerance", "simulator, layers", "simulator, scanlines")
 _RUN_MARKERS = ("D", "P", "X", "*", "h", "<", ">", "d", "p", "8")
 _ENGINE_FILL = {"eager": "none", "compiled": "left", "exported": "full"}
-# What the time of a frame is spent on: shade and hatching.
-_PARTS = {
-    "S": ("#FFFFFF", ""),
-    "A": ("#FFFFFF", "////"),
-    "rays": ("#444444", ""),
-    "signal chain": ("#AAAAAA", ""),
-    "L": ("#AAAAAA", "xxxx"),
-    "network": ("#E69F00", "...."),
-}
 _LEVEL = "other scatterers"  # the row of a grid that is the level of re-simulation
 _LOGARITHMIC_FROM = 5.0  # ratio of the largest error to the smallest
 
@@ -64,7 +55,6 @@ def error_vs_runtime(
     stem: Path,
     floors: Mapping[str, float] | None = None,
     hardware: str = "",
-    parts: pd.DataFrame | None = None,
     components: Sequence[Component] = (),
 ) -> list[Path]:
     """Draw error against time, a panel a metric, with the Pareto front, re-simulation and the paper's times.
@@ -81,9 +71,6 @@ def error_vs_runtime(
         Re-simulation's value by metric.
     hardware : str
         Device that the times were measured on; it is written on the figure.
-    parts : DataFrame, optional
-        Columns series, setting, part (a key of `_PARTS`), ms: a last panel shows what the time is spent on, of a
-        trained run in its fastest setting.
     components : sequence of Component
         Changes of these are written in short.
 
@@ -96,15 +83,10 @@ def error_vs_runtime(
     across = min(len(metrics), 2)
     cells = [*metrics, *["legend"] * (-len(metrics) % across)]
     rows = [cells[k : k + across] for k in range(0, len(cells), across)]
-    bars = None if parts is None else _bars(parts)
-    heights = [2.3] * len(rows)
-    if bars is not None:
-        rows.append(["parts"] * across)
-        heights.append(0.8 + 0.14 * len(bars))
     with house_style():
         legend_in = 0.0 if "legend" in cells else 0.6
-        figure = new_figure(PAGE_IN if across == 2 else PAGE_IN * 0.62, sum(heights) + legend_in)
-        grid = figure.subplot_mosaic(rows, height_ratios=heights)
+        figure = new_figure(PAGE_IN if across == 2 else PAGE_IN * 0.62, 2.3 * len(rows) + legend_in)
+        grid = figure.subplot_mosaic(rows)
         runs = {name: shown_name(name, components) for name in points["series"] if name not in SIMULATOR}
         for metric in metrics:
             _diagram(grid[metric], points[points["metric"] == metric], metric, (floors or {}).get(metric), runs)
@@ -119,8 +101,6 @@ def error_vs_runtime(
             style = {"loc": "center", "ncols": 2, "fontsize": 6}
         legend = (grid["legend"] if "legend" in cells else figure).legend
         legend(handles.values(), handles.keys(), frameon=False, handlelength=1.5, columnspacing=1.0, **style)
-        if bars is not None:
-            _time_of_parts(grid["parts"], bars, runs)
         if hardware:
             figure.supxlabel(f"times measured on {hardware}", fontsize=7, color="#555555")
         return save_figure(figure, stem)
@@ -176,35 +156,6 @@ def plain_numbers(axis: Axis, subs: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FormatStrFormatter("%g"))
     axis.set_minor_formatter(NullFormatter())
-
-
-def _bars(parts: pd.DataFrame) -> pd.DataFrame:
-    """A row a bar, a column a part, ms: every setting of the simulator, and of each trained run the fastest."""
-    wide = parts.pivot_table(index=["series", "setting"], columns="part", values="ms", aggfunc="sum", sort=False)
-    wide = wide.fillna(0.0)
-    fastest = wide.sum(axis=1).groupby(level="series", sort=False).idxmin()
-    return wide.loc[[place for place in wide.index if place[0] in SIMULATOR or place == fastest[place[0]]]]
-
-
-def _time_of_parts(axes: Axes, bars: pd.DataFrame, runs: Mapping[str, str]) -> None:
-    """Draw a bar a row, a section for each part that takes time."""
-    names = []
-    for series, setting in bars.index:
-        kept = [p for p in setting.split(", ") if p.startswith("width") or p in ("fp32", "bf16", *_ENGINE_FILL)]
-        simulated = f"{series.removeprefix('simulator, ')} {setting}"
-        names.append(simulated if series in SIMULATOR else ", ".join([runs.get(series, series), *kept]))
-    left = np.zeros(len(bars))
-    for name, (colour, hatch) in _PARTS.items():
-        if name in bars:
-            style: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": "black", "lw": 0.4, "height": 0.7}
-            axes.barh(names, bars[name], left=left, label=name, **style)
-            left = left + bars[name].to_numpy()
-    for name, end in zip(names, left, strict=True):
-        axes.annotate(name, (end, name), xytext=(4, 0), textcoords="offset points", fontsize=6.5, va="center")
-    axes.invert_yaxis()
-    axes.set_yticks([])
-    axes.set(xlim=(0, 1.15 * left.max()), xlabel="median time, ms/frame")
-    axes.legend(frameon=False, fontsize=6.5, loc="lower left", bbox_to_anchor=(0, 1), ncols=6)
 
 
 def runtime_caption(metrics: Sequence[str]) -> str:

@@ -61,11 +61,7 @@ class LinearModel:
         return float(2 * stats.t.sf(abs(effect) / error, self.dof)) if error > 0 else float(effect == 0)
 
 
-def fit_effects(
-    runs: pd.DataFrame,
-    factors: Sequence[str],
-    interactions: bool = True,
-) -> LinearModel:
+def fit_effects(runs: pd.DataFrame, factors: Sequence[str], interactions: bool = True) -> LinearModel:
     """Fit main effects, two-way interactions and blocks (Box, Hunter and Hunter 2005, chapters 5 and 6).
 
     Interactions that the runs cannot tell from other effects or from blocks are taken as zero, and named as aliases of
@@ -155,12 +151,8 @@ def defining_relation(runs: pd.DataFrame, factors: Sequence[str]) -> list[str]:
     Second levels count as +. A full factorial has no words. Raises ValueError when a factor has not two levels.
     """
     signs = _signs(runs, factors)
-    words = []
-    for word in _subsets(factors, 1):
-        product = _product(signs, word)
-        if (product == product[0]).all():
-            words.append(("-" if product[0] < 0 else "") + ":".join(word))
-    return words
+    products = {":".join(word): _product(signs, word) for word in _subsets(factors, 1)}
+    return [("-" if p[0] < 0 else "") + word for word, p in products.items() if (p == p[0]).all()]
 
 
 def _signs(runs: pd.DataFrame, factors: Sequence[str]) -> dict[str, np.ndarray]:

@@ -180,17 +180,15 @@ def paper_effects(means: pd.DataFrame, design: Design | None, components: Sequen
     rows = []
     for component in components:
         for metric, without in _WITHOUT.get(component.name, {}).items():
-            try:
+            with suppress(ValueError):  # the runs cannot tell it
                 _require_told(component, design)
                 model = _fitted(metric, means, design, components)
-            except ValueError:
-                continue
-            if model.dof > 0:
-                claimed = _FULL[metric] - without
-                effect, lower, upper = model.interval(_of_component(component, model, full=True))
-                averaged = model.interval(_of_component(component, model))
-                excluded = not lower <= claimed <= upper
-                rows.append((component.name, metric, claimed, effect, lower, upper, excluded, *averaged))
+                if model.dof > 0:
+                    claimed = _FULL[metric] - without
+                    effect, lower, upper = model.interval(_of_component(component, model, full=True))
+                    averaged = model.interval(_of_component(component, model))
+                    excluded = not lower <= claimed <= upper
+                    rows.append((component.name, metric, claimed, effect, lower, upper, excluded, *averaged))
     return pd.DataFrame(rows, columns=list(PAPER_COLUMNS))
 
 
@@ -247,11 +245,9 @@ def _judged(
 ) -> Iterator[tuple[Component, LinearModel]]:
     """The components that can be judged, each with the model of its primary metric."""
     for component in components:
-        try:
-            model = _fitted(_require_judged(component, design)[0], means, design, components, interactions)
-        except ValueError:
-            continue
-        yield component, model
+        with suppress(ValueError):
+            metric, _ = _require_judged(component, design)
+            yield component, _fitted(metric, means, design, components, interactions)
 
 
 def _fitted(

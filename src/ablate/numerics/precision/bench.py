@@ -17,14 +17,7 @@ from ablate.runs.job import Job
 from ablate.runs.simulated import build_scene, lay_out
 from ablate.runs.timed_maps import nudged
 from ablate.storage import remove_partial, write_text
-from ablate.ultrasound import (
-    PlanMode,
-    Probe,
-    Simulator,
-    SimulatorPrecision,
-    SimulatorSettings,
-    fan_mask,
-)
+from ablate.ultrasound import PlanMode, Probe, Simulator, SimulatorPrecision, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.ultrasound.stages import Stage, stage_times
 
@@ -68,11 +61,6 @@ class Bench:
     frames: np.ndarray
     poses: np.ndarray
     seed: int
-
-    @property
-    def mask(self) -> np.ndarray:
-        """The fan, (H, W) bool."""
-        return fan_mask(self.probe, self.simulator.image_shape)
 
 
 def bench_of(job: Job) -> Bench:
@@ -251,7 +239,6 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
     def errors_of(frames: Frames, other: Frames = reference) -> dict[str, float]:
         return mean_errors(frames, other, bench.probe)
 
-    usual: Frames | None = None
     for name, ladder in ladders(base).items():
         several = {(series_name(name), value): settings for value, settings in ladder.items()}
         if name == "rays":
@@ -264,7 +251,6 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
             points.add_each(series, value, ms, values=errors)
             if series == series_name(name):
                 points.add_each(OTHER_SERIES, f"{name.replace('_', ' ')} {value}", ms, values=errors_of(other))
-                usual = rendered if several[series, value] == base else usual
             if series == RAYS_SERIES:
                 to_half = errors_of(rendered, half)
                 changes = {metric: relative_change(metric, errors[metric], to_half[metric]) for metric in errors}
@@ -273,10 +259,10 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
                 ((as_planned, _), _) = measured[RAYS_SERIES, value]
                 apart = np.abs(rendered.images.astype(np.int16) - as_planned.images).max()
                 details.add_each("plan", series, value, values={"largest grey difference to planned": int(apart)})
+        ((usual, _), _) = measured[series_name(name), getattr(base, name)]
     for name in _GRIDS:
         for setting, errors in _converging(bench, name, advance).items():
             details.add_each("convergence", series_name(name), setting, values=errors)
-    assert usual is not None  # every ladder has the data set's settings
     in_float64 = replace(base, precision=SimulatorPrecision.float64)
     (((double,), _),) = render_all(bench, [in_float64], seeds[:1], advance)
     limits = errors_of(usual, double)  # of the signal chain in single precision, on the same paths

@@ -3,7 +3,6 @@
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
@@ -26,17 +25,14 @@ from ablate.training import (
     missing_for,
     open_engine,
 )
+from ablate.ultrasound import fan_mask
 
 _WARMUP = 2
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class Execution:
-    """Precision and engine that a generator is run with."""
-
-    precision: TrainingPrecision
-    engine: Engine
+#: How a generator is run.
+Execution = tuple[TrainingPrecision, Engine]
 
 
 def comparable_runs(job: Job) -> tuple[list[Run], str]:
@@ -64,19 +60,12 @@ def comparable_runs(job: Job) -> tuple[list[Run], str]:
 def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...]]:
     """List precisions and engines that this machine can run, eager first, and say what is missing for the others."""
     device = chosen_device(settings.training.device)
-    notes = []
-    precisions = [TrainingPrecision.fp32]
-    if chosen_precision(TrainingPrecision.auto, device) is TrainingPrecision.bf16:
-        precisions.append(TrainingPrecision.bf16)
-    else:
-        notes.append(f"bf16: {device.type} here does not multiply it")
-    engines = []
-    for engine in Engine:
-        if lacking := missing_for(engine, device):
-            notes.append(f"engine {engine}: needs {lacking}")
-        else:
-            engines.append(engine)
-    return [Execution(p, e) for e in engines for p in precisions], tuple(notes)
+    has_bf16 = chosen_precision(TrainingPrecision.auto, device) is TrainingPrecision.bf16
+    precisions = (TrainingPrecision.fp32, *([TrainingPrecision.bf16] if has_bf16 else []))
+    notes = [] if has_bf16 else [f"bf16: {device.type} here does not multiply it"]
+    lacking = {engine: missing_for(engine, device) for engine in Engine}
+    notes += [f"engine {engine}: needs {what}" for engine, what in lacking.items() if what]
+    return [(p, engine) for engine, what in lacking.items() if not what for p in precisions], tuple(notes)
 
 
 def schedule_of(runs: list[Run], settings: StudySettings) -> list[tuple[Run, list[Execution]]]:
@@ -86,7 +75,7 @@ def schedule_of(runs: list[Run], settings: StudySettings) -> list[tuple[Run, lis
     first run of each network is compiled and exported: the time of a network does not depend on its weights.
     """
     every, _ = executions(settings)
-    eager = [execution for execution in every if execution.engine is Engine.eager]
+    eager = [execution for execution in every if Engine.eager in execution]
     first: dict[str, Run] = {}
     ordered = sorted(runs, key=lambda run: (str(run.folder.parents[1]), run.label, run.seed))
     return [(r, every if first.setdefault(digest(r.spec["semantic"]["model"]), r) is r else eager) for r in ordered]
@@ -96,12 +85,11 @@ def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, 
     """Make the inputs of generators, (n, H, W) each, and measure the median milliseconds of each, as `TimedMaps`."""
     make = TimedMaps(bench.scene, bench.probe, bench.simulator, bench.poses, low=True)
     make(nudged(bench.poses[0]), bench.seed)
-    inputs, times = [], []
+    made = []
     for pose in bench.poses:
-        maps, taken = make(pose, bench.seed)
-        inputs.append(maps)
-        times.append(taken)
+        made.append(make(pose, bench.seed))
         advance()
+    inputs, times = zip(*made, strict=True)
     arrays = {name: np.stack([maps[name] for maps in inputs]) for name in inputs[0]}
     return arrays, {name: median(taken[name] for taken in times) for name in times[0]}
 
@@ -128,9 +116,9 @@ def measure_generators(
         exact: Frames | None = None
         study = run.folder.parents[1].name
         elsewhere = "" if study == settings.study else f", {study}"
+        width = run.spec["settings"]["model"]["width"]
         for execution in its_executions:
-            width = run.spec["settings"]["model"]["width"]
-            setting = f"width {width:g}, {execution.precision}, {execution.engine}, seed {run.seed}{elsewhere}"
+            setting = f"width {width:g}, {', '.join(execution)}, seed {run.seed}{elsewhere}"
             advance()
             try:
                 generator = load_generator(run.checkpoint).to(device)
@@ -158,12 +146,13 @@ def _render(
     values = label_values(bench.scene.tissues, trained.encoding, trained.encoding_seed)
     stored = {name: maps[name] for name in conditions(generator.spec)}
     device = next(generator.parameters()).device
-    render = open_engine(generator, *bench.simulator.image_shape, execution.precision, execution.engine)
-    mask = torch.from_numpy(bench.mask).to(device)
+    render = open_engine(generator, *bench.simulator.image_shape, *execution)
+    fan = fan_mask(bench.probe, bench.simulator.image_shape)
+    mask = torch.from_numpy(fan).to(device)
     images, times = [], []
     for k in [0] * _WARMUP + list(range(len(bench.frames))):
         start = time.perf_counter()
-        read = network_inputs({name: m[k : k + 1] for name, m in stored.items()}, values, bench.mask)
+        read = network_inputs({name: m[k : k + 1] for name, m in stored.items()}, values, fan)
         seed = torch.tensor([int(bench.frames[k])], device=device)
         image = render({name: m.to(device) for name, m in read.items()}, seed)
         images.append(decode_grey_levels(image[0, 0], mask).cpu().numpy())  # waits for the device

@@ -31,20 +31,10 @@ from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_text
 from ablate.tracking import TaskRecord, git_state, hardware, recorded_task
 from ablate.ultrasound.media import plan_scene
-from ablate.ultrasound.stages import Stage
 
 WELL_CONVERGED = 0.05
 BUDGETS_MS = (10.0, 40.0, 75.0, 200.0, 1000.0)
 _SAME, _OTHER, _RUN = "simulator, same speckle", "simulator, other speckle", "trained run"
-
-_RAYS = (Stage.probe_rays, Stage.tracing, Stage.surface_echoes, Stage.clutter, Stage.illumination)
-_PART_OF_STAGE: dict[str, str] = {
-    **dict.fromkeys((Stage.pixel_labels, "segmentation"), "S"),
-    **dict.fromkeys((Stage.attenuation_labels, Stage.attenuation_sum, "attenuation", "compensated"), "A"),
-    **dict.fromkeys(_RAYS, "rays"),
-    "low": "L",
-    "network": "network",
-}
 
 
 def precision(jobs: Sequence[Job]) -> int:
@@ -99,7 +89,7 @@ def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable,
     folder, errors, more = points.path.parent, points.table(), details.table()
     usual = (errors["series"] == OTHER_SERIES) & (errors["setting"] == f"rays {bench.simulator.rays}")
     level = dict(zip(errors.loc[usual, "metric"], errors.loc[usual, "error"].astype(float), strict=True))
-    figures = error_vs_runtime(errors, folder / "precision", level, hardware(), _time_of_parts(more))
+    figures = error_vs_runtime(errors, folder / "precision", level, hardware())
     base = {series_name(name): getattr(bench.simulator, name) for name in ladders(bench.simulator)}
     of_rays, grids = errors[errors["series"] == RAYS_SERIES], more[more["table"] == "convergence"]
     figures += order_figure(of_rays, grids, base, folder / "precision_order")
@@ -113,13 +103,6 @@ def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable,
     first = as_text(dict(list(shown.items())[:1]))  # the run's first page has room for one table
     record.description = "\n\n".join([*about, *head, f"```\n{first}\n```", "The rest: Artifacts, `summary.txt`."])
     return [points.path, details.path, summary, *(f for f in figures if f.suffix == ".png")]
-
-
-def _time_of_parts(details: pd.DataFrame) -> pd.DataFrame:
-    """Group the stages of a frame into parts: columns series, setting, part, ms, as `error_vs_runtime` takes them."""
-    stages = details[details["table"] == "stage"]
-    parts = [_PART_OF_STAGE.get(stage, "signal chain") for stage in stages["quantity"]]
-    return stages[["series", "setting"]].assign(part=parts, ms=stages["value"].astype(float))
 
 
 def _orders(points: pd.DataFrame) -> dict[str, tuple[float, float]]:

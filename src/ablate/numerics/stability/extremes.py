@@ -101,20 +101,15 @@ def _pulses(checks: Checks) -> None:
     _settings(checks, _SPECKLE, {"axial_fwhm_mm": (1e3,), **widths})
 
 
-def in_double(labels: np.ndarray, losses_db_mm: np.ndarray) -> tuple[np.ndarray, float]:
-    """Compute A by its definition, with NumPy's percentile, and the attenuation at that percentile, Np."""
+def _against_double(checks: Checks, labels: np.ndarray, losses_db_mm: np.ndarray) -> None:
+    """Compare A with its definition in double precision, with NumPy's percentile."""
+    checks.dtype = "float32"
+    computed = integral_attenuation(labels, losses_db_mm, SPACING_MM)
     total = np.cumsum((losses_db_mm * SPACING_MM / DB_PER_NEPER)[labels], axis=1)
     about = float(np.sort(total, axis=None)[int(0.02 * (total.size - 1))])  # e^-3000 would be 0, and e^3000 infinite
     amplitude = np.exp(np.minimum(about - total, 700))
-    scale = np.percentile(amplitude, 98)
-    return np.minimum(amplitude / scale, 1), about - float(np.log(scale))
-
-
-def _against_double(checks: Checks, labels: np.ndarray, losses_db_mm: np.ndarray) -> None:
-    """Compare A with its definition in double precision."""
-    checks.dtype = "float32"
-    computed = integral_attenuation(labels, losses_db_mm, SPACING_MM)
-    right, scale = in_double(labels, losses_db_mm)
+    percentile = np.percentile(amplitude, 98)
+    right, scale = np.minimum(amplitude / percentile, 1), about - float(np.log(percentile))  # scale: in Np
     checks.finite(computed, what="samples")
     if losses_db_mm.max() * SPACING_MM / DB_PER_NEPER * labels.shape[1] > 1e3:
         bound = 4 * FLOAT32

@@ -1,7 +1,7 @@
 """Touching surfaces, needle triangles, thin films, nested shells, and scenes of all sizes and positions."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import groupby, pairwise, product
 
 import numpy as np
@@ -16,10 +16,8 @@ from ablate.ultrasound.probe import pixel_coordinates_mm
 from ablate.ultrasound.transport.bounce import SHARED_FROM_GROWTH
 
 HARD = Tissue("hard", 1540, 1.8, 0.5, 0.6, 0.0, 0.8, roughness=0.0)
-_LENGTHS = (
-    "axial_fwhm_mm", "lateral_fwhm_mm", "elevational_fwhm_mm", "focus_mm", "focal_range_mm", "aperture_mm",
-    "elevational_aperture_mm", "layer_extent_mm", "scatterer_pitch_mm",
-)  # fmt: skip
+#: What grows with the unit of length.
+_LENGTHS = [field.name for field in fields(SimulatorSettings) if field.name.endswith("_mm")]
 
 
 @case("a film of 1 um", 1e-3)
@@ -135,19 +133,14 @@ def _far(checks: Checks, away_mm: float, size: float) -> None:
     for frame in checks.frames(away, settings, probe, moved(*there)):
         why = "Coordinates are taken relative to the middle of the scene before they become float32."
         _same_labels(checks, "those at the origin", frame, near, why)
-        _same_speckle(checks, frame, near)
-
-
-def _same_speckle(checks: Checks, frame: Frame, right: dict[str, Frame]) -> None:
-    """Compare speckle between 15 and 37 mm with another frame's mean, and with the deviation of a Rayleigh variable."""
-    part, other = (f.envelope[100:250].astype(float) for f in (frame, right[checks.dtype]))
-    grains = part.size / 8 / 2  # a pulse is 8 samples long and a beam at least two lines wide
-    error, bound = abs(part.mean() / other.mean() - 1), 5 * np.sqrt(2) * 0.523 / np.sqrt(grains)
-    why = "Five standard errors of two means over speckle cells; their deviation is 0.523 of their mean."
-    checks.add("mean of speckle against that at the origin, relative", error, bound, why)
-    error = abs((part / part.mean(axis=1, keepdims=True)).std() - 0.523)
-    why = "Five standard errors; the square of a cell varies about as much."
-    checks.add("deviation over mean of speckle against 0.523", error, 5 * 0.523 / np.sqrt(grains), why)
+        part, other = (f.envelope[100:250].astype(float) for f in (frame, near[checks.dtype]))  # from 15 to 37 mm
+        grains = part.size / 8 / 2  # a pulse is 8 samples long and a beam at least two lines wide
+        error, bound = abs(part.mean() / other.mean() - 1), 5 * np.sqrt(2) * 0.523 / np.sqrt(grains)
+        why = "Five standard errors of two means over speckle cells; their deviation is 0.523 of their mean."
+        checks.add("mean of speckle against that at the origin, relative", error, bound, why)
+        error = abs((part / part.mean(axis=1, keepdims=True)).std() - 0.523)  # 0.523 is that of a Rayleigh variable
+        why = "Five standard errors; the square of a cell varies about as much."
+        checks.add("deviation over mean of speckle against 0.523", error, 5 * 0.523 / np.sqrt(grains), why)
 
 
 @case("64 surfaces of R_p = 0.97, 1 mm apart", 0.97, 1.0, 64)
