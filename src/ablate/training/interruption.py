@@ -21,21 +21,19 @@ class Interruption:
 
     def __init__(self) -> None:
         self.signal: int | None = None
-        handlers = {number: signal.getsignal(number) for number in _SIGNALS}
+        in_main_thread = threading.current_thread() is threading.main_thread()
+        handlers = {number: signal.getsignal(number) for number in _SIGNALS if in_main_thread}
         self._previous = {number: handler for number, handler in handlers.items() if handler is not signal.SIG_IGN}
-        self._in_main_thread = threading.current_thread() is threading.main_thread()
 
     def take_over(self) -> None:
         """Receive the signals from now on, in place of Lightning's handlers too; only a main thread can."""
-        if self._in_main_thread:
-            for number in self._previous:
-                signal.signal(number, self._receive)
+        for number in self._previous:
+            signal.signal(number, self._receive)
 
     def restore(self) -> None:
         """Restore the signal handlers that were set when this was made."""
-        if self._in_main_thread:
-            for number, handler in self._previous.items():
-                signal.signal(number, handler)
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
 
     @property
     def is_asked_for(self) -> bool:

@@ -51,7 +51,7 @@ def train(
     settings: TrainingSettings,
     loader: Loader,
     run_dir: Path,
-    sink: MetricSink | None = None,
+    sink: MetricSink = lambda *_: None,
     validation: Validation | None = None,
     epoch: int | None = None,
 ) -> TrainedGenerator:
@@ -156,9 +156,7 @@ def keep_freed_memory() -> None:
     gets them back page by page, each one zeroed: a tenth of a step's time. Does nothing where the C library is
     another.
     """
-    if sys.platform != "linux":
-        return
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
         mallopt(_MMAP_THRESHOLD, _LARGEST_MMAP)
         mallopt(_TRIM_THRESHOLD, _LARGEST_TRIM)

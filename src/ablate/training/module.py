@@ -47,15 +47,13 @@ class PairGAN(LightningModule):
         self.settings = settings if isinstance(settings, TrainingSettings) else TrainingSettings(**settings)
         self.save_hyperparameters({"spec": plain(self.spec), "settings": plain(self.settings)})
         self.automatic_optimization = False
-        width = self.settings.discriminator_width
         with torch.random.fork_rng():
             torch.manual_seed(self.settings.seed)
             self.generator = Generator(self.spec)
             self.discriminator: PatchDiscriminator | None = None
             if self.settings.has_discriminator:
-                self.discriminator = PatchDiscriminator(
-                    discriminator_channels(self.spec), self.spec.width if width is None else width
-                )
+                width = self.settings.discriminator_width or self.spec.width
+                self.discriminator = PatchDiscriminator(discriminator_channels(self.spec), width)
         has_average = self.settings.ema_decay > 0
         self.average = deepcopy(self.generator).requires_grad_(False) if has_average else None
         self.steps_done = 0

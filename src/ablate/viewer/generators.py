@@ -25,15 +25,7 @@ from ablate.pretrained import Renderer
 from ablate.runs.run import Run
 from ablate.runs.run import State as RunState
 from ablate.settings.study import StudySettings
-from ablate.training import (
-    Engine,
-    OpenEngine,
-    TrainingPrecision,
-    generate,
-    load_generator,
-    missing_for,
-    open_exported,
-)
+from ablate.training import Engine, OpenEngine, TrainingPrecision, generate, load_generator, missing_for, open_exported
 from ablate.ultrasound import Probe, compensated_attenuation
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.viewer.session import State
