@@ -14,6 +14,7 @@ from ablate.training.inference import autocast
 from support.tiny_training import SETTINGS, SPEC, batch
 from support.torch_operations import Operations
 
+
 def module(spec: GeneratorSpec, settings: TrainingSettings, monkeypatch: pytest.MonkeyPatch) -> PairGAN:
     """A module with its optimisers, as it is within a Trainer."""
     made = PairGAN(spec, settings).to(settings.device)
