@@ -5,8 +5,7 @@ import threading
 from typing import Any
 
 # SIGHUP: the terminal is closed; SIGUSR2: submitit's notice that a job's time is up. Windows has neither.
-_NAMES = ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2")
-_SIGNALS = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
+_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2") if hasattr(signal, name)]
 
 #: Set by a signal handler of the process that cannot be sure of its exception: Python drops what a handler raises while
 #: it runs the callback of a weak reference. A training that sees it after a step stops as after SIGTERM.

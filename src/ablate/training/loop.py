@@ -214,10 +214,10 @@ def resume(module: PairGAN, path: Path) -> None:
     # A falling learning rate depends on the number of steps.
     free = _FREE if module.settings.schedule is Schedule.constant else _FREE - {"steps"}
     for part, wanted in (("spec", plain(module.spec)), ("settings", plain(module.settings))):
-        found = checkpoint["hyper_parameters"][part]
-        differing = [key for key in wanted if key not in free and found.get(key) != wanted[key]]
+        known = checkpoint["hyper_parameters"][part]
+        differing = [key for key in wanted if key not in free and known.get(key) != wanted[key]]
         if differing:
-            changes = ", ".join(f"{key}={found.get(key)} there, {wanted[key]} asked for" for key in differing)
+            changes = ", ".join(f"{key}={known.get(key)} there, {wanted[key]} asked for" for key in differing)
             raise ValueError(f"{path}: of another run ({changes})")
     module.restore(checkpoint)
 
@@ -232,7 +232,8 @@ def load_generator(path: Path) -> Generator:
     """
     checkpoint = read_checkpoint(path)
     try:
-        module = PairGAN(**checkpoint["hyper_parameters"])
+        made = checkpoint["hyper_parameters"]
+        module = PairGAN(GeneratorSpec(**made["spec"]), TrainingSettings(**made["settings"]))
         module.load_state_dict(checkpoint["state_dict"])
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
