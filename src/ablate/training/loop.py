@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from lightning.pytorch import Callback, LightningModule, Trainer
+from lightning.pytorch import Callback, Trainer
 from lightning.pytorch.callbacks import LambdaCallback
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from torch import Tensor
@@ -171,9 +171,8 @@ class LastCheckpoint(Callback):
     def __init__(self, folder: Path, every: int, interruption: Interruption) -> None:
         self.path, self.every, self.interruption = folder / LAST, every, interruption
 
-    def on_train_batch_end(self, trainer: Trainer, module: LightningModule, *_: Any) -> None:
+    def on_train_batch_end(self, trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
         """Write if it is time."""
-        assert isinstance(module, PairGAN)
         step = module.steps_done
         is_due = self.every > 0 and step % self.every == 0
         trainer.should_stop = trainer.should_stop or self.interruption.is_asked_for

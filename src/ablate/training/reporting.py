@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
-from lightning.pytorch import Callback, LightningModule, Trainer
+from lightning.pytorch import Callback, Trainer
 from tqdm import tqdm
 
 from ablate.networks import Generator
@@ -92,16 +92,14 @@ class Report(Callback):
     def __init__(self, sink: MetricSink, guard: DivergenceGuard) -> None:
         self.sink, self.guard = sink, guard
 
-    def on_train_start(self, _trainer: Trainer, module: LightningModule) -> None:
+    def on_train_start(self, _trainer: Trainer, module: PairGAN) -> None:  # type: ignore[override]
         """Open the bar, start the clock."""
-        assert isinstance(module, PairGAN)
         steps = {"total": module.settings.steps, "initial": module.steps_done, "unit": "step"}
         self._bar: tqdm[Any] = tqdm(**steps, disable=None)  # None: where there is no terminal
         self._since, self._steps_timed = time.perf_counter(), 0
 
-    def on_train_batch_end(self, _trainer: Trainer, module: LightningModule, *_: Any) -> None:
+    def on_train_batch_end(self, _trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
         """Report if it is time."""
-        assert isinstance(module, PairGAN)
         step, settings = module.steps_done, module.settings
         self._steps_timed += 1
         self._bar.update()
@@ -143,15 +141,13 @@ class Validate(Callback):
     def __init__(self, validation: Validation, every: int, sink: MetricSink) -> None:
         self.validation, self.every, self.sink = validation, every, sink
 
-    def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
+    def on_train_start(self, trainer: Trainer, module: PairGAN) -> None:  # type: ignore[override]
         """Validate the untrained network, where curves begin."""
-        assert isinstance(module, PairGAN)
         if module.steps_done == 0:
             self.on_train_batch_end(trainer, module)
 
-    def on_train_batch_end(self, _trainer: Trainer, module: LightningModule, *_: Any) -> None:
+    def on_train_batch_end(self, _trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
         """Validate if it is time."""
-        assert isinstance(module, PairGAN)
         if module.steps_done % self.every == 0:
             images_seen = module.steps_done * module.settings.batch_size
             with torch.no_grad():
