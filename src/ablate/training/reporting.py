@@ -94,8 +94,9 @@ class Report(Callback):
 
     def on_train_start(self, _trainer: Trainer, module: PairGAN) -> None:  # type: ignore[override]
         """Open the bar, start the clock."""
-        steps = {"total": module.settings.steps, "initial": module.steps_done, "unit": "step"}
-        self._bar: tqdm[Any] = tqdm(**steps, disable=None)  # None: where there is no terminal
+        steps, done = module.settings.steps, module.steps_done
+        # With `disable=None` it is shown on a terminal alone.
+        self._bar: tqdm[Any] = tqdm(total=steps, initial=done, unit="step", disable=None)
         self._since, self._steps_timed = time.perf_counter(), 0
 
     def on_train_batch_end(self, _trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
