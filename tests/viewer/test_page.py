@@ -145,9 +145,8 @@ def test_nobody_can_ask_for_a_tunnel(client: Client, viewer: Viewer) -> None:
 
 def test_a_port_in_use_is_one_sentence(viewer: Viewer) -> None:
     port = viewer.page.settings.viewer.port
-    with pytest.raises(
-        ConfigurationError, match=rf"^viewer.port={port}: in use; give another one, such as {port + 1}$"
-    ):
+    sentence = rf"^viewer.port={port}: in use; give another one, such as {port + 1}$"
+    with pytest.raises(ConfigurationError, match=sentence):
         check_server(port)
 
 
