@@ -34,6 +34,8 @@ def test_plain_strings_become_enums_and_equal_specs_compare_equal() -> None:
         ({"upsampling": "bicubic"}, "upsampling='bicubic': allowed are texture, transposed, resize"),
         ({**UNET, "upsampling": "resize"}, "upsampling=resize with family=unet: allowed is upsampling=transposed"),
         ({**UNET, "noise": "inject"}, "noise=inject with family=unet"),
+        ({**UNET, "family": "custom"}, "target=None with family=custom: allowed is the path of a class"),
+        ({"target": "a.B"}, r"target=a\.B with family=local: allowed is null"),
     ],
 )
 def test_what_is_not_a_network_is_refused_by_name(changes: dict, message: str) -> None:

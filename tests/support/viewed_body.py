@@ -1,6 +1,8 @@
-"""A body that renders in milliseconds, a probe on it, and a port for a page."""
+"""A body that renders in milliseconds, a probe on it, a port for a page, and patience."""
 
 import socket
+import time
+from collections.abc import Callable
 from contextlib import closing
 
 import numpy as np
@@ -27,3 +29,11 @@ def free_port() -> int:
     with closing(socket.socket()) as trial:
         trial.bind(("127.0.0.1", 0))
         return int(trial.getsockname()[1])
+
+
+def until(holds: Callable[[], object], within_s: float = 20.0) -> None:
+    """Wait until something holds."""
+    end = time.monotonic() + within_s
+    while not holds():
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.005)

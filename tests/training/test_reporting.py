@@ -12,14 +12,7 @@ import torch
 from torch import Tensor
 
 from ablate.networks import Generator
-from ablate.training import (
-    LAST,
-    AdversarialLoss,
-    DivergenceError,
-    Reconstruction,
-    read_checkpoint,
-    train,
-)
+from ablate.training import LAST, AdversarialLoss, DivergenceError, Reconstruction, read_checkpoint, train
 from ablate.training.reporting import DivergenceGuard
 from support.tiny_training import SETTINGS, SPEC, batch, loader
 

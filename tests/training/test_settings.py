@@ -7,14 +7,7 @@ import pytest
 import torch
 
 from ablate.networks import GeneratorSpec
-from ablate.training import (
-    Schedule,
-    TrainingPrecision,
-    TrainingSettings,
-    chosen_device,
-    chosen_precision,
-    train,
-)
+from ablate.training import Schedule, TrainingPrecision, TrainingSettings, chosen_device, chosen_precision, train
 from support.tiny_training import SETTINGS, loader
 
 

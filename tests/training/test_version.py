@@ -22,62 +22,16 @@ CASES: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     "U-Net": ({**UNET, "depth": 5, "noise_start": 0.0, "extra_input": "noise"}, {}),
 }
 ADAM = {"lr": 2e-4, "betas": (0.5, 0.999), "eps": 1e-8, "weight_decay": 0, "amsgrad": False}
-PINNED: dict[str, dict[str, float]] = {
-    "of the paper": {
-        "train/loss_d": 1.3487735,
-        "train/logit_real": 0.128491107,
-        "train/logit_fake": 0.0244563284,
-        "train/loss_g": 0.706783225,
-        "train/l1": 0.545409063,
-        "generator": 68.0926767,
-        "average": 68.0853371,
-    },
-    "two draws": {
-        "train/loss_d": 1.34778823,
-        "train/logit_real": 0.128427406,
-        "train/logit_fake": 0.0226231925,
-        "train/loss_g": 0.70756349,
-        "train/l1": 0.545378683,
-        "train/crps": 0.533897978,
-        "generator": 68.121876,
-    },
-    "without a discriminator": {"train/l1": 0.659891214, "generator": 60.2594872, "average": 60.2557392},
-    "minimax": {
-        "train/loss_d": 1.36753919,
-        "train/logit_real": -0.0649581629,
-        "train/logit_fake": -0.114152677,
-        "train/loss_g": -0.617488235,
-        "train/l1": 0.826136331,
-        "generator": 66.6520976,
-        "average": 66.6468942,
-    },
-    "transposed": {
-        "train/loss_d": 1.3860212,
-        "train/logit_real": 0.0585004473,
-        "train/logit_fake": 0.0370847931,
-        "train/loss_g": 0.699763815,
-        "train/l1": 0.593975308,
-        "generator": 59.8347232,
-        "average": 59.8221752,
-    },
-    "resize": {
-        "train/loss_d": 1.34508491,
-        "train/logit_real": 0.140050173,
-        "train/logit_fake": 0.0294577281,
-        "train/loss_g": 0.704687019,
-        "train/l1": 0.52925083,
-        "generator": 68.1128086,
-        "average": 68.1042346,
-    },
-    "U-Net": {
-        "train/loss_d": 1.38512063,
-        "train/logit_real": -0.000801612002,
-        "train/logit_fake": -0.026178934,
-        "train/loss_g": 0.728834887,
-        "train/l1": 0.713690709,
-        "generator": 683.226259,
-        "average": 683.201252,
-    },
+#: Mean losses and logits, and the sums of the sizes of the weights; None where a case has none.
+NAMES = ("loss_d", "logit_real", "logit_fake", "loss_g", "l1", "crps", "generator", "average")
+PINNED: dict[str, tuple[float | None, ...]] = {
+    "of the paper": (1.3487735, 0.128491107, 0.0244563284, 0.706783225, 0.545409063, None, 68.0926767, 68.0853371),
+    "two draws": (1.34778823, 0.128427406, 0.0226231925, 0.70756349, 0.545378683, 0.533897978, 68.121876, None),
+    "without a discriminator": (None, None, None, None, 0.659891214, None, 60.2594872, 60.2557392),
+    "minimax": (1.36753919, -0.0649581629, -0.114152677, -0.617488235, 0.826136331, None, 66.6520976, 66.6468942),
+    "transposed": (1.3860212, 0.0585004473, 0.0370847931, 0.699763815, 0.593975308, None, 59.8347232, 59.8221752),
+    "resize": (1.34508491, 0.140050173, 0.0294577281, 0.704687019, 0.52925083, None, 68.1128086, 68.1042346),
+    "U-Net": (1.38512063, -0.000801612002, -0.026178934, 0.728834887, 0.713690709, None, 683.226259, 683.201252),
 }
 
 
@@ -90,13 +44,14 @@ def test_training_is_of_this_version(case: str) -> None:
     module.manual_backward = lambda loss: loss.backward()  # type: ignore[method-assign]
     for step in range(module.settings.steps):
         module.training_step({k: v.double() if v.is_floating_point() else v for k, v in batch(step).items()}, step)
-    found = module.drain()
+    found = {name.removeprefix("train/"): value for name, value in module.drain().items()}
     for name, network in (("generator", module.generator), ("average", module.average)):
         if network is not None:
             found[name] = float(torch.cat([p.detach().flatten() for p in network.parameters()]).abs().sum())
     of_adam = {k: v for k, v in optimizers[0].defaults.items() if k in ADAM}
     assert of_adam == ADAM, "raise TRAINING_VERSION; six steps do not show this"
-    assert found == pytest.approx(PINNED[case], rel=RELATIVE, abs=ABSOLUTE), (
+    pinned = {name: value for name, value in zip(NAMES, PINNED[case], strict=True) if value is not None}
+    assert found == pytest.approx(pinned, rel=RELATIVE, abs=ABSOLUTE), (
         f"the same settings and crops now train another network: raise TRAINING_VERSION (now {TRAINING_VERSION}) in "
         "ablate/training/settings.py, so that no stored run goes on with this code, and pin these numbers"
     )

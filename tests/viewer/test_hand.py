@@ -49,10 +49,6 @@ def test_tilt_turns_the_image_plane_about_the_probes_x(hand: Hand) -> None:
     assert tilted[:3, 2] @ straight[:3, 2] == pytest.approx(np.cos(np.deg2rad(20)))
 
 
-def test_beyond_the_body_there_is_nothing_to_hold_it_on(hand: Hand) -> None:
-    assert hand.place(Hold(500, 0)) is None
-
-
 def test_a_face_over_the_edge_is_off_the_body(hand: Hand) -> None:
     pose, words = place(hand, Hold(98, 0, roll_deg=90))
     assert words.startswith("off the body")

@@ -19,7 +19,7 @@ from ablate.settings.study import ConfigurationError, Task
 from ablate.ultrasound import Simulator
 from ablate.viewer.task import Viewer, check_server
 from ablate.viewer.worker import REST_S
-from support.viewed_body import free_port
+from support.viewed_body import free_port, until
 from support.viewer_client import Client, ConnectionClosed
 
 # Threads of viser's server end a moment after it has been told to stop.
@@ -145,9 +145,8 @@ def test_nobody_can_ask_for_a_tunnel(client: Client, viewer: Viewer) -> None:
 
 def test_a_port_in_use_is_one_sentence(viewer: Viewer) -> None:
     port = viewer.page.settings.viewer.port
-    with pytest.raises(
-        ConfigurationError, match=rf"^viewer.port={port}: in use; give another one, such as {port + 1}$"
-    ):
+    sentence = rf"^viewer.port={port}: in use; give another one, such as {port + 1}$"
+    with pytest.raises(ConfigurationError, match=sentence):
         check_server(port)
 
 
@@ -212,10 +211,7 @@ def test_another_generator_is_picked_and_one_that_is_gone_is_said(
 def test_with_the_last_page_closed_nothing_is_computed(viewer: Viewer) -> None:
     with Client(viewer.page.settings.viewer.port) as only:
         only.until(lambda: only.captions() and not viewer.worker.paused)
-    end = time.monotonic() + 20
-    while not viewer.worker.paused:
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    until(lambda: viewer.worker.paused)
     time.sleep(0.5)
     before = sum(viewer.worker.computed.values())
     viewer.session.move(angle_deg=3.0)

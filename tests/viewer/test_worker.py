@@ -2,22 +2,16 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
 from ablate.viewer.session import Quality
 from ablate.viewer.worker import Worker
+from support.viewed_body import until
 
 Shown = list[tuple[int, Quality]]
 REST_S = 0.05
-
-
-def until(holds: Callable[[], bool], within_s: float = 20.0) -> None:
-    end = time.monotonic() + within_s
-    while not holds():
-        assert time.monotonic() < end, "nothing happened"
-        time.sleep(0.005)
 
 
 class Recorder:

@@ -46,12 +46,10 @@ class UpBlock(nn.Module):
         else:
             kernel, output_padding = (3, 1) if spec.upsampling is Upsampling.texture else (4, 0)
             self.grow = JointTransposedConvolution(channels_in + maps, channels_out, kernel, 2, 1, output_padding)
-        self.refine: JointConvolution | None = None
-        if spec.upsampling is not Upsampling.transposed:
-            self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1)
-        self.noise_weight: nn.Parameter | None = None
-        if spec.noise is Noise.inject:
-            self.noise_weight = nn.Parameter(torch.full((2 * channels_out, 1, 1), float(spec.noise_start)))
+        has_two = spec.upsampling is not Upsampling.transposed
+        self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1) if has_two else None
+        weight = torch.full((2 * channels_out, 1, 1), float(spec.noise_start))
+        self.noise_weight = nn.Parameter(weight) if spec.noise is Noise.inject else None
 
     def forward(
         self, features: Tensor, skip: Tensor, coarse_maps: Tensor | None, fine_maps: Tensor | None, noise: Tensor | None

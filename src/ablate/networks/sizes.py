@@ -28,9 +28,8 @@ def count_generator(spec: GeneratorSpec) -> int:
 
 def count_discriminator(spec: GeneratorSpec, width: float | None = None) -> int:
     """Count the parameters of this generator's discriminator; `width` is the generator's unless given."""
-    width = spec.width if width is None else width
     with torch.device("meta"):
-        return count_parameters(PatchDiscriminator(discriminator_channels(spec), width))
+        return count_parameters(PatchDiscriminator(discriminator_channels(spec), width or spec.width))
 
 
 def count_parameters(network: nn.Module) -> int:

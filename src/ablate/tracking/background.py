@@ -26,14 +26,10 @@ class Background:
     def __init__(self, work: Callable[[], object], every_s: float = _EVERY_S) -> None:
         self._work, self._every_s = work, every_s
         self._last: Callable[[], object] | None = None
-        self._closed, self._once = threading.Event(), threading.Event()
+        self._closed, self.tried = threading.Event(), threading.Event()
         self._failing = False
         self._thread = threading.Thread(target=self._run, name="tracking", daemon=True)
         self._thread.start()
-
-    def wait_once(self) -> None:
-        """Wait until the work has been tried once, at most five seconds."""
-        self._once.wait(_WAIT_S)
 
     def close(self, last: Callable[[], object] | None = None, wait_s: float = _WAIT_S) -> bool:
         """Let the work end and do `last`; True if it has been done within five seconds, or within `wait_s`.
@@ -48,7 +44,7 @@ class Background:
     def _run(self) -> None:
         while True:
             self._try(self._work)
-            self._once.set()
+            self.tried.set()
             if self._closed.wait(self._every_s):
                 break
         if self._last is not None:

@@ -31,7 +31,7 @@ _FRAMES = (-1, -1, -1)
 class RegisteredGenerator:
     """Renders frames with what `register_generator` wrote; `mlflow.pyfunc.load_model` returns a wrapper of this."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: str) -> None:
         saved = torch.load(path, map_location="cpu", weights_only=True)
         self.values = saved["values"].numpy()
         self.precision = TrainingPrecision(saved["precision"])
@@ -53,9 +53,7 @@ class RegisteredGenerator:
         return generate(self.generator, maps, torch.from_numpy(mask)[:, None], seeds, self.precision)
 
 
-def _load_pyfunc(path: str) -> RegisteredGenerator:
-    """Load a saved model. MLflow calls this function, because the model names this module as its loader."""
-    return RegisteredGenerator(Path(path))
+_load_pyfunc = RegisteredGenerator  # MLflow calls it by this name, because the model names this module as its loader
 
 
 def register_generator(

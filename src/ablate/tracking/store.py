@@ -74,13 +74,15 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
     logging.getLogger("mlflow").setLevel(logging.WARNING)
     logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
     runs.mkdir(parents=True, exist_ok=True)
-    lock = runs / ".mlflow.lock"
+    lock, database = runs / ".mlflow.lock", runs / "mlflow.db"
     location = None if uri else (runs / "artifacts").as_uri()
     with FileLock(lock, timeout=_LOCK_S):
-        if uri is None:
-            make_default_database(runs)
-        else:
+        if uri is not None:
             make_database(uri)
+        elif not database.exists():
+            _make(database)
+        elif not _is_whole(database):
+            replace_database(database, "it is damaged")
         why = ""
         try:
             client = MlflowClient(uri or default_uri(runs))
@@ -94,8 +96,7 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
                 raise
             why = f"MLflow cannot read it ({reason(error)})"
         if why:  # such as another version of MLflow: the default store is not mended, but filled again
-            set_aside(runs, why)
-            make_default_database(runs)
+            replace_database(database, why)
             client, known = MlflowClient(default_uri(runs)), None
         try:
             identity = str(known.experiment_id if known else client.create_experiment(experiment, location, _ABOUT))
@@ -170,29 +171,14 @@ def default_uri(runs: Path) -> str:
     return f"sqlite:///{runs / 'mlflow.db'}"
 
 
-def make_default_database(runs: Path) -> None:
-    """Make the SQLite file of the default store where there is none; one process at a time may call this.
-
-    Raises
-    ------
-    OSError
-        When another program holds the file locked for 20 s.
-    """
-    path = runs / "mlflow.db"
-    if path.exists() and not _is_whole(path):
-        set_aside(runs, "it is damaged")
-    if not path.exists():
-        _make(path)
-
-
-def set_aside(runs: Path, why: str) -> None:
+def replace_database(path: Path, why: str) -> None:
     """Give the file of the default store another name; its contents are kept, and a new one is filled from disk."""
-    path = runs / "mlflow.db"
     aside = path.with_name(f"mlflow-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.db")
     for suffix in ("", *_OF_TRANSACTIONS):
         if (file := Path(f"{path}{suffix}")).exists():
             file.rename(f"{aside}{suffix}")
     _LOG.warning("%s: %s; it is now %s, and a new one is filled by task=compare of each study", path, why, aside)
+    _make(path)
 
 
 def make_database(uri: str) -> None:
@@ -218,7 +204,10 @@ def _make(path: Path) -> None:
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether SQLite can read the file, and MLflow has laid it out to the end: the table of its version is the last."""
+    """Whether SQLite can read the file, and MLflow has laid it out to the end: the table of its version is the last.
+
+    An OSError where another program holds the file locked for 20 s.
+    """
     with closing(sqlite3.connect(path, timeout=20)) as connection:
         try:
             tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}

@@ -51,7 +51,7 @@ def recorded_task(folder: Path, study: str, opened: Callable[[], Store]) -> Iter
 
     write(Status.running)
     background = Background(lambda: _copy(folder, opened()), every_s=threading.TIMEOUT_MAX)
-    background.wait_once()
+    background.tried.wait(5.0)
     status = Status.failed
     try:
         yield record

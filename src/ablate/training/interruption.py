@@ -5,8 +5,7 @@ import threading
 from typing import Any
 
 # SIGHUP: the terminal is closed; SIGUSR2: submitit's notice that a job's time is up. Windows has neither.
-_NAMES = ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2")
-_SIGNALS = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
+_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2") if hasattr(signal, name)]
 
 #: Set by a signal handler of the process that cannot be sure of its exception: Python drops what a handler raises while
 #: it runs the callback of a weak reference. A training that sees it after a step stops as after SIGTERM.
@@ -21,21 +20,19 @@ class Interruption:
 
     def __init__(self) -> None:
         self.signal: int | None = None
-        handlers = {number: signal.getsignal(number) for number in _SIGNALS}
+        in_main_thread = threading.current_thread() is threading.main_thread()
+        handlers = {number: signal.getsignal(number) for number in _SIGNALS if in_main_thread}
         self._previous = {number: handler for number, handler in handlers.items() if handler is not signal.SIG_IGN}
-        self._in_main_thread = threading.current_thread() is threading.main_thread()
 
     def take_over(self) -> None:
         """Receive the signals from now on, in place of Lightning's handlers too; only a main thread can."""
-        if self._in_main_thread:
-            for number in self._previous:
-                signal.signal(number, self._receive)
+        for number in self._previous:
+            signal.signal(number, self._receive)
 
     def restore(self) -> None:
         """Restore the signal handlers that were set when this was made."""
-        if self._in_main_thread:
-            for number, handler in self._previous.items():
-                signal.signal(number, handler)
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
 
     @property
     def is_asked_for(self) -> bool:

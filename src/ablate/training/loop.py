@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from lightning.pytorch import Callback, LightningModule, Trainer
+from lightning.pytorch import Callback, Trainer
 from lightning.pytorch.callbacks import LambdaCallback
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from torch import Tensor
@@ -51,7 +51,7 @@ def train(
     settings: TrainingSettings,
     loader: Loader,
     run_dir: Path,
-    sink: MetricSink | None = None,
+    sink: MetricSink = lambda *_: None,
     validation: Validation | None = None,
     epoch: int | None = None,
 ) -> TrainedGenerator:
@@ -156,9 +156,7 @@ def keep_freed_memory() -> None:
     gets them back page by page, each one zeroed: a tenth of a step's time. Does nothing where the C library is
     another.
     """
-    if sys.platform != "linux":
-        return
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
         mallopt(_MMAP_THRESHOLD, _LARGEST_MMAP)
         mallopt(_TRIM_THRESHOLD, _LARGEST_TRIM)
@@ -173,9 +171,8 @@ class LastCheckpoint(Callback):
     def __init__(self, folder: Path, every: int, interruption: Interruption) -> None:
         self.path, self.every, self.interruption = folder / LAST, every, interruption
 
-    def on_train_batch_end(self, trainer: Trainer, module: LightningModule, *_: Any) -> None:
+    def on_train_batch_end(self, trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
         """Write if it is time."""
-        assert isinstance(module, PairGAN)
         step = module.steps_done
         is_due = self.every > 0 and step % self.every == 0
         trainer.should_stop = trainer.should_stop or self.interruption.is_asked_for
@@ -216,10 +213,10 @@ def resume(module: PairGAN, path: Path) -> None:
     # A falling learning rate depends on the number of steps.
     free = _FREE if module.settings.schedule is Schedule.constant else _FREE - {"steps"}
     for part, wanted in (("spec", plain(module.spec)), ("settings", plain(module.settings))):
-        found = checkpoint["hyper_parameters"][part]
-        differing = [key for key in wanted if key not in free and found.get(key) != wanted[key]]
+        known = checkpoint["hyper_parameters"][part]
+        differing = [key for key in wanted if key not in free and known.get(key) != wanted[key]]
         if differing:
-            changes = ", ".join(f"{key}={found.get(key)} there, {wanted[key]} asked for" for key in differing)
+            changes = ", ".join(f"{key}={known.get(key)} there, {wanted[key]} asked for" for key in differing)
             raise ValueError(f"{path}: of another run ({changes})")
     module.restore(checkpoint)
 
@@ -234,7 +231,8 @@ def load_generator(path: Path) -> Generator:
     """
     checkpoint = read_checkpoint(path)
     try:
-        module = PairGAN(**checkpoint["hyper_parameters"])
+        made = checkpoint["hyper_parameters"]
+        module = PairGAN(GeneratorSpec(**made["spec"]), TrainingSettings(**made["settings"]))
         module.load_state_dict(checkpoint["state_dict"])
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())

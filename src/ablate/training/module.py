@@ -29,7 +29,7 @@ _EMA_LAG = 10
 
 
 class PairGAN(LightningModule):
-    """Generator, discriminator, their losses and optimisers; the arguments may be the mappings of a checkpoint.
+    """Generator, discriminator, their losses and optimisers.
 
     Attributes
     ----------
@@ -41,22 +41,16 @@ class PairGAN(LightningModule):
         Batches seen. Lightning's `global_step` counts the steps of both optimisers, so it is not used.
     """
 
-    def __init__(self, spec: GeneratorSpec | Mapping[str, Any], settings: TrainingSettings | Mapping[str, Any]) -> None:
+    def __init__(self, spec: GeneratorSpec, settings: TrainingSettings) -> None:
         super().__init__()
-        self.spec = spec if isinstance(spec, GeneratorSpec) else GeneratorSpec(**spec)
-        self.settings = settings if isinstance(settings, TrainingSettings) else TrainingSettings(**settings)
-        self.save_hyperparameters({"spec": plain(self.spec), "settings": plain(self.settings)})
+        self.spec, self.settings = spec, settings
         self.automatic_optimization = False
-        width = self.settings.discriminator_width
         with torch.random.fork_rng():
-            torch.manual_seed(self.settings.seed)
-            self.generator = Generator(self.spec)
-            self.discriminator: PatchDiscriminator | None = None
-            if self.settings.has_discriminator:
-                self.discriminator = PatchDiscriminator(
-                    discriminator_channels(self.spec), self.spec.width if width is None else width
-                )
-        has_average = self.settings.ema_decay > 0
+            torch.manual_seed(settings.seed)
+            self.generator = Generator(spec)
+            channels, width = discriminator_channels(spec), settings.discriminator_width or spec.width
+            self.discriminator = PatchDiscriminator(channels, width) if settings.has_discriminator else None
+        has_average = settings.ema_decay > 0
         self.average = deepcopy(self.generator).requires_grad_(False) if has_average else None
         self.steps_done = 0
         self._sums: dict[str, Tensor] = {}
@@ -143,7 +137,7 @@ class PairGAN(LightningModule):
             "state_dict": self.state_dict(),
             "optimizer_states": [optimizer.state_dict() for optimizer in self._listed_optimizers()],
             "steps_done": self.steps_done,
-            "hyper_parameters": dict(self.hparams),
+            "hyper_parameters": {"spec": plain(self.spec), "settings": plain(self.settings)},
             "training_version": TRAINING_VERSION,
         }
 

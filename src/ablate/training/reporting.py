@@ -2,13 +2,12 @@
 
 import logging
 import math
-import sys
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
-from lightning.pytorch import Callback, LightningModule, Trainer
+from lightning.pytorch import Callback, Trainer
 from tqdm import tqdm
 
 from ablate.networks import Generator
@@ -90,24 +89,21 @@ class Report(Callback):
     elsewhere a line about every tenth of the run.
     """
 
-    def __init__(self, sink: MetricSink | None, guard: DivergenceGuard) -> None:
+    def __init__(self, sink: MetricSink, guard: DivergenceGuard) -> None:
         self.sink, self.guard = sink, guard
-        self._bar: tqdm[Any] | None = None
 
-    def on_train_start(self, _trainer: Trainer, module: LightningModule) -> None:
+    def on_train_start(self, _trainer: Trainer, module: PairGAN) -> None:  # type: ignore[override]
         """Open the bar, start the clock."""
-        assert isinstance(module, PairGAN)
-        if sys.stderr.isatty():
-            self._bar = tqdm(total=module.settings.steps, initial=module.steps_done, unit="step")
+        steps, done = module.settings.steps, module.steps_done
+        # With `disable=None` it is shown on a terminal alone.
+        self._bar: tqdm[Any] = tqdm(total=steps, initial=done, unit="step", disable=None)
         self._since, self._steps_timed = time.perf_counter(), 0
 
-    def on_train_batch_end(self, _trainer: Trainer, module: LightningModule, *_: Any) -> None:
+    def on_train_batch_end(self, _trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
         """Report if it is time."""
-        assert isinstance(module, PairGAN)
         step, settings = module.steps_done, module.settings
         self._steps_timed += 1
-        if self._bar is not None:
-            self._bar.update()
+        self._bar.update()
         if step % self.guard.interval != 0 and step != settings.steps:
             return
         metrics = module.drain()
@@ -125,43 +121,36 @@ class Report(Callback):
                     "model.noise_start sets where it begins",
                     *(weight, step, DYING_NOISE),
                 )
-        if self.sink is not None:
-            self.sink(metrics, step * settings.batch_size)
-        self._show(metrics, step, settings.steps, self.guard.interval)
+        self.sink(metrics, step * settings.batch_size)
+        self._show(metrics, step, settings.steps)
 
-    def teardown(self, *_: Any, **__: Any) -> None:
+    def on_train_end(self, *_: Any) -> None:
         """Close the bar."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
+        self._bar.close()
 
-    def _show(self, metrics: Mapping[str, float], step: int, steps: int, interval: int) -> None:
-        there = {shown: metrics[name] for name, shown in _SHOWN.items() if name in metrics}
-        text = ", ".join(shown.format(value) for shown, value in there.items())
-        if self._bar is not None:
-            self._bar.set_postfix_str(text)
-        elif step == steps or step * _LINES // steps > (step - interval) * _LINES // steps:
+    def _show(self, metrics: Mapping[str, float], step: int, steps: int) -> None:
+        text = ", ".join(shown.format(metrics[name]) for name, shown in _SHOWN.items() if name in metrics)
+        self._bar.set_postfix_str(text)
+        is_tenth = step * _LINES // steps > (step - self.guard.interval) * _LINES // steps
+        if self._bar.disable and (is_tenth or step == steps):
             _LOG.info("step %d of %d: %s", step, steps, text)
 
 
 class Validate(Callback):
     """Evaluate the generator before the first step and every `every` steps, and send the metrics."""
 
-    def __init__(self, validation: Validation, every: int, sink: MetricSink | None) -> None:
+    def __init__(self, validation: Validation, every: int, sink: MetricSink) -> None:
         self.validation, self.every, self.sink = validation, every, sink
 
-    def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
+    def on_train_start(self, trainer: Trainer, module: PairGAN) -> None:  # type: ignore[override]
         """Validate the untrained network, where curves begin."""
-        assert isinstance(module, PairGAN)
         if module.steps_done == 0:
             self.on_train_batch_end(trainer, module)
 
-    def on_train_batch_end(self, _trainer: Trainer, module: LightningModule, *_: Any) -> None:
+    def on_train_batch_end(self, _trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
         """Validate if it is time."""
-        assert isinstance(module, PairGAN)
         if module.steps_done % self.every == 0:
             images_seen = module.steps_done * module.settings.batch_size
             with torch.no_grad():
                 metrics = dict(self.validation(module.evaluated, images_seen))
-            if self.sink is not None:
-                self.sink(metrics, images_seen)
+            self.sink(metrics, images_seen)

@@ -25,15 +25,7 @@ from ablate.pretrained import Renderer
 from ablate.runs.run import Run
 from ablate.runs.run import State as RunState
 from ablate.settings.study import StudySettings
-from ablate.training import (
-    Engine,
-    OpenEngine,
-    TrainingPrecision,
-    generate,
-    load_generator,
-    missing_for,
-    open_exported,
-)
+from ablate.training import Engine, OpenEngine, TrainingPrecision, generate, load_generator, missing_for, open_exported
 from ablate.ultrasound import Probe, compensated_attenuation
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.viewer.session import State
@@ -163,7 +155,8 @@ class Trained:
 def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
     """Load a generator, to look at a scene with these tissues.
 
-    Tissues that the generator was not trained on have the values of their places in this scene's own order.
+    Tissues that the generator was not trained on have the values of their places in this scene's own order. Where the
+    data set of a run has been deleted, `tissues` are taken for those that it was trained on.
 
     Raises
     ------
@@ -173,24 +166,16 @@ def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
     if is_shipped(picked):
         renderer, own = pretrained.load(picked.name), label_values(tissues, StudySettings.encoding)
     else:
-        renderer, own = _renderer_of_run(picked, tissues)
+        run = Run(picked)
+        if run.state is not RunState.finished:
+            raise FileNotFoundError(f"this run is gone: {picked} is {run.state} {run.why}".rstrip())
+        settings, data = run.settings, run.data_set
+        trained_on = data.tissues if data.exists else tuple(tissues)
+        encoding = settings.encoding, settings.encoding_seed
+        levels, own = label_values(trained_on, *encoding), label_values(tissues, *encoding)
+        values = dict(zip((tissue.name for tissue in trained_on), levels[1:].tolist(), strict=True))
+        frames = settings.probe, settings.simulator.tgc_db_cm_mhz, settings.simulator.image_shape
+        renderer = Renderer(load_generator(run.checkpoint), values, *frames, made={})
     known = [renderer.values.get(tissue.name, value) for tissue, value in zip(tissues, own[1:], strict=True)]
     unknown = tuple(tissue.name for tissue in tissues if tissue.name not in renderer.values)
     return Trained(renderer, FastGenerator(renderer.generator), np.array([own[0], *known], np.float32), unknown)
-
-
-def _renderer_of_run(folder: Path, tissues: Sequence[Tissue]) -> tuple[Renderer, np.ndarray]:
-    """The generator of a run with its setting, and the values that its encoding gives to `tissues`.
-
-    Where its data set has been deleted, `tissues` are taken for those that it was trained on.
-    """
-    run = Run(folder)
-    if run.state is not RunState.finished:
-        raise FileNotFoundError(f"this run is gone: {folder} is {run.state} {run.why}".rstrip())
-    settings, generator = run.settings, load_generator(run.checkpoint)
-    trained_on = run.data_set.tissues if run.data_set.exists else tuple(tissues)
-    encoding, simulator = (settings.encoding, settings.encoding_seed), settings.simulator
-    levels = label_values(trained_on, *encoding)[1:].tolist()
-    values = {tissue.name: level for tissue, level in zip(trained_on, levels, strict=True)}
-    renderer = Renderer(generator, values, settings.probe, simulator.tgc_db_cm_mhz, simulator.image_shape, {})
-    return renderer, label_values(tissues, *encoding)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from trimesh import unitize
 
 from ablate.anatomy import Scene, bounds_mm
 from ablate.dataset.sites import Skin, press
@@ -43,9 +44,9 @@ class Hand:
         self, scene: Scene, axis: tuple[float, ...], front: tuple[float, ...], press_mm: float, probe: Probe
     ) -> None:
         self._skin, self._press_mm, self._probe = Skin(scene), press_mm, probe
-        self.axis = _unit(np.asarray(axis, float))
+        self.axis = unitize(np.asarray(axis, float))
         across = np.asarray(front, float)
-        self.front = _unit(across - self.axis * (across @ self.axis))
+        self.front = unitize(across - self.axis * (across @ self.axis))
         self._side = np.cross(self.axis, self.front)
         corners = bounds_mm(s.mesh for s in scene.structures)
         along = np.stack(np.meshgrid(*corners.T), axis=-1).reshape(-1, 3) @ self.axis
@@ -114,7 +115,7 @@ class Hand:
 
     def _frame(self, inward: np.ndarray) -> np.ndarray:
         """Axes of a probe that is not turned, as columns: x across the body, z into it."""
-        x = _unit(np.cross(inward, self.axis))
+        x = unitize(np.cross(inward, self.axis))
         return np.stack([x, np.cross(inward, x), inward], axis=1)
 
 
@@ -122,7 +123,3 @@ def _words(on_body: bool, hard: bool) -> str:
     if not on_body:
         return "off the body: part of the face has no skin under it"
     return "in bone or gas: the face lies in what lets hardly any sound out" if hard else ""
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / float(np.linalg.norm(vector))

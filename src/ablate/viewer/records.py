@@ -4,6 +4,7 @@ import json
 import shlex
 from collections import deque
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -102,10 +103,7 @@ def save_poses(file: Path, poses: np.ndarray) -> Path:
 
 def next_folder(parent: Path, name: str) -> Path:
     """The first of `name_1`, `name_2`, ... that does not exist yet."""
-    number = 1
-    while (folder := parent / f"{name}_{number}").exists():
-        number += 1
-    return folder
+    return next(folder for k in count(1) if not (folder := parent / f"{name}_{k}").exists())
 
 
 def command_line(settings: StudySettings, state: State, *words: str) -> str:

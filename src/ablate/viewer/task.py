@@ -28,7 +28,7 @@ from ablate.viewer.hand import Hand
 from ablate.viewer.page.compare_tab import add_compare_tab
 from ablate.viewer.page.keep_tab import add_keep_tab
 from ablate.viewer.page.operate_tabs import add_hands, add_learn_tab, add_move_tab, add_row, add_scan_tab
-from ablate.viewer.page.page import IMAGES_PX, Page
+from ablate.viewer.page.page import Page
 from ablate.viewer.session import Session, State
 from ablate.viewer.worker import Worker
 
@@ -36,7 +36,7 @@ from ablate.viewer.worker import Worker
 HOST = "127.0.0.1"
 NEEDS = "task=view needs viser: pip install 'ablate-ultrasound[view]'"
 _LOOK_EVERY_S = 3600.0
-_CONTROLS_PX = 290
+_CONTROLS_PX, _IMAGES_PX = 290, 640  # widths, for a window of 1366 px
 _MOST_SITES = 60  # of a list that can be searched by eye
 
 
@@ -95,7 +95,6 @@ class Viewer:
         self.worker.pause()
         self.worker.start(self.page.show, self.page.fail)
         self.server.on_client_connect(self._follow_pages)
-        self.server.on_client_connect(self.page.fit)
         self.server.on_client_disconnect(self._follow_pages)
 
     def _fill_page(self, runs: Path) -> None:
@@ -114,7 +113,7 @@ class Viewer:
         gui.main_panel.dock_left()
         gui.main_panel.set_width(_CONTROLS_PX)
         page.images.dock_right()
-        page.images.set_width(IMAGES_PX)
+        page.images.set_width(_IMAGES_PX)
         page.refresh()
 
     def close(self) -> None:

@@ -22,6 +22,7 @@ _ENVELOPE = 0.12  # opacity of what surrounds the rest; organs and bones are opa
 _HOUSING, _FACE, _MARK, _OUTLINE = (69, 77, 92), (204, 212, 222), (44, 160, 44), (255, 176, 0)
 #: Turns viser's plane of an image, whose rows run along y, to that of the fan, where they run along z.
 _UPRIGHT = Rotation.from_euler("X", 90, degrees=True).as_quat(scalar_first=True)
+_NO_SHADOW = {"cast_shadow": False, "receive_shadow": False}
 _FAN_ROWS = {Quality.coarse: 128, Quality.full: 256}
 
 
@@ -104,24 +105,17 @@ class Body:
     def _add_probe(self, probe: Probe) -> None:
         self._probe = probe
         scene, own = self._scene, np.eye(4)
-        housing = _add(scene, "/probe/housing", probe_body(probe, own), _HOUSING)
-        _add(scene, "/probe/face", probe_face(probe, own), _FACE)
-        _add(scene, "/probe/mark", first_column_mark(probe, own), _MARK)
+        housing = _add(scene, "/probe/housing", probe_body(probe, own), color=_HOUSING)
+        _add(scene, "/probe/face", probe_face(probe, own), color=_FACE)
+        _add(scene, "/probe/mark", first_column_mark(probe, own), color=_MARK)
         outline = fan_outline(probe) / _UNIT_MM
         points = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
         scene.add_line_segments("/probe/outline", points, _OUTLINE, thickness=2.0, thickness_units="screen")
         height, width = fan_of(probe).size_mm
-        self.fan = scene.add_image(
-            "/probe/fan",
-            np.zeros((2, 2, 4), np.uint8),
-            width / _UNIT_MM,
-            height / _UNIT_MM,
-            format="png",
-            wxyz=_UPRIGHT,
-            position=(0.0, 0.0, (height / 2 - fan_of(probe).sag_mm) / _UNIT_MM),
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        empty, size = np.zeros((2, 2, 4), np.uint8), (width / _UNIT_MM, height / _UNIT_MM)
+        middle = 0.0, 0.0, (height / 2 - fan_of(probe).sag_mm) / _UNIT_MM
+        look = {"format": "png", "wxyz": _UPRIGHT, "position": middle, **_NO_SHADOW}
+        self.fan = scene.add_image("/probe/fan", empty, *size, **look)
         housing.on_drag(self._grab)
         self.fan.on_click(self._click)
 
@@ -149,22 +143,13 @@ def _add_structures(server: Any, scene: Scene, colours: Sequence[Colour]) -> Non
         parts.setdefault((tissue, opacity), []).append(mesh)
     for number, ((tissue, opacity), meshes) in enumerate(parts.items()):
         colour = tuple(round(255 * c) for c in colours[tissue])
-        _add(server.scene, f"/body/{number}", trimesh.util.concatenate(meshes), colour, opacity, side="back")
+        look = {"opacity": opacity, "side": "back"}
+        _add(server.scene, f"/body/{number}", trimesh.util.concatenate(meshes), color=colour, **look)
 
 
-def _add(
-    scene: Any, name: str, mesh: trimesh.Trimesh, colour: Any, opacity: float | None = None, side: str = "double"
-) -> Any:
-    return scene.add_mesh_simple(
-        name,
-        np.asarray(mesh.vertices, np.float32) / _UNIT_MM,
-        mesh.faces,
-        color=colour,
-        opacity=opacity,
-        side=side,
-        cast_shadow=False,
-        receive_shadow=False,
-    )
+def _add(scene: Any, name: str, mesh: trimesh.Trimesh, **look: Any) -> Any:
+    vertices = np.asarray(mesh.vertices, np.float32) / _UNIT_MM
+    return scene.add_mesh_simple(name, vertices, mesh.faces, **{"side": "double", **_NO_SHADOW, **look})
 
 
 def fewer_triangles(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:

@@ -1,7 +1,6 @@
 """The page as a whole: what the browsers send goes to the session, what the worker renders goes to the browsers."""
 
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,9 +18,6 @@ from ablate.viewer.session import FROZEN, Session, Views
 
 Bounds = tuple[float, float, float]
 _JPEG_QUALITY = 88
-IMAGES_PX = 640  # width of the images in a window of 1366 px
-_BODY_PX, _MOST_SPARE_PX = 430, 400
-_PLACING_S = 30.0
 _FIRST = "The first picture is on its way:\nthe simulator is being compiled,\nwhich takes up to a minute."
 
 
@@ -54,8 +50,6 @@ class Page:
         self._pencil = ThreadPoolExecutor(1, "pencil")
         self._drawing = self._pencil.submit(lambda: None)
         self._words = ""
-        self._end_of_placing: float | None = None
-        self._images_px = float(IMAGES_PX)
         self.images = server.gui.add_panel()
         with self.images.add_tab("Images"):
             first = np.tile(empty_picture(_FIRST, session.state.simulator.image_shape), (2, 2, 1))
@@ -91,21 +85,6 @@ class Page:
     def keep_equal(self, control: Any, read: Callable[[], object]) -> None:
         """Have a control show what `read` gives."""
         self.refreshers.append(lambda: setattr(control, "value", read()))
-
-    def fit(self, client: Any) -> None:
-        """Share the first window between body and images while the browser places the panels; later leave it alone."""
-        if self._end_of_placing is not None:
-            return
-        self._end_of_placing = end = time.monotonic() + _PLACING_S
-
-        def share(camera: Any) -> None:
-            spare_px = camera.image_width + self._images_px - _BODY_PX - IMAGES_PX
-            width = IMAGES_PX + min(max(0.6 * spare_px, 0.0), _MOST_SPARE_PX)
-            if time.monotonic() < end and round(width) != round(self._images_px):
-                self._images_px = width
-                self.images.set_width(width)
-
-        client.camera.on_update(share)
 
     def does(self, work: Callable[[Any], object]) -> Callable[[Any], None]:
         """Make a callback for events of a browser, which gives the event to `work`.
