@@ -63,8 +63,7 @@ def write_provenance(job: Job) -> None:
 
 def _in_short(starts: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """The values of all starts by key, each once; the code is dirty if it was at any."""
-    found: dict[str, dict[str, None]] = {}
-    for key, value in ((k, v) for start in starts for k, v in start.items() if k not in _OF_ONE_START):
-        found.setdefault(key, {})[str(value)] = None
-    dirty = {"git_dirty": "true"} if "true" in found.get("git_dirty", ()) else {}
-    return {key: ", ".join(values) for key, values in found.items()} | dirty
+    keys = dict.fromkeys(key for start in starts for key in start if key not in _OF_ONE_START)
+    values = {key: dict.fromkeys(str(start[key]) for start in starts if key in start) for key in keys}
+    dirty = {"git_dirty": "true"} if "true" in values.get("git_dirty", ()) else {}
+    return {key: ", ".join(several) for key, several in values.items()} | dirty

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import distance_transform_edt, find_objects, label, map_coordinates
 
-from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
+from ablate.metrics.metric import MECHANISM, Metric, Shown
 from ablate.metrics.pair import Pair
 
 BAND_MM = 2.0  # of bone below its surface
@@ -61,8 +61,5 @@ def thin_contrast(pair: Pair) -> float | None:
 
 
 THIN_CONTRAST = Metric(
-    *("thin_contrast", "Thin contrast", "grey levels", Direction.lower, Resimulation.floor, Group.mechanism, 1),
-    shown=Shown.drawn,
-    of_image=thin_contrast,
-    place=70,
+    "thin_contrast", "Thin contrast", "grey levels", *MECHANISM, 1, Shown.drawn, of_image=thin_contrast, place=70
 )
