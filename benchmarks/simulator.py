@@ -159,7 +159,7 @@ def scenes(scene: Scene, poses: list[np.ndarray], folder: Path | None) -> list[t
     ]
     if folder is not None:
         placed = probe_poses(load_scene(folder), load_sites(folder), 8)
-        cases.append((folder.name, load_scene(folder), some([p.probe_to_world for p in placed], len(poses))))
+        cases.append((folder.name, load_scene(folder), some(list(placed), len(poses))))
     return cases
 
 
@@ -275,7 +275,7 @@ def main() -> None:
     args = parser.parse_args()
     threads = torch.get_num_threads()
     scene = fetal_abdomen()
-    all_poses = [pose.probe_to_world for pose in probe_poses(scene, fetal_sites(), 8)]
+    all_poses = list(probe_poses(scene, fetal_sites(), 8))
     poses = some(all_poses)
     s, probe = SimulatorSettings(), ConvexProbe()
     triangles = sum(len(structure.mesh.faces) for structure in scene.structures)

@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ablate.dataset.own_poses import Sweep, read_poses, sweep
 
+ROW = "x,y,z,qw,qx,qy,qz\n0,0,0,1,0,0,0\n"
+
 
 def poses(count: int, seed: int = 0) -> np.ndarray:
     random = np.random.default_rng(seed)
@@ -40,33 +42,19 @@ def test_npy_and_csv_hold_the_same_poses(tmp_path: Path) -> None:
         (np.eye(4), r"must hold poses of shape \(n, 4, 4\), not float64 of \(4, 4\)"),
         (np.zeros((0, 4, 4)), "must hold poses of shape"),
         (np.array([["a"]]), "must hold poses of shape"),
-    ],
-)
-def test_poses_that_are_not_rigid_are_named(tmp_path: Path, values: np.ndarray, message: str) -> None:
-    np.save(tmp_path / "p.npy", values)
-    with pytest.raises(ValueError, match=rf"dataset\.poses=.*p\.npy: {message}") as caught:
-        read_poses(tmp_path / "p.npy")
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
         ("", "no column x; the columns are '', and x, y, z"),
         ("x,y,z,qw,qx,qy,qz\n", "no row below the names of the columns"),
         ("x,y,z,qw,qx,qy\n0,0,0,1,0,0\n", "no column qz"),
         ("x,y,z,qw,qx,qy,qz\n0,0,0,1,1,0,0\n", "row 0: the quaternion must have length 1, not 1.414"),
-        (
-            "x,y,z,qw,qx,qy,qz\n0,0,0,1,0,0,0\n0,0,far,1,0,0,0\n",
-            "row 1: allowed are numbers, and whole ones as site, not 'x=0, y=0, z=far",
-        ),
+        (f"{ROW}0,0,far,1,0,0,0\n", "row 1: allowed are numbers, and whole ones as site, not 'x=0, y=0, z=far"),
         ("x,y,z,qw,qx,qy,qz\n0,0,nan,1,0,0,0\n", "pose 0: pose must be finite"),
     ],
 )
-def test_a_table_that_is_wrong_is_named(tmp_path: Path, text: str, message: str) -> None:
-    (tmp_path / "p.csv").write_text(text)
-    with pytest.raises(ValueError, match=rf"dataset\.poses=.*p\.csv: {message}") as caught:
-        read_poses(tmp_path / "p.csv")
+def test_what_holds_no_poses_is_named_in_one_line(tmp_path: Path, values: np.ndarray | str, message: str) -> None:
+    path = tmp_path / ("p.csv" if isinstance(values, str) else "p.npy")
+    path.write_text(values) if isinstance(values, str) else np.save(path, values)
+    with pytest.raises(ValueError, match=rf"dataset\.poses=.*{path.name}: {message}") as caught:
+        read_poses(path)
     assert "\n" not in str(caught.value)
 
 

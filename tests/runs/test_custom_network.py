@@ -47,28 +47,22 @@ def test_a_class_that_does_not_work_is_refused_before_anything_starts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     step = "    def forward(self, maps):\n        return super().forward(maps)"
-    for name, code in {
-        "toy_smaller": TOY.replace("8, 1, 3, padding=1", "8, 1, 3"),
-        "toy_lazy": TOY.replace("Conv2d(channels, 8", "LazyConv2d(8"),
-        "toy_apart": f"{TOY}{step}.detach()\n",
-        "toy_double": f"{TOY}{step}.double()\n",
-        "toy_nan": f"{TOY}{step} / 0 * 0\n",
-        "toy_single": f"{TOY}{step}.reshape(1, 1, *maps.shape[2:])\n",
-    }.items():
-        (tmp_path / f"{name}.py").write_text(code)
+    refused = {
+        "toy_smaller": (TOY.replace("8, 1, 3, padding=1", "8, 1, 3"), "returns (2, 1, "),
+        "toy_lazy": (TOY.replace("Conv2d(channels, 8", "LazyConv2d(8"), "has parameters without a size"),
+        "toy_apart": (f"{TOY}{step}.detach()\n", "returns an image that does not depend on its parameters"),
+        "toy_double": (f"{TOY}{step}.double()\n", "returns torch.float64, allowed are float32"),
+        "toy_nan": (f"{TOY}{step} / 0 * 0\n", "returns numbers that are not finite"),
+        "toy_single": (f"{TOY}{step}.reshape(1, 1, *maps.shape[2:])\n", "two images of"),
+        "nowhere": (None, "ModuleNotFoundError"),
+    }
     monkeypatch.syspath_prepend(tmp_path)
     runs = tmp_path / "runs"
-    for target, said in {
-        "toy_smaller.Toy": "model.target=toy_smaller.Toy: returns (2, 1, ",
-        "nowhere.Toy": "model.target=nowhere.Toy: ModuleNotFoundError",
-        "toy_lazy.Toy": "model.target=toy_lazy.Toy: has parameters without a size",
-        "toy_apart.Toy": "model.target=toy_apart.Toy: returns an image that does not depend on its parameters",
-        "toy_double.Toy": "model.target=toy_double.Toy: returns torch.float64, allowed are float32",
-        "toy_nan.Toy": "model.target=toy_nan.Toy: returns numbers that are not finite",
-        "toy_single.Toy": "model.target=toy_single.Toy: two images of",
-    }.items():
-        with pytest.raises(ConfigurationError, match=f"^{re.escape(said)}"):
-            run("preset=tiny", "variant=custom", f"model.target={target}", f"runs_dir={runs}")
+    for name, (code, message) in refused.items():
+        if code:
+            (tmp_path / f"{name}.py").write_text(code)
+        with pytest.raises(ConfigurationError, match=f"^{re.escape(f'model.target={name}.Toy: {message}')}"):
+            run("preset=tiny", "variant=custom", f"model.target={name}.Toy", f"runs_dir={runs}")
     with pytest.raises(ConfigurationError, match="target=None with family=custom"):
         run("preset=tiny", "variant=custom", f"runs_dir={runs}")
     assert not list(runs.rglob("*.json"))

@@ -156,8 +156,7 @@ def test_a_metric_of_the_users_whose_code_was_edited_is_computed_again(
 
 
 @pytest.mark.parametrize(
-    "damage",
-    ["", "{", "[]", '{"hash": 1}', "metrics: 5", 'metrics: [{"all": 1}]', 'scalars: {"seconds": 1}'],
+    "damage", ["", "{", "[]", '{"hash": 1}', "metrics: 5", 'metrics: [{"all": 1}]', 'scalars: {"seconds": 1}']
 )
 def test_a_damaged_result_is_not_finished_and_stops_nothing(tmp_path: Path, damage: str) -> None:
     mine = job(tmp_path)

@@ -32,7 +32,7 @@ def test_a_hold_is_the_pose_of_the_same_probe_site(hand: Hand) -> None:
     poses = iter(place_probe(BODY, GRID, 5.0, PROBE).poses)
     for height, angle, rock, roll in product(GRID.heights_mm, GRID.angles_deg, GRID.tilts_deg, GRID.rolls_deg):
         pose, words = place(hand, Hold(height, angle, roll, rock))
-        np.testing.assert_allclose(pose, next(poses).probe_to_world, atol=1e-9)
+        np.testing.assert_allclose(pose, next(poses), atol=1e-9)
         assert words == ""
 
 

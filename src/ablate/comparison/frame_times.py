@@ -212,8 +212,8 @@ def _map_maker(settings: StudySettings, data: DataSet, names: set[str]) -> Calla
         return lambda frame, _: ({name: data.pairs.read(name, [frame])[0] for name in names}, {})
 
     from ablate.runs.simulated import build_scene
-    from ablate.runs.timed_maps import TimedMaps, nudged
+    from ablate.runs.timed_maps import nudged, timed_maps
 
     scene, _ = build_scene(settings)
-    make = TimedMaps(scene, settings.probe, settings.simulator, data.pairs.poses, low="low" in names)
+    make = timed_maps(scene, settings.probe, settings.simulator, data.pairs.poses, low="low" in names)
     return lambda frame, number: make(nudged(data.pairs.poses[frame], number), settings.dataset.seed)

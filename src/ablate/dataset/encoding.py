@@ -90,13 +90,9 @@ def encode_attenuation(values: np.ndarray) -> np.ndarray:
     space (`make bench-dataset`), and small values are as fine as before.
     """
     scaled = np.multiply(np.clip(values, 0, 1), ATTENUATION_SCALE, dtype=np.float32)
-    bits = scaled.view(np.uint32)
-    dropped = np.uint32(24 - _ATTENUATION_BITS)  # of the 24 significant bits of a float32
-    bits += np.uint32(1) << (dropped - np.uint32(1))
-    bits >>= dropped
-    bits <<= dropped
-    np.minimum(scaled, ATTENUATION_SCALE, out=scaled)
-    return np.rint(scaled, out=scaled).astype(np.uint16)
+    share, power = np.frexp(scaled)  # scaled = share * 2 ** power
+    kept = np.ldexp(np.floor(share * 2**_ATTENUATION_BITS + 0.5), power - _ATTENUATION_BITS)
+    return np.rint(np.minimum(kept, ATTENUATION_SCALE)).astype(np.uint16)
 
 
 def decode_attenuation(stored: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:

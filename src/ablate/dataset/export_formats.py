@@ -125,11 +125,7 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: tuple[float, float]) -> No
         data.SequenceOfUltrasoundRegions = [region]
         pixels = pairs.stored("target", frame).tobytes()
         data.PixelData = pixels + bytes(len(pixels) % 2)  # of even length (PS3.5, 8.1.1)
-        data.file_meta = FileMetaDataset()
-        data.file_meta.MediaStorageSOPClassUID, data.file_meta.MediaStorageSOPInstanceUID = (
-            UltrasoundImageStorage,
-            data.SOPInstanceUID,
-        )
+        data.file_meta = FileMetaDataset()  # its SOP UIDs are copied from the data when they are written
         data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
         pydicom.dcmwrite(folder / f"{_name(frame)}.dcm", data, enforce_file_format=True)
 

@@ -110,9 +110,8 @@ def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
         if (height, width) != shape:
             here, there = f"{width} x {height} px", f"{shape[1]} x {shape[0]}"
             raise ValueError(f"{path}: is {here}, but {first} is {there}; all must have one size")
-    return PngFolder(
-        folder, names, files, shape, *_frames(folder / "frames.csv", names), _tissues(folder / "labels.csv")
-    )
+    sites, parts = _frames(folder / "frames.csv", names)
+    return PngFolder(folder, names, files, shape, sites, parts, _tissues(folder / "labels.csv"))
 
 
 def read_fan(checked: PngFolder) -> tuple[np.ndarray, int]:

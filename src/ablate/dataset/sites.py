@@ -108,17 +108,6 @@ def _in_world(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
     return (np.einsum("nij,kj->nki", poses[:, :3, :3], points) + poses[:, None, :3, 3]).reshape(-1, 3)
 
 
-@dataclass(frozen=True)
-class Pose:
-    """One probe pose: a rigid transform, (4, 4) float64, mm, and the index of its (height, angle) pair.
-
-    Frames of one site see almost the same anatomy.
-    """
-
-    probe_to_world: np.ndarray
-    site: int
-
-
 class Dropped(StrEnum):
     """Why a pose of the grid is not used."""
 
@@ -132,18 +121,20 @@ class Dropped(StrEnum):
 class Placement:
     """The poses of a grid that can be used, in the order heights, angles, tilts, rolls, and how many cannot by reason.
 
-    Every reason is a key of `dropped`; a pose counts once, under the first reason that holds.
+    `poses`, (n, 4, 4) float64, lead from probe to world, mm. `sites`, (n,) int64, are the indices of their (height,
+    angle) pairs: frames of one site see almost the same anatomy. Every reason is a key of `dropped`; a pose counts
+    once, under the first reason that holds.
     """
 
-    poses: tuple[Pose, ...]
+    poses: np.ndarray
+    sites: np.ndarray
     dropped: dict[Dropped, int]
 
     def __str__(self) -> str:
         """One line for a log: poses and sites used, and what was dropped for which reason."""
-        sites = len({pose.site for pose in self.poses})
         why = ", ".join(f"{count} {reason.value}" for reason, count in self.dropped.items() if count)
         dropped = f"; dropped {sum(self.dropped.values())}: {why}" if why else "; none dropped"
-        return f"{len(self.poses)} probe poses at {sites} sites{dropped}"
+        return f"{len(self.poses)} probe poses at {len(np.unique(self.sites))} sites{dropped}"
 
 
 def resample_grid(grid: SiteGrid, counts: Sequence[int] | None) -> SiteGrid:
@@ -197,27 +188,25 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
             sites += [site] * len(turns)
     dropped = dict.fromkeys(Dropped, 0)
     dropped[Dropped.no_skin] = len(places) * len(turns) - len(started)
-    poses: tuple[Pose, ...] = ()
+    poses, kept = np.reshape(started, (-1, 4, 4)), np.ones(len(started), bool)
     if started:
-        pressed, on_body, hard = press(skin, probe, np.stack(started), np.stack(approaches), press_mm)
-        kept = np.ones(len(started), bool)
+        poses, on_body, hard = press(skin, probe, poses, np.stack(approaches), press_mm)
         reasons = [(Dropped.off_body, ~on_body), (Dropped.hard, hard)]
         if region is not None:
-            reasons.append((Dropped.off_region, ~meets(region, probe, pressed)))
+            reasons.append((Dropped.off_region, ~meets(region, probe, poses)))
         for reason, holds in reasons:
             dropped[reason] = int((kept & holds).sum())
             kept &= ~holds
-        poses = tuple(Pose(pressed[i], sites[i]) for i in np.flatnonzero(kept))
-    placement = Placement(poses, dropped)
-    if not poses:
+    placement = Placement(poses[kept], np.array(sites, np.int64)[kept], dropped)
+    if not kept.any():
         raise ValueError(
             f"scene '{scene.name}': no probe pose can be used; check sites.heights and sites.angles ({placement})"
         )
     return placement
 
 
-def probe_poses(scene: Scene, grid: SiteGrid, press_mm: float) -> tuple[Pose, ...]:
-    """The usable poses of `place_probe` alone."""
+def probe_poses(scene: Scene, grid: SiteGrid, press_mm: float) -> np.ndarray:
+    """The usable poses, (n, 4, 4) float64, of `place_probe` alone."""
     return place_probe(scene, grid, press_mm).poses
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -27,11 +26,7 @@ MOST_APART = 1  # grey levels between two renderings; a GPU may round differentl
 
 def resimulation_images(pairs: Pairs) -> ImageSource:
     """The re-simulated frames; an odd noise draw gives the target, which has other scatterers and paths again."""
-
-    def images_of(frames: np.ndarray, draw: int) -> np.ndarray:
-        return pairs.read("target" if draw % 2 else "resimulation", frames)
-
-    return images_of
+    return lambda frames, draw: pairs.read("target" if draw % 2 else "resimulation", frames)
 
 
 def resimulation_scores(scorer: Scorer, part: Part) -> Scores:
@@ -101,10 +96,8 @@ def check_stored_scores(frame: pd.DataFrame) -> str:
     """Say what is wrong with the content of a run's `per_image.parquet`; empty where it can be used."""
     if missing := [name for name in STORED_COLUMNS if name not in frame]:
         return f"lacks the columns {', '.join(missing)}"
-    kinds: dict[str, tuple[Callable[[Any], bool], str]] = {
-        **dict.fromkeys(("frame", "site", "seed"), (is_integer_dtype, "whole numbers")),
-        "value": (is_float_dtype, "numbers"),
-    }
+    whole = is_integer_dtype, "whole numbers"
+    kinds = {"frame": whole, "site": whole, "seed": whole, "value": (is_float_dtype, "numbers")}
     for name in STORED_COLUMNS:
         is_kind, kind = kinds.get(name, (is_string_dtype, "text"))
         if not is_kind(frame[name]):

@@ -1,6 +1,6 @@
 """Frechet and kernel distances between two sets of features, and their bootstrap intervals over probe sites."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 
@@ -173,10 +173,7 @@ def bootstrap_interval(
     X, Y = check_features(X, Y)
     owner = np.unique(groups, return_inverse=True)[1]
     count = int(owner.max()) + 1
-    drawn: Mapping[Callable[..., float], Callable[..., OfDraw]] = {
-        frechet_distance: frechet_of_draw,
-        kernel_distance: kernel_of_draw,
-    }
+    drawn = {frechet_distance: frechet_of_draw, kernel_distance: kernel_of_draw}
     of_draw = drawn[distance](X, Y, owner, owner)
     rng = np.random.default_rng(0)
     draws = [of_draw(np.bincount(rng.integers(count, size=count), minlength=count)) for _ in range(resamples)]

@@ -1,10 +1,11 @@
 """How far two images are from each other: PSNR and mean absolute error by pixels, chi-square by small patches."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
-from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
+from ablate.metrics.metric import Direction, Group, ImageMetric, Metric, Resimulation, Shown
 
 PEAK = 255.0
 
@@ -165,28 +166,22 @@ def rms(chi2_map: np.ndarray, patches: np.ndarray | None = None) -> float | None
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else None
 
 
+def _whole(measure: Callable[..., float]) -> ImageMetric:
+    return lambda pair: measure(pair.prediction, pair.target)
+
+
+def _in_fan(measure: Callable[..., float]) -> ImageMetric:
+    return lambda pair: measure(pair.prediction, pair.target, pair.mask) if pair.mask.any() else None
+
+
 _PSNR = ("dB", Direction.higher, Resimulation.level, Group.pixel, 2)
 _MAE = ("grey levels", Direction.lower, Resimulation.level, Group.pixel, 2)
-WHOLE_PSNR = Metric(
-    *("psnr", "PSNR", *_PSNR, Shown.everywhere), of_image=lambda pair: psnr(pair.prediction, pair.target), place=10
-)
-FAN_PSNR = Metric(
-    *("psnr_fan", "PSNR in fan", *_PSNR),
-    of_image=lambda pair: psnr(pair.prediction, pair.target, pair.mask) if pair.mask.any() else None,
-    place=11,
-)
-WHOLE_MAE = Metric(
-    *("mae", "MAE", *_MAE, Shown.everywhere), of_image=lambda pair: mae(pair.prediction, pair.target), place=20
-)
-FAN_MAE = Metric(
-    *("mae_fan", "MAE in fan", *_MAE),
-    of_image=lambda pair: mae(pair.prediction, pair.target, pair.mask) if pair.mask.any() else None,
-    place=21,
-)
+WHOLE_PSNR = Metric("psnr", "PSNR", *_PSNR, Shown.everywhere, _whole(psnr), place=10)
+FAN_PSNR = Metric("psnr_fan", "PSNR in fan", *_PSNR, of_image=_in_fan(psnr), place=11)
+WHOLE_MAE = Metric("mae", "MAE", *_MAE, Shown.everywhere, _whole(mae), place=20)
+FAN_MAE = Metric("mae_fan", "MAE in fan", *_MAE, of_image=_in_fan(mae), place=21)
 _CHI2 = ("", Direction.lower, Resimulation.floor)
-PCHI2 = Metric(
-    *("pchi2", "pχ²", *_CHI2, Group.patch, 3, Shown.everywhere), of_image=lambda pair: rms(pair.chi2_map), place=30
-)
+PCHI2 = Metric("pchi2", "pχ²", *_CHI2, Group.patch, 3, Shown.everywhere, lambda pair: rms(pair.chi2_map), place=30)
 FAN_PCHI2 = Metric(
     *("pchi2_fan", "pχ² in fan", *_CHI2, Group.patch, 3),
     of_image=lambda pair: rms(pair.chi2_map, patches_inside(pair.mask)),

@@ -43,6 +43,10 @@ class Group(StrEnum):
     own = "own"  # of a user
 
 
+#: How an error of what a component is for is judged: it is least where it is right.
+MECHANISM = (Direction.lower, Resimulation.floor, Group.mechanism)
+
+
 class Shown(Flag):
     """Where a metric is shown beside `table.csv`, the statistics and its own figure, which have every metric."""
 

@@ -115,11 +115,10 @@ def prepare_data(job: Job, maps: frozenset[str]) -> DataSet:
     if data.lacks(wanted := _offered(job, maps)):
         data.kept_digest.unlink(missing_ok=True)  # frames are made again, perhaps on another kind of processor
         if settings.scene.kind is SceneKind.pairs:
-            import_data(settings, data.folder, wanted)
+            make = import_data
         else:
-            from ablate.runs.simulated import simulate_data
-
-            simulate_data(settings, data.folder, wanted, job.semantic["data"])
+            from ablate.runs.simulated import simulate_data as make
+        make(settings, data.folder, wanted, job.semantic["data"])
         data = job.data
     if not data.contact_sheet.exists():
         write_contact_sheet(data.pairs, data.contact_sheet)

@@ -1,5 +1,6 @@
 """Pairs made elsewhere as the data set of a study: what it is known by, and how it is made."""
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from tqdm import tqdm
 
 from ablate import dataset
 from ablate.anatomy import Tissue
-from ablate.dataset import Pairs, PngFolder, SplitBy
+from ablate.dataset import PngFolder, SplitBy
 from ablate.evaluation import describes_fan
 from ablate.metrics import speckle_features
 from ablate.setting import plain
@@ -43,8 +44,11 @@ def about_imported(settings: StudySettings) -> dict[str, Any]:
     }
 
 
-def import_data(settings: StudySettings, folder: Path, maps: frozenset[str]) -> Pairs:
-    """Make the data set in `folder`, or what is missing of it, from the PNGs; errors name the file that is wrong."""
+def import_data(settings: StudySettings, folder: Path, maps: frozenset[str], about: Mapping[str, object]) -> None:
+    """Make the data set in `folder`, or what is missing of it, from the PNGs; `about` is kept beside it.
+
+    Errors name the file that is wrong.
+    """
     checked = checked_folder(settings)
     tqdm.write(f"Importing {len(checked.names)} pairs from {checked.folder} into {folder}")
     mask, labels = dataset.read_fan(checked)
@@ -62,12 +66,10 @@ def import_data(settings: StudySettings, folder: Path, maps: frozenset[str]) -> 
         tqdm.write(f"left out: {line}")
     names = [checked.names[i] for i in order]
     frames = [{"name": checked.names[i], "site": checked.sites[i]} for i in order]
-    about = {"tissues": [plain(tissue) for tissue in tissues], "left_out": left_out, "frames": frames}
+    about = {**about, "tissues": [plain(tissue) for tissue in tissues], "left_out": left_out, "frames": frames}
     placed = np.full((len(names), 4, 4), np.nan), sites[order], split[order], mask  # where the probe was is not known
-    called = [tissue.name for tissue in tissues]
-    pairs = dataset.create_pairs(folder, *placed, chosen.shard, called, {**about_imported(settings), **about})
+    pairs = dataset.create_pairs(folder, *placed, chosen.shard, [tissue.name for tissue in tissues], about)
     dataset.import_pairs(checked, names, pairs, maps)
-    return pairs
 
 
 def _left_out(settings: StudySettings, checked: PngFolder, mask: np.ndarray) -> list[str]:

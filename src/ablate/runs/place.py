@@ -62,10 +62,8 @@ def finished_run(job: Job) -> Run | None:
     run, asked, inception = job.run, job.settings.metrics, job.settings.evaluation.inception
     if run.hash != job.hash or run.state is not State.finished:
         return None
-    if (
-        names_of(asked) - names_of(run.result["metrics"])
-        or not sources_of(asked).items() <= run.result["sources"].items()
-    ):
+    of_same_code = sources_of(asked).items() <= run.result["sources"].items()
+    if not of_same_code or names_of(asked) - names_of(run.result["metrics"]):
         return None
     lacks_inception = inception is not None and run.result.get("inception") is None
     return None if lacks_inception and needs_inception(choose_metrics(asked)) else run

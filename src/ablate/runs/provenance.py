@@ -41,7 +41,12 @@ def write_provenance(job: Job) -> None:
     now |= tracking.packages()
     starts = [*job.run.starts, {"time": datetime.now(UTC).isoformat(timespec="seconds"), **now}]
     if len(starts) > 1 and now["step"] and job.run.result.get("hash") != job.hash:
-        _tell_changes(starts[-2], now)
+        before = starts[-2]
+        known = [key for key in now if key != "step" and (key in before or key == "git_diff")]
+        changed = [f"{key} {before.get(key, 'none')}, now {now[key]}" for key in known if before.get(key) != now[key]]
+        if changed:
+            told = "; ".join(changed)
+            _LOG.warning("step %d: training goes on with other code or hardware (%s)", now["step"], told)
     if job.settings.tracking.provenance is Provenance.full:
         write_text(folder / "environment.txt", tracking.environment())
         path = folder / "uncommitted.diff"
@@ -56,17 +61,9 @@ def write_provenance(job: Job) -> None:
     write_json(folder / "made_with.json", _in_short(starts))
 
 
-def _tell_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    known = [key for key in now if key != "step" and (key in before or key == "git_diff")]
-    changed = [f"{key} {before.get(key, 'none')}, now {now[key]}" for key in known if before.get(key) != now[key]]
-    if changed:
-        _LOG.warning("step %d: training goes on with other code or hardware (%s)", now["step"], "; ".join(changed))
-
-
 def _in_short(starts: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """The values of all starts by key, each once; the code is dirty if it was at any."""
-    found: dict[str, dict[str, None]] = {}
-    for key, value in ((k, v) for start in starts for k, v in start.items() if k not in _OF_ONE_START):
-        found.setdefault(key, {})[str(value)] = None
-    dirty = {"git_dirty": "true"} if "true" in found.get("git_dirty", ()) else {}
-    return {key: ", ".join(values) for key, values in found.items()} | dirty
+    keys = dict.fromkeys(key for start in starts for key in start if key not in _OF_ONE_START)
+    values = {key: dict.fromkeys(str(start[key]) for start in starts if key in start) for key in keys}
+    dirty = {"git_dirty": "true"} if "true" in values.get("git_dirty", ()) else {}
+    return {key: ", ".join(several) for key, several in values.items()} | dirty

@@ -191,10 +191,8 @@ class Run:
         if not (self.scores["split"] == "test").any():
             wrong_scores = "it holds no value on the test frames"
         if wrong_scores:
-            return (
-                State.unusable,
-                f"with a {self.scores_file.name} that cannot be used ({wrong_scores}): start it again",
-            )
+            why = f"with a {self.scores_file.name} that cannot be used ({wrong_scores}): start it again"
+            return State.unusable, why
         return State.finished, ""
 
     def copied_state(self) -> str:

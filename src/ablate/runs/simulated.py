@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from ablate import anatomy, dataset
 from ablate.anatomy import ANATOMY_VERSION, LABELS_VERSION, Scene, SiteGrid
-from ablate.dataset import Dropped, Pairs, Placement, Pose, Recipe
+from ablate.dataset import Dropped, Placement, Recipe
 from ablate.setting import identity, plain
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest_of_files
@@ -88,20 +88,18 @@ def lay_out(settings: StudySettings, scene: Scene, grid: SiteGrid) -> Layout:
     """
     chosen = settings.dataset
     if chosen.poses:
-        own = tuple(Pose(pose, int(site)) for pose, site in zip(*own_poses(settings), strict=True))
-        placement = Placement(own, dict.fromkeys(Dropped, 0))
+        placement = Placement(*own_poses(settings), dict.fromkeys(Dropped, 0))
     else:
         resampled = dataset.resample_grid(grid, chosen.grid)
         placement = dataset.place_probe(scene, resampled, chosen.press_mm, settings.probe)
-    poses = placement.poses
-    picked = dataset.choose_frames([p.site for p in poses], chosen.frames, chosen.seed)
-    sites = np.array([poses[i].site for i in picked])
+    picked = dataset.choose_frames(placement.sites, chosen.frames, chosen.seed)
+    sites = placement.sites[picked]
     split = dataset.split_frames(sites, chosen.split, chosen.validation, chosen.test, chosen.seed)
     order = np.argsort(split, kind="stable")  # validation and test frames lie together: few shards hold both
-    return Layout(np.stack([poses[picked[i]].probe_to_world for i in order]), sites[order], split[order], placement)
+    return Layout(placement.poses[picked[order]], sites[order], split[order], placement)
 
 
-def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], about: Mapping[str, object]) -> Pairs:
+def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], about: Mapping[str, object]) -> None:
     """Make the data set in `folder`, or what is missing of it; `about` is kept beside it."""
     scene, grid = build_scene(settings)
     layout = lay_out(settings, scene, grid)
@@ -116,4 +114,3 @@ def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], a
     pairs = dataset.create_pairs(folder, *placed, settings.dataset.shard, [t.name for t in scene.tissues], about)
     recipe = Recipe(scene, settings.probe, settings.simulator, settings.dataset.seed)
     dataset.simulate_pairs(recipe, pairs, maps, settings.dataset.workers)
-    return pairs

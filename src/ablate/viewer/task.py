@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ablate.anatomy import Scene, SiteGrid, fetal_planes
-from ablate.dataset import place_probe, read_poses
+from ablate.dataset import equally_spaced, place_probe, read_poses
 from ablate.runs.job import Job
 from ablate.runs.simulated import build_scene
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
@@ -146,12 +146,11 @@ def presets(settings: StudySettings, scene: Scene, grid: SiteGrid) -> dict[str, 
         planes = fetal_planes(settings.scene.anatomy_seed, settings.dataset.press_mm)
         return {name.replace("_", " "): pose for name, pose in planes.items()}
     upright = replace(grid, tilts_deg=(0.0,), rolls_deg=grid.rolls_deg[:1])
-    placed = place_probe(scene, upright, settings.dataset.press_mm, settings.probe).poses
-    steps = np.linspace(0, len(placed) - 1, min(len(placed), _MOST_SITES)).round().astype(int)
+    placed = place_probe(scene, upright, settings.dataset.press_mm, settings.probe)
     named = {}
-    for pose in (placed[i] for i in steps):
-        height, angle = divmod(pose.site, len(grid.angles_deg))
-        named[f"{grid.heights_mm[height]:.0f} mm, {grid.angles_deg[angle]:.0f} degrees"] = pose.probe_to_world
+    for i in equally_spaced(np.arange(len(placed.poses)), _MOST_SITES):
+        height, angle = divmod(int(placed.sites[i]), len(grid.angles_deg))
+        named[f"{grid.heights_mm[height]:.0f} mm, {grid.angles_deg[angle]:.0f} degrees"] = placed.poses[i]
     return named
 
 

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
+from ablate.metrics.metric import MECHANISM, Direction, Group, Metric, Resimulation, Shown
 from ablate.metrics.pair import Pair
 
 
@@ -38,11 +38,7 @@ def crps(pair: Pair) -> float | None:
     return float(np.abs(values[0] - pair.target[pair.tissue_mask]).mean() - between / 2)
 
 
-CRPS = Metric(
-    *("crps", "CRPS", "grey levels", Direction.lower, Resimulation.floor, Group.mechanism, 2, Shown.drawn),
-    of_draws=crps,
-    place=100,
-)
+CRPS = Metric("crps", "CRPS", "grey levels", *MECHANISM, 2, Shown.drawn, of_draws=crps, place=100)
 NOISE_SD = Metric(
     *("noise_sd", "Noise sd", "grey levels", Direction.none, Resimulation.level, Group.mechanism, 1, Shown.drawn),
     of_draws=noise_sd,

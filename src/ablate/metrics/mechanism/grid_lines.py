@@ -4,7 +4,7 @@ import numpy as np
 from scipy.fft import rfft2
 
 from ablate.metrics.fidelity import as_patches, patches_inside
-from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
+from ablate.metrics.metric import MECHANISM, Metric, Shown
 from ablate.metrics.pair import Pair
 
 BLOCK = 32  # px, of the spectra
@@ -64,7 +64,5 @@ def nyquist_excess(pair: Pair, period_px: int = 2) -> float | None:
 
 
 NYQUIST_EXCESS = Metric(
-    *("nyquist_excess", "Nyquist excess", "dB", Direction.lower, Resimulation.floor, Group.mechanism, 2, Shown.drawn),
-    of_image=nyquist_excess,
-    place=80,
+    "nyquist_excess", "Nyquist excess", "dB", *MECHANISM, 2, Shown.drawn, of_image=nyquist_excess, place=80
 )

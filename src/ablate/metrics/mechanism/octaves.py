@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import convolve1d
 
-from ablate.metrics.metric import Direction, Group, Metric, Resimulation
+from ablate.metrics.metric import MECHANISM, Metric
 from ablate.metrics.pair import Pair
 
 OCTAVES = 4
@@ -49,8 +49,4 @@ def octave_sd(pair: Pair) -> float | None:
     return float(np.abs(10.0 * np.log10((found + ROUNDING) / (right + ROUNDING))).mean())
 
 
-OCTAVE_SD = Metric(
-    *("octave_sd", "Octave sd", "dB", Direction.lower, Resimulation.floor, Group.mechanism, 2),
-    of_image=octave_sd,
-    place=90,
-)
+OCTAVE_SD = Metric("octave_sd", "Octave sd", "dB", *MECHANISM, 2, of_image=octave_sd, place=90)

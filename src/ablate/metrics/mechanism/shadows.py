@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
+from ablate.metrics.metric import MECHANISM, Metric, Shown
 from ablate.metrics.pair import Pair
 
 SHADOW, ENHANCEMENT = 0.6, 1.4  # of the median attenuation at a depth
@@ -61,8 +61,7 @@ def shadow_contrast(pair: Pair) -> float | None:
 
 
 SHADOW_CONTRAST = Metric(
-    *("shadow_contrast", "Shadow contrast", "grey levels", Direction.lower, Resimulation.floor, Group.mechanism, 1),
-    shown=Shown.drawn | Shown.report,
+    *("shadow_contrast", "Shadow contrast", "grey levels", *MECHANISM, 1, Shown.drawn | Shown.report),
     of_image=shadow_contrast,
     place=50,
 )

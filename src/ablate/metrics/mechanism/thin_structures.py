@@ -1,9 +1,9 @@
 """Do thin bright structures stand out? The contrast of bone surfaces with what surrounds them."""
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, find_objects, label
+from scipy.ndimage import distance_transform_edt, find_objects, label, map_coordinates
 
-from ablate.metrics.metric import Direction, Group, Metric, Resimulation, Shown
+from ablate.metrics.metric import MECHANISM, Metric, Shown
 from ablate.metrics.pair import Pair
 
 BAND_MM = 2.0  # of bone below its surface
@@ -17,17 +17,12 @@ def surface_band(bone: np.ndarray, depth_mm: np.ndarray, pixel_mm: tuple[float, 
     A pixel belongs to it if the point 2 mm before it, along its scanline, is no bone. The arrays are those of
     `Pair`.
     """
-    down, right = np.gradient(depth_mm, *pixel_mm)  # away from the probe
-    rows, columns = np.nonzero(bone)
-    before = []
-    for places, gradient, size, length in zip((rows, columns), (down, right), pixel_mm, bone.shape, strict=True):
-        moved = np.rint(places - BAND_MM * gradient[rows, columns] / size).astype(np.intp)
-        before.append((moved, (moved >= 0) & (moved < length)))
-    inside = before[0][1] & before[1][1]
-    covered = np.zeros(len(rows), bool)
-    covered[inside] = bone[before[0][0][inside], before[1][0][inside]]
+    down_and_right = np.gradient(depth_mm, *pixel_mm)  # away from the probe
+    pixels = np.nonzero(bone)
+    steps = [BAND_MM * slope[pixels] / size for slope, size in zip(down_and_right, pixel_mm, strict=True)]
+    before = np.rint(np.subtract(pixels, steps))
     band = np.zeros_like(bone)
-    band[rows[~covered], columns[~covered]] = True
+    band[pixels] = map_coordinates(bone.astype(np.uint8), before, order=0) == 0  # beyond the image is no bone
     return band
 
 
@@ -66,8 +61,5 @@ def thin_contrast(pair: Pair) -> float | None:
 
 
 THIN_CONTRAST = Metric(
-    *("thin_contrast", "Thin contrast", "grey levels", Direction.lower, Resimulation.floor, Group.mechanism, 1),
-    shown=Shown.drawn,
-    of_image=thin_contrast,
-    place=70,
+    "thin_contrast", "Thin contrast", "grey levels", *MECHANISM, 1, Shown.drawn, of_image=thin_contrast, place=70
 )

@@ -13,7 +13,7 @@ from ablate.networks import Generator, conditions
 from ablate.numerics.precision.bench import Bench, CsvTable, Frames, mean_errors
 from ablate.runs.job import Job
 from ablate.runs.run import Run, State, runs_of
-from ablate.runs.timed_maps import TimedMaps, nudged
+from ablate.runs.timed_maps import nudged, timed_maps
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
 from ablate.training import (
@@ -82,8 +82,8 @@ def schedule_of(runs: list[Run], settings: StudySettings) -> list[tuple[Run, lis
 
 
 def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
-    """Make the inputs of generators, (n, H, W) each, and measure the median milliseconds of each, as `TimedMaps`."""
-    make = TimedMaps(bench.scene, bench.probe, bench.simulator, bench.poses, low=True)
+    """Make the inputs of generators, (n, H, W) each, and measure the median milliseconds of each, as `timed_maps`."""
+    make = timed_maps(bench.scene, bench.probe, bench.simulator, bench.poses, low=True)
     make(nudged(bench.poses[0]), bench.seed)
     made = []
     for pose in bench.poses:
