@@ -9,7 +9,6 @@ from mlflow import MlflowClient
 
 from ablate.numerics.stability import task
 from ablate.numerics.stability.checks import CASES, Case, Checks
-from ablate.settings.conf import variant_names
 from ablate.ultrasound import attenuation
 from support.studies import run as run_command
 

@@ -100,7 +100,7 @@ def distances_to_resimulation(table: pd.DataFrame, reference: str = REFERENCE) -
     `table` is what `comparison_table` gives. Metrics that one of the two lacks, or that do not judge, are left out.
     """
     means = table.pivot(index="metric", columns="variant", values="mean").reindex(columns=[reference, RESIMULATION])
-    badness = {m: [metric_of(m).badness(value) for value in means.loc[m].to_numpy()] for m in map(str, means.index)}
+    badness = {m: [metric_of(m).badness(value) for value in means.loc[m].tolist()] for m in map(str, means.index)}
     return {m: float(here - there) for m, (here, there) in badness.items() if np.isfinite(here - there)}
 
 

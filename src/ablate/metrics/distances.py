@@ -173,8 +173,7 @@ def bootstrap_interval(
     X, Y = check_features(X, Y)
     owner = np.unique(groups, return_inverse=True)[1]
     count = int(owner.max()) + 1
-    drawn = {frechet_distance: frechet_of_draw, kernel_distance: kernel_of_draw}
-    of_draw = drawn[distance](X, Y, owner, owner)
+    of_draw = (frechet_of_draw if distance is frechet_distance else kernel_of_draw)(X, Y, owner, owner)
     rng = np.random.default_rng(0)
     draws = [of_draw(np.bincount(rng.integers(count, size=count), minlength=count)) for _ in range(resamples)]
     tail = (1.0 - 0.95) / 2.0
