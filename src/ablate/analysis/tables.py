@@ -100,7 +100,8 @@ def distances_to_resimulation(table: pd.DataFrame, reference: str = REFERENCE) -
     `table` is what `comparison_table` gives. Metrics that one of the two lacks, or that do not judge, are left out.
     """
     means = table.pivot(index="metric", columns="variant", values="mean").reindex(columns=[reference, RESIMULATION])
-    badness = {m: [metric_of(m).badness(value) for value in means.loc[m].tolist()] for m in map(str, means.index)}
+    rows = zip(map(str, means.index), means.to_numpy(), strict=True)
+    badness = {m: [metric_of(m).badness(float(value)) for value in row] for m, row in rows}
     return {m: float(here - there) for m, (here, there) in badness.items() if np.isfinite(here - there)}
 
 
