@@ -29,7 +29,7 @@ from ablate.storage import digest
 from ablate.tracking import default_uri
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
-from ablate.ultrasound.imaging import speckle
+from ablate.ultrasound.imaging import scatterers
 from support.studies import run as run_command
 
 TINY = ("preset=tiny", "training.steps=2", "evaluation.pictures=1")
@@ -44,7 +44,7 @@ def run(*arguments: str) -> int:
 def _small() -> Iterator[None]:
     """Few rays and tables of scatterers made once; eager only, because compiling takes a minute."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(speckle, "scatterer_tables", cache(speckle.scatterer_tables))
+        patch.setattr(scatterers, "scatterer_tables", cache(scatterers.scatterer_tables))
         patch.setattr(bench, "RAYS", (1, 2, 4))
         patch.setattr(bench, "REFERENCE_RAYS", 32)
         patch.setattr(bench, "LAYERS", (1, 2))
