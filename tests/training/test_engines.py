@@ -1,6 +1,8 @@
 """Every engine renders what the network renders, and says what it lacks."""
 
+import gc
 import re
+import signal
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -44,6 +46,21 @@ def test_a_frame_by_engine_and_precision(engine: Engine, tmp_path: Path) -> None
         assert render(maps, SEED).shape == (1, 1, 30, 27)
         torch.testing.assert_close(render(maps, SEED).float(), expected, rtol=0, atol=tolerance)
         torch.testing.assert_close(render(maps, SEED + 1).float(), other, rtol=0, atol=tolerance)
+
+
+@pytest.mark.skipif(missing_for(Engine.exported, CPU) is not None, reason="needs the extra export")
+def test_a_signal_is_handled_after_an_exported_engine_was_freed(tmp_path: Path) -> None:
+    """OpenVINO frees the stack of signal handlers with its last object; a signal was then a segmentation fault."""
+    generator, file = drawn(SPEC), tmp_path / "model.onnx"
+    export_onnx(generator, file, 30, 27)
+    render = open_exported(generator, file)
+    del render
+    gc.collect()
+    received: list[int] = []
+    previous = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
+    signal.raise_signal(signal.SIGINT)
+    signal.signal(signal.SIGINT, previous)
+    assert received == [signal.SIGINT]
 
 
 @pytest.mark.skipif(missing_for(Engine.exported, CPU) is not None, reason="needs the extra export")

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from copy import deepcopy
 from enum import StrEnum
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -137,6 +138,18 @@ def open_engine(
     return render
 
 
+@cache
+def openvino_core() -> Any:
+    """Return the process's `openvino.Core`, which is never freed.
+
+    It gives the thread that makes it a stack for signal handlers, and frees that stack with itself: the next signal,
+    Ctrl-C too, would then end the process with a segmentation fault (OpenVINO 2026, Linux).
+    """
+    import openvino
+
+    return openvino.Core()
+
+
 def open_exported(
     generator: Generator, path: Path, precision: TrainingPrecision = TrainingPrecision.auto
 ) -> OpenEngine:
@@ -144,11 +157,9 @@ def open_exported(
 
     The generator draws the noise, of which the file is given the fields; its weights are not used.
     """
-    import openvino
-
     hint = "bf16" if chosen_precision(precision, torch.device("cpu")) is TrainingPrecision.bf16 else "f32"
     options = {"INFERENCE_PRECISION_HINT": hint, "INFERENCE_NUM_THREADS": torch.get_num_threads()}
-    compiled = openvino.Core().compile_model(path, "CPU", options | {"PERFORMANCE_HINT": "LATENCY"})
+    compiled = openvino_core().compile_model(path, "CPU", options | {"PERFORMANCE_HINT": "LATENCY"})
     names = conditions(generator.spec)
 
     @torch.inference_mode()
