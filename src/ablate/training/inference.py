@@ -142,8 +142,8 @@ def open_engine(
 def openvino_core() -> Any:
     """Return the process's `openvino.Core`, which is never freed.
 
-    It gives the thread that makes it a stack for signal handlers, and frees that stack with itself: the next signal,
-    Ctrl-C too, would then end the process with a segmentation fault (OpenVINO 2026, Linux).
+    A core gives the thread that makes it a stack for signal handlers, and frees it with itself. Of two cores the second
+    gives back the first one's, freed: the next signal, Ctrl-C too, is a segmentation fault (OpenVINO 2026.4, Linux).
     """
     import openvino
 
