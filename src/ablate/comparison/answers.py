@@ -1,6 +1,6 @@
 """What the runs of a study say about components: the experiment that they make up, its effects and its verdicts."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -51,9 +51,10 @@ def answers(runs: Sequence[Run], table: pd.DataFrame, reference: str = REFERENCE
     factors = factors_of(runs)
     judged = analysis.with_undeclared(components(), factors)
     block = {run.data: anatomy_of(run) for run in runs}
-    per_image, scalars = (scored.assign(data=scored["data"].map(block)) for scored in scored_frames(runs))
+    per_image, scalars = scored_frames(runs)
     design = analysis.find_design(levels, factors, reference)
-    means = analysis.run_means(per_image, scalars, design)
+    of_blocks = [rows.assign(data=rows["data"].map(block)) for rows in (per_image, scalars)]
+    means = analysis.run_means(*of_blocks, design=design)
     times = scalars[scalars["metric"] == FRAME_TIME]  # their spread is half the distance of the quartiles
     spreads = {FRAME_TIME: float((times["upper"] - times["lower"]).mean() / 2)} if len(times) else {}
     return Answers(
@@ -61,28 +62,24 @@ def answers(runs: Sequence[Run], table: pd.DataFrame, reference: str = REFERENCE
         means,
         pd.DataFrame() if design is None else analysis.effects_table(means, design),
         analysis.verdict_table(
-            means,
-            design,
-            judged,
-            analysis.distances_to_resimulation(table, reference),
-            spreads=spreads,
+            means, design, judged, analysis.distances_to_resimulation(table, reference), spreads=spreads
         ),
-        _wide(runs, factors),
+        _wide(per_image, scalars, levels, factors),
         analysis.paper_effects(means, design, judged),
         judged,
     )
 
 
-def _wide(runs: Sequence[Run], factors: Sequence[str]) -> pd.DataFrame:
+def _wide(
+    per_image: pd.DataFrame, scalars: pd.DataFrame, levels: Mapping[str, Mapping[str, object]], factors: Sequence[str]
+) -> pd.DataFrame:
     """One row a run: variant, seed, data, the level of every factor that varies or is declared, and every mean."""
-    per_image, scalars = scored_frames(runs)
     run = ["variant", "seed", "data"]
     everything = analysis.run_means(per_image, scalars)
     wide = everything.pivot(index=run, columns="metric", values="value").reset_index()
     if len(times := scalars[scalars["metric"] == FRAME_TIME]):
         bounds = times.set_index(run)[list(BOUNDS)].add_prefix(f"{FRAME_TIME}_")
         wide = wide.join(bounds.astype("float64"), on=run)
-    levels = {one.label: levels_of(one.spec["semantic"]) for one in runs}
     for place, factor in enumerate(factors, start=len(run)):
         wide.insert(place, factor, [levels[label].get(factor) for label in wide["variant"]])
     return wide

@@ -1,4 +1,4 @@
-"""Open a finished study for reading; the notebooks use this."""
+"""A study on disk with its tables, as comparisons and notebooks read it."""
 
 import os
 from collections.abc import Sequence
@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from ablate.analysis import FramePictures, comparison_table
+from ablate.analysis import FramePictures, comparison_table, paired_table
 from ablate.comparison.answers import Answers, answers
 from ablate.comparison.results import pictures, scored_frames
-from ablate.comparison.usable_runs import usable_runs
+from ablate.comparison.usable_runs import UsableRuns, usable_runs
 from ablate.runs.data_set import DataSet
 from ablate.runs.job import COMPARISON
 from ablate.runs.run import Run
@@ -25,18 +25,25 @@ ANSWER = ("runs/answer", "docs/results/answer")  # where `make answer` leaves it
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A study on disk with at least one run that can be used."""
+    """A study on disk with at least one run that can be used; tables are made when they are first asked for."""
 
     folder: Path
-    runs: tuple[Run, ...]
-    blocks: tuple[Run, ...]  # on other anatomies; they take part in `answers` only
-    reference: str  # what it was last compared with
+    usable: UsableRuns
+    reference: str  # what its variants are compared with
     per_image: pd.DataFrame  # as `comparison_table` takes it, like `scalars`
     scalars: pd.DataFrame
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        return self.usable.runs
 
     @cached_property
     def table(self) -> pd.DataFrame:
         return comparison_table(self.per_image, self.scalars, self.reference)
+
+    @cached_property
+    def paired(self) -> pd.DataFrame:
+        return paired_table(self.per_image, self.reference)
 
     @cached_property
     def pictures(self) -> list[FramePictures]:
@@ -44,7 +51,7 @@ class Study:
 
     @cached_property
     def answers(self) -> Answers:
-        return answers((*self.runs, *self.blocks), self.table, self.reference)
+        return answers(self.usable.all, self.table, self.reference)
 
     @property
     def data(self) -> DataSet:
@@ -69,6 +76,6 @@ def open_study(places: Sequence[str] = SWEEP, made_by: str = "make sweep") -> St
             reference = str(read_json(folder / COMPARISON / "made_from.json")["reference"])
         usable = usable_runs(folder.resolve(), reference)
         if usable.runs:
-            return Study(folder.resolve(), usable.runs, usable.blocks, reference, *scored_frames(usable.runs))
+            return Study(folder.resolve(), usable, reference, *scored_frames(usable.runs))
     advice = f"Run `{made_by}` first, or name another by the environment variable ABLATE_STUDY."
     raise SystemExit(f"There is no finished study at {folders[0]}. {advice}")

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from ablate.analysis import REFERENCE, RESIMULATION, FramePictures, ordered_variants
-from ablate.comparison.frame_times import network_of, read_times, shown_machine, time_rows
+from ablate.comparison.frame_times import frame_times
 from ablate.metrics import Shown, shown_in
 from ablate.metrics.stored_names import BOUNDS, FLOOR_PREFIX, FRAME_TIME, MODEL, RESIMULATED, is_bound
 from ablate.runs.run import Run
@@ -51,22 +51,6 @@ def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
     table = pd.DataFrame(scalars)
     times = frame_times(runs)
     return pd.concat(frames, ignore_index=True), pd.concat([table, times], ignore_index=True) if len(times) else table
-
-
-def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
-    """Times a frame, all of one machine, as `time_rows` gives them; what a run itself stored of times is not read."""
-    networks = {(r.label, r.seed, r.data): network_of(r.spec["semantic"]) for r in runs}
-    return time_rows(runs[0].folder.parents[1], networks)
-
-
-def labelled_networks(runs: Sequence[Run]) -> dict[str, str]:
-    """The network that each variant is timed by."""
-    return {run.label: network_of(run.spec["semantic"]) for run in runs}
-
-
-def timed_on(runs: Sequence[Run]) -> str:
-    """The machine that the times in tables and figures are from; empty where there are none."""
-    return shown_machine(read_times(runs[0].folder.parents[1]), labelled_networks(runs).values()) or ""
 
 
 def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]:
@@ -143,16 +127,13 @@ def appendix(runs: Sequence[Run]) -> dict[str, str]:
 
 
 def _made_with(runs: Sequence[Run]) -> dict[str, str]:
-    """What the runs recorded in `made_with.json`, by key."""
+    """What the runs recorded in `made_with.json`, by key; where they differ, each value names its runs."""
     recorded = {run.name: run.made_with for run in runs if run.made_with}
-    keys = dict.fromkeys(key for of_run in recorded.values() for key in of_run)
-    return {key: _by_run({name: str(of_run.get(key, "")) for name, of_run in recorded.items()}) for key in keys}
-
-
-def _by_run(values: dict[str, str]) -> str:
-    distinct: dict[str, list[str]] = {}
-    for name, value in values.items():
-        distinct.setdefault(value, []).append(name)
-    if len(distinct) == 1:
-        return next(iter(distinct))
-    return "; ".join(f"{value} ({', '.join(names)})" for value, names in distinct.items())
+    texts = {}
+    for key in dict.fromkeys(key for about in recorded.values() for key in about):
+        names: dict[str, list[str]] = {}
+        for name, about in recorded.items():
+            names.setdefault(str(about.get(key, "")), []).append(name)
+        several = "; ".join(f"{value} ({', '.join(whose)})" for value, whose in names.items())
+        texts[key] = several if len(names) > 1 else next(iter(names))
+    return texts
