@@ -9,11 +9,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from ablate.analysis import Preview, preview_figure
+from ablate.analysis import preview_figure
 from ablate.analysis.figures import body_view, scene_parts
 from ablate.analysis.figures.body_view import Surface, look_through
 from ablate.analysis.figures.scene_parts import tissue_colours
-from ablate.anatomy import Scene, Structure, Tissue, load_tissues
+from ablate.anatomy import Scene, SiteGrid, Structure, Tissue, load_tissues
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.ultrasound.probe import fan_outline, to_world
 
@@ -139,8 +139,8 @@ def test_the_figure_holds_body_image_and_segmentation(tmp_path: Path, monkeypatc
     shape = 100, 139
     mask = fan_mask(PROBE, shape)
     image = (200 * mask).astype(np.uint8)
-    shown = Preview("frame 3", FRONT, image, (2 * mask).astype(np.uint8), (0, 0, 1), (0, -1, 0))
-    path = preview_figure(body(), PROBE, shown, tmp_path / "data" / "preview_3.png")
+    labels, path = (2 * mask).astype(np.uint8), tmp_path / "data" / "preview_3.png"
+    assert preview_figure(path, "frame 3", body(), PROBE, FRONT, image, labels, SiteGrid()) == path
     assert list(path.parent.iterdir()) == [path]
     picture = imread(path)[..., :3]
     assert picture.shape[1] == pytest.approx(1432, abs=1)

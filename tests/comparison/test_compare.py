@@ -275,7 +275,7 @@ def test_a_result_with_the_label_of_another_variant_leaves_its_run_aside(study: 
 
 def test_identical_images(study: Path) -> None:
     set_values(study / "nsa2h" / "seed0", "psnr", lambda t: t["frame"] == 3, np.inf)
-    folder, report, notes = compared(study)
+    folder, _, notes = compared(study)
     assert "PSNR: 1 infinite value left out (identical images: nsa2h/seed0 frame 3)." in notes
     assert "inf" not in (folder / "table.md").read_text()
     paired = pd.read_csv(folder / "paired.csv").set_index(["variant", "metric"])

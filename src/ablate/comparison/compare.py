@@ -170,16 +170,14 @@ def _verdicts_in_words(verdicts: Path) -> str:
 
 def _markdown(table: pd.DataFrame) -> str:
     """The table of the paper, then every metric with the spread over seeds."""
-    metrics = list(dict.fromkeys(table["metric"]))
+    over_seeds = table["seed_sd"].notna().any()
+    title = "Mean ± standard deviation of the seeds' means." if over_seeds else "All metrics."
     parts = [
         "Mean ± standard deviation over test frames (over seeds for figures that a run has one of); the best network "
         f"in bold.\n\n{analysis.to_markdown(table[table['metric'].isin(shown_in(Shown.table))])}",
-        f"{analysis.resimulation_note(metrics)}\n",
+        f"{analysis.resimulation_note(list(dict.fromkeys(table['metric'])))}\n",
+        f"{title}\n\n{analysis.to_markdown(table, Spread.seeds if over_seeds else Spread.frames)}",
     ]
-    if table["seed_sd"].notna().any():
-        parts.append(f"Mean ± standard deviation of the seeds' means.\n\n{analysis.to_markdown(table, Spread.seeds)}")
-    else:
-        parts.append(f"All metrics.\n\n{analysis.to_markdown(table)}")
     return "\n".join(parts)
 
 

@@ -1,8 +1,8 @@
 """How long a frame takes with each network of a study: timed in turns in one process, kept machine by machine."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -94,20 +94,16 @@ def all_times(runs: Sequence[Run]) -> pd.DataFrame:
     rounds = times.groupby(key)["round"].nunique().rename("rounds")
     parts = times.groupby([*key, "part"], sort=False)["ms"].median().unstack().add_suffix("_ms")
     kept = _quartiles(times)[["ms", "lower", "upper"]].join(rounds).join(parts).reset_index()
-    variants = pd.DataFrame(_by_variant(runs).items(), columns=["variant", "network"])
+    networks = {run.label: network_of(run.spec["semantic"]) for run in runs}
+    variants = pd.DataFrame(networks.items(), columns=["variant", "network"])
     return kept.merge(variants, on="network").pipe(lambda t: t[["variant", *t.columns.drop(["variant", "network"])]])
-
-
-def _by_variant(runs: Sequence[Run]) -> dict[str, str]:
-    """The network that each variant is timed by."""
-    return {run.label: network_of(run.spec["semantic"]) for run in runs}
 
 
 def untimed(runs: Sequence[Run]) -> list[str]:
     """Sentences about the variants that have no time beside the others'."""
     times, shown = read_times(_study_dir(runs)), timed_on(runs)
     missing: dict[str, list[str]] = {}
-    for variant, network in _by_variant(runs).items():
+    for variant, network in {run.label: network_of(run.spec["semantic"]) for run in runs}.items():
         machines = times["machine"][times["network"] == network].unique().tolist()
         if shown and shown not in machines:
             missing.setdefault(machines[-1] if machines else "", []).append(variant)
@@ -136,7 +132,10 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
         settings = {network: run.settings for network, run in to_time.items()}
         training = next(iter(settings.values())).training
         device = chosen_device(training.device)
-        with _threads(training.threads) as threads:
+        with ExitStack() as afterwards:
+            afterwards.callback(torch.set_num_threads, torch.get_num_threads())
+            torch.set_num_threads(training.threads or torch.get_num_threads())
+            threads = torch.get_num_threads()
             machine = f"{hardware()}, {device.type}, {threads} thread{'' if threads == 1 else 's'}"
             times = read_times(study_dir)
             here = times["machine"] == machine
@@ -149,17 +148,6 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
     with written_whole(study_dir / TIMES) as partial:
         pd.concat([times[~here], before, measured[list(_KEPT)]]).to_csv(partial, index=False)
     return ""
-
-
-@contextmanager
-def _threads(count: int) -> Iterator[int]:
-    """Use as many threads as the study's settings say, where they do."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count or before)
-    try:
-        yield torch.get_num_threads()
-    finally:
-        torch.set_num_threads(before)
 
 
 def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], device: torch.device) -> pd.DataFrame:

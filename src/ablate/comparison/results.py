@@ -28,7 +28,7 @@ def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
     first = {run.data: run for run in reversed(runs)}
     for run in runs:
         own: dict[str, Any] = {"variant": run.label, "seed": run.seed, "data": run.data}
-        with_floor = first[own["data"]] is run
+        with_floor = first[run.data] is run
         table = run.scores[run.scores["split"] == "test"].assign(data=own["data"])
         frames.append(table[table["source"] == MODEL])
         floor = table[table["source"] == RESIMULATED]
@@ -40,9 +40,8 @@ def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
             part, _, metric = name.rpartition("/")
             is_floor = metric.startswith(FLOOR_PREFIX)
             metric = metric.removeprefix(FLOOR_PREFIX)
-            if metric in per_image_metrics or is_bound(metric):
-                continue
-            if part == "test" and (with_floor or not is_floor):
+            of_frames = metric in per_image_metrics or is_bound(metric)
+            if part == "test" and not of_frames and (with_floor or not is_floor):
                 whose = own | ({"variant": RESIMULATION} if is_floor else {})
                 bounds = {side: values.get(f"{name}_{side}") for side in BOUNDS}
                 scalars.append({**whose, "metric": metric, "value": value, **bounds})
@@ -58,18 +57,12 @@ def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]
 
     `table` is what `comparison_table` gives. Columns are those of `error_vs_runtime`, with the spread of the times.
     """
-    means = table.pivot(index="variant", columns="metric", values="mean")
     times = table[table["metric"] == FRAME_TIME].set_index("variant")[["mean", *BOUNDS]].rename(columns={"mean": "ms"})
-    times = times.astype("float64")
-    networks = means.drop(index=RESIMULATION, errors="ignore")
-    metrics = [m for m in shown_in(Shown.headline) if m in means.columns]
-    rows = [
-        {"series": v, "setting": "", **times.loc[v].to_dict(), "metric": m, "error": networks.loc[v, m]}
-        for v in networks.index.intersection(times.index)
-        for m in metrics
-    ]
-    floors = {m: float(means[m].to_dict()[RESIMULATION]) for m in metrics} if RESIMULATION in means.index else {}
-    return pd.DataFrame(rows), floors
+    scored = table.loc[table["metric"].isin(shown_in(Shown.headline)), ["variant", "metric", "mean"]]
+    points = scored.merge(times.astype("float64"), on="variant").sort_values("variant", kind="stable")
+    points = points.rename(columns={"variant": "series", "mean": "error"}).assign(setting="")
+    floors = scored[scored["variant"] == RESIMULATION].set_index("metric")["mean"].to_dict()
+    return points[["series", "setting", "ms", *BOUNDS, "metric", "error"]], floors
 
 
 def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictures]:

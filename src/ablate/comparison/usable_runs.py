@@ -85,11 +85,6 @@ def without_anatomy(data: Mapping[str, Any]) -> dict[str, Any]:
     return {**data, "scene": {k: v for k, v in data["scene"].items() if k != "anatomy_seed"}}
 
 
-def anatomy_of(run: Run) -> str:
-    """The block that a run belongs to: the anatomy that its pairs show."""
-    return str(run.spec["semantic"]["data"]["scene"].get("anatomy_seed", ""))
-
-
 def factors_of(runs: Sequence[Run]) -> tuple[str, ...]:
     """The dotted keys that count as components: the declared ones, then those in labels; no anatomy."""
     declared = (component.key for component in components())
