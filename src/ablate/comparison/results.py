@@ -77,14 +77,13 @@ def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictu
         return []
     pairs = runs[0].data_set.pairs
     maps = {name: pairs.read(name, numbers) for name in pairs.maps - {"low"}}
+    if "resimulation" in maps:
+        stored = {RESIMULATION: dict(zip(numbers, maps["resimulation"], strict=True)), **stored}
     return [
         FramePictures(
             name=f"frame {number}",
             target=maps["target"][k],
-            predictions={
-                **({RESIMULATION: maps["resimulation"][k]} if "resimulation" in maps else {}),
-                **{v: s[number] for v, s in stored.items()},
-            },
+            predictions={variant: images[number] for variant, images in stored.items()},
             mask=pairs.mask(),
             segmentation=maps["segmentation"][k],
             attenuation=maps["attenuation"][k] if "attenuation" in maps else None,

@@ -211,7 +211,7 @@ def effects_caption(design: Design, effects: pd.DataFrame, gap_to: str | None = 
         f"{name} {' → '.join(map(str, design.cells[key].cat.categories))}"
         for key, name in short_keys(design.factors).items()
     )
-    said = [
+    sentences = [
         f"Effects of changing a component ({changes}), computed from one mean per training. The 95 % intervals are not "
         f"corrected for the number of effects. The design is: {design.name}. {design.reading}",
         INTERACTION if effects["effect"].str.contains(":").any() else "",
@@ -219,4 +219,4 @@ def effects_caption(design: Design, effects: pd.DataFrame, gap_to: str | None = 
         f"The number below a panel is the re-simulation minus {gap_to}." if gap_to else "",
         resimulation_note(list(dict.fromkeys(effects["metric"]))),
     ]
-    return " ".join(filter(None, said))
+    return " ".join(filter(None, sentences))

@@ -209,8 +209,7 @@ def _row(
     averaged, at_full = (_of_component(component, model, full=full) for full in (False, True))
     effect, error = model.contrast(averaged)
     off, on = (int(n) for n in model.runs[model.terms.index((component.key,))])
-    row |= {"effect": effect, "full_effect": model.contrast(at_full)[0]}
-    row |= {"runs_a": on, "runs_b": off, "dof": model.dof}
+    row |= {"effect": effect, "full_effect": model.contrast(at_full)[0], "runs_a": on, "runs_b": off, "dof": model.dof}
     if model.dof < 1 or min(on, off) < FEWEST_SEEDS:
         least = f"{FEWEST_SEEDS} on either side and a degree of freedom for the error are needed"
         return row | {"why": f"{on} runs with it and {off} without it; {least}"}
