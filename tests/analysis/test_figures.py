@@ -66,11 +66,6 @@ def legend_of(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
-def test_boxplots_without_pairs_draw_nothing(study_of, tmp_path):
-    for variants in (("sa2h",), ("nsa2h", "sa2h-att")):
-        assert analysis.boxplot_panels(study_of(variants=variants), ["psnr"], tmp_path / "boxplots") == []
-
-
 @pytest.mark.parametrize("metrics", [["psnr"], ["psnr", "pchi2"]])
 def test_a_single_network_leaves_room_to_draw(metrics, study_of, figures, tmp_path):
     analysis.boxplot_panels(study_of(variants=(RESIMULATION, "sa2h", "nsa2h")), metrics, tmp_path / "boxplots")

@@ -28,9 +28,9 @@ def rays(*xy: tuple[float, float]) -> np.ndarray:
     return np.array([[x, y, -500.0] for x, y in xy])
 
 
-def sphere(radius: float, at: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
+def sphere(radius: float, centre: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
     ball = trimesh.creation.icosphere(4, radius=radius)
-    ball.apply_translation(at)
+    ball.apply_translation(centre)
     return ball
 
 
@@ -111,7 +111,7 @@ def test_the_picture_lies_on_the_axes_and_the_body_is_upright(
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba()).astype(int)
 
-    def at(point: np.ndarray) -> np.ndarray:
+    def colour_at(point: np.ndarray) -> np.ndarray:
         flat = space.get_proj() @ [*point, 1]
         column, up = space.transData.transform(flat[:2] / flat[3])
         return pixels[round(len(pixels) - up), round(column), :3]
@@ -119,7 +119,7 @@ def test_the_picture_lies_on_the_axes_and_the_body_is_upright(
     across = np.linalg.inv(space.get_proj()[:3, :3])[:, 0]  # a step to the right in the picture
     across *= 1 / np.linalg.norm(across)
     for step in (-17, -9, 0, 9, 17):
-        red, _, blue = at(where + step * across)
+        red, _, blue = colour_at(where + step * across)
         assert (red - blue > 25) == (abs(step) < 12), "ivory is yellowish as nothing else in the picture"
 
 

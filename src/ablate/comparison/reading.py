@@ -63,8 +63,8 @@ def answers(runs: Sequence[Run], table: pd.DataFrame, reference: str = REFERENCE
     block = {run.data: str(run.spec["semantic"]["data"]["scene"].get("anatomy_seed", "")) for run in runs}
     per_image, scalars = scored_frames(runs)
     design = analysis.find_design(levels, factors, reference)
-    of_blocks = [rows.assign(data=rows["data"].map(block)) for rows in (per_image, scalars)]
-    means = analysis.run_means(*of_blocks, design=design)
+    frames, values = (rows.assign(data=rows["data"].map(block)) for rows in (per_image, scalars))
+    means = analysis.run_means(frames, values, design)
     times = scalars[scalars["metric"] == FRAME_TIME]  # their spread is half the distance of the quartiles
     spreads = {FRAME_TIME: float((times["upper"] - times["lower"]).mean() / 2)} if len(times) else {}
     return Answers(

@@ -61,8 +61,10 @@ def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]
     scored = table.loc[table["metric"].isin(shown_in(Shown.headline)), ["variant", "metric", "mean"]]
     points = scored.merge(times.astype("float64"), on="variant").sort_values("variant", kind="stable")
     points = points.rename(columns={"variant": "series", "mean": "error"}).assign(setting="")
-    floors = scored[scored["variant"] == RESIMULATION].set_index("metric")["mean"].to_dict()
-    return points[["series", "setting", "ms", *BOUNDS, "metric", "error"]], floors
+    floors = scored[scored["variant"] == RESIMULATION].set_index("metric")["mean"]
+    return points[["series", "setting", "ms", *BOUNDS, "metric", "error"]], {
+        str(m): float(v) for m, v in floors.items()
+    }
 
 
 def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictures]:
