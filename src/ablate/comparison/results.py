@@ -61,10 +61,9 @@ def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]
     scored = table.loc[table["metric"].isin(shown_in(Shown.headline)), ["variant", "metric", "mean"]]
     points = scored.merge(times.astype("float64"), on="variant").sort_values("variant", kind="stable")
     points = points.rename(columns={"variant": "series", "mean": "error"}).assign(setting="")
-    floors = scored[scored["variant"] == RESIMULATION].set_index("metric")["mean"]
-    return points[["series", "setting", "ms", *BOUNDS, "metric", "error"]], {
-        str(m): float(v) for m, v in floors.items()
-    }
+    floors = scored[scored["variant"] == RESIMULATION]
+    known = {str(metric): float(mean) for metric, mean in zip(floors["metric"], floors["mean"], strict=True)}
+    return points[["series", "setting", "ms", *BOUNDS, "metric", "error"]], known
 
 
 def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictures]:
