@@ -42,10 +42,11 @@ from ablate.ultrasound.surfaces.line_walk import Samples
 from ablate.ultrasound.surfaces.slices import sample_lines
 
 study = open_study()
-if study.settings.scene.kind is SceneKind.pairs:
+run = study.runs[0]  # scene, probe and simulator are the same for all
+if run.settings.scene.kind is SceneKind.pairs:
     raise SystemExit("The pairs of this study were made elsewhere: it has no scene. Run `make sweep`.")
-scene, grid = build_scene(study.settings)
-pairs, probe, settings = study.data.pairs, study.settings.probe, SimulatorSettings()
+scene, grid = build_scene(run.settings)
+pairs, probe, settings = run.data_set.pairs, run.settings.probe, SimulatorSettings()
 tests = pairs.frames(Part.test)
 variety = [len(np.unique(labels)) for labels in pairs.read("segmentation", tests)]
 frame = int(tests[int(np.argmax(variety))])  # the test frame that shows most tissues
@@ -69,7 +70,7 @@ def note_stage(stage, function, arguments):
 
 
 with observe_stages(note_stage):
-    rendered = Simulator(scene, probe, settings).render(pose, seed=study.settings.dataset.seed)
+    rendered = Simulator(scene, probe, settings).render(pose, seed=run.settings.dataset.seed)
 print("\n".join(noted))
 
 # %%

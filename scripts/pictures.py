@@ -12,7 +12,7 @@ import numpy as np
 from skimage.io import imsave
 from skimage.transform import resize
 
-from ablate.analysis import Preview, preview_figure
+from ablate.analysis import preview_figure
 from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import Scene, fetal_abdomen, fetal_planes, fetal_sites
 from ablate.ultrasound import ConvexProbe, Frame, Simulator
@@ -28,8 +28,8 @@ def main() -> None:
     pose = fetal_planes()[PLANE]
     frame = Simulator(scene, probe).render(pose)
     write_panels(scene, frame)
-    shown = Preview(f"sagittal plane of the {PLANE}", pose, frame.image, frame.segmentation, grid.axis, grid.front)
-    preview_figure(scene, probe, shown, DOCS / "preview.png")
+    title = f"sagittal plane of the {PLANE}"
+    preview_figure(DOCS / "preview.png", title, scene, probe, pose, frame.image, frame.segmentation, grid)
 
 
 def write_panels(scene: Scene, frame: Frame) -> None:

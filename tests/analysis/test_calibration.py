@@ -18,18 +18,18 @@ ALLOWED = stats.binom.ppf(0.999, REPETITIONS, 0.05) / REPETITIONS
 @pytest.mark.slow
 def test_false_claims_stay_below_five_per_cent_at_the_seed_level():
     assert ALLOWED < 0.075
-    found = SCRIPT["seed_level"](SCRIPT["MEASURED"], seeds=3, effect=0.0, repetitions=REPETITIONS)
-    assert found["alone"] <= ALLOWED, "a row judged alone"
-    assert found["any_differs"] <= ALLOWED, "any `differs` in a whole study"
-    assert found["any_alone"] > 0.3, "why rows are not judged alone"
+    shares = SCRIPT["seed_level"](SCRIPT["MEASURED"], seeds=3, effect=0.0, repetitions=REPETITIONS)
+    assert shares["alone"] <= ALLOWED, "a row judged alone"
+    assert shares["any_differs"] <= ALLOWED, "any `differs` in a whole study"
+    assert shares["any_alone"] > 0.3, "why rows are not judged alone"
 
 
 @pytest.mark.slow
 def test_sites_keep_their_level_where_frames_do_not():
-    found = SCRIPT["frame_level"](replace(SCRIPT["MEASURED"], run=0.0), effect=0.0, repetitions=REPETITIONS)
-    assert found["means"] <= ALLOWED
-    assert found["covered"] >= 1 - ALLOWED
-    assert found["frames"] > ALLOWED, "Wilcoxon over frames takes a site's frames for independent"
+    shares = SCRIPT["frame_level"](replace(SCRIPT["MEASURED"], run=0.0), effect=0.0, repetitions=REPETITIONS)
+    assert shares["means"] <= ALLOWED
+    assert shares["covered"] >= 1 - ALLOWED
+    assert shares["frames"] > ALLOWED, "Wilcoxon over frames takes a site's frames for independent"
 
 
 @pytest.mark.slow
@@ -51,11 +51,11 @@ def test_random_effects_are_estimated_from_a_study(tmp_path):
             folder.mkdir(parents=True)
             table = table.assign(variant=variant, seed=seed, split="test", source="model")
             table.to_parquet(folder / "per_image.parquet")
-    found = SCRIPT["sizes_of"](tmp_path)
-    assert found.run == pytest.approx(0.3, rel=0.3)
-    assert found.run_site == pytest.approx(0.2, rel=0.1)
-    assert found.run_frame == pytest.approx(0.4, rel=0.05)
-    assert (found.sites, found.frames) == (30, 6)
+    estimated = SCRIPT["sizes_of"](tmp_path)
+    assert estimated.run == pytest.approx(0.3, rel=0.3)
+    assert estimated.run_site == pytest.approx(0.2, rel=0.1)
+    assert estimated.run_frame == pytest.approx(0.4, rel=0.05)
+    assert (estimated.sites, estimated.frames) == (30, 6)
     with pytest.raises(ValueError, match="no variant with two seeds"):
         SCRIPT["sizes_of"](tmp_path / "nowhere")
 

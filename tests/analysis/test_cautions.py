@@ -8,9 +8,9 @@ from ablate.analysis import RESIMULATION, cautions, listed
 
 
 def only(texts, part):
-    found = [text for text in texts if part in text]
-    assert len(found) == 1, texts
-    return found[0]
+    matching = [text for text in texts if part in text]
+    assert len(matching) == 1, texts
+    return matching[0]
 
 
 def test_a_whole_study_is_only_warned_of_its_few_sites(study):
@@ -19,7 +19,7 @@ def test_a_whole_study_is_only_warned_of_its_few_sites(study):
 
 
 @pytest.mark.parametrize(
-    ("variants", "said"),
+    ("variants", "part"),
     [
         (("sa2h",), "one variant, sa2h: nothing is compared"),
         (("nsa2h", "sa2h-att"), "reference sa2h is missing"),
@@ -27,8 +27,8 @@ def test_a_whole_study_is_only_warned_of_its_few_sites(study):
         (("sa2h", "nsa2h"), "re-simulation is missing"),
     ],
 )
-def test_what_is_missing_is_said(variants, said, study_of):
-    assert only(cautions(study_of(variants=variants)), said)
+def test_what_is_missing_is_said(variants, part, study_of):
+    assert only(cautions(study_of(variants=variants)), part)
 
 
 def test_few_seeds_and_few_sites_are_named(study_of):
@@ -48,15 +48,15 @@ def test_half_scored_runs_and_runs_of_other_sites_are_named(study):
 
 def test_infinite_and_nan_values_are_named_with_their_frames(study):
     broken = study.copy()
-    at = (broken["variant"] == "sa2h-att") & (broken["seed"] == 1) & (broken["metric"] == "psnr")
-    broken.loc[at & (broken["frame"] == 7), "value"] = np.inf
-    broken.loc[at & (broken["frame"] == 9), "value"] = np.nan
-    said = cautions(broken)
-    assert "1 infinite value left out (identical images: sa2h-att/seed1 frame 7)" in only(said, "infinite")
-    assert "PSNR: 1 NaN left out (sa2h-att/seed1 frame 9)" in only(said, "NaN")
+    rows = (broken["variant"] == "sa2h-att") & (broken["seed"] == 1) & (broken["metric"] == "psnr")
+    broken.loc[rows & (broken["frame"] == 7), "value"] = np.inf
+    broken.loc[rows & (broken["frame"] == 9), "value"] = np.nan
+    texts = cautions(broken)
+    assert "1 infinite value left out (identical images: sa2h-att/seed1 frame 7)" in only(texts, "infinite")
+    assert "PSNR: 1 NaN left out (sa2h-att/seed1 frame 9)" in only(texts, "NaN")
     own = only(cautions(broken.replace({"metric": {"psnr": "of_mine"}})), "infinite")
     assert "of_mine: 1 infinite value left out (sa2h-att/seed1 frame 7)" in own, "nothing is identical"
-    broken.loc[at, "value"] = np.nan
+    broken.loc[rows, "value"] = np.nan
     assert "24 NaNs" in only(cautions(broken), "NaN")
 
 

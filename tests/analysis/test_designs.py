@@ -75,20 +75,20 @@ def test_every_design_is_named_and_gives_the_effects_it_can(subsets, name, effec
     assert design.name == name
     table = effects_of(runs_of(components, respond), design)
     assert len(table) == effects
-    found = table.set_index("effect")["estimate"]
+    estimates = table.set_index("effect")["estimate"]
     # Averaged over the other levels an interaction of -1 adds half of itself to each of its components.
     shared = 0.0 if "around sa2h (" in name else -1.0 if "around" in name else -0.5
     expected = {"attenuation": -2 + shared, "concat": -1, "noise": 0.5, "upsampling": 0}
-    expected |= {"attenuation:depth": -0.5} if "attenuation:depth" in found else {}
-    assert found[list(expected)].to_dict() == pytest.approx(expected, abs=1e-9)
+    expected |= {"attenuation:depth": -0.5} if "attenuation:depth" in estimates else {}
+    assert estimates[list(expected)].to_dict() == pytest.approx(expected, abs=1e-9)
 
 
 def test_without_the_reference_the_cell_in_the_middle_stands_in_for_it():
     bare = study_of(ADD_ONE_IN[1:])
     design = find_design(bare, FACTORS)
     assert design.name == f"one change at a time around {label_of(NAMES)} (6 cells)"
-    found = effects_of(runs_of(bare, respond), design).set_index("effect")["estimate"]
-    assert found["concat"] == pytest.approx(1), "the change is now to put it back"
+    estimates = effects_of(runs_of(bare, respond), design).set_index("effect")["estimate"]
+    assert estimates["concat"] == pytest.approx(1), "the change is now to put it back"
 
 
 def test_the_half_fraction_says_what_it_cannot_tell_apart():

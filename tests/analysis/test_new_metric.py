@@ -61,8 +61,8 @@ def scored(metrics):
             for frame in range(12):
                 target = rng.integers(0, 200, (20, 20)).astype(np.uint8)
                 image = target + np.uint8(3 * att + 12 * noise + seed + rng.integers(0, 4))
-                found = evaluate_image(Pair(image, target, np.ones((20, 20), bool)), metrics)
-                rows += [(variant, seed, frame, frame % 6, name, value) for name, value in found.items()]
+                values = evaluate_image(Pair(image, target, np.ones((20, 20), bool)), metrics)
+                rows += [(variant, seed, frame, frame % 6, name, value) for name, value in values.items()]
     return pd.DataFrame(rows, columns=["variant", "seed", "frame", "site", "metric", "value"])
 
 

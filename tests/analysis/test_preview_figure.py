@@ -9,11 +9,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from ablate.analysis import Preview, preview_figure
+from ablate.analysis import preview_figure
 from ablate.analysis.figures import body_view, scene_parts
 from ablate.analysis.figures.body_view import Surface, look_through
 from ablate.analysis.figures.scene_parts import tissue_colours
-from ablate.anatomy import Scene, Structure, Tissue, load_tissues
+from ablate.anatomy import Scene, SiteGrid, Structure, Tissue, load_tissues
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.ultrasound.probe import fan_outline, to_world
 
@@ -28,9 +28,9 @@ def rays(*xy: tuple[float, float]) -> np.ndarray:
     return np.array([[x, y, -500.0] for x, y in xy])
 
 
-def sphere(radius: float, at: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
+def sphere(radius: float, centre: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
     ball = trimesh.creation.icosphere(4, radius=radius)
-    ball.apply_translation(at)
+    ball.apply_translation(centre)
     return ball
 
 
@@ -111,7 +111,7 @@ def test_the_picture_lies_on_the_axes_and_the_body_is_upright(
     canvas.draw()
     pixels = np.asarray(canvas.buffer_rgba()).astype(int)
 
-    def at(point: np.ndarray) -> np.ndarray:
+    def colour_at(point: np.ndarray) -> np.ndarray:
         flat = space.get_proj() @ [*point, 1]
         column, up = space.transData.transform(flat[:2] / flat[3])
         return pixels[round(len(pixels) - up), round(column), :3]
@@ -119,7 +119,7 @@ def test_the_picture_lies_on_the_axes_and_the_body_is_upright(
     across = np.linalg.inv(space.get_proj()[:3, :3])[:, 0]  # a step to the right in the picture
     across *= 1 / np.linalg.norm(across)
     for step in (-17, -9, 0, 9, 17):
-        red, _, blue = at(where + step * across)
+        red, _, blue = colour_at(where + step * across)
         assert (red - blue > 25) == (abs(step) < 12), "ivory is yellowish as nothing else in the picture"
 
 
@@ -139,8 +139,8 @@ def test_the_figure_holds_body_image_and_segmentation(tmp_path: Path, monkeypatc
     shape = 100, 139
     mask = fan_mask(PROBE, shape)
     image = (200 * mask).astype(np.uint8)
-    shown = Preview("frame 3", FRONT, image, (2 * mask).astype(np.uint8), (0, 0, 1), (0, -1, 0))
-    path = preview_figure(body(), PROBE, shown, tmp_path / "data" / "preview_3.png")
+    labels, path = (2 * mask).astype(np.uint8), tmp_path / "data" / "preview_3.png"
+    assert preview_figure(path, "frame 3", body(), PROBE, FRONT, image, labels, SiteGrid()) == path
     assert list(path.parent.iterdir()) == [path]
     picture = imread(path)[..., :3]
     assert picture.shape[1] == pytest.approx(1432, abs=1)

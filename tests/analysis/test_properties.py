@@ -35,12 +35,12 @@ def difference(values: np.ndarray, sites: np.ndarray) -> PairedDifference:
 @given(ANY)
 def test_figures_are_in_range_and_the_interval_holds_the_estimate(data: tuple[np.ndarray, np.ndarray]) -> None:
     values, sites = data
-    found = difference(values, sites)
-    assert found.lower <= found.shift <= found.upper
-    assert values.min() <= found.shift <= values.max()
-    assert 0 <= found.p <= 1
-    assert -1 <= found.effect <= 1
-    assert found.clusters == len(set(sites.tolist()))
+    figures = difference(values, sites)
+    assert figures.lower <= figures.shift <= figures.upper
+    assert values.min() <= figures.shift <= values.max()
+    assert 0 <= figures.p <= 1
+    assert -1 <= figures.effect <= 1
+    assert figures.clusters == len(set(sites.tolist()))
 
 
 @PROPERTY

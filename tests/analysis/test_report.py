@@ -67,13 +67,3 @@ def test_report_folds_what_is_secondary(study, tmp_path):
     for text in ("pχ² in fan", "One box plot", "-a &lt;b&gt;\n+c"):
         assert text not in shown
         assert any(text in content for _, content in folded)
-
-
-def test_report_of_a_single_variant(study_of, tmp_path):
-    alone = study_of(variants=("sa2h",), seeds=(0,))
-    path = write_report(
-        tmp_path / "report.html", "alone", alone, comparison_table(alone), paired_table(alone), seed_claims(alone)
-    )
-    page = path.read_text("utf-8")
-    assert "nothing is compared" in page
-    assert "not claimable" in page

@@ -19,15 +19,15 @@ def brute_hodges_lehmann(d):
 def test_shift_p_and_effect_agree_with_independent_formulas(n):
     rng = np.random.default_rng(n)
     value, base = rng.normal(0.4, 1, n), rng.normal(size=n)
-    found = paired_difference(value, base)
+    result = paired_difference(value, base)
     d = value - base
-    assert found.shift == pytest.approx(brute_hodges_lehmann(d))
-    assert found.p == pytest.approx(stats.wilcoxon(value, base).pvalue)
+    assert result.shift == pytest.approx(brute_hodges_lehmann(d))
+    assert result.p == pytest.approx(stats.wilcoxon(value, base).pvalue)
     ranks = stats.rankdata(np.abs(d))
-    assert found.effect == pytest.approx((ranks[d > 0].sum() - ranks[d < 0].sum()) / ranks.sum())
-    assert found.n == n
+    assert result.effect == pytest.approx((ranks[d > 0].sum() - ranks[d < 0].sum()) / ranks.sum())
+    assert result.n == n
     swapped = paired_difference(base, value)
-    assert (swapped.shift, swapped.effect) == pytest.approx((-found.shift, -found.effect))
+    assert (swapped.shift, swapped.effect) == pytest.approx((-result.shift, -result.effect))
 
 
 def test_bootstrap_on_the_lattice_equals_brute_force():
@@ -44,12 +44,12 @@ def test_sites_are_judged_by_one_mean_each_and_by_expanded_percentiles():
     rng = np.random.default_rng(3)
     sites = np.repeat(np.arange(9), [1, 2, 3, 4, 5, 4, 3, 2, 1])
     d = 0.3 + rng.normal(size=9)[sites] + 0.2 * rng.normal(size=25)
-    found = paired_difference(d, np.zeros(25), sites)
-    assert found.p_sites == pytest.approx(stats.wilcoxon([d[sites == k].mean() for k in range(9)]).pvalue)
-    assert found.p == pytest.approx(stats.wilcoxon(d).pvalue)
+    result = paired_difference(d, np.zeros(25), sites)
+    assert result.p_sites == pytest.approx(stats.wilcoxon([d[sites == k].mean() for k in range(9)]).pvalue)
+    assert result.p == pytest.approx(stats.wilcoxon(d).pvalue)
     shifts = _bootstrap_shifts(d, sites, 2000, np.random.default_rng(0))
     tail = stats.norm.cdf(stats.t.ppf(0.025, 8) * np.sqrt(9 / 8))
-    assert (found.lower, found.upper) == pytest.approx(tuple(np.quantile(shifts, [tail, 1 - tail])))
+    assert (result.lower, result.upper) == pytest.approx(tuple(np.quantile(shifts, [tail, 1 - tail])))
     assert tail < 0.025
     alone = paired_difference(d, np.zeros(25))
     assert alone.p_sites == alone.p, "without sites every frame is its own"
@@ -57,23 +57,28 @@ def test_sites_are_judged_by_one_mean_each_and_by_expanded_percentiles():
 
 @pytest.mark.parametrize("value", [0.0, 2.0, -1e-12, 1e12])
 def test_a_constant_difference_is_its_own_interval(value):
-    found = paired_difference(np.full(12, value), np.zeros(12), np.arange(12) // 2)
-    assert (found.shift, found.lower, found.upper, found.effect) == (value, value, value, np.sign(value))
-    assert (found.p, found.p_sites) == (1, 1) if value == 0 else (found.p < 0.01, found.p_sites > 0.01)
+    result = paired_difference(np.full(12, value), np.zeros(12), np.arange(12) // 2)
+    assert (result.shift, result.lower, result.upper, result.effect) == (
+        value,
+        value,
+        value,
+        np.sign(value),
+    )
+    assert (result.p, result.p_sites) == (1, 1) if value == 0 else (result.p < 0.01, result.p_sites > 0.01)
 
 
 def test_many_ties_do_not_move_the_interval_off_the_estimate():
-    found = paired_difference(np.array([0.0] * 60 + [-1.0, np.pi]), np.zeros(62))
-    assert (found.shift, found.lower, found.upper) == (0, 0, 0), "every resample has the same median"
+    result = paired_difference(np.array([0.0] * 60 + [-1.0, np.pi]), np.zeros(62))
+    assert (result.shift, result.lower, result.upper) == (0, 0, 0), "every resample has the same median"
     for d in (np.array([1.0] * 1000 + [0.0, np.pi]), np.repeat([0.0, 1.0], 15), np.array([0.0] * 99 + [1.0])):
-        found = paired_difference(d, np.zeros(len(d)))
-        assert found.lower <= found.shift <= found.upper
+        result = paired_difference(d, np.zeros(len(d)))
+        assert result.lower <= result.shift <= result.upper
 
 
 def test_infinite_pairs_are_dropped_and_one_cluster_has_no_interval():
-    found = paired_difference([1.0, math.inf, 3.0, 4.0], [0.0, 1.0, math.inf, 3.5], clusters=["a"] * 4)
-    assert (found.n, found.dropped, found.shift) == (2, 2, 0.75)
-    assert (found.lower, found.upper, found.clusters) == (-math.inf, math.inf, 1)
+    result = paired_difference([1.0, math.inf, 3.0, 4.0], [0.0, 1.0, math.inf, 3.5], clusters=["a"] * 4)
+    assert (result.n, result.dropped, result.shift) == (2, 2, 0.75)
+    assert (result.lower, result.upper, result.clusters) == (-math.inf, math.inf, 1)
 
 
 def test_clusters_widen_the_interval():

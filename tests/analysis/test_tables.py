@@ -77,9 +77,9 @@ def test_paired_table_is_the_paired_difference_with_holm_over_networks(study):
     raw = []
     for row in table.to_dict("records"):
         a, b = means[row["metric"], row["variant"]], means[row["metric"], "sa2h"]
-        found = analysis.paired_difference(a, b, [f"site{k % 8}" for k in a.index], resamples=200)
-        assert (row["shift"], row["lower"], row["upper"]) == (found.shift, found.lower, found.upper)
-        raw.append(found.p)
+        difference = analysis.paired_difference(a, b, [f"site{k % 8}" for k in a.index], resamples=200)
+        assert (row["shift"], row["lower"], row["upper"]) == (difference.shift, difference.lower, difference.upper)
+        raw.append(difference.p)
     networks = (table["variant"] != RESIMULATION).to_numpy()
     np.testing.assert_allclose(table["p_holm"][networks], analysis.holm(np.array(raw)[networks]))
     site_means = (study.groupby(["metric", "variant", "site"])["value"].mean()).unstack("site")

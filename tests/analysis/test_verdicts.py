@@ -40,9 +40,9 @@ def cells() -> pd.DataFrame:
 @pytest.fixture(scope="module")
 def design(cells: pd.DataFrame) -> Design:
     runs = {row["variant"]: without(*(name for name in NAMES if not row[name])) for row in cells.to_dict("records")}
-    found = find_design(runs, tuple(FULL))
-    assert found is not None
-    return found
+    whole = find_design(runs, tuple(FULL))
+    assert whole is not None
+    return whole
 
 
 def means_of(cells: pd.DataFrame, design: Design, values: np.ndarray) -> pd.DataFrame:
@@ -74,10 +74,10 @@ def test_known_effects_come_out_and_neither_blocks_nor_interactions_touch_them(
     assert table["full_effect"].to_dict() == pytest.approx(at_full, abs=1e-9)
     counts = set(table[["runs_a", "runs_b", "dof"]].itertuples(index=False, name=None))
     assert counts == {(18, 16, 34 - 1 - 6 - 15 - 1)}
-    found = analysis.interactions(means_of(cells, design, response(cells, mains, pairs)), design, COMPONENTS)
-    assert len(found) == 30
+    in_pairs = analysis.interactions(means_of(cells, design, response(cells, mains, pairs)), design, COMPONENTS)
+    assert len(in_pairs) == 30
     # Less is better in all primaries, so a smaller value improves.
-    sizes = found.set_index(["component", "other"])["improvement"]
+    sizes = in_pairs.set_index(["component", "other"])["improvement"]
     put_in = {("att", "depth"): 2, ("depth", "att"): 2, ("noise", "concat"): -0.75, ("concat", "noise"): -0.75}
     assert sizes.to_dict() == pytest.approx(dict.fromkeys(sizes.index, 0) | put_in, abs=1e-9)
 
@@ -102,7 +102,7 @@ def test_intervals_are_those_of_least_squares_on_dummy_variables(cells: pd.DataF
 
 
 @pytest.mark.parametrize(
-    ("improvement", "p", "p_band", "said"),
+    ("improvement", "p", "p_band", "expected"),
     [
         (5.0, 0.001, 0.9, Answer.earns),
         (5.0, 0.06, 0.9, Answer.undecided),
@@ -114,8 +114,8 @@ def test_intervals_are_those_of_least_squares_on_dummy_variables(cells: pd.DataF
         (-5.0, 0.001, 0.2, Answer.undecided),  # cannot be: harm is further from the band than from zero
     ],
 )
-def test_the_rule(improvement: float, p: float, p_band: float, said: Answer) -> None:
-    assert answer(improvement, p, p_band) is said
+def test_the_rule(improvement: float, p: float, p_band: float, expected: Answer) -> None:
+    assert answer(improvement, p, p_band) is expected
 
 
 def test_verdicts_follow_the_rule_with_holms_correction_by_hand(cells: pd.DataFrame, design: Design) -> None:
@@ -136,12 +136,12 @@ def test_verdicts_follow_the_rule_with_holms_correction_by_hand(cells: pd.DataFr
             running = max(running, raw[k] * (6 - rank))
             adjusted[k] = min(running, 1.0)
         np.testing.assert_allclose(table[name], adjusted)
-    said = dict(zip(table["component"], table["verdict"], strict=True))
-    assert said["att"] == "earns"
-    assert said["noise"] == "does_not"
-    assert set(said.values()) == {"earns", "does_not", "undecided"}
+    verdicts = dict(zip(table["component"], table["verdict"], strict=True))
+    assert verdicts["att"] == "earns"
+    assert verdicts["noise"] == "does_not"
+    assert set(verdicts.values()) == {"earns", "does_not", "undecided"}
     why = table.set_index("component")["why"]
-    assert all(isinstance(why[name], str) == (word == "undecided") for name, word in said.items())
+    assert all(isinstance(why[name], str) == (word == "undecided") for name, word in verdicts.items())
 
 
 def with_and_without(other: str) -> Design:

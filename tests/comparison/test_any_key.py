@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from ablate import analysis
-from ablate.comparison.answers import Answers, answers
+from ablate.comparison.reading import Answers, answers
 from ablate.comparison.results import scored_frames
 from ablate.comparison.usable_runs import check_pixels, usable_runs
 from ablate.jobs.compose import jobs_of
@@ -46,27 +46,15 @@ def test_a_key_that_nobody_declared_has_effects_and_no_verdict(tmp_path: Path, w
     jobs = swept(tmp_path, word)
     assert sorted({job.label for job in jobs}) == sorted(labels)
     assert len({job.folder for job in jobs}) == 6
-    found, runs = answered(jobs)
+    judged, runs = answered(jobs)
     key = word.partition("=")[0]
-    assert found.design is not None
-    assert (found.design.factors, len(runs)) == ([key], 6)
-    effects = found.effects.set_index("metric")
+    assert judged.design is not None
+    assert (judged.design.factors, len(runs)) == ([key], 6)
+    effects = judged.effects.set_index("metric")
     assert abs(effects.loc["psnr", "estimate"]) == pytest.approx(1.0)
-    verdict = found.verdicts.set_index("component").loc[key.rpartition(".")[2]]
+    verdict = judged.verdicts.set_index("component").loc[key.rpartition(".")[2]]
     assert (verdict["verdict"], pd.isna(verdict["band"])) == ("undecided", True)
     assert "declared" in verdict["why"]
-
-
-def test_it_interacts_with_declared_components(tmp_path: Path) -> None:
-    jobs = swept(tmp_path, "training.reconstruction=crps,l1", "model.attenuation=integral,none")
-    found, _ = answered(jobs)
-    assert found.design is not None
-    assert set(found.design.factors) == {"model.attenuation", "training.reconstruction"}
-    assert "training.reconstruction:model.attenuation" in set(found.effects["effect"]) or (
-        "model.attenuation:training.reconstruction" in set(found.effects["effect"])
-    )
-    att = found.verdicts.set_index("component").loc["att"]
-    assert abs(att["effect"]) == pytest.approx(1.0)
 
 
 def test_a_key_that_decides_nothing_is_no_component(tmp_path: Path) -> None:

@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 
 from ablate.analysis import RESIMULATION, find_design
 from ablate.comparison.compare import compare_study, write_comparison
-from ablate.comparison.frame_times import write_times
-from ablate.comparison.results import appendix, labelled_networks, pictures
+from ablate.comparison.frame_times import TIMES, network_of
+from ablate.comparison.reading import Study
+from ablate.comparison.results import appendix, pictures, scored_frames
 from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
 from ablate.runs.run import runs_of
@@ -95,16 +96,16 @@ def study(tmp_path: Path) -> Path:
     for label in VARIANTS:
         for seed in (0, 1, 2):
             write_run(folder, label, seed)
-    networks = labelled_networks(runs_of(folder))
+    networks = {run.label: network_of(run.spec["semantic"]) for run in runs_of(folder)}
     times = [timed("a machine", networks[label], k + 9.0, k + 10.0, k + 11.0) for k, label in enumerate(VARIANTS)]
-    write_times(folder, pd.concat(times))
+    pd.concat(times).to_csv(folder / TIMES, index=False)
     return folder
 
 
 def compared(study: Path, reference: str = "sa2h") -> tuple[Path, str, str]:
     """Folder of the comparison, its report, and its notes as one text."""
-    files, notes = write_comparison(usable_runs(study, reference), study / "comparison", "a study", reference)
-    assert all(path.exists() for path in files)
+    usable = usable_runs(study, reference)
+    notes = write_comparison(Study(study, usable, reference, *scored_frames(usable.runs)), "a study")
     return study / "comparison", (study / "comparison" / "report.html").read_text(), "\n".join(notes)
 
 
@@ -132,10 +133,6 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert names >= {"report.html", "table.csv", "table.tex", "table.md", "paired.csv", "claims.csv", "effects.csv"}
     assert names >= {"verdicts.csv", "runs.csv", "paper.csv"}
-    assert (
-        pd.read_csv(folder / "runs.csv").set_index(["variant", "seed"]).loc[("sa2h-att", 1), "model.attenuation"]
-        == "none"
-    )
     figures = {"verdicts", "boxplots", "seeds", "effects", "error_vs_runtime", *(f"boxplot_{m}" for m in METRICS)}
     assert names >= {f"{name}.{kind}" for name in figures for kind in ("png", "pdf")}
     assert not (study / "comparison.partial").exists()
@@ -145,9 +142,9 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     assert (table.loc["sa2h", "fd_speckle_lower"], table.loc["sa2h", "fd_speckle_upper"]) == (2.0, 6.0)
     assert "fd_speckle_lower_mean" not in table, "a bound is no metric"
     runs = pd.read_csv(folder / "runs.csv").set_index("variant")
-    for name in (*(f"ms_per_frame_{side}" for side in ("lower", "upper")), "ms_per_frame"):
-        expected = 10.0 + {"ms_per_frame": 0.0, "ms_per_frame_lower": -0.5, "ms_per_frame_upper": 0.5}[name]
-        assert set(runs.loc["sa2h", name]) == {expected}
+    assert set(runs.loc["sa2h-att", "model.attenuation"]) == {"none"}
+    for name, ms in (("ms_per_frame", 10.0), ("ms_per_frame_lower", 9.5), ("ms_per_frame_upper", 10.5)):
+        assert set(runs.loc["sa2h", name]) == {ms}
     assert table.loc["sa2h", "ms_per_frame_sd"] == 0.5
     assert list(pd.read_csv(folder / "times.csv")["machine"].unique()) == ["a machine"]
     assert set(pd.read_csv(folder / "effects.csv")["effect"]) == {"model.attenuation", "model.upsampling"}
@@ -155,8 +152,7 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     assert set(claims["metric"]) == {*METRICS, "fd_speckle"}
     assert set(claims["seeds"]) == {3}
     assert "one change at a time around sa2h" in report
-    assert "FID: no Inception weights were given." in report
-    assert report.count("FID: no Inception weights") == 1
+    assert report.count("FID: no Inception weights were given.") == 1
     assert "There are no pictures: the runs kept no frame in common." in notes
 
 
@@ -197,6 +193,7 @@ def test_a_missing_reference(study: Path) -> None:
     assert "The reference lsa2h is missing" in report
     assert (folder / "table.tex").exists()
     assert (folder / "seeds.png").exists()
+    assert not (folder / "boxplots.png").exists()
     assert pd.read_csv(folder / "paired.csv").empty
 
 
@@ -227,9 +224,9 @@ def test_runs_of_different_data_sets(study: Path) -> None:
     write_run(study, "nsa2h", 1, data="fetal-1", frames=10, anatomy=1)
     write_run(study, "sa2h-att.encoding-arbitrary", 0, data="fetal-2", frames=12)
     folder, report, notes = compared(study)
-    said = "2 runs left aside, made from other pairs than fetal-0: nsa2h/seed1, sa2h-att.encoding-arbitrary/seed0."
-    assert said in notes
-    assert said in report
+    note = "2 runs left aside, made from other pairs than fetal-0: nsa2h/seed1, sa2h-att.encoding-arbitrary/seed0."
+    assert note in notes
+    assert note in report
     table = pd.read_csv(folder / "table.csv").set_index("variant")
     assert table.loc["nsa2h", "seeds"] == 2
     assert "sa2h-att.encoding-arbitrary" not in table.index
@@ -268,23 +265,13 @@ def test_a_run_that_another_version_of_the_metrics_scored_is_left_aside_in_words
     change(study / "sa2h-att" / "seed1", metrics_version=METRICS_VERSION - 1)
     usable = usable_runs(study)
     assert "sa2h-att/seed1" not in {run.name for run in usable.runs}
-    said = f"scored by version {METRICS_VERSION - 1} of the metrics, not {METRICS_VERSION}: start it again"
-    assert usable.notes == (f"1 run left aside, {said}: sa2h-att/seed1.",)
+    why = f"scored by version {METRICS_VERSION - 1} of the metrics, not {METRICS_VERSION}: start it again"
+    assert usable.notes == (f"1 run left aside, {why}: sa2h-att/seed1.",)
 
 
 def test_a_result_with_the_label_of_another_variant_leaves_its_run_aside(study: Path) -> None:
     change(study / "nsa2h" / "seed0", label="other")
     assert left_aside(study) == "1 run left aside, with a result of another configuration: nsa2h/seed0."
-
-
-def test_identical_images(study: Path) -> None:
-    set_values(study / "nsa2h" / "seed0", "psnr", lambda t: t["frame"] == 3, np.inf)
-    folder, report, notes = compared(study)
-    assert "PSNR: 1 infinite value left out (identical images: nsa2h/seed0 frame 3)." in notes
-    assert "inf" not in (folder / "table.md").read_text()
-    paired = pd.read_csv(folder / "paired.csv").set_index(["variant", "metric"])
-    assert paired.loc[("nsa2h", "psnr"), "n"] == FRAMES - 1
-    assert "1 infinite value left out" in report
 
 
 @pytest.mark.usefixtures("figures")
@@ -294,7 +281,6 @@ def test_a_metric_that_is_nan_for_one_frame_or_for_all(study: Path) -> None:
         set_values(study / "sa2h-att" / f"seed{seed}", "pchi2", lambda t: t["frame"] >= 0, np.nan)
     folder, report, notes = compared(study)
     assert "MAE: 1 NaN left out (nsa2h/seed0 frame 5)." in notes
-    assert "72 NaNs left out" in notes
     paired = pd.read_csv(folder / "paired.csv").set_index(["variant", "metric"])
     assert paired.loc[("nsa2h", "mae"), "n"] == FRAMES - 1
     assert ("sa2h-att", "pchi2") not in paired.index
@@ -303,15 +289,6 @@ def test_a_metric_that_is_nan_for_one_frame_or_for_all(study: Path) -> None:
     assert "–" in markdown
     assert (folder / "boxplot_pchi2.png").exists()
     assert "72 NaNs left out" in report
-
-
-def test_a_run_scored_on_fewer_frames(tmp_path: Path) -> None:
-    part = tmp_path / "part"
-    write_run(part, "sa2h", 0)
-    write_run(part, "nsa2h", 0, frames=10)
-    folder, _, notes = compared(part)
-    assert "nsa2h/seed0 (10)" in notes
-    assert set(pd.read_csv(folder / "paired.csv").query("variant == 'nsa2h'")["n"]) == {10}
 
 
 def test_a_comparison_is_kept_until_a_run_is_made_again(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -417,7 +394,6 @@ def test_a_damaged_file_beside_the_scores_stops_nothing(study: Path, name: str) 
 def test_a_damaged_spec_leaves_its_run_aside(study: Path, damage: str) -> None:
     (study / "sa2h" / "seed0" / "spec.json").write_text(damage)
     assert "1 run left aside" in left_aside(study)
-    assert len(runs_of(study)) >= 11
 
 
 def test_a_spec_that_is_not_what_its_hash_says_leaves_its_run_aside(study: Path) -> None:
@@ -432,8 +408,8 @@ def test_a_metric_that_is_no_name_draws_no_figure_elsewhere(study: Path) -> None
     path = study / "nsa2h" / "seed0" / "per_image.parquet"
     table = pd.read_parquet(path)
     table.replace({"metric": {"mae": "x/../../../stolen"}}).to_parquet(path)
-    said = "1 run left aside, unreadable (ValueError: per_image.parquet): start it again: nsa2h/seed0."
-    assert left_aside(study) == said
+    why = "unreadable (ValueError: per_image.parquet): start it again"
+    assert left_aside(study) == f"1 run left aside, {why}: nsa2h/seed0."
 
 
 def test_an_uncommitted_change_that_is_not_utf_8_is_in_the_report(study: Path) -> None:

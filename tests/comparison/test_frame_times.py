@@ -13,8 +13,8 @@ import pytest
 
 from ablate.analysis import comparison_table, pareto_front
 from ablate.comparison import frame_times
-from ablate.comparison.frame_times import network_of, read_times, time_networks, write_times
-from ablate.comparison.results import scored_frames, timed_on
+from ablate.comparison.frame_times import TIMES, network_of, read_times, time_networks, timed_on
+from ablate.comparison.results import scored_frames
 from ablate.runs.run import Run, runs_of
 from ablate.storage import digest, write_json
 from support.finished_runs import PARAMETERS, WHOLE, timed
@@ -66,18 +66,14 @@ def times_of(study: Path) -> dict[str, float]:
 
 def test_seeds_and_anatomies_share_a_network_and_widths_do_not() -> None:
     assert network_of(semantic(1.0)) == network_of(semantic(1.0, seed=4, anatomy=2))
-    assert network_of(semantic(1.0)) != network_of(semantic(2.0))
-    bf16 = semantic(1.0) | {"training": {"precision": "bf16"}}
-    assert network_of(semantic(1.0)) != network_of(bf16)
-
-
-def test_a_time_that_a_run_took_by_itself_is_not_shown(study: Path) -> None:
-    assert times_of(study) == {}
+    for other in (semantic(2.0), semantic(1.0) | {"training": {"precision": "bf16"}}):
+        assert network_of(semantic(1.0)) != network_of(other)
 
 
 def test_all_seeds_have_the_median_of_their_network(study: Path) -> None:
     first, second = (network_of(semantic(width)) for width in (1.0, 2.0))
-    write_times(study, pd.concat([timed("a machine", first, 9, 10, 30), timed("a machine", second, 5)]))
+    times = pd.concat([timed("a machine", first, 9, 10, 30), timed("a machine", second, 5)])
+    times.to_csv(study / TIMES, index=False)
     assert times_of(study) == {"sa2h/seed0": 10, "sa2h/seed1": 10, "nsa2h/seed0": 5, "nsa2h/seed1": 5}
 
 
@@ -85,14 +81,15 @@ def test_times_of_two_machines_are_never_in_one_column(study: Path) -> None:
     write_run(study, "lsa2h", 3.0)
     first, second, third = (network_of(semantic(width)) for width in (1.0, 2.0, 3.0))
     old, new = (timed("old", first, 1), timed("old", third, 3)), (timed("new", first, 10), timed("new", second, 20))
-    write_times(study, pd.concat([*old, *new]))
+    pd.concat([*old, *new]).to_csv(study / TIMES, index=False)
     assert timed_on(runs_of(study)) == "new"
     assert times_of(study) == {"sa2h/seed0": 10, "sa2h/seed1": 10, "nsa2h/seed0": 20, "nsa2h/seed1": 20}
 
 
-@pytest.mark.parametrize("damage", ["", "machine,ms\n", "machine,network,round,part,ms\na,b,c,d,e\n"])
-def test_a_damaged_file_is_no_times(study: Path, damage: str) -> None:
-    (study / "frame_times.csv").write_text(damage)
+@pytest.mark.parametrize("damage", [None, "", "machine,ms\n", "machine,network,round,part,ms\na,b,c,d,e\n"])
+def test_without_a_whole_file_there_are_no_times_not_even_those_of_the_runs(study: Path, damage: str | None) -> None:
+    if damage is not None:
+        (study / "frame_times.csv").write_text(damage)
     assert times_of(study) == {}
 
 
@@ -171,8 +168,7 @@ def test_a_custom_network_is_timed_with_its_weights_only(study: Path, measured: 
 
 
 def test_what_cannot_be_timed_is_said(study: Path) -> None:
-    said = time_networks(study, runs_of(study))
-    assert said.startswith("Times were not measured: ")
+    assert time_networks(study, runs_of(study)).startswith("Times were not measured: ")
     assert not (study / "frame_times.csv").exists()
 
 
@@ -201,9 +197,3 @@ def test_a_front_is_not_made_by_a_difference_in_time_that_is_none() -> None:
         assert (np.diff(ms[front]) > 0).all()
         assert (np.diff(error[front]) < 0).all()
         assert list(pareto_front(ms, error, ms, ms)) == list(pareto_front(ms, error))
-
-
-def test_kept_times_are_read_back_and_plain(study: Path) -> None:
-    write_times(study, timed("a, machine", "n", 9, 10.5))
-    pd.testing.assert_frame_equal(read_times(study), timed("a, machine", "n", 9, 10.5))
-    assert (study / "frame_times.csv").read_text().splitlines()[1] == '"a, machine",n,1,segmentation,1.0'

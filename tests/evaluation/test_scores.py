@@ -100,20 +100,20 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[Part]:
 
 def test_values_are_those_of_each_frame_alone_however_many_threads(runs: Path, data: Data) -> None:
     again, frames = resimulation_images(data.pairs), data.pairs.frames(Part.test)
-    found = scored(data, job(runs), again)
+    scores = scored(data, job(runs), again)
     threads = torch.get_num_threads()
     torch.set_num_threads(4)
     try:
-        pd.testing.assert_frame_equal(found.per_image, scored(data, job(runs), again).per_image)
+        pd.testing.assert_frame_equal(scores.per_image, scored(data, job(runs), again).per_image)
     finally:
         torch.set_num_threads(threads)
     images, targets = (data.pairs.read(name, frames) for name in ("resimulation", "target"))
-    of_mae = found.per_image[found.per_image["metric"] == "mae"]
+    of_mae = scores.per_image[scores.per_image["metric"] == "mae"]
     assert of_mae["frame"].tolist() == frames.tolist()
     assert of_mae["value"].tolist() == [mae(a, b) for a, b in zip(images, targets, strict=True)]
     described = [speckle_features(pictures, data.pairs.mask()) for pictures in (images, targets)]
-    assert found.scalars["fd_speckle"] == pytest.approx(frechet_distance(*described))
-    assert found.scalars["fd_speckle_lower"] < found.scalars["fd_speckle"] < found.scalars["fd_speckle_upper"]
+    assert scores.scalars["fd_speckle"] == pytest.approx(frechet_distance(*described))
+    assert scores.scalars["fd_speckle_lower"] < scores.scalars["fd_speckle"] < scores.scalars["fd_speckle_upper"]
 
 
 def test_where_torch_has_one_thread_frames_are_scored_in_it(
@@ -139,12 +139,12 @@ def test_identical_pictures_are_counted_and_left_out_of_the_mean(runs: Path, dat
         images = [data.pairs.read(name, frames) for name in ("target", "resimulation")]
         return np.where(right[:, None, None], *images)
 
-    found = scored(data, job(runs), mostly_right, "psnr", "mae")
+    scores = scored(data, job(runs), mostly_right, "psnr", "mae")
     others = len(data.pairs.frames(Part.test)) - 1
-    assert np.isinf(found.per_image["value"]).sum() == others
+    assert np.isinf(scores.per_image["value"]).sum() == others
     images = [data.pairs.stored(name, first) for name in ("resimulation", "target")]
     squares = np.mean((images[0].astype(float) - images[1]) ** 2)
-    assert found.scalars["psnr"] == pytest.approx(10 * math.log10(255**2 / squares))
+    assert scores.scalars["psnr"] == pytest.approx(10 * math.log10(255**2 / squares))
     perfect = scored(data, job(runs), lambda frames, _: data.pairs.read("target", frames), "psnr", "mae")
     assert perfect.scalars == {"mae": 0.0}
 
@@ -171,10 +171,10 @@ def test_a_metric_of_ones_own_may_be_nan_and_the_frame_is_named(
         return data.pairs.read("target", frames) * (np.asarray(frames) != last)[:, None, None].astype(np.uint8)
 
     monkeypatch.setitem(sys.modules, "of_mine", sys.modules[__name__])
-    found = scored(data, job(runs), dark, "of_mine.brightest")
-    assert found.per_image.loc[found.per_image["value"].isna(), "frame"].tolist() == [last]
+    scores = scored(data, job(runs), dark, "of_mine.brightest")
+    assert scores.per_image.loc[scores.per_image["value"].isna(), "frame"].tolist() == [last]
     assert caplog.messages == [f"brightest is NaN on test frame {last}: not in its mean"]
-    assert found.scalars["brightest"] > 0
+    assert scores.scalars["brightest"] > 0
     caplog.clear()
     assert scored(data, job(runs), dark, "of_mine.endless", "psnr").scalars["endless"] == 1.0
     assert caplog.messages == [f"endless is infinite on test frame {last}: not in its mean"]
@@ -186,19 +186,19 @@ def test_a_metric_of_ones_own_may_be_nan_and_the_frame_is_named(
 def test_fid_is_computed_with_a_file_and_kept_with_its_interval(runs: Path, data: Data, network: Path) -> None:
     with_file = job(runs, f"evaluation.inception={network}", "metrics=[fid,kid,psnr]")
     check([with_file])
-    found = score(with_file.settings, data)
+    scores = score(with_file.settings, data)
     for name in ("test/fid", "test/kid", "val/fid", "test/floor_fid"):
-        assert np.isfinite(found.scalars[name])
-    assert found.scalars["test/fid_lower"] < found.scalars["test/fid"] < found.scalars["test/fid_upper"]
-    assert found.scalars["test/fid"] == pytest.approx(found.scalars["test/floor_fid"], rel=1e-9)
-    assert found.notes == ()
+        assert np.isfinite(scores.scalars[name])
+    assert scores.scalars["test/fid_lower"] < scores.scalars["test/fid"] < scores.scalars["test/fid_upper"]
+    assert scores.scalars["test/fid"] == pytest.approx(scores.scalars["test/floor_fid"], rel=1e-9)
+    assert scores.notes == ()
     features, frames = load_inception(network), data.pairs.frames(Part.test)
     seen = [features(data.pairs.read(name, frames)) for name in ("resimulation", "target")]
-    assert found.scalars["test/fid"] == pytest.approx(frechet_distance(*seen), rel=1e-9)
+    assert scores.scalars["test/fid"] == pytest.approx(frechet_distance(*seen), rel=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("shape", "fan", "frames", "with_network", "missing", "said"),
+    ("shape", "fan", "frames", "with_network", "missing", "note"),
     [
         ((512, 600), slice(0, 200), 4, True, set(), ""),
         ((512, 600), slice(0, 200), 4, False, {"fid", "kid"}, "no Inception weights were given"),
@@ -208,7 +208,7 @@ def test_fid_is_computed_with_a_file_and_kept_with_its_interval(runs: Path, data
     ],
 )
 def test_distances_that_frames_do_not_allow_are_left_out_in_words(
-    shape: tuple[int, int], fan: slice, frames: int, with_network: bool, missing: set[str], said: str
+    shape: tuple[int, int], fan: slice, frames: int, with_network: bool, missing: set[str], note: str
 ) -> None:
     mask = np.zeros(shape, bool)
     mask[fan] = True
@@ -216,7 +216,7 @@ def test_distances_that_frames_do_not_allow_are_left_out_in_words(
         choose_metrics().values(), mask, frames, (lambda images: images) if with_network else None
     )
     assert names == missing
-    assert said in " ".join(notes)
+    assert note in " ".join(notes)
 
 
 def test_resimulation_is_scored_once_for_a_data_set(runs: Path, data: Data, calls: list[Part]) -> None:
@@ -248,9 +248,9 @@ def test_draws_are_rendered_once_for_all_metrics_and_scored_on_every_frame(runs:
     settings = job(runs, "evaluation.noise_draws=4").settings
     frames, names = data.pairs.frames(Part.test), ("crps", "noise_sd", "mae", "nyquist_excess")
     scorer = Scorer(data.pairs, data.tissues, settings.probe, settings.evaluation, choose_metrics(names))
-    found = scorer.score(Part.test, images_of, draws_noise=True)
+    scores = scorer.score(Part.test, images_of, draws_noise=True)
     assert sorted(rendered) == [(frame, draw) for frame in frames.tolist() for draw in range(4)]
-    table = found.per_image.pivot(index="frame", columns="metric", values="value")
+    table = scores.per_image.pivot(index="frame", columns="metric", values="value")
     solid = tissue_labels(data.tissues)
     for frame in frames:
         draws = np.concatenate([images_of(np.array([frame]), draw) for draw in range(4)])
@@ -258,7 +258,7 @@ def test_draws_are_rendered_once_for_all_metrics_and_scored_on_every_frame(runs:
         pair = Pair(draws[0], target, data.pairs.mask(), tissue, draws=draws)
         assert (table.loc[frame, "crps"], table.loc[frame, "noise_sd"]) == (crps(pair), noise_sd(pair))
         assert table.loc[frame, "mae"] == mae(draws[0], target), "of the first draw"
-    assert found.scalars["crps"] == pytest.approx(table["crps"].mean())
+    assert scores.scalars["crps"] == pytest.approx(table["crps"].mean())
 
     rendered.clear()
     assert scorer.score(Part.test, images_of, draws_noise=False).scalars["noise_sd"] == 0
@@ -271,8 +271,8 @@ def test_draws_are_rendered_once_for_all_metrics_and_scored_on_every_frame(runs:
 def test_jobs_side_by_side_wait_for_the_one_that_scores_resimulation(runs: Path, data: Data, calls: list[Part]) -> None:
     settings = job(runs, "metrics=[mae_smooth]").settings
     with ThreadPoolExecutor(3) as pool:
-        found = list(pool.map(lambda _: score(settings, data).scalars, range(3)))
-    assert found[0] == found[1] == found[2]
+        per_job = list(pool.map(lambda _: score(settings, data).scalars, range(3)))
+    assert per_job[0] == per_job[1] == per_job[2]
     assert len(calls) == 3 * 2 + 2, "two parts of each job, and of re-simulation once"
 
 

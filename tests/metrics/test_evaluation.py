@@ -73,4 +73,4 @@ def test_a_metric_is_one_module_and_stands_where_it_says():
     assert places == sorted(set(places)), "in rising order, no two alike"
     modules = [module for name, module in sys.modules.items() if name.startswith("ablate.metrics.")]
     owners = {n: [m for m in modules if any(METRICS[n] is value for value in vars(m).values())] for n in METRICS}
-    assert {len(found) for found in owners.values()} == {1}
+    assert {len(owner) for owner in owners.values()} == {1}

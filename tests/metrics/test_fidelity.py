@@ -80,9 +80,9 @@ def chi2_by_loops(a, b, patch, bins):
 def test_equals_a_loop_over_numpy_histogram(patch, bins):
     rng = np.random.default_rng(patch)
     a, b = rng.integers(0, 256, (2, 47, 66)).astype(np.uint8)
-    found = patch_chi2(a, b, patch, bins)
-    assert found.shape == (47 // patch, 66 // patch)
-    np.testing.assert_allclose(found, chi2_by_loops(a, b, patch, bins), atol=1e-14)
+    chi2 = patch_chi2(a, b, patch, bins)
+    assert chi2.shape == (47 // patch, 66 // patch)
+    np.testing.assert_allclose(chi2, chi2_by_loops(a, b, patch, bins), atol=1e-14)
 
 
 def test_every_grey_level_falls_in_numpys_bin():

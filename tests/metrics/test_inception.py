@@ -114,7 +114,7 @@ def test_fid_and_kid_are_those_of_torchmetrics_with_the_same_network(pinned):
     targets = rng.integers(0, 256, (6, 530, 560)).astype(np.uint8)
     images = np.clip(targets.astype(int) + rng.integers(-40, 60, targets.shape), 0, 255).astype(np.uint8)
     features = load_inception(inception_file(str(pinned)))
-    found, wanted = features(images), features(targets)
+    rendered, wanted = features(images), features(targets)
 
     size = 4 * len(images)
     fid = FrechetInceptionDistance(SmallNet(), input_img_size=(3, 299, 299))
@@ -128,8 +128,8 @@ def test_fid_and_kid_are_those_of_torchmetrics_with_the_same_network(pinned):
                 centre[:, r, c] for r in (slice(299), slice(-299, None)) for c in (slice(299), slice(-299, None))
             ]
             metric.update(torch.stack(corners, 1).flatten(0, 1)[:, None].repeat(1, 3, 1, 1), real=real)
-    assert frechet_distance(found, wanted) == pytest.approx(float(fid.compute()), rel=1e-4)
-    assert kernel_distance(found, wanted) == pytest.approx(float(kid.compute()[0]), rel=1e-6)
+    assert frechet_distance(rendered, wanted) == pytest.approx(float(fid.compute()), rel=1e-4)
+    assert kernel_distance(rendered, wanted) == pytest.approx(float(kid.compute()[0]), rel=1e-6)
 
 
 def test_only_the_network_itself_needs_torch():

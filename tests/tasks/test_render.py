@@ -9,7 +9,6 @@ import trimesh
 from matplotlib.image import imread
 from PIL import Image, ImageSequence
 
-from ablate.analysis import Preview
 from ablate.analysis.figures import body_view
 from ablate.dataset import open_pairs
 from ablate.settings.study import ConfigurationError
@@ -135,10 +134,10 @@ def test_a_frame_is_shown_before_and_after_it_is_simulated(
     scene: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = [f"runs_dir={tmp_path / 'runs'}", *TINY, *scene, "frame=7"]
-    shown: list[Preview] = []
+    shown: list[tuple[str, tuple[np.ndarray, ...]]] = []
 
-    def keep(_body: object, _probe: object, preview: Preview, path: Path) -> Path:
-        shown.append(preview)
+    def keep(path: Path, title: str, _scene: object, _probe: object, *maps: np.ndarray) -> Path:
+        shown.append((title, maps[:3]))
         return path
 
     assert run("task=preview", *arguments) == 0
@@ -151,13 +150,12 @@ def test_a_frame_is_shown_before_and_after_it_is_simulated(
     pairs = open_pairs(path.parent)
     monkeypatch.setattr(tasks_render, "Simulator", lambda *_, **__: pytest.fail("the frame is on disk"))
     run("task=preview", *arguments)
-    before, after = shown
-    for preview in shown:
-        np.testing.assert_array_equal(preview.image, pairs.read("target", [7])[0])
-        np.testing.assert_array_equal(preview.segmentation, pairs.read("segmentation", [7])[0])
-        np.testing.assert_array_equal(preview.pose, pairs.poses[7])
-    assert before.title == after.title
-    assert "frame 7 of 12" in after.title
+    for _, (pose, image, segmentation) in shown:
+        np.testing.assert_array_equal(image, pairs.read("target", [7])[0])
+        np.testing.assert_array_equal(segmentation, pairs.read("segmentation", [7])[0])
+        np.testing.assert_array_equal(pose, pairs.poses[7])
+    assert shown[0][0] == shown[1][0]
+    assert "frame 7 of 12" in shown[0][0]
     about = json.loads((path.parent / "about.json").read_text())
     assert about["poses"]["usable"] >= 12
     assert set(about["poses"]["dropped"].values()) == {0}

@@ -65,10 +65,10 @@ def test_environment_names_versions() -> None:
 
 def test_packages_are_those_that_the_project_names() -> None:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-    found = packages()
-    assert list(found)[:2] == ["python", project["name"]]
-    assert len(found) == 2 + len(project["dependencies"])
-    assert found["numpy"] == np.__version__
+    versions = packages()
+    assert list(versions)[:2] == ["python", project["name"]]
+    assert len(versions) == 2 + len(project["dependencies"])
+    assert versions["numpy"] == np.__version__
 
 
 def test_hardware_is_one_line() -> None:

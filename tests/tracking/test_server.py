@@ -177,7 +177,7 @@ def check_artifacts(group: Group) -> None:
     client = MlflowClient(group.mlflow.uri)
     (experiment,) = client.search_experiments(filter_string="name = 'ablate'")
     assert experiment.artifact_location.startswith("mlflow-artifacts:")
-    found = client.search_runs([experiment.experiment_id], "tags.kind = 'job'")
-    frames = {Path(client.download_artifacts(r.info.run_id, "per_image.parquet")).read_bytes() for r in found}
+    jobs = client.search_runs([experiment.experiment_id], "tags.kind = 'job'")
+    frames = {Path(client.download_artifacts(r.info.run_id, "per_image.parquet")).read_bytes() for r in jobs}
     assert frames == {(folder / "per_image.parquet").read_bytes() for folder in folders(group)}
     assert not list(group.runs[0].glob("artifacts/*"))

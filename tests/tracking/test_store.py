@@ -45,12 +45,12 @@ def test_a_run_carries_what_was_logged(runs: Path) -> None:
     run.artifact(runs / "a.txt", "provenance")
     run.mark(Status.finished)
     client = MlflowClient(default_uri(runs))
-    found = client.get_run(run.run_id)
-    assert found.data.metrics == {"test/psnr": 17.5}
-    assert found.data.params == {"model.width": "0.25", "seed": "0"}
-    assert found.data.tags["mlflow.parentRunId"] == parent
-    assert found.info.status == "FINISHED"
-    assert found.info.artifact_uri.startswith((runs / "artifacts").as_uri())
+    stored = client.get_run(run.run_id)
+    assert stored.data.metrics == {"test/psnr": 17.5}
+    assert stored.data.params == {"model.width": "0.25", "seed": "0"}
+    assert stored.data.tags["mlflow.parentRunId"] == parent
+    assert stored.info.status == "FINISHED"
+    assert stored.info.artifact_uri.startswith((runs / "artifacts").as_uri())
     assert [a.path for a in client.list_artifacts(run.run_id, "provenance")] == ["provenance/a.txt"]
 
 
@@ -106,10 +106,10 @@ print(child_run(store, parent_run(store, "study"), "sa2h/seed0", "abc", {"varian
 def test_processes_that_start_together_share_one_database(tmp_path: Path) -> None:
     command = [sys.executable, "-c", _OPEN, str(tmp_path)]
     started = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(4)]
-    said = [process.communicate(timeout=600)[0] for process in started]
+    outputs = [process.communicate(timeout=600)[0] for process in started]
     assert [process.returncode for process in started] == [0] * 4
-    assert len(set(said)) == 1
-    assert len(said[0].strip()) == 32
+    assert len(set(outputs)) == 1
+    assert len(outputs[0].strip()) == 32
 
 
 def test_folders_of_runs_that_share_a_server_share_no_study(runs: Path, tmp_path: Path) -> None:

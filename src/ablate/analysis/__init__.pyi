@@ -14,7 +14,6 @@ from .figures.panel_figures import effects_caption as effects_caption
 from .figures.panel_figures import effects_plot as effects_plot
 from .figures.panel_figures import seed_plot as seed_plot
 from .figures.panel_figures import seeds_caption as seeds_caption
-from .figures.preview_figure import Preview as Preview
 from .figures.preview_figure import preview_figure as preview_figure
 from .figures.runtime_figure import error_vs_runtime as error_vs_runtime
 from .figures.runtime_figure import order_figure as order_figure

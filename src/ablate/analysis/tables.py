@@ -157,12 +157,12 @@ def resimulation_note(metrics: list[str]) -> str:
         kind: ", ".join(metric_of(m).label for m in metrics if metric_of(m).resimulation is kind)
         for kind in Resimulation
     }
-    said = ["Re-simulation is the same frame with other scatterers and ray paths."]
+    sentences = ["Re-simulation is the same frame with other scatterers and ray paths."]
     if floor := labels[Resimulation.floor]:
-        said.append(f"It is the floor for {floor}.")
+        sentences.append(f"It is the floor for {floor}.")
     if level := labels[Resimulation.level]:
-        said.append(f"It is the level of a perfect stochastic renderer for {level}, which a network can exceed.")
-    return " ".join(said if len(said) > 1 else [*said, "It is not judged."])
+        sentences.append(f"It is the level of a perfect stochastic renderer for {level}, which a network can exceed.")
+    return " ".join(sentences if len(sentences) > 1 else [*sentences, "It is not judged."])
 
 
 def to_text(table: pd.DataFrame) -> str:
@@ -242,6 +242,6 @@ def _caption(table: pd.DataFrame, per_frame: pd.DataFrame, metrics: list[str]) -
     few, many = (int(f(networks["seeds"])) if len(networks) else 0 for f in (min, max))
     seeds = f"{many} seed{'' if many == 1 else 's'}" if few == many else f"{few} to {many} seeds"
     frames = int((per_frame["n"] / per_frame["seeds"]).max()) if len(per_frame) else 0
-    said = f"Mean and standard deviation over {frames} test frames of unseen probe sites, {seeds} a network. "
-    said += "Bold is the best network."
-    return f"{said} {resimulation_note(metrics)}" if RESIMULATION in set(table["variant"]) else said
+    note = f" {resimulation_note(metrics)}" if RESIMULATION in set(table["variant"]) else ""
+    text = f"Mean and standard deviation over {frames} test frames of unseen probe sites, {seeds} a network."
+    return f"{text} Bold is the best network.{note}"

@@ -10,13 +10,13 @@ import pandas as pd
 from filelock import FileLock
 
 from ablate import analysis
-from ablate.analysis import REFERENCE, Spread
-from ablate.comparison.answers import answers
-from ablate.comparison.figures import Numbers, draw_figures, stored_pictures
-from ablate.comparison.frame_times import TIMES, all_times, time_networks, untimed
+from ablate.analysis import Spread
+from ablate.comparison.figures import draw_figures, stored_pictures
+from ablate.comparison.frame_times import TIMES, all_times, frame_times, time_networks, untimed
 from ablate.comparison.parent_run import describe_study, register_reference
-from ablate.comparison.results import appendix, frame_times, labelled_networks, provenance, scored_frames, timed_on
-from ablate.comparison.usable_runs import UsableRuns, levels_of, usable_runs
+from ablate.comparison.reading import Study
+from ablate.comparison.results import appendix, provenance, scored_frames
+from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Shown, shown_in
 from ablate.metrics.stored_names import FRAME_TIME
 from ablate.runs.job import COMPARISON
@@ -49,41 +49,40 @@ def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> s
     if not usable.runs:
         raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))
     failed = time_networks(settings.study_dir, usable.all) if time_here else ""
-    of_times = [*([failed] if failed else []), *untimed(settings.study_dir, labelled_networks(usable.all))]
-    usable = replace(usable, notes=(*usable.notes, *of_times))
-    made_from = _made_from(usable, reference, settings.study_dir / TIMES)
+    usable = replace(usable, notes=(*usable.notes, *filter(None, [failed]), *untimed(usable.all)))
+    study = Study(settings.study_dir, usable, reference, *scored_frames(usable.runs))
+    made_from = _made_from(study)
     marker = folder / "made_from.json"
-    per_image, scalars = scored_frames(usable.runs)
-    table = analysis.comparison_table(per_image, scalars, reference)
     notes = None if rebuild else _kept(marker, made_from)
     if notes is None:
-        notes = write_comparison(usable, folder, settings.study, reference)[1]
+        notes = write_comparison(study, settings.study)
         write_json(marker, {**made_from, "for_readers": notes})
     try:
-        tracked = within(_TRACKING_S, lambda: _track(settings, usable.runs, table, folder, notes))
+        tracked = within(_TRACKING_S, lambda: _track(settings, study, notes))
     except UNAVAILABLE as error:
         tracked = f"\nNote: not all is in MLflow yet ({reason(error)}); the same command logs the rest."
-    warnings = "\n".join(f"Note: {c}" for c in (*usable.notes, *analysis.cautions(per_image, reference)))
+    warnings = "\n".join(f"Note: {c}" for c in (*usable.notes, *analysis.cautions(study.per_image, reference)))
     uri = settings.tracking.uri or default_uri(settings.results)
+    shown = study.table[study.table["metric"].isin(shown_in(Shown.screen))]
     pages = uri if uri.startswith("http") else f"make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
     where = (
         f"all metrics    {folder / 'table.csv'}\n"
         f"paired tests   {folder / 'paired.csv'}\n"
-        f"verdicts       {folder / 'verdicts.csv'}{_said(folder / 'verdicts.csv')}\n"
+        f"verdicts       {folder / 'verdicts.csv'}{_verdicts_in_words(folder / 'verdicts.csv')}\n"
         f"report         {folder / 'report.html'}\n"
         f"MLflow         {pages}{tracked}"
     )
-    return f"{analysis.to_text(table[table['metric'].isin(shown_in(Shown.screen))])}\n{warnings}\n\n{where}"
+    return f"{analysis.to_text(shown)}\n{warnings}\n\n{where}"
 
 
-def _made_from(usable: UsableRuns, reference: str, times: Path) -> dict[str, Any]:
+def _made_from(study: Study) -> dict[str, Any]:
     """What decides a comparison: the files that it reads of its runs and of times, the reference, what was left aside.
 
     A run that was deleted and trained again has the same configuration and other files.
     """
-    runs = {f"{run.name} of {run.data}": run.compared_state() for run in usable.all}
-    chosen = {"reference": reference, "notes": list(usable.notes), "metrics_version": METRICS_VERSION}
-    return {"runs": runs, "times": digest_of_files([times]), **chosen}
+    runs = {f"{run.name} of {run.data}": run.compared_state() for run in study.usable.all}
+    chosen = {"reference": study.reference, "notes": list(study.usable.notes), "metrics_version": METRICS_VERSION}
+    return {"runs": runs, "times": digest_of_files([study.folder / TIMES]), **chosen}
 
 
 def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
@@ -96,64 +95,54 @@ def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
     return notes if there == made_from and isinstance(notes, list) else None
 
 
-def write_comparison(
-    usable: UsableRuns, folder: Path, title: str, reference: str = REFERENCE
-) -> tuple[list[Path], list[str]]:
-    """Write tables, figures and the report of at least one run; what was in `folder` is replaced when all is written.
+def write_comparison(study: Study, title: str) -> list[str]:
+    """Write tables, figures and the report of a study; what was in its folder of comparison goes when all is written.
 
-    Returns the files, the report first, and what a reader must know, a sentence each.
+    Returns what a reader must know, a sentence each.
     """
+    folder, usable, reference, judged = study.folder / COMPARISON, study.usable, study.reference, study.answers
     partial = folder.with_name(f"{folder.name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    runs = usable.runs
-    per_image, scalars = scored_frames(runs)
-    table = analysis.comparison_table(per_image, scalars, reference)
-    paired = analysis.paired_table(per_image, reference)
-    judged = answers(usable.all, table, reference)
-    claims = analysis.seed_claims(per_image, scalars, reference)
-    frames, missing = stored_pictures(runs, reference)
-    numbers = Numbers(reference, per_image, scalars, table, paired, judged, timed_on(usable.all))
-    figures = draw_figures(numbers, frames, partial)
-    notes = [*usable.notes, *([missing] if missing else [])]
-    report = analysis.write_report(
+    claims = analysis.seed_claims(study.per_image, study.scalars, reference)
+    frames, missing = stored_pictures(usable.runs, reference)
+    figures = draw_figures(study, frames, partial)
+    notes = [*usable.notes, *filter(None, [missing])]
+    analysis.write_report(
         partial / "report.html",
         title,
-        per_image,
-        table,
-        paired,
+        study.per_image,
+        study.table,
+        study.paired,
         claims=claims,
         verdicts=judged.verdicts,
         components=judged.components,
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
-        left_out=_left_out(runs),
+        left_out=_left_out(usable.runs),
         provenance=provenance(usable.all),
         reference=reference,
         appendix=appendix(usable.all),
         notes=notes,
     )
-    analysis.wide_table(table).to_csv(partial / "table.csv", index=False)
-    of_the_paper = table[table["metric"].isin(shown_in(Shown.table))]
+    analysis.wide_table(study.table).to_csv(partial / "table.csv", index=False)
+    of_the_paper = study.table[study.table["metric"].isin(shown_in(Shown.table))]
     (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
-    (partial / "table.md").write_text(_markdown(table), "utf-8")
-    tables = {"paired": paired, "claims": claims, "verdicts": judged.verdicts, "runs": judged.runs}
-    times = all_times(folder.parent, labelled_networks(usable.all))
-    more = (("effects", judged.effects), ("paper", judged.paper), ("times", times))
+    (partial / "table.md").write_text(_markdown(study.table), "utf-8")
+    tables = {"paired": study.paired, "claims": claims, "verdicts": judged.verdicts, "runs": judged.runs}
+    more = (("effects", judged.effects), ("paper", judged.paper), ("times", all_times(usable.all)))
     tables |= {name: made for name, made in more if len(made)}
     for name, content in tables.items():
         content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
     partial.rename(folder)
-    names = dict.fromkeys([report.name, *(p.name for p, _ in figures), *sorted(p.name for p in folder.iterdir())])
-    return [folder / name for name in names], [*notes, *analysis.cautions(per_image, reference)]
+    return [*notes, *analysis.cautions(study.per_image, reference)]
 
 
-def _track(
-    settings: StudySettings, runs: Sequence[Run], table: pd.DataFrame, folder: Path, notes: Sequence[str]
-) -> str:
+def _track(settings: StudySettings, study: Study, notes: Sequence[str]) -> str:
     """Bring the store up to date with the runs of a study and their comparison; returns lines for the screen."""
     run, ids = copy_study(settings)
-    files = [path for path in sorted(folder.iterdir()) if path.is_file()]
+    runs, table = study.runs, study.table
+    files = [path for path in sorted((study.folder / COMPARISON).iterdir()) if path.is_file()]
     state = digest([ids, {path.name: path.stat().st_mtime_ns for path in files}])
     if run.tag(STATE) != state:
         for path in files:
@@ -171,7 +160,7 @@ def _track(
     return ""
 
 
-def _said(verdicts: Path) -> str:
+def _verdicts_in_words(verdicts: Path) -> str:
     """The verdicts of a file, for the screen; nothing where no run goes without a component."""
     table = pd.read_csv(verdicts)
     shown = table[table["effect"].notna()]
@@ -181,16 +170,14 @@ def _said(verdicts: Path) -> str:
 
 def _markdown(table: pd.DataFrame) -> str:
     """The table of the paper, then every metric with the spread over seeds."""
-    metrics = list(dict.fromkeys(table["metric"]))
+    over_seeds = table["seed_sd"].notna().any()
+    title = "Mean ± standard deviation of the seeds' means." if over_seeds else "All metrics."
     parts = [
         "Mean ± standard deviation over test frames (over seeds for figures that a run has one of); the best network "
         f"in bold.\n\n{analysis.to_markdown(table[table['metric'].isin(shown_in(Shown.table))])}",
-        f"{analysis.resimulation_note(metrics)}\n",
+        f"{analysis.resimulation_note(list(dict.fromkeys(table['metric'])))}\n",
+        f"{title}\n\n{analysis.to_markdown(table, Spread.seeds if over_seeds else Spread.frames)}",
     ]
-    if table["seed_sd"].notna().any():
-        parts.append(f"Mean ± standard deviation of the seeds' means.\n\n{analysis.to_markdown(table, Spread.seeds)}")
-    else:
-        parts.append(f"All metrics.\n\n{analysis.to_markdown(table)}")
     return "\n".join(parts)
 
 

@@ -1,8 +1,8 @@
 """How long a frame takes with each network of a study: timed in turns in one process, kept machine by machine."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -51,16 +51,18 @@ def read_times(study_dir: Path) -> pd.DataFrame:
         return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in _KEPT.items()})
 
 
-def write_times(study_dir: Path, times: pd.DataFrame) -> None:
-    """Keep the times of a study, in the columns of `read_times`."""
-    with written_whole(study_dir / TIMES) as partial:
-        times.to_csv(partial, index=False)
+def timed_on(runs: Sequence[Run]) -> str:
+    """The one machine whose times are compared: on which most networks of these runs were timed, of several the last.
+
+    It is empty where there are no times.
+    """
+    times, networks = read_times(_study_dir(runs)), {network_of(run.spec["semantic"]) for run in runs}
+    counts = times[times["network"].isin(networks)].groupby("machine", sort=False)["network"].nunique()
+    return "" if counts.empty else str(counts.index[counts == counts.max()][-1])
 
 
-def shown_machine(times: pd.DataFrame, networks: Iterable[str]) -> str | None:
-    """The one machine whose times are compared: on which most of these networks were timed, and of several the last."""
-    counts = times[times["network"].isin(set(networks))].groupby("machine", sort=False)["network"].nunique()
-    return None if counts.empty else str(counts.index[counts == counts.max()][-1])
+def _study_dir(runs: Sequence[Run]) -> Path:
+    return runs[0].folder.parents[1]
 
 
 def _quartiles(times: pd.DataFrame) -> pd.DataFrame:
@@ -70,48 +72,40 @@ def _quartiles(times: pd.DataFrame) -> pd.DataFrame:
     return quartiles.set_axis(["lower", "ms", "upper"], axis=1)
 
 
-def time_rows(study_dir: Path, runs: Mapping[tuple[str, int, str], str]) -> pd.DataFrame:
+def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
     """Times of the machine that is shown: columns variant, seed, data, metric, value (the median), lower, upper.
 
-    The bounds are quartiles over the rounds. `runs` holds the network of each run by its variant, seed and data.
+    The bounds are quartiles over the rounds. What a run itself stored of times is not read.
     """
-    times = read_times(study_dir)
-    columns = ["variant", "seed", "data", "metric", "value", *BOUNDS]
-    machine = shown_machine(times, runs.values())
-    if machine is None:
-        return pd.DataFrame(columns=columns)
-    timed = _quartiles(times[times["machine"] == machine]).droplevel("machine").to_dict("index")
-    rows = [
-        (*run, FRAME_TIME, timed[network]["ms"], timed[network]["lower"], timed[network]["upper"])
-        for run, network in runs.items()
-        if network in timed
-    ]
-    return pd.DataFrame(rows, columns=columns)
+    rows: list[tuple[object, ...]] = []
+    if machine := timed_on(runs):
+        timed = _quartiles(read_times(_study_dir(runs)))[["ms", *BOUNDS]].loc[machine]
+        networks = [(run, network_of(run.spec["semantic"])) for run in runs]
+        kept = [(run, timed.loc[network]) for run, network in networks if network in timed.index]
+        rows = [(run.label, run.seed, run.data, FRAME_TIME, *times) for run, times in kept]
+    return pd.DataFrame(rows, columns=["variant", "seed", "data", "metric", "value", *BOUNDS])
 
 
-def all_times(study_dir: Path, labels: Mapping[str, str]) -> pd.DataFrame:
-    """Everything that is kept: columns variant, machine, ms, lower, upper, rounds, and the median of each part.
-
-    `labels` names the network of each variant.
-    """
-    times, key = read_times(study_dir), ["machine", "network"]
+def all_times(runs: Sequence[Run]) -> pd.DataFrame:
+    """Everything that is kept: columns variant, machine, ms, lower, upper, rounds, and the median of each part."""
+    times, key = read_times(_study_dir(runs)), ["machine", "network"]
     if times.empty:
         return pd.DataFrame()
     rounds = times.groupby(key)["round"].nunique().rename("rounds")
     parts = times.groupby([*key, "part"], sort=False)["ms"].median().unstack().add_suffix("_ms")
     kept = _quartiles(times)[["ms", "lower", "upper"]].join(rounds).join(parts).reset_index()
-    variants = pd.DataFrame(labels.items(), columns=["variant", "network"])
+    networks = {run.label: network_of(run.spec["semantic"]) for run in runs}
+    variants = pd.DataFrame(networks.items(), columns=["variant", "network"])
     return kept.merge(variants, on="network").pipe(lambda t: t[["variant", *t.columns.drop(["variant", "network"])]])
 
 
-def untimed(study_dir: Path, labels: Mapping[str, str]) -> list[str]:
+def untimed(runs: Sequence[Run]) -> list[str]:
     """Sentences about the variants that have no time beside the others'."""
-    times = read_times(study_dir)
-    shown = shown_machine(times, labels.values())
+    times, shown = read_times(_study_dir(runs)), timed_on(runs)
     missing: dict[str, list[str]] = {}
-    for variant, network in labels.items():
+    for variant, network in {run.label: network_of(run.spec["semantic"]) for run in runs}.items():
         machines = times["machine"][times["network"] == network].unique().tolist()
-        if shown is not None and shown not in machines:
+        if shown and shown not in machines:
             missing.setdefault(machines[-1] if machines else "", []).append(variant)
     return [
         f"Times are those of {shown}; none from there: {', '.join(names)} "
@@ -138,7 +132,10 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
         settings = {network: run.settings for network, run in to_time.items()}
         training = next(iter(settings.values())).training
         device = chosen_device(training.device)
-        with _threads(training.threads) as threads:
+        with ExitStack() as afterwards:
+            afterwards.callback(torch.set_num_threads, torch.get_num_threads())
+            torch.set_num_threads(training.threads or torch.get_num_threads())
+            threads = torch.get_num_threads()
             machine = f"{hardware()}, {device.type}, {threads} thread{'' if threads == 1 else 's'}"
             times = read_times(study_dir)
             here = times["machine"] == machine
@@ -148,19 +145,9 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
     except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:  # no pairs, no GPU, no Embree, ...
         return f"Times were not measured: {' '.join(str(error).split())}."
     before = times[here & ~times["network"].isin(to_time.keys())]
-    write_times(study_dir, pd.concat([times[~here], before, measured[list(_KEPT)]]))
+    with written_whole(study_dir / TIMES) as partial:
+        pd.concat([times[~here], before, measured[list(_KEPT)]]).to_csv(partial, index=False)
     return ""
-
-
-@contextmanager
-def _threads(count: int) -> Iterator[int]:
-    """Use as many threads as the study's settings say, where they do."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count or before)
-    try:
-        yield torch.get_num_threads()
-    finally:
-        torch.set_num_threads(before)
 
 
 def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], device: torch.device) -> pd.DataFrame:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from ablate.analysis import REFERENCE, RESIMULATION, FramePictures, ordered_variants
-from ablate.comparison.frame_times import network_of, read_times, shown_machine, time_rows
+from ablate.comparison.frame_times import frame_times
 from ablate.metrics import Shown, shown_in
 from ablate.metrics.stored_names import BOUNDS, FLOOR_PREFIX, FRAME_TIME, MODEL, RESIMULATED, is_bound
 from ablate.runs.run import Run
@@ -28,7 +28,7 @@ def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
     first = {run.data: run for run in reversed(runs)}
     for run in runs:
         own: dict[str, Any] = {"variant": run.label, "seed": run.seed, "data": run.data}
-        with_floor = first[own["data"]] is run
+        with_floor = first[run.data] is run
         table = run.scores[run.scores["split"] == "test"].assign(data=own["data"])
         frames.append(table[table["source"] == MODEL])
         floor = table[table["source"] == RESIMULATED]
@@ -40,9 +40,8 @@ def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
             part, _, metric = name.rpartition("/")
             is_floor = metric.startswith(FLOOR_PREFIX)
             metric = metric.removeprefix(FLOOR_PREFIX)
-            if metric in per_image_metrics or is_bound(metric):
-                continue
-            if part == "test" and (with_floor or not is_floor):
+            of_frames = metric in per_image_metrics or is_bound(metric)
+            if part == "test" and not of_frames and (with_floor or not is_floor):
                 whose = own | ({"variant": RESIMULATION} if is_floor else {})
                 bounds = {side: values.get(f"{name}_{side}") for side in BOUNDS}
                 scalars.append({**whose, "metric": metric, "value": value, **bounds})
@@ -53,39 +52,18 @@ def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
     return pd.concat(frames, ignore_index=True), pd.concat([table, times], ignore_index=True) if len(times) else table
 
 
-def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
-    """Times a frame, all of one machine, as `time_rows` gives them; what a run itself stored of times is not read."""
-    networks = {(r.label, r.seed, r.data): network_of(r.spec["semantic"]) for r in runs}
-    return time_rows(runs[0].folder.parents[1], networks)
-
-
-def labelled_networks(runs: Sequence[Run]) -> dict[str, str]:
-    """The network that each variant is timed by."""
-    return {run.label: network_of(run.spec["semantic"]) for run in runs}
-
-
-def timed_on(runs: Sequence[Run]) -> str:
-    """The machine that the times in tables and figures are from; empty where there are none."""
-    return shown_machine(read_times(runs[0].folder.parents[1]), labelled_networks(runs).values()) or ""
-
-
 def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]:
     """Error of every variant against its milliseconds a frame, and the re-simulation's value by metric.
 
     `table` is what `comparison_table` gives. Columns are those of `error_vs_runtime`, with the spread of the times.
     """
-    means = table.pivot(index="variant", columns="metric", values="mean")
     times = table[table["metric"] == FRAME_TIME].set_index("variant")[["mean", *BOUNDS]].rename(columns={"mean": "ms"})
-    times = times.astype("float64")
-    networks = means.drop(index=RESIMULATION, errors="ignore")
-    metrics = [m for m in shown_in(Shown.headline) if m in means.columns]
-    rows = [
-        {"series": v, "setting": "", **times.loc[v].to_dict(), "metric": m, "error": networks.loc[v, m]}
-        for v in networks.index.intersection(times.index)
-        for m in metrics
-    ]
-    floors = {m: float(means[m].to_dict()[RESIMULATION]) for m in metrics} if RESIMULATION in means.index else {}
-    return pd.DataFrame(rows), floors
+    scored = table.loc[table["metric"].isin(shown_in(Shown.headline)), ["variant", "metric", "mean"]]
+    points = scored.merge(times.astype("float64"), on="variant").sort_values("variant", kind="stable")
+    points = points.rename(columns={"variant": "series", "mean": "error"}).assign(setting="")
+    floors = scored[scored["variant"] == RESIMULATION]
+    known = {str(metric): float(mean) for metric, mean in zip(floors["metric"], floors["mean"], strict=True)}
+    return points[["series", "setting", "ms", *BOUNDS, "metric", "error"]], known
 
 
 def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictures]:
@@ -100,14 +78,13 @@ def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictu
         return []
     pairs = runs[0].data_set.pairs
     maps = {name: pairs.read(name, numbers) for name in pairs.maps - {"low"}}
+    if "resimulation" in maps:
+        stored = {RESIMULATION: dict(zip(numbers, maps["resimulation"], strict=True)), **stored}
     return [
         FramePictures(
             name=f"frame {number}",
             target=maps["target"][k],
-            predictions={
-                **({RESIMULATION: maps["resimulation"][k]} if "resimulation" in maps else {}),
-                **{v: s[number] for v, s in stored.items()},
-            },
+            predictions={variant: images[number] for variant, images in stored.items()},
             mask=pairs.mask(),
             segmentation=maps["segmentation"][k],
             attenuation=maps["attenuation"][k] if "attenuation" in maps else None,
@@ -143,16 +120,13 @@ def appendix(runs: Sequence[Run]) -> dict[str, str]:
 
 
 def _made_with(runs: Sequence[Run]) -> dict[str, str]:
-    """What the runs recorded in `made_with.json`, by key."""
+    """What the runs recorded in `made_with.json`, by key; where they differ, each value names its runs."""
     recorded = {run.name: run.made_with for run in runs if run.made_with}
-    keys = dict.fromkeys(key for of_run in recorded.values() for key in of_run)
-    return {key: _by_run({name: str(of_run.get(key, "")) for name, of_run in recorded.items()}) for key in keys}
-
-
-def _by_run(values: dict[str, str]) -> str:
-    distinct: dict[str, list[str]] = {}
-    for name, value in values.items():
-        distinct.setdefault(value, []).append(name)
-    if len(distinct) == 1:
-        return next(iter(distinct))
-    return "; ".join(f"{value} ({', '.join(names)})" for value, names in distinct.items())
+    texts = {}
+    for key in dict.fromkeys(key for about in recorded.values() for key in about):
+        names: dict[str, list[str]] = {}
+        for name, about in recorded.items():
+            names.setdefault(str(about.get(key, "")), []).append(name)
+        several = "; ".join(f"{value} ({', '.join(whose)})" for value, whose in names.items())
+        texts[key] = several if len(names) > 1 else next(iter(names))
+    return texts

@@ -1,7 +1,7 @@
 """Choose the runs of a study that can be compared with each other, and say which are left aside and why."""
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,9 +62,11 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
         of_reference = [run for run in runs if run.label == reference]
         chosen = Counter(run.data for run in of_reference or runs).most_common(1)[0][0]
         others = [run for run in runs if run.data != chosen]
-        factors = factors_of(runs)
+        varied = {semantic_key(key) for key in factors_of(runs)} | {_ANATOMY}
         runs = [run for run in runs if run.data == chosen]
-        blocks = [run for run in others if _is_block(run, runs[0], factors)]
+        pairs = runs[0].spec["semantic"]["data"]
+        unlike = [{key for key, *_ in differences(run.spec["semantic"]["data"], pairs, "data")} for run in others]
+        blocks = [run for run, keys in zip(others, unlike, strict=True) if keys <= varied]
         if names := [run.name for run in others if run not in blocks]:
             notes.append(f"{_counted(names)} left aside, made from other pairs than {chosen}: {listed(names)}.")
         if names := [run.name for run in blocks]:
@@ -85,23 +87,11 @@ def without_anatomy(data: Mapping[str, Any]) -> dict[str, Any]:
     return {**data, "scene": {k: v for k, v in data["scene"].items() if k != "anatomy_seed"}}
 
 
-def anatomy_of(run: Run) -> str:
-    """The block that a run belongs to: the anatomy that its pairs show."""
-    return str(run.spec["semantic"]["data"]["scene"].get("anatomy_seed", ""))
-
-
 def factors_of(runs: Sequence[Run]) -> tuple[str, ...]:
     """The dotted keys that count as components: the declared ones, then those in labels; no anatomy."""
     declared = (component.key for component in components())
     swept = sorted({key for run in runs for key in run.changed} - {_ANATOMY.removeprefix("data.")})
     return tuple(dict.fromkeys([*declared, *swept]))
-
-
-def _is_block(run: Run, other: Run, factors: Collection[str]) -> bool:
-    """Whether the pairs of two runs differ in the anatomy or in components, and in nothing else."""
-    varied = {semantic_key(key) for key in factors} | {_ANATOMY}
-    unlike = differences(run.spec["semantic"]["data"], other.spec["semantic"]["data"], "data")
-    return all(key in varied for key, _, _ in unlike)
 
 
 def levels_of(semantic: Mapping[str, Any]) -> dict[str, object]:

@@ -46,9 +46,9 @@ def resimulation_scores(scorer: Scorer, part: Part) -> Scores:
         with suppress(OSError, ValueError, KeyError):  # not made yet, or damaged
             read = read_json(kept)
             return Scores(pd.DataFrame(read["per_image"]), read["scalars"])
-        found = scorer.score(part, images_of, draws_noise=True)
-        write_json(kept, {"per_image": found.per_image.to_dict("list"), "scalars": found.scalars})
-        return found
+        scores = scorer.score(part, images_of, draws_noise=True)
+        write_json(kept, {"per_image": scores.per_image.to_dict("list"), "scalars": scores.scalars})
+        return scores
 
 
 def score_run(scorer: Scorer, images_of: ImageSource, draws_noise: bool) -> Scores:
@@ -65,10 +65,10 @@ def score_run(scorer: Scorer, images_of: ImageSource, draws_noise: bool) -> Scor
             scored = {MODEL: scorer.score(part, images_of, draws_noise)}
         if "resimulation" in scorer.pairs.maps:
             scored[RESIMULATED] = resimulation_scores(scorer, part)
-        for source, found in scored.items():
-            tables.append(found.per_image.assign(source=source, split=part.name))
+        for source, scores in scored.items():
+            tables.append(scores.per_image.assign(source=source, split=part.name))
             mark = FLOOR_PREFIX if source == RESIMULATED else ""
-            scalars |= {f"{prefix}/{mark}{name}": value for name, value in found.scalars.items()}
+            scalars |= {f"{prefix}/{mark}{name}": value for name, value in scores.scalars.items()}
         notes = (*scored[MODEL].notes, *_about_output(counts, images_of, scorer.pairs.frames(part)[:1]))
     return Scores(pd.concat(tables, ignore_index=True), scalars, notes)
 

@@ -194,9 +194,9 @@ class Scorer:
         scalars = {str(name): float(value) for name, value in finite.groupby("metric")["value"].mean().items()}
         for of_sets, features in ((speckle, [texture for _, texture in scored]), (fid, of_inception)):
             if of_sets:
-                found, wanted = (np.concatenate(side) for side in zip(*features, strict=True))
-                groups = np.repeat(sites, len(found) // len(sites))  # rows of features go image by image
-                scalars |= _distances(of_sets, found, wanted, groups)
+                rendered, wanted = (np.concatenate(side) for side in zip(*features, strict=True))
+                groups = np.repeat(sites, len(rendered) // len(sites))  # rows of features go image by image
+                scalars |= _distances(of_sets, rendered, wanted, groups)
         return Scores(per_image, scalars, notes)
 
     def _score_frame(self, frame: int, draws: np.ndarray, with_texture: bool) -> tuple[dict[str, float], Features]:
@@ -225,13 +225,13 @@ class Scorer:
         return values, (speckle_features(image[None], self._mask), speckle_features(target[None], self._mask))
 
 
-def _distances(metrics: list[Metric], found: np.ndarray, wanted: np.ndarray, sites: np.ndarray) -> dict[str, float]:
+def _distances(metrics: list[Metric], rendered: np.ndarray, wanted: np.ndarray, sites: np.ndarray) -> dict[str, float]:
     """Distances between features of images and of their targets, (n, d) each; intervals, over `sites`, need two."""
     scalars = {}
     for name, of_set in ((metric.name, metric.of_set) for metric in metrics if metric.of_set):
-        scalars[name] = of_set.distance(found, wanted)
+        scalars[name] = of_set.distance(rendered, wanted)
         if len(np.unique(sites)) > 1:
-            ends = bootstrap_interval(of_set.distance, found, wanted, sites, of_set.resamples)
+            ends = bootstrap_interval(of_set.distance, rendered, wanted, sites, of_set.resamples)
             scalars |= {f"{name}_{side}": end for side, end in zip(BOUNDS, ends, strict=True)}
     return scalars
 

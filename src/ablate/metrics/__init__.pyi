@@ -34,5 +34,4 @@ from .registry import choose_metrics as choose_metrics
 from .registry import evaluate_image as evaluate_image
 from .registry import metric_of as metric_of
 from .registry import needs_inception as needs_inception
-from .registry import register as register
 from .registry import shown_in as shown_in

@@ -69,8 +69,8 @@ def _download(path: Path) -> None:
                 with bar as stream:
                     shutil.copyfileobj(stream, file)
         except OSError as error:
-            said = f"{INCEPTION_URL} cannot be downloaded: {error}; give the path of the file"
-            raise ConnectionError(said) from error
+            why = f"{INCEPTION_URL} cannot be downloaded: {error}; give the path of the file"
+            raise ConnectionError(why) from error
         _check_digest(partial)
 
 
@@ -102,8 +102,8 @@ def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> Inceptio
         crops = [images[:, top + i : top + i + CROP, left + j : left + j + CROP] for i in starts for j in starts]
         grey = torch.from_numpy(np.stack(crops, axis=1).reshape(-1, 1, CROP, CROP))
         with torch.inference_mode():
-            found = [module(c.to(device).expand(-1, 3, -1, -1), return_features=True) for c in grey.split(batch)]
-        return torch.cat(found).double().cpu().numpy()
+            parts = [module(c.to(device).expand(-1, 3, -1, -1), return_features=True) for c in grey.split(batch)]
+        return torch.cat(parts).double().cpu().numpy()
 
     return features
 

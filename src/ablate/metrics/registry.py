@@ -28,18 +28,6 @@ METRIC_SETS = {
 _OWN: dict[str, Metric] = {}  # of the user, since they were chosen
 
 
-def register(metric: Metric) -> Metric:
-    """Make a user's metric known to tables, figures and statistics, in place of an earlier one of that name.
-
-    Raises ValueError when the package has a metric of that name, or the name cannot be that of a file.
-    """
-    check_name("name", metric.name)
-    if metric.name in METRICS:
-        raise ValueError(f"{metric.name} is the name of another metric")
-    _OWN[metric.name] = metric
-    return metric
-
-
 def metric_of(name: str) -> Metric:
     """The entry of a metric; one that is not known is shown under its own name and not judged."""
     return METRICS.get(name) or _OWN.get(name) or Metric(name)
@@ -61,13 +49,13 @@ def evaluate_image(pair: Pair, metrics: Iterable[Metric] = METRICS.values()) -> 
     ValueError
         When a metric writes to an array of the pair; the message names the metric.
     """
-    found = {}
+    values = {}
     for metric in metrics:
         try:
             measure = metric.of_image if pair.draws is None else metric.of_image or metric.of_draws
             value = None if measure is None else measure(pair)
             if value is not None:
-                found[metric.name] = float(value)
+                values[metric.name] = float(value)
         except Exception as error:
             if isinstance(error, ValueError) and "read-only" in str(error):
                 raise ValueError(
@@ -75,7 +63,7 @@ def evaluate_image(pair: Pair, metrics: Iterable[Metric] = METRICS.values()) -> 
                 ) from error
             error.add_note(f"by the metric {metric.name}")
             raise
-    return found
+    return values
 
 
 def choose_metrics(asked: str | Iterable[str] = "all") -> dict[str, Metric]:
@@ -112,22 +100,24 @@ def needs_inception(metrics: Mapping[str, Metric]) -> bool:
     return any(metric.uses(FeatureKind.inception) for metric in metrics.values())
 
 
-def _imported(path: object) -> Metric:
-    module, _, name = str(path).rpartition(".")
+def _imported(path: str) -> Metric:
+    """A user's metric, known from now on to tables, figures and statistics."""
+    module, _, name = path.rpartition(".")
     if not module:
         raise ValueError(f"metrics={path}: {_allowed()}")
     try:
-        found = getattr(import_module(module), name)
+        named = getattr(import_module(module), name)
     except (Exception, SystemExit) as error:  # whatever the user's module does
-        said = " ".join(str(error).split())
-        raise ValueError(f"metrics={path}: {type(error).__name__}: {said:.200}; {_allowed()}") from error
-    metric = found if isinstance(found, Metric) else Metric(name, of_image=found)
+        why = " ".join(str(error).split())
+        raise ValueError(f"metrics={path}: {type(error).__name__}: {why:.200}; {_allowed()}") from error
+    metric = named if isinstance(named, Metric) else Metric(name, of_image=named)
     if not callable(metric.of_image):
         raise ValueError(f"metrics={path}: is no function; {_allowed()}")
-    try:
-        return register(metric)
-    except ValueError as error:
-        raise ValueError(f"metrics={path}: {error}") from error
+    check_name(f"metrics={path}: name", metric.name)
+    if metric.name in METRICS:
+        raise ValueError(f"metrics={path}: {metric.name} is the name of another metric")
+    _OWN[metric.name] = metric  # in place of an earlier one of that name
+    return metric
 
 
 def _allowed() -> str:

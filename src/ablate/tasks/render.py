@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ablate.analysis import Preview, preview_figure
+from ablate.analysis import preview_figure
 from ablate.anatomy import Scene, fetal_planes
 from ablate.dataset import Pairs, Part, read_poses
 from ablate.runs.job import Job
@@ -142,8 +142,8 @@ def _draw(job: Job) -> Path:
         image, segmentation = rendered.image, rendered.segmentation
     part, site = Part(frames.split[frame]).name, frames.sites[frame]
     title = f"{settings.scene_name}: frame {frame} of {len(frames)}, {part}, site {site}"
-    shown = Preview(title, frames.poses[frame], image, segmentation, grid.axis, grid.front)
-    return preview_figure(scene, settings.probe, shown, data.folder / f"preview_{frame}.png")
+    path, pose = data.folder / f"preview_{frame}.png", frames.poses[frame]
+    return preview_figure(path, title, scene, settings.probe, pose, image, segmentation, grid)
 
 
 def check_frame(frame: int, frames: int) -> None:

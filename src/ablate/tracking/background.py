@@ -92,14 +92,11 @@ def system_metrics(folder: Path, log: LocalLog, every_s: float = _SAMPLED_EVERY_
     """
     lines, _ = read_log(folder)
     taken = max((point.step for point in points(lines) if point.key.startswith(_GROUP)), default=-1) + 1
-    from mlflow.system_metrics.metrics.cpu_monitor import CPUMonitor
-    from mlflow.system_metrics.metrics.disk_monitor import DiskMonitor
-    from mlflow.system_metrics.metrics.gpu_monitor import GPUMonitor
-    from mlflow.system_metrics.metrics.network_monitor import NetworkMonitor
+    from mlflow.system_metrics.metrics import cpu_monitor, disk_monitor, gpu_monitor, network_monitor
 
-    monitors: list[Any] = [CPUMonitor(), DiskMonitor(), NetworkMonitor()]
+    monitors: list[Any] = [cpu_monitor.CPUMonitor(), disk_monitor.DiskMonitor(), network_monitor.NetworkMonitor()]
     with suppress(ImportError, RuntimeError):  # no NVIDIA GPU, or not its package
-        monitors.append(GPUMonitor())
+        monitors.append(gpu_monitor.GPUMonitor())
 
     def sample() -> None:
         nonlocal taken

@@ -92,8 +92,8 @@ def read_log(folder: Path, start: int = 0) -> tuple[list[dict[str, Any]], int]:
 
 def points(lines: list[dict[str, Any]]) -> list[Point]:
     """The values in lines of a log."""
-    found = [line for line in lines if "metrics" in line]
-    return [Point(key, value, line["time"], line["step"]) for line in found for key, value in line["metrics"].items()]
+    steps = [line for line in lines if "metrics" in line]
+    return [Point(key, value, line["time"], line["step"]) for line in steps for key, value in line["metrics"].items()]
 
 
 def logged_images(folder: Path) -> list[tuple[str, int, Path]]:

@@ -50,7 +50,7 @@ def source_digest(package: Path = _PACKAGE) -> str:
 
 def environment() -> str:
     """Installed distributions as `name==version` lines, sorted."""
-    read = [found.metadata for found in metadata.distributions()]  # a property that parses a file each time
+    read = [installed.metadata for installed in metadata.distributions()]  # a property that parses a file each time
     lines = {f"{about['Name']}=={about['Version']}" for about in read if about["Name"]}
     return "\n".join(["# Python " + platform.python_version(), *sorted(lines, key=str.lower)]) + "\n"
 

@@ -82,9 +82,8 @@ def register_generator(
         except MlflowException as error:
             if error.error_code != "RESOURCE_ALREADY_EXISTS":
                 raise
-        found = client.search_model_versions(f"name = '{name}' and run_id = '{run_id}'")
-        if found:
-            return int(found[0].version)
+        if registered := client.search_model_versions(f"name = '{name}' and run_id = '{run_id}'"):
+            return int(registered[0].version)
         with tempfile.TemporaryDirectory() as folder:
             weights, model = Path(folder, "generator.pt"), Path(folder, "model")
             kept = {"spec": plain(generator.spec), "values": torch.from_numpy(values), "precision": str(precision)}

@@ -45,8 +45,8 @@ _REFUSED = {
 
 def reason(error: Exception) -> str:
     """Why a store could not be used, in one line."""
-    said = " ".join(str(error).split())
-    return _REFUSED.get(getattr(error, "error_code", ""), f"{type(error).__name__}: {said:.200}")
+    text = " ".join(str(error).split())
+    return _REFUSED.get(getattr(error, "error_code", ""), f"{type(error).__name__}: {text:.200}")
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,9 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
         try:
             client = MlflowClient(uri or default_uri(runs))
             known = client.get_experiment_by_name(experiment)
-            found = str(known.artifact_location) if known else ""
-            is_own = found.startswith("file:") and found.endswith("/artifacts")  # and not at a server's
-            if location and is_own and found != location:
+            artifacts = str(known.artifact_location) if known else ""
+            is_own = artifacts.startswith("file:") and artifacts.endswith("/artifacts")  # and not at a server's
+            if location and is_own and artifacts != location:
                 why = "the folder of runs was moved or copied since it was made"
         except MlflowException as error:
             if location is None or error.error_code == "TEMPORARILY_UNAVAILABLE":
@@ -148,9 +148,8 @@ def _run(
     query = " and ".join(f"tags.`{tag}` = '{value}'" for tag, value in known_by.items())
     with FileLock(store.lock, timeout=_LOCK_S):
         client = store.client
-        found = client.search_runs([store.experiment_id], query, max_results=1)
-        if found:
-            return str(found[0].info.run_id)
+        if known := client.search_runs([store.experiment_id], query, max_results=1):
+            return str(known[0].info.run_id)
         made = client.create_run(store.experiment_id, start_ms, {**tags, **known_by}, run_name=name)
         return str(made.info.run_id)
 

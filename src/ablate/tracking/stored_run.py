@@ -55,11 +55,11 @@ class StoredRun:
         run = self._client.get_run(self.run_id)
         known, used = run.data.metrics, run.inputs.dataset_inputs if model else []
         new = {k: float(v) for k, v in values.items() if abs(float(v)) < 1e300 and known.get(k) != float(v)}
-        at = time_ms or int(time.time() * 1000)
+        logged_ms = time_ms or int(time.time() * 1000)
         steps = {k: self._client.get_metric_history(self.run_id, k)[-1].step + 1 for k in new.keys() & known.keys()}
-        of = (model, used[0].dataset.name, used[0].dataset.digest) if used else (model,)
+        model_and_data = (model, used[0].dataset.name, used[0].dataset.digest) if used else (model,)
         if new:
-            logged = [Metric(k, v, at, steps.get(k, 0), *of) for k, v in new.items()]
+            logged = [Metric(k, v, logged_ms, steps.get(k, 0), *model_and_data) for k, v in new.items()]
             self._client.log_batch(self.run_id, metrics=logged)
 
     def model(self, name: str) -> str:
@@ -103,7 +103,7 @@ class StoredRun:
         from mlflow.types import Schema, TensorSpec
 
         def schema(maps: Mapping[str, str]) -> Schema:
-            return Schema([TensorSpec(np.dtype(dtype), (-1, -1, -1), of) for of, dtype in maps.items()])
+            return Schema([TensorSpec(np.dtype(dtype), (-1, -1, -1), key) for key, dtype in maps.items()])
 
         source, profile = json.dumps({"uri": str(folder)}), json.dumps({"num_rows": frames})
         tensors = json.dumps(TensorDatasetSchema(schema(read), schema(drawn)).to_dict())
@@ -132,4 +132,4 @@ class StoredRun:
     @cached_property
     def _images(self) -> set[str]:
         there = self._client.list_artifacts(self.run_id, "images")
-        return {found[0] for a in there if (found := _WHOLE_IMAGE.match(Path(a.path).name))}
+        return {match[0] for a in there if (match := _WHOLE_IMAGE.match(Path(a.path).name))}

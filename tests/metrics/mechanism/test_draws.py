@@ -47,8 +47,8 @@ def test_crps_of_a_normal_distribution_is_its_closed_form():
     for sd, t in ((20.0, 120), (20.0, 150), (8.0, 100)):
         z = (t - 120) / sd
         expected = sd * (z * (2 * norm.cdf(z) - 1) + 2 * norm.pdf(z) - 1 / np.sqrt(np.pi))
-        found = crps(pair_of(drawn(3, sd, count=3), np.full(WHOLE.shape, t, np.uint8)))
-        assert found == pytest.approx(expected, rel=0.03)
+        score = crps(pair_of(drawn(3, sd, count=3), np.full(WHOLE.shape, t, np.uint8)))
+        assert score == pytest.approx(expected, rel=0.03)
 
 
 def test_crps_is_smallest_for_the_distribution_of_the_target():

@@ -36,9 +36,9 @@ def test_each_wave_has_its_octave():
     x = np.arange(256)
     for band, period in enumerate((3, 6, 12, 24)):
         wave = 128 + 80 * np.sin(2 * np.pi * x / period) * np.ones((256, 1))
-        found = octave_variances(wave, np.ones((256, 256), bool))
-        assert np.argmax(found) == band
-        assert 0.15 * np.var(wave) < found[band] < np.var(wave)
+        variances = octave_variances(wave, np.ones((256, 256), bool))
+        assert np.argmax(variances) == band
+        assert 0.15 * np.var(wave) < variances[band] < np.var(wave)
 
 
 def test_smooth_and_coarse_speckle_counts_and_other_speckle_hardly(make_frame):

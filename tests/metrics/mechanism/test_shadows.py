@@ -52,9 +52,9 @@ def test_missing_shadows_are_measured_in_grey_levels(make_frame):
     flat = make_frame(0, shadow_grey=0.0, enhanced_grey=0.0)
     deep = flat.image[target.shadow & target.tissue].astype(float)
     expected = np.mean(deep - target.image[target.shadow & target.tissue])
-    found = contrast(flat.image, target)
-    assert found > 80, "a renderer without shadows must stand out"
-    assert found == pytest.approx(expected + 40, abs=4)
+    error = contrast(flat.image, target)
+    assert error > 80, "a renderer without shadows must stand out"
+    assert error == pytest.approx(expected + 40, abs=4)
     assert contrast(make_frame(1).image, target) < 4, "other speckle is not another shadow"
     assert contrast(target.image, target) == 0
 

@@ -37,5 +37,5 @@ def test_a_structure_weighs_the_same_at_any_resolution(pixel_mm, along):
     shape = tuple(round(120 / size) for size in pixel_mm)
     x = (np.indices(shape)[along] + 0.5) * pixel_mm[along]
     target = np.round(128 + 100 * np.sin(2 * np.pi * x / 10.0)).astype(np.uint8)
-    found = mae_smooth(Pair(np.full_like(target, 128), target, np.ones(shape, bool), pixel_mm=pixel_mm))
-    assert found == pytest.approx(100 * 2 / np.pi * np.exp(-2 * (np.pi * 1.5 / 10.0) ** 2), rel=0.04)
+    error = mae_smooth(Pair(np.full_like(target, 128), target, np.ones(shape, bool), pixel_mm=pixel_mm))
+    assert error == pytest.approx(100 * 2 / np.pi * np.exp(-2 * (np.pi * 1.5 / 10.0) ** 2), rel=0.04)

@@ -17,7 +17,7 @@ def plain(prediction, frame, parts):
     places = [(i, j) for i in range(frame.mask.shape[0]) for j in range(frame.mask.shape[1]) if frame.mask[i, j]]
     down, right = frame.pixel_mm
     error = prediction.astype(float) - frame.image
-    found, weights = [], []
+    errors, weights = [], []
     for band in parts:
         deepest = max(frame.depth_mm[p] for p in band)
         around = []
@@ -28,9 +28,9 @@ def plain(prediction, frame, parts):
             if 2 <= nearest <= 5:
                 around.append(p)
         if min(len(band), len(around)) * down * right >= 4:
-            found.append(abs(np.mean([error[p] for p in band]) - np.mean([error[p] for p in around])))
+            errors.append(abs(np.mean([error[p] for p in band]) - np.mean([error[p] for p in around])))
             weights.append(len(band))
-    return np.average(found, weights=weights)
+    return np.average(errors, weights=weights)
 
 
 def test_it_is_that_of_each_rib_in_plain_loops(make_frame):

@@ -1,7 +1,7 @@
 """Figures made of pictures: the qualitative grid and the patch chi-square maps."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -45,17 +45,17 @@ class FramePictures:
     target : (H, W) uint8
     predictions : dict of str to (H, W) uint8
         By variant, in the order shown; the re-simulation goes first, under its own name.
-    mask : (H, W) bool, optional
+    mask : (H, W) bool
         The fan.
-    segmentation, attenuation : (H, W) uint8 and (H, W) float in [0, 1], optional
+    segmentation, attenuation : (H, W) uint8 and (H, W) float in [0, 1], the latter optional
         Labels and shadows, each shown in a corner of the target.
     """
 
     name: str
     target: np.ndarray
-    predictions: dict[str, np.ndarray] = field(default_factory=dict)
-    mask: np.ndarray | None = None
-    segmentation: np.ndarray | None = None
+    predictions: dict[str, np.ndarray]
+    mask: np.ndarray
+    segmentation: np.ndarray
     attenuation: np.ndarray | None = None
 
 
@@ -68,15 +68,11 @@ def _picture(axes: Axes, image: np.ndarray, colours: str = "gray", **how: Any) -
 
 def _insets(axes: Axes, frame: FramePictures) -> None:
     """S at the top left and A at the top right: the corners that a fan leaves black."""
-    outside = np.zeros(frame.target.shape, bool) if frame.mask is None else ~frame.mask
-    corners = []
-    if frame.segmentation is not None:
-        labels = np.ma.masked_array(frame.segmentation, outside | (frame.segmentation == 0))
-        corners.append((0.0, labels, "cividis"))
+    corners = [(0.0, np.ma.masked_array(frame.segmentation, ~frame.mask | (frame.segmentation == 0)), "cividis")]
     if frame.attenuation is not None:
         # Attenuation falls over decades with depth: its logarithm is what shows shadows.
         log = np.log10(np.maximum(frame.attenuation.astype(np.float32), 1e-4))
-        corners.append((1 - INSET, np.ma.masked_array(log, outside), "gray"))
+        corners.append((1 - INSET, np.ma.masked_array(log, ~frame.mask), "gray"))
     for left, shown, colours in corners:
         corner = axes.inset_axes((left, 1 - INSET, INSET, INSET), facecolor="none")
         _picture(corner, shown, colours, interpolation="nearest")
@@ -144,7 +140,7 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, components: Sequence[Comp
     """
     names = _columns([frame])
     height, width = frame.target.shape
-    inside = None if frame.mask is None else patches_inside(frame.mask, PATCH)
+    inside = patches_inside(frame.mask, PATCH)
     pictures = len(names) + 1
     line_in = {n: 0.45 + 2 * PAGE_IN / max(n, 3) * height / width for n in range(1, ACROSS + 2)}  # maps above images
     # Three to five side by side, as many as leave the fewest places of a page empty.
@@ -159,7 +155,7 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, components: Sequence[Comp
         maps, images = grid[::2].ravel(), grid[1::2].ravel()
         for upper, lower, name in zip(maps, images, names, strict=False):
             chi2 = patch_chi2(frame.predictions[name], frame.target, PATCH)
-            shown = chi2 if inside is None else np.ma.masked_array(chi2, ~inside)
+            shown = np.ma.masked_array(chi2, ~inside)
             extent = (0, chi2.shape[1] * PATCH, chi2.shape[0] * PATCH, 0)
             drawn = _picture(upper, shown, "inferno", vmin=0, vmax=1, extent=extent)
             upper.set(xlim=(0, width), ylim=(height, 0), aspect="equal", facecolor="#EEEEEE")

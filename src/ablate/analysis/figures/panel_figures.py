@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 
 from ablate.analysis.components import Component, short_keys
 from ablate.analysis.figures.style import (
@@ -69,35 +68,29 @@ def boxplot_panels(
     for metric in metrics:
         pairs = aligned_differences(per_image, metric, reference)
         finite = {v: p[np.isfinite(p[["value", "reference"]]).all(axis=1)] for v, p in pairs.items()}
-        found = {v: (p["value"] - p["reference"]).to_numpy() for v, p in finite.items() if len(p)}
-        if set(found) - {RESIMULATION}:
-            drawn[metric] = found
-    networks = list(dict.fromkeys(name for found in drawn.values() for name in found if name != RESIMULATION))
+        differences = {v: (p["value"] - p["reference"]).to_numpy() for v, p in finite.items() if len(p)}
+        if set(differences) - {RESIMULATION}:
+            drawn[metric] = differences
+    networks = list(dict.fromkeys(name for shown in drawn.values() for name in shown if name != RESIMULATION))
     if not networks:
         return []
     with house_style():
         figure, panels = metric_panels(list(drawn), [shown_name(n, components) for n in networks], 3, BOX_IN)
-        for axes, (metric, found) in zip(panels, drawn.items(), strict=True):
-            _draw_boxes(axes, found, networks, metric)
-            places = {name: len(networks) - k - 0.37 for k, name in enumerate(networks) if name in found}
+        for axes, (metric, differences) in zip(panels, drawn.items(), strict=True):
+            if RESIMULATION in differences:
+                lower, middle, upper = np.quantile(differences[RESIMULATION], [0.25, 0.5, 0.75])
+                axes.axvspan(lower, upper, color="#DDDDDD", zorder=0)
+                draw_resimulation(axes, metric, float(middle), "re-simulation, median and quartiles")
+            axes.axvline(0, color="black", lw=0.8, zorder=1)
+            places = {name: len(networks) - k for k, name in enumerate(networks) if name in differences}
+            axes.boxplot([differences[name] for name in places], positions=list(places.values()), **BOX_STYLE)
             for row in [] if paired is None else paired[paired["metric"] == metric].to_dict("records"):
                 if row["variant"] in places and np.isfinite([row["lower"], row["upper"]]).all():
-                    place = [places[row["variant"]]] * 2
+                    place = [places[row["variant"]] - 0.37] * 2
                     axes.plot([row["lower"], row["upper"]], place, color="black", lw=1.8, solid_capstyle="butt")
             axes.set_xlabel(axis_title(metric, f"Δ {{}} to {reference}"))
         one_legend(figure, panels, 3 if len(panels) > 1 else 1)
         return save_figure(figure, stem)
-
-
-def _draw_boxes(axes: Axes, differences: dict[str, np.ndarray], networks: Sequence[str], metric: str) -> None:
-    """A box for each network that has differences, and the re-simulation's as a line in a band."""
-    if RESIMULATION in differences:
-        lower, middle, upper = np.quantile(differences[RESIMULATION], [0.25, 0.5, 0.75])
-        axes.axvspan(lower, upper, color="#DDDDDD", zorder=0)
-        draw_resimulation(axes, metric, float(middle), "re-simulation, median and quartiles")
-    axes.axvline(0, color="black", lw=0.8, zorder=1)
-    places = {len(networks) - k: name for k, name in enumerate(networks) if name in differences}
-    axes.boxplot([differences[name] for name in places.values()], positions=list(places), **BOX_STYLE)
 
 
 def boxplot_caption(metrics: Sequence[str], reference: str = REFERENCE) -> str:
@@ -218,7 +211,7 @@ def effects_caption(design: Design, effects: pd.DataFrame, gap_to: str | None = 
         f"{name} {' → '.join(map(str, design.cells[key].cat.categories))}"
         for key, name in short_keys(design.factors).items()
     )
-    said = [
+    sentences = [
         f"Effects of changing a component ({changes}), computed from one mean per training. The 95 % intervals are not "
         f"corrected for the number of effects. The design is: {design.name}. {design.reading}",
         INTERACTION if effects["effect"].str.contains(":").any() else "",
@@ -226,4 +219,4 @@ def effects_caption(design: Design, effects: pd.DataFrame, gap_to: str | None = 
         f"The number below a panel is the re-simulation minus {gap_to}." if gap_to else "",
         resimulation_note(list(dict.fromkeys(effects["metric"]))),
     ]
-    return " ".join(filter(None, said))
+    return " ".join(filter(None, sentences))

@@ -65,10 +65,9 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
 
 def colour_of(name: str, names: Sequence[str]) -> str:
     """The same colour for a name of a study in every figure: dark grey for re-simulation, black for the reference."""
-    if name in (RESIMULATION, REFERENCE):
-        return {RESIMULATION: FLOOR_COLOUR, REFERENCE: "#000000"}[name]
-    others = [other for other in names if other not in (RESIMULATION, REFERENCE)]
-    return COLOURS[others.index(name) % len(COLOURS)]
+    fixed = {RESIMULATION: FLOOR_COLOUR, REFERENCE: "#000000"}
+    others = [other for other in names if other not in fixed]
+    return fixed.get(name) or COLOURS[others.index(name) % len(COLOURS)]
 
 
 def metric_panels(

@@ -178,8 +178,8 @@ def effects_table(means: pd.DataFrame, design: Design) -> pd.DataFrame:
     tables = []
     for metric in judged_metrics(list(means["metric"])):
         with suppress(ValueError):
-            found = factorial_effects(means[means["metric"] == metric], design.factors)
-            tables.append(found.assign(metric=metric))
+            effects = factorial_effects(means[means["metric"] == metric], design.factors)
+            tables.append(effects.assign(metric=metric))
     names = ["metric", *EFFECT_COLUMNS, "p_holm", "q"]
     if not tables:
         return pd.DataFrame(columns=names)

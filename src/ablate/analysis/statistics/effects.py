@@ -188,10 +188,10 @@ def _aliases(
         return dict.fromkeys(terms, "")
     others = np.column_stack([_product(signs, term) / 2 for term in left_out])
     matrix = linalg.lstsq(_columns(signs, terms, blocks), others)[0].round(6)
-    found = {}
+    texts = {}
     for term, shares in zip(terms, matrix[1:], strict=False):
         named = [(":".join(alias), share) for alias, share in zip(left_out, shares, strict=True) if share]
         whole = all(abs(share) == 1 for _, share in named) and len(named) <= MOST_NAMED
         text = " ".join(("-" if share < 0 else "+") + alias for alias, share in named)
-        found[term] = text if whole else "its interactions"
-    return found
+        texts[term] = text if whole else "its interactions"
+    return texts

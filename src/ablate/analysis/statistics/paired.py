@@ -138,8 +138,8 @@ def paired_difference(
     Examples
     --------
     >>> from ablate.analysis import paired_difference
-    >>> found = paired_difference([18.0, 19.5, 21.0, 20.0], [17.0, 18.0, 20.0, 18.5], clusters=[0, 0, 1, 1])
-    >>> found.shift, found.effect, found.clusters
+    >>> difference = paired_difference([18.0, 19.5, 21.0, 20.0], [17.0, 18.0, 20.0, 18.5], clusters=[0, 0, 1, 1])
+    >>> difference.shift, difference.effect, difference.clusters
     (1.25, 1.0, 2)
     """
     values, reference = np.asarray(values, dtype=np.float64), np.asarray(reference, dtype=np.float64)

@@ -24,7 +24,6 @@ VERDICT_COLUMNS = (
     *("better", "p_band_holm", "dof", "distance", "full_effect", "full_lower", "full_upper"),
     *("ms_per_frame", "parameters", "why"),
 )
-COSTS = (FRAME_TIME, "parameters")
 # Means of the paper's Table II. Patch chi-square is printed there times 100.
 _FULL = {"psnr": 28.19, "mae": 6.37, "pchi2": 0.1860}
 _WITHOUT: dict[str, dict[str, float]] = {
@@ -33,10 +32,6 @@ _WITHOUT: dict[str, dict[str, float]] = {
     "conv": {"psnr": 24.85, "mae": 8.87, "pchi2": 0.3270},
     "noise": {"psnr": 26.45, "mae": 8.14, "pchi2": 0.2595},
 }
-PAPER_COLUMNS = (
-    *("component", "metric", "paper", "effect", "lower", "upper", "excluded"),
-    *("averaged", "averaged_lower", "averaged_upper"),
-)
 
 
 class Answer(StrEnum):
@@ -189,7 +184,8 @@ def paper_effects(means: pd.DataFrame, design: Design | None, components: Sequen
                     averaged = model.interval(_of_component(component, model))
                     excluded = not lower <= claimed <= upper
                     rows.append((component.name, metric, claimed, effect, lower, upper, excluded, *averaged))
-    return pd.DataFrame(rows, columns=list(PAPER_COLUMNS))
+    names = ["component", "metric", "paper", "effect", "lower", "upper", "excluded"]
+    return pd.DataFrame(rows, columns=[*names, "averaged", "averaged_lower", "averaged_upper"])
 
 
 def _row(
@@ -202,15 +198,14 @@ def _row(
         model = model_by(metric)
     except ValueError as why:
         return row | {"why": str(why)}
-    for cost in COSTS:
+    for cost in (FRAME_TIME, "parameters"):
         with suppress(ValueError):  # not measured
             added = model_by(cost).contrast(_of_component(component, model_by(cost)))[0]
             row[cost] = added if abs(added) > spreads.get(cost, 0.0) else 0.0
     averaged, at_full = (_of_component(component, model, full=full) for full in (False, True))
     effect, error = model.contrast(averaged)
     off, on = (int(n) for n in model.runs[model.terms.index((component.key,))])
-    row |= {"effect": effect, "full_effect": model.contrast(at_full)[0]}
-    row |= {"runs_a": on, "runs_b": off, "dof": model.dof}
+    row |= {"effect": effect, "full_effect": model.contrast(at_full)[0], "runs_a": on, "runs_b": off, "dof": model.dof}
     if model.dof < 1 or min(on, off) < FEWEST_SEEDS:
         least = f"{FEWEST_SEEDS} on either side and a degree of freedom for the error are needed"
         return row | {"why": f"{on} runs with it and {off} without it; {least}"}

@@ -8,6 +8,7 @@ from ablate.metrics.metric import MECHANISM, Metric, Shown
 from ablate.metrics.pair import Pair
 
 BLOCK = 32  # px, of the spectra
+LINES = ((0, BLOCK // 2), (BLOCK // 2, 0), (BLOCK // 2, BLOCK // 2))  # bins of a grid with a period of 2 px
 RING_PX = 3  # how far around a spectral line its surround is taken
 
 
@@ -23,43 +24,39 @@ def _mean_spectrum(image: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     return np.hstack((half, np.roll(half[::-1, -2:0:-1], 1, axis=0)))  # P(-f) = P(f)
 
 
-def line_power(image: np.ndarray, blocks: np.ndarray, period_px: int = 2) -> tuple[np.ndarray, np.ndarray]:
-    """Power of an image (H, W) uint8 on the spectral lines of a grid, and around each, grey levels^2, (lines,) float64.
+def line_power(image: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Power of an image (H, W) uint8 on the spectral lines of a grid, and around each, grey levels^2, (3,) float64.
 
-    The lines are the multiples of 1 / period_px along both axes, without zero frequency. The power on a line is the
+    The power on a line is the
     mean of its bin and the 8 next to it, and that around it the median of the bins 2 and 3 away. Both are of the mean
     spectrum of the `blocks`, (H // 32, W // 32) bool.
     """
     power = _mean_spectrum(image, blocks)
-    lines = np.arange(0, BLOCK, BLOCK // period_px)
     offsets = np.arange(-RING_PX, RING_PX + 1)
     near = np.maximum(np.abs(offsets)[:, None], np.abs(offsets)[None, :])
     on, around = [], []
-    for row in lines:
-        for column in lines:
-            if row or column:
-                here = power[np.ix_((row + offsets) % BLOCK, (column + offsets) % BLOCK)]
-                on.append(here[near <= 1].mean())
-                around.append(np.median(here[near > 1]))
+    for row, column in LINES:
+        here = power[np.ix_((row + offsets) % BLOCK, (column + offsets) % BLOCK)]
+        on.append(here[near <= 1].mean())
+        around.append(np.median(here[near > 1]))
     return np.array(on), np.array(around)
 
 
-def nyquist_excess(pair: Pair, period_px: int = 2) -> float | None:
+def nyquist_excess(pair: Pair) -> float | None:
     """Checkerboard of up-sampling: the power that lines of a grid add to the prediction, against the target's, dB.
 
-    Strided transposed convolutions leave a pattern of period 2 px, and of 4 px from the level before (Odena et al.
-    2016). What an image has on a line above its own surround is divided by the surround of the line in the target:
-    e = 10 log10(1 + mean over lines of max(on - around, 0) / around in the target). The value is |e - e of the target|.
-    So a smooth prediction, whose own surround is faint, is not punished for being smooth.
+    Strided transposed convolutions leave a pattern of period 2 px (Odena et al. 2016). What an image has on a line
+    above its own surround is divided by the surround of the line in the target: e = 10 log10(1 + mean over lines of
+    max(on - around, 0) / around in the target). The value is |e - e of the target|. So a smooth prediction, whose own
+    surround is faint, is not punished for being smooth.
 
-    It is at least 0, which is right, and None when no block of 32 px lies wholly inside the fan. `period_px`, 2 or 4,
-    is the period of the pattern.
+    It is at least 0, which is right, and None when no block of 32 px lies wholly inside the fan.
     """
     blocks = patches_inside(pair.mask, BLOCK)
     if not blocks.any():
         return None
-    found, right = (line_power(image, blocks, period_px) for image in (pair.prediction, pair.target))
-    added = [np.mean(np.maximum(on - around, 0.0) / right[1]) for on, around in (found, right)]
+    rendered, right = (line_power(image, blocks) for image in (pair.prediction, pair.target))
+    added = [np.mean(np.maximum(on - around, 0.0) / right[1]) for on, around in (rendered, right)]
     return float(abs(10.0 * np.log10((1.0 + added[0]) / (1.0 + added[1]))))
 
 

@@ -20,14 +20,14 @@ def octave_variances(image: np.ndarray, mask: np.ndarray) -> list[float]:
     most four bands, of periods from 2 to some 30 px; bands with fewer than 100 pixels are left out.
     """
     values, inside = image.astype(np.float32), mask
-    found: list[float] = []
+    variances: list[float] = []
     for _ in range(OCTAVES):
         if np.count_nonzero(inside) < FEWEST_PIXELS:
             break
         average = _blurred(values * inside) / np.maximum(_blurred(inside.astype(np.float32)), np.float32(1e-6))
-        found.append(float((values - average)[inside].var(dtype=np.float64)))
+        variances.append(float((values - average)[inside].var(dtype=np.float64)))
         values, inside = average[::2, ::2], inside[::2, ::2]
-    return found
+    return variances
 
 
 def _blurred(values: np.ndarray) -> np.ndarray:
@@ -43,10 +43,10 @@ def octave_sd(pair: Pair) -> float | None:
     if pair.tissue_mask is None:
         return None
     tissue = pair.tissue_mask & pair.mask
-    found, right = (np.array(octave_variances(image, tissue)) for image in (pair.prediction, pair.target))
+    rendered, right = (np.array(octave_variances(image, tissue)) for image in (pair.prediction, pair.target))
     if not len(right):
         return None
-    return float(np.abs(10.0 * np.log10((found + ROUNDING) / (right + ROUNDING))).mean())
+    return float(np.abs(10.0 * np.log10((rendered + ROUNDING) / (right + ROUNDING))).mean())
 
 
 OCTAVE_SD = Metric("octave_sd", "Octave sd", "dB", *MECHANISM, 2, of_image=octave_sd, place=90)
