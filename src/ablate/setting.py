@@ -156,18 +156,16 @@ def _checked(one: Setting, value: Any) -> Any:
             raise refusal from None
     if one.declared.choices and value not in one.declared.choices:
         raise refusal
-    if get_origin(one.kind) is tuple:
-        kinds = get_args(one.kind)
-        if not isinstance(value, (tuple, list)) or len(value) != len(kinds):
-            raise refusal
-        if not all(_is_number(v, kind) and one.declared.holds(v) for v, kind in zip(value, kinds, strict=True)):
-            raise refusal
-        return tuple(kind(v) for v, kind in zip(value, kinds, strict=True))
-    if one.kind in (int, float):
-        if not _is_number(value, one.kind) or not one.declared.holds(value):
-            raise refusal
-        return one.kind(value)
-    return value
+    is_tuple = get_origin(one.kind) is tuple
+    kinds, values = (get_args(one.kind), value) if is_tuple else ((one.kind,), (value,))
+    if kinds[0] not in (int, float):
+        return value
+    if not isinstance(values, (tuple, list)) or len(values) != len(kinds):
+        raise refusal
+    if not all(_is_number(v, kind) and one.declared.holds(v) for v, kind in zip(values, kinds, strict=True)):
+        raise refusal
+    numbers = tuple(kind(v) for v, kind in zip(values, kinds, strict=True))
+    return numbers if is_tuple else numbers[0]
 
 
 def _is_number(value: object, kind: type) -> bool:

@@ -1,8 +1,7 @@
 """How long a frame takes with each network of a study: timed in turns in one process, kept machine by machine."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest, written_whole
+from ablate.threads import torch_threads
 from ablate.tracking import hardware
 from ablate.training import chosen_device, generate, load_generator
 
@@ -138,7 +138,7 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
         settings = {network: run.settings for network, run in to_time.items()}
         training = next(iter(settings.values())).training
         device = chosen_device(training.device)
-        with _threads(training.threads) as threads:
+        with torch_threads(training.threads) as threads:
             machine = f"{hardware()}, {device.type}, {threads} thread{'' if threads == 1 else 's'}"
             times = read_times(study_dir)
             here = times["machine"] == machine
@@ -150,17 +150,6 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
     before = times[here & ~times["network"].isin(to_time.keys())]
     write_times(study_dir, pd.concat([times[~here], before, measured[list(_KEPT)]]))
     return ""
-
-
-@contextmanager
-def _threads(count: int) -> Iterator[int]:
-    """Use as many threads as the study's settings say, where they do."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count or before)
-    try:
-        yield torch.get_num_threads()
-    finally:
-        torch.set_num_threads(before)
 
 
 def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], device: torch.device) -> pd.DataFrame:

@@ -184,19 +184,14 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 
 
 def devices_to_share(device: str) -> tuple[str, ...]:
-    """The GPUs that the jobs of a sweep are dealt to, as `CUDA_VISIBLE_DEVICES` names them.
-
-    None where there are fewer than two, or where `training.device` is the CPU.
-    """
+    """The GPUs that the jobs of a sweep share, as `CUDA_VISIBLE_DEVICES` names them; none on a CPU or one GPU."""
     if device not in ("auto", "cuda"):
         return ()
     import torch  # takes seconds, and a sweep on CPUs does without
 
-    visible = os.environ.get(VISIBLE)
     count = torch.cuda.device_count()
-    named = [str(i) for i in range(count)]
-    if visible is not None:
-        named = [name.strip() for name in visible.split(",")][:count]
+    visible = os.environ.get(VISIBLE, ",".join(map(str, range(count))))
+    named = [name.strip() for name in visible.split(",")][:count]
     return tuple(named) if len(named) > 1 else ()
 
 
