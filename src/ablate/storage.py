@@ -11,7 +11,6 @@ from typing import Any
 from uuid import uuid4
 
 import numpy as np
-from PIL import Image
 
 
 @contextmanager
@@ -46,6 +45,8 @@ def write_text(path: Path, text: str) -> None:
 
 def write_image(path: Path, values: np.ndarray) -> None:
     """Write grey levels or colours, in the format that the suffix names, whole or not at all."""
+    from PIL import Image  # only here: the settings of a command line load without it
+
     with written_whole(path) as partial:
         Image.fromarray(values).save(partial)
 
