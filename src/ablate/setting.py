@@ -47,15 +47,10 @@ class Declaration:
 
     def range(self) -> str:
         """The range in words, such as `from 0 and below 1`; empty where there is none."""
-        words = []
-        if self.least is not None:
-            words.append(f"from {self.least:.15g}")
-        if self.above is not None:
-            words.append(f"above {self.above:.15g}")
-        if self.most is not None:
-            words.append(f"to {self.most:.15g}" if self.least is not None else f"up to {self.most:.15g}")
+        bounds = {"from": self.least, "above": self.above, "up to" if self.least is None else "to": self.most}
+        words = [f"{word} {bound:.15g}" for word, bound in bounds.items() if bound is not None]
         if self.below is not None:
-            words.append(f"and below {self.below:.15g}" if words else f"below {self.below:.15g}")
+            words.append(f"{'and ' if words else ''}below {self.below:.15g}")
         return " ".join(words)
 
     def holds(self, number: Any) -> bool:

@@ -78,12 +78,11 @@ class Checks:
         self.add(quantity, int(np.count_nonzero(wrong)), 0, why)  # type: ignore[call-overload]
 
     def both(
-        self, scene: Scene, settings: SimulatorSettings = SMALL, probe: Probe = PROBE, pose: np.ndarray = AHEAD,
-        seed: int = 0,
-    ) -> dict[str, Frame]:  # fmt: skip
+        self, scene: Scene, settings: SimulatorSettings = SMALL, probe: Probe = PROBE, pose: np.ndarray = AHEAD
+    ) -> dict[str, Frame]:
         """Render a frame in float32 and in float64, by the name of the precision, and add nothing."""
         chosen = {p.value: replace(settings, precision=p, device=self.device) for p in SimulatorPrecision}
-        return {dtype: Simulator(scene, probe, s).render(pose, seed) for dtype, s in chosen.items()}
+        return {dtype: Simulator(scene, probe, s).render(pose) for dtype, s in chosen.items()}
 
     def frames(
         self, scene: Scene, settings: SimulatorSettings = SMALL, probe: Probe = PROBE, pose: np.ndarray = AHEAD,
