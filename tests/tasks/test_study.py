@@ -46,8 +46,8 @@ def finished(tiny_study: TinyStudy) -> Path:
 
 
 def test_the_comparison_is_printed(tiny_study: TinyStudy) -> None:
-    for said in ("re-simulation", "sa2h-att", "report.html", "mlflow ui"):
-        assert said in tiny_study.printed
+    for words in ("re-simulation", "sa2h-att", "report.html", "mlflow ui"):
+        assert words in tiny_study.printed
 
 
 def test_the_parent_run_carries_the_comparison(finished: Path) -> None:
