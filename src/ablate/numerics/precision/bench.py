@@ -235,7 +235,7 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
         return mean_errors(frames, other, bench.probe)
 
     for name, ladder in ladders(base).items():
-        several = {(series_name(name), value): settings for value, settings in ladder.items()}
+        several: dict[tuple[str, float], SimulatorSettings] = {(series_name(name), v): s for v, s in ladder.items()}
         if name == "rays":
             several |= {(TOLERANCE_SERIES, t): replace(base, rays=max(ladder), tolerance=t) for t in TOLERANCES}
             several |= {(FULL_SERIES, n): replace(s, plan=PlanMode.full) for n, s in ladder.items()}
