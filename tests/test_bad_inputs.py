@@ -118,10 +118,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["-m", "seed=0,-1"], r"seed=-1: allowed are whole numbers from 0"),
     (["seed=99999999999999999999"], r"seed=99999999999999999999: allowed are whole numbers below 2\^63"),
     (["simulator.image_shape=[]"], r"image_shape"),
-    (
-        ["simulator.image_shape=[100000,100000]"],
-        r"simulator\.image_shape=\[100000, 100000\]: allowed are 2 whole numbers from 1 to 16384",
-    ),
+    (["simulator.image_shape=[99999,1]"], r"simulator\.image_shape=\[99999, 1\]: .* 2 whole numbers from 1 to 16384"),
     (["training.crop=4096"], r"training\.crop=4096: at most 356, which covers an image of 256 x 355 px"),
     (["variant=sa2h-gan", "training.l1_weight=0"], r"l1_weight=0 with loss=none"),
     (["training.batch_size=1000"], r"training\.batch_size=1000: more than the \d+ training frames"),
@@ -199,10 +196,7 @@ def test_a_command_line_that_cannot_be_run(
         ({"structures": [{"mesh": "garbage.ply", "tissue": "liver"}]}, "garbage.ply: not readable as a mesh"),
         ({"structures": [{"mesh": "nan.obj", "tissue": "liver"}]}, "nan.obj: has vertices that are not finite"),
         ({"unit": "m"}, "scene.yaml: unit: m makes the scene's largest extent 1.2e+05 mm"),
-        (
-            {"sites": {"heights": {"range": [500, 600], "count": 4}, "tilts": [-5, 0, 5]}},
-            "12 the direction misses",
-        ),
+        ({"sites": {"heights": {"range": [500, 600], "count": 4}, "tilts": [-5, 0, 5]}}, "12 the direction misses"),
         ({"sites": {"heights": {"range": [0, 1]}}}, "sites.heights.count"),
         ({"sites": None}, "no `sites`"),
     ],
@@ -214,22 +208,16 @@ def test_a_scene_that_cannot_be_used(refused: Refused, tmp_path: Path, changes: 
 
 @pytest.mark.parametrize(
     "uri",
-    [
-        "http://anna:canary@host:5000",
-        "https://canary@host",
-        "'postgresql+psycopg2://anna:can/canary#@host/db'",
-        "'mysql://host/db?password=canary'",
-        "http://anna:can,canary@host",
-        "${oc.env:TRACKING}",
-    ],
-)
+    ["http://anna:canary@host:5000", "https://canary@host", "'postgresql+psycopg2://anna:can/canary#@host/db'",
+     "'mysql://host/db?password=canary'", "http://anna:can,canary@host", "${oc.env:TRACKING}"],
+)  # fmt: skip
 def test_a_password_in_the_tracking_uri_is_refused_and_not_shown(
     refused: Refused, monkeypatch: pytest.MonkeyPatch, uri: str
 ) -> None:
     monkeypatch.setenv("TRACKING", "http://anna:canary@host:5000")
-    said = refused(f"tracking.uri={uri}")
-    assert "canary" not in said
-    assert "," in uri or "tracking.uri: holds a user or a password" in said
+    message = refused(f"tracking.uri={uri}")
+    assert "canary" not in message
+    assert "," in uri or "tracking.uri: holds a user or a password" in message
 
 
 @pytest.mark.parametrize("task", ["study", "compare"])
@@ -304,22 +292,17 @@ NUMBERS = sorted(key for key, kind in KEYS.items() if kind in (int, float))
 def test_any_number_is_taken_or_refused_in_one_line(key: str, data: st.DataObject) -> None:
     numbers = st.integers(-(2**63) + 1, 2**63 - 1) if KEYS[key] is int else st.floats()
     value = data.draw(numbers)
-    said = refusal(key, value)
-    assert said is not None or math.isfinite(value)
-    assert said is None or (key.rpartition(".")[2] in said and "\n" not in said)
-
-
-def refusal(key: str, value: float) -> str | None:
-    """What the settings say of a value; None where they take it."""
+    refusal = ""
     try:
         build(StudySettings, with_value(key, value))
     except ValueError as error:
-        return str(error)
-    return None
+        refusal = str(error)
+    assert key.rpartition(".")[2] in refusal if refusal else math.isfinite(value)
+    assert "\n" not in refusal
 
 
 def test_every_choice_is_named_by_its_refusal(whole: DictConfig) -> None:
     for key, kind in KEYS.items():
         if isinstance(kind, type) and issubclass(kind, Enum):
-            said = refused_value(whole, key, "wrong")
-            assert all(member.name in said for member in kind), key
+            message = refused_value(whole, key, "wrong")
+            assert all(member.name in message for member in kind), key

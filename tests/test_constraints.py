@@ -19,7 +19,7 @@ def pins() -> dict[str, str]:
     return {name.lower().replace("_", "-"): version for name, version in (line.split("==") for line in lines)}
 
 
-def found(name: str) -> bool:
+def is_installed(name: str) -> bool:
     """Whether a package is installed here; some are for other systems."""
     try:
         return bool(distribution(name))
@@ -38,7 +38,7 @@ def test_the_pins_hold_all_that_is_required_and_agree_with_each_other(python: st
             continue
         seen.add((package, extra))
         surroundings = {"python_version": python, "python_full_version": f"{python}.9", "extra": extra}
-        if not found(package):  # only another Python needs it; that it is pinned has been seen
+        if not is_installed(package):  # only another Python needs it; that it is pinned has been seen
             continue
         for line in distribution(package).requires or []:
             asked = Requirement(line)
@@ -57,7 +57,7 @@ def test_the_pins_hold_all_that_is_required_and_agree_with_each_other(python: st
 @pytest.mark.parametrize("python", ["3.11.2", "3.12.0", "3.13.0"])
 def test_every_pin_takes_the_first_releases_of_a_supported_python(python: str) -> None:
     """Debian 12 has 3.11.2: a pin that asks for a later one breaks `make test` there."""
-    asks = {name: distribution(name).metadata.get("Requires-Python") for name in pins() if found(name)}
+    asks = {name: distribution(name).metadata.get("Requires-Python") for name in pins() if is_installed(name)}
     assert len(asks) > 0.9 * len(pins())
     assert {name: asked for name, asked in asks.items() if asked and python not in SpecifierSet(asked)} == {}
 

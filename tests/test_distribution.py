@@ -17,9 +17,11 @@ WITH_EXTRAS = re.compile(r"ablate-ultrasound\[([a-z, ]+)\]")
 
 def texts() -> dict[Path, str]:
     """Every text of the project, but this one and the built site."""
-    found = [path for place in PLACES for path in (ROOT / place).rglob("*") if path.suffix in KINDS]
+    placed = [path for place in PLACES for path in (ROOT / place).rglob("*") if path.suffix in KINDS]
     at_root = [path for path in ROOT.iterdir() if path.suffix in KINDS or path.name == "Makefile"]
-    return {path: path.read_text("utf-8", "replace") for path in [*found, *at_root] if path != Path(__file__).resolve()}
+    return {
+        path: path.read_text("utf-8", "replace") for path in [*placed, *at_root] if path != Path(__file__).resolve()
+    }
 
 
 def test_nobody_is_told_to_install_the_other_project() -> None:
@@ -27,7 +29,7 @@ def test_nobody_is_told_to_install_the_other_project() -> None:
         assert OLD.search(old)
     for ours in ("install ablate-ultrasound", "install 'ablate-ultrasound[export]'", "-m ablate -m", "import ablate"):
         assert not OLD.search(ours)
-    told = {path: found[0] for path, text in texts().items() if (found := OLD.search(text))}
+    told = {path: match[0] for path, text in texts().items() if (match := OLD.search(text))}
     assert told == {}
 
 

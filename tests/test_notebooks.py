@@ -71,8 +71,8 @@ def test_without_a_study_it_says_what_to_run(name: str, tmp_path: Path, monkeypa
     monkeypatch.setenv("ABLATE_STUDY", str(tmp_path / "nothing"))
     with pytest.raises(CellExecutionError) as stopped:
         execute(name)
-    said = str(stopped.value)
+    text = str(stopped.value)
     assert (
-        f"There is no finished study at {tmp_path / 'nothing'}. Run `{MADE_BY.get(name, 'make sweep')}` first" in said
+        f"There is no finished study at {tmp_path / 'nothing'}. Run `{MADE_BY.get(name, 'make sweep')}` first" in text
     )
-    assert "Traceback" not in said
+    assert "Traceback" not in text

@@ -36,9 +36,9 @@ def result_of(runs: Path) -> Path:
 
 
 def score_changed(runs: Path) -> None:
-    found = json.loads(result_of(runs).read_text())
-    found["scalars"]["test/psnr"] += 1e-12
-    result_of(runs).write_text(json.dumps(found))
+    result = json.loads(result_of(runs).read_text())
+    result["scalars"]["test/psnr"] += 1e-12
+    result_of(runs).write_text(json.dumps(result))
 
 
 def value_logged_again(runs: Path) -> None:
@@ -73,9 +73,9 @@ def test_the_judge_finds_what_is_lost_doubled_or_changed(
     runs = tmp_path / "runs"
     shutil.copytree(tiny_study.runs, runs, ignore=shutil.ignore_patterns("data", "artifacts"))
     assert differences(runs, tiny_study.runs) == []
-    damage, said = FAULTS[fault]
+    damage, message = FAULTS[fault]
     damage(runs)
-    assert said in " ".join(differences(runs, tiny_study.runs))
+    assert message in " ".join(differences(runs, tiny_study.runs))
     assert chaos
 
 

@@ -114,20 +114,20 @@ def rows_of(text: str, heading: str) -> dict[str, list[str]]:
     """The first table below a heading: cells by the first cell, or by the first two where the first repeats."""
     lines = text.split(heading, 1)[1].split("\n")
     start = next(k for k, line in enumerate(lines) if line.startswith("|"))
-    found: dict[str, list[str]] = {}
+    rows: dict[str, list[str]] = {}
     for line in lines[start:]:
         if not line.startswith("|"):
             break
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        found[cells[0] if cells[0] not in found else f"{cells[0]} {cells[1]}"] = cells
-    return found
+        rows[cells[0] if cells[0] not in rows else f"{cells[0]} {cells[1]}"] = cells
+    return rows
 
 
 def test_what_is_kept_is_small_whole_and_without_the_machine(study: Path, script: ModuleType, tmp_path: Path) -> None:
-    said = script.keep(study, tmp_path / "kept")
-    assert said.count("kept sa2h/seed0") == 1
-    assert sum(line.startswith("kept ") for line in said) == 49
-    assert any(line.startswith("no picture of the target is kept") for line in said), "its pairs are not on disk"
+    lines = script.keep(study, tmp_path / "kept")
+    assert lines.count("kept sa2h/seed0") == 1
+    assert sum(line.startswith("kept ") for line in lines) == 49
+    assert any(line.startswith("no picture of the target is kept") for line in lines), "its pairs are not on disk"
     folder = tmp_path / "kept" / study.name
     run = folder / "sa2h-att" / "seed1"
     assert set(contents(run)) == {"spec.json", "result.json", "per_image.parquet", "provenance/made_with.json"}
@@ -166,12 +166,12 @@ def test_a_restored_study_has_nothing_left_to_do(study: Path, script: ModuleType
         (study / "lsa2h" / "seed0" / name).unlink()
     (study / "lsa2h" / "seed0" / "spec.json").write_text('{"hash": "another"}')
     shutil.rmtree(study / "sa2h-att")
-    said = script.restore(tmp_path / "kept", tmp_path / "runs")
-    back = {line.split()[-1] for line in said if line.startswith("restored")}
+    lines = script.restore(tmp_path / "kept", tmp_path / "runs")
+    back = {line.split()[-1] for line in lines if line.startswith("restored")}
     anew = ("nsa2h/seed0", "sa2h/seed1", *(f"sa2h-att/seed{k}" for k in range(3)))
     assert back == {f"answer/{name}" for name in anew}, "also what was started and has not finished"
-    assert f"there already: {study.name}/sa2h/seed2" in said, "what is there is not touched"
-    assert f"there already: {study.name}/lsa2h/seed0" in said, "another configuration is not touched"
+    assert f"there already: {study.name}/sa2h/seed2" in lines, "what is there is not touched"
+    assert f"there already: {study.name}/lsa2h/seed0" in lines, "another configuration is not touched"
     left = [job.name for job in jobs_in(tmp_path / "runs") if finished_run(job) is None]
     assert left == ["sa2h/seed2", "lsa2h/seed0"]
     assert (study / "sa2h-att" / "seed0" / "provenance" / "made_with.json").exists()
@@ -226,10 +226,10 @@ def test_effects_are_those_of_least_squares_by_hand(numbers: Any) -> None:
         columns = [np.prod([on[name] for name in term], axis=0) / 2 for term in names]
         block = (runs["data"] == runs["data"].iloc[0]).to_numpy(float)
         found_by_hand = np.linalg.lstsq(np.column_stack([np.ones(len(runs)), block, *columns]), runs["value"])[0][2:]
-        of = {term: value for term, value in zip(names, found_by_hand, strict=True) if component.key in term}
+        effects = {term: value for term, value in zip(names, found_by_hand, strict=True) if component.key in term}
         row = verdicts.loc[component.name]
-        assert row["effect"] == pytest.approx(of[component.key,])
-        assert row["full_effect"] == pytest.approx(sum(of.values()))
+        assert row["effect"] == pytest.approx(effects[component.key,])
+        assert row["full_effect"] == pytest.approx(sum(effects.values()))
     att = verdicts.loc["att"]
     assert att["lower"] < -EFFECT < att["upper"]
 

@@ -35,10 +35,10 @@ def digest(folder: Path, changes: dict[str, str], path: str = "mine.Model") -> s
         patch.syspath_prepend(folder / "site-packages")
         for name in [name for name in sys.modules if name.partition(".")[0] in OWN]:
             patch.delitem(sys.modules, name)
-        found = source_digest(path)
+        computed = source_digest(path)
         for name in [name for name in sys.modules if name.partition(".")[0] in OWN]:
             del sys.modules[name]
-    return found
+    return computed
 
 
 @pytest.mark.parametrize("file", ["mine/__init__.py", "mine/model.py", "mine/helper.py", "constants.py", "late.py"])

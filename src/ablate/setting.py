@@ -47,15 +47,10 @@ class Declaration:
 
     def range(self) -> str:
         """The range in words, such as `from 0 and below 1`; empty where there is none."""
-        words = []
-        if self.least is not None:
-            words.append(f"from {self.least:.15g}")
-        if self.above is not None:
-            words.append(f"above {self.above:.15g}")
-        if self.most is not None:
-            words.append(f"to {self.most:.15g}" if self.least is not None else f"up to {self.most:.15g}")
+        bounds = {"from": self.least, "above": self.above, "up to" if self.least is None else "to": self.most}
+        words = [f"{word} {bound:.15g}" for word, bound in bounds.items() if bound is not None]
         if self.below is not None:
-            words.append(f"and below {self.below:.15g}" if words else f"below {self.below:.15g}")
+            words.append(f"{'and ' if words else ''}below {self.below:.15g}")
         return " ".join(words)
 
     def holds(self, number: Any) -> bool:
@@ -156,18 +151,16 @@ def _checked(one: Setting, value: Any) -> Any:
             raise refusal from None
     if one.declared.choices and value not in one.declared.choices:
         raise refusal
-    if get_origin(one.kind) is tuple:
-        kinds = get_args(one.kind)
-        if not isinstance(value, (tuple, list)) or len(value) != len(kinds):
-            raise refusal
-        if not all(_is_number(v, kind) and one.declared.holds(v) for v, kind in zip(value, kinds, strict=True)):
-            raise refusal
-        return tuple(kind(v) for v, kind in zip(value, kinds, strict=True))
-    if one.kind in (int, float):
-        if not _is_number(value, one.kind) or not one.declared.holds(value):
-            raise refusal
-        return one.kind(value)
-    return value
+    is_tuple = get_origin(one.kind) is tuple
+    kinds, values = (get_args(one.kind), value) if is_tuple else ((one.kind,), (value,))
+    if kinds[0] not in (int, float):
+        return value
+    if not isinstance(values, (tuple, list)) or len(values) != len(kinds):
+        raise refusal
+    if not all(_is_number(v, kind) and one.declared.holds(v) for v, kind in zip(values, kinds, strict=True)):
+        raise refusal
+    numbers = tuple(kind(v) for v, kind in zip(values, kinds, strict=True))
+    return numbers if is_tuple else numbers[0]
 
 
 def _is_number(value: object, kind: type) -> bool:

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import numpy as np
+
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
@@ -41,21 +43,21 @@ def write_text(path: Path, text: str) -> None:
         partial.write_text(text, "utf-8")
 
 
+def write_image(path: Path, values: np.ndarray) -> None:
+    """Write grey levels or colours, in the format that the suffix names, whole or not at all."""
+    from PIL import Image  # only here: the settings of a command line load without it
+
+    with written_whole(path) as partial:
+        Image.fromarray(values).save(partial)
+
+
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON whole or not at all."""
     write_text(path, json.dumps(content, indent=2, sort_keys=True))
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read the JSON object of a file.
-
-    Raises
-    ------
-    OSError
-        When the file is missing or cannot be read.
-    ValueError
-        When it holds something else, such as nothing; the message names the file.
-    """
+    """Read the JSON object of a file; a ValueError that names the file where it holds something else, or nothing."""
     try:
         content = json.loads(path.read_text("utf-8"))
     except (ValueError, RecursionError) as error:

@@ -19,22 +19,34 @@ _own: ContextVar[int | None] = ContextVar("own threads", default=None)
 
 
 @contextmanager
+def torch_threads(count: int) -> Iterator[int]:
+    """Have torch use so many threads, or as many as before with 0; gives their number.
+
+    They are those of the thread that calls it, and of the threads that are started meanwhile.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield torch.get_num_threads()
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
 def without_teams() -> Iterator[int]:
     """Within, torch computes on the thread that calls it, and `in_parts` uses as many threads as torch had before.
 
     Gives the number of these threads. It may be nested.
     """
-    already = _own.get()
-    if already is not None:
+    if (already := _own.get()) is not None:
         yield already
         return
     threads = torch.get_num_threads()
     token = _own.set(threads)
-    torch.set_num_threads(1)  # of this thread, and of the threads that are started meanwhile
     try:
-        yield threads
+        with torch_threads(1):
+            yield threads
     finally:
-        torch.set_num_threads(threads)
         _own.reset(token)
 
 

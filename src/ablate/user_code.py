@@ -17,18 +17,10 @@ _INSTALLED = {"site-packages", "dist-packages"}
 
 
 def load(path: str) -> Any:
-    """Import a module and return what a dotted path names in it.
+    """Import a module and return what a dotted path, such as `my_package.MyGenerator`, names in it.
 
-    Parameters
-    ----------
-    path : str
-        The module and the name in it, for example `my_package.MyGenerator`.
-
-    Raises
-    ------
-    ValueError
-        When the path names no module, the import fails, or the module does not have the name. The message says why in
-        one line; the caller puts the key of the setting before it.
+    Where the path names no module, the import fails, or the module does not have the name, it is a ValueError whose
+    message says why in one line; the caller puts the key of the setting before it.
 
     Examples
     --------
@@ -60,12 +52,8 @@ def source_digest(path: str) -> str:
     installed packages (`site-packages`, `dist-packages`), nor in `ablate`. Names of modules and contents of files enter
     the digest, folders do not. An import whose name is computed when the program runs is not followed.
 
-    The files are read once for as long as the module stays loaded: a file that is edited later is not what runs.
-
-    Raises
-    ------
-    ValueError
-        As `load`.
+    The files are read once for as long as the module stays loaded: a file that is edited later is not what runs. What
+    cannot be loaded is a ValueError, as in `load`.
     """
     value = load(path)
     holders = (path.rpartition(".")[0], getattr(value, "__module__", None))

@@ -100,7 +100,7 @@ def signs_of(jobs: list[Job]) -> dict[str, np.ndarray]:
     names = [*OFF, "encoding"]
     full = jobs[0].settings.model
     gone = [[getattr(job.settings.model, name) != getattr(full, name) for name in OFF] for job in jobs]
-    rows = [[*of, job.settings.encoding is Encoding.arbitrary] for of, job in zip(gone, jobs, strict=True)]
+    rows = [[*levels, job.settings.encoding is Encoding.arbitrary] for levels, job in zip(gone, jobs, strict=True)]
     return dict(zip(names, 2 * np.array(rows, float).T - 1, strict=True))
 
 

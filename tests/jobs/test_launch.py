@@ -166,14 +166,8 @@ def test_callbacks_and_the_folder_of_a_sweep_are_those_that_are_asked_for(
         patch.syspath_prepend(str(Path(__file__).parent))
         launched(leave_a_note(tmp_path), "-m", "seed=4,5", "hydra.launcher.n_jobs=1", *where, callback)
     lines = [line for line in told.read_text().splitlines() if not line.startswith("on_compose_config")]
-    assert lines == [
-        "on_multirun_start 0",
-        "on_job_start 4",
-        "on_job_end 4",
-        "on_job_start 5",
-        "on_job_end 5",
-        "on_multirun_end 0",
-    ]
+    of_jobs = [f"on_job_{when} {seed}" for seed in (4, 5) for when in ("start", "end")]
+    assert lines == ["on_multirun_start 0", *of_jobs, "on_multirun_end 0"]
     assert (tmp_path / "sweep" / "sa2h").is_dir()
 
 
@@ -193,22 +187,14 @@ def seen_devices(launched: Callable[..., int], folder: Path, *arguments: str) ->
     return [(folder / str(seed)).read_text() for seed in range(2)]
 
 
-def test_jobs_are_dealt_to_all_devices(
-    launched: Callable[..., int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("count", "seen"), [(1, ["all", "all"]), (2, ["0", "1"])])
+def test_jobs_are_dealt_to_all_devices_and_one_device_is_left_as_it_is(
+    launched: Callable[..., int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int, seen: list[str]
 ) -> None:
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: count)
     monkeypatch.delenv(VISIBLE, raising=False)
-    seen = seen_devices(launched, tmp_path, "training.device=auto", "hydra.launcher.n_jobs=2")
-    assert sorted(seen) == ["0", "1"]
+    assert sorted(seen_devices(launched, tmp_path, "training.device=auto", "hydra.launcher.n_jobs=2")) == seen
     assert VISIBLE not in os.environ
-
-
-def test_one_device_is_left_as_it_is(
-    launched: Callable[..., int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
-    monkeypatch.delenv(VISIBLE, raising=False)
-    assert seen_devices(launched, tmp_path, "hydra.launcher.n_jobs=2") == ["all"] * 2
 
 
 def test_only_devices_that_are_visible_are_dealt(monkeypatch: pytest.MonkeyPatch) -> None:

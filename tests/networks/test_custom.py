@@ -86,7 +86,7 @@ def test_its_sizes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("Smaller", r"returns \(2, 1, 32, 31\) for \(2, 2, 32, 32\), allowed is \(2, 1, 32, 32\)"),
         ("Whole", r"returns torch.int64, allowed are float32 numbers in \[-1, 1\]"),
@@ -98,8 +98,8 @@ def test_its_sizes() -> None:
         ("Missing", "AttributeError.*allowed is the path of a class"),
     ],
 )
-def test_what_is_wrong_with_a_class_is_named(name: str, said: str) -> None:
-    with pytest.raises(ValueError, match=f"^target=networks_of_a_user.{name}: {said}"):
+def test_what_is_wrong_with_a_class_is_named(name: str, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^target=networks_of_a_user.{name}: {message}"):
         check_custom(spec(name), 32)
     check_custom(spec("Sum"), 32)
 

@@ -43,8 +43,8 @@ def traced(changes: dict[str, Any], size: tuple[int, int] = SIZE, seed: int | No
 def test_each_operation_runs_as_often_as_its_component_needs_and_on_as_many_channels(name: str) -> None:
     changes, expected = VARIANTS[name]
     generator, operations = traced(changes)
-    found = {what: operations.counts[operation] for what, operation in OPERATIONS.items()}
-    assert found == {what: expected.get(what, 0) for what in OPERATIONS}
+    counted = {what: operations.counts[operation] for what, operation in OPERATIONS.items()}
+    assert counted == {what: expected.get(what, 0) for what in OPERATIONS}
     assert operations.channels == sum(layer.in_channels for layer in convolutions(generator))
 
 

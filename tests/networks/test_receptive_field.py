@@ -27,21 +27,16 @@ def make_linear(network: nn.Module, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"depth": 1},
-        {"depth": 2},
+        *({"depth": depth} for depth in (1, 2, 3, 4)),
         {"depth": 2, "attenuation": "none"},
         {"depth": 2, "noise": "input"},
         {"depth": 2, "extra_input": "low"},
-        {"depth": 3},
+        {"depth": 2, "upsampling": "resize"},
         {"depth": 3, "concat": "input"},
         {"depth": 3, "upsampling": "transposed"},
-        {"depth": 2, "upsampling": "resize"},
         {"depth": 3, "upsampling": "resize", "concat": "input"},
-        {"depth": 4},
-        {**UNET, "depth": 2},
-        {**UNET, "depth": 3, "extra_input": "low"},
-        {**UNET, "depth": 3, "extra_input": "noise"},
-        {**UNET, "depth": 4},
+        *({**UNET, "depth": depth} for depth in (2, 4)),
+        *({**UNET, "depth": 3, "extra_input": extra} for extra in ("low", "noise")),
     ],
 )
 def test_generator(changes: dict, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -68,16 +68,16 @@ def trained(tmp_path_factory: pytest.TempPathFactory, _small: None) -> Path:
     result = json.loads((elsewhere / "result.json").read_text()) | {"hash": spec["hash"]}
     (elsewhere / "result.json").write_text(json.dumps(result))
     shutil.copytree(job.folder, runs / "bare" / job.label / "seed0", ignore=shutil.ignore_patterns("*.ckpt"))
-    with (runs / "said.txt").open("w") as file, redirect_stdout(file):
+    with (runs / "printed.txt").open("w") as file, redirect_stdout(file):
         assert run(f"runs_dir={runs}") == 0
     return runs
 
 
 def test_simulator_and_runs_are_measured(trained: Path) -> None:
-    said = (trained / "said.txt").read_text()
-    assert "1 trained runs; 1 left out, they learned from other data; 1 left out, without a checkpoint" in said
-    assert "left out, engine compiled: needs what a test has not." in said
-    assert "With half of its" in said
+    printed = (trained / "printed.txt").read_text()
+    assert "1 trained runs; 1 left out, they learned from other data; 1 left out, without a checkpoint" in printed
+    assert "left out, engine compiled: needs what a test has not." in printed
+    assert "With half of its" in printed
     points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})
     assert list(points.columns) == ["series", "setting", "ms", "metric", "error"]
     assert (points["ms"] > 0).all()
@@ -109,11 +109,11 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
         assert (trained / "precision" / f"{figure}.png").exists()
 
     client = MlflowClient(default_uri(trained))
-    (found,) = client.search_runs(["1"], "attributes.run_name = 'precision'")
-    assert found.info.status == "FINISHED"
-    assert found.data.tags["scene"] == "fetal"
-    assert found.data.metrics["order/envelope_rms"] > 0
-    kept = {a.path for a in client.list_artifacts(found.info.run_id)}
+    (recorded,) = client.search_runs(["1"], "attributes.run_name = 'precision'")
+    assert recorded.info.status == "FINISHED"
+    assert recorded.data.tags["scene"] == "fetal"
+    assert recorded.data.metrics["order/envelope_rms"] > 0
+    kept = {a.path for a in client.list_artifacts(recorded.info.run_id)}
     assert kept >= {"precision.csv", "details.csv", "summary.txt", "precision.png", "precision_order.png", "vector"}
 
 
@@ -126,12 +126,12 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
     exact, coarse = (Simulator(scene, s.probe, replace(s.simulator, rays=rays)) for rays in (32, 4))
     targets = [exact.render(pairs.poses[f], s.dataset.seed).image for f in frames]
     points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})
-    found = points.set_index(["series", "setting", "metric"])["error"]
+    errors = points.set_index(["series", "setting", "metric"])["error"]
     images = [coarse.render(pairs.poses[f], s.dataset.seed).image for f in frames]
-    assert found["simulator, rays", "4", "psnr"] == pytest.approx(np.mean([*map(psnr, images, targets)]))
-    assert found["simulator, rays", "4", "mae"] == pytest.approx(np.mean([*map(mae, images, targets)]))
+    assert errors["simulator, rays", "4", "psnr"] == pytest.approx(np.mean([*map(psnr, images, targets)]))
+    assert errors["simulator, rays", "4", "mae"] == pytest.approx(np.mean([*map(mae, images, targets)]))
     other = [coarse.render(pairs.poses[f], s.dataset.seed + 1).image for f in frames]
-    assert found["simulator, other scatterers", "rays 4", "mae"] == pytest.approx(np.mean([*map(mae, other, targets)]))
+    assert errors["simulator, other scatterers", "rays 4", "mae"] == pytest.approx(np.mean([*map(mae, other, targets)]))
 
     generator = load_generator(job.folder / "last.ckpt")
     labels, attenuation = map(np.stack, zip(*(exact.maps(pairs.poses[f]) for f in frames), strict=True))
@@ -139,7 +139,7 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
     inputs = network_inputs(stacked, label_values(scene.tissues, s.encoding), exact.mask)
     made = generate(generator, inputs, torch.from_numpy(exact.mask), torch.from_numpy(frames), TrainingPrecision.fp32)
     label = "sa2h", "width 0.05, fp32, eager, seed 0"
-    assert found[*label, "psnr"] == pytest.approx(np.mean([*map(psnr, made, targets)]))
+    assert errors[*label, "psnr"] == pytest.approx(np.mean([*map(psnr, made, targets)]))
 
 
 def test_the_compensated_attenuation_is_that_of_the_pairs_and_costs_more_than_the_integral_one(trained: Path) -> None:
@@ -191,9 +191,9 @@ def test_an_interruption_leaves_what_was_measured_and_the_same_command_measures_
     ladders = {f"simulator, {name}" for name in names}
     assert set(points["series"]) == {*ladders, "simulator, other scatterers"}
     client = MlflowClient(default_uri(tmp_path))
-    (found,) = client.search_runs(["1"], "attributes.run_name = 'precision'")
-    assert found.info.status == "KILLED"
-    assert {a.path for a in client.list_artifacts(found.info.run_id)} == {"precision.csv", "details.csv"}
+    (recorded,) = client.search_runs(["1"], "attributes.run_name = 'precision'")
+    assert recorded.info.status == "KILLED"
+    assert {a.path for a in client.list_artifacts(recorded.info.run_id)} == {"precision.csv", "details.csv"}
 
     # There is no trained run: the simulator is measured and drawn alone.
     assert run(*arguments) == 0
@@ -246,10 +246,10 @@ def test_mean_errors_of_identical_and_of_incomparable_frames() -> None:
 
 def test_every_ladder_holds_the_data_sets_own_setting() -> None:
     base = SimulatorSettings(rays=3, layers=2, scanlines=6, axial_samples=1)
-    found = bench.ladders(base)
+    ladders = bench.ladders(base)
     values = {"rays": [1, 2, 3, 4], "layers": [1, 2], "scanlines": [2, 3, 6, 12], "axial_samples": [1, 2]}
-    assert {name: list(ladder) for name, ladder in found.items()} == values
-    assert all(ladder[getattr(base, name)] == base for name, ladder in found.items())
+    assert {name: list(ladder) for name, ladder in ladders.items()} == values
+    assert all(ladder[getattr(base, name)] == base for name, ladder in ladders.items())
 
 
 def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
@@ -260,14 +260,14 @@ def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
         for way, error in (("bf16, eager", 0.3), ("fp32, compiled", 0.1))
         for metric, value in (("mae", scale * error), ("psnr", 60 / scale))
     ]
-    found = module._worst(pd.DataFrame([kept, *rows], columns=["table", "series", "setting", "quantity", "value"]))
-    assert tuple(found.iloc[0]) == kept
-    worst = found[1:].pivot(index="setting", columns="quantity", values="value")
+    shown = module._worst(pd.DataFrame([kept, *rows], columns=["table", "series", "setting", "quantity", "value"]))
+    assert tuple(shown.iloc[0]) == kept
+    worst = shown[1:].pivot(index="setting", columns="quantity", values="value")
     assert worst.to_dict("index") == {
         "bf16, eager": {"mae": 0.6, "psnr": 30.0},
         "fp32, compiled": {"mae": 0.2, "psnr": 30.0},
     }
-    assert set(found[1:]["series"]) == {"trained runs against fp32 eager, worst of 2"}
+    assert set(shown[1:]["series"]) == {"trained runs against fp32 eager, worst of 2"}
 
 
 @pytest.mark.parametrize(
@@ -307,8 +307,8 @@ def test_a_table_grows_on_disk_and_a_kill_leaves_the_rows_before(
 def test_bf16_only_where_it_is_multiplied(monkeypatch: pytest.MonkeyPatch) -> None:
     (job,) = jobs_of(TINY)
     monkeypatch.setattr(generated, "chosen_precision", lambda *_: TrainingPrecision.fp32)
-    found, notes = generated.executions(job.settings)
-    assert found == [(TrainingPrecision.fp32, Engine.eager)]
+    chosen, notes = generated.executions(job.settings)
+    assert chosen == [(TrainingPrecision.fp32, Engine.eager)]
     assert "bf16: cpu here does not multiply it" in notes
 
 

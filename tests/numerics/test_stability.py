@@ -17,7 +17,7 @@ CHEAP = ("A: soft tissue behind 2200 dB", "A: one line, one sample, no loss", "g
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_every_error_is_within_its_bound(case: Case) -> None:
-    checks = task.run_case(case, "cpu")
+    checks = case.run("cpu")
     assert checks
     assert [check for check in checks if not check.holds] == []
     assert case.measure.__doc__, "what is tried is told"

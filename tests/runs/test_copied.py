@@ -63,9 +63,9 @@ def stored(runs: Path) -> dict[str, Run]:
     """The runs of a default store, by kind: one each."""
     store = MlflowClient(default_uri(runs))
     (experiment,) = [e for e in store.search_experiments() if e.name == "ablate"]
-    found = store.search_runs([experiment.experiment_id])
-    assert sorted(run.data.tags["kind"] for run in found) == ["job", "study"]
-    return {run.data.tags["kind"]: run for run in found}
+    tracked = store.search_runs([experiment.experiment_id])
+    assert sorted(run.data.tags["kind"] for run in tracked) == ["job", "study"]
+    return {run.data.tags["kind"]: run for run in tracked}
 
 
 def content(runs: Path) -> dict[str, Any]:
@@ -79,7 +79,7 @@ def content(runs: Path) -> dict[str, Any]:
     assert all(f.is_relative_to(runs) for f in artifacts.values())
     return {
         "points": {(p.key, p.step): (p.value, p.timestamp * ("/" in p.key and p.step > 0)) for p in history},
-        "files": {k: {str(p) for p in found if p.parts[0] != "images"} for k, found in files.items()},
+        "files": {k: {str(p) for p in paths if p.parts[0] != "images"} for k, paths in files.items()},
         "images": len([p for p in files["job"] if p.parts[0] == "images"]),
         "params": {kind: run.data.params for kind, run in kinds.items()},
         "states": {kind: run.info.status for kind, run in kinds.items()},
@@ -118,9 +118,9 @@ def test_a_copy_of_the_runs_leaves_the_artifacts_of_the_original_alone(made: Job
 
 def test_the_same_command_writes_nothing_twice(made: Job) -> None:
     def state() -> tuple[Any, list[int], int]:
-        found = stored(made.settings.results)
+        kinds = stored(made.settings.results)
         files = [path.stat().st_mtime_ns for path in sorted((made.settings.results / "artifacts").rglob("*"))]
-        return content(made.settings.results), files, found["study"].info.end_time
+        return content(made.settings.results), files, kinds["study"].info.end_time
 
     before = state()
     compare_study(made.settings)

@@ -95,8 +95,8 @@ def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenua
     folder: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     where = [*TINY, "scene=pairs", f"scene.folder={bare(folder, tmp_path)}", f"runs_dir={runs}"]
-    said = r"^variant sa2h reads attenuation, but .*bare has no folder attenuation; .* without it: sa2h-att$"
-    with pytest.raises(ConfigurationError, match=said):
+    message = r"^variant sa2h reads attenuation, but .*bare has no folder attenuation; .* without it: sa2h-att$"
+    with pytest.raises(ConfigurationError, match=message):
         run("-m", "variant=sa2h-att,sa2h", *where)
     assert not (runs / "data").exists()
     assert run("variant=sa2h-att", *where) == 0

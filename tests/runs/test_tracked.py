@@ -47,9 +47,9 @@ def stopped_once(tmp_path_factory: pytest.TempPathFactory, empty_database: Path)
 def runs_of(job: Job) -> tuple[MlflowClient, Run, Run]:
     """The client, the study's run and its only child."""
     client = MlflowClient(default_uri(job.settings.results))
-    found = {run.data.tags["kind"]: run for run in client.search_runs(["1"])}
-    assert sorted(found) == ["job", "study"]
-    return client, found["study"], found["job"]
+    kinds = {run.data.tags["kind"]: run for run in client.search_runs(["1"])}
+    assert sorted(kinds) == ["job", "study"]
+    return client, kinds["study"], kinds["job"]
 
 
 def test_frames_and_curves_go_on_where_a_job_was_stopped(stopped_once: Job) -> None:

@@ -59,12 +59,12 @@ def test_pngs_are_read_back_bit_for_bit(
 def test_nnunet_finds_what_its_description_promises(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     folder, pairs = exported(arguments, "nnunet", capsys)
     (raw,) = (path for path in folder.iterdir() if path.is_dir())
-    said = json.loads((raw / "dataset.json").read_text())
+    described = json.loads((raw / "dataset.json").read_text())
     assert raw.name.startswith("Dataset001_")
-    assert said["file_ending"] == ".png"
-    assert said["labels"] == {"background": 0, "coupling_gel": 1, "liver": 2}
+    assert described["file_ending"] == ".png"
+    assert described["labels"] == {"background": 0, "coupling_gel": 1, "liver": 2}
     images, labels = ({p.name for p in (raw / d).iterdir()} for d in ("imagesTr", "labelsTr"))
-    assert len(labels) == said["numTraining"] == int((pairs.split != Part.test).sum())
+    assert len(labels) == described["numTraining"] == int((pairs.split != Part.test).sum())
     assert images == {name.replace(".png", "_0000.png") for name in labels}
     (fold,) = json.loads((raw / "splits_final.json").read_text())
     assert sorted(fold["train"] + fold["val"]) == sorted(name.removesuffix(".png") for name in labels)

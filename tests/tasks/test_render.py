@@ -58,19 +58,19 @@ def test_what_is_written_is_enough_to_make_the_frame_again(
     run("task=render", f"pose={tmp_path / 'one.npy'}", *arguments)
     folder = Path(capsys.readouterr().out.strip())
     assert folder == tmp_path / "runs" / "render" / "ball-one"
-    said = json.loads((folder / "settings.json").read_text())
+    made_with = json.loads((folder / "settings.json").read_text())
     from ablate.anatomy import load_scene
 
-    scene = load_scene(said["scene"]["folder"])
-    simulator = Simulator(scene, probe_from(said["probe"]), build(SimulatorSettings, said["simulator"]))
-    frame = simulator.render(np.array(said["poses"][0]), seed=said["seed"])
+    scene = load_scene(made_with["scene"]["folder"])
+    simulator = Simulator(scene, probe_from(made_with["probe"]), build(SimulatorSettings, made_with["simulator"]))
+    frame = simulator.render(np.array(made_with["poses"][0]), seed=made_with["seed"])
     with np.load(folder / "frame.npz") as held:
         assert np.array_equal(held["envelope"], frame.envelope)
         assert np.array_equal(held["image"], frame.image)
-    assert said["labels"] == {"0": "outside the fan", "1": "coupling_gel", "2": "liver"}
-    probe = probe_from(said["probe"])
+    assert made_with["labels"] == {"0": "outside the fan", "1": "coupling_gel", "2": "liver"}
+    probe = probe_from(made_with["probe"])
     width = 2 * (probe.radius_mm + probe.depth_mm) * np.sin(np.deg2rad(probe.fov_deg) / 2)
-    assert 89 * said["pixel_mm"]["width"] == pytest.approx(width)
+    assert 89 * made_with["pixel_mm"]["width"] == pytest.approx(width)
 
 
 def test_several_poses_are_a_cine(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

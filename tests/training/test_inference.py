@@ -35,18 +35,18 @@ def test_threads_change_no_frame(generator: Generator) -> None:
     given = batch(0)
     maps = {name: torch.cat([value] * 3) for name, value in given.items() if name != "noise_seed"}
     seeds = torch.arange(6)
-    found = []
+    images = []
     try:
         for threads in (1, 3):
             torch.set_num_threads(threads)
-            found.append(generate(generator, maps, maps["mask"], seeds, TrainingPrecision.fp32))
+            images.append(generate(generator, maps, maps["mask"], seeds, TrainingPrecision.fp32))
             assert torch.get_num_threads() == threads
     finally:
         torch.set_num_threads(1)
-    np.testing.assert_array_equal(*found)
+    np.testing.assert_array_equal(*images)
     one = {name: value[4:5] for name, value in maps.items()}
     alone = generate(generator, one, one["mask"], seeds[4:5], TrainingPrecision.fp32)
-    np.testing.assert_array_equal(found[0][4], alone[0])
+    np.testing.assert_array_equal(images[0][4], alone[0])
 
 
 def test_grey_levels_round_trip_and_end_at_0_and_255() -> None:

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -14,7 +15,6 @@ from ablate.training import AdversarialLoss, PairGAN, train
 from ablate.training.module import crps_of_two_draws, mean_in_fan, second_seeds
 from support.tiny_training import SETTINGS, SPEC, batch, loader
 
-ADVERSARIAL = [loss for loss in AdversarialLoss if loss is not AdversarialLoss.none]
 PAPER = {"reconstruction": "l1", "schedule": "constant"}
 
 
@@ -98,25 +98,6 @@ def test_without_a_discriminator_the_generator_starts_the_same_and_nothing_else_
     assert len(without.configure_optimizers()) == 1
 
 
-@pytest.mark.parametrize("l1_weight", [0.0, 1e6])
-@pytest.mark.parametrize("loss", ADVERSARIAL)
-def test_extreme_weights_stay_finite(tmp_path: Path, l1_weight: float, loss: str) -> None:
-    settings = replace(SETTINGS, l1_weight=l1_weight, loss=AdversarialLoss(loss), steps=4)
-    trained = train(SPEC, settings, loader, tmp_path)
-    assert all(parameter.isfinite().all() for parameter in trained.generator.parameters())
-
-
-@pytest.mark.parametrize("loss", ADVERSARIAL)
-@pytest.mark.parametrize("logit", [1e4, -1e4])
-def test_saturated_logits_have_finite_losses_and_gradients(loss: AdversarialLoss, logit: float) -> None:
-    logits = torch.full((4,), logit, requires_grad=True)
-    adversarial = PairGAN(SPEC, replace(SETTINGS, loss=loss))._adversarial(logits)
-    adversarial.backward()
-    assert adversarial.isfinite()
-    assert logits.grad is not None
-    assert logits.grad.isfinite().all()
-
-
 def test_a_loader_that_ends_early_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="loader: ended after step 7, needed are 8"):
         train(SPEC, SETTINGS, lambda start, stop: loader(start, stop - 1), tmp_path)
@@ -147,11 +128,9 @@ def normal(seed: int) -> Tensor:
 
 def test_the_mean_in_the_fan_is_that_of_a_plain_loop_over_the_batch() -> None:
     values, mask = uniform(3, 1, 5, 7), (uniform(3, 1, 5, 7, seed=1) > 0.2).double()
-    found = [
-        float(values[n, 0, i, j]) for n in range(3) for i in range(5) for j in range(7) if float(mask[n, 0, i, j]) == 1
-    ]
-    assert 0 < len(found) < values.numel()
-    assert float(mean_in_fan(values, mask)) == pytest.approx(sum(found) / len(found), rel=1e-12)
+    inside = [float(values[n, 0, i, j]) for n, i, j in np.ndindex(3, 5, 7) if float(mask[n, 0, i, j]) == 1]
+    assert 0 < len(inside) < values.numel()
+    assert float(mean_in_fan(values, mask)) == pytest.approx(np.mean(inside), rel=1e-12)
 
 
 def test_a_batch_without_a_fan_has_no_error_and_no_gradient() -> None:

@@ -126,6 +126,6 @@ def test_a_dying_noise_path_is_said_at_the_end(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, start: float, rate: float, warnings: int
 ) -> None:
     train(replace(SPEC, noise_start=start), replace(SETTINGS, learning_rate=rate), loader, tmp_path)
-    said = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
-    assert len(said) == warnings
-    assert all("noise is 0.0" in line and "model.noise_start" in line for line in said)
+    lines = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+    assert len(lines) == warnings
+    assert all("noise is 0.0" in line and "model.noise_start" in line for line in lines)

@@ -33,12 +33,12 @@ class Stopped(BaseException):
     """What the test's own signal handler raises, and what stands for SIGKILL."""
 
 
-def loader_until(at: int, happens: Callable[[], object]) -> Loader:
+def loader_until(fatal_step: int, happens: Callable[[], object]) -> Loader:
     """A loader with which something happens before a step."""
 
     def load(start: int, stop: int) -> Iterator[dict[str, Tensor]]:
         for step, batch in zip(range(start, stop), loader(start, stop), strict=True):
-            if step == at:
+            if step == fatal_step:
                 happens()
             yield batch
 
@@ -202,8 +202,7 @@ def test_ctrl_c_and_then_a_parent_that_asks_again_save_the_step(tmp_path: Path, 
 def test_a_signal_that_is_passed_over_stops_the_training_all_the_same(tmp_path: Path) -> None:
     """A cluster's launcher has such a handler; the evaluation of half a training must not follow."""
     stopping = loader_until(4, lambda: signal.raise_signal(signal.SIGTERM))
-    said = rf"SIGTERM after step [45] of {SETTINGS.steps}"
-    with handled_by(lambda *_: None), pytest.raises(InterruptedError, match=said):
+    with handled_by(lambda *_: None), pytest.raises(InterruptedError, match=f"SIGTERM after.* of {SETTINGS.steps}"):
         train(SPEC, SETTINGS, stopping, tmp_path)
     assert read_checkpoint(tmp_path / LAST)["steps_done"] in (4, 5)
 
@@ -214,8 +213,7 @@ def test_a_signal_whose_exception_was_lost_stops_the_training_after_a_step(
     asked = threading.Event()
     asked.set()
     monkeypatch.setattr(interruption, "stop_requested", asked)
-    said = f"SIGTERM after step 1 of {SETTINGS.steps}"
-    with handled_by(lambda *_: None), pytest.raises(InterruptedError, match=said):
+    with handled_by(lambda *_: None), pytest.raises(InterruptedError, match="SIGTERM after step 1 of"):
         train(SPEC, SETTINGS, loader, tmp_path)
     assert read_checkpoint(tmp_path / LAST)["steps_done"] == 1
 

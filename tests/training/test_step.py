@@ -74,11 +74,11 @@ def test_one_fake_serves_both_networks_and_another_draw_is_rendered_where_draws_
         assert torch.equal(real, given["target"])
         assert all(torch.equal(image, given["mask"] * (fakes[0] + 1) - 1) for image in (of_discriminator, of_generator))
         assert (of_discriminator.requires_grad, of_generator.requires_grad) == (False, True)
-    found = made.drain()
-    assert ("train/crps" in found) == (passes == 2)
+    means = made.drain()
+    assert ("train/crps" in means) == (passes == 2)
     if passes == 2:
         assert not torch.equal(*fakes)
-        assert found["train/crps"] < found["train/l1"] * 1.5
+        assert means["train/crps"] < means["train/l1"] * 1.5
 
 
 @contextmanager

@@ -44,14 +44,14 @@ def test_training_is_of_this_version(case: str) -> None:
     module.manual_backward = lambda loss: loss.backward()  # type: ignore[method-assign]
     for step in range(module.settings.steps):
         module.training_step({k: v.double() if v.is_floating_point() else v for k, v in batch(step).items()}, step)
-    found = {name.removeprefix("train/"): value for name, value in module.drain().items()}
+    measured = {name.removeprefix("train/"): value for name, value in module.drain().items()}
     for name, network in (("generator", module.generator), ("average", module.average)):
         if network is not None:
-            found[name] = float(torch.cat([p.detach().flatten() for p in network.parameters()]).abs().sum())
+            measured[name] = float(torch.cat([p.detach().flatten() for p in network.parameters()]).abs().sum())
     of_adam = {k: v for k, v in optimizers[0].defaults.items() if k in ADAM}
     assert of_adam == ADAM, "raise TRAINING_VERSION; six steps do not show this"
     pinned = {name: value for name, value in zip(NAMES, PINNED[case], strict=True) if value is not None}
-    assert found == pytest.approx(pinned, rel=RELATIVE, abs=ABSOLUTE), (
+    assert measured == pytest.approx(pinned, rel=RELATIVE, abs=ABSOLUTE), (
         f"the same settings and crops now train another network: raise TRAINING_VERSION (now {TRAINING_VERSION}) in "
         "ablate/training/settings.py, so that no stored run goes on with this code, and pin these numbers"
     )

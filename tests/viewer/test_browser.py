@@ -67,11 +67,11 @@ def settle(viewer: Viewer) -> None:
 
 def shown(driver: Any) -> str | None:
     """The address of the picture of all images, another one for each picture."""
-    found: str | None = driver.execute_script(
+    address: str | None = driver.execute_script(
         "const i = [...document.images].find(i => i.src.startsWith('blob:') && i.naturalWidth > 400);"
         "return i ? i.src : null"
     )
-    return found
+    return address
 
 
 def press(driver: Any, key: str) -> None:

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest, written_whole
+from ablate.threads import torch_threads
 from ablate.tracking import hardware
 from ablate.training import chosen_device, generate, load_generator
 
@@ -132,10 +132,7 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
         settings = {network: run.settings for network, run in to_time.items()}
         training = next(iter(settings.values())).training
         device = chosen_device(training.device)
-        with ExitStack() as afterwards:
-            afterwards.callback(torch.set_num_threads, torch.get_num_threads())
-            torch.set_num_threads(training.threads or torch.get_num_threads())
-            threads = torch.get_num_threads()
+        with torch_threads(training.threads) as threads:
             machine = f"{hardware()}, {device.type}, {threads} thread{'' if threads == 1 else 's'}"
             times = read_times(study_dir)
             here = times["machine"] == machine

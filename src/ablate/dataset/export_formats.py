@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from PIL import Image
 from skimage.color import hsv2rgb
 from skimage.transform import resize
 from skimage.util import montage
@@ -14,7 +13,7 @@ from ablate.anatomy import load_tissues
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.png_folder import FOLDERS
 from ablate.dataset.split import Part
-from ablate.storage import write_json, write_text, written_whole
+from ablate.storage import write_image, write_json, write_text
 from ablate.ultrasound import SIMULATOR_VERSION
 
 _THUMBNAIL_PX, _PER_PART = 320, 8
@@ -38,7 +37,7 @@ def write_contact_sheet(pairs: Pairs, path: Path) -> None:
         tiles += [np.repeat(_thumbnail(i)[..., None], 3, axis=2) for i in images]
         tiles += [_thumbnail(_COLOURS[s]) for s in labels]
     sheet = montage(np.stack(tiles), channel_axis=3, grid_shape=(2 * len(Part), _PER_PART), padding_width=4)
-    _save((np.clip(sheet, 0, 1) * 255).astype(np.uint8), path)  # other processes that filled the set write it too
+    write_image(path, (np.clip(sheet, 0, 1) * 255).astype(np.uint8))  # other processes that filled the set write it too
 
 
 def _thumbnail(image: np.ndarray) -> np.ndarray:
@@ -51,7 +50,7 @@ def write_png(pairs: Pairs, folder: Path) -> None:
     for name in sorted(pairs.maps & FOLDERS.keys()):
         (folder / FOLDERS[name]).mkdir(parents=True, exist_ok=True)
         for frame in range(len(pairs)):
-            _save(pairs.stored(name, frame), folder / FOLDERS[name] / f"{_name(frame)}.png")
+            write_image(folder / FOLDERS[name] / f"{_name(frame)}.png", pairs.stored(name, frame))
     sites, parts = [f"site{site}" for site in pairs.sites], [Part(part).name for part in pairs.split]
     frames = pd.DataFrame({"name": [_name(k) for k in range(len(pairs))], "site": sites, "part": parts})
     write_text(folder / "frames.csv", frames.to_csv(index=False))
@@ -70,7 +69,7 @@ def write_nnunet(pairs: Pairs, folder: Path) -> None:
         end = "Ts" if pairs.split[frame] == Part.test else "Tr"
         for kind, name, suffix in (("images", "target", "_0000"), ("labels", "segmentation", "")):
             (folder / f"{kind}{end}").mkdir(parents=True, exist_ok=True)
-            _save(pairs.stored(name, frame), folder / f"{kind}{end}" / f"{_name(frame)}{suffix}.png")
+            write_image(folder / f"{kind}{end}" / f"{_name(frame)}{suffix}.png", pairs.stored(name, frame))
     write_json(
         folder / "dataset.json",
         {
@@ -132,8 +131,3 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: tuple[float, float]) -> No
 
 def _name(frame: int) -> str:
     return f"frame{frame:05d}"
-
-
-def _save(values: np.ndarray, path: Path) -> None:
-    with written_whole(path) as partial:
-        Image.fromarray(values).save(partial)

@@ -180,10 +180,7 @@ def swept_keys(lines: Sequence[Sequence[str]], words: Sequence[str]) -> set[str]
 def without_repetitions(jobs: Sequence[Job]) -> list[Job]:
     """Every job once; jobs that differ must not share a place. Jobs that simulate alone may: they fill the same pairs.
 
-    Raises
-    ------
-    ConfigurationError
-        Where two jobs differ in keys that are no part of a label, such as `training.device`.
+    Jobs that differ in keys that are no part of a label, such as `training.device`, are a ConfigurationError.
     """
     if jobs and jobs[0].settings.task is Task.simulate:
         return list(jobs)

@@ -35,26 +35,21 @@ def description(jobs: Sequence[Job]) -> str:
     """`described` as text of at most 120 columns (with the variants of conf/), and what is the same for all of them."""
     table = described(jobs).map(_cell).reset_index()
     paper = "in the paper: "
-    parts = (
-        {name: name for name in ("family", *(c.name for c in components_of_networks().values()), "inputs")},
-        {
+    parts = {
+        "components": {n: n for n in ("family", *(c.name for c in components_of_networks().values()), "inputs")},
+        "receptive field of the generator: px, mm, and % of the frame's height": {
             **{"depth": "levels", "field_px": "px", "field_mm": "mm", "field_percent": "%"},
             **{"paper_depth": paper + "levels", "paper_field_px": "px", "paper_field_mm": "mm"},
             "paper_field_percent": "%",
         },
-        {
+        "parameters, in the paper with width 1 and the paper's levels": {
             **{"total_here": "here: total", "generator": paper + "generator", "discriminator": "discriminator"},
             "total": "total",
         },
-    )
-    titles = (
-        "components",
-        "receptive field of the generator: px, mm, and % of the frame's height",
-        "parameters, in the paper with width 1 and the paper's levels",
-    )
+    }
     tables = [
         f"{title}\n{table[['variant', *columns]].rename(columns=columns).to_string(index=False)}"
-        for title, columns in zip(titles, parts, strict=True)
+        for title, columns in parts.items()
     ]
     same = dict.fromkeys(line for job in jobs for line in _same_for_all(job.settings))
     return "\n\n".join([*tables, "\n".join(same)])

@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -30,7 +30,9 @@ _GRACE_S = 3.0  # after Ctrl-C, which reaches every process of a terminal
 # What libraries of numerics read when they are loaded.
 _THREADS = ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMBA", "NUMEXPR")
 Work = Callable[[Job], object]
-Start = Callable[[Sequence[Job], Sequence[Sequence[str]], Sequence[int], Work], None]
+#: A job of a sweep, its words of the command line, and its number.
+Numbered = tuple[Job, Sequence[str], int]
+Start = Callable[[Sequence[Numbered], Work], None]
 
 
 @dataclass(frozen=True)
@@ -90,28 +92,21 @@ def start_processes(launcher: Any) -> Start:
     return partial(_start, launcher, asked if asked > 0 else max(1, allotted_cores() + 1 + asked))
 
 
-def _start(
-    launcher: Any,
-    n_jobs: int,
-    jobs: Sequence[Job],
-    overrides: Sequence[Sequence[str]],
-    numbers: Sequence[int],
-    work: Work,
-) -> None:
-    devices = devices_to_share(jobs[0].settings.training.device)
+def _start(launcher: Any, n_jobs: int, jobs: Sequence[Numbered], work: Work) -> None:
+    devices = devices_to_share(jobs[0][0].settings.training.device)
     if devices and launcher.n_jobs < 0:
         n_jobs = min(n_jobs, len(devices))
-    coming = list(zip(jobs, overrides, numbers, strict=True))
+    coming = list(jobs)
     running: dict[int, tuple[SpawnProcess, str, str | None]] = {}
     try:
         while coming or running:
             while coming and len(running) < n_jobs:
-                job, words, number = coming.pop(0)
+                numbered = coming.pop(0)
                 device = least_busy(devices, [taken for _, _, taken in running.values()])
-                arguments = launcher.hydra_context, launcher.config, job, list(words), number, work
-                content = cloudpickle.dumps((run_in_process, (*arguments, Singleton.get_state())))
+                arguments = launcher.hydra_context, launcher.config, numbered, work, Singleton.get_state()
+                content = cloudpickle.dumps((run_in_process, arguments))
                 process = _started(content, n_jobs, device)
-                running[process.sentinel] = process, job.name, device
+                running[process.sentinel] = process, numbered[0].name, device
             for sentinel in wait(list(running)):
                 process, name, _ = running.pop(int(sentinel))  # type: ignore[arg-type]
                 process.join()
@@ -122,19 +117,14 @@ def _start(
 
 
 def run_in_process(
-    context: HydraContext,
-    master: DictConfig,
-    job: Job,
-    overrides: list[str],
-    number: int,
-    work: Work,
-    singletons: Mapping[Any, Any],
+    context: HydraContext, master: DictConfig, numbered: Numbered, work: Work, singletons: Mapping[Any, Any]
 ) -> None:
     """Run one job of a sweep in a process of its own, as Hydra's launchers do; `singletons` are the parent's."""
+    job, words, number = numbered
     setup_globals()
     register()
     Singleton.set_state(dict(singletons))
-    own = context.config_loader.load_sweep_config(master, overrides)
+    own = context.config_loader.load_sweep_config(master, list(words))
     with open_dict(own):
         own.hydra.job.id, own.hydra.job.num = f"{own.hydra.job.name}_{number}", number
     HydraConfig.instance().set_config(own)
@@ -184,23 +174,17 @@ def _environment(values: Mapping[str, str]) -> Iterator[None]:
 
 
 def devices_to_share(device: str) -> tuple[str, ...]:
-    """The GPUs that the jobs of a sweep are dealt to, as `CUDA_VISIBLE_DEVICES` names them.
-
-    None where there are fewer than two, or where `training.device` is the CPU.
-    """
+    """The GPUs that the jobs of a sweep share, as `CUDA_VISIBLE_DEVICES` names them; none on a CPU or one GPU."""
     if device not in ("auto", "cuda"):
         return ()
     import torch  # takes seconds, and a sweep on CPUs does without
 
-    visible = os.environ.get(VISIBLE)
     count = torch.cuda.device_count()
-    named = [str(i) for i in range(count)]
-    if visible is not None:
-        named = [name.strip() for name in visible.split(",")][:count]
+    visible = os.environ.get(VISIBLE, ",".join(map(str, range(count))))
+    named = [name.strip() for name in visible.split(",")][:count]
     return tuple(named) if len(named) > 1 else ()
 
 
-def least_busy(devices: Sequence[str], busy: Iterable[str | None]) -> str | None:
+def least_busy(devices: Sequence[str], busy: Sequence[str | None]) -> str | None:
     """The device that fewest of the running jobs have, the first of several; None where there are no devices."""
-    taken = list(busy)
-    return min(devices, key=taken.count, default=None)
+    return min(devices, key=busy.count, default=None)

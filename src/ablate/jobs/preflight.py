@@ -97,17 +97,14 @@ def _check_scene(s: StudySettings) -> int:
 
         with refusing():
             poses, _ = own_poses(s)
-        if s.dataset.frames > len(poses):
-            raise ConfigurationError(f"dataset.frames={s.dataset.frames}: at most {len(poses)}, the poses of the file")
-        return _training_frames(s, s.dataset.frames)
-    assert sites is not None
-    grid = resample_grid(sites, s.dataset.grid)
-    offered = len(grid.heights_mm) * len(grid.angles_deg) * len(grid.tilts_deg) * len(grid.rolls_deg)
+        offered, whose = len(poses), "the poses of the file"
+    else:
+        assert sites is not None
+        grid = resample_grid(sites, s.dataset.grid)
+        offered = len(grid.heights_mm) * len(grid.angles_deg) * len(grid.tilts_deg) * len(grid.rolls_deg)
+        whose = "the poses of the probe sites; more of them: dataset.grid=[heights,angles,tilts,rolls]"
     if s.dataset.frames > offered:
-        raise ConfigurationError(
-            f"dataset.frames={s.dataset.frames}: at most {offered}, the poses of the probe sites; "
-            "more of them: dataset.grid=[heights,angles,tilts,rolls]"
-        )
+        raise ConfigurationError(f"dataset.frames={s.dataset.frames}: at most {offered}, {whose}")
     return _training_frames(s, s.dataset.frames)
 
 

@@ -1,8 +1,9 @@
 """The frozen settings of `ablate.settings.study` as the typed schema that Hydra composes it into."""
 
 import dataclasses
+from copy import copy
 from dataclasses import field
-from functools import cache
+from functools import cache, partial
 from typing import Any, get_type_hints
 
 from hydra.core.config_store import ConfigStore
@@ -36,7 +37,8 @@ def _schema(cls: type) -> type:
         elif is_group(hint):
             fields.append((one.name, group := _schema(hint), field(default_factory=group)))
         else:
-            fields.append((one.name, hint, field(default_factory=_constant(one.default))))
+            default = list(one.default) if isinstance(one.default, tuple) else one.default
+            fields.append((one.name, hint, field(default_factory=partial(copy, default))))
     return _made(cls.__name__, fields)
 
 
@@ -50,10 +52,6 @@ def _made(name: str, fields: list[tuple[str, Any, Any]]) -> type:
     made.__module__ = __name__
     globals()[made.__name__] = made
     return made
-
-
-def _constant(value: Any) -> Any:
-    return lambda: list(value) if isinstance(value, tuple) else value
 
 
 _STUDY = _schema(StudySettings)

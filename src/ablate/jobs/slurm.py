@@ -12,8 +12,7 @@ import submitit
 from hydra.core.singleton import Singleton
 from omegaconf import OmegaConf
 
-from ablate.jobs.launch import Start, Work
-from ablate.runs.job import Job
+from ablate.jobs.launch import Numbered, Start, Work
 from ablate.settings.study import ConfigurationError
 
 
@@ -28,9 +27,7 @@ def submit(launcher: Any) -> Start:
     return partial(_submit, launcher)
 
 
-def _submit(
-    launcher: Any, jobs: Sequence[Job], overrides: Sequence[Sequence[str]], numbers: Sequence[int], _: Work
-) -> None:
+def _submit(launcher: Any, jobs: Sequence[Numbered], _work: Work) -> None:
     """Each job composes and does its task on its node, as Hydra's own launcher of submitit has it."""
     from hydra_plugins.hydra_submitit_launcher.config import BaseQueueConf
 
@@ -42,7 +39,7 @@ def _submit(
     Path(str(launcher.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
     arguments = [
         (list(words), "hydra.sweep.dir", number, f"job_id_for_{number}", Singleton.get_state())
-        for words, number in zip(overrides, numbers, strict=True)
+        for _, words, number in jobs
     ]
     submitted = executor.map_array(launcher, *zip(*arguments, strict=True))
     where = f"`squeue --me` shows them, what they print is in {Path(folder).parent}"

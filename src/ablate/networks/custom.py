@@ -13,10 +13,7 @@ from ablate.user_code import in_one_line, load
 class CustomNetwork(nn.Module):
     """A user's network, made with its number of input channels. It keeps the initial weights that it gives itself.
 
-    Raises
-    ------
-    ValueError
-        Where the path leads to no `torch.nn.Module`, or the class cannot be made.
+    A path that leads to no `torch.nn.Module`, or to a class that cannot be made, is a ValueError.
     """
 
     def __init__(self, spec: GeneratorSpec) -> None:

@@ -91,13 +91,13 @@ class GeneratorSpec:
         if self.family is Family.unet and self.depth < 2:
             raise ValueError(f"depth={self.depth} with family=unet: allowed are 2 to {DEPTHS[-1]}")
         if self.family is not Family.local:
-            of = f"with family={self.family}"
+            family = f"with family={self.family}"
             if self.concat is not Concat.input:
-                raise ValueError(f"concat={self.concat} {of}: allowed is concat=input")
+                raise ValueError(f"concat={self.concat} {family}: allowed is concat=input")
             if self.upsampling is not Upsampling.transposed:
-                raise ValueError(f"upsampling={self.upsampling} {of}: allowed is upsampling=transposed")
+                raise ValueError(f"upsampling={self.upsampling} {family}: allowed is upsampling=transposed")
             if self.noise is Noise.inject:
-                raise ValueError(f"noise=inject {of}: allowed are noise=none, noise=input")
+                raise ValueError(f"noise=inject {family}: allowed are noise=none, noise=input")
         if (self.family is Family.custom) != (self.target is not None):
             allowed = "the path of a class, as my_package.MyGenerator" if self.family is Family.custom else "null"
             raise ValueError(f"target={self.target} with family={self.family}: allowed is {allowed}")

@@ -74,15 +74,15 @@ def import_data(settings: StudySettings, folder: Path, maps: frozenset[str], abo
 
 def _left_out(settings: StudySettings, checked: PngFolder, mask: np.ndarray) -> list[str]:
     """What a study of these pairs has to do without, and why."""
-    said = ["re-simulation: pairs made elsewhere cannot be simulated again, so metrics have no floor"]
+    left_out = ["re-simulation: pairs made elsewhere cannot be simulated again, so metrics have no floor"]
     if "attenuation" not in checked.maps:
-        said.append("shadow_contrast and variants that read A: there is no folder attenuation")
+        left_out.append("shadow_contrast and variants that read A: there is no folder attenuation")
     elif not describes_fan(settings.probe, mask):
         probe = ", ".join(f"{k}={v:g}" for k, v in asdict(settings.probe).items() if k != "frequency_mhz")
-        said.append(
+        left_out.append(
             f"shadow_contrast and thin_contrast: the fan of the images is not that of probe.{probe}, so depths are not "
             "known and the Gaussian of mae_smooth is in px"
         )
     if checked.tissues is None:
-        said.append("tissues: without labels.csv the labels are ordered by number, and all count as solid tissue")
-    return said
+        left_out.append("tissues: without labels.csv the labels are ordered by number, and all count as solid tissue")
+    return left_out

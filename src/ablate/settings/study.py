@@ -157,9 +157,7 @@ class TrackingSettings:
     )
     experiment: str = setting("ablate", "MLflow's experiment.", incidental=True)
     register: str | None = setting(
-        None,
-        "Model in MLflow's registry that the reference variant's generator becomes a version of.",
-        incidental=True,
+        None, "Model in MLflow's registry that the reference variant's generator becomes a version of.", incidental=True
     )
     provenance: Provenance = setting(Provenance.full, "What a run stores of what it was made with.", incidental=True)
     system_metrics: bool = setting(

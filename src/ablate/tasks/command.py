@@ -108,11 +108,7 @@ def _words(hydra_node: Any, kind: str) -> list[str]:
 
 
 def run_sweep(
-    master: DictConfig,
-    job_overrides: Sequence[Sequence[str]],
-    first_number: int,
-    start: Start,
-    elsewhere: bool = False,
+    master: DictConfig, job_overrides: Sequence[Sequence[str]], first_number: int, start: Start, elsewhere: bool = False
 ) -> list[JobReturn]:
     """Do the task of all jobs of a sweep, for our launchers: `start` starts those of them that are to be run.
 
@@ -124,7 +120,7 @@ def run_sweep(
 
     def start_some(jobs: Sequence[Job], work: Work) -> None:
         numbers = [made.index(job) for job in jobs]
-        start(jobs, [job_overrides[n] for n in numbers], [first_number + n for n in numbers], work)
+        start([(made[n], job_overrides[n], first_number + n) for n in numbers], work)
 
     launch = Launch(start_some, elsewhere, compares=made[0].settings.objective is None)
     try:

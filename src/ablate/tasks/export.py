@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -15,21 +14,16 @@ from ablate.storage import write_text
 from ablate.ultrasound.probe import pixel_size_mm
 
 
+@refusing()  # a package that is missing, a full disk, ...
 def export(jobs: Sequence[Job]) -> int:
     """Write the first job's data set, simulated first where it is missing, and print the folder of the files."""
-    with refusing():  # a package that is missing, a full disk, ...
-        print(_exported(jobs))
-    return 0
-
-
-def _exported(jobs: Sequence[Job]) -> Path:
     settings = jobs[0].settings
-    chosen, source = settings.dataset.format, jobs[0].data
+    chosen = settings.dataset.format
     if chosen is ExportFormat.dicom:
         _check_dicom(settings)
     data = prepare_data(jobs[0], maps_needed(job.settings.model for job in jobs))
     pairs = data.pairs
-    folder = settings.results / "export" / f"{source.name}-{chosen}"
+    folder = settings.results / "export" / f"{data.name}-{chosen}"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "README.md").unlink(missing_ok=True)  # written last: a folder without it is not finished
     if chosen is ExportFormat.png:
@@ -39,7 +33,8 @@ def _exported(jobs: Sequence[Job]) -> Path:
     else:
         write_dicom(pairs, folder, pixel_size_mm(settings.probe, pairs.shape))
     write_text(folder / "README.md", _card(settings, data))
-    return folder
+    print(folder)
+    return 0
 
 
 def _check_dicom(settings: StudySettings) -> None:

@@ -17,7 +17,7 @@ from ablate.runs.job import Job
 from ablate.runs.simulated import Layout, build_scene, lay_out
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
-from ablate.storage import read_json, write_json, written_whole
+from ablate.storage import read_json, write_image, write_json, written_whole
 from ablate.ultrasound import SIMULATOR_VERSION, Frame, Simulator
 from ablate.ultrasound.probe import pixel_size_mm
 
@@ -25,15 +25,10 @@ _PREVIEW = frozenset({"segmentation", "target"})
 _FRAME_MS = 50  # of a cine: 20 frames a second
 
 
+@refusing()  # a mesh with a hole, a pose that is not rigid, ...
 def render(jobs: Sequence[Job]) -> int:
     """Render the first job's `pose`, `plane` or `frame`, and print the folder of the files."""
-    with refusing():  # a mesh with a hole, a pose that is not rigid, ...
-        print(_rendered(jobs[0]))
-    return 0
-
-
-def _rendered(job: Job) -> Path:
-    settings = job.settings
+    job, settings = jobs[0], jobs[0].settings
     named = _named_poses(job)  # before the anatomy is built
     scene, grid = build_scene(settings)
     if named is None:
@@ -55,7 +50,8 @@ def _rendered(job: Job) -> Path:
     else:
         with written_whole(folder / "frame.npz") as partial:
             np.savez_compressed(partial, **{k: getattr(frame, k) for k in Frame.__annotations__}, pose=poses[0])
-    return folder
+    print(folder)
+    return 0
 
 
 def _folder_of(wanted: Path, made_with: dict[str, Any]) -> Path:
@@ -102,8 +98,7 @@ def _write(folder: Path, frame: Frame, number: str) -> None:
         "attenuation": np.rint(frame.attenuation * 65535).astype(np.uint16),
     }
     for name, values in pictures.items():
-        with written_whole(folder / f"{name}{number}.png") as partial:
-            Image.fromarray(values).save(partial)
+        write_image(folder / f"{name}{number}.png", values)
 
 
 def _made_with(settings: StudySettings, scene: Scene, poses: np.ndarray) -> dict[str, Any]:
@@ -120,15 +115,10 @@ def _made_with(settings: StudySettings, scene: Scene, poses: np.ndarray) -> dict
     }
 
 
+@refusing()  # a mesh with a hole, no usable pose, ...
 def preview(jobs: Sequence[Job]) -> int:
     """Draw frame number `frame` of the first job's data set, and print the path of the picture."""
-    with refusing():  # a mesh with a hole, no usable pose, ...
-        print(_draw(jobs[0]))
-    return 0
-
-
-def _draw(job: Job) -> Path:
-    settings, frame, data = job.settings, job.settings.frame, job.data
+    settings, frame, data = jobs[0].settings, jobs[0].settings.frame, jobs[0].data
     pairs = data.pairs if data.exists else None
     check_frame(frame, settings.dataset.frames if pairs is None else len(pairs))
     scene, grid = build_scene(settings)
@@ -143,7 +133,8 @@ def _draw(job: Job) -> Path:
     part, site = Part(frames.split[frame]).name, frames.sites[frame]
     title = f"{settings.scene_name}: frame {frame} of {len(frames)}, {part}, site {site}"
     path, pose = data.folder / f"preview_{frame}.png", frames.poses[frame]
-    return preview_figure(path, title, scene, settings.probe, pose, image, segmentation, grid)
+    print(preview_figure(path, title, scene, settings.probe, pose, image, segmentation, grid))
+    return 0
 
 
 def check_frame(frame: int, frames: int) -> None:

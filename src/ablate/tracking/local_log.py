@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image
 
-from ablate.storage import written_whole
+from ablate.storage import write_image
 
 _LOG = "log.jsonl"
 
@@ -64,8 +63,7 @@ class LocalLog:
         path = self.path.parent / "images" / f"{key.replace('/', '~')}+{step}.png"
         if not path.exists():
             path.parent.mkdir(exist_ok=True)
-            with written_whole(path) as partial:
-                Image.fromarray(image).save(partial)
+            write_image(path, image)
 
     def status(self, status: Status) -> None:
         """Log that the run has started or ended."""

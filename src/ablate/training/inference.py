@@ -102,18 +102,9 @@ def open_engine(
 ) -> OpenEngine:
     """Make a function that renders one frame of `height` x `width` px, on the generator's device.
 
-    Compiling and exporting take their time here or at the first frame. A compiled generator on a GPU replays a
-    CUDA graph: an image is overwritten by the next one.
-
-    Returns
-    -------
-    callable
-        (maps, seed) -> image; maps beyond `conditions(generator.spec)` are not read.
-
-    Raises
-    ------
-    RuntimeError
-        Where the machine lacks what the engine needs.
+    Maps beyond `conditions(generator.spec)` are not read. Compiling and exporting take their time here or at the first
+    frame. A compiled generator on a GPU replays a CUDA graph: an image is overwritten by the next one. Where the
+    machine lacks what the engine needs, it is a RuntimeError.
     """
     device = next(generator.parameters()).device
     lacking = missing_for(engine, device)

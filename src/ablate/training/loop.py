@@ -186,13 +186,7 @@ class LastCheckpoint(Callback):
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """Read a checkpoint with `weights_only=True`.
-
-    Raises
-    ------
-    ValueError
-        Where the file is not a checkpoint of this project.
-    """
+    """Read a checkpoint with `weights_only=True`; a ValueError where the file is not one of this project."""
     try:
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError:
@@ -224,10 +218,7 @@ def resume(module: PairGAN, path: Path) -> None:
 def load_generator(path: Path) -> Generator:
     """Load the generator to evaluate (the running average, where one was kept) from a checkpoint, on the CPU.
 
-    Raises
-    ------
-    ValueError
-        Where the file is not a checkpoint of this project, or its weights are not those of the network it names.
+    A file without a checkpoint of this project, or with weights of another network than it names, is a ValueError.
     """
     checkpoint = read_checkpoint(path)
     try:

@@ -174,17 +174,8 @@ def _lay_out_like_weights(optimizer: Adam) -> None:
 def mean_in_fan(values: Tensor, mask: Tensor) -> Tensor:
     """Average over the fan of a whole batch: every pixel of a fan weighs the same, however much of a crop it fills.
 
-    Parameters
-    ----------
-    values : (N, 1, H, W) float
-        For example errors; what lies outside the fan does not count.
-    mask : (N, 1, H, W) float
-        1 in the fan, else 0.
-
-    Returns
-    -------
-    () float
-        0 where no pixel of the batch lies in the fan.
+    `values` and `mask` are (N, 1, H, W) float, the mask 1 in the fan and else 0. The mean, () float, is 0 where no
+    pixel of the batch lies in the fan.
 
     Examples
     --------

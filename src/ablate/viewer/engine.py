@@ -42,12 +42,8 @@ class Engine:
         """Render all views of a state.
 
         At full quality the target is that of `Simulator.render`, bit for bit. The notes say why a generator could not
-        render. A state at rest keeps the maps and the generated images that it had moving.
-
-        Raises
-        ------
-        ValueError
-            When the pose is not rigid, or a value is outside its range.
+        render. A state at rest keeps the maps and the generated images that it had moving. A pose that is not rigid, or
+        a value outside its range, is a ValueError.
         """
         probe, settings, ms, notes = state.probe, state.simulator, dict[str, float](), dict[str, str]()
         place = (state.pose.tobytes(), probe, settings)

@@ -156,12 +156,8 @@ def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
     """Load a generator, to look at a scene with these tissues.
 
     Tissues that the generator was not trained on have the values of their places in this scene's own order. Where the
-    data set of a run has been deleted, `tissues` are taken for those that it was trained on.
-
-    Raises
-    ------
-    OSError, ValueError
-        In a sentence, when the run has been deleted or its files are damaged.
+    data set of a run has been deleted, `tissues` are taken for those that it was trained on. A run that has been
+    deleted is an OSError, and one whose files are damaged a ValueError.
     """
     if is_shipped(picked):
         renderer, own = pretrained.load(picked.name), label_values(tissues, StudySettings.encoding)

@@ -30,14 +30,9 @@ class Hold:
 
 
 class Hand:
-    """Holds the probe on the skin of a scene.
+    """Holds the probe on the skin of a scene, the deepest part of its face pressed in by `press_mm`.
 
-    Parameters
-    ----------
-    axis, front
-        Long axis of the body, and the side that angle 0 looks at.
-    press_mm : float
-        How far the deepest part of the face is pressed into the skin.
+    `axis` is the long axis of the body, and `front` the side that angle 0 looks at.
     """
 
     def __init__(

@@ -166,7 +166,12 @@ def screen(views: Views, colours: Sequence[Colour], layout: Layout) -> np.ndarra
         *generated[1:],
     ]
     if layout.difference:
-        tiles.append(_difference(views))
+        first = views.generated[0] if views.generated else None
+        if first is None or views.target is None:
+            tiles.append(("difference", "", "a difference needs a simulated\nand a generated image"))
+        else:
+            picture = difference_picture(first, views.target, mask, probe)
+            tiles.append(("generated - simulated", "red: brighter, blue: darker", picture))
     pictures = [empty_picture(shown, mask.shape) if isinstance(shown, str) else shown for _, _, shown in tiles]
     pictures = [marked(picture, layout.points, probe) for picture in pictures]
     return _mosaic([(title, note, picture) for (title, note, _), picture in zip(tiles, pictures, strict=True)])
@@ -179,14 +184,6 @@ def _generated(views: Views, number: int, name: str) -> _Tile:
         words = views.notes.get(key, "this generator has not rendered yet")
         return f"generated: {name}", "", textwrap.fill(words, _LINE)
     return f"generated: {name}", f"{views.ms[key]:.0f} ms", framed(image, views.mask, views.state.probe)
-
-
-def _difference(views: Views) -> _Tile:
-    first = views.generated[0] if views.generated else None
-    if first is None or views.target is None:
-        return "difference", "", "a difference needs a simulated\nand a generated image"
-    picture = difference_picture(first, views.target, views.mask, views.state.probe)
-    return "generated - simulated", "red: brighter, blue: darker", picture
 
 
 def _mosaic(tiles: Sequence[tuple[str, str, np.ndarray]]) -> np.ndarray:

@@ -13,7 +13,7 @@ from PIL import Image
 from ablate.jobs.compose import job_of
 from ablate.setting import plain
 from ablate.settings.study import SceneKind, StudySettings
-from ablate.storage import write_json, written_whole
+from ablate.storage import write_image, write_json, written_whole
 from ablate.viewer.pictures import framed
 from ablate.viewer.session import State, Views
 
@@ -55,12 +55,7 @@ class Sweep(list[tuple[np.ndarray, np.ndarray, float]]):
     def save(self, folder: Path) -> Path:
         """Write `sweep.gif` at the speed of the recording and `poses.npy`, (n, 4, 4) float64, and return its path.
 
-        Raises
-        ------
-        ValueError
-            When nothing has been recorded.
-        OSError
-            When the folder cannot be written.
+        Where nothing has been recorded it is a ValueError.
         """
         if not self:
             raise ValueError("nothing was recorded: move the probe while recording")
@@ -86,8 +81,7 @@ def save_frame(folder: Path, views: Views) -> None:
     maps["attenuation"] = np.rint(65535 * views.attenuation).astype(np.uint16)
     maps |= {f"generated_{k}": image for k, image in enumerate(views.generated)}
     for name, image in ((name, image) for name, image in maps.items() if image is not None):
-        with written_whole(folder / f"{name}.png") as partial:
-            Image.fromarray(image).save(partial, "PNG")
+        write_image(folder / f"{name}.png", image)
     described = {name: plain(getattr(state, name)) for name in ("hold", "probe", "simulator", "display", "seed")}
     described |= {"runs": [str(run) for run in state.runs], "quality": views.quality.value}
     write_json(folder / "frame.json", {"pose": state.pose.tolist()} | described)

@@ -45,7 +45,6 @@ class State:
         Of the scatterers, and of a generator's noise.
     runs : tuple of Path
         Folders of finished runs, whose generators render the same frame.
-    moving : Moving
     hold : Hold or None
         How the probe is held at this pose, where that is known.
     """
@@ -98,16 +97,8 @@ class Views:
 class Session:
     """The probe as it is held, the scanner as it is set, and whether the picture is frozen.
 
-    Only one thread at a time may call it.
-
-    Parameters
-    ----------
-    state
-        To start from.
-    poses
-        Presets by name; reset goes to the first of them.
-    submit
-        Called with every new state, unless the picture is frozen.
+    It starts from a state; reset goes to the first of `poses`, the presets by name. `submit` is called with every new
+    state, unless the picture is frozen. Only one thread at a time may call it.
     """
 
     def __init__(

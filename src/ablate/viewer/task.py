@@ -63,10 +63,7 @@ def view(jobs: Sequence[Job]) -> int:
 class Viewer:
     """A scene, its worker and its page, open on a port.
 
-    Raises
-    ------
-    ConfigurationError, ValueError, OSError
-        In a sentence, when the port is in use, or the scene or a pose cannot be used.
+    What cannot be opened, as a port that is in use or a scene that cannot be used, is an error in one sentence.
     """
 
     def __init__(self, settings: StudySettings) -> None:
@@ -135,12 +132,7 @@ def presets(settings: StudySettings, scene: Scene, grid: SiteGrid) -> dict[str, 
     """Poses to start from, (4, 4) float64, mm, by name: standard planes of the built-in anatomy, or probe sites.
 
     If a grid has many sites, they are evenly spaced ones. At a site the probe stands upright on the skin, and its plane
-    is the first of the grid's rolls.
-
-    Raises
-    ------
-    ValueError
-        When the scene has no structure or no probe site of it can be used.
+    is the first of the grid's rolls. A scene without a structure, or without a usable probe site, is a ValueError.
     """
     if settings.scene.kind is SceneKind.fetal:
         planes = fetal_planes(settings.scene.anatomy_seed, settings.dataset.press_mm)

@@ -1,7 +1,7 @@
 """What all measurements share, and the simulator measured one setting at a time away from those of the data set."""
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -195,15 +195,10 @@ def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[],
 
 def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
     """List settings by the name and the value of what is changed; each ladder includes `base` itself."""
-    values: dict[str, set[int]] = {"rays": {*RAYS, base.rays}, "layers": {*LAYERS, base.layers}}
+    values: dict[str, set[Any]] = {"rays": {*RAYS, base.rays}, "layers": {*LAYERS, base.layers}}
     for name in ("scanlines", "axial_samples"):
         values[name] = {max(1, round(part * getattr(base, name))) for part in _FRACTIONS}
-    return {name: _each(base, name, sorted(chosen)) for name, chosen in values.items()}
-
-
-def _each(base: SimulatorSettings, name: str, values: Iterable[Any]) -> dict[Any, SimulatorSettings]:
-    """Settings with each of these values of one of them."""
-    return {value: replace(base, **{name: value}) for value in values}
+    return {name: {v: replace(base, **{name: v}) for v in sorted(chosen)} for name, chosen in values.items()}
 
 
 def series_name(name: str) -> str:
@@ -240,10 +235,9 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
         return mean_errors(frames, other, bench.probe)
 
     for name, ladder in ladders(base).items():
-        several = {(series_name(name), value): settings for value, settings in ladder.items()}
+        several: dict[tuple[str, float], SimulatorSettings] = {(series_name(name), v): s for v, s in ladder.items()}
         if name == "rays":
-            most = replace(base, rays=max(ladder))
-            several |= {(TOLERANCE_SERIES, t): s for t, s in _each(most, "tolerance", TOLERANCES).items()}
+            several |= {(TOLERANCE_SERIES, t): replace(base, rays=max(ladder), tolerance=t) for t in TOLERANCES}
             several |= {(FULL_SERIES, n): replace(s, plan=PlanMode.full) for n, s in ladder.items()}
         measured = dict(zip(several, render_all(bench, list(several.values()), seeds, advance), strict=True))
         for (series, value), ((rendered, other), ms) in measured.items():
@@ -275,8 +269,8 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
 def _converging(bench: Bench, name: str, advance: Callable[[], object]) -> dict[str | int, dict[str, float]]:
     """Compare grids with a finer one, all with more rays, and the finer one with other scatterers as a scale."""
     base, seeds = replace(bench.simulator, rays=_FINER * bench.simulator.rays), (bench.seed, bench.seed + 1)
-    finest = _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name)
-    (((fine, other), _),) = render_all(bench, [*_each(base, name, [finest]).values()], seeds, advance)
+    finest: Any = _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name)
+    (((fine, other), _),) = render_all(bench, [replace(base, **{name: finest})], seeds, advance)
     grids = ladders(base)[name]
     measured = render_all(bench, list(grids.values()), seeds[:1], advance)
     rendered = {"other scatterers": other} | {v: f for v, ((f,), _) in zip(grids, measured, strict=True)}

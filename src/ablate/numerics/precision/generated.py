@@ -29,8 +29,6 @@ from ablate.ultrasound import fan_mask
 
 _WARMUP = 2
 _LOG = logging.getLogger(__name__)
-
-
 #: How a generator is run.
 Execution = tuple[TrainingPrecision, Engine]
 
@@ -68,8 +66,8 @@ def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...
     return [(p, engine) for engine, what in lacking.items() if not what for p in precisions], tuple(notes)
 
 
-def schedule_of(runs: list[Run], settings: StudySettings) -> list[tuple[Run, list[Execution]]]:
-    """Choose the precisions and engines for each run.
+def schedule_of(runs: list[Run], settings: StudySettings) -> list[tuple[Run, Execution]]:
+    """List each run with each precision and engine that is measured of it.
 
     Every run is executed in eager mode in all precisions. Compiling and exporting take up to a minute each, so only the
     first run of each network is compiled and exported: the time of a network does not depend on its weights.
@@ -78,7 +76,8 @@ def schedule_of(runs: list[Run], settings: StudySettings) -> list[tuple[Run, lis
     eager = [execution for execution in every if Engine.eager in execution]
     first: dict[str, Run] = {}
     ordered = sorted(runs, key=lambda run: (str(run.folder.parents[1]), run.label, run.seed))
-    return [(r, every if first.setdefault(digest(r.spec["semantic"]["model"]), r) is r else eager) for r in ordered]
+    chosen = {r: every if first.setdefault(digest(r.spec["semantic"]["model"]), r) is r else eager for r in ordered}
+    return [(run, execution) for run, its_executions in chosen.items() for execution in its_executions]
 
 
 def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
@@ -96,7 +95,7 @@ def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, 
 
 def measure_generators(
     bench: Bench,
-    planned: list[tuple[Run, list[Execution]]],
+    planned: list[tuple[Run, Execution]],
     settings: StudySettings,
     reference: Frames,
     points: CsvTable,
@@ -112,28 +111,24 @@ def measure_generators(
         return
     maps, inputs = make_inputs(bench, advance)
     device = chosen_device(settings.training.device)
-    for run, its_executions in planned:
-        exact: Frames | None = None
-        study = run.folder.parents[1].name
+    exact: dict[Run, Frames] = {}
+    for run, execution in planned:
+        study, width = run.folder.parents[1].name, run.spec["settings"]["model"]["width"]
         elsewhere = "" if study == settings.study else f", {study}"
-        width = run.spec["settings"]["model"]["width"]
-        for execution in its_executions:
-            setting = f"width {width:g}, {', '.join(execution)}, seed {run.seed}{elsewhere}"
-            advance()
-            try:
-                generator = load_generator(run.checkpoint).to(device)
-                rendered, network_ms = _render(run, generator, maps, bench, execution)
-            except Exception as failure:
-                _LOG.warning("left out, %s, %s: %s", run.label, setting, " ".join(str(failure).split())[:300])
-                continue
-            needed = {name: inputs[name] for name in conditions(generator.spec)}
-            ms = sum(needed.values()) + network_ms
-            points.add_each(run.label, setting, ms, values=mean_errors(rendered, reference, bench.probe))
-            details.add_each("stage", run.label, setting, values={**needed, "network": network_ms})
-            if exact is None:
-                exact = rendered
-                continue
-            errors = mean_errors(rendered, exact, bench.probe)
+        setting = f"width {width:g}, {', '.join(execution)}, seed {run.seed}{elsewhere}"
+        advance()
+        try:
+            generator = load_generator(run.checkpoint).to(device)
+            rendered, network_ms = _render(run, generator, maps, bench, execution)
+        except Exception as failure:
+            _LOG.warning("left out, %s, %s: %s", run.label, setting, " ".join(str(failure).split())[:300])
+            continue
+        needed = {name: inputs[name] for name in conditions(generator.spec)}
+        ms = sum(needed.values()) + network_ms
+        points.add_each(run.label, setting, ms, values=mean_errors(rendered, reference, bench.probe))
+        details.add_each("stage", run.label, setting, values={**needed, "network": network_ms})
+        if (first := exact.setdefault(run, rendered)) is not rendered:
+            errors = mean_errors(rendered, first, bench.probe)
             details.add_each("limit", f"{run.label}, against fp32 eager", setting, values=errors)
 
 

@@ -56,8 +56,7 @@ def precision(jobs: Sequence[Job]) -> int:
             record.files += [points.path, details.path]
             record.tags |= {"hardware": hardware(), "scene": settings.scene_name, **code}
             planned = schedule_of(runs, settings)
-            steps = work(bench.simulator, len(bench.frames)) + len(bench.frames) * bool(planned)
-            steps += sum(len(its_executions) for _, its_executions in planned)
+            steps = work(bench.simulator, len(bench.frames)) + len(bench.frames) * bool(planned) + len(planned)
             with tqdm(total=steps, unit="step", desc="precision", mininterval=1.0) as bar:
                 reference = measure_simulator(bench, points, details, bar.update)
                 measure_generators(bench, planned, settings, reference, points, details, bar.update)
@@ -107,12 +106,12 @@ def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable,
 
 def _orders(points: pd.DataFrame) -> dict[str, tuple[float, float]]:
     """By metric the observed order p of the simulator, error ~ rays^-p, and its standard error."""
-    found = {}
+    orders = {}
     for metric, group in points[points["series"] == RAYS_SERIES].groupby("metric", sort=False):
         rays = group["setting"].astype(float).to_numpy()
         if fit := observed_order(rays, group["error"].to_numpy(float), str(metric)):
-            found[str(metric)] = (fit.order, fit.standard_error)
-    return found
+            orders[str(metric)] = (fit.order, fit.standard_error)
+    return orders
 
 
 def verdict(details: pd.DataFrame) -> str:

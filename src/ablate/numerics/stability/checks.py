@@ -1,5 +1,6 @@
 """What a case is, the errors that it must keep within their bounds, and the frames that many cases render."""
 
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ import numpy as np
 import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue
+from ablate.threads import torch_threads
 from ablate.ultrasound import ConvexProbe, Frame, Probe, Simulator, SimulatorPrecision, SimulatorSettings
 from ablate.ultrasound.imaging.point_spread import axial_kernel, lateral_kernels
 from ablate.ultrasound.probe import sample_depths_mm
@@ -76,12 +78,11 @@ class Checks:
         self.add(quantity, int(np.count_nonzero(wrong)), 0, why)  # type: ignore[call-overload]
 
     def both(
-        self, scene: Scene, settings: SimulatorSettings = SMALL, probe: Probe = PROBE, pose: np.ndarray = AHEAD,
-        seed: int = 0,
-    ) -> dict[str, Frame]:  # fmt: skip
+        self, scene: Scene, settings: SimulatorSettings = SMALL, probe: Probe = PROBE, pose: np.ndarray = AHEAD
+    ) -> dict[str, Frame]:
         """Render a frame in float32 and in float64, by the name of the precision, and add nothing."""
         chosen = {p.value: replace(settings, precision=p, device=self.device) for p in SimulatorPrecision}
-        return {dtype: Simulator(scene, probe, s).render(pose, seed) for dtype, s in chosen.items()}
+        return {dtype: Simulator(scene, probe, s).render(pose) for dtype, s in chosen.items()}
 
     def frames(
         self, scene: Scene, settings: SimulatorSettings = SMALL, probe: Probe = PROBE, pose: np.ndarray = AHEAD,
@@ -140,11 +141,17 @@ class Case:
     measure: Callable[..., None]
     arguments: tuple[object, ...] = ()
 
-    def checks(self, device: str) -> list[Check]:
-        """Run the case on a device; an exception is an error, too, and ends it."""
+    def run(self, device: str) -> list[Check]:
+        """Run the case on a device, in one thread, as its arrays are too small for several.
+
+        An exception is an error, too, and ends it; so is an overflow, of which NumPy only warns.
+        """
         checks = Checks(device)
         try:
-            self.measure(checks, *self.arguments)
+            with torch_threads(1), warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # about scenes of metres and probes in bone
+                warnings.simplefilter("error", RuntimeWarning)
+                self.measure(checks, *self.arguments)
         except Exception as error:
             why = "A case raises no exception."
             checks.added.append(Check("", f"{type(error).__name__}: {error}", float("nan"), 0, why))

@@ -1,17 +1,15 @@
 """`task=stability`: run every case, print and store the table, and fail if an error exceeds its bound."""
 
 import sys
-import warnings
 from collections.abc import Sequence
 from inspect import cleandoc
 from pathlib import Path
 
 import pandas as pd
-import torch
 from tqdm import tqdm
 
 from ablate.numerics.stability import extremes, metrics, networks, shapes, sound  # noqa: F401 (their cases)
-from ablate.numerics.stability.checks import CASES, Case, Check
+from ablate.numerics.stability.checks import CASES
 from ablate.runs.job import Job
 from ablate.runs.store_copy import open_store
 from ablate.storage import write_text
@@ -32,7 +30,7 @@ def stability(jobs: Sequence[Job]) -> int:
         with tqdm(CASES.values(), unit="case", desc="stability") as bar:
             for case in bar:
                 bar.set_postfix_str(case.name)
-                rows += [{"case": case.name, **vars(c), "holds": c.holds} for c in run_case(case, device)]
+                rows += [{"case": case.name, **vars(c), "holds": c.holds} for c in case.run(device)]
         table = pd.DataFrame(rows, columns=[*COLUMNS, "why"])
         files = _written(table, folder)
         fallen = list(table.loc[~table["holds"], "case"].unique())
@@ -45,19 +43,6 @@ def stability(jobs: Sequence[Job]) -> int:
         record.description = "\n\n".join([verdict, *(f"Falls: {name}" for name in fallen), "The table: Artifacts."])
         record.status = Status.failed if fallen else Status.finished
     return int(bool(fallen))
-
-
-def run_case(case: Case, device: str) -> list[Check]:
-    """Run a case in one thread, as its arrays are too small for several; an overflow that NumPy warns of ends it."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # about scenes of metres and probes in bone
-            warnings.simplefilter("error", RuntimeWarning)
-            return case.checks(device)
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _written(table: pd.DataFrame, folder: Path) -> list[Path]:

@@ -206,10 +206,10 @@ def add_learn_tab(page: Page) -> None:
     def judge() -> None:
         distance, angle = miss(session.state.pose, pose())
         given.append(points(distance, angle))
-        found = "found" if distance <= _FOUND_MM and angle <= _FOUND_DEG else "not yet"
+        verdict = "found" if distance <= _FOUND_MM and angle <= _FOUND_DEG else "not yet"
         how = f"{distance:.0f} mm and {angle:.0f} degrees away"
         mean = f"Mean of {len(given)}: {sum(given) / len(given):.0f}."
-        answer.content = f"**{wanted}**: {found}, {how}: **{given[-1]} of 100** points. {mean}"
+        answer.content = f"**{wanted}**: {verdict}, {how}: **{given[-1]} of 100** points. {mean}"
 
     page.add_button("Ask for a plane", ask)
     page.add_button("Judge the probe", judge)
