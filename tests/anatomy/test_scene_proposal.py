@@ -21,8 +21,8 @@ def folder_of(tmp_path: Path, scale: float = 1.0) -> Path:
 def test_a_proposal_is_a_scene_as_it_is(tmp_path: Path) -> None:
     text = proposed_scene(folder_of(tmp_path))
     (tmp_path / "scene.yaml").write_text(text)
-    found = {s.mesh.metadata["name"]: s.tissue.name for s in load_scene(tmp_path).structures}
-    assert list(found.items()) == [
+    tissues = {s.mesh.metadata["name"]: s.tissue.name for s in load_scene(tmp_path).structures}
+    assert list(tissues.items()) == [
         ("Skin surface.stl", "soft_tissue"),
         ("liver.ply", "liver"),
         ("left_kidney.stl", "kidney"),

@@ -46,7 +46,7 @@ def contents() -> Contents:
     """`contents(folder)`: every file of a data set but its locks."""
 
     def read(folder: Path) -> dict[str, bytes]:
-        found = [p for p in folder.rglob("*") if p.is_file() and p.suffix != ".lock"]
-        return {str(p.relative_to(folder)): p.read_bytes() for p in found}
+        files = [p for p in folder.rglob("*") if p.is_file() and p.suffix != ".lock"]
+        return {str(p.relative_to(folder)): p.read_bytes() for p in files}
 
     return read

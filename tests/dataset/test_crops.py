@@ -240,8 +240,8 @@ def test_a_batch_is_what_it_was(pairs: Pairs) -> None:
     batch = Crops(
         pairs, np.arange(FRAMES), frozenset({"attenuation"}), VALUES, CropSettings(size=16, batch_size=2, flip=True)
     )[3]
-    found = hashlib.sha256(b"".join(name.encode() + batch[name].numpy().tobytes() for name in sorted(batch)))
-    assert found.hexdigest()[:16] == "8daa2bdb90360cb5", (
+    digest = hashlib.sha256(b"".join(name.encode() + batch[name].numpy().tobytes() for name in sorted(batch)))
+    assert digest.hexdigest()[:16] == "8daa2bdb90360cb5", (
         "the same settings now cut other crops: raise TRAINING_VERSION in ablate/training/settings.py, so that no "
         "stored run goes on with this code, and pin this digest"
     )

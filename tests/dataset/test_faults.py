@@ -126,9 +126,9 @@ def test_a_full_disk_stops_with_its_name_and_nothing_half_written(tmp_path: Path
     fill = f"{sys.executable} {tmp_path}/fill.py {room} {tmp_path}/recipe 2"
     ballast = f"cp -r {laid_out} {room} && head -c 600000 /dev/zero > {room}/ballast"
     done = subprocess.run([*mount, f"{disk} && {ballast} && {fill}"], capture_output=True, text=True, check=False)
-    said = dict(line.split(": ", 1) for line in done.stdout.splitlines())
+    printed = dict(line.split(": ", 1) for line in done.stdout.splitlines())
     assert done.returncode == 0, done.stderr
-    assert "No space left on device" in said["stopped"]
-    assert "of frames" in said["stopped"]
-    assert 0 < int(said["missing"]) < 20
-    assert (said["half-written"], said["damaged"], said["then missing"]) == ("[]", "()", "0")
+    assert "No space left on device" in printed["stopped"]
+    assert "of frames" in printed["stopped"]
+    assert 0 < int(printed["missing"]) < 20
+    assert (printed["half-written"], printed["damaged"], printed["then missing"]) == ("[]", "()", "0")

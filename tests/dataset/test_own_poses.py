@@ -25,11 +25,11 @@ def test_npy_and_csv_hold_the_same_poses(tmp_path: Path) -> None:
     rows = [f"{p[0, 3]},{p[1, 3]},{p[2, 3]},{q[3]},{q[0]},{q[1]},{q[2]},{i // 2}"
             for i, (p, q) in enumerate(zip(expected, quaternions, strict=True))]  # fmt: skip
     (tmp_path / "p.csv").write_text("\n".join(["x,y,z,qw,qx,qy,qz,site", *rows]))
-    found, sites = read_poses(tmp_path / "p.npy")
-    assert np.array_equal(found, expected)
+    loaded, sites = read_poses(tmp_path / "p.npy")
+    assert np.array_equal(loaded, expected)
     assert sites.tolist() == list(range(7))
-    found, sites = read_poses(tmp_path / "p.csv")
-    assert found == pytest.approx(expected, abs=1e-9)
+    loaded, sites = read_poses(tmp_path / "p.csv")
+    assert loaded == pytest.approx(expected, abs=1e-9)
     assert sites.tolist() == [0, 0, 1, 1, 2, 2, 3]
 
 
@@ -70,20 +70,20 @@ def test_a_sweep_goes_from_the_first_to_the_last(kind: Sweep) -> None:
     first, last = poses(2, 3)
     if kind is Sweep.rotation:
         last = first @ from_matvec(Rotation.from_euler("z", 70, degrees=True).as_matrix(), [0, 0, 0])
-    found = sweep(first, last, kind, 9)
-    assert found[[0, -1]] == pytest.approx(np.stack([first, last]), abs=1e-9)
-    assert found[:, :3, :3] @ found[:, :3, :3].transpose(0, 2, 1) == pytest.approx(
+    swept = sweep(first, last, kind, 9)
+    assert swept[[0, -1]] == pytest.approx(np.stack([first, last]), abs=1e-9)
+    assert swept[:, :3, :3] @ swept[:, :3, :3].transpose(0, 2, 1) == pytest.approx(
         np.tile(np.eye(3), (9, 1, 1)), abs=1e-9
     )
 
 
 def test_a_linear_sweep_is_straight_and_turns_evenly() -> None:
     first, last = poses(2, 4)
-    found = sweep(first, last, Sweep.linear, 5)
+    swept = sweep(first, last, Sweep.linear, 5)
     parts = np.linspace(0, 1, 5)
-    assert found[:, :3, 3] == pytest.approx(first[:3, 3] + parts[:, None] * (last - first)[:3, 3])
+    assert swept[:, :3, 3] == pytest.approx(first[:3, 3] + parts[:, None] * (last - first)[:3, 3])
     turned = Slerp([0, 1], Rotation.from_matrix([first[:3, :3], last[:3, :3]]))(parts).as_matrix()
-    assert found[:, :3, :3] == pytest.approx(turned, abs=1e-9)
+    assert swept[:, :3, :3] == pytest.approx(turned, abs=1e-9)
 
 
 def test_a_fan_is_the_motion_of_constant_twist() -> None:

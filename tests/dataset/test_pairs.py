@@ -75,8 +75,8 @@ def test_a_set_opened_again_is_the_same(pairs: Pairs) -> None:
 
 def test_a_damaged_shard_is_named_on_reading_with_what_mends_it(pairs: Pairs) -> None:
     flip(pairs.shard_file("target", 2))
-    said = r"target/c/2/0/0, 'target' of frames 8 to 11.*checksum; .*task=simulate"
-    with pytest.raises(DamagedShardError, match=said):
+    message = r"target/c/2/0/0, 'target' of frames 8 to 11.*checksum; .*task=simulate"
+    with pytest.raises(DamagedShardError, match=message):
         pairs.read("target", [8, 9, 10, 11])
     pairs.read("target", [7, 12])
 
@@ -109,8 +109,8 @@ def test_pairs_of_another_version_are_refused_in_words(empty: Pairs) -> None:
 
 def state(pairs: Pairs) -> dict[str, tuple[bytes, int]]:
     """Content and modification time of every file but the locks."""
-    found = [p for p in pairs.folder.rglob("*") if p.is_file() and p.suffix != ".lock"]
-    return {str(p): (p.read_bytes(), p.stat().st_mtime_ns) for p in found}
+    files = [p for p in pairs.folder.rglob("*") if p.is_file() and p.suffix != ".lock"]
+    return {str(p): (p.read_bytes(), p.stat().st_mtime_ns) for p in files}
 
 
 def flip(file: Path) -> None:

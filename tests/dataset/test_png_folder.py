@@ -189,13 +189,13 @@ def test_a_mask_of_255_is_no_segmentation(folder: Path) -> None:
 def test_a_truncated_file_or_a_flipped_byte_is_named_or_changes_nothing_but_pixels(folder: Path) -> None:
     path = folder / "segmentation" / "a_0.png"
     good, rng = path.read_bytes(), np.random.default_rng(0)
-    said = []
+    messages = []
     flipped = [good[:k] + bytes([rng.integers(256)]) + good[k + 1 :] for k in rng.integers(0, len(good), 100)]
     for damaged in (good[:60], *flipped):
         path.write_bytes(damaged)
         try:
             read_fan(validate_png_folder(folder))
         except (ValueError, FileNotFoundError) as error:
-            said.append(str(error))
-    assert all("a_0.png" in message and "\n" not in message for message in said)
-    assert len(said) > 60
+            messages.append(str(error))
+    assert all("a_0.png" in message and "\n" not in message for message in messages)
+    assert len(messages) > 60

@@ -54,7 +54,7 @@ def shard(pairs: Pairs) -> Path:
 def test_any_flipped_bit_and_any_truncation_is_noticed(pairs: Pairs, shard: Path) -> None:
     whole, numbers = shard.read_bytes(), pairs.frames_of_shard(0)
     pairs.stored("target", numbers)
-    flipped = (whole[:at] + bytes([whole[at] ^ 1 << at % 8]) + whole[at + 1 :] for at in range(len(whole)))
+    flipped = (whole[:i] + bytes([whole[i] ^ 1 << i % 8]) + whole[i + 1 :] for i in range(len(whole)))
     for damaged in (*flipped, *(whole[:length] for length in range(len(whole)))):
         shard.write_bytes(damaged)
         with pytest.raises(DamagedShardError, match="checksum"):

@@ -52,9 +52,9 @@ def test_every_start_is_listed_and_the_report_names_all_commits(
         (again,) = jobs_of([f"runs_dir={job.settings.results}", "training.threads=2"])
         stopped_at(job, 60)
         write_provenance(again)
-    (said,) = caplog.messages
-    assert said.startswith("step 60: training goes on with other code or hardware (git_commit aaa, now bbb")
-    assert "threads 1, now 2" in said
+    (warning,) = caplog.messages
+    assert warning.startswith("step 60: training goes on with other code or hardware (git_commit aaa, now bbb")
+    assert "threads 1, now 2" in warning
     starts = stored(job, "starts.json")["starts"]
     assert [(s["git_commit"], s["step"], s["threads"]) for s in starts] == [
         ("aaa", 0, 1),

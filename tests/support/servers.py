@@ -25,25 +25,25 @@ _BINARIES = sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)  # D
 class Process:
     """A server that can be started, killed and started again; what it prints goes into a file."""
 
-    def __init__(self, command: list[str], environment: dict[str, str], said: Path, account: str | None = None) -> None:
-        self._command, self._environment, self._said, self._account = command, environment, said, account
+    def __init__(self, command: list[str], environment: dict[str, str], log: Path, account: str | None = None) -> None:
+        self._command, self._environment, self._log, self._account = command, environment, log, account
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, is_up: Callable[[], bool]) -> None:
         """Start it and wait until it answers."""
-        with self._said.open("ab") as said:
+        with self._log.open("ab") as log:
             self._process = subprocess.Popen(
                 self._command,
                 env={**os.environ, **self._environment},
                 start_new_session=True,
-                stdout=said,
-                stderr=said,
+                stdout=log,
+                stderr=log,
                 user=self._account,
             )
         until = time.monotonic() + _UP_S
         while not is_up():
             if self._process.poll() is not None or time.monotonic() > until:
-                raise RuntimeError(f"{self._command[0]} does not answer: {self._said.read_text('utf-8')[-1000:]}")
+                raise RuntimeError(f"{self._command[0]} does not answer: {self._log.read_text('utf-8')[-1000:]}")
             time.sleep(0.1)
 
     def kill(self) -> None:
@@ -68,8 +68,8 @@ class Postgres(Process):
         subprocess.run(made, check=True, capture_output=True, user=account)
         word.unlink()
         command = [str(binaries / "postgres"), "-D", str(folder / "data"), "-p", str(self.port), "-k", str(folder)]
-        said = folder / "postgres.txt"
-        super().__init__([*command, "-c", "listen_addresses=127.0.0.1"], {}, said, account)
+        log = folder / "postgres.txt"
+        super().__init__([*command, "-c", "listen_addresses=127.0.0.1"], {}, log, account)
 
     def up(self) -> None:
         """Start it, and wait until it takes connections."""

@@ -45,17 +45,17 @@ def test_both_simulators_show_the_same_lesion(load) -> None:
     *points, image = arrays.images(array, clouds, phantom.depths_mm, phantom.angles_rad)
     pymust = compare.measured(phantom, np.abs(image))
     images = [compare.measured(phantom, image) for image in compare.render(phantom, array, settings, range(12))]
-    ablate = {key: np.mean([found[key] for found in images]) for key in pymust}
-    for found, expected, tolerance in (
+    ablate = {key: np.mean([measures[key] for measures in images]) for key in pymust}
+    for measures, expected, tolerance in (
         (pymust, compare.expected(phantom, points, phantom.per_mm2), 0.15),
         (ablate, compare.expected(phantom, compare.gaussian_points(phantom, settings), np.inf), 0.06),
     ):
-        assert found["mean / sd"] == pytest.approx(expected["mean / sd"], abs=0.05)
-        assert found["distance to Rayleigh"] < 0.03
-        assert found["lesion: contrast (dB)"] == pytest.approx(-6, abs=1)
-        assert found["lesion: diameter (mm)"] == pytest.approx(12, abs=0.5)
+        assert measures["mean / sd"] == pytest.approx(expected["mean / sd"], abs=0.05)
+        assert measures["distance to Rayleigh"] < 0.03
+        assert measures["lesion: contrast (dB)"] == pytest.approx(-6, abs=1)
+        assert measures["lesion: diameter (mm)"] == pytest.approx(12, abs=0.5)
         for key in (key for key in expected if "cell" in key):
-            assert found[key] == pytest.approx(expected[key], rel=tolerance), key
+            assert measures[key] == pytest.approx(expected[key], rel=tolerance), key
 
 
 @pytest.fixture(scope="module")

@@ -27,18 +27,18 @@ def compensated(scene: Scene, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def test_tissue_with_the_slope_of_the_time_gain_is_flat(ahead: np.ndarray) -> None:
     """Where A is not clipped, it is exp(-mu (z - z98)), and z98 lies 2 % of the depth below the face."""
-    found, depth = compensated(Scene((), body(TGC), "uniform"), ahead)
-    assert found.dtype == np.float32
+    values, depth = compensated(Scene((), body(TGC), "uniform"), ahead)
+    assert values.dtype == np.float32
     level = 0.5 + 2 * TGC * 3 * 0.02 * 15 / 72
-    np.testing.assert_allclose(found[depth > 4], level, atol=1e-3)
-    assert (found[np.isnan(depth)] == 0).all()
+    np.testing.assert_allclose(values[depth > 4], level, atol=1e-3)
+    assert (values[np.isnan(depth)] == 0).all()
 
 
 @pytest.mark.parametrize("thick_mm", [10.0, 30.0])
 def test_behind_fluid_it_is_brighter_by_what_the_gain_adds_there(ahead: np.ndarray, slab, thick_mm: float) -> None:
     fluid = slab(Tissue("fluid", 1540, 1.5, 0.0), 40.0, 40.0 + thick_mm)
-    found, depth = compensated(Scene((fluid,), body(TGC), "fluid"), ahead)
-    line, z = found[:, 173].astype(float), depth[:, 173]
+    values, depth = compensated(Scene((fluid,), body(TGC), "fluid"), ahead)
+    line, z = values[:, 173].astype(float), depth[:, 173]
     before, behind = line[(z > 10) & (z < 38)], line[z > 42 + thick_mm]
     assert np.ptp(before) < 2e-3
     assert np.ptp(behind) < 2e-3
@@ -63,9 +63,9 @@ def test_every_pixel_is_that_of_a_plain_loop() -> None:
                 level = 20 * 2 * math.log10(max(float(attenuation[k, i, j]), 1e-4))
                 level += 2 * tgc * probe.frequency_mhz * depth_cm
                 expected[k, i, j] = min(max((level + 36) / 72, 0), 1)
-        found = compensated_attenuation(attenuation, probe, tgc)
-        np.testing.assert_allclose(found, expected, atol=2e-6)
+        values = compensated_attenuation(attenuation, probe, tgc)
+        np.testing.assert_allclose(values, expected, atol=2e-6)
         fan = fan_mask(probe, (20, 28))
-        assert found[:, fan].min() == 0  # too dark or too bright for the range inside the fan, too
-        assert found[:, fan].max() == (1 if tgc == 1.0 else pytest.approx(1, abs=0.05))
-        np.testing.assert_array_equal(found[1], compensated_attenuation(attenuation[1], probe, tgc))
+        assert values[:, fan].min() == 0  # too dark or too bright for the range inside the fan, too
+        assert values[:, fan].max() == (1 if tgc == 1.0 else pytest.approx(1, abs=0.05))
+        np.testing.assert_array_equal(values[1], compensated_attenuation(attenuation[1], probe, tgc))

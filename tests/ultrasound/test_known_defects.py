@@ -62,8 +62,8 @@ def test_2_reflection_knows_both_angles_and_loss_both_ways(slab, pencil, apart, 
     cos_i, cos_t = np.cos(angle), np.sqrt(1 - sine**2)
     fast = slab(anechoic("fast", 1.5, 2000, specularity=0.0), 40.0, 400.0)
     echo = (cos_i - cos_t) / (cos_i + cos_t) * 10 ** (-2 * 0.5 * 3.0 * (4 / cos_i) / 20)
-    found = amplitudes(Scene((fast,), anechoic("body", 1.5, loss=0.5), "s"), pencil, apart, (40, 55), tilted(30.0))
-    np.testing.assert_allclose(found, echo, rtol=2e-3)
+    measured = amplitudes(Scene((fast,), anechoic("body", 1.5, loss=0.5), "s"), pencil, apart, (40, 55), tilted(30.0))
+    np.testing.assert_allclose(measured, echo, rtol=2e-3)
 
 
 @pytest.mark.parametrize(("depth_mm", "samples"), [(150.0, 3072), (150.0, 1100), (90.0, 1500), (200.0, 2000)])

@@ -221,14 +221,14 @@ MIDDLE, SIDE = slice(55, 106), slice(8, 34)
 
 
 def test_the_beam_of_a_linear_probe_is_as_wide_at_all_depths() -> None:
-    found = [sigma_mm(LINEAR, depth, slice(5, -5)) for depth in (12, 30, 60, 90)]
-    assert found == pytest.approx([1.5 / math.sqrt(8 * math.log(2))] * 4, rel=0.12)
+    sigmas = [sigma_mm(LINEAR, depth, slice(5, -5)) for depth in (12, 30, 60, 90)]
+    assert sigmas == pytest.approx([1.5 / math.sqrt(8 * math.log(2))] * 4, rel=0.12)
 
 
 def test_the_beam_of_a_convex_probe_widens_on_both_sides_of_the_focus() -> None:
-    found = np.array([sigma_mm(CONVEX, depth, slice(10, -10)) for depth in (20, 60, 95)])
+    sigmas = np.array([sigma_mm(CONVEX, depth, slice(10, -10)) for depth in (20, 60, 95)])
     widening = np.sqrt(1 + ((np.array([20, 60, 95]) - 60) / 40) ** 2)
-    assert found == pytest.approx(1.5 / math.sqrt(8 * math.log(2)) * widening, rel=0.12)
+    assert sigmas == pytest.approx(1.5 / math.sqrt(8 * math.log(2)) * widening, rel=0.12)
 
 
 def test_the_beam_of_a_phased_probe_widens_with_depth_and_angle() -> None:
@@ -295,7 +295,7 @@ def test_plain_values_are_read_back(probe) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         ({"kind": "linear", "radius_mm": 40.0}, "radius_mm=40.0: a linear probe has width_mm, depth_mm"),
         ({"kind": "matrix"}, "kind='matrix': allowed are convex, linear, phased"),
@@ -306,6 +306,6 @@ def test_plain_values_are_read_back(probe) -> None:
         ({"kind": "linear", "depth_mm": -1.0}, "depth_mm="),
     ],
 )
-def test_what_a_probe_has_not_is_named(values, said) -> None:
-    with pytest.raises(ValueError, match=said.replace(".", r"\.")):
+def test_what_a_probe_has_not_is_named(values, message) -> None:
+    with pytest.raises(ValueError, match=message.replace(".", r"\.")):
         probe_from(values)

@@ -30,13 +30,13 @@ def test_hits_are_those_of_embreex(tissue: Tissue) -> None:
     directions = rng.normal(size=origins.shape)
     directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     reach = rng.uniform(-5, 60, len(origins)).astype(np.float32)
-    found = geometry.closest(origins, directions, reach)
+    hits = geometry.closest(origins, directions, reach)
     wanted = theirs.run(origins, directions, dists=np.maximum(reach, 0), query="INTERSECT", output=True)
     met = wanted["geomID"] >= 0
     assert kept
     assert 0.2 < met.mean() < 0.8
-    np.testing.assert_array_equal(found.structure, wanted["geomID"])
-    for mine, name in ((found.distance_mm, "tfar"), (found.triangle, "primID"), (found.normal, "Ng")):
+    np.testing.assert_array_equal(hits.structure, wanted["geomID"])
+    for mine, name in ((hits.distance_mm, "tfar"), (hits.triangle, "primID"), (hits.normal, "Ng")):
         np.testing.assert_array_equal(mine[met], wanted[name][met])
 
 

@@ -83,8 +83,8 @@ def test_echoes_of_many_reflections_keep_their_mean(gel, slab, probe, one_line) 
     for seed in range(10):
         settings = replace(one_line, rays=10_000, path_seed=seed)
         echoes, _ = follow(scene, probe, settings)
-        at = [np.abs(echoes.depth_mm - (20 + 10 * k)) < 1 for k in range(1, 8)]
-        means.append([echoes.amplitude[a & echoes.reflected].sum(dtype=float) / settings.rays for a in at])
+        near = [np.abs(echoes.depth_mm - (20 + 10 * k)) < 1 for k in range(1, 8)]
+        means.append([echoes.amplitude[each & echoes.reflected].sum(dtype=float) / settings.rays for each in near])
     truth = (1 - 0.8**2) * 0.8 * 0.8 ** (2 * np.arange(1, 8))
     error = np.std(means, axis=0, ddof=1) / np.sqrt(10)
     assert (np.abs(np.mean(means, axis=0) - truth) < 4 * error + 1e-6 * truth).all()  # the first has no error

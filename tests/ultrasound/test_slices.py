@@ -114,10 +114,10 @@ def lines(*layers: tuple[int, float], scanlines: int = 192, depth_mm: float = 15
 @pytest.mark.parametrize("name", ["bone", "fetal_bone", "gas"])
 @pytest.mark.parametrize("frequency_mhz", [3.0, 8.0])
 def test_a_probe_in_bone_or_gas_is_warned_of(name: str, frequency_mhz: float) -> None:
-    said = contact_warning(lines((1, 150.0)), (GEL, TABLE[name]), ConvexProbe(frequency_mhz=frequency_mhz))
-    assert said is not None
-    assert f"most scanlines start in {name}," in said
-    assert "\n" not in said
+    warning = contact_warning(lines((1, 150.0)), (GEL, TABLE[name]), ConvexProbe(frequency_mhz=frequency_mhz))
+    assert warning is not None
+    assert f"most scanlines start in {name}," in warning
+    assert "\n" not in warning
 
 
 @pytest.mark.parametrize("name", [name for name in TABLE if name not in ("bone", "fetal_bone", "gas")])
@@ -133,8 +133,8 @@ def test_the_line_is_drawn_where_40_db_are_lost_there_and_back(impedance: float,
     plate = Tissue("plate", impedance_mrayl=impedance, attenuation_db_cm_mhz=attenuation)
     for share, warned in ((0.97, False), (1.03, True)):
         labels = lines((1, share * critical_mm), (2, 150.0))
-        said = contact_warning(labels, (GEL, plate, TABLE["liver"]), ConvexProbe(frequency_mhz=8.0))
-        assert (said is not None) == warned
+        warning = contact_warning(labels, (GEL, plate, TABLE["liver"]), ConvexProbe(frequency_mhz=8.0))
+        assert (warning is not None) == warned
 
 
 def test_what_lies_behind_a_rib_or_within_half_of_the_face_is_no_matter() -> None:

@@ -108,7 +108,7 @@ def remove_damaged(pairs: Pairs, maps: frozenset[str]) -> tuple[str, ...]:
 
     A shard that another process is making is left to it.
     """
-    found = []
+    errors = []
     for shard in tqdm(range(pairs.shards), unit="shard", desc="check", mininterval=1.0, leave=False):
         with _claimed(pairs, shard) as mine:
             for name in sorted(maps) if mine else ():
@@ -117,8 +117,8 @@ def remove_damaged(pairs: Pairs, maps: frozenset[str]) -> tuple[str, ...]:
                         pairs.stored(name, pairs.frames_of_shard(shard))
                 except DamagedShardError as error:
                     pairs.shard_file(name, shard).unlink()
-                    found.append(error.what)
-    return tuple(found)
+                    errors.append(error.what)
+    return tuple(errors)
 
 
 def _write(pairs: Pairs, name: str, shard: int, stack: np.ndarray) -> None:

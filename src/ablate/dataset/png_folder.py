@@ -90,10 +90,10 @@ def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
         if (folder / place).is_dir()
     }
     everything = set().union(*files.values())
-    for name, found in files.items():
-        if not found:
+    for name, by_name in files.items():
+        if not by_name:
             raise FileNotFoundError(f"{folder / FOLDERS[name]}: no PNG in it")
-        if missing := sorted(everything - found.keys()):
+        if missing := sorted(everything - by_name.keys()):
             partner = next(there[missing[0]] for there in files.values() if missing[0] in there)
             more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
             path = folder / FOLDERS[name] / f"{missing[0]}.png"
@@ -101,7 +101,7 @@ def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
     names = tuple(sorted(everything))
     first = files["segmentation"][names[0]]
     shape, _, _ = _header(first)
-    for name, path in ((name, path) for name, found in files.items() for path in found.values()):
+    for name, path in ((name, path) for name, by_name in files.items() for path in by_name.values()):
         (height, width), bits, colour = _header(path)
         allowed = (8, 16) if name == "attenuation" else (8,)
         if colour != 0 or bits not in allowed:
@@ -125,11 +125,11 @@ def read_fan(checked: PngFolder) -> tuple[np.ndarray, int]:
     mask = _decoded(paths[0], checked.shape) > 0
     for path in paths:
         labels = _decoded(path, checked.shape)
-        found = int(labels.max())
-        if found > allowed:
+        largest = int(labels.max())
+        if largest > allowed:
             why = "" if checked.tissues is None else f", those that {checked.folder / 'labels.csv'} names"
-            raise ValueError(f"{path}: has label {found}; allowed are 0, outside the fan, to {allowed}{why}")
-        highest = max(highest, found)
+            raise ValueError(f"{path}: has label {largest}; allowed are 0, outside the fan, to {allowed}{why}")
+        highest = max(highest, largest)
         if differs := int(np.count_nonzero((labels > 0) != mask)):
             raise ValueError(
                 f"{path}: its fan, the pixels that are not 0, differs at {differs} of {labels.size} pixels from "
@@ -232,7 +232,7 @@ def _tissues(path: Path) -> tuple[Tissue, ...] | None:
     if not path.exists():
         return None
     known = load_tissues()
-    found: dict[int, Tissue] = {}
+    tissues: dict[int, Tissue] = {}
     for where, row in _table(path, ("label", "tissue")):
         if not row["label"].isdecimal() or not 1 <= int(row["label"]) <= MOST_LABELS:
             raise ValueError(f"{where}: label '{row['label']}'; allowed are 1 to {MOST_LABELS}")
@@ -242,12 +242,12 @@ def _tissues(path: Path) -> tuple[Tissue, ...] | None:
                 f"{where}: unknown tissue '{row['tissue']}'; {hint}known: {', '.join(known)} "
                 "(take the one that is most alike: it decides the order of the labels and what is fluid)"
             )
-        if int(row["label"]) in found:
+        if int(row["label"]) in tissues:
             raise ValueError(f"{where}: label {row['label']} is listed twice")
-        found[int(row["label"])] = known[row["tissue"]]
-    if sorted(found) != list(range(1, len(found) + 1)) or not found:
-        raise ValueError(f"{path}: the labels must be 1, 2, ... without a gap, not {sorted(found)}")
-    return tuple(found[label] for label in sorted(found))
+        tissues[int(row["label"])] = known[row["tissue"]]
+    if sorted(tissues) != list(range(1, len(tissues) + 1)) or not tissues:
+        raise ValueError(f"{path}: the labels must be 1, 2, ... without a gap, not {sorted(tissues)}")
+    return tuple(tissues[label] for label in sorted(tissues))
 
 
 def _table(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> list[tuple[str, dict[str, str]]]:

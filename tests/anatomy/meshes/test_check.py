@@ -78,12 +78,12 @@ def test_holes_are_measured() -> None:
     assert openings(tube.vertices, tube.faces) == (0, 0.0)
 
 
-@pytest.mark.parametrize(("scale", "said"), [(1e-3, "0.08 mm"), (1e3, "8e[+]04 mm"), (40.0, "3.2e[+]03 mm")])
-def test_a_scene_of_no_body_s_size_is_warned_of(scale: float, said: str) -> None:
+@pytest.mark.parametrize(("scale", "size"), [(1e-3, "0.08 mm"), (1e3, "8e[+]04 mm"), (40.0, "3.2e[+]03 mm")])
+def test_a_scene_of_no_body_s_size_is_warned_of(scale: float, size: str) -> None:
     scene = scene_of(BALL.vertices, BALL.faces)
     for structure in scene.structures:
         structure.mesh.apply_scale(scale)
-    with pytest.warns(UserWarning, match=rf"'s': its largest extent is {said} and the probe images 150 mm deep"):
+    with pytest.warns(UserWarning, match=rf"'s': its largest extent is {size} and the probe images 150 mm deep"):
         check_scene(scene, 150.0)
     check_scene(scene, 150.0 * scale)  # scaled together with its probe
 

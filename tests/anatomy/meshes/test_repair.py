@@ -179,8 +179,8 @@ def test_shared_walls_are_found_and_named(caplog: pytest.LogCaptureFixture) -> N
     d = trimesh.Trimesh(a.vertices + np.array([0.0, 0.0, 0.05]), a.faces, process=False)
     for name, mesh in zip("abcd", (a, b, c, d), strict=True):
         mesh.metadata["name"] = name
-    found = shared_walls([a, b, c, d])
-    assert found == [("a", "c", len(a.faces))]
+    walls = shared_walls([a, b, c, d])
+    assert walls == [("a", "c", len(a.faces))]
     with caplog.at_level(logging.WARNING, logger="ablate.anatomy.meshes.check"):
         warn_of_shared_walls([a, c])
     assert "a and c share a wall" in caplog.text

@@ -19,8 +19,8 @@ CUBE, SLICES = (1.0, 1.0, 1.0), (0.7, 0.8, 4.0)
 def surfaces(order: np.ndarray, spacing_mm: Sequence[float]) -> list[trimesh.Trimesh]:
     """The meshes of all numbers, in mm."""
     boxes = find_objects(order)
-    found = [label_surface(order, i + 1, box, spacing_mm) for i, box in enumerate(boxes)]
-    return [repair(vertices * spacing_mm, faces, f"label {i}") for i, (vertices, faces) in enumerate(found)]
+    meshes = [label_surface(order, i + 1, box, spacing_mm) for i, box in enumerate(boxes)]
+    return [repair(vertices * spacing_mm, faces, f"label {i}") for i, (vertices, faces) in enumerate(meshes)]
 
 
 def places_mm(shape: Sequence[int], spacing_mm: Sequence[float]) -> np.ndarray:
@@ -79,9 +79,9 @@ def test_a_thin_sheet_and_a_thin_vessel_do_not_vanish() -> None:
 
 def test_a_plane_is_smooth_and_where_the_labels_change() -> None:
     """The steps of a plane that is tilted against the voxels are not seen; unsmoothed ones are half a voxel high."""
-    at = places_mm((60, 60, 60), CUBE)
+    points = places_mm((60, 60, 60), CUBE)
     normal = np.array([0.3, 0.2, 1.0]) / np.linalg.norm([0.3, 0.2, 1.0])
-    (mesh,) = surfaces((at @ normal < 0).astype(np.uint8), CUBE)
+    (mesh,) = surfaces((points @ normal < 0).astype(np.uint8), CUBE)
     beside = (mesh.vertices - 30 + 0.29) @ normal
     far = np.abs(mesh.vertices - 30).max(axis=1) < 20
     assert np.abs(beside[far]).max() < 0.35

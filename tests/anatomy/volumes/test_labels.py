@@ -39,9 +39,9 @@ def three_balls() -> tuple[np.ndarray, list[tuple[np.ndarray, float, int]]]:
     balls = [(np.array([14.2, 15.1, 16.0]), 9.0, 1), (np.array([33.0, 30.4, 17.7]), 11.0, 2)]
     balls.append((np.array([15.5, 38.0, 30.1]), 8.0, 3))
     values = np.zeros((48, 50, 42), np.uint8)
-    at = np.moveaxis(np.indices(values.shape), 0, -1)
+    voxels = np.moveaxis(np.indices(values.shape), 0, -1)
     for middle, radius, label in balls:
-        values[np.linalg.norm(at - middle, axis=-1) < radius] = label
+        values[np.linalg.norm(voxels - middle, axis=-1) < radius] = label
     return values, balls
 
 
@@ -70,8 +70,8 @@ def test_the_segmentation_is_within_a_voxel_of_the_labels_at_every_pixel(tmp_pat
         pose = from_matvec(turn, middle - 30 * turn[:, 2])
         frame = Simulator(scene, probe, settings).render(pose, seed=0)
         x, z = pixel_coordinates_mm(probe, settings.image_shape)
-        at = np.stack(np.broadcast_arrays(x[None, :], 0.0, z[:, None]), axis=-1)
-        nearest = np.rint(apply_affine(np.linalg.inv(affine), apply_affine(pose, at))).astype(int)
+        points = np.stack(np.broadcast_arrays(x[None, :], 0.0, z[:, None]), axis=-1)
+        nearest = np.rint(apply_affine(np.linalg.inv(affine), apply_affine(pose, points))).astype(int)
         padded = np.pad(values, 2)
         inside = (nearest >= -2).all(axis=-1) & (nearest < np.array(values.shape) + 2).all(axis=-1)
         index = tuple(np.where(inside[..., None], nearest + 2, 0).reshape(-1, 3).T)

@@ -37,10 +37,10 @@ def owner(inside: np.ndarray) -> int:
 @compiled
 def owners(inside: np.ndarray) -> np.ndarray:
     """`owner` of each set of (n, words) uint32, (n,) int32."""
-    found = np.empty(len(inside), np.int32)
+    owned_by = np.empty(len(inside), np.int32)
     for i in range(len(inside)):
-        found[i] = owner(inside[i])
-    return found
+        owned_by[i] = owner(inside[i])
+    return owned_by
 
 
 @compiled

@@ -73,15 +73,15 @@ def progressive(generator: np.random.Generator, groups: int, rays: int, dimensio
     random order. Every single number is uniform, so the mean over the first rays is unbiased, however many they are.
     """
     cells = np.zeros((dimensions, groups, 1), np.int64)
-    found = generator.random((dimensions, groups, 1), np.float32)
-    while found.shape[-1] < rays:
-        n = found.shape[-1]
-        cells = np.minimum((found * (2 * n)).astype(np.int64), 2 * n - 1)
+    numbers = generator.random((dimensions, groups, 1), np.float32)
+    while numbers.shape[-1] < rays:
+        n = numbers.shape[-1]
+        cells = np.minimum((numbers * (2 * n)).astype(np.int64), 2 * n - 1)
         order = np.argsort(generator.random(cells.shape, np.float32), axis=-1)
         empty = np.take_along_axis(cells ^ 1, order, axis=-1)
         new = (empty + generator.random(cells.shape, np.float32)) / np.float32(2 * n)
-        found = np.concatenate([found, new.astype(np.float32)], axis=-1)
-    return np.minimum(found[..., :rays], np.float32(1 - 2**-24))
+        numbers = np.concatenate([numbers, new.astype(np.float32)], axis=-1)
+    return np.minimum(numbers[..., :rays], np.float32(1 - 2**-24))
 
 
 @compiled

@@ -178,9 +178,9 @@ def _advance(
             if depth_mm < view.depth_mm:
                 amplitude = bounce.echo(ray, scattering, link, media.specularity[surface])
                 if amplitude > 0:
-                    found = echoes[received]
-                    found.group, found.depth_mm = group, depth_mm
-                    found.amplitude, found.reflected = amplitude, not direct
+                    received_echo = echoes[received]
+                    received_echo.group, received_echo.depth_mm = group, depth_mm
+                    received_echo.amplitude, received_echo.reflected = amplitude, not direct
                     received += 1
             if link.depth_mm >= view.depth_mm:
                 continue
