@@ -44,7 +44,7 @@ test: $(STAMP) check ## style, types and tests
 test-all: $(STAMP) check ## the same with the slow tests
 	$(PYTEST)
 
-test-random: $(STAMP) ## the tests in a random order; ARGS="-p randomly -p 'randomly_seed=7'" repeats one
+test-random: $(STAMP) ## the tests in a random order; ARGS="--randomly-seed=7" repeats one
 	$(PYTEST) -m "not slow" -p randomly $(ARGS)
 
 quick: $(STAMP) ## style, types and tests of what changed, under a minute; ROOM=metrics tests one sub-package
