@@ -15,7 +15,6 @@ import torch
 from comparison_figure import draw
 from lesion_phantom import Lesion, Phantom, scatterers, scene
 from pymust_array import Array, PointWidths, Scatterers, images, point_widths
-from scipy import optimize
 from speckle_measures import (
     cell_size,
     cnr,
@@ -55,23 +54,17 @@ PYMUST_SEEDS, ABLATE_SEEDS = range(3), range(100)
 
 def matched_settings(phantom: Phantom, widths: PointWidths) -> SimulatorSettings:
     """Settings whose pulse has the widths of PyMUST's points; one ray and one layer, as PyMUST has two dimensions."""
-
-    def excess(parameters: np.ndarray) -> np.ndarray:
-        at_focus, focus, length = parameters
-        return at_focus * np.hypot(1, (widths.depth_mm - focus) / length) - widths.lateral_mm
-
-    guess = widths.lateral_mm.min(), widths.depth_mm.min(), 40.0
-    fit = optimize.least_squares(excess, guess, bounds=(0.1, 1e3)).x
+    angle = float((widths.lateral_mm / (phantom.face_mm + widths.depth_mm)).mean())
     return SimulatorSettings(
         scanlines=phantom.lines, axial_samples=phantom.samples, rays=1, layers=1, image_shape=(64, 64),
-        axial_fwhm_mm=float(widths.axial_mm.mean()), lateral_fwhm_mm=float(fit[0]), focus_mm=float(fit[1]),
-        focal_range_mm=float(fit[2]), aperture_mm=0.0, elevational_aperture_mm=0.0,
+        axial_fwhm_mm=float(widths.axial_mm.mean()), lateral_fwhm_mm=angle * (phantom.face_mm + 70), focus_mm=70.0,
+        aperture_mm=0.0, elevational_aperture_mm=0.0,
     )  # fmt: skip
 
 
-def lateral_fwhm_mm(settings: SimulatorSettings, depth_mm: float) -> float:
-    """Width of ablate's pulse at a depth."""
-    return settings.lateral_fwhm_mm * math.hypot(1, (depth_mm - settings.focus_mm) / settings.focal_range_mm)
+def lateral_fwhm_mm(phantom: Phantom, settings: SimulatorSettings, depth_mm: float) -> float:
+    """Width of ablate's main lobe at a depth: it has one angular width."""
+    return settings.lateral_fwhm_mm * (phantom.face_mm + depth_mm) / (phantom.face_mm + settings.focus_mm)
 
 
 def render(phantom: Phantom, array: Array, settings: SimulatorSettings, seeds: Sequence[int]) -> list[np.ndarray]:
@@ -116,7 +109,7 @@ def gaussian_points(phantom: Phantom, settings: SimulatorSettings) -> list[np.nd
     pictures = []
     for depth_mm in point_depths_mm(phantom).values():
         along = (r - phantom.face_mm - depth_mm) / settings.axial_fwhm_mm
-        across = r * np.arctan2(x, z + phantom.face_mm) / lateral_fwhm_mm(settings, depth_mm)
+        across = r * np.arctan2(x, z + phantom.face_mm) / lateral_fwhm_mm(phantom, settings, depth_mm)
         pictures.append(2.0 ** (-4 * (along**2 + across**2)))
     return pictures
 
@@ -197,7 +190,10 @@ def main() -> None:
     settings = matched_settings(PHANTOM, widths)
     for depth, axial, lateral in zip(widths.depth_mm, widths.axial_mm, widths.lateral_mm, strict=True):
         print(f"a point in PyMUST at {depth:.0f} mm: {axial:.3f} mm axially, {lateral:.3f} mm laterally;", end=" ")
-        print(f"in ablate: {settings.axial_fwhm_mm:.3f} mm and {lateral_fwhm_mm(settings, depth):.3f} mm;", end=" ")
+        print(
+            f"in ablate: {settings.axial_fwhm_mm:.3f} mm and {lateral_fwhm_mm(PHANTOM, settings, depth):.3f} mm;",
+            end=" ",
+        )
         print(f"{PHANTOM.per_mm2 * axial * lateral:.1f} of PyMUST's scatterers in that area")
     alone = points(PHANTOM)
     clouds = [*alone, *(scatterers(PHANTOM, seed) for seed in PYMUST_SEEDS)]

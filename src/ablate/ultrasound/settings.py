@@ -50,8 +50,9 @@ _distance_mm = partial(setting, least=1e-3, most=1e6, unit="mm")
 class SimulatorSettings:
     """How a frame is computed; the defaults are the paper's where it says, else assumed.
 
-    The lateral and the elevational width of the pulse grow with sqrt(1 + ((z - focus_mm) / focal_range_mm)^2). A value
-    that is not allowed is a ValueError that names it and what is allowed.
+    The elevational width of the pulse grows with sqrt(1 + ((z - focus_mm) / focal_range_mm)^2), as that of a lens. The
+    lateral one follows from the probe (`point_spread.lateral_sigma`). A value that is not allowed is a ValueError that
+    names it and what is allowed.
     """
 
     scanlines: int = setting(192, "Scanlines of a frame.", least=1, most=2**14)
@@ -64,14 +65,35 @@ class SimulatorSettings:
     tgc_db_cm_mhz: float = setting(
         0.4, "Time gain, one way; twice this is applied.", least=0, most=1e3, unit="dB/cm/MHz"
     )
-    noise_floor_db: float = setting(-55.0, "Level of the amplifier's noise below white.", least=-1e3, most=0, unit="dB")
+    noise_floor_db: float = setting(
+        -45.0,
+        "Level of the amplifier's noise below white at the deepest sample, where the time gain is largest (assumed).",
+        least=-1e3,
+        most=0,
+        unit="dB",
+    )
     dynamic_range_db: float = setting(60.0, "Between black and white.", least=1, most=1e3, unit="dB")
     reference_level: float = setting(0.1, "Amplitude that is shown as white.", least=1e-12, most=1e12)
     axial_fwhm_mm: float = _size_mm(0.30, "Length of the pulse, full width at half maximum.")
     lateral_fwhm_mm: float = _size_mm(0.8, "Width of the pulse in the image plane at `focus_mm`.")
     elevational_fwhm_mm: float = _size_mm(2.5, "Width of the pulse across the image plane at `focus_mm`.")
     focus_mm: float = _distance_mm(70.0, "Depth at which rays meet.")
-    focal_range_mm: float = _distance_mm(40.0, "Distance from the focus at which the pulse is sqrt(2) as wide.")
+    focal_range_mm: float = _distance_mm(
+        40.0, "Distance from the focus at which the pulse is sqrt(2) as wide across the image plane."
+    )
+    sidelobe_db: float = setting(
+        -27.0,
+        "Power that comes through side lobes, against that of the main lobe (docs/against_pymust.md).",
+        least=-1e3,
+        most=0,
+        unit="dB",
+    )
+    active_aperture_mm: float = _offset_mm(
+        16.0, "Span of the elements that see a point, which decides how soft a shadow is; 0: one element (assumed)."
+    )
+    f_number: float = setting(
+        1.5, "A nearer point is seen by fewer elements, over its depth divided by this (assumed).", least=0.1, most=100
+    )
     aperture_mm: float = _offset_mm(0.2, "Half width within which the rays of a scanline start.")
     elevational_aperture_mm: float = _offset_mm(1.5, "Half width across the plane within which rays start.")
     layer_extent_mm: float = _offset_mm(1.5, "The layers' planes lie within this distance of the image plane.")

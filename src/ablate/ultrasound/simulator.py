@@ -21,6 +21,7 @@ from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport import lines
 from ablate.ultrasound.transport.adaptive import Shown, trace_to_tolerance
+from ablate.ultrasound.transport.aperture import Aperture
 from ablate.ultrasound.transport.rays import Draws, View, at_pose, leave_probe, probe_rays, progressive, stratified
 from ablate.ultrasound.transport.tracing import Paths, trace
 
@@ -104,7 +105,7 @@ class Simulator:
         spread = stratified if settings.tolerance is None else progressive
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays, spread)
         self._rays = probe_rays(probe, settings, self._draws)
-        self._beam = lines.transmit_beam(probe, settings)
+        self._beam, self._aperture = lines.transmit_beam(probe, settings), Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
         self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None
         self._prepared: tuple[bytes, Prepared] | None = None
@@ -213,10 +214,12 @@ class Simulator:
             echoes, counts = trace(paths), np.full(len(bundle.starts), settings.rays)
         else:
             echoes, counts = trace_to_tolerance(paths, self._shown(labels, nodes), settings.tolerance, send)
-        weights = layer_weights(probe, settings)[1]
-        where = weights, counts, probe.depth_mm, shape
+        level_db = lines.mean_level_db(nodes, counts, self._beam)
+        gain_db = self._aperture.gain_db(level_db)
+        lines.amplify(echoes, gain_db, nodes)
+        where = layer_weights(probe, settings)[1], counts, probe.depth_mm, shape
         surfaces, clutter = lines.surface_lines(echoes, *where), lines.clutter_lines(echoes, *where)
-        level = lines.mean_level_db(nodes, counts, self._beam)
+        level = torch.from_numpy((level_db + gain_db).astype(np.float32))
         scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
         self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level, surfaces, clutter)
         return self._prepared[1]
@@ -229,11 +232,8 @@ class Simulator:
         seen = self._chain.gain[at_nodes].double().cpu().numpy() * layer_weights(self.probe, settings)[1][:, at_nodes]
         echo = np.repeat(seen, settings.scanlines, axis=0)
         strength = np.sqrt([tissue.scatter_power for tissue in tissues]) * 10 ** (settings.scatterer_level_db / 20)
-        overlap = float(
-            self._chain.spread.scatterer_scale.square().reciprocal().mean() / self._chain.spread.axial.square().sum()
-        )
         floor = settings.reference_level * 10 ** (settings.noise_floor_db / 20)
-        return Shown(echo, echo * strength[labels[:, at_nodes]], floor, overlap, settings.scanlines)
+        return Shown(echo, echo * strength[labels[:, at_nodes]], floor, self._chain.spread.overlap, settings.scanlines)
 
     def _local(self, pose: np.ndarray) -> np.ndarray:
         local = pose.copy()

@@ -28,6 +28,7 @@ class Stage(StrEnum):
     surface_echoes = "echoes onto lines"
     clutter = "clutter onto lines"
     illumination = "illumination"
+    aperture = "aperture"
     scatterer_level = "level and texture"
     scatterers = "scatterers"
     point_spread = "point spread"

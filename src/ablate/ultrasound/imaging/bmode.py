@@ -21,7 +21,6 @@ _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
 _PIXELS_OF_A_PART = 1 << 16
 _MOST_DB = 100.0  # that an operator can add
 _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
-_CLUTTER_ROLL = (61, 1021)  # lines and samples between the noise of the display and that of clutter
 
 
 @dataclass(frozen=True)
@@ -174,14 +173,17 @@ class SignalChain:
         """The signal received, (2, scanlines, samples): real and imaginary part."""
         signal = blur(self.speckle(prepared.insonified, seed), prepared.surfaces, self.spread)
         if prepared.clutter is not None:  # received from all sides, hence with random phases
-            signal.addcmul_(prepared.clutter, noise.roll(_CLUTTER_ROLL, dims=(1, 2)))
+            signal.addcmul_(prepared.clutter, noise.flip(1, 2))  # not the display's noise at the same place
         return signal
 
     def image(self, signal: torch.Tensor, noise: torch.Tensor, display: Display | None = None) -> np.ndarray:
-        """The picture of a signal, (H, W) uint8; the signal is overwritten. The operator's gain amplifies the noise."""
+        """The picture of a signal, (H, W) uint8; the signal is overwritten.
+
+        The amplifier's noise is there before the gain: it is seen where the gain is large, deep and in fluid.
+        """
         settings = self.settings
-        floor = settings.reference_level * 10 ** (settings.noise_floor_db / 20)  # root mean square
-        shown = signal.mul_(self.gain).add_(noise, alpha=floor)
+        floor = settings.reference_level * 10 ** (settings.noise_floor_db / 20) / float(self.gain[-1])  # rms
+        shown = signal.add_(noise, alpha=floor).mul_(self.gain)
         if display is not None:
             depth_mm = sample_depths_mm(self.probe, settings.axial_samples)
             shown.mul_(self.tensor(10 ** (display.gain_at(depth_mm / self.probe.depth_mm) / 20)))

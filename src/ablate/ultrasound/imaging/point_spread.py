@@ -1,4 +1,4 @@
-"""The spatially variant point spread function: separable, Gaussian, wider away from the focus."""
+"""The point spread function: separable, a Gaussian main lobe, and weak side lobes across the scanlines."""
 
 import math
 from dataclasses import dataclass
@@ -9,13 +9,13 @@ from torch.nn import functional as F
 
 from ablate.threads import in_parts
 from ablate.ultrasound.probe import fan_of, layer_offsets_mm, sample_depths_mm, scanline_positions
-from ablate.ultrasound.settings import ConvexProbe, LinearProbe, Probe, SimulatorSettings
+from ablate.ultrasound.settings import PhasedProbe, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 FWHM_PER_SIGMA = 2 * math.sqrt(2 * math.log(2))
 _BLOCKS = 64  # of depth, within which the lateral kernel is taken as constant
-_LINES_AT_ONCE = 32  # rows of a window of the lateral kernels
-_LOWEST_EXPONENT = -12.0  # of the lateral kernel's last entry
+_SIDELOBES = 20.0  # widths of the main lobe that side lobes reach
+_LOWEST_EXPONENT = -12.0  # of the main lobe's last entry
 _BLOCKS_OF_A_PART = 8  # that a thread takes at a time
 LINES_OF_A_PART = 32
 _TAIL = 4.0  # standard deviations kept of the axial kernel
@@ -23,25 +23,25 @@ _WINDOW = 64  # samples that one product of `along_lines` makes
 
 
 def beam_widening(settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarray:
-    """Width of the beam over its width at the focus, sqrt(1 + ((z - zf) / range)^2)."""
+    """Elevational width of the beam over its width at the focus, sqrt(1 + ((z - zf) / range)^2)."""
     return np.sqrt(1 + ((depth_mm - settings.focus_mm) / settings.focal_range_mm) ** 2)
 
 
-def lateral_sigma(probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarray, widen: float = 1.0) -> np.ndarray:
-    """Standard deviation of the beam times `widen`, in scanlines, (depths, scanlines or 1) float64.
+def lateral_sigma(probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarray:
+    """Standard deviation of the main lobe in scanlines, (depths, scanlines or 1) float64.
 
-    A convex probe's grows as `beam_widening`. That of the other two follows from their apertures, see `LinearProbe` and
-    `PhasedProbe`, and is `lateral_fwhm_mm` straight ahead in `focus_mm`.
+    It is `lateral_fwhm_mm` straight ahead in `focus_mm`. A convex probe that is focused at every depth, in transmission
+    and reception, has one angular width: within 2 % from 10 to 130 mm in PyMUST (docs/against_pymust.md). That of the
+    others follows from their apertures, see `LinearProbe` and `PhasedProbe`.
     """
-    spacing = (fan_of(probe).width_mm(depth_mm) / max(settings.scanlines - 1, 1))[:, None]  # one scanline's: the fan's
-    if isinstance(probe, ConvexProbe):
-        widening = beam_widening(settings, depth_mm)[:, None]
-    elif isinstance(probe, LinearProbe):
-        widening = np.ones((len(depth_mm), 1))
-    else:
-        far = np.maximum(depth_mm, probe.aperture_mm) / max(settings.focus_mm, probe.aperture_mm)
-        widening = far[:, None] / np.cos(scanline_positions(probe, settings.scanlines))
-    return widen * settings.lateral_fwhm_mm / FWHM_PER_SIGMA * widening / spacing
+    width_mm = fan_of(probe).width_mm
+    lines = max(settings.scanlines - 1, 1)
+    at_focus = settings.lateral_fwhm_mm / FWHM_PER_SIGMA * lines / width_mm(np.array([settings.focus_mm]))[:, None]
+    if not isinstance(probe, PhasedProbe):  # as the scanlines spread, so does the beam
+        return np.broadcast_to(at_focus, (len(depth_mm), 1))
+    far = np.maximum(depth_mm, probe.aperture_mm) / max(settings.focus_mm, probe.aperture_mm)
+    wider = far * settings.focus_mm / depth_mm
+    return at_focus * wider[:, None] / np.cos(scanline_positions(probe, settings.scanlines))
 
 
 def axial_kernel(probe: Probe, settings: SimulatorSettings) -> np.ndarray:
@@ -64,99 +64,70 @@ def layer_weights(probe: Probe, settings: SimulatorSettings) -> tuple[np.ndarray
     return weights / np.sqrt((weights**2).sum(axis=0)), weights / weights.sum(axis=0)
 
 
-def lateral_kernels(probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarray, widen: float = 1.0) -> np.ndarray:
-    """What each scanline gets of each other one at some depths, (depths, scanlines, scanlines) float64.
+def lateral_kernels(
+    probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarray, widen: float = 1.0, sidelobe_db: float = -np.inf
+) -> np.ndarray:
+    """What each scanline gets of each other one, (depths, scanlines, scanlines) float64, or (1, ...) if all are equal.
 
-    The width in scanlines is sigma(z) over their distance, times `widen`. Rows sum to 1; far from the diagonal they
-    are zero.
+    The main lobe is a Gaussian, `widen` times as wide as `lateral_sigma`, and its rows sum to 1. Side lobes are
+    `_SIDELOBES` times as wide and of the power `sidelobe_db`. Their sign alternates from one width of the main lobe to
+    the next, as that of an aperture's transform, so that a smooth surface hardly fills what lies beside it.
     """
-    sigma = lateral_sigma(probe, settings, depth_mm, widen)
+    sigma = widen * np.maximum(lateral_sigma(probe, settings, depth_mm), 1e-3 / widen)[:, :, None]
+    sigma = sigma[:1] if (sigma == sigma[:1]).all() else sigma
     apart = np.arange(settings.scanlines)[:, None] - np.arange(settings.scanlines)
-    exponent = -0.5 * (apart / np.maximum(sigma, 1e-3)[:, :, None]) ** 2
-    lateral = np.where(exponent > _LOWEST_EXPONENT, np.exp(np.maximum(exponent, _LOWEST_EXPONENT)), 0.0)
-    return lateral / lateral.sum(axis=-1, keepdims=True)
-
-
-class Across:
-    """Products with (blocks, scanlines, scanlines) matrices that are zero far from the diagonal, one a block of depth.
-
-    Only a window about the diagonal is multiplied: three times less work for the paper's 192 scanlines.
-    """
-
-    def __init__(self, kernels: np.ndarray, device: str, dtype: torch.dtype) -> None:
-        self.blocks, self.lines, _ = kernels.shape
-        rows, columns = np.nonzero(kernels.any(axis=0))
-        self._half = int(np.abs(rows - columns).max())
-        self._groups = -(-self.lines // _LINES_AT_ONCE)
-        self._window = _LINES_AT_ONCE + 2 * self._half
-        more = self._groups * _LINES_AT_ONCE - self.lines
-        padded = np.pad(kernels, ((0, 0), (0, more), (self._half, self._half + more)))
-        first = _LINES_AT_ONCE * np.arange(self._groups)[:, None]
-        rows, columns = first + np.arange(_LINES_AT_ONCE), first + np.arange(self._window)
-        windows = padded[:, rows[:, :, None], columns[:, None, :]].reshape(-1, _LINES_AT_ONCE, self._window)
-        self._windows = torch.from_numpy(windows).to(device, dtype)
-
-    def __call__(self, values: torch.Tensor, first: int = 0) -> torch.Tensor:
-        """Apply to (k, scanlines, n) values of the blocks from `first` on."""
-        more = self._groups * _LINES_AT_ONCE - self.lines
-        padded = F.pad(values, (0, 0, self._half, self._half + more))
-        windows = padded.unfold(1, self._window, _LINES_AT_ONCE).flatten(0, 1).transpose(1, 2)
-        own = self._windows[first * self._groups : (first + len(values)) * self._groups]
-        return torch.bmm(own, windows).reshape(len(values), -1, values.shape[-1])[:, : self.lines]
+    main = np.exp(np.maximum(-0.5 * (apart / sigma) ** 2, _LOWEST_EXPONENT))
+    main = np.where(main > np.exp(_LOWEST_EXPONENT), main, 0.0)
+    main /= main.sum(axis=-1, keepdims=True)
+    side = np.exp(-0.5 * (apart / (_SIDELOBES * sigma)) ** 2) * np.cos(np.pi * apart / (FWHM_PER_SIGMA * sigma))
+    norms = [np.sqrt((lobe**2).sum(axis=-1, keepdims=True)) for lobe in (main, side)]
+    return main + 10 ** (sidelobe_db / 20) * norms[0] / norms[1] * side
 
 
 @dataclass(frozen=True)
 class PointSpread:
     """Kernels of one probe and settings."""
 
-    lateral: Across  # rows sum to 1
-    scatterer_scale: torch.Tensor  # (scanlines, blocks): makes squares sum to 1, a row's and the axial kernel's
+    lateral: torch.Tensor  # (blocks of depth or 1, scanlines, scanlines); the main lobe's rows sum to 1
+    scatterer_scale: torch.Tensor  # (blocks or 1, scanlines, 1): makes squares sum to 1, a row's and the axial kernel's
     axial: torch.Tensor  # (taps,), peak 1
-    block: int  # samples that share a lateral kernel
+    overlap: float  # sum of squares of a scanline's shares in those around it, on average
 
 
 def point_spread(probe: Probe, settings: SimulatorSettings, dtype: torch.dtype) -> PointSpread:
     """Kernels for `blur`."""
-    samples = settings.axial_samples
-    block = -(-samples // _BLOCKS)
-    blocks = -(-samples // block)
-    lateral = lateral_kernels(probe, settings, (np.arange(blocks) + 0.5) * block * (probe.depth_mm / samples))
+    depth_mm = (np.arange(_BLOCKS) + 0.5) * probe.depth_mm / _BLOCKS
+    lateral = lateral_kernels(probe, settings, depth_mm, sidelobe_db=settings.sidelobe_db)
     axial = axial_kernel(probe, settings)
-    energy = np.sqrt((lateral**2).sum(axis=-1)) * math.sqrt((axial**2).sum())
-    return PointSpread(
-        lateral=Across(lateral, settings.device, dtype),
-        scatterer_scale=torch.from_numpy(1 / energy.T.copy()).to(settings.device, dtype),
-        axial=torch.from_numpy(axial).to(settings.device, dtype),
-        block=block,
-    )
+    power = (lateral**2).sum(axis=-1, keepdims=True)
+    scale = 1 / np.sqrt(power * (axial**2).sum())
+    kernels = [torch.from_numpy(values).to(settings.device, dtype) for values in (lateral, scale, axial)]
+    return PointSpread(kernels[0], kernels[1], kernels[2], float(power.mean()))
 
 
 @stage(Stage.point_spread)
 def blur(scatterers: torch.Tensor, surfaces: torch.Tensor, spread: PointSpread) -> torch.Tensor:
-    """Scatterers through the PSF of unit energy, plus surfaces through that of unit peak and unit lateral sum.
+    """Scatterers through the PSF of unit energy, plus surfaces through that whose main lobe has unit peak and sum.
 
     Scatterers and the result are (2, scanlines, samples), real and imaginary part; surfaces are (scanlines, samples).
     """
-    lines, samples = surfaces.shape
-    blocks = spread.lateral.blocks
-    stacked = torch.cat([scatterers, surfaces[None]])
-    stacked = F.pad(stacked, (0, blocks * spread.block - samples)).reshape(3, lines, blocks, spread.block)
-    total = stacked.new_empty(2, lines, blocks, spread.block)
-    result = stacked.new_empty(2, lines, samples)
+    total = torch.empty_like(scatterers)
+    result = torch.empty_like(scatterers)
+    edges = np.linspace(0, surfaces.shape[1], _BLOCKS + 1).round().astype(int)
 
     def across(begin: int, end: int) -> None:
-        by_block = stacked[:, :, begin:end].permute(2, 1, 0, 3).reshape(end - begin, lines, 3 * spread.block)
-        spread_out = spread.lateral(by_block, begin).reshape(end - begin, lines, 3, spread.block)
-        both = spread_out[:, :, :2] * spread.scatterer_scale.T[begin:end, :, None, None]
-        both[:, :, 0] += spread_out[:, :, 2]
-        total[:, :, begin:end] = both.permute(2, 1, 0, 3)
+        for block in range(begin, end):
+            some, kernel = slice(edges[block], edges[block + 1]), min(block, len(spread.lateral) - 1)
+            own = spread.lateral[kernel] @ scatterers[..., some]
+            total[..., some] = own.mul_(spread.scatterer_scale[kernel])
+            total[0, :, some].addmm_(spread.lateral[kernel], surfaces[:, some])
 
     def along(begin: int, end: int) -> None:
-        result[:, begin:end] = along_lines(total[:, begin:end].flatten(2)[..., :samples], spread.axial)
+        result[:, begin:end] = along_lines(total[:, begin:end], spread.axial)
 
-    on_cpu = stacked.device.type == "cpu"
-    in_parts(across, blocks, _BLOCKS_OF_A_PART if on_cpu else blocks)
-    in_parts(along, lines, LINES_OF_A_PART if on_cpu else lines)
+    on_cpu = surfaces.device.type == "cpu"
+    in_parts(across, _BLOCKS, _BLOCKS_OF_A_PART if on_cpu else _BLOCKS)
+    in_parts(along, surfaces.shape[0], LINES_OF_A_PART if on_cpu else surfaces.shape[0])
     return result
 
 

@@ -6,6 +6,7 @@ cells: with one each, three layers of some ten cells would not be fully develope
 """
 
 import math
+import zlib
 from collections.abc import Iterable, Sequence
 from functools import cache
 
@@ -39,13 +40,13 @@ def scatterer_tables(tissues: Sequence[Tissue]) -> np.ndarray:
 
     s = [u <= density] (mean + sd n), Burger et al. 2013, eq. 15, less its expectation (a band-pass pulse does not
     see it), with a random phase; summed over `DRAWS_PER_SAMPLE` and scaled so that the mean square is
-    `Tissue.scatter_power`.
+    `Tissue.scatter_power`. Seeded by the tissue's name, so that a tissue more in a scene changes no other's speckle.
     """
     tables = np.zeros((len(tissues), TABLE_SIZE), np.complex64)
-    for number, (tissue, table) in enumerate(zip(tissues, tables, strict=True)):
+    for tissue, table in zip(tissues, tables, strict=True):
         if tissue.scatter_power <= 0:
             continue
-        generator = np.random.Generator(np.random.Philox(key=[_TABLE_SEED, number]))
+        generator = np.random.Generator(np.random.Philox(key=[_TABLE_SEED, zlib.crc32(tissue.name.encode())]))
         shape = (DRAWS_PER_SAMPLE, TABLE_SIZE)
         here = generator.random(shape, np.float32) <= tissue.scatterer_density
         n = generator.standard_normal(shape, np.float32)

@@ -1,5 +1,7 @@
 """From rays to lines of amplitude: the echoes that they bring back, and how strongly they insonify each scanline."""
 
+from __future__ import annotations
+
 import math
 from functools import cache
 from typing import NamedTuple
@@ -9,7 +11,7 @@ import torch
 from torch.nn import functional as F
 
 from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.imaging.point_spread import Across, lateral_kernels
+from ablate.ultrasound.imaging.point_spread import lateral_kernels
 from ablate.ultrasound.media import Medium
 from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
@@ -57,6 +59,14 @@ def splat(line: np.ndarray, position: np.ndarray, amplitude: np.ndarray, shape: 
     if samples > 1:
         total += np.bincount(start + 1, part, minlength=lines * samples)
     return total.reshape(shape)
+
+
+def amplify(echoes: np.ndarray, gain_db: np.ndarray, nodes: Nodes) -> None:
+    """Change echoes of rays never reflected before, (n,) ECHO, by gains at the nodes, (groups, nodes), dB."""
+    direct = ~echoes["reflected"]
+    node = np.rint((echoes["depth_mm"][direct] - nodes.first_mm) / nodes.spacing_mm).astype(int)
+    own_db = gain_db[echoes["group"][direct], np.clip(node, 0, gain_db.shape[1] - 1)]
+    echoes["amplitude"][direct] *= 10 ** (own_db / 20)
 
 
 @stage(Stage.surface_echoes)
@@ -169,28 +179,25 @@ def accumulate(nodes: Nodes, group: int, ray: Ray, medium: Medium, length_mm: fl
         level *= factor
 
 
-def transmit_beam(probe: Probe, settings: SimulatorSettings) -> Across:
-    """How the sound of neighbouring scanlines overlaps.
+def transmit_beam(probe: Probe, settings: SimulatorSettings) -> torch.Tensor:
+    """How the sound of neighbouring scanlines overlaps, (blocks of depth or 1, scanlines, scanlines).
 
     The point spread function is that of both ways; one way of two equal Gaussians is wider by sqrt(2).
     """
-    count = min(settings.axial_samples, NODES)
-    part = -(-count // _BLOCKS)
-    depth = (np.arange(-(-count // part)) + 0.5) * part * (probe.depth_mm / count)
-    return Across(lateral_kernels(probe, settings, depth, widen=math.sqrt(2)), "cpu", torch.float64)
+    depth_mm = (np.arange(_BLOCKS) + 0.5) * probe.depth_mm / _BLOCKS
+    return torch.from_numpy(lateral_kernels(probe, settings, depth_mm, widen=math.sqrt(2)))
 
 
 @stage(Stage.illumination)
-def mean_level_db(nodes: Nodes, rays: np.ndarray, beam: Across) -> torch.Tensor:
-    """Level in dB of the mean over rays and, as the beam overlaps, over scanlines, (groups, nodes) float32 tensor.
+def mean_level_db(nodes: Nodes, rays: np.ndarray, beam: torch.Tensor) -> np.ndarray:
+    """Level in dB of the mean over rays and, as the beam overlaps, over scanlines, (groups, nodes) float64.
 
     `rays`, (groups,), is how many rays of each group were accumulated.
     """
-    blocks, lines = beam.blocks, beam.lines
     groups, count = nodes.amplitude.shape
-    part = -(-count // blocks)
-    mean = F.pad(torch.from_numpy(nodes.amplitude / rays[:, None]), (0, blocks * part - count))
-    by_block = mean.reshape(-1, lines, blocks, part).permute(2, 1, 0, 3).reshape(blocks, lines, -1)
-    overlapping = beam(by_block).reshape(blocks, lines, -1, part).permute(2, 1, 0, 3)
-    level = 20 * torch.log10(overlapping.reshape(groups, -1)[:, :count])
-    return level.where(level > _LOWEST_DB, NO_SOUND_DB).float()
+    lines = beam.shape[-1]
+    mean = torch.from_numpy(nodes.amplitude / rays[:, None]).reshape(-1, lines, count)
+    parts = np.array_split(np.arange(count), len(beam))
+    overlapping = torch.cat([kernel @ mean[..., part] for kernel, part in zip(beam, parts, strict=True)], dim=-1)
+    level = 20 * torch.log10(overlapping.reshape(groups, count)).numpy()
+    return np.where(level > _LOWEST_DB, level, NO_SOUND_DB)

@@ -1,0 +1,98 @@
+"""The aperture: many elements see a point, so what stands before a few of them casts a soft shadow.
+
+Rays follow each scanline as a pencil. What the pencils have lost up to each depth is known, so the loss on the straight
+way from an element beside the scanline to a point on it is the sum of what each pencil loses where that way crosses it.
+The amplitude that reaches a point is the mean over the elements that see it, and so is what they receive from it. For a
+layered medium, whose pencils are alike, nothing changes. A shadow's core ends where the elements see past what casts
+it, as in a photograph. Sound also bends around: where the first Fresnel zone is wider than the elements' ways, sound
+takes that room. Its radius is sqrt(wavelength z' (z - z') / z) at the depth z' on the way to z (Born and Wolf,
+Principles of Optics, ch. 8).
+"""
+
+import numpy as np
+
+from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.media import DISPLAY_SPEED_M_S
+from ablate.ultrasound.probe import fan_of
+from ablate.ultrasound.settings import PhasedProbe, Probe, SimulatorSettings
+from ablate.ultrasound.stages import Stage, stage
+
+_ELEMENTS = 24  # that stand for all that see a point
+_DEPTHS = 64
+_ZONES = 1.25  # radii of the zone; shadows of rods are then those of waves (tests/ultrasound/test_aperture.py)
+_MOST_DB = 300.0  # that other elements add to what a pencil brings
+
+
+class Aperture:
+    """The ways from the elements that see a point to it, for one probe and one set of settings."""
+
+    def __init__(self, probe: Probe, settings: SimulatorSettings) -> None:
+        depth_mm = (np.arange(_DEPTHS) + 1) * (probe.depth_mm / _DEPTHS)
+        place = (2 * np.arange(_ELEMENTS) + 1) / _ELEMENTS - 1
+        self._weights = np.cos(np.pi / 2 * place) ** 2  # Hann's apodisation
+        span = np.minimum(settings.active_aperture_mm, depth_mm / settings.f_number)
+        if isinstance(probe, PhasedProbe):
+            span = np.minimum(span, probe.aperture_mm)
+        middle_mm = depth_mm - depth_mm[0] / 2  # of the steps of a way
+        left = np.maximum(1 - middle_mm / depth_mm[:, None], 0.0)  # of a way, (depths of points, steps)
+        zone_mm = np.sqrt(left * middle_mm * (DISPLAY_SPEED_M_S / probe.frequency_mhz / 1e3))
+        half_mm = np.maximum(span[:, None] / 2 * left, _ZONES * zone_mm)
+        last = max(settings.scanlines - 1, 1)
+        pitch_mm = np.maximum(fan_of(probe).width_mm(middle_mm) / last, 1e-9)
+        ways = place[:, None] * (half_mm / pitch_mm)[:, None, :]
+        self._ways = np.rint(np.clip(ways, -last, last)).astype(np.int64)  # scanlines beside, (depths, elements, steps)
+        beside_mm = span[:, None] / 2 * place  # of the elements, on the face
+        face_mm = np.maximum(fan_of(probe).width_mm(np.zeros(1)) / last, 1e-9)
+        at_face = 0 * beside_mm if isinstance(probe, PhasedProbe) else np.clip(beside_mm / face_mm, -1e9, 1e9)
+        line = np.arange(settings.scanlines)[None, None] + at_face[:, :, None]
+        self._exists = (line >= -0.5) & (line <= last + 0.5)  # elements beyond the array's ends do not
+        self._lines = settings.scanlines
+
+    @stage(Stage.aperture)
+    def gain_db(self, level_db: np.ndarray) -> np.ndarray:
+        """What all elements together bring more than the pencil of each scanline, both ways.
+
+        Parameters
+        ----------
+        level_db : (groups, nodes) float
+            Of the pencils, both ways, at equal distances from the first sample to the last.
+
+        Returns
+        -------
+        (groups, nodes) float64, dB
+        """
+        groups, nodes = level_db.shape
+        at_depths = np.minimum((np.arange(_DEPTHS) + 1) * nodes // _DEPTHS, nodes - 1)
+        loss_db = -level_db[:, at_depths].reshape(-1, self._lines, _DEPTHS).transpose(0, 2, 1) / 2  # one way
+        gain = np.zeros_like(loss_db)
+        for of_layer, lost in zip(gain, loss_db, strict=True):
+            steps = np.diff(lost, axis=0, prepend=0.0)
+            padded = np.pad(steps, ((0, 0), (self._lines, self._lines)), mode="edge")
+            _add_up(np.ascontiguousarray(padded), lost, self._ways, self._weights, self._exists, of_layer)
+        by_group = gain.transpose(0, 2, 1).reshape(groups, _DEPTHS)
+        place = np.clip((np.arange(nodes) + 1) * (_DEPTHS / nodes) - 1, 0, _DEPTHS - 1)
+        below = np.minimum(place.astype(int), max(_DEPTHS - 2, 0))
+        return by_group[:, below] + (place - below) * (by_group[:, below + 1] - by_group[:, below])
+
+
+@compiled
+def _add_up(
+    steps: np.ndarray, lost: np.ndarray, ways: np.ndarray, weights: np.ndarray, exists: np.ndarray, gain: np.ndarray
+) -> None:
+    """Fill `gain`, (depths, lines), from the losses on each step of each pencil, (steps, 3 lines), and their sums."""
+    depths, lines = gain.shape
+    way = np.empty(lines)
+    for depth in range(depths):
+        amplitude, weight = np.zeros(lines), np.zeros(lines)
+        for element in range(len(weights)):
+            way[:] = lost[depth]
+            for step in range(depth + 1):
+                first = lines + ways[depth, element, step]
+                for line in range(lines):
+                    way[line] -= steps[step, first + line]
+            for line in range(lines):
+                if exists[depth, element, line]:
+                    weight[line] += weights[element]
+                    amplitude[line] += weights[element] * 10 ** (min(way[line], _MOST_DB) / 20)
+        for line in range(lines):
+            gain[depth, line] = 40 * np.log10(max(amplitude[line] / weight[line], 1e-15))
