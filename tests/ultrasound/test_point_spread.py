@@ -97,8 +97,8 @@ def test_side_lobes_have_their_power_and_a_smooth_surface_does_not_show_them(pro
     both = lateral_kernels(probe, settings, depths, sidelobe_db=-27.0)[0, 96]
     side = both - main
     assert main.sum() == pytest.approx(1)
-    assert 10 * np.log10((side**2).sum() / (main**2).sum()) == pytest.approx(-27.0, abs=0.01)
-    assert both.sum() == pytest.approx(1, abs=0.06)  # what a plane sends back
+    assert 10 * np.log10((side**2).sum() / (main**2).sum()) == pytest.approx(-27.0, abs=0.3)
+    assert both.sum() == pytest.approx(1)  # what a plane sends back
     beside = np.abs(np.arange(192) - 96) > 5 * np.sqrt((main * (np.arange(192) - 96) ** 2).sum())
     assert (side[beside] ** 2).sum() > 0.5 * (side**2).sum()  # most of it comes from beside the main lobe
 

@@ -69,9 +69,9 @@ def lateral_kernels(
 ) -> np.ndarray:
     """What each scanline gets of each other one, (depths, scanlines, scanlines) float64, or (1, ...) if all are equal.
 
-    The main lobe is a Gaussian, `widen` times as wide as `lateral_sigma`, and its rows sum to 1. Side lobes are
-    `_SIDELOBES` times as wide and of the power `sidelobe_db`. Their sign alternates from one width of the main lobe to
-    the next, as that of an aperture's transform, so that a smooth surface hardly fills what lies beside it.
+    Rows sum to 1. The main lobe is a Gaussian, `widen` times as wide as `lateral_sigma`. Side lobes are `_SIDELOBES`
+    times as wide and of the power `sidelobe_db`. Their sign alternates from one width of the main lobe to the next, as
+    that of an aperture's transform, so that a smooth surface does not fill what lies beside it.
     """
     sigma = widen * np.maximum(lateral_sigma(probe, settings, depth_mm), 1e-3 / widen)[:, :, None]
     sigma = sigma[:1] if (sigma == sigma[:1]).all() else sigma
@@ -79,9 +79,11 @@ def lateral_kernels(
     main = np.exp(np.maximum(-0.5 * (apart / sigma) ** 2, _LOWEST_EXPONENT))
     main = np.where(main > np.exp(_LOWEST_EXPONENT), main, 0.0)
     main /= main.sum(axis=-1, keepdims=True)
-    side = np.exp(-0.5 * (apart / (_SIDELOBES * sigma)) ** 2) * np.cos(np.pi * apart / (FWHM_PER_SIGMA * sigma))
-    norms = [np.sqrt((lobe**2).sum(axis=-1, keepdims=True)) for lobe in (main, side)]
-    return main + 10 ** (sidelobe_db / 20) * norms[0] / norms[1] * side
+    wide = _SIDELOBES * sigma
+    side = np.exp(-0.5 * (apart / wide) ** 2) * np.cos(np.pi * apart / (FWHM_PER_SIGMA * sigma))
+    side -= main * side.sum(axis=-1, keepdims=True)
+    power = (main**2).sum(axis=-1, keepdims=True) / (math.sqrt(math.pi) / 2 * wide)  # main over side lobes
+    return main + 10 ** (sidelobe_db / 20) * np.sqrt(power) * side
 
 
 @dataclass(frozen=True)

@@ -95,4 +95,5 @@ def _add_up(
                     weight[line] += weights[element]
                     amplitude[line] += weights[element] * 10 ** (min(way[line], _MOST_DB) / 20)
         for line in range(lines):
-            gain[depth, line] = 40 * np.log10(max(amplitude[line] / weight[line], 1e-15))
+            if weight[line] > 0:  # else no element but that of the pencil, as of a single scanline
+                gain[depth, line] = 40 * np.log10(max(amplitude[line] / weight[line], 1e-15))
