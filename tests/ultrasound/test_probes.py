@@ -225,10 +225,11 @@ def test_the_beam_of_a_linear_probe_is_as_wide_at_all_depths() -> None:
     assert sigmas == pytest.approx([1.5 / math.sqrt(8 * math.log(2))] * 4, rel=0.12)
 
 
-def test_the_beam_of_a_convex_probe_widens_on_both_sides_of_the_focus() -> None:
+def test_the_beam_of_a_convex_probe_has_one_angular_width() -> None:
+    """1.5 mm at 60 mm, and in proportion to the distance from the centre of curvature."""
     sigmas = np.array([sigma_mm(CONVEX, depth, slice(10, -10)) for depth in (20, 60, 95)])
-    widening = np.sqrt(1 + ((np.array([20, 60, 95]) - 60) / 40) ** 2)
-    assert sigmas == pytest.approx(1.5 / math.sqrt(8 * math.log(2)) * widening, rel=0.12)
+    radii = 30 + np.array([20, 60, 95])
+    assert sigmas == pytest.approx(1.5 / math.sqrt(8 * math.log(2)) * radii / 90, rel=0.12)
 
 
 def test_the_beam_of_a_phased_probe_widens_with_depth_and_angle() -> None:
