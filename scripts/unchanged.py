@@ -139,7 +139,9 @@ def record(folder: Path, code: Path) -> None:
     for kept in sorted({path.parents[2] for path in code.glob("docs/results/*/*/seed*/result.json")}):
         print(f"comparison of the kept study {kept.name} ...", flush=True)
         shutil.copytree(kept, folder / "runs" / kept.name)
-        must("-m", "ablate", "task=compare", f"study_name={kept.name}", "runs_dir=runs")
+        done = run("-m", "ablate", "task=compare", f"study_name={kept.name}", "runs_dir=runs")
+        if done.returncode:  # such as of the format of an earlier version
+            print(done.stderr.strip(), flush=True)
     print("stability ...", flush=True)
     must("-m", "ablate", "task=stability", "runs_dir=runs")
     (folder / "describe.txt").write_text(must("-m", "ablate", "task=describe"))

@@ -16,6 +16,12 @@ def built() -> Callable[[int, int], Scene]:
 
 
 @pytest.fixture(scope="session")
+def scene(built: Callable[[int, int], Scene]) -> Scene:
+    """The textbook case, fine enough for all its parts."""
+    return built(100_000, 0)
+
+
+@pytest.fixture(scope="session")
 def mesh_of() -> Callable[..., trimesh.Trimesh]:
     """The mesh of a name, the first one unless said otherwise."""
 

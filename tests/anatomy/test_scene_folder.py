@@ -14,7 +14,6 @@ from ablate.anatomy.meshes.repair import load_mesh, odd_edges
 from ablate.anatomy.meshes.vtk_files import VTK_SUFFIXES
 from ablate.anatomy.scene_folder import MESH_SUFFIXES
 
-CASES = Path(os.environ.get("ABLATE_CASES", Path(__file__).parents[2].parent / "shared" / "cases"))
 GOOD = {
     "unit": "cm",
     "background": "coupling_gel",
@@ -139,17 +138,16 @@ def test_units_that_make_no_body_are_refused(tmp_path: Path, unit: str, size: fl
     assert "scene.yaml" in str(caught.value)
 
 
-@pytest.mark.skipif(not (CASES / "ircad11").is_dir(), reason="the real case is not here")
-def test_a_real_patient_is_closed_quickly() -> None:
+def test_a_real_patient_is_closed_quickly(cases: Path) -> None:
     start = time.perf_counter()
-    scene = load_scene(CASES / "ircad11")
+    scene = load_scene(cases / "ircad11")
     assert time.perf_counter() - start < 20  # about 1.5 s on one idle core
     assert len(scene.structures) == 11
     assert all(len(odd_edges(s.mesh.faces)) == 0 for s in scene.structures)
     by_name = {s.mesh.metadata["name"]: s.mesh for s in scene.structures}
     assert by_name["skin.obj"].extents == pytest.approx([339.4, 254.0, 210.6], abs=0.2)
     assert by_name["liver.obj"].centroid[0] < by_name["aorta.obj"].centroid[0]  # the liver is on the right
-    assert load_sites(CASES / "ircad11").rolls_deg == (0, 90)
+    assert load_sites(cases / "ircad11").rolls_deg == (0, 90)
 
 
 @pytest.mark.parametrize(

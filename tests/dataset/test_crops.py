@@ -183,17 +183,6 @@ def test_a_loader_that_is_left_leaves_no_thread(pairs: Pairs) -> None:
     assert threading.active_count() == before
 
 
-def test_maps_of_a_crop_belong_together(pairs: Pairs) -> None:
-    made = crops(pairs, flip=True)
-    for step in range(5):
-        batch = made[step]
-        inside = batch["mask"] > 0
-        grey = (batch["target"] + 1) * 127.5
-        torch.testing.assert_close(grey[inside] / 255, batch["attenuation"][inside], atol=1e-5, rtol=2**-9)
-        torch.testing.assert_close(VALUES[grey[inside].round().int().numpy()], batch["segmentation"][inside].numpy())
-        assert (batch["target"][~inside] == -1).all()
-
-
 @pytest.mark.parametrize("share", [0.0, 0.6])
 def test_crops_hold_the_share_of_the_fan_that_is_asked_for(pairs: Pairs, share: float) -> None:
     made = crops(pairs, fan_fraction=share)

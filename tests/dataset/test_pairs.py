@@ -81,11 +81,10 @@ def test_a_damaged_shard_is_named_on_reading_with_what_mends_it(pairs: Pairs) ->
     pairs.read("target", [7, 12])
 
 
-def test_a_frame_that_is_not_made_is_an_error_and_not_an_empty_image(empty: Pairs) -> None:
-    list(fill_pairs(empty, frozenset({"target"}), Recorder()))
-    empty.shard_file("target", 1).unlink()
+def test_a_frame_that_is_not_made_is_an_error_and_not_an_empty_image(pairs: Pairs) -> None:
+    pairs.shard_file("target", 1).unlink()
     with pytest.raises(FileNotFoundError, match=r"target/c/1/0/0: not made yet.*task=simulate"):
-        empty.read("target", [4])
+        pairs.read("target", [4])
 
 
 @pytest.mark.parametrize("name", ["pose", "site", "split", "mask"])
@@ -119,23 +118,21 @@ def flip(file: Path) -> None:
     file.write_bytes(content)
 
 
-def test_a_set_that_is_full_is_left_alone(empty: Pairs) -> None:
-    list(fill_pairs(empty, WANTED, Recorder()))
-    before, again = state(empty), Recorder()
-    assert list(fill_pairs(open_pairs(empty.folder), WANTED, again)) == []
+def test_a_set_that_is_full_is_left_alone(pairs: Pairs) -> None:
+    before, again = state(pairs), Recorder()
+    assert list(fill_pairs(open_pairs(pairs.folder), WANTED, again)) == []
     assert again.rendered == []
-    assert state(empty) == before
+    assert state(pairs) == before
 
 
-def test_a_new_map_is_added_without_touching_the_others(empty: Pairs) -> None:
-    list(fill_pairs(empty, WANTED, Recorder()))
-    before, again = state(empty), Recorder()
-    list(fill_pairs(empty, WANTED | {"low"}, again))
-    after = state(empty)
+def test_a_new_map_is_added_without_touching_the_others(pairs: Pairs) -> None:
+    before, again = state(pairs), Recorder()
+    list(fill_pairs(pairs, WANTED | {"low"}, again))
+    after = state(pairs)
     assert {name for _, name in again.rendered} == {"low"}
     assert {path: after[path] for path in before} == before
     assert all("/low/" in path for path in after.keys() - before.keys())
-    assert not empty.missing(WANTED | {"low"})
+    assert not pairs.missing(WANTED | {"low"})
 
 
 def test_resimulation_is_for_unseen_frames_only(empty: Pairs) -> None:
@@ -177,25 +174,23 @@ def truncate(file: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [flip, truncate])
-def test_only_what_is_damaged_is_made_again(empty: Pairs, damage: Callable[[Path], None]) -> None:
-    list(fill_pairs(empty, WANTED, Recorder()))
-    assert remove_damaged(empty, WANTED) == ()
-    before = state(empty)
-    damaged = empty.shard_file("attenuation", 4)  # the last, which is not full
+def test_only_what_is_damaged_is_made_again(pairs: Pairs, damage: Callable[[Path], None]) -> None:
+    assert remove_damaged(pairs, WANTED) == ()
+    before = state(pairs)
+    damaged = pairs.shard_file("attenuation", 4)  # the last, which is not full
     damage(damaged)
-    (why,) = remove_damaged(empty, WANTED)
+    (why,) = remove_damaged(pairs, WANTED)
     assert f"{damaged}, 'attenuation' of frames 16 to 17, is damaged" in why
     recorder = Recorder()
-    list(fill_pairs(empty, WANTED, recorder))
+    list(fill_pairs(pairs, WANTED, recorder))
     assert recorder.rendered == [(16, "attenuation"), (17, "attenuation")]
-    after = state(empty)
+    after = state(pairs)
     assert {path: content for path, (content, _) in after.items()} == {p: c for p, (c, _) in before.items()}
     assert {path for path in before if after[path] != before[path]} == {str(damaged)}
 
 
-def test_a_damaged_shard_that_another_process_mends_is_left_to_it(empty: Pairs) -> None:
-    list(fill_pairs(empty, WANTED, Recorder()))
-    flip(empty.shard_file("target", 0))
-    with FileLock(empty.folder / ".shard0.lock"):
-        assert remove_damaged(empty, WANTED) == ()
-    assert len(remove_damaged(empty, WANTED)) == 1
+def test_a_damaged_shard_that_another_process_mends_is_left_to_it(pairs: Pairs) -> None:
+    flip(pairs.shard_file("target", 0))
+    with FileLock(pairs.folder / ".shard0.lock"):
+        assert remove_damaged(pairs, WANTED) == ()
+    assert len(remove_damaged(pairs, WANTED)) == 1

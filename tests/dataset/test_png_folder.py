@@ -31,12 +31,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def with_attenuation(folder: Path, dtype: type) -> None:
-    rng = np.random.default_rng(1)
-    for name in NAMES:
-        save(folder / "attenuation" / f"{name}.png", rng.integers(0, np.iinfo(dtype).max, (H, W), dtype=dtype))
-
-
 def imported(checked: PngFolder, path: Path) -> dict[str, np.ndarray]:
     mask, _ = read_fan(checked)
     n = len(checked.names)
@@ -59,7 +53,9 @@ def test_sites_are_the_names_before_the_last_underscore(folder: Path) -> None:
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_pixels_become_pairs_and_what_is_outside_the_fan_becomes_0(folder: Path, tmp_path: Path, dtype: type) -> None:
-    with_attenuation(folder, dtype)
+    rng = np.random.default_rng(1)
+    for name in NAMES:
+        save(folder / "attenuation" / f"{name}.png", rng.integers(0, np.iinfo(dtype).max, (H, W), dtype=dtype))
     stored = imported(validate_png_folder(folder), tmp_path / "set")
     for k, name in enumerate(NAMES):
         np.testing.assert_array_equal(stored["segmentation"][k], imread(folder / "segmentation" / f"{name}.png"))

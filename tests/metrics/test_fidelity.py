@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as hnp
 from skimage.metrics import peak_signal_noise_ratio
 
 from ablate.metrics import mae, patch_chi2, patches_inside, psnr, rms
-from ablate.metrics.fidelity import patch_counts
+from ablate.metrics.patches import patch_counts
 
 SHAPES = hnp.array_shapes(min_dims=2, max_dims=2, max_side=9)
 

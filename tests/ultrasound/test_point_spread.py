@@ -12,6 +12,7 @@ from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.imaging.point_spread import along_lines, lateral_kernels
 
+DOT = Tissue("dot", 1540, 1.5, 0.0, 1.0, 1.0, 1.0, roughness=0.0)
 DEPTHS_MM = [20.0, 70.0, 130.0]
 LINES = 257
 LINE_RAD = np.radians(70) / (LINES - 1)
@@ -48,8 +49,7 @@ def sample_at(depth_mm: float) -> float:
 @pytest.mark.parametrize("depth_mm", DEPTHS_MM)
 def test_a_scatterer_has_the_widths_asked_for(gel, ball, probe, settings, ahead, depth_mm) -> None:
     """A ball of 0.04 mm, which one sample of one scanline falls into, with the rays of the whole aperture."""
-    tissue = Tissue("dot", 1540, 1.5, 0.0, 1.0, 1.0, 1.0, roughness=0.0)
-    scene = Scene((ball(tissue, (0.0, 0.0, sample_at(depth_mm)), 0.02),), gel, "s")
+    scene = Scene((ball(DOT, (0.0, 0.0, sample_at(depth_mm)), 0.02),), gel, "s")
     envelope = Simulator(scene, probe, settings).render(ahead).envelope
     sample, line = np.unravel_index(envelope.argmax(), envelope.shape)
     assert (sample, line) == (int(depth_mm / SAMPLE_MM), LINES // 2)
@@ -61,9 +61,8 @@ def test_a_scatterer_has_the_widths_asked_for(gel, ball, probe, settings, ahead,
 @pytest.mark.parametrize("depth_mm", DEPTHS_MM)
 def test_a_scatterer_has_the_elevational_width_asked_for(gel, ball, probe, settings, depth_mm) -> None:
     """The probe is moved across a ball; in each place another one of 41 layers, 0.3 mm apart, meets it."""
-    tissue = Tissue("dot", 1540, 1.5, 0.0, 1.0, 1.0, 1.0, roughness=0.0)
     middle_mm = 0.05  # of a lattice cell, so that rounding does not decide between two
-    scene = Scene((ball(tissue, (0.0, middle_mm, sample_at(depth_mm)), 0.02),), gel, "s")
+    scene = Scene((ball(DOT, (0.0, middle_mm, sample_at(depth_mm)), 0.02),), gel, "s")
     simulator = Simulator(scene, probe, replace(settings, scanlines=1, rays=1, layers=41, layer_extent_mm=6.0))
     pose, peaks = np.eye(4), []
     for offset_mm in 0.3 * np.arange(-10, 11):

@@ -46,11 +46,13 @@ class Skin:
 
         return self._hard[owners(inside_at(self._geometry, points - self.centre, directions))]
 
-    def within(self, starts: np.ndarray, directions: np.ndarray, reach_mm: float) -> np.ndarray:
-        """Whether rays meet a surface within reach, (n,) bool."""
-        local = (starts - self.centre).astype(np.float32)
-        reach = np.full(len(local), reach_mm, np.float32)
-        return self._geometry.closest(local, directions.astype(np.float32), reach).structure >= 0
+    def seen_from(self, probe: Probe, poses: np.ndarray) -> np.ndarray:
+        """Whether at least a tenth of a fan's lines meet a surface within the imaging depth, (n,) bool."""
+        starts, directions = fan_lines(probe, _LINES)
+        local = (_in_world(poses, starts) - self.centre).astype(np.float32)
+        rays = np.einsum("nij,kj->nki", poses[:, :3, :3], directions).reshape(-1, 3).astype(np.float32)
+        hits = self._geometry.closest(local, rays, np.full(len(local), probe.depth_mm, np.float32))
+        return (hits.structure >= 0).reshape(len(poses), _LINES).mean(axis=1) >= _LEAST_SHARE
 
     def contact(
         self, middle: np.ndarray, outward: np.ndarray, axis: np.ndarray
@@ -93,14 +95,6 @@ def press(
     pressed[:, :3, 3] += np.where(np.isfinite(deepest), press_mm - deepest, 0.0)[:, None] * approaches
     hard = skin.hard_at(_in_world(pressed, face), directions).reshape(n, k)
     return pressed, on_body, np.asarray(hard.any(axis=1))
-
-
-def meets(region: Skin, probe: Probe, poses: np.ndarray) -> np.ndarray:
-    """Whether at least a tenth of a fan's lines meet a region within the imaging depth, (n,) bool."""
-    starts, directions = fan_lines(probe, _LINES)
-    rays = np.einsum("nij,kj->nki", poses[:, :3, :3], directions).reshape(-1, 3)
-    met = region.within(_in_world(poses, starts), rays, probe.depth_mm).reshape(len(poses), _LINES)
-    return met.mean(axis=1) >= _LEAST_SHARE
 
 
 def _in_world(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -193,7 +187,7 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
         poses, on_body, hard = press(skin, probe, poses, np.stack(approaches), press_mm)
         reasons = [(Dropped.off_body, ~on_body), (Dropped.hard, hard)]
         if region is not None:
-            reasons.append((Dropped.off_region, ~meets(region, probe, poses)))
+            reasons.append((Dropped.off_region, ~region.seen_from(probe, poses)))
         for reason, holds in reasons:
             dropped[reason] = int((kept & holds).sum())
             kept &= ~holds

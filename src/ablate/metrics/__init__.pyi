@@ -4,10 +4,7 @@ from .distances import kernel_distance as kernel_distance
 from .features import FEATURE_NAMES as FEATURE_NAMES
 from .features import speckle_features as speckle_features
 from .fidelity import mae as mae
-from .fidelity import patch_chi2 as patch_chi2
-from .fidelity import patches_inside as patches_inside
 from .fidelity import psnr as psnr
-from .fidelity import rms as rms
 from .inception import InceptionFeatures as InceptionFeatures
 from .inception import inception_file as inception_file
 from .inception import load_inception as load_inception
@@ -27,6 +24,9 @@ from .metric import Resimulation as Resimulation
 from .metric import SetDistance as SetDistance
 from .metric import Shown as Shown
 from .pair import Pair as Pair
+from .patches import patch_chi2 as patch_chi2
+from .patches import patches_inside as patches_inside
+from .patches import rms as rms
 from .registry import METRIC_SETS as METRIC_SETS
 from .registry import METRICS as METRICS
 from .registry import METRICS_VERSION as METRICS_VERSION

@@ -4,8 +4,8 @@ import numpy as np
 from scipy.fft import rfft2
 
 from ablate.metrics.distances import frechet_distance, kernel_distance
-from ablate.metrics.fidelity import as_patches, patches_inside, value_counts
 from ablate.metrics.metric import Direction, FeatureKind, Group, Metric, Resimulation, SetDistance, Shown
+from ablate.metrics.patches import as_patches, patches_inside, value_counts
 
 PATCH = 48
 QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)

@@ -6,12 +6,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, Flag, StrEnum, auto
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from ablate.metrics.pair import Pair  # only here: a pair computes with modules that declare metrics
+from ablate.metrics.pair import Pair
 
 
 class Direction(Enum):

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ablate.metrics.fidelity import check_pair, patch_chi2
+from ablate.metrics.patches import check_pair, patch_chi2
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,10 @@ from ablate.dataset import CropLoader, Crops, CropSettings, Part
 from ablate.evaluation import ImageSource, Scorer, inception_for, score_run
 from ablate.metrics import METRICS_VERSION, choose_metrics
 from ablate.networks import Generator, conditions, draws_noise
-from ablate.runs.data_set import DataSet, maps_needed, prepare_data
+from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job, parameters
 from ablate.runs.place import claim_place, finished_run, sources_of, with_earlier_metrics
+from ablate.runs.prepare import prepare_data
 from ablate.runs.provenance import write_provenance
 from ablate.runs.run import Run
 from ablate.runs.store_copy import copying, log_samples

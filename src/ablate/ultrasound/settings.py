@@ -223,22 +223,15 @@ Probe = ConvexProbe | LinearProbe | PhasedProbe
 PROBES: dict[ProbeKind, type[Probe]] = {cls.kind: cls for cls in (ConvexProbe, LinearProbe, PhasedProbe)}
 #: Every value that some probe has, with its default; None where not all kinds have it.
 PROBE_KEYS: dict[str, float | None] = {
-    "radius_mm": None,
-    "width_mm": None,
-    "aperture_mm": None,
-    "fov_deg": None,
-    "depth_mm": ConvexProbe.depth_mm,
-    "frequency_mhz": ConvexProbe.frequency_mhz,
+    **dict.fromkeys(("radius_mm", "width_mm", "aperture_mm", "fov_deg")),
+    **{name: getattr(ConvexProbe, name) for name in ("depth_mm", "frequency_mhz")},
 }
 
 
 def probe_from(values: Mapping[str, Any]) -> Probe:
     """A probe from its values, as `plain` gives them; null is a default, or what a probe of this kind has not.
 
-    Raises
-    ------
-    ValueError
-        For an unknown kind, a value that a probe of this kind has not, or one outside its range.
+    A ValueError for an unknown kind, a value that a probe of this kind has not, or one outside its range.
     """
     given = {name: value for name, value in values.items() if value is not None}
     kind = given.pop("kind", ProbeKind.convex)

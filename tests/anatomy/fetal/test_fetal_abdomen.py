@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from ablate.anatomy import Scene, fetal_abdomen, fetal_sites
+from ablate.anatomy import fetal_abdomen, fetal_sites
 
 FLESH = ("body and head", "left leg", "right leg", "left arm", "right arm")
-
-
-@pytest.fixture(scope="module")
-def scene(built) -> Scene:
-    return built(100_000, 0)
 
 
 def test_abdominal_wall_of_the_mother(scene, mesh_of) -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from ablate.anatomy import Scene
 from ablate.anatomy.fetal.body import curl, curled, trunk
 from ablate.anatomy.fetal.fetal_abdomen import abdomen_plane, fetal_planes, head_plane
 from ablate.anatomy.fetal.pregnancy import draw_pregnancy
@@ -64,11 +63,6 @@ def test_sizes_differ_and_the_first_is_the_table() -> None:
     assert sizes[0] == 1.0
     assert len(set(sizes)) == len(sizes)
     assert all(0.85 < size < 1.11 for size in sizes)
-
-
-@pytest.fixture(scope="module")
-def scene(built) -> Scene:
-    return built(100_000, 0)
 
 
 def pieces(mesh: trimesh.Trimesh) -> list[np.ndarray]:

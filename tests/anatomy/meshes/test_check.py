@@ -88,18 +88,11 @@ def test_a_scene_of_no_body_s_size_is_warned_of(scale: float, size: str) -> None
     check_scene(scene, 150.0 * scale)  # scaled together with its probe
 
 
-@pytest.mark.filterwarnings("error")
-def test_a_point_target_passes() -> None:
-    mesh = BALL.copy().apply_scale(1e-3)
-    check_scene(Scene((Structure(mesh, TISSUES["liver"]),), TISSUES["coupling_gel"], "s"), 150.0)
+def test_scenes_as_they_come_and_a_point_target_pass(built) -> None:
+    point = Structure(BALL.copy().apply_scale(1e-3), TISSUES["liver"])
+    for scene in (Scene((), TISSUES["liver"], "empty"), Scene((point,), TISSUES["coupling_gel"], "s"), built(4_000, 0)):
+        check_scene(scene, 150.0)  # a warning is an error
 
 
-@pytest.mark.filterwarnings("error")
-def test_scenes_as_they_come_pass(built) -> None:
-    check_scene(Scene((), TISSUES["liver"], "empty"), 150.0)
-    check_scene(built(4_000, 0), 150.0)
-
-
-@pytest.mark.filterwarnings("error")
 def test_a_repaired_patient_passes(cases: Path) -> None:
     check_scene(load_scene(cases / "ircad11"), 150.0)

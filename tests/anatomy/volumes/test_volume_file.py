@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from ablate.anatomy.volumes.label_map import check_volume, slabs
 
 TURNED = from_matvec(Rotation.from_euler("xyz", [20, -35, 50], degrees=True).as_matrix() * [0.8, 0.9, 2.5], [5, -7, 9])
+SHEARED = from_matvec([[1, 0.2, 0], [0, 1, 0], [0, 0, 1]])
 FLIPPED = from_matvec(np.diag([-1.5, 1.5, 2.0]), [40, 0, -10])
 
 
@@ -42,19 +43,13 @@ def test_a_volume_is_read_in_slabs(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert np.array_equal(np.concatenate([part for _, part in parts], axis=2), values())
 
 
-def sheared() -> np.ndarray:
-    affine = np.eye(4)
-    affine[0, 1] = 0.2
-    return affine
-
-
 @pytest.mark.parametrize(
     ("shape", "affine", "message"),
     [
         ((4, 5, 6, 2), np.eye(4), "has 4 axes, (4, 5, 6, 2); allowed is one volume of 3"),
         ((4, 5), np.eye(4), "has 2 axes"),
         ((4, 5, 6), None, "has no affine, so where its voxels lie is not known; allowed is sform or qform"),
-        ((4, 5, 6), sheared(), "is sheared: its axes 0 and 1 meet at 78.7 degrees; allowed are right angles"),
+        ((4, 5, 6), SHEARED, "is sheared: its axes 0 and 1 meet at 78.7 degrees; allowed are right angles"),
         ((4, 5, 6), np.diag([10, 10, 10, 1]), "has voxels of 10 x 10 x 10 mm; allowed are sides of 0.01 to 6 mm"),
         ((4, 5, 6), np.diag([1, 1, 0, 1]), "has voxels of 1 x 1 x 0 mm"),
         ((4, 5, 6), np.diag([1, 1, np.nan, 1]), "has an affine that is not finite"),

@@ -145,6 +145,10 @@ class Limbs:
     left_arm: LimbPose = LimbPose(42.0, 6.0, 84.0, 26.0)
     right_arm: LimbPose = LimbPose(34.0, 6.0, 66.0, 22.0)
 
+    def rods(self) -> list[list[Capsule]]:
+        """The rounded rods of left leg, right leg, left arm and right arm."""
+        return [*(leg_capsules(self.leg(s)) for s in SIDES), *(arm_capsules(self.arm(s)) for s in SIDES)]
+
     def leg(self, side: float) -> Limb:
         """Joints of a leg."""
         pose = self.left_leg if side > 0 else self.right_leg
@@ -238,12 +242,11 @@ def fetal_body(scale: float, seed: int) -> Part:
 
 def limb_flesh(scale: float, seed: int, limbs: Limbs) -> list[Part]:
     """Skin and fat, then muscles, of every limb."""
-    legs = [sdf.union([sdf.capsule(*rod) for rod in leg_capsules(limbs.leg(side))], 4.0) for side in SIDES]
-    arms = [sdf.union([sdf.capsule(*rod) for rod in arm_capsules(limbs.arm(side))], 2.0) for side in SIDES]
-    shapes = [(sdf.rippled(field, seed + 1, 0.2, 15.0), 1.05, 2.0) for field in legs]
-    shapes += [(sdf.rippled(field, seed + 2, 0.12, 12.0), 0.85, 1.5) for field in arms]
+    leg, arm = (4.0, (seed + 1, 0.2, 15.0), 1.05, 2.0), (2.0, (seed + 2, 0.12, 12.0), 0.85, 1.5)
+    kinds = {"left leg": leg, "right leg": leg, "left arm": arm, "right arm": arm}
     skin, muscles = [], []
-    for name, (field, pitch_mm, fat_mm) in zip(("left leg", "right leg", "left arm", "right arm"), shapes, strict=True):
+    for rods, (name, (blend_mm, ripple, pitch_mm, fat_mm)) in zip(limbs.rods(), kinds.items(), strict=True):
+        field = sdf.rippled(sdf.union([sdf.capsule(*rod) for rod in rods], blend_mm), *ripple)
         solid = sdf.solids_in(LIMBS_BOX, scale, 4.0 + 5.0 * pitch_mm)
         skin.append(solid(field, "soft_tissue", pitch_mm, name))
         muscles.append(solid(sdf.shrunk(field, fat_mm), "muscle", pitch_mm, f"{name} muscles"))
@@ -252,19 +255,16 @@ def limb_flesh(scale: float, seed: int, limbs: Limbs) -> list[Part]:
 
 def fetal_balls(limbs: Limbs) -> np.ndarray:
     """Balls of trunk, head and limbs."""
-    legs = [_in_capsules(leg_capsules(limbs.leg(side))) for side in SIDES]
-    arms = [_in_capsules(arm_capsules(limbs.arm(side))) for side in SIDES]
-    return np.concatenate([_body_balls(), *legs, *arms])
+    return np.concatenate([_body_balls(), *map(_in_capsules, limbs.rods())])
 
 
 def untangled(limbs: Limbs) -> bool:
     """Whether no limb runs through another one, the trunk, the head, or the place of the cord at the navel."""
     navel = np.array([[*curl(np.array([NAVEL_IN_TRUNK]))[0], 6.0]])
     fixed = np.concatenate([_body_balls(), navel])
-    capsules = [rods for s in SIDES for rods in (leg_capsules(limbs.leg(s)), arm_capsules(limbs.arm(s)))]
-    lower, whole = [_in_capsules(rods[1:]) for rods in capsules], [_in_capsules(rods) for rods in capsules]
-    pairs = [(lower[i], fixed) for i in range(4)]
-    pairs += [(whole[i][4:], navel) for i in (0, 2)]
+    rods = limbs.rods()
+    lower, whole = [_in_capsules(each[1:]) for each in rods], [_in_capsules(each) for each in rods]
+    pairs = [(own, fixed) for own in lower] + [(leg[4:], navel) for leg in whole[:2]]
     pairs += [(lower[i], whole[j]) for i in range(4) for j in range(4) if i != j]
     apart = (np.linalg.norm(a[:, None, :3] - b[:, :3], axis=2) - a[:, None, 3] - b[:, 3] for a, b in pairs)
     return all(gap.min() > 0.0 for gap in apart)

@@ -97,13 +97,15 @@ def mother(scale: float, seed: int) -> list[Part]:
 
 def _bowel(scale: float, seed: int) -> list[Part]:
     """Loops of bowel beside the uterus, each with a pocket of gas."""
-    loops, gas = [], []
+    pitch_mm, pockets = min(1.8 * scale, 8.0), []
     for i, (center, radius) in enumerate(GAS_POCKETS):
         pocket = sdf.ellipsoid(center, (radius, 1.1 * radius, 1.5 * radius))
-        pocket = sdf.rippled(pocket, seed + 10 + i, 0.8, 3.0 * radius)
-        loops.append(sdf.mesh_field(sdf.shrunk(pocket, -3.0), BODY_BOX, min(1.8 * scale, 8.0), "loop"))
-        gas.append(sdf.mesh_field(pocket, BODY_BOX, min(1.8 * scale, 8.0), "gas"))
-    return [Part(joined(loops, "bowel"), "stomach_wall"), Part(joined(gas, "bowel gas"), "gas")]
+        pockets.append(sdf.rippled(pocket, seed + 10 + i, 0.8, 3.0 * radius))
+    loops = [sdf.shrunk(pocket, -3.0) for pocket in pockets]
+    return [
+        sdf.several("stomach_wall", "bowel", loops, BODY_BOX, pitch_mm),
+        sdf.several("gas", "bowel gas", pockets, BODY_BOX, pitch_mm),
+    ]
 
 
 def _back(scale: float, seed: int) -> list[Part]:
@@ -117,14 +119,13 @@ def _back(scale: float, seed: int) -> list[Part]:
         radii = ((23.0, 17.5, 60.0), (60.0, 60.0, 14.0))
         body = sdf.intersection([sdf.ellipsoid((0.0, 69.0, z), r) for r in radii], 4.0)
         waist = sdf.outside(sdf.ellipsoid((0.0, 40.0, z), (30.0, 13.0, 11.0)))
-        bone = sdf.rippled(sdf.intersection([body, waist], 4.0), seed + 30 + level, 0.3, 20.0)
-        bodies.append(sdf.mesh_field(bone, BODY_BOX, pitch, "vertebra"))
+        bodies.append(sdf.rippled(sdf.intersection([body, waist], 4.0), seed + 30 + level, 0.3, 20.0))
         arch = [
             sdf.capsule((0.0, 94.0, z - 2.0), (0.0, 102.0, z - 8.0), 3.5, 3.0),
             *(sdf.capsule((s * 15.0, 80.0, z), (s * 3.0, 95.0, z - 2.0), 4.0, 3.5) for s in (-1, 1)),
             *(sdf.capsule((s * 14.0, 84.0, z), (s * 36.0, 87.0, z + 2.0), 3.5, 2.5) for s in (-1, 1)),
         ]
-        processes.append(sdf.mesh_field(sdf.union(arch, 3.0), BODY_BOX, min(pitch, 5.5), "arch"))
+        processes.append(sdf.union(arch, 3.0))
     sides = max(6, round(40 / scale))
     z = np.linspace(-120.0, 150.0, max(8, round(80 / scale)))
     aorta = np.stack([7.0 + 3.0 * np.sin(z / 60.0), np.full_like(z, 43.0), z], 1)
@@ -136,8 +137,8 @@ def _back(scale: float, seed: int) -> list[Part]:
         Part(sdf.mesh_field(back_muscles, BODY_BOX, pitch * 1.3, "back muscles"), "muscle"),
         Part(joined(walls, "aorta and cava walls"), "vessel_wall"),
         Part(joined(lumens, "aorta and cava"), "blood"),
-        Part(joined(bodies, "vertebral bodies"), "bone"),
-        Part(joined(processes, "vertebral arches"), "bone"),
+        sdf.several("bone", "vertebral bodies", bodies, BODY_BOX, pitch),
+        sdf.several("bone", "vertebral arches", processes, BODY_BOX, min(pitch, 5.5)),
     ]
 
 

@@ -62,14 +62,11 @@ def fetal_belly(scale: float, seed: int) -> list[Part]:
 
 
 def _pair(tissue: str, name: str, center: Vector, radii: Vector, pitch_mm: float, seed: int | None = None) -> Part:
-    """An ellipsoid and its mirror image as one part."""
-    meshes = []
-    for side in SIDES:
-        field = sdf.ellipsoid((side * center[0], *center[1:]), radii)
-        if seed is not None:
-            field = sdf.rippled(field, seed, 0.3, 10.0)
-        meshes.append(sdf.mesh_field(field, TRUNK_BOX, min(pitch_mm, 4.0), name))
-    return Part(joined(meshes, name), tissue)
+    """An ellipsoid of the trunk and its mirror image as one part."""
+    fields = [sdf.ellipsoid((side * center[0], *center[1:]), radii) for side in SIDES]
+    if seed is not None:
+        fields = [sdf.rippled(field, seed, 0.3, 10.0) for field in fields]
+    return sdf.several(tissue, name, fields, TRUNK_BOX, min(pitch_mm, 4.0))
 
 
 def _umbilical_vessels(scale: float) -> list[Part]:
@@ -101,14 +98,13 @@ def fetal_chest(scale: float, seed: int) -> list[Part]:
     walls = [sdf.shrunk(chamber, -wall_mm) for chamber, wall_mm in zip(chambers, walls_mm, strict=True)]
     myocardium = sdf.rippled(sdf.union(walls, 4.0), seed, 0.12, 14.0)
     heart = sdf.intersection([myocardium, sdf.shrunk(trunk, WALL_INSIDE_MM + 0.4)], 1.0)
-    rippled = [sdf.rippled(chamber, seed + 60, 0.06, 9.0) for chamber in chambers]
-    blood = [sdf.mesh_field(chamber, TRUNK_BOX, min(0.5 * scale, 1.6), "chamber") for chamber in rippled]
+    blood = [sdf.rippled(chamber, seed + 60, 0.06, 9.0) for chamber in chambers]
     band = spindle(_in_heart((3.9, -0.8, -0.5)), _in_heart((3.4, -7.4, 0.5)), (0.6, 0.8), max(4, round(10 / scale)))
     return [
         solid(room, "soft_tissue", 1.0, "mediastinum"),
         _lungs(min(0.85 * scale, 7.0), sdf.outside(sdf.shrunk(heart, -1.0)), seed + 2),
         solid(heart, "myocardium", 0.65, "heart"),
-        Part(joined(blood, "heart chambers"), "blood"),
+        sdf.several("blood", "heart chambers", blood, TRUNK_BOX, min(0.5 * scale, 1.6)),
         Part(joined([band], "moderator band"), "myocardium"),
         *_great_vessels(scale),
     ]
@@ -146,11 +142,8 @@ def _lungs(pitch_mm: float, beside_heart: sdf.Field, seed: int) -> Part:
         beside_heart,
         sdf.outside(sdf.ellipsoid((0.0, 21.0, -10.0), (9.0, 11.0, 62.0))),
     ]
-    meshes = []
-    for side in SIDES:
-        field = sdf.rippled(sdf.intersection([*room, sdf.half_space((side, 0.0, 0.0), 2.8)], 3.0), seed, 0.2, 12.0)
-        meshes.append(sdf.mesh_field(field, TRUNK_BOX, pitch_mm, "lung"))
-    return Part(joined(meshes, "lungs"), "lung")
+    halves = [sdf.intersection([*room, sdf.half_space((side, 0.0, 0.0), 2.8)], 3.0) for side in SIDES]
+    return sdf.several("lung", "lungs", [sdf.rippled(half, seed, 0.2, 12.0) for half in halves], TRUNK_BOX, pitch_mm)
 
 
 def _great_vessels(scale: float) -> list[Part]:
@@ -202,6 +195,9 @@ def fetal_head(scale: float, seed: int) -> list[Part]:
     thalami = sdf.union(halves, 0.8)
     cavum = sdf.box((0.0, -12.5, 1.0), (2.1, 4.4, 3.2), 1.2)
     third_ventricle = sdf.ellipsoid((0.0, 4.0, 0.0), (0.75, 5.6, 4.5))
+    x, y, z = EYE_CENTER
+    eyes = [sdf.ellipsoid((side * x, y, z), (5.2, 5.2, 5.2)) for side in SIDES[::-1]]
+    lenses = [sdf.ellipsoid((side * x, y - 3.4, z), (1.6, 0.9, 1.6)) for side in SIDES[::-1]]
     return [
         solid(skull, "fetal_bone", 0.95, "skull", 7.0),
         Part(joined(_sutures(scale), "sutures"), "soft_tissue"),
@@ -216,7 +212,8 @@ def fetal_head(scale: float, seed: int) -> list[Part]:
         solid(sdf.shrunk(cavum, -0.7), "falx", 0.5, "septa pellucida", 1.4),
         solid(cavum, "csf", 0.5, "cavum septi pellucidi", 1.4),
         *_ventricles(scale),
-        *_eyes(scale),
+        sdf.several("csf", "eyes", eyes, HEAD_BOX, min(0.6 * scale, 3.2)),
+        sdf.several("cartilage", "lenses", lenses, HEAD_BOX, min(0.35 * scale, 0.6)),
     ]
 
 
@@ -256,15 +253,3 @@ def _ventricles(scale: float) -> list[Part]:
         tubes = [tube(path * (side, 1.0, 1.0), radius, sides) for side in SIDES[::-1]]
         parts.append(Part(joined(tubes, name), tissue))
     return parts
-
-
-def _eyes(scale: float) -> list[Part]:
-    """Eyes and their lenses."""
-    x, y, z = EYE_CENTER
-    eyes, lenses = [], []
-    for side in SIDES[::-1]:
-        eye = sdf.ellipsoid((side * x, y, z), (5.2, 5.2, 5.2))
-        eyes.append(sdf.mesh_field(eye, HEAD_BOX, min(0.6 * scale, 3.2), "eye"))
-        lens = sdf.ellipsoid((side * x, y - 3.4, z), (1.6, 0.9, 1.6))
-        lenses.append(sdf.mesh_field(lens, HEAD_BOX, min(0.35 * scale, 0.6), "lens"))
-    return [Part(joined(eyes, "eyes"), "csf"), Part(joined(lenses, "lenses"), "cartilage")]

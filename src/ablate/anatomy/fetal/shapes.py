@@ -247,6 +247,11 @@ class Part(NamedTuple):
     tissue: str
 
 
+def several(tissue: str, name: str, fields: Sequence[Field], box: Bounds, pitch_mm: float) -> Part:
+    """Shapes that do not overlap, as one part."""
+    return Part(joined([mesh_field(field, box, pitch_mm, name) for field in fields], name), tissue)
+
+
 def solids_in(box: Bounds, scale: float, coarsest_mm: float | Vector = np.inf) -> Callable[..., Part]:
     """What makes parts of fields in a box: `solid(field, tissue, pitch_mm, name)`, with the pitch at scale 1.
 

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.fft import rfft2
 
-from ablate.metrics.fidelity import as_patches, patches_inside
 from ablate.metrics.metric import MECHANISM, Metric, Shown
 from ablate.metrics.pair import Pair
+from ablate.metrics.patches import as_patches, patches_inside
 
 BLOCK = 32  # px, of the spectra
 LINES = ((0, BLOCK // 2), (BLOCK // 2, 0), (BLOCK // 2, BLOCK // 2))  # bins of a grid with a period of 2 px
