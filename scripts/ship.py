@@ -25,7 +25,7 @@ def renderer_of(folder: Path) -> Renderer:
     known = dict(zip((tissue.name for tissue in tissues), values, strict=True))
     simulator = s.simulator
     generator = load_generator(run.checkpoint)
-    return Renderer(generator, known, s.probe, simulator.tgc_db_cm_mhz, simulator.image_shape, made)
+    return Renderer(generator, known, s.probe, run.data_set.pairs.tgc, simulator.image_shape, made)
 
 
 def main() -> None:

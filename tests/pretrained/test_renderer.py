@@ -74,7 +74,7 @@ def test_a_file_gives_back_the_same_renderer(frame: Frame, tmp_path: Path) -> No
     save(made(), tmp_path / "mine.pt")
     back = load(tmp_path / "mine.pt")
     np.testing.assert_array_equal(back.render(frame, TISSUES), made().render(frame, TISSUES))
-    assert (back.values, back.probe, back.tgc_db_cm_mhz, back.image_shape) == (made().values, PROBE, 0.4, SHAPE)
+    assert (back.values, back.probe, back.tgc, back.image_shape) == (made().values, PROBE, 0.4, SHAPE)
 
 
 def test_what_cannot_be_loaded_or_rendered_is_named(frame: Frame, tmp_path: Path) -> None:

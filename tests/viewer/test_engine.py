@@ -26,7 +26,7 @@ from support.viewed_body import BODY, STATE
 
 @pytest.mark.parametrize("display", [None, Display()])
 def test_at_rest_it_is_the_simulators_frame_bit_for_bit(display: Display | None) -> None:
-    views = Engine(BODY).render(replace(STATE, display=display), Quality.full)
+    views = Engine(BODY, STATE.pose[None]).render(replace(STATE, display=display), Quality.full)
     frame = Simulator(BODY, STATE.probe, STATE.simulator).render(STATE.pose, STATE.seed)
     np.testing.assert_array_equal(views.target, frame.image)
     np.testing.assert_array_equal(views.segmentation, frame.segmentation)
@@ -36,7 +36,7 @@ def test_at_rest_it_is_the_simulators_frame_bit_for_bit(display: Display | None)
 
 
 def test_moving_it_has_the_same_maps_and_a_coarser_image() -> None:
-    engine = Engine(BODY)
+    engine = Engine(BODY, STATE.pose[None])
     moving, rest = engine.render(STATE, Quality.coarse), engine.render(STATE, Quality.full)
     np.testing.assert_array_equal(moving.segmentation, rest.segmentation)
     np.testing.assert_array_equal(moving.attenuation, rest.attenuation)
@@ -52,7 +52,7 @@ def test_depth_and_frequency_change_without_building_embree_again(monkeypatch: p
         built.append(1)
         build(geometry, *given)
 
-    engine = Engine(BODY)
+    engine = Engine(BODY, STATE.pose[None])
     monkeypatch.setattr(embree.Geometry, "__init__", counted)
     engine.render(STATE, Quality.full)
     for probe in (replace(STATE.probe, depth_mm=90.0), replace(STATE.probe, frequency_mhz=5.0)):
@@ -71,7 +71,11 @@ def test_triangles_of_another_scene_are_refused() -> None:
 
 def test_gain_is_added_to_echoes_and_noise_alike() -> None:
     """10 dB more are 12.75 grey levels more of a display of 200 dB, on which nothing is black or white."""
-    engine, plain, louder = Engine(BODY), Display(dynamic_range_db=200.0), Display(10.0, dynamic_range_db=200.0)
+    engine, plain, louder = (
+        Engine(BODY, STATE.pose[None]),
+        Display(dynamic_range_db=200.0),
+        Display(10.0, dynamic_range_db=200.0),
+    )
     frames = [engine.render(replace(STATE, display=d), Quality.full) for d in (plain, louder)]
     mask = frames[0].mask
     before, after = (frame.target[mask].astype(float) for frame in frames)
@@ -82,7 +86,7 @@ def test_gain_is_added_to_echoes_and_noise_alike() -> None:
 
 
 def test_tgc_sliders_brighten_their_depth_alone() -> None:
-    engine = Engine(BODY)
+    engine = Engine(BODY, STATE.pose[None])
     shown = [engine.render(replace(STATE, display=Display(tgc_db=(0, 0, db))), Quality.full).target for db in (0, 20)]
     depth = pixel_polar(STATE.probe, STATE.simulator.image_shape)[0] / STATE.probe.depth_mm
     plain, deep = (image.astype(float) for image in shown)
@@ -101,7 +105,7 @@ def test_controls_of_a_finished_image_are_those_of_the_simulator() -> None:
 
 
 def test_a_run_that_is_gone_is_said_in_a_note(tmp_path: Path) -> None:
-    views = Engine(BODY).render(replace(STATE, runs=(tmp_path / "gone",)), Quality.full)
+    views = Engine(BODY, STATE.pose[None]).render(replace(STATE, runs=(tmp_path / "gone",)), Quality.full)
     assert views.generated == (None,)
     assert "this run is gone" in views.notes["generated 0"]
     assert views.target.any()
@@ -110,14 +114,14 @@ def test_a_run_that_is_gone_is_said_in_a_note(tmp_path: Path) -> None:
 def test_a_probe_in_the_air_is_rendered_without_a_warning() -> None:
     away = STATE.pose.copy()
     away[1, 3] -= 500
-    views = Engine(BODY).render(replace(STATE, pose=away), Quality.full)
+    views = Engine(BODY, STATE.pose[None]).render(replace(STATE, pose=away), Quality.full)
     assert set(np.unique(views.segmentation)) == {0, 1}
 
 
 def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not_know() -> None:
     picked = pickable(Path("nowhere"))
     assert list(picked) == ["comes with ablate: sa2h"]
-    views = Engine(BODY).render(replace(STATE, runs=tuple(picked.values())), Quality.full)
+    views = Engine(BODY, STATE.pose[None]).render(replace(STATE, runs=tuple(picked.values())), Quality.full)
     (image,) = views.generated
     assert image is not None
     assert image.shape == STATE.simulator.image_shape
@@ -134,7 +138,7 @@ def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
     fluid, tissue = (table[name] for name in list(renderer.values)[:2])
     known = Scene((Structure(trimesh.creation.cylinder(radius=100, height=200), tissue),), fluid, "known")
     (picked,) = pickable(Path("nowhere")).values()
-    views = Engine(known).render(replace(STATE, runs=(picked,), seed=3), Quality.coarse)
+    views = Engine(known, STATE.pose[None]).render(replace(STATE, runs=(picked,), seed=3), Quality.coarse)
     frame = Simulator(known, STATE.probe, STATE.simulator).render(STATE.pose)
     np.testing.assert_array_equal(views.generated[0], renderer.render(frame, known.tissues, seed=3))
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -199,5 +200,6 @@ def _map_maker(settings: StudySettings, data: DataSet, names: set[str]) -> Calla
     from ablate.runs.timed_maps import nudged, timed_maps
 
     scene, _ = build_scene(settings)
-    make = timed_maps(scene, settings.probe, settings.simulator, data.pairs.poses, low="low" in names)
+    simulator = replace(settings.simulator, time_gain_db=data.time_gain_db)
+    make = timed_maps(scene, settings.probe, simulator, data.pairs.poses, low="low" in names)
     return lambda frame, number: make(nudged(data.pairs.poses[frame], number), settings.dataset.seed)

@@ -52,7 +52,7 @@ class Pairs:
         Probe to world, mm.
     sites : (n,) int32
     split : (n,) uint8 of `Part`
-    probe, tgc_db_cm_mhz
+    probe, tgc
         What the frames were simulated with, for `compensated`; None where it is not known.
     """
 
@@ -64,7 +64,7 @@ class Pairs:
     shard: int
     tissues: tuple[str, ...]
     probe: Probe | None = None
-    tgc_db_cm_mhz: float | None = None
+    tgc: float | tuple[float, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.sites)
@@ -117,12 +117,12 @@ class Pairs:
     def _of_shard(self, name: str, shard: int, frames: slice) -> np.ndarray:
         """A range of frames, all of one shard, (k, H, W)."""
         if name in DERIVED:
-            if self.probe is None or self.tgc_db_cm_mhz is None:
+            if self.probe is None or self.tgc is None:
                 raise ValueError(
                     f"{self.folder}: compensated attenuation needs the probe and the TGC of the simulation"
                 )
             attenuation = decode_attenuation(self._of_shard(DERIVED[name], shard, frames))
-            shares = compensated_attenuation(attenuation, self.probe, self.tgc_db_cm_mhz)
+            shares = compensated_attenuation(attenuation, self.probe, self.tgc)
             return np.rint(shares * ATTENUATION_SCALE).astype(np.uint16)
         file = self.shard_file(name, shard)
         if not file.exists():  # Zarr would read zeros

@@ -30,7 +30,7 @@ class Renderer:
     ----------
     values : mapping of str to float
         The value in [-1, 1] that the generator reads for each tissue.
-    probe, tgc_db_cm_mhz, image_shape
+    probe, tgc, image_shape
         Of its training frames. Frames of another size in pixels or millimetres are rendered, but not well: the
         generator has learnt the speckle of these.
     made : mapping of str to str
@@ -40,7 +40,7 @@ class Renderer:
     generator: Generator
     values: Mapping[str, float]
     probe: Probe
-    tgc_db_cm_mhz: float
+    tgc: float | tuple[float, ...]
     image_shape: tuple[int, int]
     made: Mapping[str, str]
 
@@ -83,7 +83,7 @@ class Renderer:
         maps = {
             "segmentation": frame.segmentation[None],
             "attenuation": frame.attenuation[None],
-            "compensated": compensated_attenuation(frame.attenuation[None], self.probe, self.tgc_db_cm_mhz),
+            "compensated": compensated_attenuation(frame.attenuation[None], self.probe, self.tgc),
         }
         read = {name: maps[name] for name in conditions(self.generator.spec)}
         inputs, mask = network_inputs(read, values, frame.mask), torch.from_numpy(frame.mask)
@@ -113,7 +113,7 @@ def load(name: str | Path) -> Renderer:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         generator = Generator(GeneratorSpec(**content["spec"]))
         generator.load_state_dict(content["weights"])
-        setting = (content["values"], probe_from(content["probe"]), content["tgc_db_cm_mhz"])
+        setting = (content["values"], probe_from(content["probe"]), content["tgc"])
         return Renderer(generator.eval(), *setting, tuple(content["image_shape"]), content["made"])
     except Exception as error:
         raise ValueError(f"{path}: not a file of a trained generator ({' '.join(str(error).split()):.200})") from error
@@ -136,7 +136,7 @@ def save(renderer: Renderer, path: Path) -> None:
         "weights": renderer.generator.state_dict(),
         "values": dict(renderer.values),
         "probe": plain(renderer.probe),
-        "tgc_db_cm_mhz": renderer.tgc_db_cm_mhz,
+        "tgc": renderer.tgc,
         "image_shape": list(renderer.image_shape),
         "made": dict(renderer.made),
     }

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from ablate.anatomy import Tissue
 from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, Part, open_pairs
@@ -20,7 +20,7 @@ from ablate.runs.imported import about_imported
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.settings.values import build
 from ablate.storage import read_json, write_json
-from ablate.ultrasound.settings import probe_from
+from ablate.ultrasound.settings import Sliders, probe_from
 
 #: The maps that say which data a run was scored on; all of their test frames are read for the digest.
 _DIGESTED = ("segmentation", "attenuation", "target", "resimulation")
@@ -51,14 +51,20 @@ class DataSet:
         """Its frames, with the probe and the time gain that they were simulated with."""
         pairs = open_pairs(self.folder)
         if simulator := self.about.get("simulator"):
-            gain = simulator["tgc_db_cm_mhz"]
-            pairs = replace(pairs, probe=probe_from(self.about["probe"]), tgc_db_cm_mhz=gain)
+            tgc = self.time_gain_db or simulator["tgc_db_cm_mhz"]
+            pairs = replace(pairs, probe=probe_from(self.about["probe"]), tgc=tgc)
         return pairs
 
     @property
     def tissues(self) -> tuple[Tissue, ...]:
         """The tissues behind the labels 1, 2, ..."""
         return tuple(build(Tissue, tissue) for tissue in self.about["tissues"])
+
+    @property
+    def time_gain_db(self) -> Sliders | None:
+        """The curve of `simulator.time_gain_db` or of `tgc=patient` that its frames have; None where neither is set."""
+        curve = self.about["time_gain_db"]
+        return None if curve is None else cast(Sliders, tuple(curve))
 
     @property
     def contact_sheet(self) -> Path:

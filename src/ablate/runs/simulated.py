@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,12 @@ from tqdm import tqdm
 
 from ablate import anatomy, dataset
 from ablate.anatomy import ANATOMY_VERSION, LABELS_VERSION, Scene, SiteGrid
-from ablate.dataset import Dropped, Placement, Recipe
+from ablate.dataset import Dropped, Pairs, Part, Placement, Recipe
+from ablate.runs.job import Job
 from ablate.setting import identity, plain
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest_of_files
-from ablate.ultrasound import SIMULATOR_VERSION, fan_mask
+from ablate.ultrasound import SIMULATOR_VERSION, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.media import plan_scene
 
 
@@ -99,18 +100,44 @@ def lay_out(settings: StudySettings, scene: Scene, grid: SiteGrid) -> Layout:
     return Layout(placement.poses[picked[order]], sites[order], split[order], placement)
 
 
+def frames_of(job: Job, scene: Scene, grid: SiteGrid) -> Layout | Pairs:
+    """The frames of a job's data set, as they are made or, where none are, as they will be."""
+    return job.data.pairs if job.data.exists else lay_out(job.settings, scene, grid)
+
+
+def simulator_of(job: Job, scene: Scene, grid: SiteGrid, poses: np.ndarray) -> SimulatorSettings:
+    """The simulator's settings with the time gain of the job's data set; without probe sites, that of these poses."""
+    settings = job.settings
+    if settings.simulator.tgc is TimeGain.fixed or settings.simulator.time_gain_db is not None:
+        return settings.simulator
+    if job.data.exists:
+        return replace(settings.simulator, time_gain_db=job.data.time_gain_db)
+    return with_patient_gain(scene, settings.probe, settings.simulator, training_poses(settings, scene, grid, poses))
+
+
+def training_poses(settings: StudySettings, scene: Scene, grid: SiteGrid, poses: np.ndarray) -> np.ndarray:
+    """Poses, (n, 4, 4), that an anatomy's time gain is set for; where a folder has no probe sites, those given."""
+    if grid == SiteGrid() and not settings.dataset.poses:
+        return poses
+    layout = lay_out(settings, scene, grid)
+    return layout.poses[layout.split == Part.train]
+
+
 def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], about: Mapping[str, object]) -> None:
     """Make the data set in `folder`, or what is missing of it; `about` is kept beside it."""
     scene, grid = build_scene(settings)
     layout = lay_out(settings, scene, grid)
-    left_out = plan_scene(scene, settings.probe, settings.simulator, layout.poses).left_out
+    training = layout.poses[layout.split == Part.train]
+    simulator = with_patient_gain(scene, settings.probe, settings.simulator, training)
+    left_out = plan_scene(scene, settings.probe, simulator, layout.poses).left_out
     tqdm.write(f"Simulating pairs into {folder}")
     tqdm.write(f"{layout.placement}; {len(layout.sites)} of {settings.dataset.frames} frames asked for")
     for line in left_out:
         tqdm.write(f"left out: {line}")
     poses = {"usable": len(layout.placement.poses), "dropped": layout.placement.dropped}
     about = {**about, "tissues": [plain(t) for t in scene.tissues], "left_out": left_out, "poses": poses}
+    about |= {"time_gain_db": simulator.time_gain_db}
     placed = layout.poses, layout.sites, layout.split, fan_mask(settings.probe, settings.simulator.image_shape)
     pairs = dataset.create_pairs(folder, *placed, settings.dataset.shard, [t.name for t in scene.tissues], about)
-    recipe = Recipe(scene, settings.probe, settings.simulator, settings.dataset.seed)
+    recipe = Recipe(scene, settings.probe, simulator, settings.dataset.seed)
     dataset.simulate_pairs(recipe, pairs, maps, settings.dataset.workers)

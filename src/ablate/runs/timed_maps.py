@@ -33,7 +33,7 @@ def timed_maps(
             both = _milliseconds_since(start)
         labels = sum(taken[Stage.pixel_labels])
         start = time.perf_counter()
-        compensated = compensated_attenuation(attenuation, probe, settings.tgc_db_cm_mhz)
+        compensated = compensated_attenuation(attenuation, probe, settings.time_gain)
         more = _milliseconds_since(start)
         made = {"segmentation": segmentation, "attenuation": attenuation, "compensated": compensated}
         times = {"segmentation": labels, "attenuation": both - labels, "compensated": both - labels + more}

@@ -14,11 +14,11 @@ from ablate.analysis import preview_figure
 from ablate.anatomy import Scene, fetal_planes
 from ablate.dataset import Pairs, Part, read_poses
 from ablate.runs.job import Job
-from ablate.runs.simulated import Layout, build_scene, lay_out
+from ablate.runs.simulated import build_scene, frames_of, simulator_of
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
 from ablate.storage import read_json, write_image, write_json, written_whole
-from ablate.ultrasound import SIMULATOR_VERSION, Frame, Simulator
+from ablate.ultrasound import SIMULATOR_VERSION, Frame, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import pixel_size_mm
 
 _PREVIEW = frozenset({"segmentation", "target"})
@@ -32,13 +32,14 @@ def render(jobs: Sequence[Job]) -> int:
     named = _named_poses(job)  # before the anatomy is built
     scene, grid = build_scene(settings)
     if named is None:
-        all_poses = job.data.pairs.poses if job.data.exists else lay_out(settings, scene, grid).poses
-        check_frame(settings.frame, len(all_poses))
-        named = f"frame_{settings.frame}", np.asarray(all_poses[settings.frame])[None]
+        frames = frames_of(job, scene, grid)
+        check_frame(settings.frame, len(frames))
+        named = f"frame_{settings.frame}", np.asarray(frames.poses[settings.frame])[None]
     name, poses = named
-    made_with = _made_with(settings, scene, poses)
+    chosen = simulator_of(job, scene, grid, poses)
+    made_with = _made_with(settings, chosen, scene, poses)
     folder = _folder_of(settings.results / "render" / f"{settings.scene_name}-{name}", made_with)
-    simulator = Simulator(scene, settings.probe, settings.simulator, poses=poses)
+    simulator = Simulator(scene, settings.probe, chosen, poses=poses)
     images = []
     for i, pose in enumerate(poses):
         frame = simulator.render(pose, seed=settings.dataset.seed)  # as a data set would hold it
@@ -101,12 +102,14 @@ def _write(folder: Path, frame: Frame, number: str) -> None:
         write_image(folder / f"{name}{number}.png", values)
 
 
-def _made_with(settings: StudySettings, scene: Scene, poses: np.ndarray) -> dict[str, Any]:
-    height_mm, width_mm = pixel_size_mm(settings.probe, settings.simulator.image_shape)
+def _made_with(
+    settings: StudySettings, simulator: SimulatorSettings, scene: Scene, poses: np.ndarray
+) -> dict[str, Any]:
+    height_mm, width_mm = pixel_size_mm(settings.probe, simulator.image_shape)
     return {
         "scene": plain(settings.scene),
         "probe": plain(settings.probe),
-        "simulator": plain(settings.simulator),
+        "simulator": plain(simulator),
         "simulator_version": SIMULATOR_VERSION,
         "seed": settings.dataset.seed,
         "poses": poses.tolist(),
@@ -118,16 +121,16 @@ def _made_with(settings: StudySettings, scene: Scene, poses: np.ndarray) -> dict
 @refusing()  # a mesh with a hole, no usable pose, ...
 def preview(jobs: Sequence[Job]) -> int:
     """Draw frame number `frame` of the first job's data set, and print the path of the picture."""
-    settings, frame, data = jobs[0].settings, jobs[0].settings.frame, jobs[0].data
-    pairs = data.pairs if data.exists else None
-    check_frame(frame, settings.dataset.frames if pairs is None else len(pairs))
+    job, settings, frame, data = jobs[0], jobs[0].settings, jobs[0].settings.frame, jobs[0].data
+    check_frame(frame, len(data.pairs) if data.exists else settings.dataset.frames)
     scene, grid = build_scene(settings)
-    frames: Pairs | Layout = lay_out(settings, scene, grid) if pairs is None else pairs
+    frames = frames_of(job, scene, grid)
     check_frame(frame, len(frames))
-    if pairs is not None and frame // pairs.shard not in pairs.missing(_PREVIEW):
-        image, segmentation = (pairs.read(name, [frame])[0] for name in ("target", "segmentation"))
+    if isinstance(frames, Pairs) and frame // frames.shard not in frames.missing(_PREVIEW):
+        image, segmentation = (frames.read(name, [frame])[0] for name in ("target", "segmentation"))
     else:
-        simulator = Simulator(scene, settings.probe, settings.simulator, poses=frames.poses)
+        chosen = simulator_of(job, scene, grid, frames.poses)
+        simulator = Simulator(scene, settings.probe, chosen, poses=frames.poses)
         rendered = simulator.render(frames.poses[frame], seed=settings.dataset.seed)  # as the data set will hold it
         image, segmentation = rendered.image, rendered.segmentation
     part, site = Part(frames.split[frame]).name, frames.sites[frame]

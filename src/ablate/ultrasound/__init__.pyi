@@ -1,5 +1,6 @@
 from .attenuation import compensated_attenuation as compensated_attenuation
 from .imaging.bmode import Display as Display
+from .patient_gain import with_patient_gain as with_patient_gain
 from .probe import fan_mask as fan_mask
 from .settings import SIMULATOR_VERSION as SIMULATOR_VERSION
 from .settings import ConvexProbe as ConvexProbe
@@ -11,4 +12,5 @@ from .settings import PlanMode as PlanMode
 from .settings import Probe as Probe
 from .settings import SimulatorPrecision as SimulatorPrecision
 from .settings import SimulatorSettings as SimulatorSettings
+from .settings import TimeGain as TimeGain
 from .simulator import Simulator as Simulator

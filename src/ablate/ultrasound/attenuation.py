@@ -1,6 +1,7 @@
 """The integral attenuation map A: how much of the pulse's amplitude is left at each point; and A with the time gain."""
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -35,16 +36,18 @@ def integral_attenuation(labels: np.ndarray, losses_db_mm: np.ndarray, spacing_m
     return np.exp(np.minimum(scale - total, 0)).astype(np.float32, copy=False)
 
 
-def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc_db_cm_mhz: float) -> np.ndarray:
+def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: float | Sequence[float]) -> np.ndarray:
     """The map A as the image has it: in decibels, two ways, plus the gain of the TGC at the depth of each pixel.
 
-    It is (40 log10(max(A, 1e-4)) + 2 tgc f z + 36) / 72 with the depth z in cm, clipped to [0, 1]. At 0.5 (0 dB) the
+    It is (40 log10(max(A, 1e-4)) + g(z) + 36) / 72 with the time gain g(z) in dB, clipped to [0, 1]. At 0.5 (0 dB) the
     gain makes up for the attenuation. How bright a pixel is follows from A and z, and a crop of A does not tell z.
 
     Parameters
     ----------
     attenuation : (..., H, W) float in [0, 1]
         A, over its 98th percentile, of an image of the fan's bounding box.
+    tgc : float or several
+        A slope, dB/cm/MHz one way, or the curve of a patient, dB two ways, as `SimulatorSettings.time_gain`.
 
     Returns
     -------
@@ -57,21 +60,22 @@ def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc_db_cm_mhz
 
     >>> import numpy as np
     >>> from ablate.ultrasound import ConvexProbe, compensated_attenuation
-    >>> level = compensated_attenuation(np.ones((100, 139)), ConvexProbe(frequency_mhz=3.0), tgc_db_cm_mhz=0.4)
+    >>> level = compensated_attenuation(np.ones((100, 139)), ConvexProbe(frequency_mhz=3.0), tgc=0.4)
     >>> [f"{level[row, 69]:.2f}" for row in (10, 50, 90)], float(level[0, 0])
     (['0.53', '0.74', '0.95'], 0.0)
     """
     height, width = attenuation.shape[-2:]
     level_db = 40 * np.log10(np.maximum(attenuation, _LEAST, dtype=np.float32))
-    level_db += _gain_db(probe, tgc_db_cm_mhz, (height, width))
+    level_db += _gain_db(probe, tuple(tgc) if isinstance(tgc, Sequence) else tgc, (height, width))
     level_db += np.float32(_REACH_DB)
     level_db /= np.float32(2 * _REACH_DB)
     return np.clip(level_db, 0, 1, out=level_db)
 
 
 @lru_cache(maxsize=4)
-def _gain_db(probe: Probe, tgc_db_cm_mhz: float, shape: tuple[int, int]) -> np.ndarray:
+def _gain_db(probe: Probe, tgc: float | tuple[float, ...], shape: tuple[int, int]) -> np.ndarray:
     """Gain of the TGC at every pixel, (H, W) float32; minus infinity outside the fan, where the image is black."""
     depth_mm, _ = pixel_polar(probe, shape)
-    gain = time_gain_db(depth_mm, probe.frequency_mhz, tgc_db_cm_mhz)
-    return np.where(fan_mask(probe, shape), gain, -np.inf).astype(np.float32)
+    inside = fan_mask(probe, shape)
+    gain = time_gain_db(np.where(inside, depth_mm, 0), probe, tgc)
+    return np.where(inside, gain, -np.inf).astype(np.float32)

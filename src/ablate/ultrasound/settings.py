@@ -24,6 +24,13 @@ class PlanMode(StrEnum):
     full = "full"
 
 
+class TimeGain(StrEnum):
+    """The curve of the time gain: `tgc_db_cm_mhz` at all depths, or as an operator sets it for a patient."""
+
+    fixed = "fixed"
+    patient = "patient"
+
+
 class DepthMode(StrEnum):
     """Where an echo is drawn: at its path length, or at its travel time shown at 1540 m/s."""
 
@@ -42,6 +49,8 @@ class SimulatorPrecision(StrEnum):
 _size_mm = partial(setting, least=1e-6, most=1e3, unit="mm")
 _offset_mm = partial(setting, least=0, most=1e3, unit="mm")
 _distance_mm = partial(setting, least=1e-3, most=1e6, unit="mm")
+#: Time gain at 8 equal distances from the face to the imaging depth, dB, as the sliders of a scanner's panel.
+Sliders = tuple[float, float, float, float, float, float, float, float]
 
 
 # The largest counts are far beyond any use: what exceeds them is a slip, and would end for want of memory after the
@@ -62,8 +71,18 @@ class SimulatorSettings:
     image_shape: tuple[int, int] = setting(
         (1000, 1386), "Rows and columns of the image.", least=1, most=2**14, unit="px"
     )
+    tgc: TimeGain = setting(
+        TimeGain.fixed, "Time gain: by depth alone, or one curve for all frames of an anatomy (`with_patient_gain`)."
+    )
     tgc_db_cm_mhz: float = setting(
-        0.4, "Time gain, one way; twice this is applied.", least=0, most=1e3, unit="dB/cm/MHz"
+        0.4, "Time gain of `tgc=fixed`, one way; twice this is applied.", least=0, most=1e3, unit="dB/cm/MHz"
+    )
+    time_gain_db: Sliders | None = setting(
+        None,
+        "Time gain of your own, two ways, at 8 equal distances from the face to the imaging depth, in place of `tgc`.",
+        least=-300,
+        most=300,
+        unit="dB",
     )
     noise_floor_db: float = setting(
         -45.0,
@@ -126,6 +145,11 @@ class SimulatorSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+    @property
+    def time_gain(self) -> float | tuple[float, ...]:
+        """What `media.time_gain_db` takes: a slope, dB/cm/MHz one way, or a curve, dB two ways."""
+        return self.tgc_db_cm_mhz if self.time_gain_db is None else self.time_gain_db
 
     @classmethod
     def low_quality(cls, **changes: object) -> SimulatorSettings:

@@ -16,7 +16,7 @@ from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain
 from ablate.ultrasound.imaging.point_spread import layer_weights
 from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.probe import check_pose, fan_of
-from ablate.ultrasound.settings import ConvexProbe, Frame, Probe, SimulatorSettings
+from ablate.ultrasound.settings import ConvexProbe, Frame, Probe, SimulatorSettings, TimeGain
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport import lines
@@ -89,6 +89,8 @@ class Simulator:
         settings = settings or SimulatorSettings()
         if settings.device == "auto":
             settings = replace(settings, device="cuda" if torch.cuda.is_available() else "cpu")
+        if settings.tgc is TimeGain.patient and settings.time_gain_db is None:
+            raise ValueError("tgc=patient: a curve is needed, which with_patient_gain computes from poses")
         self.settings = settings
         self._plan = plan_scene(scene, probe, settings, poses)
         self.left_out = self._plan.left_out
@@ -179,6 +181,17 @@ class Simulator:
                 attenuation = self._chain.convert(self._chain.tensor(polar_map)).clip(0, 1)
                 self._maps = pose.tobytes(), np.where(inside, labels + np.uint8(1), np.uint8(0)), attenuation
         return self._maps[1].copy(), self._maps[2].copy()
+
+    def scanline_tissues(self, pose: np.ndarray) -> np.ndarray:
+        """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8: index in the scene's.
+
+        Raises
+        ------
+        ValueError
+            When the pose is not rigid.
+        """
+        local = self._local(check_pose(pose))
+        return plane_labels(self._geometry, self._plan.tissue_of_owner, self.probe, self.settings, local)
 
     def _prepare(self, pose: np.ndarray) -> Prepared:
         """What the signal chain needs of a pose, unless it was the last one."""

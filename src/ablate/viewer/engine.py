@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, fan_mask
+from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.probe import pixel_polar
+from ablate.ultrasound.settings import Sliders
 from ablate.viewer.generators import open_generator
 from ablate.viewer.session import Moving, Quality, State, Views
 
@@ -28,11 +29,13 @@ def coarse(settings: SimulatorSettings) -> SimulatorSettings:
 class Engine:
     """Renders the views of a scene. The triangles are given to Embree once, whatever the probe.
 
-    Only one thread may use it at a time. The last few simulators and generators are kept.
+    Only one thread may use it at a time. The last few simulators and generators are kept. The time gain of
+    `tgc=patient` is set for `training_poses`, (n, 4, 4), and for each probe anew.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, training_poses: np.ndarray) -> None:
         self.scene = scene
+        self._time_gain = lru_cache(_KEPT_SIMULATORS)(partial(self._new_time_gain, training_poses))
         self._first: Simulator | None = None
         self._simulator = lru_cache(_KEPT_SIMULATORS)(self._new_simulator)
         self._generator = lru_cache(_KEPT_GENERATORS)(lambda folder: open_generator(folder, scene.tissues))
@@ -82,7 +85,13 @@ class Engine:
             self._made[name] = key, work(), 1e3 * (time.perf_counter() - begun)
         return self._made[name][1:]
 
+    def _new_time_gain(self, poses: np.ndarray, probe: Probe) -> Sliders | None:
+        patient = SimulatorSettings(tgc=TimeGain.patient)
+        return with_patient_gain(self.scene, probe, patient, poses, beside=self._first).time_gain_db
+
     def _new_simulator(self, probe: Probe, settings: SimulatorSettings) -> Simulator:
+        if settings.tgc is TimeGain.patient and settings.time_gain_db is None:
+            settings = replace(settings, time_gain_db=self._time_gain(probe))
         simulator = Simulator(self.scene, probe, settings, beside=self._first)
         self._first = self._first or simulator
         return simulator

@@ -134,7 +134,7 @@ class Trained:
         """
         batch = {name: value[None] for name, value in maps.items()}
         if "compensated" in self.reads:
-            batch["compensated"] = compensated_attenuation(batch["attenuation"], probe, self.renderer.tgc_db_cm_mhz)
+            batch["compensated"] = compensated_attenuation(batch["attenuation"], probe, self.renderer.tgc)
         inputs = network_inputs(batch, self.values, mask)
         return self.engine.render(inputs, torch.from_numpy(mask), torch.tensor([seed]))
 
@@ -170,7 +170,8 @@ def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
         encoding = settings.encoding, settings.encoding_seed
         levels, own = label_values(trained_on, *encoding), label_values(tissues, *encoding)
         values = dict(zip((tissue.name for tissue in trained_on), levels[1:].tolist(), strict=True))
-        frames = settings.probe, settings.simulator.tgc_db_cm_mhz, settings.simulator.image_shape
+        tgc = data.pairs.tgc if data.exists else None
+        frames = settings.probe, tgc or settings.simulator.time_gain, settings.simulator.image_shape
         renderer = Renderer(load_generator(run.checkpoint), values, *frames, made={})
     known = [renderer.values.get(tissue.name, value) for tissue, value in zip(tissues, own[1:], strict=True)]
     unknown = tuple(tissue.name for tissue in tissues if tissue.name not in renderer.values)

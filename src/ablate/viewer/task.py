@@ -20,8 +20,9 @@ import numpy as np
 from ablate.anatomy import Scene, SiteGrid, fetal_planes
 from ablate.dataset import equally_spaced, place_probe, read_poses
 from ablate.runs.job import Job
-from ablate.runs.simulated import build_scene
+from ablate.runs.simulated import build_scene, training_poses
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
+from ablate.ultrasound import TimeGain
 from ablate.viewer.engine import Engine
 from ablate.viewer.generators import pickable
 from ablate.viewer.hand import Hand
@@ -76,7 +77,9 @@ class Viewer:
             raise ConfigurationError(f"runs={settings.runs}: no such folder; {allowed}")
         picked = tuple(pickable(folder).values())[:1]
         hand = Hand(scene, grid.axis, grid.front, settings.dataset.press_mm, settings.probe)
-        self.worker = Worker(Engine(scene).render)
+        named = np.array(list(poses.values()))
+        patient = settings.simulator.tgc is TimeGain.patient
+        self.worker = Worker(Engine(scene, training_poses(settings, scene, grid, named) if patient else named).render)
         start = State(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed, runs=picked)
         self.session = Session(hand, start, poses, self.worker.submit)
         if settings.pose:

@@ -14,7 +14,7 @@ from ablate.anatomy import Scene
 from ablate.dataset import Part, equally_spaced
 from ablate.metrics import METRICS, Pair, evaluate_image
 from ablate.runs.job import Job
-from ablate.runs.simulated import build_scene, lay_out
+from ablate.runs.simulated import build_scene, frames_of, simulator_of
 from ablate.runs.timed_maps import nudged
 from ablate.storage import remove_partial, write_text
 from ablate.ultrasound import PlanMode, Probe, Simulator, SimulatorPrecision, SimulatorSettings, fan_mask
@@ -69,11 +69,11 @@ def bench_of(job: Job) -> Bench:
     The settings are those of the data set with a fixed number of rays. It raises ValueError when a mesh or all poses
     cannot be used.
     """
-    settings, data = job.settings, job.data
+    settings = job.settings
     scene, grid = build_scene(settings)
-    known = data.pairs if data.exists else lay_out(settings, scene, grid)
+    known = frames_of(job, scene, grid)
     frames = equally_spaced(np.flatnonzero(known.split == Part.test), settings.evaluation.timed_frames)
-    fixed = replace(settings.simulator, tolerance=None)
+    fixed = replace(simulator_of(job, scene, grid, known.poses), tolerance=None)
     return Bench(scene, settings.probe, fixed, frames, known.poses[frames], settings.dataset.seed)
 
 

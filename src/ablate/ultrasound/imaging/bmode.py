@@ -137,7 +137,7 @@ class SignalChain:
         self.spread = point_spread(probe, settings, dtype)
         self.speckle = Speckle(tissues, probe, settings, dtype)
         depth_mm = sample_depths_mm(probe, settings.axial_samples)
-        gain_db = np.minimum(time_gain_db(depth_mm, probe.frequency_mhz, settings.tgc_db_cm_mhz), _LARGEST_GAIN_DB)
+        gain_db = np.minimum(time_gain_db(depth_mm, probe, settings.time_gain), _LARGEST_GAIN_DB)
         self.gain = torch.from_numpy(10 ** (gain_db / 20)).to(settings.device, dtype)  # of the samples, two-way
         self._noise: tuple[int, torch.Tensor] | None = None
 
