@@ -15,6 +15,7 @@ from ablate.ultrasound.stages import Stage, stage
 FWHM_PER_SIGMA = 2 * math.sqrt(2 * math.log(2))
 _BLOCKS = 64  # of depth, within which the lateral kernel is taken as constant
 _SIDELOBES = 20.0  # widths of the main lobe that side lobes reach
+_SIDELOBE_SEED = 0
 _LOWEST_EXPONENT = -12.0  # of the main lobe's last entry
 _BLOCKS_OF_A_PART = 8  # that a thread takes at a time
 LINES_OF_A_PART = 32
@@ -70,8 +71,8 @@ def lateral_kernels(
     """What each scanline gets of each other one, (depths, scanlines, scanlines) float64, or (1, ...) if all are equal.
 
     Rows sum to 1. The main lobe is a Gaussian, `widen` times as wide as `lateral_sigma`. Side lobes are `_SIDELOBES`
-    times as wide and of the power `sidelobe_db`. Their sign alternates from one width of the main lobe to the next, as
-    that of an aperture's transform, so that a smooth surface does not fill what lies beside it.
+    times as wide and of the power `sidelobe_db`. Their sign is random from one width of the main lobe to the next, so that
+    a smooth surface does not fill what lies beside it, and one bright point makes no row of equal dots.
     """
     sigma = widen * np.maximum(lateral_sigma(probe, settings, depth_mm), 1e-3 / widen)[:, :, None]
     sigma = sigma[:1] if (sigma == sigma[:1]).all() else sigma
@@ -80,10 +81,11 @@ def lateral_kernels(
     main = np.where(main > np.exp(_LOWEST_EXPONENT), main, 0.0)
     main /= main.sum(axis=-1, keepdims=True)
     wide = _SIDELOBES * sigma
-    side = np.exp(-0.5 * (apart / wide) ** 2) * np.cos(np.pi * apart / (FWHM_PER_SIGMA * sigma))
+    power = (main**2).sum(axis=-1, keepdims=True)
+    signs = main @ np.random.default_rng(_SIDELOBE_SEED).standard_normal(apart.shape) / np.sqrt(power)
+    side = np.exp(-0.5 * (apart / wide) ** 2) * signs
     side -= main * side.sum(axis=-1, keepdims=True)
-    power = (main**2).sum(axis=-1, keepdims=True) / (math.sqrt(math.pi) / 2 * wide)  # main over side lobes
-    return main + 10 ** (sidelobe_db / 20) * np.sqrt(power) * side
+    return main + 10 ** (sidelobe_db / 20) * np.sqrt(power / (math.sqrt(math.pi) * wide)) * side
 
 
 @dataclass(frozen=True)
