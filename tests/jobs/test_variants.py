@@ -13,6 +13,7 @@ from ablate.settings.conf import components, components_of_networks, variant_nam
 from ablate.settings.study import StudySettings
 from ablate.settings.values import keys
 from ablate.training import AdversarialLoss
+from ablate.ultrasound import SimulatorSettings, TimeGain
 
 
 @cache
@@ -27,9 +28,9 @@ def spec(variant: str) -> GeneratorSpec:
 
 
 def test_the_paper_preset_is_the_defaults_of_the_code() -> None:
-    """Its crop and its levels are computed from the frame size, as those of any preset."""
+    """But for the time gain, which is the patient's in every preset. Crop and levels follow from the frame size."""
     (job,) = jobs_of(["preset=paper"])
-    assert job.settings == StudySettings()
+    assert job.settings == StudySettings(simulator=SimulatorSettings(tgc=TimeGain.patient))
 
 
 def test_ablations_equal_the_generated_leave_one_out() -> None:

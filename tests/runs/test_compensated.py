@@ -8,8 +8,9 @@ import numpy as np
 from ablate.dataset import Part
 from ablate.jobs.compose import jobs_of
 from ablate.networks import Attenuation
+from ablate.runs.simulated import build_scene
 from ablate.runs.train import run_job
-from ablate.ultrasound import compensated_attenuation
+from ablate.ultrasound import TimeGain, compensated_attenuation, with_patient_gain
 from support.studies import TINY, TinyStudy
 
 
@@ -21,7 +22,11 @@ def test_it_reads_what_the_frames_were_simulated_with_and_is_scored(tiny_study: 
     assert {p: p.stat().st_mtime_ns for p in runs.glob("data/*/pairs.zarr/**/*")} == before
     assert job.run.settings.model.attenuation is Attenuation.compensated
     assert "test/shadow_contrast" in job.run.result["scalars"]
-    pairs, gain = job.data.pairs, job.settings.simulator.tgc_db_cm_mhz
+    pairs, settings = job.data.pairs, job.settings
+    training, (scene, _) = pairs.poses[pairs.frames(Part.train)], build_scene(settings)
+    gain = with_patient_gain(scene, settings.probe, settings.simulator, training).time_gain_db
+    assert settings.simulator.tgc is TimeGain.patient
+    assert gain == pairs.tgc == job.data.time_gain_db
     frames = pairs.frames(Part.test)
-    expected = compensated_attenuation(pairs.read("attenuation", frames), job.settings.probe, gain)
+    expected = compensated_attenuation(pairs.read("attenuation", frames), settings.probe, gain)
     np.testing.assert_allclose(pairs.read("compensated", frames), expected, atol=0.6 / 65535)
