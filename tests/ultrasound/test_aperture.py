@@ -5,6 +5,7 @@ import pytest
 
 from ablate.ultrasound import ConvexProbe, LinearProbe, Probe, SimulatorSettings
 from ablate.ultrasound.transport.aperture import Aperture
+from ablate.ultrasound.transport.lines import NO_SOUND_DB
 
 SETTINGS = SimulatorSettings(scanlines=256, layers=1)
 PROBE = LinearProbe(width_mm=60.0, depth_mm=128.0, frequency_mhz=5.0)
@@ -76,3 +77,28 @@ def test_one_element_is_a_pencil_but_for_diffraction() -> None:
     gain_db = Aperture(fast, one).gain_db(level_db)
     np.testing.assert_allclose(gain_db[104:146], 0.0, atol=1e-6)
     np.testing.assert_allclose(gain_db[:96], 0.0, atol=1e-6)
+
+
+def test_levels_with_gaps_are_never_lifted_above_the_sound_that_was_sent() -> None:
+    """Few rays behind bone leave nodes without sound, and louder ones behind them; neighbours hear nothing of it."""
+    random = np.random.default_rng(0)
+    settings = SimulatorSettings(scanlines=96, layers=1, image_shape=(8, 8))
+    aperture, smooth = Aperture(ConvexProbe(), settings), -np.linspace(0, 60, 256) * np.ones((96, 1))
+    level = smooth - random.exponential(10, smooth.shape)
+    level[random.random(level.shape) < 0.2] = NO_SOUND_DB
+    assert (level + aperture.gain_db(level)).max() < 1e-9
+    one = smooth.copy()
+    one[48, 100:130] = NO_SOUND_DB
+    np.testing.assert_allclose((one + aperture.gain_db(one))[:, :95], smooth[:, :95], atol=1e-9)
+    beside = np.delete(one + aperture.gain_db(one), 48, axis=0)
+    np.testing.assert_allclose(beside, np.delete(smooth, 48, axis=0), atol=0.5)
+
+
+def test_other_elements_hear_what_lies_behind_a_pencil_without_sound() -> None:
+    settings = SimulatorSettings(scanlines=96, layers=1, image_shape=(8, 8))
+    level = np.zeros((96, 256))
+    level[48, 40:] = NO_SOUND_DB
+    filled = (level + Aperture(ConvexProbe(), settings).gain_db(level))[48]
+    assert filled[60:].min() > -12
+    assert filled[-1] > -8
+    assert filled[44] < -40  # right behind, all ways are blocked

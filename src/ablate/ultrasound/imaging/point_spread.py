@@ -71,8 +71,8 @@ def lateral_kernels(
     """What each scanline gets of each other one, (depths, scanlines, scanlines) float64, or (1, ...) if all are equal.
 
     Rows sum to 1. The main lobe is a Gaussian, `widen` times as wide as `lateral_sigma`. Side lobes are `_SIDELOBES`
-    times as wide and of the power `sidelobe_db`. Their sign is random from one width of the main lobe to the next, so that
-    a smooth surface does not fill what lies beside it, and one bright point makes no row of equal dots.
+    times as wide and of the power `sidelobe_db`. Their sign is random from one width of the main lobe to the next, so
+    that a smooth surface does not fill what lies beside it, and one bright point makes no row of equal dots.
     """
     sigma = widen * np.maximum(lateral_sigma(probe, settings, depth_mm), 1e-3 / widen)[:, :, None]
     sigma = sigma[:1] if (sigma == sigma[:1]).all() else sigma

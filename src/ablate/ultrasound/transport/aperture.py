@@ -16,6 +16,7 @@ from ablate.ultrasound.media import DISPLAY_SPEED_M_S
 from ablate.ultrasound.probe import fan_of
 from ablate.ultrasound.settings import PhasedProbe, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
+from ablate.ultrasound.transport.lines import NO_SOUND_DB
 
 _ELEMENTS = 24  # that stand for all that see a point
 _DEPTHS = 64
@@ -60,19 +61,31 @@ class Aperture:
         Returns
         -------
         (groups, nodes) float64, dB
+            With `level_db` at most the level where nothing is lost.
         """
         groups, nodes = level_db.shape
         at_depths = np.minimum((np.arange(_DEPTHS) + 1) * nodes // _DEPTHS, nodes - 1)
-        loss_db = -level_db[:, at_depths].reshape(-1, self._lines, _DEPTHS).transpose(0, 2, 1) / 2  # one way
-        gain = np.zeros_like(loss_db)
-        for of_layer, lost in zip(gain, loss_db, strict=True):
+        # A pencil that is louder farther on, because few of its rays came back into it, has blocked nothing before.
+        lost_db = np.minimum(-level_db / 2, _MOST_DB)  # one way
+        lost_db = np.minimum.accumulate(lost_db[:, ::-1], axis=1)[:, ::-1]
+        at_depth = lost_db[:, at_depths].reshape(-1, self._lines, _DEPTHS).transpose(0, 2, 1)
+        gain = np.zeros_like(at_depth)
+        for of_layer, lost in zip(gain, at_depth, strict=True):
             steps = np.diff(lost, axis=0, prepend=0.0)
             padded = np.pad(steps, ((0, 0), (self._lines, self._lines)), mode="edge")
             _add_up(np.ascontiguousarray(padded), lost, self._ways, self._weights, self._exists, of_layer)
         by_group = gain.transpose(0, 2, 1).reshape(groups, _DEPTHS)
-        place = np.clip((np.arange(nodes) + 1) * (_DEPTHS / nodes) - 1, 0, _DEPTHS - 1)
-        below = np.minimum(place.astype(int), max(_DEPTHS - 2, 0))
-        return by_group[:, below] + (place - below) * (by_group[:, below + 1] - by_group[:, below])
+        heard = np.where(lost_db[:, at_depths] < _MOST_DB, np.arange(_DEPTHS), 0)
+        held = np.take_along_axis(by_group, np.maximum.accumulate(heard, axis=1), axis=1)
+        louder = np.minimum(_between(held, nodes), 2 * lost_db)
+        return np.where(level_db > NO_SOUND_DB, louder, _between(by_group, nodes) - 2 * lost_db - level_db)
+
+
+def _between(by_depth: np.ndarray, nodes: int) -> np.ndarray:
+    """Values at the depths, (groups, depths), interpolated to the nodes, (groups, nodes)."""
+    place = np.clip((np.arange(nodes) + 1) * (_DEPTHS / nodes) - 1, 0, _DEPTHS - 1)
+    below = np.minimum(place.astype(int), max(_DEPTHS - 2, 0))
+    return by_depth[:, below] + (place - below) * (by_depth[:, below + 1] - by_depth[:, below])
 
 
 @compiled
