@@ -91,7 +91,7 @@ def test_levels_with_gaps_are_never_lifted_above_the_sound_that_was_sent() -> No
     one[48, 100:130] = NO_SOUND_DB
     np.testing.assert_allclose((one + aperture.gain_db(one))[:, :95], smooth[:, :95], atol=1e-9)
     beside = np.delete(one + aperture.gain_db(one), 48, axis=0)
-    np.testing.assert_allclose(beside, np.delete(smooth, 48, axis=0), atol=0.5)
+    np.testing.assert_allclose(beside, np.delete(smooth, 48, axis=0), atol=1.0)
 
 
 def test_other_elements_hear_what_lies_behind_a_pencil_without_sound() -> None:
@@ -101,4 +101,4 @@ def test_other_elements_hear_what_lies_behind_a_pencil_without_sound() -> None:
     filled = (level + Aperture(ConvexProbe(), settings).gain_db(level))[48]
     assert filled[60:].min() > -12
     assert filled[-1] > -8
-    assert filled[44] < -40  # right behind, all ways are blocked
+    assert filled[48] < filled[60] - 3  # a shadow of one scanline ends soon
