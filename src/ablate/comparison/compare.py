@@ -127,9 +127,8 @@ def write_comparison(study: Study, title: str) -> list[str]:
     (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
     (partial / "table.md").write_text(_markdown(study.table), "utf-8")
     tables = {"paired": study.paired, "claims": claims, "verdicts": judged.verdicts, "runs": judged.runs}
-    more = (("effects", judged.effects), ("paper", judged.paper), ("times", all_times(usable.all)))
-    tables |= {name: made for name, made in more if len(made)}
-    for name, content in tables.items():
+    more = {"effects": judged.effects, "paper": judged.paper, "times": all_times(usable.all)}
+    for name, content in (tables | {name: made for name, made in more.items() if len(made)}).items():
         content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
     partial.rename(folder)
