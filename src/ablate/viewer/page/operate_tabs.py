@@ -129,6 +129,9 @@ def add_scan_tab(page: Page) -> None:
     def levels() -> tuple[float, ...]:
         return display().tgc_db or (0.0,) * _TGC_SLIDERS
 
+    def level(number: int) -> float:
+        return levels()[number]
+
     def set_level(number: int, level: float) -> None:
         show(tgc_db=(*levels()[:number], level, *levels()[number + 1 :]))
 
@@ -144,7 +147,7 @@ def add_scan_tab(page: Page) -> None:
     with gui.add_folder("Time gain (dB), by depth", expand_by_default=False):
         for number in range(_TGC_SLIDERS):
             label = f"at {round(100 * number / (_TGC_SLIDERS - 1))} %"
-            page.add_slider(label, (-20.0, 20.0, 1.0), lambda k=number: levels()[k], partial(set_level, number))
+            page.add_slider(label, (-20.0, 20.0, 1.0), partial(level, number), partial(set_level, number))
     moving = gui.add_dropdown("Moving", tuple(map(str, Moving)), hint="what is rendered while the probe moves")
     moving.on_update(page.does(lambda _: session.show(moving=Moving(moving.value))))
 
