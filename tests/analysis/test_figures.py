@@ -23,7 +23,7 @@ def figures(monkeypatch):
         drawn[stem.name] = figure
         return [stem]
 
-    for module in ("style", "forest_figure", "image_figures"):
+    for module in ("panel_figures", "forest_figure", "image_figures"):
         monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", keep)
     return drawn
 

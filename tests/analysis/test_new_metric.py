@@ -67,7 +67,7 @@ def scored(metrics):
 
 
 def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypatch):
-    name = "ablate.analysis.figures.style.save_figure"  # figures are laid out, not written
+    name = "ablate.analysis.figures.panel_figures.save_figure"  # figures are laid out, not written
     monkeypatch.setattr(name, lambda _figure, stem: [stem.with_suffix(".png")])
     assert metric_of("brightness") is NEW
     assert all("brightness" in shown_in(place) for place in Shown.everywhere)

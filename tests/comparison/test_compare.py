@@ -85,7 +85,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> None:
             path.write_bytes(b"")
         return paths
 
-    for module in ("style", "forest_figure", "image_figures", "runtime_figure"):
+    for module in ("panel_figures", "forest_figure", "image_figures", "runtime_figure"):
         monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", save)
 
 

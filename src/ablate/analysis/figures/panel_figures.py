@@ -8,7 +8,15 @@ import numpy as np
 import pandas as pd
 
 from ablate.analysis.components import Component, short_keys
-from ablate.analysis.figures import style
+from ablate.analysis.figures.style import (
+    axis_title,
+    draw_resimulation,
+    house_style,
+    metric_panels,
+    one_legend,
+    save_figure,
+    shown_name,
+)
 from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, ordered_variants
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.statistics.designs import Design
@@ -66,14 +74,13 @@ def boxplot_panels(
     networks = list(dict.fromkeys(name for shown in drawn.values() for name in shown if name != RESIMULATION))
     if not networks:
         return []
-    with style.house_style():
-        rows = [style.shown_name(name, components) for name in networks]
-        figure, panels = style.metric_panels(list(drawn), rows, 3, BOX_IN)
+    with house_style():
+        figure, panels = metric_panels(list(drawn), [shown_name(n, components) for n in networks], 3, BOX_IN)
         for axes, (metric, differences) in zip(panels, drawn.items(), strict=True):
             if RESIMULATION in differences:
                 lower, middle, upper = np.quantile(differences[RESIMULATION], [0.25, 0.5, 0.75])
                 axes.axvspan(lower, upper, color="#DDDDDD", zorder=0)
-                style.draw_resimulation(axes, metric, float(middle), "re-simulation, median and quartiles")
+                draw_resimulation(axes, metric, float(middle), "re-simulation, median and quartiles")
             axes.axvline(0, color="black", lw=0.8, zorder=1)
             places = {name: len(networks) - k for k, name in enumerate(networks) if name in differences}
             axes.boxplot([differences[name] for name in places], positions=list(places.values()), **BOX_STYLE)
@@ -81,9 +88,9 @@ def boxplot_panels(
                 if row["variant"] in places and np.isfinite([row["lower"], row["upper"]]).all():
                     place = [places[row["variant"]] - 0.37] * 2
                     axes.plot([row["lower"], row["upper"]], place, color="black", lw=1.8, solid_capstyle="butt")
-            axes.set_xlabel(style.axis_title(metric, f"Δ {{}} to {reference}"))
-        style.one_legend(figure, panels, 3 if len(panels) > 1 else 1)
-        return style.save_figure(figure, stem)
+            axes.set_xlabel(axis_title(metric, f"Δ {{}} to {reference}"))
+        one_legend(figure, panels, 3 if len(panels) > 1 else 1)
+        return save_figure(figure, stem)
 
 
 def boxplot_caption(metrics: Sequence[str], reference: str = REFERENCE) -> str:
@@ -124,8 +131,8 @@ def seed_plot(
     rows = ordered_variants(list(networks["variant"]), reference)
     means = networks.groupby(["metric", "variant", "seed"])["value"].mean()
     floors = values[values["variant"] == RESIMULATION].groupby("metric")["value"].mean()
-    with style.house_style():
-        figure, panels = style.metric_panels(shown, [style.shown_name(row, components) for row in rows], 4)
+    with house_style():
+        figure, panels = metric_panels(shown, [shown_name(row, components) for row in rows], 4)
         for axes, metric in zip(panels, shown, strict=True):
             for place, variant in zip(range(len(rows), 0, -1), rows, strict=True):
                 if (metric, variant) not in means.index:
@@ -136,10 +143,10 @@ def seed_plot(
                 axes.plot([scores.mean()], [place], "|", ms=9, color="#0072B2", mew=1.8, label="mean", zorder=1)
                 if variant == reference:
                     axes.axvspan(scores.min(), scores.max(), color="#E3E3E3", zorder=0, label=f"range of {reference}")
-            style.draw_resimulation(axes, metric, floors.get(metric, np.nan))
-            axes.set_xlabel(style.axis_title(metric))
-        style.one_legend(figure, panels, 5)
-        return style.save_figure(figure, stem)
+            draw_resimulation(axes, metric, floors.get(metric, np.nan))
+            axes.set_xlabel(axis_title(metric))
+        one_legend(figure, panels, 5)
+        return save_figure(figure, stem)
 
 
 def seeds_caption(metrics: Sequence[str], reference: str = REFERENCE) -> str:
@@ -171,8 +178,8 @@ def effects_plot(
     names = list(dict.fromkeys(effects["effect"]))
     short = short_keys(dict.fromkeys(key for name in names for key in name.split(":")))
     rows = [":".join(short[key] for key in name.split(":")) for name in names]
-    with style.house_style():
-        figure, panels = style.metric_panels(shown, rows, 4, head_in=0.7)
+    with house_style():
+        figure, panels = metric_panels(shown, rows, 4, head_in=0.7)
         for axes, metric in zip(panels, shown, strict=True):
             axes.axvline(0, color="black", lw=0.8, zorder=1)
             for row in effects[effects["metric"] == metric].to_dict("records"):
@@ -184,18 +191,18 @@ def effects_plot(
                     marker, label = "o", "interval excludes 0" if excludes else "interval holds 0"
                     fill = "black" if excludes else "white"
                 axes.plot([row["estimate"]], [place], marker, ms=4, mfc=fill, mec="black", mew=0.8, label=label)
-            title, gap = style.axis_title(metric, "effect on {}"), (gaps or {}).get(metric, np.nan)
+            title, gap = axis_title(metric, "effect on {}"), (gaps or {}).get(metric, np.nan)
             lower, upper = axes.get_xlim()
             if lower < gap < upper:
-                style.draw_resimulation(axes, metric, gap)
+                draw_resimulation(axes, metric, gap)
             if np.isfinite(gap):
                 entry = metric_of(metric)
                 kind = "floor" if entry.resimulation is Resimulation.floor else "level"
                 distance = f"{gap:+.{entry.decimals}f}".replace("-", "−")
                 title += f"\nre-simulation {distance} ({kind})"
             axes.set_xlabel(title)
-        style.one_legend(figure, panels)
-        return style.save_figure(figure, stem)
+        one_legend(figure, panels)
+        return save_figure(figure, stem)
 
 
 def effects_caption(design: Design, effects: pd.DataFrame, gap_to: str | None = None) -> str:
