@@ -23,8 +23,7 @@ from IPython.display import Image, display
 
 from ablate.analysis import error_vs_runtime, pareto_front
 from ablate.comparison.frame_times import timed_on
-from ablate.comparison.reading import open_study
-from ablate.comparison.results import runtime_points
+from ablate.comparison.reading import open_study, runtime_points
 
 study = open_study()
 folder = Path(mkdtemp())

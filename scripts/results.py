@@ -22,7 +22,7 @@ import pandas as pd
 
 from ablate.analysis import RESIMULATION
 from ablate.comparison.frame_times import TIMES
-from ablate.comparison.results import pictures
+from ablate.comparison.reading import pictures
 from ablate.comparison.usable_runs import usable_runs
 from ablate.runs.run import Run, State
 from ablate.storage import write_json

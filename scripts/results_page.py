@@ -28,8 +28,7 @@ from ablate.analysis import (
     to_markdown,
     verdicts_caption,
 )
-from ablate.comparison.reading import Answers, answers
-from ablate.comparison.results import provenance, scored_frames
+from ablate.comparison.reading import Answers, answers, provenance, scored_frames
 from ablate.comparison.usable_runs import UsableRuns, usable_runs
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS, Group, Shown, shown_in

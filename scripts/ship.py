@@ -6,7 +6,7 @@ python scripts/ship.py runs/answer/sa2h/seed0 sa2h
 import argparse
 from pathlib import Path
 
-from ablate.comparison.results import provenance
+from ablate.comparison.reading import provenance
 from ablate.dataset import label_values
 from ablate.pretrained import Renderer, save
 from ablate.runs.run import Run

@@ -214,9 +214,8 @@ def _run_files(*names: str) -> Callable[[Path, Path], Attempt]:
 def _read_study(job: "Job") -> None:
     """What `task=plan` and `task=compare` read of a study, without figures and without MLflow."""
     from ablate.analysis import cautions, comparison_table
-    from ablate.comparison.figures import stored_pictures
-    from ablate.comparison.reading import answers
-    from ablate.comparison.results import appendix, provenance, scored_frames
+    from ablate.comparison.compare import stored_pictures
+    from ablate.comparison.reading import answers, appendix, provenance, scored_frames
     from ablate.comparison.usable_runs import usable_runs
     from ablate.jobs.preflight import check
     from ablate.tasks.plan import show_progress

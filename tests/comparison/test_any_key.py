@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 from ablate import analysis
-from ablate.comparison.reading import Answers, answers
-from ablate.comparison.results import scored_frames
+from ablate.comparison.reading import Answers, answers, scored_frames
 from ablate.comparison.usable_runs import check_pixels, usable_runs
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job

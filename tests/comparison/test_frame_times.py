@@ -14,7 +14,7 @@ import pytest
 from ablate.analysis import comparison_table, pareto_front
 from ablate.comparison import frame_times
 from ablate.comparison.frame_times import TIMES, network_of, read_times, time_networks, timed_on
-from ablate.comparison.results import scored_frames
+from ablate.comparison.reading import scored_frames
 from ablate.runs.run import Run, runs_of
 from ablate.storage import digest, write_json
 from support.finished_runs import PARAMETERS, WHOLE, timed

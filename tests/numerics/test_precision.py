@@ -145,7 +145,7 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
 def test_the_compensated_attenuation_is_that_of_the_pairs_and_costs_more_than_the_integral_one(trained: Path) -> None:
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
     chosen = bench_of(job)
-    maps, ms = generated.make_inputs(chosen, lambda: None)
+    maps, ms = generated.make_inputs(chosen)
     stored = job.data.pairs.read("compensated", chosen.frames)
     steps = 2 * 20 * np.log10(1 + 2**-9) / 72 + 1e-4  # A is stored with nine bits
     bright = maps["attenuation"] > 0.01
@@ -166,10 +166,10 @@ def test_an_engine_that_fails_costs_its_points_alone(
     monkeypatch.setattr(generated, "chosen_precision", lambda *_: TrainingPrecision.bf16)
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
     chosen = bench_of(job)
-    ((reference,), _) = bench.render_all(chosen, [chosen.simulator], (chosen.seed,), lambda: None)[0]
+    ((reference,), _) = bench.render_all(chosen, [chosen.simulator], (chosen.seed,), "reference")[0]
     points, details = CsvTable(tmp_path / "p.csv", POINTS), CsvTable(tmp_path / "d.csv", DETAILS)
     planned = generated.schedule_of(generated.comparable_runs(job)[0], job.settings)
-    generated.measure_generators(chosen, planned, job.settings, reference, points, details, lambda: None)
+    generated.measure_generators(chosen, planned, job.settings, reference, points, details)
     assert "left out, sa2h, width 0.05, bf16, eager, seed 0: no such kernel" in caplog.text
     table = points.table()
     assert set(table.loc[table["series"] == "sa2h", "setting"]) == {"width 0.05, fp32, eager, seed 0"}

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from ablate import tracking
-from ablate.comparison.results import appendix
+from ablate.comparison.reading import appendix
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
 from ablate.runs.provenance import write_provenance

@@ -1,12 +1,10 @@
 """How far an answer of the quiz is from the plane that was asked for."""
 
-from itertools import islice
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ablate.viewer.page.operate_tabs import miss, points, questions
+from ablate.viewer.page.operate_tabs import miss, points
 
 
 @pytest.mark.parametrize(("axis", "degrees", "left"), [("X", 20, 20), ("Z", 30, 30), ("Z", 180, 0), ("Z", -170, 10)])
@@ -21,10 +19,3 @@ def test_distance_and_angle(axis: str, degrees: float, left: float) -> None:
 def test_points_fall_with_the_distance() -> None:
     assert (points(0, 0), points(14.99, 11.99)) == (100, 50)
     assert points(100, 60) < 5
-
-
-def test_each_plane_is_asked_for_once_before_any_comes_again() -> None:
-    asked = list(islice(questions("abcd", seed=1), 5))
-    assert sorted(asked[:4]) == list("abcd")
-    assert asked[4] != asked[3]
-    assert list(islice(questions("a"), 3)) == ["a"] * 3

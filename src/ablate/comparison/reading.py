@@ -1,27 +1,148 @@
-"""A study on disk as comparisons and notebooks read it: its runs, its tables, and what they say about components."""
+"""A study on disk as comparisons and notebooks read it: its runs, tables and pictures, and how it was made."""
 
+import logging
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from ablate import analysis
-from ablate.analysis import REFERENCE, Component, Design, FramePictures
-from ablate.comparison.results import pictures, scored_frames
+from ablate.analysis import REFERENCE, RESIMULATION, Component, Design, FramePictures, ordered_variants
+from ablate.comparison.frame_times import frame_times
 from ablate.comparison.usable_runs import UsableRuns, factors_of, levels_of, usable_runs
-from ablate.metrics.stored_names import BOUNDS, FRAME_TIME
+from ablate.metrics import Shown, shown_in
+from ablate.metrics.stored_names import BOUNDS, FLOOR_PREFIX, FRAME_TIME, MODEL, RESIMULATED, is_bound
 from ablate.runs.job import COMPARISON
 from ablate.runs.run import Run
+from ablate.runs.store_copy import ABOUT_CODE
 from ablate.settings.conf import components
 from ablate.settings.study import StudySettings
 from ablate.storage import read_json
 
 SWEEP = ("runs/quick-fetal",)  # where `make sweep` leaves its study
 ANSWER = ("runs/answer", "docs/results/answer")  # where `make answer` leaves its study, and where it is kept
+_LOG = logging.getLogger(__name__)
+
+
+def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Test values of every run, and once a data set those of the re-simulation, as two tables.
+
+    The first has columns variant, seed, frame, site, metric, value, data: one row a metric of a frame of a run. The
+    second has variant, seed, data, metric, value, lower, upper: one row a metric that only a run has, with the interval
+    of a distance. `data` is the name of the pairs; frames and sites are numbers within them.
+    """
+    frames, scalars = [], []
+    first = {run.data: run for run in reversed(runs)}
+    for run in runs:
+        own: dict[str, Any] = {"variant": run.label, "seed": run.seed, "data": run.data}
+        with_floor = first[run.data] is run
+        table = run.scores[run.scores["split"] == "test"].assign(data=own["data"])
+        frames.append(table[table["source"] == MODEL])
+        floor = table[table["source"] == RESIMULATED]
+        if with_floor and len(floor):
+            frames.append(floor.assign(variant=RESIMULATION))
+        per_image_metrics = set(table["metric"])
+        values: dict[str, float] = run.result["scalars"]
+        for name, value in values.items():
+            part, _, metric = name.rpartition("/")
+            is_floor = metric.startswith(FLOOR_PREFIX)
+            metric = metric.removeprefix(FLOOR_PREFIX)
+            of_frames = metric in per_image_metrics or is_bound(metric)
+            if part == "test" and not of_frames and (with_floor or not is_floor):
+                whose = own | ({"variant": RESIMULATION} if is_floor else {})
+                bounds = {side: values.get(f"{name}_{side}") for side in BOUNDS}
+                scalars.append({**whose, "metric": metric, "value": value, **bounds})
+        parameters = values["parameters_generator"] + values["parameters_discriminator"]
+        scalars.append({**own, "metric": "parameters", "value": parameters})
+    table = pd.DataFrame(scalars)
+    times = frame_times(runs)
+    return pd.concat(frames, ignore_index=True), pd.concat([table, times], ignore_index=True) if len(times) else table
+
+
+def runtime_points(table: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, float]]:
+    """Error of every variant against its milliseconds a frame, and the re-simulation's value by metric.
+
+    `table` is what `comparison_table` gives. Columns are those of `error_vs_runtime`, with the spread of the times.
+    """
+    times = table[table["metric"] == FRAME_TIME].set_index("variant")[["mean", *BOUNDS]].rename(columns={"mean": "ms"})
+    scored = table.loc[table["metric"].isin(shown_in(Shown.headline)), ["variant", "metric", "mean"]]
+    points = scored.merge(times.astype("float64"), on="variant").sort_values("variant", kind="stable")
+    points = points.rename(columns={"variant": "series", "mean": "error"}).assign(setting="")
+    floors = scored[scored["variant"] == RESIMULATION]
+    known = {str(metric): float(mean) for metric, mean in zip(floors["metric"], floors["mean"], strict=True)}
+    return points[["series", "setting", "ms", *BOUNDS, "metric", "error"]], known
+
+
+def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictures]:
+    """The frames that all variants have pictures of, each variant's from its lowest seed that has any."""
+    order = ordered_variants([run.label for run in runs], reference)
+    stored: dict[str, dict[int, np.ndarray]] = {}
+    for run in sorted(runs, key=lambda r: (order.index(r.label), r.seed)):
+        if run.label not in stored and (images := _stored_pictures(run)):
+            stored[run.label] = images
+    numbers = sorted(set.intersection(*(set(images) for images in stored.values()))) if stored else []
+    if not numbers:
+        return []
+    pairs = runs[0].data_set.pairs
+    maps = {name: pairs.read(name, numbers) for name in pairs.maps - {"low"}}
+    if "resimulation" in maps:
+        stored = {RESIMULATION: dict(zip(numbers, maps["resimulation"], strict=True)), **stored}
+    return [
+        FramePictures(
+            name=f"frame {number}",
+            target=maps["target"][k],
+            predictions={variant: images[number] for variant, images in stored.items()},
+            mask=pairs.mask(),
+            segmentation=maps["segmentation"][k],
+            attenuation=maps["attenuation"][k] if "attenuation" in maps else None,
+        )
+        for k, number in enumerate(numbers)
+    ]
+
+
+def _stored_pictures(run: Run) -> dict[int, np.ndarray]:
+    """The pictures of a run, by the frame's number in the data set; none where the file is missing or damaged."""
+    try:
+        return run.pictures
+    except ValueError as error:
+        _LOG.warning("%s; other pictures are shown", error)
+        return {}
+
+
+def provenance(runs: Sequence[Run]) -> dict[str, str]:
+    """Data sets, code and hardware of a study; where its runs differ, each value names its runs."""
+    data = ", ".join(dict.fromkeys(f"{run.data} (pixels {run.result['pixels']})" for run in runs))
+    return {"data": data, **{k: v for k, v in _made_with(runs).items() if k in ABOUT_CODE}}
+
+
+def appendix(runs: Sequence[Run]) -> dict[str, str]:
+    """Texts by title: the package versions of the runs, and the uncommitted changes of their code."""
+    packages = {k: v for k, v in _made_with(runs).items() if k not in ABOUT_CODE}
+    texts = {"Packages": "\n".join(f"{k} {v}" for k, v in packages.items())} if packages else {}
+    names: dict[str, list[str]] = {}
+    for run in runs:
+        diff = "\n".join(path.read_text("utf-8", "replace") for path in run.uncommitted if path.is_file())
+        names.setdefault(diff, []).append(run.name)
+    return {**texts, **{f"Uncommitted changes: {', '.join(whose)}": diff for diff, whose in names.items() if diff}}
+
+
+def _made_with(runs: Sequence[Run]) -> dict[str, str]:
+    """What the runs recorded in `made_with.json`, by key; where they differ, each value names its runs."""
+    recorded = {run.name: run.made_with for run in runs if run.made_with}
+    texts = {}
+    for key in dict.fromkeys(key for about in recorded.values() for key in about):
+        names: dict[str, list[str]] = {}
+        for name, about in recorded.items():
+            names.setdefault(str(about.get(key, "")), []).append(name)
+        several = "; ".join(f"{value} ({', '.join(whose)})" for value, whose in names.items())
+        texts[key] = several if len(names) > 1 else next(iter(names))
+    return texts
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,7 +55,6 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
         else:
             reason = "not finished" if run.why in ("", "not finished") else f"left aside, {run.why}"
             aside.setdefault(reason, []).append(run.name)
-    notes = [f"{_counted(names)} {reason}: {listed(names)}." for reason, names in aside.items()]
     check_pixels(runs)
     blocks: list[Run] = []
     if runs:
@@ -67,19 +66,12 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
         pairs = runs[0].spec["semantic"]["data"]
         unlike = [{key for key, *_ in differences(run.spec["semantic"]["data"], pairs, "data")} for run in others]
         blocks = [run for run, keys in zip(others, unlike, strict=True) if keys <= varied]
-        if names := [run.name for run in others if run not in blocks]:
-            notes.append(f"{_counted(names)} left aside, made from other pairs than {chosen}: {listed(names)}.")
-        if names := [run.name for run in blocks]:
-            takes = "takes" if len(names) == 1 else "take"
-            notes.append(
-                f"{_counted(names)} on another anatomy or data set than {chosen} {takes} part in effects and verdicts "
-                f"only: {listed(names)}."
-            )
-    return UsableRuns(tuple(runs), tuple(blocks), tuple(notes))
-
-
-def _counted(names: list[str]) -> str:
-    return f"{len(names)} run{'' if len(names) == 1 else 's'}"
+        part = f"{'takes' if len(blocks) == 1 else 'take'} part in effects and verdicts only"
+        aside[f"left aside, made from other pairs than {chosen}"] = [run.name for run in others if run not in blocks]
+        aside[f"on another anatomy or data set than {chosen} {part}"] = [run.name for run in blocks]
+    counted = {f"{len(names)} run{'s' * (len(names) > 1)} {what}": names for what, names in aside.items() if names}
+    notes = tuple(f"{what}: {listed(names)}." for what, names in counted.items())
+    return UsableRuns(tuple(runs), tuple(blocks), notes)
 
 
 def without_anatomy(data: Mapping[str, Any]) -> dict[str, Any]:

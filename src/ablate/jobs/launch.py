@@ -5,8 +5,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import wait
@@ -136,8 +135,15 @@ def _started(content: bytes, n_jobs: int, device: str | None) -> SpawnProcess:
     process = multiprocessing.get_context("spawn").Process(target=work_for_parent, args=(content,))
     threads = {f"{library}_NUM_THREADS": str(max(1, allotted_cores() // n_jobs)) for library in _THREADS}
     own = {name: count for name, count in threads.items() if name not in os.environ}
-    with _environment(own | ({} if device is None else {VISIBLE: device})):
+    own |= {} if device is None else {VISIBLE: device}
+    before = os.environ.copy()
+    os.environ.update(own)
+    try:
         process.start()
+    finally:
+        for name in own.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
     return process
 
 
@@ -156,21 +162,6 @@ def _tell(code: int, name: str) -> None:
         by = signal.Signals(-code).name
         why = "; SIGKILL is often the system's, out of memory: try fewer hydra.launcher.n_jobs"
         print(f"{name}: its process was ended by {by}{why if by == 'SIGKILL' else ''}", file=sys.stderr)
-
-
-@contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Processes that are started meanwhile have these variables."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def devices_to_share(device: str) -> tuple[str, ...]:

@@ -81,17 +81,13 @@ class Hand:
             if contact is None:
                 return Hold(height, angle)
             inward = contact[1]
-            hold = self._hold(height, angle, inward, pose[:3, :3])
+            turn = Rotation.from_matrix(self._frame(inward).T @ pose[:3, :3])
+            hold = Hold(height, angle, *turn.as_euler("ZYX", degrees=True).tolist())
             held = self.place(hold)
             assert held is not None
             off = target - held[0][:3, 3]
             aim = aim + off - inward * (off @ inward)
         return hold
-
-    def turned(self, hold: Hold, rotation: np.ndarray) -> Hold:
-        """Turn a hold at its place so that its pose has a rotation, (3, 3), from probe to world."""
-        contact = self._contact(hold.height_mm, hold.angle_deg)
-        return hold if contact is None else self._hold(hold.height_mm, hold.angle_deg, contact[1], rotation)
 
     def site_of(self, point: np.ndarray) -> tuple[float, float]:
         """Height along the axis, mm, and angle about it, degrees, of a point."""
@@ -102,11 +98,6 @@ class Hand:
         centre, angle = self._skin.centre, np.deg2rad(angle_deg)
         middle = centre + self.axis * (height_mm - centre @ self.axis)
         return self._skin.contact(middle, np.cos(angle) * self.front + np.sin(angle) * self._side, self.axis)
-
-    def _hold(self, height_mm: float, angle_deg: float, inward: np.ndarray, rotation: np.ndarray) -> Hold:
-        turn = Rotation.from_matrix(self._frame(inward).T @ rotation)
-        roll, rock, tilt = turn.as_euler("ZYX", degrees=True)
-        return Hold(height_mm, angle_deg, float(roll), float(rock), float(tilt))
 
     def _frame(self, inward: np.ndarray) -> np.ndarray:
         """Axes of a probe that is not turned, as columns: x across the body, z into it."""

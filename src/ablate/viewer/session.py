@@ -114,17 +114,7 @@ class Session:
 
     def move(self, **changes: float) -> None:
         """Change the hold: keys are those of `Hold`. Off the body the probe stays where it was."""
-        self._put(replace(self.hold, **changes))
-
-    def nudge(self, **steps: float) -> None:
-        """Change the hold by steps."""
-        self.move(**{name: getattr(self.hold, name) + step for name, step in steps.items()})
-
-    def turn_to(self, rotation: np.ndarray) -> None:
-        """Turn the probe where it stands, to a rotation (3, 3) from probe to world."""
-        self._put(self.hand.turned(self.hold, rotation))
-
-    def _put(self, hold: Hold) -> None:
+        hold = replace(self.hold, **changes)
         held = self.hand.place(hold)
         if held is None:
             self.words = OFF_BODY
@@ -133,6 +123,10 @@ class Session:
             pose, self.words = held
             self.hold = hold
             self._become(replace(self.state, pose=pose, hold=hold))
+
+    def nudge(self, **steps: float) -> None:
+        """Change the hold by steps."""
+        self.move(**{name: getattr(self.hold, name) + step for name, step in steps.items()})
 
     def to_preset(self, name: str) -> None:
         """Hold the probe as a preset does, exactly."""

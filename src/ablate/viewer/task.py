@@ -26,10 +26,9 @@ from ablate.ultrasound import TimeGain
 from ablate.viewer.engine import Engine
 from ablate.viewer.generators import pickable
 from ablate.viewer.hand import Hand
-from ablate.viewer.page.compare_tab import add_compare_tab
-from ablate.viewer.page.keep_tab import add_keep_tab
 from ablate.viewer.page.operate_tabs import add_hands, add_learn_tab, add_move_tab, add_row, add_scan_tab
 from ablate.viewer.page.page import Page
+from ablate.viewer.page.result_tabs import add_compare_tab, add_keep_tab
 from ablate.viewer.session import Session, State
 from ablate.viewer.worker import Worker
 

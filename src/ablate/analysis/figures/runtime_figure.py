@@ -95,12 +95,12 @@ def error_vs_runtime(
         for engine in _ENGINE_FILL:  # what a marker's fill means comes last
             if settings.str.contains(engine).any():
                 handles[f"run, {engine}"] = Line2D([], [], ls="none", **_marker("#555555", "D", engine))
-        style: dict[str, Any] = {"loc": "outside upper center", "ncols": across + 1}
+        style: dict[str, Any] = {"frameon": False, "handlelength": 1.5, "columnspacing": 1.0}
         if "legend" in cells:
             grid["legend"].set_axis_off()
-            style = {"loc": "center", "ncols": 2, "fontsize": 6}
-        legend = (grid["legend"] if "legend" in cells else figure).legend
-        legend(handles.values(), handles.keys(), frameon=False, handlelength=1.5, columnspacing=1.0, **style)
+            grid["legend"].legend(handles.values(), handles.keys(), loc="center", ncols=2, fontsize=6, **style)
+        else:
+            figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=across + 1, **style)
         if hardware:
             figure.supxlabel(f"times measured on {hardware}", fontsize=7, color="#555555")
         return save_figure(figure, stem)

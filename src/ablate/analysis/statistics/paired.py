@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
+from ablate.analysis.scored import LEVEL, REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
 
 PAIRED_COLUMNS = (
     *("variant", "reference", "metric", "shift", "lower", "upper", "p_holm", "effect", "n"),
@@ -109,9 +109,7 @@ def paired_difference(
     values: Sequence[float] | np.ndarray,
     reference: Sequence[float] | np.ndarray,
     clusters: Sequence[object] | np.ndarray | None = None,
-    level: float = 0.95,
     resamples: int = 2000,
-    seed: int = 0,
 ) -> PairedDifference:
     """Compare two networks on the same frames: do *these two* differ?
 
@@ -125,10 +123,8 @@ def paired_difference(
     clusters : (n,), optional
         Probe site of each frame: neighbouring frames are alike, so intervals resample sites. Without it every frame is
         its own cluster.
-    level : float
-        Coverage aimed at by the interval.
-    resamples, seed : int
-        Bootstrap resamples, and the seed of their draws.
+    resamples : int
+        Of the bootstrap, whose interval aims at a coverage of 95 %.
 
     Raises
     ------
@@ -159,8 +155,8 @@ def paired_difference(
     differences, labels = values[finite] - reference[finite], labels[finite]
     lower, upper, groups = -np.inf, np.inf, len(np.unique(labels))
     if groups > 1:
-        shifts = _bootstrap_shifts(differences, labels, resamples, np.random.default_rng(seed))
-        tail = stats.norm.sf(stats.t.ppf((1 + level) / 2, groups - 1) * np.sqrt(groups / (groups - 1)))
+        shifts = _bootstrap_shifts(differences, labels, resamples, np.random.default_rng(0))
+        tail = stats.norm.sf(stats.t.ppf((1 + LEVEL) / 2, groups - 1) * np.sqrt(groups / (groups - 1)))
         lower, upper = np.quantile(shifts, [tail, 1 - tail])
     return PairedDifference(
         shift=hodges_lehmann(differences),

@@ -1,14 +1,15 @@
 """What all measurements share, and the simulator measured one setting at a time away from those of the data set."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
+from tqdm import tqdm
 
 from ablate.anatomy import Scene
 from ablate.dataset import Part, equally_spaced
@@ -21,6 +22,7 @@ from ablate.ultrasound import PlanMode, Probe, Simulator, SimulatorPrecision, Si
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.ultrasound.stages import Stage, stage_times
 
+T = TypeVar("T")
 _TURN = 2  # poses of one setting before the next setting
 ENVELOPE = "envelope_rms"
 #: On the whole image as in the tables of a study; `mae_smooth` in the fan, after a Gaussian that averages speckle.
@@ -142,8 +144,13 @@ class CsvTable:
         return pd.read_csv(self.path, dtype={"setting": str}, keep_default_na=False, na_values=["nan"])
 
 
+def shown_progress(steps: Iterable[T], what: str) -> Iterable[T]:
+    """Give each step in turn, and show how many are done of what is measured."""
+    return tqdm(steps, f"precision, {what.replace('_', ' ')}", unit="step", mininterval=1.0, leave=False)
+
+
 def render_all(
-    bench: Bench, several: Sequence[SimulatorSettings], seeds: Sequence[int], advance: Callable[[], object]
+    bench: Bench, several: Sequence[SimulatorSettings], seeds: Sequence[int], what: str
 ) -> list[tuple[list[Frames], float]]:
     """Return the frames of each seed of the scatterers, and the median milliseconds of an image, by setting.
 
@@ -156,7 +163,7 @@ def render_all(
     rows: list[list[list[tuple[np.ndarray, np.ndarray]]]] = [[] for _ in several]
     times: list[list[float]] = [[] for _ in several]
     turns = list(range(len(several)))
-    for begin in range(0, len(bench.poses), _TURN):
+    for begin in shown_progress(range(0, len(bench.poses), _TURN), what):
         for k in turns:
             simulator = simulators[k]
             simulator.render(nudged(bench.poses[begin]), seeds[0])
@@ -169,25 +176,23 @@ def render_all(
                 rows[k].append([(f.image, f.envelope) for f in shown])  # the maps of all settings would take gigabytes
                 if len(seeds) > 1:
                     simulator.render(pose, seeds[0])  # a simulator keeps the noise of its last seed
-                advance()
         turns.reverse()
     stacked = [[Frames(*map(np.stack, zip(*column, strict=True))) for column in zip(*r, strict=True)] for r in rows]
     return [(frames, median(t)) for frames, t in zip(stacked, times, strict=True)]
 
 
-def time_stages(bench: Bench, settings: SimulatorSettings, advance: Callable[[], object]) -> dict[str, float]:
+def time_stages(bench: Bench, settings: SimulatorSettings) -> dict[str, float]:
     """Measure the median milliseconds of each stage of an image, in order; the rest is `everything else`."""
     simulator = Simulator(bench.scene, bench.probe, settings, poses=bench.poses)
     simulator.render(nudged(bench.poses[0]), bench.seed)
     whole, each = [], []
-    for pose in bench.poses:
+    for pose in shown_progress(bench.poses, f"stages of {settings.rays} rays"):
         simulator.maps(pose)
         with stage_times() as taken:
             start = time.perf_counter()
             simulator.render(pose, bench.seed)
             whole.append(1e3 * (time.perf_counter() - start))
         each.append([sum(taken[name]) for name in Stage])
-        advance()
     columns = zip(Stage, zip(*each, strict=True), strict=True)
     stages = {name.value: median(column) for name, column in columns if any(column)}
     return stages | {"everything else": median(np.subtract(whole, np.sum(each, axis=1)).tolist())}
@@ -206,19 +211,7 @@ def series_name(name: str) -> str:
     return f"simulator, {name.replace('_', ' ')}"
 
 
-def work(base: SimulatorSettings, frames: int) -> int:
-    """Count how many times `measure_simulator` calls `advance`."""
-    all_ladders = ladders(base)
-    settings = sum(map(len, all_ladders.values()))
-    on_grids = sum(1 + len(all_ladders[name]) for name in _GRIDS)
-    return frames * (2 + settings + len(all_ladders["rays"]) + len(TOLERANCES) + on_grids + 1 + len(_staged(base)))
-
-
-def _staged(base: SimulatorSettings) -> list[int]:
-    return sorted({RAYS[0], base.rays, RAYS[-1]})
-
-
-def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance: Callable[[], object]) -> Frames:
+def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable) -> Frames:
     """Measure errors, times, convergence and stages of the simulator, and return the reference.
 
     The reference has `REFERENCE_RAYS` rays and otherwise the settings of the data set. The receiver's noise and the
@@ -227,7 +220,7 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
     """
     base, seeds = bench.simulator, (bench.seed, bench.seed + 1)
     ((reference,), _), ((half,), _) = (
-        render_all(bench, [replace(base, rays=rays)], seeds[:1], advance)[0]
+        render_all(bench, [replace(base, rays=rays)], seeds[:1], f"reference of {rays} rays")[0]
         for rays in (REFERENCE_RAYS, REFERENCE_RAYS // 2)
     )
 
@@ -239,7 +232,7 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
         if name == "rays":
             several |= {(TOLERANCE_SERIES, t): replace(base, rays=max(ladder), tolerance=t) for t in TOLERANCES}
             several |= {(FULL_SERIES, n): replace(s, plan=PlanMode.full) for n, s in ladder.items()}
-        measured = dict(zip(several, render_all(bench, list(several.values()), seeds, advance), strict=True))
+        measured = dict(zip(several, render_all(bench, list(several.values()), seeds, name), strict=True))
         for (series, value), ((rendered, other), ms) in measured.items():
             errors = errors_of(rendered)
             points.add_each(series, value, ms, values=errors)
@@ -255,23 +248,23 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable, advance
                 details.add_each("plan", series, value, values={"largest grey difference to planned": int(apart)})
         ((usual, _), _) = measured[series_name(name), getattr(base, name)]
     for name in _GRIDS:
-        for setting, errors in _converging(bench, name, advance).items():
+        for setting, errors in _converging(bench, name).items():
             details.add_each("convergence", series_name(name), setting, values=errors)
     in_float64 = replace(base, precision=SimulatorPrecision.float64)
-    (((double,), _),) = render_all(bench, [in_float64], seeds[:1], advance)
+    (((double,), _),) = render_all(bench, [in_float64], seeds[:1], "float64")
     limits = errors_of(usual, double)  # of the signal chain in single precision, on the same paths
     details.add_each("limit", "simulator, float32 against float64", base.rays, values=limits)
-    for rays in _staged(base):
-        details.add_each("stage", RAYS_SERIES, rays, values=time_stages(bench, replace(base, rays=rays), advance))
+    for rays in sorted({RAYS[0], base.rays, RAYS[-1]}):
+        details.add_each("stage", RAYS_SERIES, rays, values=time_stages(bench, replace(base, rays=rays)))
     return reference
 
 
-def _converging(bench: Bench, name: str, advance: Callable[[], object]) -> dict[str | int, dict[str, float]]:
+def _converging(bench: Bench, name: str) -> dict[str | int, dict[str, float]]:
     """Compare grids with a finer one, all with more rays, and the finer one with other scatterers as a scale."""
     base, seeds = replace(bench.simulator, rays=_FINER * bench.simulator.rays), (bench.seed, bench.seed + 1)
     finest: Any = _FINEST_LAYERS if name == "layers" else _FINER * getattr(base, name)
-    (((fine, other), _),) = render_all(bench, [replace(base, **{name: finest})], seeds, advance)
+    (((fine, other), _),) = render_all(bench, [replace(base, **{name: finest})], seeds, f"finest {name}")
     grids = ladders(base)[name]
-    measured = render_all(bench, list(grids.values()), seeds[:1], advance)
+    measured = render_all(bench, list(grids.values()), seeds[:1], f"convergence of {name}")
     rendered = {"other scatterers": other} | {v: f for v, ((f,), _) in zip(grids, measured, strict=True)}
     return {setting: mean_errors(frames, fine, bench.probe) for setting, frames in rendered.items()}

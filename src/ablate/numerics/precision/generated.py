@@ -2,7 +2,6 @@
 
 import logging
 import time
-from collections.abc import Callable
 from statistics import median
 
 import numpy as np
@@ -10,7 +9,7 @@ import torch
 
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.networks import Generator, conditions
-from ablate.numerics.precision.bench import Bench, CsvTable, Frames, mean_errors
+from ablate.numerics.precision.bench import Bench, CsvTable, Frames, mean_errors, shown_progress
 from ablate.runs.job import Job
 from ablate.runs.run import Run, State, runs_of
 from ablate.runs.timed_maps import nudged, timed_maps
@@ -31,6 +30,7 @@ _WARMUP = 2
 _LOG = logging.getLogger(__name__)
 #: How a generator is run.
 Execution = tuple[TrainingPrecision, Engine]
+Planned = list[tuple[Run, Execution]]
 
 
 def comparable_runs(job: Job) -> tuple[list[Run], str]:
@@ -66,7 +66,7 @@ def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...
     return [(p, engine) for engine, what in lacking.items() if not what for p in precisions], tuple(notes)
 
 
-def schedule_of(runs: list[Run], settings: StudySettings) -> list[tuple[Run, Execution]]:
+def schedule_of(runs: list[Run], settings: StudySettings) -> Planned:
     """List each run with each precision and engine that is measured of it.
 
     Every run is executed in eager mode in all precisions. Compiling and exporting take up to a minute each, so only the
@@ -80,43 +80,32 @@ def schedule_of(runs: list[Run], settings: StudySettings) -> list[tuple[Run, Exe
     return [(run, execution) for run, its_executions in chosen.items() for execution in its_executions]
 
 
-def make_inputs(bench: Bench, advance: Callable[[], object]) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+def make_inputs(bench: Bench) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """Make the inputs of generators, (n, H, W) each, and measure the median milliseconds of each, as `timed_maps`."""
     make = timed_maps(bench.scene, bench.probe, bench.simulator, bench.poses, low=True)
     make(nudged(bench.poses[0]), bench.seed)
-    made = []
-    for pose in bench.poses:
-        made.append(make(pose, bench.seed))
-        advance()
+    made = [make(pose, bench.seed) for pose in shown_progress(bench.poses, "inputs of generators")]
     inputs, times = zip(*made, strict=True)
     arrays = {name: np.stack([maps[name] for maps in inputs]) for name in inputs[0]}
     return arrays, {name: median(taken[name] for taken in times) for name in times[0]}
 
 
 def measure_generators(
-    bench: Bench,
-    planned: list[tuple[Run, Execution]],
-    settings: StudySettings,
-    reference: Frames,
-    points: CsvTable,
-    details: CsvTable,
-    advance: Callable[[], object],
+    bench: Bench, planned: Planned, settings: StudySettings, reference: Frames, points: CsvTable, details: CsvTable
 ) -> None:
     """Measure every run; the time of a frame is that of its inputs and of the network.
 
-    An execution that fails, as compilers and runtimes can, is left out with a warning. `advance` is called once for the
-    inputs of each pose, then for each execution.
+    An execution that fails, as compilers and runtimes can, is left out with a warning.
     """
     if not planned:
         return
-    maps, inputs = make_inputs(bench, advance)
+    maps, inputs = make_inputs(bench)
     device = chosen_device(settings.training.device)
     exact: dict[Run, Frames] = {}
-    for run, execution in planned:
+    for run, execution in shown_progress(planned, "trained runs"):
         study, width = run.folder.parents[1].name, run.spec["settings"]["model"]["width"]
         elsewhere = "" if study == settings.study else f", {study}"
         setting = f"width {width:g}, {', '.join(execution)}, seed {run.seed}{elsewhere}"
-        advance()
         try:
             generator = load_generator(run.checkpoint).to(device)
             rendered, network_ms = _render(run, generator, maps, bench, execution)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import torch
-from tqdm import tqdm
 
 from ablate.analysis import RESIMULATION, error_vs_runtime, observed_order, order_figure
 from ablate.metrics import metric_of
@@ -22,7 +21,6 @@ from ablate.numerics.precision.bench import (
     ladders,
     measure_simulator,
     series_name,
-    work,
 )
 from ablate.numerics.precision.generated import comparable_runs, executions, measure_generators, schedule_of
 from ablate.runs.job import Job
@@ -55,11 +53,8 @@ def precision(jobs: Sequence[Job]) -> int:
         with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
             record.files += [points.path, details.path]
             record.tags |= {"hardware": hardware(), "scene": settings.scene_name, **code}
-            planned = schedule_of(runs, settings)
-            steps = work(bench.simulator, len(bench.frames)) + len(bench.frames) * bool(planned) + len(planned)
-            with tqdm(total=steps, unit="step", desc="precision", mininterval=1.0) as bar:
-                reference = measure_simulator(bench, points, details, bar.update)
-                measure_generators(bench, planned, settings, reference, points, details, bar.update)
+            reference = measure_simulator(bench, points, details)
+            measure_generators(bench, schedule_of(runs, settings), settings, reference, points, details)
             for path in _report(bench, about, points, details, record):
                 print(path)
     except KeyboardInterrupt:

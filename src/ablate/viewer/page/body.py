@@ -33,19 +33,16 @@ class Body:
     ----------
     grabbed : callable
         Called with the phase of a drag of the probe and the point where the pointer is, mm.
-    turned : callable
-        Called with a rotation (3, 3), probe to world, when the rings are turned.
     clicked : callable
         Called with origin and direction, mm, of the line of sight of a click on the fan.
     """
 
     grabbed: Callable[[str, np.ndarray], object]
-    turned: Callable[[np.ndarray], object]
     clicked: Callable[[np.ndarray, np.ndarray], object]
     _probe: Probe | None
 
     def __init__(self, server: Any, scene: Scene, colours: Sequence[Colour], axis: np.ndarray, front: np.ndarray):
-        self._scene, self._probe, self._turning = server.scene, None, False
+        self._scene, self._probe = server.scene, None
         bounds = bounds_mm(s.mesh for s in scene.structures)
         away = front + 0.55 * np.cross(axis, front) + 0.35 * axis
         away *= 1.35 * float(np.linalg.norm(np.ptp(bounds, axis=0))) / np.linalg.norm(away)
@@ -55,10 +52,6 @@ class Body:
         server.scene.add_light_ambient("/light", intensity=1.5)
         _add_structures(server, scene, colours)
         self._frame = server.scene.add_frame("/probe", show_axes=False)
-        self.rings = server.scene.add_transform_controls(
-            "/rings", scale=0.55, disable_axes=True, disable_sliders=True, depth_test=False, visible=False
-        )
-        self.rings.on_update(self._turn)
         server.scene.set_up_direction(tuple(axis))
         camera = server.initial_camera
         camera.position, camera.look_at = (place / _UNIT_MM for place in self._front_view[:2])
@@ -68,11 +61,8 @@ class Body:
         """Put the probe where it is held, before there is an image of it."""
         if state.probe != self._probe:
             self._add_probe(state.probe)
-        position = state.pose[:3, 3] / _UNIT_MM
-        turn = Rotation.from_matrix(state.pose[:3, :3]).as_quat(scalar_first=True)
-        self._frame.position, self._frame.wxyz = position, turn
-        if not self._turning:
-            self.rings.position, self.rings.wxyz = position, turn
+        self._frame.position = state.pose[:3, 3] / _UNIT_MM
+        self._frame.wxyz = Rotation.from_matrix(state.pose[:3, :3]).as_quat(scalar_first=True)
 
     def show(self, views: Views) -> None:
         """Lay the simulated image, or the generated one, on the fan."""
@@ -80,11 +70,7 @@ class Body:
         if image is not None and views.state.probe == self._probe:
             self.fan.image = on_fan(image, views.mask, _FAN_ROWS[views.quality])
 
-    async def _turn(self, event: Any) -> None:  # async, as all of these three, so that phases stay in order
-        self._turning = event.phase != "end"
-        self.turned(Rotation.from_quat(self.rings.wxyz, scalar_first=True).as_matrix())
-
-    async def _grab(self, event: Any) -> None:
+    async def _grab(self, event: Any) -> None:  # async, as the click, so that phases stay in order
         self.grabbed(event.phase, np.array(event.end_position) * _UNIT_MM)
 
     async def _click(self, event: Any) -> None:

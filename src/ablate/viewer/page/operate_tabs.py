@@ -1,7 +1,7 @@
 """What the operator does: the row above the tabs, the tabs Move, Scan and Learn, the keys, and the probe by hand."""
 
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -85,8 +85,6 @@ def add_move_tab(page: Page) -> None:
     looks = {"plane": lambda client: page.body.face(client, session.state), "body": page.body.face_body}
     look = gui.add_button_group("Look at", tuple(looks), hint="turns the 3-D view")
     look.on_click(page.does(lambda event: looks[look.value](event.client)))
-    rings = gui.add_checkbox("Rings to turn the probe", initial_value=False)
-    rings.on_update(page.does(lambda _: setattr(page.body.rings, "visible", rings.value)))
     gui.add_html(_HINTS)
 
 
@@ -98,7 +96,7 @@ def _add_slider(
 
 
 def add_hands(page: Page) -> None:
-    """Let the probe be moved by keys, dragged over the skin, and turned by its rings."""
+    """Let the probe be moved by keys and dragged over the skin."""
     session = page.session
     for key, words, step in _KEYS:
         page.add_key(key, f"Probe: {words}", partial(session.nudge, **step))
@@ -115,7 +113,7 @@ def add_hands(page: Page) -> None:
         if phase == "end":
             offset.clear()
 
-    page.body.grabbed, page.body.turned = page.tells(grab), page.tells(session.turn_to)
+    page.body.grabbed = page.tells(grab)
 
 
 def add_scan_tab(page: Page) -> None:
@@ -153,14 +151,6 @@ def add_scan_tab(page: Page) -> None:
     moving = gui.add_dropdown("Moving", tuple(map(str, Moving)), hint="what is rendered while the probe moves")
     moving.on_update(page.does(lambda _: session.show(moving=Moving(moving.value))))
 
-    def reset() -> None:
-        start = session.start
-        session.scan(depth_mm=start.probe.depth_mm, frequency_mhz=start.probe.frequency_mhz)
-        session.simulate(rays=start.simulator.rays)
-        session.show(display=start.display)
-
-    page.add_button("Scanner as at first", reset)
-
 
 def miss(pose: np.ndarray, wanted: np.ndarray) -> tuple[float, float]:
     """How far a pose is from the wanted one, (4, 4) each: distance of the face's middle, mm, and angle, degrees.
@@ -177,25 +167,16 @@ def points(distance_mm: float, angle_deg: float) -> int:
     return round(100 * 0.5 ** ((distance_mm / _FOUND_MM + angle_deg / _FOUND_DEG) / 2))
 
 
-def questions(names: Sequence[str], seed: int | None = None) -> Iterator[str]:
-    """Names in random order for ever, each once before any comes again, and none twice in a row."""
-    chooser, last = random.Random(seed), ""
-    while True:
-        left = [name for name in names if name != last or len(names) == 1]
-        chooser.shuffle(left)
-        for last in left:
-            yield last
-
-
 def add_learn_tab(page: Page) -> None:
     """Add the quiz: buttons to ask for a plane, to judge the probe, and to show the plane."""
-    session, given, wanted = page.session, list[int](), ""
-    names = questions(list(session.presets))
+    session, given, left, wanted = page.session, list[int](), list[str](), ""
     answer = page.server.gui.add_markdown(_RULES)
 
     def ask() -> None:
         nonlocal wanted
-        wanted = next(names)
+        if not left:  # each plane is asked for once before any comes again
+            left.extend(random.sample(list(session.presets), len(session.presets)))
+        wanted = left.pop()
         answer.content = f"Find: **{wanted}**"
 
     def pose() -> np.ndarray:

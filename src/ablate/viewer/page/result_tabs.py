@@ -1,6 +1,8 @@
-"""Generators beside the simulator: which ones, how far they are from it, and what lies under a click."""
+"""What is done with what is seen: the tab Compare, with generators beside the simulator, and the tab Keep."""
 
 import math
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,12 +14,15 @@ from ablate.ultrasound.probe import fan_of
 from ablate.viewer.generators import is_shipped, pickable
 from ablate.viewer.page.page import Page
 from ablate.viewer.pictures import label_at
+from ablate.viewer.records import LOOP_S, Sweep, command_line, next_folder, save_frame, save_poses
 from ablate.viewer.session import Views
 
 _NONE = "none"
 _MOST_POINTS = 2
 _TRAINS = "No trained run yet. `make sweep` trains three, and `python -m ablate variant=sa2h` trains one."
 _INVITES = "**Measure:** click the fan in the 3-D view for the tissue and its depth, and again for a distance."
+_FEWEST_POSES = 3
+_LAST_S = 0.5  # the last frame of the cine loop stays for so long, and one at which the probe rested
 
 
 def add_compare_tab(page: Page, runs: Path) -> None:
@@ -107,3 +112,81 @@ def _measured(page: Page, views: Views, points: tuple[tuple[float, float], ...])
     if len(points) == _MOST_POINTS:
         sentences.append(f"Between them **{math.dist(*points):.1f} mm**.")
     return " ".join(sentences)
+
+
+def add_keep_tab(page: Page) -> None:
+    """Add buttons to save, a switch to record, and the cine loop."""
+    gui, session, settings = page.server.gui, page.session, page.settings
+
+    def save() -> None:
+        if page.shown is None:
+            raise ValueError("there is no frame yet")
+        folder = next_folder(page.folder, settings.scene_name)
+        save_frame(folder, page.shown)
+        answer.content = f"Saved in `{folder}`, with `frame.json` and `pose.npy`."
+
+    def write_command() -> None:
+        pose = save_poses(next_folder(page.folder, "pose") / "pose.npy", session.state.pose)
+        seeded = replace(settings, dataset=replace(settings.dataset, seed=session.state.seed))
+        command.value = command_line(seeded, session.state, "task=render", f"pose={pose}")
+
+    def switch(_: Any) -> None:
+        if record.value:
+            page.sweep = Sweep()
+            answer.content = "Recording: every frame that is shown is a pose of the sweep."
+        elif (sweep := page.sweep) is not None:
+            page.sweep = None
+            file, count = sweep.save(next_folder(page.folder, "sweep")), len(sweep)
+            answer.content = f"{count} poses in `{file.parent}`, with `sweep.gif`. The command makes pairs of them."
+            if count >= _FEWEST_POSES:
+                words = "task=simulate", f"dataset.poses={file}", f"dataset.frames={count}"
+                command.value = command_line(settings, session.state, *words)
+
+    page.add_button("Save the frame", save)
+    page.add_button("Pose as a command line", write_command)
+    command = gui.add_text("Command", "", multiline=True, disabled=False)
+    record = gui.add_checkbox("Record a sweep", initial_value=False, hint="move the probe, then switch it off")
+    record.on_update(page.does(switch))
+    _add_cine(page)
+    answer = gui.add_markdown(f"Everything is kept in `{page.folder}`.")
+
+
+def _add_cine(page: Page) -> None:
+    """Add the cine loop, by a slider or played again and again."""
+    gui, session = page.server.gui, page.session
+    back = gui.add_slider("Cine: seconds back", min=0.0, max=LOOP_S, step=0.1, initial_value=0.0)
+    hint = "the last seconds at their own speed, again and again"
+    play = gui.add_checkbox("Cine: play", initial_value=False, hint=hint)
+
+    def look_back(seconds: float) -> None:
+        if not session.frozen:
+            session.freeze(True)
+        page.shown = page.loop.before(seconds)
+        page.paint(page.shown)
+
+    def start(_: Any) -> None:
+        if play.value:
+            look_back(LOOP_S)
+            threading.Thread(target=run, name="cine", daemon=True).start()
+
+    def run() -> None:
+        """Show the loop until it is switched off, or the picture follows the probe again, or nobody looks."""
+        show = page.tells(look_back)
+        while play.value:
+            frames = list(page.loop)
+            for frame, after in zip(frames, [*frames[1:], None], strict=True):
+                with page.lock:
+                    if not (play.value and session.frozen and page.server.get_clients()):
+                        play.value = False
+                        return
+                    back.value = round(frames[-1].at_s - frame.at_s, 1)
+                    show(frames[-1].at_s - frame.at_s)
+                time.sleep(_LAST_S if after is None else min(after.at_s - frame.at_s, _LAST_S))
+
+    def refresh() -> None:
+        if not session.frozen:
+            back.value, play.value = 0.0, False
+
+    back.on_update(page.does(lambda _: look_back(back.value)))
+    play.on_update(page.does(start))
+    page.refreshers.append(refresh)
