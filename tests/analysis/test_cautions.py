@@ -1,9 +1,10 @@
 """What is amiss with a study is said in words, with the names of what it concerns."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from ablate.analysis import cautions, listed
+from ablate.analysis import RESIMULATION, cautions, listed
 
 
 def only(texts, part):
@@ -22,6 +23,7 @@ def test_a_whole_study_is_only_warned_of_its_few_sites(study):
     [
         (("sa2h",), "one variant, sa2h: nothing is compared"),
         (("nsa2h", "sa2h-att"), "reference sa2h is missing"),
+        ((RESIMULATION,), "no network"),
         (("sa2h", "nsa2h"), "re-simulation is missing"),
     ],
 )
@@ -35,6 +37,13 @@ def test_few_seeds_and_few_sites_are_named(study_of):
     assert "nsa2h (1):" in only(cautions(one), "not claimable")
     assert "can show nothing" in only(cautions(study_of(sites=5)), "5 probe sites")
     assert only(cautions(study_of(sites=1)), "1 probe site:")
+
+
+def test_half_scored_runs_and_runs_of_other_sites_are_named(study):
+    part = study[~((study["variant"] == "nsa2h") & (study["seed"] == 2) & (study["frame"] > 9))].copy()
+    part.loc[(part["variant"] == "nsa2h") & (part["frame"] < 2), "site"] = "elsewhere"
+    assert "nsa2h/seed2 (10)" in only(cautions(part), "all 24 test frames")
+    assert only(cautions(part), "different probe sites for frame 0, 1:")
 
 
 def test_infinite_and_nan_values_are_named_with_their_frames(study):
@@ -51,5 +60,7 @@ def test_infinite_and_nan_values_are_named_with_their_frames(study):
     assert "24 NaNs" in only(cautions(broken), "NaN")
 
 
-def test_long_lists_are_cut():
+def test_an_empty_study_is_said_to_be_empty_and_long_lists_are_cut():
+    empty = pd.DataFrame(columns=["variant", "seed", "frame", "site", "metric", "value"])
+    assert only(cautions(empty), "no network")
     assert listed([str(k) for k in range(9)]) == "0, 1, 2, 3, 4, 5 and 3 more"

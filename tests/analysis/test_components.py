@@ -85,5 +85,7 @@ def test_the_smaller_depth_is_the_full_model_s_at_every_size_of_a_frame() -> Non
 def test_components_that_cannot_be_are_refused() -> None:
     with pytest.raises(ValueError, match=r"component att: band=0\.0: allowed are finite numbers above 0"):
         replace(COMPONENTS[0], band=0.0)
+    with pytest.raises(ValueError, match="component att: key is empty"):
+        replace(COMPONENTS[0], key="")
     with pytest.raises(ValueError, match="component='a/b'"):
         Component("a/b", "model.depth")

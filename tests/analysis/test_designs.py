@@ -167,6 +167,7 @@ def test_what_differs_otherwise_is_left_out():
     components["sa2h-again"] = {**components["sa2h"], "model.noise": "input"}
     design = find_design(components, FACTORS)
     assert set(components) - set(design.cells.index) == {"nsa2h", "sa2h.noise-none"}
+    assert find_design({}, FACTORS) is None
     assert find_design({k: components[k] for k in ("sa2h", "nsa2h")}, FACTORS) is None
 
 

@@ -36,7 +36,7 @@ class Component:
     Raises
     ------
     ValueError
-        When the name cannot be part of a file name, or the band is not a finite number above 0.
+        When the name cannot be part of a file name, the key is empty, or the band is not a finite number above 0.
 
     Examples
     --------
@@ -56,6 +56,8 @@ class Component:
 
     def __post_init__(self) -> None:
         check_name("component", self.name)
+        if not self.key:
+            raise ValueError(f"component {self.name}: key is empty; allowed is a dotted key, as model.attenuation")
         if self.band is not None and not (math.isfinite(self.band) and self.band > 0):
             raise ValueError(f"component {self.name}: band={self.band}: allowed are finite numbers above 0")
         if not self.label:

@@ -36,7 +36,9 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
     variants = ordered_variants(list(networks["variant"]), reference)
     seeds = networks.groupby("variant")["seed"].nunique()
     texts = []
-    if reference not in variants:
+    if not variants:
+        texts.append("There is no network in this study.")
+    elif reference not in variants:
         texts.append(
             f"The reference {reference} is missing, so there are no paired differences (reference=... names another)."
         )
@@ -50,18 +52,33 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
         )
     if RESIMULATION not in set(per_image["variant"]):
         texts.append("The re-simulation is missing, so floors and levels are unknown.")
-    sites = networks["site"].nunique()
-    if sites < FEW_SITES:
-        few_for_a_test = f", and a test over fewer than {FEWEST_SITES} sites can show nothing"
-        text = f"Only {sites} probe site{'' if sites == 1 else 's'}: intervals over sites are rough"
-        texts.append(f"{text}{few_for_a_test if sites < FEWEST_SITES else ''}.")
-    return [*texts, *_about_values(per_image)]
+    return [*texts, *_about_frames(networks), *_about_values(per_image)]
 
 
 def listed(names: list[str]) -> str:
     """Names in a sentence, the rest counted where there are many."""
     more = len(names) - MOST_NAMED
     return ", ".join(names) if more <= 0 else f"{', '.join(names[:MOST_NAMED])} and {more} more"
+
+
+def _about_frames(networks: pd.DataFrame) -> list[str]:
+    texts = []
+    sites = networks["site"].nunique()
+    if 0 < sites < FEW_SITES:
+        text = f"Only {sites} probe site{'' if sites == 1 else 's'}: intervals over sites are rough"
+        if sites < FEWEST_SITES:
+            text += f", and a test over fewer than {FEWEST_SITES} sites can show nothing"
+        texts.append(f"{text}.")
+    sites_of = networks.groupby("frame")["site"].nunique()
+    if moved := [str(frame) for frame in sites_of.index[sites_of > 1]]:
+        texts.append(f"Runs name different probe sites for frame {listed(moved)}: intervals over sites mean nothing.")
+    frames = networks.groupby(["variant", "seed"])["frame"].nunique()
+    runs = zip(frames.index, frames, strict=True)
+    if short := [f"{variant}/seed{seed} ({n})" for (variant, seed), n in runs if n < frames.max()]:
+        texts.append(
+            f"Not all runs have all {frames.max()} test frames: {listed(short)}; pairs are of frames that both have."
+        )
+    return texts
 
 
 def _about_values(per_image: pd.DataFrame) -> list[str]:

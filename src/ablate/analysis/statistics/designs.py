@@ -60,6 +60,8 @@ def find_design(
     >>> find_design(runs, ["model.depth"]).name
     'with and without one component (depth)'
     """
+    if not runs:
+        return None
     if reference not in runs:
         near = {
             label: [sum(run.get(key) != other.get(key) for key in {*run, *other}) for other in runs.values()].count(1)
