@@ -37,17 +37,20 @@ def serve(preset: str, frames: int, many: int) -> None:
     import torch
 
     from ablate.jobs.compose import jobs_of
-    from ablate.runs.simulated import build_scene, lay_out
+    from ablate.runs import simulated
     from ablate.ultrasound import Simulator
 
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:
-        settings = jobs_of([f"preset={preset}", f"runs_dir={folder}"])[0].settings
-        scene, grid = build_scene(settings)
-        poses = lay_out(settings, scene, grid).poses
+        job = jobs_of([f"preset={preset}", f"runs_dir={folder}"])[0]
+        settings = job.settings
+        scene, grid = simulated.build_scene(settings)
+        poses = simulated.lay_out(settings, scene, grid).poses
+        of_job = getattr(simulated, "simulator_of", None)  # earlier checkouts have one time gain for all scenes
+        simulator = settings.simulator if of_job is None else of_job(job, scene, grid, poses)
         poses = poses[np.linspace(0, len(poses) - 1, min(frames, len(poses))).astype(int)]
-        few = Simulator(scene, settings.probe, settings.simulator, poses=poses)
-        dense = Simulator(scene, settings.probe, replace(settings.simulator, rays=many), poses=poses)
+        few = Simulator(scene, settings.probe, simulator, poses=poses)
+        dense = Simulator(scene, settings.probe, replace(simulator, rays=many), poses=poses)
         labels = [k + 1 for k, tissue in enumerate(scene.tissues) if tissue.name in FLUIDS]
         few.render(poses[0])
         print(len(poses), flush=True)

@@ -25,7 +25,7 @@ from ablate.jobs.compose import jobs_of
 from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job
 from ablate.runs.prepare import prepare_data
-from ablate.runs.simulated import build_scene
+from ablate.runs.simulated import build_scene, simulator_of
 from ablate.settings.study import DatasetSettings
 from ablate.tracking import hardware
 from ablate.ultrasound import Simulator
@@ -102,8 +102,9 @@ def simulated(job: Job) -> DataSet:
 
 def codecs(job: Job, pairs: Pairs) -> None:
     """Print size and time of the codecs tried on each kind of map."""
-    scene, _ = build_scene(job.settings)
-    simulator = Simulator(scene, job.settings.probe, job.settings.simulator, poses=pairs.poses)
+    scene, grid = build_scene(job.settings)
+    chosen_settings = simulator_of(job, scene, grid, pairs.poses)
+    simulator = Simulator(scene, job.settings.probe, chosen_settings, poses=pairs.poses)
     chosen = np.linspace(0, len(pairs) - 1, CODEC_FRAMES).round().astype(int)
     exact = [simulator.maps(pairs.poses[i])[1] for i in chosen]
     stacks = {

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.anatomy import fetal_abdomen, fetal_planes
 from ablate.jobs.compose import jobs_of
-from ablate.ultrasound import Simulator
+from ablate.ultrasound import Simulator, with_patient_gain
 from ablate.ultrasound.probe import fan_of
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -32,7 +32,8 @@ def main() -> None:
         panels = figure.subplots(1, len(jobs), width_ratios=widths)
         for axes, job, title in zip(panels, jobs, SHOWN.values(), strict=True):
             pose = fetal_planes(press_mm=job.dataset.press_mm)[PLANE]
-            image = Simulator(scene, job.probe, job.simulator, poses=[pose]).render(pose).image
+            chosen = with_patient_gain(scene, job.probe, job.simulator, pose[None])
+            image = Simulator(scene, job.probe, chosen, poses=[pose]).render(pose).image
             (height, width), top = fan_of(job.probe).size_mm, -fan_of(job.probe).sag_mm
             axes.imshow(image, cmap="gray", vmin=0, vmax=255, extent=(-width / 2, width / 2, top + height, top))
             axes.set_title(f"{title}, {job.probe.frequency_mhz:g} MHz")

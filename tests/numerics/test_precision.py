@@ -123,7 +123,10 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
     pairs = job.data.pairs
     frames = pairs.frames(Part.test)[[0, -1]]
     scene, _ = build_scene(s)
-    exact, coarse = (Simulator(scene, s.probe, replace(s.simulator, rays=rays)) for rays in (32, 4))
+    exact, coarse = (
+        Simulator(scene, s.probe, replace(s.simulator, rays=rays, time_gain_db=job.data.time_gain_db))
+        for rays in (32, 4)
+    )
     targets = [exact.render(pairs.poses[f], s.dataset.seed).image for f in frames]
     points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})
     errors = points.set_index(["series", "setting", "metric"])["error"]
