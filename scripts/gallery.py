@@ -16,9 +16,9 @@ import numpy as np
 from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import Scene, fetal_abdomen, fetal_planes, load_scene, load_sites
 from ablate.dataset import probe_poses
-from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings
+from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, TimeGain, with_patient_gain
 
-FREQUENCY_MHZ = 5.0  # usual for a second-trimester examination; at the paper's 8 MHz TGC saturates behind much fluid
+FREQUENCY_MHZ = 5.0  # usual for a second-trimester examination
 SCOUT_SHAPE = (100, 139)  # of the label maps from which the poses are chosen
 COLUMNS = 3
 
@@ -59,7 +59,8 @@ def main() -> None:
     args = parser.parse_args()
     scene = load_scene(args.folder) if args.folder else fetal_abdomen()
     poses = poses_by_tissue(args.folder, scene) if args.folder else fetal_planes()
-    simulator = Simulator(scene, ConvexProbe(frequency_mhz=args.frequency))
+    probe, patient = ConvexProbe(frequency_mhz=args.frequency), SimulatorSettings(tgc=TimeGain.patient)
+    simulator = Simulator(scene, probe, with_patient_gain(scene, probe, patient, np.array(list(poses.values()))))
     draw(scene, {name: simulator.render(pose) for name, pose in poses.items()}, args.out)
 
 

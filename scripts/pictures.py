@@ -15,7 +15,7 @@ from skimage.transform import resize
 from ablate.analysis import preview_figure
 from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import Scene, fetal_abdomen, fetal_planes, fetal_sites
-from ablate.ultrasound import ConvexProbe, Frame, Simulator
+from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, TimeGain, with_patient_gain
 
 DOCS = Path(__file__).parents[1] / "docs"
 PLANE = "spine"
@@ -25,8 +25,9 @@ FREQUENCY_MHZ = 3.0  # of the quick preset; at the paper's 8 MHz little of the a
 def main() -> None:
     """Render the frame and write both pictures."""
     scene, probe, grid = fetal_abdomen(), ConvexProbe(frequency_mhz=FREQUENCY_MHZ), fetal_sites()
-    pose = fetal_planes()[PLANE]
-    frame = Simulator(scene, probe).render(pose)
+    planes, patient = fetal_planes(), SimulatorSettings(tgc=TimeGain.patient)
+    settings, pose = with_patient_gain(scene, probe, patient, np.array(list(planes.values()))), planes[PLANE]
+    frame = Simulator(scene, probe, settings).render(pose)
     write_panels(scene, frame)
     title = f"sagittal plane of the {PLANE}"
     preview_figure(DOCS / "preview.png", title, scene, probe, pose, frame.image, frame.segmentation, grid)
