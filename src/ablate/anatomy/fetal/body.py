@@ -141,9 +141,9 @@ class Limbs:
     """Poses of legs and arms."""
 
     left_leg: LimbPose = LimbPose(122.0, 15.0, 136.0, 16.0)
-    right_leg: LimbPose = LimbPose(112.0, 14.0, 134.0, 16.0)
+    right_leg: LimbPose = LimbPose(122.0, 14.0, 136.0, 16.0)
     left_arm: LimbPose = LimbPose(42.0, 6.0, 84.0, 26.0)
-    right_arm: LimbPose = LimbPose(34.0, 6.0, 66.0, 22.0)
+    right_arm: LimbPose = LimbPose(28.0, 6.0, 60.0, 22.0)
 
     def rods(self) -> list[list[Capsule]]:
         """The rounded rods of left leg, right leg, left arm and right arm."""
@@ -225,8 +225,8 @@ def finger_rays(limb: Limb) -> list[tuple[np.ndarray, np.ndarray]]:
     return rays
 
 
-def fetal_body(scale: float, seed: int) -> Part:
-    """Trunk and head as one closed solid; what is inside comes later and owns its place."""
+def _body_field() -> sdf.Field:
+    """Trunk and head as one solid."""
     torso = sdf.union([trunk, sdf.ellipsoid((0.0, 1.5, 35.0), (28.0, 13.5, 11.0))], 6.0)
     face = [  # cheeks and chin, nose, lips and ears, in the head's axes
         sdf.ellipsoid((0.0, -20.0, -21.0), (20.5, 19.0, 18.5)),
@@ -236,7 +236,17 @@ def fetal_body(scale: float, seed: int) -> Part:
         *(sdf.ellipsoid((side * 28.5, 7.0, -14.0), (2.4, 5.5, 8.0)) for side in SIDES[::-1]),
     ]
     head = sdf.union([sdf.ellipsoid((0.0, 0.0, 0.0), HEAD_RADII), *face], 7.0)
-    whole = sdf.rippled(sdf.union([curled(torso), in_head(head)], 7.0), seed, 0.18, 22.0)
+    return sdf.union([curled(torso), in_head(head)], 7.0)
+
+
+def flesh_field(limbs: Limbs) -> sdf.Field:
+    """About the distance to trunk, head and limbs, in fetal axes."""
+    return sdf.union([_body_field(), *(sdf.capsule(*rod) for limb in limbs.rods() for rod in limb)], 2.0)
+
+
+def fetal_body(scale: float, seed: int) -> Part:
+    """Trunk and head as one closed solid; what is inside comes later and owns its place."""
+    whole = sdf.rippled(_body_field(), seed, 0.25, 24.0)
     return Part(sdf.mesh_field(whole, FETUS_BOX, min(1.15 * scale, 9.75), "body and head"), "soft_tissue")
 
 
