@@ -264,14 +264,24 @@ def _vessels(
     """Branches from the cord's insertion, first under the fetal face and then into the lobes, but not to the rim."""
     center = unit((insertion - uterus.center) / uterus.radii)
     count = max(6, round(40 / scale))
-    branches = []
+    routes = []
     for k in range(6):
         polar = np.linspace(0.17, 0.17 + np.deg2rad(REACH_DEG) * (0.5, 0.36)[k % 2], 40)
         along = from_middle(center, polar, 2.0 * np.pi * k / 6 + 0.35 * (-1.0) ** k * (polar - 0.17))
         along = along[: np.argmax(np.append(along @ uterus.placenta < np.cos(np.deg2rad(0.7 * REACH_DEG)), True))]
-        if len(along) < 8:
-            continue
-        depth = 4.4 + 7.5 * np.linspace(0.0, 1.0, len(along)) ** 4
-        path = (face_points(uterus, field, along) + depth[:, None] * unit(along * uterus.radii))[:: len(along) // 5]
-        branches.append(tube(smooth_path(path, count), np.linspace(1.3, 0.7, count), sides))
-    return branches
+        if len(along) >= 8:
+            depth = 5.0 + 7.0 * np.linspace(0.0, 1.0, len(along)) ** 4
+            path = face_points(uterus, field, along) + depth[:, None] * unit(along * uterus.radii)
+            routes.append(smooth_path(path[:: len(along) // 5], 40))
+    kept: list[np.ndarray] = []  # the straightest, and what turns wide and keeps away from the others
+    for path in sorted(routes, key=_sharpest_bend):
+        apart = [np.linalg.norm(path[:, None] - other, axis=2).min() for other in kept]
+        if not kept or (_sharpest_bend(path) < 0.5 and min(apart) > 4.0):
+            kept.append(path)
+    return [tube(smooth_path(path, count), np.linspace(1.3, 0.7, count), sides) for path in kept]
+
+
+def _sharpest_bend(path: np.ndarray) -> float:
+    """Largest curvature of a path (n, 3), 1/mm."""
+    steps = np.diff(path, axis=0)
+    return float((np.linalg.norm(np.diff(unit(steps), axis=0), axis=1) / np.linalg.norm(steps[1:], axis=1)).max())

@@ -87,11 +87,6 @@ class Pregnancy:
         """From fetal axes (..., 3) to the mother's (..., 3), mm."""
         return self.size * np.asarray(points) @ self.rotation.T + self.origin
 
-    def balls(self) -> np.ndarray:
-        """Balls that about fill the fetus in the world: centre and radius, (n, 4), mm."""
-        balls = fetal_balls(self.limbs)
-        return np.column_stack([self.to_world(balls[:, :3]), self.size * balls[:, 3]])
-
 
 @cache
 def draw_pregnancy(seed: int) -> Pregnancy:
@@ -133,7 +128,7 @@ def draw_pregnancy(seed: int) -> Pregnancy:
             radii = radii + (2.0 if pocket < POCKET_MM[0] else (0.0, -4.0, 0.0))
             if off == 0.0:
                 break
-        if best[0] == 0.0:
+        if best is not None and best[0] == 0.0:
             break
     assert best is not None
     return replace(best[1], fluid=best[1].fluid.with_distances())
@@ -190,7 +185,8 @@ class _Fetus:
     def hull(self) -> FreeSpace:
         """Distance to the flesh with its folds filled, and with room for the cord, in fetal axes."""
         flesh, navel = self.flesh, np.array(NAVEL_IN_TRUNK)
-        cord = capsule(*curl(np.stack([navel, navel - (0.0, 18.0, 0.0)])), 7.0, 7.0)
+        start, end = curl(np.stack([navel, navel - (0.0, 18.0, 0.0)]))
+        cord = capsule(start, end, 7.0, 7.0)
         taken = np.minimum(flesh.clearance, cord(*np.moveaxis(flesh.points, -1, 0)))
         grown = replace(flesh, clearance=(FOLD_MM - taken).astype(np.float32)).with_distances()
         return replace(flesh, clearance=np.minimum(flesh.clearance, FOLD_MM - grown.clearance))
