@@ -38,7 +38,7 @@ def fetal_abdomen(triangles: int = 675_000, seed: int = 0, cache_dir: str | Path
         keep what they need, so that the coarsest scene has about 25,000.
     seed : int
         Which pregnancy: size, presentation and lie of the fetus, its limbs, the site of the placenta, the way of the
-        cord, and the low-frequency displacement of each surface. 0 is the textbook case, of size 1.
+        cord, the mother's fat, and the irregularity of bones and surfaces. 0 is the textbook case, of size 1.
     cache_dir : path, optional
         Where a built scene is kept and read again; without it nothing is written.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from operator import itemgetter
 
 import numpy as np
 from scipy.ndimage import binary_erosion, map_coordinates
@@ -21,7 +22,7 @@ POCKET_MM = (28.0, 72.0)
 SINK_MM = 5.0  # of the fetus to the mother's back
 FOLD_MM = 16.0  # radius of the ball that cannot reach the folds which the wall spans
 DEEPEST_Y_MM = 20.0  # of the fetus: it ends in front of the mother's spine, 150 mm under her skin
-_LIES, _UTERI = 20, 5  # drawn at most
+_LIES, _UTERI = 30, 5  # drawn at most
 #: Least and largest angles of a drawn limb: flexion, abduction, bend, inward; see `LimbPose`.
 _LEG_DEG = ((95.0, 8.0, 100.0, 5.0), (130.0, 24.0, 148.0, 30.0))
 _ARM_DEG = ((10.0, 0.0, 50.0, 5.0), (60.0, 20.0, 125.0, 40.0))
@@ -75,7 +76,6 @@ class FreeSpace:
 class Pregnancy:
     """One mother and fetus."""
 
-    seed: int  # of the surface displacements
     size: float  # factor on every length of the fetus; 1 is the table's 22 weeks
     rotation: np.ndarray  # (3, 3): columns are the fetus's left, back and head in the world
     origin: np.ndarray  # (3,): the fetal origin in the world, mm
@@ -93,7 +93,7 @@ def draw_pregnancy(seed: int) -> Pregnancy:
     """The pregnancy of a seed.
 
     Seed 0 is the textbook case: head down, its left side and its back to the probe, placenta high in front.
-    Others vary in size (about 0.93 to 1.1), presentation (half head down, a third breech, others across), lie, limbs,
+    Others vary in size (0.92 to 1.08), presentation (half head down, a third breech, others across), lie, limbs,
     placenta, and the fat of the mother. The fetus lies on the wall or the placenta behind it and stretches the wall.
     Lie, limbs and uterus are drawn again until the deepest pocket of fluid is within `POCKET_MM`, else the nearest
     one is taken. Raises ValueError when `seed` is negative.
@@ -108,41 +108,36 @@ def draw_pregnancy(seed: int) -> Pregnancy:
         fat_mm = float(np.clip(generator.normal(15.0, 4.0), 8.0, 24.0))
         site = PLACENTA_SITES[generator.choice(len(PLACENTA_SITES), p=[share for share, _ in PLACENTA_SITES])][1]
         towards = unit(np.array(site) + generator.normal(0.0, 0.15, 3))
-    best: tuple[float, Pregnancy] | None = None
-    for _ in range(_LIES if seed > 0 else 1):
-        limbs, rotation = (Limbs(), lie(True, -68.0, -4.0, 0.0)) if seed == 0 else _drawn_lie(seed, generator)
+    tried: list[tuple[float, Pregnancy]] = []
+    for number in range(_LIES if seed > 0 else 1):
+        turn = 0.618034 * (seed + number // 20) % 1.0  # golden ratio: few seeds have all presentations
+        limbs, rotation = (Limbs(), lie(True, -68.0, -4.0, 0.0)) if seed == 0 else _drawn_lie(turn, generator)
         fetus = _Fetus(size, rotation, limbs)
         radii = np.ptp(fetus.ends, axis=0) / 2.0 + (6.0, -6.0, 6.0) - 12.0 * np.abs(rotation[:, 2])
         for _ in range(_UTERI):
             uterus = Uterus(seed, radii, towards, fat_mm)
             origin = fetus.settled(uterus)
-            if best is not None and origin[1] + fetus.ends[1, 1] > DEEPEST_Y_MM:
+            if tried and origin[1] + fetus.ends[1, 1] > DEEPEST_Y_MM:
                 break
             uterus = replace(uterus, fetus=fetus.at(origin, fetus.flesh), hull=fetus.at(origin, fetus.hull))
             fluid = _space(uterus, origin + fetus.ends)
             pocket = fluid.deepest_pocket_mm()
             off = max(POCKET_MM[0] - pocket, pocket - POCKET_MM[1], 0.0)
             off += max(origin[1] + float(fetus.ends[1, 1]) - DEEPEST_Y_MM, 0.0)
-            if best is None or off < best[0]:
-                best = off, Pregnancy(seed, size, rotation, origin, limbs, uterus, fluid)
-            radii = radii + (2.0 if pocket < POCKET_MM[0] else (0.0, -4.0, 0.0))
+            tried.append((off, Pregnancy(size, rotation, origin, limbs, uterus, fluid)))
             if off == 0.0:
-                break
-        if best is not None and best[0] == 0.0:
-            break
-    assert best is not None
-    return replace(best[1], fluid=best[1].fluid.with_distances())
+                return replace(tried[-1][1], fluid=fluid.with_distances())
+            radii = radii + (2.0 if pocket < POCKET_MM[0] else (0.0, -4.0, 0.0))
+    nearest = min(tried, key=itemgetter(0))[1]
+    return replace(nearest, fluid=nearest.fluid.with_distances())
 
 
-def _drawn_lie(seed: int, generator: np.random.Generator) -> tuple[Limbs, np.ndarray]:
-    """Limbs, the first of 200 draws that do not run into each other, the trunk or the cord, and a rotation.
-
-    The presentation follows the golden ratio, so that few seeds have all of them.
-    """
+def _drawn_lie(turn: float, generator: np.random.Generator) -> tuple[Limbs, np.ndarray]:
+    """Limbs, the first of 200 draws that do not run into each other, the trunk or the cord, and a rotation."""
     angles_deg = (_LEG_DEG, _LEG_DEG, _ARM_DEG, _ARM_DEG)
     drawn = (Limbs(*(LimbPose(*generator.uniform(*ends)) for ends in angles_deg)) for _ in range(200))
     limbs = next(filter(untangled, drawn), Limbs())
-    turn, oblique = 0.618034 * seed % 1.0, float(np.clip(generator.normal(0.0, 12.0), -30.0, 30.0))
+    oblique = float(np.clip(generator.normal(0.0, 12.0), -30.0, 30.0))
     if turn > HEAD_DOWN_SHARE + BREECH_SHARE:
         oblique += 90.0 * generator.choice((-1.0, 1.0))
     return limbs, lie(turn < HEAD_DOWN_SHARE, generator.uniform(-180.0, 180.0), oblique, generator.normal(0.0, 5.0))
