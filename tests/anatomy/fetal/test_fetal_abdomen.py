@@ -17,7 +17,7 @@ def test_abdominal_wall_of_the_mother(scene, mesh_of) -> None:
     for name in ("skin", "subcutaneous fat", "abdominal wall", "abdominal cavity", "uterus", "amniotic cavity"):
         cut = trimesh.intersections.mesh_plane(mesh_of(scene, name), np.array([1.0, 0, 0]), np.array([30.0, 0, 0]))
         near = cut.reshape(-1, 3)
-        near = near[(np.abs(near[:, 2] - 5.0) < 12.0) & (near[:, 1] < 0)]
+        near = near[(np.abs(near[:, 2] - 5.0) < 12.0) & (near[:, 1] < -70)]
         depth[name] = near[:, 1].mean()
     thickness = -np.diff([-depth[name] for name in depth])
     assert thickness[0] == pytest.approx(2.0, abs=0.6)

@@ -141,9 +141,9 @@ class Limbs:
     """Poses of legs and arms."""
 
     left_leg: LimbPose = LimbPose(122.0, 15.0, 136.0, 16.0)
-    right_leg: LimbPose = LimbPose(112.0, 14.0, 134.0, 16.0)
+    right_leg: LimbPose = LimbPose(122.0, 14.0, 136.0, 16.0)
     left_arm: LimbPose = LimbPose(42.0, 6.0, 84.0, 26.0)
-    right_arm: LimbPose = LimbPose(34.0, 6.0, 66.0, 22.0)
+    right_arm: LimbPose = LimbPose(28.0, 6.0, 60.0, 22.0)
 
     def rods(self) -> list[list[Capsule]]:
         """The rounded rods of left leg, right leg, left arm and right arm."""
@@ -225,18 +225,28 @@ def finger_rays(limb: Limb) -> list[tuple[np.ndarray, np.ndarray]]:
     return rays
 
 
-def fetal_body(scale: float, seed: int) -> Part:
-    """Trunk and head as one closed solid; what is inside comes later and owns its place."""
+def _body_field() -> sdf.Field:
+    """Trunk and head as one solid."""
     torso = sdf.union([trunk, sdf.ellipsoid((0.0, 1.5, 35.0), (28.0, 13.5, 11.0))], 6.0)
-    face = [  # cheeks and chin, nose, lips and ears, in the head's axes
+    head = [  # scalp, cheeks and chin, nose, lips and ears, in the head's axes
+        sdf.ellipsoid((0.0, 0.0, 0.0), HEAD_RADII),
         sdf.ellipsoid((0.0, -20.0, -21.0), (20.5, 19.0, 18.5)),
         sdf.capsule((0.0, -37.0, -20.0), (0.0, -42.5, -24.0), 2.4, 2.8),
         sdf.capsule((-4.0, -38.0, -29.5), (4.0, -38.0, -29.5), 2.4, 2.4),
         sdf.capsule((-3.0, -36.5, -36.5), (3.0, -36.5, -36.5), 3.2, 3.2),
         *(sdf.ellipsoid((side * 28.5, 7.0, -14.0), (2.4, 5.5, 8.0)) for side in SIDES[::-1]),
     ]
-    head = sdf.union([sdf.ellipsoid((0.0, 0.0, 0.0), HEAD_RADII), *face], 7.0)
-    whole = sdf.rippled(sdf.union([curled(torso), in_head(head)], 7.0), seed, 0.18, 22.0)
+    return sdf.union([curled(torso), in_head(sdf.union(head, 7.0))], 7.0)
+
+
+def flesh_field(limbs: Limbs) -> sdf.Field:
+    """About the distance to trunk, head and limbs, in fetal axes."""
+    return sdf.union([_body_field(), *(sdf.capsule(*rod) for limb in limbs.rods() for rod in limb)], 2.0)
+
+
+def fetal_body(scale: float, seed: int) -> Part:
+    """Trunk and head as one closed solid; what is inside comes later and owns its place."""
+    whole = sdf.rippled(_body_field(), seed, 0.25, 24.0)
     return Part(sdf.mesh_field(whole, FETUS_BOX, min(1.15 * scale, 9.75), "body and head"), "soft_tissue")
 
 
@@ -260,7 +270,7 @@ def fetal_balls(limbs: Limbs) -> np.ndarray:
 
 def untangled(limbs: Limbs) -> bool:
     """Whether no limb runs through another one, the trunk, the head, or the place of the cord at the navel."""
-    navel = np.array([[*curl(np.array([NAVEL_IN_TRUNK]))[0], 6.0]])
+    navel = np.hstack([curl(np.array([NAVEL_IN_TRUNK])), [[6.0]]])
     fixed = np.concatenate([_body_balls(), navel])
     rods = limbs.rods()
     lower, whole = [_in_capsules(each[1:]) for each in rods], [_in_capsules(each) for each in rods]
@@ -277,8 +287,7 @@ def _body_balls() -> np.ndarray:
     spine = np.column_stack([curl(np.column_stack([0.0 * s, middle, s])), (width + depth) / 2.0 + 0.6])
     shoulders = [(*curl(np.array([(side * 18.5, 1.5, 35.0)]))[0], 10.5) for side in SIDES[::-1]]
     skull = np.array([(0.0, y, 0.0, 31.0 - abs(y) / 9.0) for y in (-10.0, -5.0, 0.0, 5.0, 10.0)])
-    face = np.array([(0.0, -20.0, -21.0, 19.3), (0.0, -40.0, -22.0, 3.5), (0.0, -36.5, -36.5, 3.5)])
-    head = np.concatenate([skull, face])
+    head = np.concatenate([skull, [(0.0, -20.0, -21.0, 19.3), (0.0, -40.0, -22.0, 3.5), (0.0, -36.5, -36.5, 3.5)]])
     return np.concatenate([spine, shoulders, np.column_stack([head_to_fetus(head[:, :3]), head[:, 3]])])
 
 

@@ -1,5 +1,7 @@
 """Bones of the fetus: spine, ribs and girdles of the trunk, face and base of the skull, arms and legs; mm."""
 
+from itertools import product
+
 import numpy as np
 import trimesh
 
@@ -21,8 +23,11 @@ VERTEBRAE_S_MM = np.concatenate(
 CENTRUM_SHARE = 0.62  # of the distance between two vertebrae that is ossified
 
 
-def trunk_bones(scale: float) -> list[Part]:
-    """Spinal canal and cord, vertebrae, ribs, shoulder blades, collar bones and pelvis, in the straight trunk."""
+def trunk_bones(scale: float, seed: int) -> list[Part]:
+    """Spinal canal and cord, vertebrae, ribs, shoulder blades, collar bones and pelvis, in the straight trunk.
+
+    Vertebrae and ribs vary in place, size, calibre and tilt, as `seed` says.
+    """
     sides = max(4, round(14 / scale))
     s = np.linspace(-50.0, 58.0, max(8, round(90 / scale)))
     canal = np.stack([0.0 * s, spine_y(s) + 4.9, s], axis=1)
@@ -30,43 +35,55 @@ def trunk_bones(scale: float) -> list[Part]:
     around = np.interp(s, (-50.0, -36.0), (1.4, 2.4))
     cord = canal[10 * len(s) // 90 : -1]
     girdle_sides = max(4, round(12 / scale))
-    centra, arches = _vertebrae(sides)
+    generator = np.random.default_rng([seed, 5])
+    centra, arches = _vertebrae(sides, generator)
     parts = [
         ("spinal canal", "csf", [tube(canal, around, sides, up)]),
         ("spinal cord", "brain", [tube(cord, np.linspace(0.8, 1.4, len(cord)), sides, up)]),
         ("fetal vertebral bodies", "fetal_bone", centra),
         ("fetal vertebral arches", "fetal_bone", arches),
-        ("ribs", "fetal_bone", [_rib(number, side, scale, sides) for number in range(12) for side in SIDES[::-1]]),
+        ("ribs", "fetal_bone", _ribs(scale, sides, generator)),
         ("scapulae", "fetal_bone", [_scapula(side, scale, girdle_sides) for side in SIDES[::-1]]),
         ("clavicles and pelvis", "fetal_bone", _girdles(girdle_sides)),
     ]
     return [Part(joined(meshes, name), tissue) for name, tissue, meshes in parts]
 
 
-def _vertebrae(sides: int) -> tuple[list[trimesh.Trimesh], list[trimesh.Trimesh]]:
-    """Ossification centres of the vertebrae: blunt ones in their bodies, and two each beside the canal."""
+def _vertebrae(sides: int, generator: np.random.Generator) -> tuple[list[trimesh.Trimesh], list[trimesh.Trimesh]]:
+    """Ossification centres of the vertebrae: blunt ones in their bodies, and two laminae each around the canal."""
     x = np.array([-1.0, -0.9, -0.6, 0.0, 0.6, 0.9, 1.0])
-    blunt = np.array([0.5, 0.8, 1.0, 1.0, 1.0, 0.8, 0.5])
+    blunt = np.array([0.45, 0.75, 1.0, 0.92, 1.0, 0.75, 0.45])
+    lamina = np.array([0.6, 1.0, 0.8, 0.75, 0.7, 0.5])[:, None]
     bodies, arches = [], []
     for s, distance in zip(VERTEBRAE_S_MM, np.abs(np.gradient(VERTEBRAE_S_MM)), strict=True):
         y, size = float(spine_y(s)), float(np.interp(s, (-52.0, -36.0, -16.0, 20.0, 58.0), (0.55, 0.9, 1.1, 0.95, 0.8)))
-        path = np.stack([2.9 * size * x, np.full(7, y), np.full(7, s)], axis=1)
-        bodies.append(tube(path, blunt[:, None] * (CENTRUM_SHARE * distance / 2.0, 2.1 * size), sides))
+        wide, high, deep = generator.normal(1.0, 0.07, 3).clip(0.85, 1.12) * size
+        middle, tilt = s + generator.uniform(-0.15, 0.15), generator.uniform(-0.2, 0.2)
+        path = np.stack([2.9 * wide * x, y + 0.5 * np.abs(x) ** 2, middle + tilt * x], axis=1)
+        bodies.append(tube(path, blunt[:, None] * (CENTRUM_SHARE * distance / 2.0 * high / size, 2.1 * deep), sides))
         size = float(np.interp(s, (-52.0, -36.0), (0.6, 1.0)))
         for side in SIDES[::-1]:
-            start, end = (side * 4.7 * size, y + 2.6, s), (side * 0.75, y + 3.2 + 5.4 * size, s - 0.6)
-            arches.append(spindle(start, end, (1.1, 1.0), sides))
+            at, long, drop = generator.uniform((0.92 * size, 0.85, 0.2), (1.08 * size, 1.05, 0.9))
+            bow = [(4.2 * at, y + 2.2, s), (4.6 * at, y + 4.4, s), (0.8, y + 3.2 + 5.4 * size * long, s - drop)]
+            path = smooth_path(np.array(bow) * (side, 1.0, 1.0), len(lamina))
+            arches.append(tube(path, lamina * (1.2 * at, 1.0), sides))
     return bodies, arches
 
 
-def _rib(number: int, side: float, scale: float, sides: int) -> trimesh.Trimesh:
-    """A rib: from beside the spine around the chest, sinking towards the front, the lower ones more."""
-    angle = np.deg2rad(np.linspace(20.0, RIB_REACH_DEG[number], max(5, round(44 / scale))))
-    s = THORACIC_S_MM[number] - (3.0 + 1.8 * number) * (angle / 2.2) ** 1.3 + 2.2 * np.clip(angle - 1.6, 0.0, None)
-    width, depth, middle = outline(s)
-    under = RIB_DEPTH_MM
-    path = np.stack([side * (width - under) * np.sin(angle), middle + (depth - under) * np.cos(angle), s], axis=1)
-    return tube(path, np.linspace(1.0, 0.85, len(path)), sides)
+def _ribs(scale: float, sides: int, generator: np.random.Generator) -> list[trimesh.Trimesh]:
+    """Twelve ribs a side: from beside the spine around the chest, sinking to the front, the lower ones more."""
+    ribs, sink = [], generator.uniform(0.9, 1.1, 2)  # of right and left
+    for number, (side, steep) in product(range(12), zip(SIDES[::-1], sink, strict=True)):
+        reach, calibre = RIB_REACH_DEG[number] + generator.uniform(-6.0, 6.0), generator.uniform(0.85, 1.1)
+        angle = np.deg2rad(np.linspace(20.0, reach, max(5, round(44 / scale))))
+        s = THORACIC_S_MM[number] - steep * (3.0 + 1.8 * number) * (angle / 2.2) ** 1.3
+        s += 2.2 * np.clip(angle - 1.6, 0.0, None) + generator.uniform(-0.25, 0.25)
+        width, depth, middle = (part - RIB_DEPTH_MM for part in outline(s))
+        y = middle + RIB_DEPTH_MM + depth * np.cos(angle)
+        swell = calibre * (1.0 + 0.12 * np.sin(3.0 * angle + generator.uniform(0.0, 6.0)))
+        path = np.stack([side * width * np.sin(angle), y, s], axis=1)
+        ribs.append(tube(path, swell[:, None] * (1.05, 0.75), sides))
+    return ribs
 
 
 def _scapula(side: float, scale: float, sides: int) -> trimesh.Trimesh:

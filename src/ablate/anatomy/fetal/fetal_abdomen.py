@@ -9,7 +9,7 @@ import numpy as np
 
 from ablate.anatomy.fetal import body
 from ablate.anatomy.fetal.bones import face_bones, limb_bones, trunk_bones
-from ablate.anatomy.fetal.mother import UTERUS_CENTER, UTERUS_RADII, mother, placenta, torso
+from ablate.anatomy.fetal.mother import mother, placenta, torso
 from ablate.anatomy.fetal.organs import HEART_AXES, HEART_CENTER, fetal_belly, fetal_chest, fetal_head
 from ablate.anatomy.fetal.pregnancy import Pregnancy, draw_pregnancy
 from ablate.anatomy.fetal.shapes import moved, unit
@@ -18,7 +18,7 @@ from ablate.anatomy.scene import ANATOMY_VERSION, FEWEST_TRIANGLES, Scene, Struc
 from ablate.anatomy.tissue import load_tissues
 
 #: Triangles that the mother and the fetus have at grid scale 1, and the mother's share (the paper's 275k of 675k).
-_MOTHER_AT_SCALE_1, _FETUS_AT_SCALE_1 = 420_000, 680_000
+_MOTHER_AT_SCALE_1, _FETUS_AT_SCALE_1 = 376_000, 680_000
 _MOTHER_SHARE = 275 / 675
 DEEPEST_MM = 115.0  # of what is looked at, under the skin
 MOST_OBLIQUE_DEG = 35.0  # between the beam and the skin's normal
@@ -38,7 +38,7 @@ def fetal_abdomen(triangles: int = 675_000, seed: int = 0, cache_dir: str | Path
         keep what they need, so that the coarsest scene has about 25,000.
     seed : int
         Which pregnancy: size, presentation and lie of the fetus, its limbs, the site of the placenta, the way of the
-        cord, and the low-frequency displacement of each surface. 0 is the textbook case, of size 1.
+        cord, the mother's fat, and the irregularity of bones and surfaces. 0 is the textbook case, of size 1.
     cache_dir : path, optional
         Where a built scene is kept and read again; without it nothing is written.
 
@@ -71,13 +71,13 @@ def _build(triangles: int, seed: int) -> Scene:
         *body.limb_flesh(scale, seed + 100, pregnancy.limbs),
         *moved([*fetal_belly(scale, seed + 200), *fetal_chest(scale, seed + 200)], body.curl),
         *moved(fetal_head(scale, seed + 300), body.head_to_fetus),
-        *moved(trunk_bones(scale), body.curl),
+        *moved(trunk_bones(scale, seed + 400), body.curl),
         *moved([face_bones(scale)], body.head_to_fetus),
         *limb_bones(scale, pregnancy.limbs),
     ]
     parts = [
-        *mother(mother_scale, seed),
-        *placenta(mother_scale, seed, pregnancy.placenta, insertion),
+        *mother(mother_scale, pregnancy.uterus),
+        *placenta(mother_scale, pregnancy.uterus, insertion),
         *umbilical_cord(scale, path),
         *moved(fetus, pregnancy.to_world),
     ]
@@ -109,7 +109,8 @@ def fetal_planes(seed: int = 0, press_mm: float = 8.0) -> dict[str, np.ndarray]:
     heart, base = pregnancy.to_world(body.curl(np.stack([HEART_CENTER, HEART_CENTER + 0.1 * HEART_AXES[:, 2]])))
     legs = [pregnancy.to_world(np.stack(pregnancy.limbs.leg(side))[:2]) for side in body.SIDES]
     spine = pregnancy.to_world(body.curl(np.array([[0.0, 12.0, 5.0]])))[0]
-    placenta = np.array(UTERUS_CENTER) + 0.85 * np.array(UTERUS_RADII) * pregnancy.placenta
+    uterus = pregnancy.uterus
+    placenta = uterus.center + 0.85 * uterus.radii * uterus.placenta
     left, back, _ = pregnancy.rotation.T
     pose = partial(_pose, press_mm)
     planes = {
@@ -118,7 +119,7 @@ def fetal_planes(seed: int = 0, press_mm: float = 8.0) -> dict[str, np.ndarray]:
         "four_chambers": [pose(heart, unit(base - heart))],
         "femur": [pose((hip + knee) / 2, line=unit(knee - hip)) for hip, knee in legs],
         "spine": [pose(spine, left, beam=back)],
-        "placenta": [pose(placenta, np.array([1.0, 0.0, 0.0]), beam=pregnancy.placenta)],
+        "placenta": [pose(placenta, np.array([1.0, 0.0, 0.0]), beam=uterus.placenta)],
     }
     # of several planes the one is taken that the probe reaches best
     return {name: min(several, key=itemgetter(0))[1] for name, several in planes.items()}

@@ -5,6 +5,8 @@ the uterine wall, with vessels on its fetal face and lakes of blood in its lobes
 middle of the uterus, in units of its radii, so that the wall is about a sphere of radius 1.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import trimesh
 
@@ -13,12 +15,11 @@ from ablate.anatomy.fetal.shapes import Part, joined, smooth_path, solids_in, sp
 
 BODY_BOX: sdf.Bounds = ((-175.0, -150.0, -185.0), (175.0, 150.0, 185.0))
 SKIN_MM = 2.0
-FAT_MM = 15.0
 MUSCLE_MM = 10.0
 UTERUS_WALL_MM = 8.0
-UTERUS_CENTER = (0.0, -33.0, 4.0)
-UTERUS_RADII = (77.0, 64.0, 111.0)
 UTERUS_POWER = 2.5
+STRETCH_MM = 12.0  # over which the wall bends from its egg to a fetus that stretches it
+FILM_MM = 0.3  # of fluid between the fetus and what it lies on
 #: Centre and radius of each pocket of gas, mm; the bowel around it is 3 mm thick.
 GAS_POCKETS = (
     ((105.0, -30.0, 66.0), 10.0), ((108.0, -12.0, 22.0), 8.0), ((104.0, -26.0, -34.0), 11.0),
@@ -29,8 +30,8 @@ REACH_DEG = 50.0  # of the disc, seen from the middle of the uterus
 LOBE_MM = 36.0  # from the middle of a lobe to the next one's, on the wall
 GROOVE_MM = 3.2  # depth of the groove between two lobes
 GOLDEN_ANGLE = 2.399963  # rad
-_WALL_MM = 80.0  # mean distance of the wall from the middle
-_RADII = np.array(UTERUS_RADII)
+_WALL_MM = 64.0  # mean distance of the wall from the middle
+_NAVEL = (0.0, -133.0, 2.0)
 
 
 def torso(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -46,61 +47,100 @@ def torso(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def _muscle_inside(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Inner face of the abdominal wall: two bellies of rectus beside a thin midline, obliques at the flanks."""
+    """Inner face of the abdominal wall, without its fat: two bellies of rectus beside a thin midline, obliques."""
     beside_midline = np.clip((np.abs(x) - 1.5) / 11.0, 0.0, 1.0)
     belly = 6.0 * beside_midline**2 * (3.0 - 2.0 * beside_midline)
     at_edge = -3.2 * np.exp(-(((np.abs(x) - 66.0) / 8.0) ** 2))
     front = (y < 40.0) * (belly + at_edge) - 5.0
-    return torso(x, y, z) + (SKIN_MM + FAT_MM + MUSCLE_MM + front * np.exp(-np.maximum(y + 60.0, 0.0) / 40.0))
+    return torso(x, y, z) + (SKIN_MM + MUSCLE_MM + front * np.exp(-np.maximum(y + 60.0, 0.0) / 40.0))
 
 
-def _uterus(seed: int) -> sdf.Field:
-    """Outer face of the uterus, held 2 mm behind the abdominal wall."""
-    wall = SKIN_MM + FAT_MM + MUSCLE_MM + 2.0
-    return sdf.rippled(sdf.intersection([_fundus, sdf.shrunk(torso, wall)], 6.0), seed, 1.0, 90.0)
+@dataclass(frozen=True, eq=False)
+class Uterus:
+    """The uterus behind the abdominal wall: an egg, which the fetus stretches where it lies on the wall."""
+
+    seed: int  # of the surface displacements
+    radii: np.ndarray  # (3,): of the egg's inside, mm
+    placenta: np.ndarray  # (3,): unit direction of the placenta's middle, see `placenta_field`
+    fat_mm: float  # under the mother's skin
+    fetus: sdf.Field | None = None  # about the distance to it, mm; None before it has a place
+    hull: sdf.Field | None = None  # about the distance to the fetus with its folds filled
+
+    @property
+    def center(self) -> np.ndarray:
+        """Middle of the egg, (3,), mm: as far in front as the abdominal wall lets it."""
+        front = SKIN_MM + self.fat_mm + MUSCLE_MM + UTERUS_WALL_MM
+        return np.array((0.0, _NAVEL[1] + front + self.radii[1], 4.0))
+
+    def in_wall(self) -> sdf.Field:
+        """Inside of the wall 2 mm behind the muscles, where nothing may stretch it."""
+        return sdf.shrunk(torso, SKIN_MM + self.fat_mm + MUSCLE_MM + 2.0 + UTERUS_WALL_MM)
+
+    def cavity(self) -> sdf.Field:
+        """Inner face of the wall: the space of the fluid, the placenta and the fetus."""
+        egg = sdf.rippled(sdf.intersection([self._egg, self.in_wall()], 6.0), self.seed, 1.2, 70.0)
+        hull = self.hull
+        if hull is None:
+            return egg
+
+        def stretched(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+            to_hull = hull(x, y, z) - self.thickness(x, y, z)
+            return np.minimum(sdf.smooth_min(egg(x, y, z), to_hull, STRETCH_MM), to_hull - FILM_MM)
+
+        return stretched
+
+    def opening(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Angle from the placenta's middle, 1 at its rim."""
+        u, v, w = ((p - c) / r for p, c, r in zip((x, y, z), self.center, self.radii, strict=True))
+        length = np.maximum(np.sqrt(u * u + v * v + w * w), 1e-3)
+        cosine = (self.placenta[0] * u + self.placenta[1] * v + self.placenta[2] * w) / length
+        return np.arccos(np.clip(cosine, -1.0, 1.0)) / np.deg2rad(REACH_DEG)
+
+    def thickness(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Thickness of the placenta on the wall in this direction, mm, without its grooves."""
+        return THICKNESS_MM * np.maximum(1.0 - self.opening(x, y, z) ** 3, 0.0)
+
+    def outer_face(self) -> sdf.Field:
+        """Outer face of the wall, whose thickness varies."""
+        return sdf.rippled(sdf.shrunk(self.cavity(), -UTERUS_WALL_MM), self.seed + 1, 0.8, 45.0)
+
+    def _egg(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """A superellipsoid, fuller at its ends than an ellipsoid."""
+        parts = [(np.abs(p - c) / r) for p, c, r in zip((x, y, z), self.center, self.radii, strict=True)]
+        power = UTERUS_POWER
+        level = sum(part**power for part in parts) ** (1.0 / power)
+        slope = np.sqrt(sum((part ** (power - 1.0) / r) ** 2 for part, r in zip(parts, self.radii, strict=True)))
+        return (level - 1.0) * level ** (power - 1.0) / (slope + 1e-3 / min(self.radii))
 
 
-def _fundus(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """A superellipsoid, fuller at its ends than an ellipsoid."""
-    parts = [(np.abs(p - c) / r) for p, c, r in zip((x, y, z), UTERUS_CENTER, UTERUS_RADII, strict=True)]
-    power = UTERUS_POWER
-    level = sum(part**power for part in parts) ** (1.0 / power)
-    slope = np.sqrt(sum((part ** (power - 1.0) / r) ** 2 for part, r in zip(parts, UTERUS_RADII, strict=True)))
-    return (level - 1.0) * level ** (power - 1.0) / (slope + 1e-3 / min(UTERUS_RADII))
-
-
-def cavity(seed: int) -> sdf.Field:
-    """Inner face of the uterine wall: the space of the fluid, the placenta and the fetus."""
-    return sdf.rippled(sdf.shrunk(_uterus(seed), UTERUS_WALL_MM), seed + 1, 0.7, 50.0)
-
-
-def mother(scale: float, seed: int) -> list[Part]:
+def mother(scale: float, uterus: Uterus) -> list[Part]:
     """Everything but placenta, cord and fetus, outermost first."""
-    solid = solids_in(BODY_BOX, scale)
+    solid, seed, outer = solids_in(BODY_BOX, scale), uterus.seed, uterus.outer_face()
     shape = sdf.ellipsoid((3.0, -70.0, -104.0), (38.0, 20.0, 22.0))  # a half-filled bladder, moulded to the uterus
-    beside = sdf.outside(sdf.shrunk(_uterus(seed), -5.5))
+    beside = sdf.outside(sdf.shrunk(outer, -5.5))
     bladder = sdf.rippled(sdf.intersection([shape, beside], 5.0), seed + 6, 0.6, 40.0)
-    fat_inside = sdf.rippled(sdf.shrunk(torso, SKIN_MM + FAT_MM), seed + 3, 1.0, 70.0)
+    fat_inside = sdf.rippled(sdf.shrunk(torso, SKIN_MM + uterus.fat_mm), seed + 3, 1.0, 70.0)
+    muscle_inside = sdf.rippled(sdf.shrunk(_muscle_inside, uterus.fat_mm), seed + 5, 0.5, 60.0)
     return [
         solid(torso, "skin", 4.4, "skin"),
         solid(sdf.rippled(sdf.shrunk(torso, SKIN_MM), seed + 4, 0.12, 40.0), "fat", 4.4, "subcutaneous fat"),
         solid(fat_inside, "muscle", 4.2, "abdominal wall"),
-        solid(sdf.rippled(_muscle_inside, seed + 5, 0.5, 60.0), "soft_tissue", 4.0, "abdominal cavity"),
+        solid(muscle_inside, "soft_tissue", 4.0, "abdominal cavity"),
         *_back(scale, seed),
-        *_bowel(scale, seed),
-        solid(_uterus(seed), "uterine_wall", 2.4, "uterus"),
+        *_bowel(scale, uterus),
+        solid(outer, "uterine_wall", 2.4, "uterus"),
         solid(sdf.shrunk(bladder, -3.0), "muscle", 1.8, "bladder wall", 8.0),
         solid(bladder, "urine", 1.8, "bladder", 8.0),
-        solid(cavity(seed), "amniotic_fluid", 2.2, "amniotic cavity"),
+        solid(uterus.cavity(), "amniotic_fluid", 2.2, "amniotic cavity"),
     ]
 
 
-def _bowel(scale: float, seed: int) -> list[Part]:
+def _bowel(scale: float, uterus: Uterus) -> list[Part]:
     """Loops of bowel beside the uterus, each with a pocket of gas."""
     pitch_mm, pockets = min(1.8 * scale, 8.0), []
     for i, (center, radius) in enumerate(GAS_POCKETS):
         pocket = sdf.ellipsoid(center, (radius, 1.1 * radius, 1.5 * radius))
-        pockets.append(sdf.rippled(pocket, seed + 10 + i, 0.8, 3.0 * radius))
+        pockets.append(sdf.rippled(pocket, uterus.seed + 10 + i, 0.8, 3.0 * radius))
     loops = [sdf.shrunk(pocket, -3.0) for pocket in pockets]
     return [
         sdf.several("stomach_wall", "bowel", loops, BODY_BOX, pitch_mm),
@@ -161,16 +201,15 @@ def from_middle(towards: np.ndarray, polar: np.ndarray, turn: np.ndarray) -> np.
     return np.cos(polar)[:, None] * towards + np.sin(polar)[:, None] * around
 
 
-def placenta_field(seed: int, towards: np.ndarray) -> sdf.Field:
-    """The placenta, thickest in its middle, whose unit direction is `towards` (3,); it reaches 3 mm into the wall."""
-    inner = cavity(seed)
-    middles = lobes(seed, towards).astype(np.float32)
+def placenta_field(uterus: Uterus) -> sdf.Field:
+    """The placenta, thickest in its middle; it reaches 3 mm into the wall and yields to a fetus that lies on it."""
+    inner, fetus = uterus.cavity(), uterus.fetus
+    middles = lobes(uterus.seed, uterus.placenta).astype(np.float32)
 
     def face(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-        u, v, w = ((p - c) / r for p, c, r in zip((x, y, z), UTERUS_CENTER, UTERUS_RADII, strict=True))
+        u, v, w = ((p - c) / r for p, c, r in zip((x, y, z), uterus.center, uterus.radii, strict=True))
         length = np.maximum(np.sqrt(u * u + v * v + w * w), 1e-3)
-        cosine = (towards[0] * u + towards[1] * v + towards[2] * w) / length
-        opening = np.arccos(np.clip(cosine, -1.0, 1.0)) / np.deg2rad(REACH_DEG)
+        opening = uterus.opening(x, y, z)
         nearest = np.full(np.shape(length), -1.0, np.float32)  # cosines of the two nearest lobes
         second = nearest.copy()
         for i, j, k in middles:
@@ -182,12 +221,13 @@ def placenta_field(seed: int, towards: np.ndarray) -> sdf.Field:
         thickness = THICKNESS_MM * (1.0 - opening**3) - GROOVE_MM * np.exp(-((apart / 9.0) ** 2))
         return -(inner(x, y, z) + np.maximum(thickness, -12.0))
 
-    return sdf.intersection([sdf.rippled(face, seed + 2, 0.5, 20.0), sdf.shrunk(inner, -3.0)], 3.0)
+    disc = sdf.intersection([sdf.rippled(face, uterus.seed + 2, 0.5, 20.0), sdf.shrunk(inner, -3.0)], 3.0)
+    return disc if fetus is None else lambda x, y, z: np.maximum(disc(x, y, z), FILM_MM - fetus(x, y, z))
 
 
-def placenta(scale: float, seed: int, towards: np.ndarray, insertion: np.ndarray) -> list[Part]:
+def placenta(scale: float, uterus: Uterus, insertion: np.ndarray) -> list[Part]:
     """Tissue, lakes of blood in the inner lobes, and vessels, which start at the cord's `insertion` (3,), mm."""
-    field = placenta_field(seed, towards)
+    field, seed, towards = placenta_field(uterus), uterus.seed, uterus.placenta
     lower = np.array(BODY_BOX[0]) * 0.75
     box: sdf.Bounds = (tuple(lower), tuple(-lower))
     sides = max(3, round(12 / scale))
@@ -196,21 +236,21 @@ def placenta(scale: float, seed: int, towards: np.ndarray, insertion: np.ndarray
     sizes = np.random.default_rng([seed, 3]).uniform(2.0, 4.0, len(inner))  # half lengths, mm
     lakes = []
     for direction, size in zip(inner, sizes, strict=True):
-        on_face = face_points(field, direction[None])[0]
-        outward = unit(direction * _RADII)
+        on_face = face_points(uterus, field, direction[None])[0]
+        outward = unit(direction * uterus.radii)
         middle = on_face + 0.45 * THICKNESS_MM * outward
         lakes.append(spindle(middle - size * outward, middle + size * outward, (0.7 * size, 0.6 * size), sides))
     return [
         Part(sdf.mesh_field(field, box, 1.6 * scale, "placenta"), "placenta"),
         Part(joined(lakes, "placental lakes"), "blood"),
-        Part(joined(_vessels(field, towards, insertion, sides, scale), "placental vessels"), "blood"),
+        Part(joined(_vessels(uterus, field, insertion, sides, scale), "placental vessels"), "blood"),
     ]
 
 
-def face_points(field: sdf.Field, directions: np.ndarray) -> np.ndarray:
+def face_points(uterus: Uterus, field: sdf.Field, directions: np.ndarray) -> np.ndarray:
     """Where rays from the middle of the uterus, along directions (n, 3), meet the fetal face; (n, 3), mm."""
-    along = np.linspace(0.1, 1.3, 121)
-    points = np.array(UTERUS_CENTER) + along[:, None, None] * directions * _RADII
+    along = np.linspace(0.1, 2.6, 251)
+    points = uterus.center + along[:, None, None] * directions * uterus.radii
     value = field(*np.moveaxis(points, -1, 0))
     first = np.maximum(np.argmax(value < 0.0, axis=0), 1)
     ray = np.arange(len(directions))
@@ -219,19 +259,29 @@ def face_points(field: sdf.Field, directions: np.ndarray) -> np.ndarray:
 
 
 def _vessels(
-    field: sdf.Field, towards: np.ndarray, insertion: np.ndarray, sides: int, scale: float
+    uterus: Uterus, field: sdf.Field, insertion: np.ndarray, sides: int, scale: float
 ) -> list[trimesh.Trimesh]:
     """Branches from the cord's insertion, first under the fetal face and then into the lobes, but not to the rim."""
-    center = unit((insertion - UTERUS_CENTER) / _RADII)
+    center = unit((insertion - uterus.center) / uterus.radii)
     count = max(6, round(40 / scale))
-    branches = []
-    for k in range(7):
-        polar = np.linspace(0.1, 0.1 + np.deg2rad(REACH_DEG) * (0.5, 0.36)[k % 2], 40)
-        along = from_middle(center, polar, 2.0 * np.pi * k / 7 + 0.35 * (-1.0) ** k * (polar - 0.1))
-        along = along[: np.argmax(np.append(along @ towards < np.cos(np.deg2rad(0.7 * REACH_DEG)), True))]
-        if len(along) < 8:
-            continue
-        depth = 4.4 + 7.5 * np.linspace(0.0, 1.0, len(along)) ** 4
-        path = (face_points(field, along) + depth[:, None] * unit(along * _RADII))[:: len(along) // 7]
-        branches.append(tube(smooth_path(path, count), np.linspace(1.5, 0.7, count), sides))
-    return branches
+    routes = []
+    for k in range(6):
+        polar = np.linspace(0.17, 0.17 + np.deg2rad(REACH_DEG) * (0.5, 0.36)[k % 2], 40)
+        along = from_middle(center, polar, 2.0 * np.pi * k / 6 + 0.35 * (-1.0) ** k * (polar - 0.17))
+        along = along[: np.argmax(np.append(along @ uterus.placenta < np.cos(np.deg2rad(0.7 * REACH_DEG)), True))]
+        if len(along) >= 8:
+            depth = 5.0 + 7.0 * np.linspace(0.0, 1.0, len(along)) ** 4
+            path = face_points(uterus, field, along) + depth[:, None] * unit(along * uterus.radii)
+            routes.append(smooth_path(path[:: len(along) // 5], 40))
+    kept: list[np.ndarray] = []  # the straightest, and what turns wide and keeps away from the others
+    for path in sorted(routes, key=_sharpest_bend):
+        apart = [np.linalg.norm(path[:, None] - other, axis=2).min() for other in kept]
+        if not kept or (_sharpest_bend(path) < 0.5 and min(apart) > 4.0):
+            kept.append(path)
+    return [tube(smooth_path(path, count), np.linspace(1.3, 0.7, count), sides) for path in kept]
+
+
+def _sharpest_bend(path: np.ndarray) -> float:
+    """Largest curvature of a path (n, 3), 1/mm."""
+    steps = np.diff(path, axis=0)
+    return float((np.linalg.norm(np.diff(unit(steps), axis=0), axis=1) / np.linalg.norm(steps[1:], axis=1)).max())

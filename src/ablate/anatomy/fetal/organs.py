@@ -32,9 +32,11 @@ def fetal_belly(scale: float, seed: int) -> list[Part]:
     pylorus = sdf.capsule((12.0, -2.0, -17.0), (5.5, -5.0, -20.0), 4.6, 2.6)
     stomach = sdf.union([sdf.ellipsoid((12.5, 2.5, -14.5), (6.0, 7.0, 7.5)), pylorus], 3.0)
     stomach = sdf.rippled(stomach, seed + 1, 0.3, 14.0)
+    belly = sdf.intersection([sdf.shrunk(trunk, WALL_INSIDE_MM), sdf.outside(above_diaphragm(-0.6))], 2.0)
+    belly = sdf.rippled(belly, seed + 11, 0.6, 15.0)  # so that the layers of the wall are not rings
     liver = sdf.intersection(
         [
-            sdf.shrunk(trunk, 6.8),
+            sdf.shrunk(belly, 0.7),
             sdf.outside(above_diaphragm(-1.6)),
             sdf.half_space((-0.45, -0.10, 0.89), -20.0),
             sdf.outside(sdf.ellipsoid((0.0, 21.0, -10.0), (9.0, 11.0, 62.0))),
@@ -44,11 +46,10 @@ def fetal_belly(scale: float, seed: int) -> list[Part]:
     )
     bladder = sdf.ellipsoid((0.0, -8.0, -46.0), (5.4, 5.0, 6.6))
     wall = sdf.intersection([sdf.shrunk(trunk, WALL_OUTSIDE_MM), sdf.half_space((0.0, 0.0, 1.0), -52.0)], 2.0)
-    belly = sdf.intersection([sdf.shrunk(trunk, WALL_INSIDE_MM), sdf.outside(above_diaphragm(-0.6))], 2.0)
     return [
-        solid(wall, "muscle", 1.0, "trunk muscles and diaphragm"),
+        solid(sdf.rippled(wall, seed + 10, 0.35, 18.0), "muscle", 1.0, "trunk muscles and diaphragm"),
         solid(belly, "soft_tissue", 1.0, "abdominal contents"),
-        solid(sdf.rippled(liver, seed + 3, 0.25, 15.0), "liver", 0.85, "liver"),
+        solid(sdf.rippled(liver, seed + 3, 0.2, 13.0), "liver", 0.85, "liver"),
         solid(sdf.shrunk(stomach, -1.1), "stomach_wall", 0.7, "stomach wall"),
         solid(stomach, "amniotic_fluid", 0.7, "stomach"),
         solid(sdf.ellipsoid((-9.0, -13.0, -25.0), (2.4, 3.0, 6.0)), "bile", 0.5, "gallbladder", 1.5),
@@ -168,7 +169,9 @@ def fetal_head(scale: float, seed: int) -> list[Part]:
     """The head's contents, outermost first."""
     solid = solids_in(HEAD_BOX, scale, 7.0)
     skull = sdf.rippled(sdf.ellipsoid((0.0, 0.0, 0.0), SKULL_RADII), seed, 0.12, 30.0)
-    gap = sdf.ellipsoid((0.0, -17.5, 25.5), (6.0, 9.5, 6.0))  # from outside the skull into it
+    generator = np.random.default_rng([seed, 7])
+    wide, long = generator.uniform((5.5, 8.5), (8.0, 11.0))
+    gap = sdf.ellipsoid((0.0, -17.5, 25.5), (wide, long, 6.0))  # from outside the skull into it
     bone = [sdf.shrunk(skull, -0.35), sdf.outside(sdf.shrunk(skull, SKULL_MM + 0.35))]
     fontanelle = sdf.intersection([gap, *bone], 0.3)
     cortex = sdf.rippled(sdf.shrunk(skull, SKULL_MM + 1.3), seed + 1, 0.35, 7.0)
@@ -200,7 +203,7 @@ def fetal_head(scale: float, seed: int) -> list[Part]:
     lenses = [sdf.ellipsoid((side * x, y - 3.4, z), (1.6, 0.9, 1.6)) for side in SIDES[::-1]]
     return [
         solid(skull, "fetal_bone", 0.95, "skull", 7.0),
-        Part(joined(_sutures(scale), "sutures"), "soft_tissue"),
+        Part(joined(_sutures(scale, generator), "sutures"), "soft_tissue"),
         solid(fontanelle, "soft_tissue", 0.6, "anterior fontanelle", 2.0),
         solid(sdf.shrunk(skull, SKULL_MM), "csf", 0.95, "subarachnoid space", 7.0),
         solid(brain, "brain", 0.85, "brain", 7.0),
@@ -217,8 +220,8 @@ def fetal_head(scale: float, seed: int) -> list[Part]:
     ]
 
 
-def _sutures(scale: float) -> list[trimesh.Trimesh]:
-    """Narrow gaps of the skull: the coronal, sagittal and lambdoid sutures, which stop short of each other."""
+def _sutures(scale: float, generator: np.random.Generator) -> list[trimesh.Trimesh]:
+    """Gaps of the skull: the coronal, sagittal and lambdoid sutures, wavy, which stop short of each other."""
     sides, count = max(4, round(10 / scale)), max(8, round(40 / scale))
     a, b, c = np.array(SKULL_RADII) - SKULL_MM / 2.0
     t = np.linspace(0.0, 1.0, count)
@@ -228,8 +231,9 @@ def _sutures(scale: float) -> list[trimesh.Trimesh]:
         lines.append(np.stack([side * (3.0 + 17.0 * t), 28.0 - 4.0 * t, 18.0 - 26.0 * t], axis=1))
     sutures = []
     for line in lines:
+        line += 0.6 * np.sin(2.0 * np.pi * generator.uniform(3.0, 5.0) * t)[:, None] * generator.uniform(-1.0, 1.0, 3)
         path = line / np.linalg.norm(line / (a, b, c), axis=1, keepdims=True)
-        radii = np.broadcast_to((SKULL_MM / 2.0 + 0.35, 0.8), (count, 2))
+        radii = np.broadcast_to((SKULL_MM / 2.0 + 0.35, generator.uniform(1.0, 1.5)), (count, 2))
         sutures.append(tube(path, radii, sides, up=path[0] / np.array((a, b, c)) ** 2))
     return sutures
 
