@@ -32,10 +32,9 @@ from ablate.metrics import (
     speckle_features,
 )
 from ablate.runs.data_set import DataSet as Data
-from ablate.runs.data_set import maps_needed
+from ablate.runs.data_set import maps_needed, prepare_data
 from ablate.runs.job import Job
 from ablate.runs.place import finished_run
-from ablate.runs.prepare import prepare_data
 from ablate.runs.train import run_job, scorer
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_json
@@ -120,7 +119,7 @@ def test_values_are_those_of_each_frame_alone_however_many_threads(runs: Path, d
 def test_where_torch_has_one_thread_frames_are_scored_in_it(
     runs: Path, data: Data, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ablate.evaluation.scorer.ThreadPoolExecutor", None)
+    monkeypatch.setattr("ablate.threads.ThreadPoolExecutor", None)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
     assert scored(data, job(runs), resimulation_images(data.pairs)).scalars["psnr"] > 0
 

@@ -196,8 +196,8 @@ def _map_maker(settings: StudySettings, data: DataSet, names: set[str]) -> Calla
     if settings.scene.kind is SceneKind.pairs:
         return lambda frame, _: ({name: data.pairs.read(name, [frame])[0] for name in names}, {})
 
+    from ablate.dataset.simulate import nudged, timed_maps
     from ablate.runs.simulated import build_scene
-    from ablate.runs.timed_maps import nudged, timed_maps
 
     scene, _ = build_scene(settings)
     simulator = replace(settings.simulator, time_gain_db=data.time_gain_db)

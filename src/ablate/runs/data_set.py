@@ -1,4 +1,4 @@
-"""One data set on disk: its pairs, what it was made from, and the digest of its pixels.
+"""One data set on disk: its pairs, what it was made from, the digest of its pixels, and how it comes to be there.
 
 What needs a scene, and with it Embree and numba, is imported where a scene is used.
 """
@@ -11,16 +11,19 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from ablate.anatomy import Tissue
-from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, Part, open_pairs
+from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, Part, open_pairs, remove_damaged, write_contact_sheet
 from ablate.networks import GeneratorSpec, conditions
-from ablate.runs.imported import about_imported
+from ablate.runs.imported import about_imported, checked_folder, import_data
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.settings.values import build
 from ablate.storage import read_json, write_json
 from ablate.ultrasound.settings import Sliders, probe_from
+
+if TYPE_CHECKING:
+    from ablate.runs.job import Job
 
 #: The maps that say which data a run was scored on; all of their test frames are read for the digest.
 _DIGESTED = ("segmentation", "attenuation", "target", "resimulation")
@@ -110,3 +113,35 @@ def about_data(settings: StudySettings) -> dict[str, Any]:
 
         about = about_simulated(settings)
     return {**about, "pairs_version": PAIRS_VERSION}
+
+
+def prepare_data(job: Job, maps: frozenset[str]) -> DataSet:
+    """Simulate, or import, what is missing of the job's pairs; returns at once when nothing is."""
+    settings, data = job.settings, job.data
+    if data.lacks(wanted := _offered(job, maps)):
+        data.kept_digest.unlink(missing_ok=True)  # frames are made again, perhaps on another kind of processor
+        if settings.scene.kind is SceneKind.pairs:
+            make = import_data
+        else:
+            from ablate.runs.simulated import simulate_data as make
+        make(settings, data.folder, wanted, job.semantic["data"])
+        data = job.data
+    if not data.contact_sheet.exists():
+        write_contact_sheet(data.pairs, data.contact_sheet)
+    return data
+
+
+def made_data(job: Job, maps: frozenset[str]) -> DataSet | None:
+    """The job's pairs, or None where something is missing of them."""
+    data = job.data
+    return None if data.lacks(_offered(job, maps)) else data
+
+
+def drop_damaged(job: Job, maps: frozenset[str]) -> tuple[str, ...]:
+    """Compare what is on disk of the job's pairs with its checksums; what is damaged is removed and named."""
+    return remove_damaged(open_pairs(job.data.folder), maps) if job.data.exists else ()
+
+
+def _offered(job: Job, maps: frozenset[str]) -> frozenset[str]:
+    """Those of the maps that there can be: a folder of pairs made elsewhere may have fewer."""
+    return maps & checked_folder(job.settings).maps if job.settings.scene.kind is SceneKind.pairs else maps

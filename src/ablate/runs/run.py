@@ -227,8 +227,7 @@ def runs_of(study_dir: Path) -> list[Run]:
 def _unusable_keys(result: Mapping[str, Any]) -> list[str]:
     """The keys that are missing from a `result.json`, or hold what no run writes there."""
     wrong = [key for key, kind in _KINDS.items() if not isinstance(result.get(key), kind)]
-    if not wrong:
-        wrong = [key for key in ("metrics", "notes") if not all(isinstance(text, str) for text in result[key])]
+    wrong = wrong or [key for key in ("metrics", "notes") if not all(isinstance(text, str) for text in result[key])]
     if not wrong and not all(isinstance(value, int | float) for value in result["scalars"].values()):
         wrong = ["scalars"]
     return wrong or sorted(f"scalars.{name}" for name in _PARAMETERS - result["scalars"].keys())

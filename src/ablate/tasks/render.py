@@ -43,7 +43,10 @@ def render(jobs: Sequence[Job]) -> int:
     images = []
     for i, pose in enumerate(poses):
         frame = simulator.render(pose, seed=settings.dataset.seed)  # as a data set would hold it
-        _write(folder, frame, "" if len(poses) == 1 else f"_{i:04d}")
+        attenuation = np.rint(frame.attenuation * 65535).astype(np.uint16)  # PNGs are as `scene=pairs` reads them
+        pictures = {"image": frame.image, "segmentation": frame.segmentation, "attenuation": attenuation}
+        for kind, values in pictures.items():
+            write_image(folder / f"{kind}{'' if len(poses) == 1 else f'_{i:04d}'}.png", values)
         images.append(Image.fromarray(frame.image))
     if len(images) > 1:
         with written_whole(folder / "cine.gif") as partial:
@@ -89,17 +92,6 @@ def _named_poses(job: Job) -> tuple[str, np.ndarray] | None:
         return settings.plane, planes[settings.plane][None]
     check_frame(settings.frame, len(job.data.pairs) if job.data.exists else settings.dataset.frames)
     return None
-
-
-def _write(folder: Path, frame: Frame, number: str) -> None:
-    """PNGs as `scene=pairs` reads them: labels and grey levels of 8 bits, the attenuation of 16."""
-    pictures = {
-        "image": frame.image,
-        "segmentation": frame.segmentation,
-        "attenuation": np.rint(frame.attenuation * 65535).astype(np.uint16),
-    }
-    for name, values in pictures.items():
-        write_image(folder / f"{name}{number}.png", values)
 
 
 def _made_with(

@@ -9,10 +9,9 @@ from pkgutil import resolve_name
 from ablate.jobs.describe import description
 from ablate.jobs.launch import Launch
 from ablate.jobs.preflight import check
-from ablate.runs.data_set import maps_needed
+from ablate.runs.data_set import drop_damaged, made_data, maps_needed, prepare_data
 from ablate.runs.job import Job
 from ablate.runs.place import claim_place, finished_run
-from ablate.runs.prepare import drop_damaged, made_data, prepare_data
 from ablate.settings.study import SceneKind, StudySettings, Task, refusing
 
 #: The function of each task that starts no jobs.

@@ -22,6 +22,6 @@ from .store import parent_run as parent_run
 from .store import reason as reason
 from .stored_run import STATE as STATE
 from .stored_run import StoredRun as StoredRun
-from .task_record import TaskRecord as TaskRecord
-from .task_record import copy_tasks as copy_tasks
-from .task_record import recorded_task as recorded_task
+from .stored_run import TaskRecord as TaskRecord
+from .stored_run import copy_tasks as copy_tasks
+from .stored_run import recorded_task as recorded_task
