@@ -24,8 +24,8 @@ from ablate.metrics import (
     Pair,
     choose_metrics,
     crps,
+    features,
     frechet_distance,
-    inception,
     load_inception,
     mae,
     noise_sd,
@@ -69,7 +69,7 @@ def network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "net.pt"
     with pytest.warns(DeprecationWarning, match="torch.jit"):
         torch.jit.save(torch.jit.script(Means()), str(path))
-    monkeypatch.setattr(inception, "INCEPTION_SHA256", hashlib.sha256(path.read_bytes()).hexdigest())
+    monkeypatch.setattr(features, "INCEPTION_SHA256", hashlib.sha256(path.read_bytes()).hexdigest())
     return path
 
 

@@ -27,8 +27,7 @@ from ablate.metrics import (
     patches_inside,
     speckle_features,
 )
-from ablate.metrics.features import PATCH
-from ablate.metrics.inception import CENTRE
+from ablate.metrics.features import CENTRE, PATCH
 from ablate.metrics.stored_names import BOUNDS, SCORE_COLUMNS
 from ablate.threads import in_parts
 from ablate.ultrasound import Probe, fan_mask

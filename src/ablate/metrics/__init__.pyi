@@ -2,12 +2,12 @@ from .distances import bootstrap_interval as bootstrap_interval
 from .distances import frechet_distance as frechet_distance
 from .distances import kernel_distance as kernel_distance
 from .features import FEATURE_NAMES as FEATURE_NAMES
+from .features import InceptionFeatures as InceptionFeatures
+from .features import inception_file as inception_file
+from .features import load_inception as load_inception
 from .features import speckle_features as speckle_features
 from .fidelity import mae as mae
 from .fidelity import psnr as psnr
-from .inception import InceptionFeatures as InceptionFeatures
-from .inception import inception_file as inception_file
-from .inception import load_inception as load_inception
 from .metric import Direction as Direction
 from .metric import FeatureKind as FeatureKind
 from .metric import Group as Group

@@ -17,7 +17,7 @@ from ablate import dataset, tracking
 from ablate.dataset import CropLoader, Crops, CropSettings, Part
 from ablate.evaluation import ImageSource, Scorer, score_run
 from ablate.metrics import METRICS_VERSION, choose_metrics, inception_file, load_inception, needs_inception
-from ablate.metrics.inception import CENTRE
+from ablate.metrics.features import CENTRE
 from ablate.networks import Generator, conditions, draws_noise
 from ablate.runs.data_set import DataSet, maps_needed, prepare_data
 from ablate.runs.job import Job, parameters, precision_of

@@ -122,18 +122,15 @@ class Report(Callback):
                     *(weight, step, DYING_NOISE),
                 )
         self.sink(metrics, step * settings.batch_size)
-        self._show(metrics, step, settings.steps)
+        text = ", ".join(shown.format(metrics[name]) for name, shown in _SHOWN.items() if name in metrics)
+        self._bar.set_postfix_str(text)
+        is_tenth = step * _LINES // settings.steps > (step - self.guard.interval) * _LINES // settings.steps
+        if self._bar.disable and (is_tenth or step == settings.steps):
+            _LOG.info("step %d of %d: %s", step, settings.steps, text)
 
     def on_train_end(self, *_: Any) -> None:
         """Close the bar."""
         self._bar.close()
-
-    def _show(self, metrics: Mapping[str, float], step: int, steps: int) -> None:
-        text = ", ".join(shown.format(metrics[name]) for name, shown in _SHOWN.items() if name in metrics)
-        self._bar.set_postfix_str(text)
-        is_tenth = step * _LINES // steps > (step - self.guard.interval) * _LINES // steps
-        if self._bar.disable and (is_tenth or step == steps):
-            _LOG.info("step %d of %d: %s", step, steps, text)
 
 
 class Validate(Callback):
