@@ -9,8 +9,8 @@ from pkgutil import walk_packages
 
 from ablate import metrics as package
 from ablate.metrics.metric import FeatureKind, Metric, Pair, Shown
+from ablate.setting import check_name
 from ablate.user_code import load
-from ablate.validation import check_name
 
 #: Raise it when a metric gives another value for the same images: kept scores, of runs and of re-simulation, are then
 #: made anew.

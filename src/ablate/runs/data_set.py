@@ -17,8 +17,8 @@ from ablate.anatomy import Tissue
 from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, Part, open_pairs, remove_damaged, write_contact_sheet
 from ablate.networks import GeneratorSpec, conditions
 from ablate.runs.imported import about_imported, checked_folder, import_data
+from ablate.settings.conf import build
 from ablate.settings.study import SceneKind, StudySettings
-from ablate.settings.values import build
 from ablate.storage import read_json, write_json
 from ablate.ultrasound.settings import Sliders, probe_from
 

@@ -18,10 +18,10 @@ from ablate.evaluation import check_stored_scores
 from ablate.metrics import METRICS_VERSION
 from ablate.metrics.stored_names import SOURCES
 from ablate.runs.data_set import DataSet
+from ablate.setting import check_name
+from ablate.settings.conf import build
 from ablate.settings.study import StudySettings
-from ablate.settings.values import build
 from ablate.storage import digest, digest_of_files, read_json
-from ablate.validation import check_name
 
 #: The checkpoint of a training; `ablate.training.LAST`, whose import loads PyTorch.
 CHECKPOINT = "last.ckpt"

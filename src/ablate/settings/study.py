@@ -20,10 +20,9 @@ from ablate.dataset.own_poses import Sweep
 from ablate.dataset.split import SplitBy
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
-from ablate.setting import check_settings, setting
+from ablate.setting import LONGEST_NAME, check_name, check_settings, check_store, setting, shown
 from ablate.training.settings import TrainingSettings
 from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings
-from ablate.validation import LONGEST_NAME, check_name, check_store, shown
 
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
 _NO_STUDIES = frozenset({"artifacts", "data", "export", "mlflow", "precision", "render", "slurm", "stability", "view"})
