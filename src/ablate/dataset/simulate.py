@@ -146,17 +146,17 @@ def timed_maps(
         with stage_times() as taken:
             start = time.perf_counter()
             segmentation, attenuation = simulator.maps(pose)
-            both = _milliseconds_since(start)
+            both = 1e3 * (time.perf_counter() - start)
         labels = sum(taken[Stage.pixel_labels])
         start = time.perf_counter()
         compensated = compensated_attenuation(attenuation, probe, settings.time_gain)
-        more = _milliseconds_since(start)
+        more = 1e3 * (time.perf_counter() - start)
         made = {"segmentation": segmentation, "attenuation": attenuation, "compensated": compensated}
         times = {"segmentation": labels, "attenuation": both - labels, "compensated": both - labels + more}
         if of_low is not None:
             start = time.perf_counter()
             made["low"] = of_low.image(pose, seed)
-            times["low"] = _milliseconds_since(start)
+            times["low"] = 1e3 * (time.perf_counter() - start)
         return made, times
 
     return make
@@ -167,7 +167,3 @@ def nudged(pose: np.ndarray, times: int = 1) -> np.ndarray:
     moved = pose.copy()
     moved[2, 3] += times * _NUDGE_MM
     return moved
-
-
-def _milliseconds_since(start: float) -> float:
-    return 1e3 * (time.perf_counter() - start)

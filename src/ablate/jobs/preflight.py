@@ -13,7 +13,7 @@ from ablate.dataset import Part, resample_grid
 from ablate.jobs.compose import variant_model
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Attenuation, Family, check_custom, conditions
-from ablate.runs.imported import checked_folder
+from ablate.runs.data_set import checked_folder
 from ablate.runs.job import Job
 from ablate.runs.place import check_place
 from ablate.setting import shown

@@ -98,11 +98,9 @@ def components() -> tuple[Component, ...]:
         values = yaml.safe_load(files[name].read_text("utf-8"))
         if not isinstance(values, dict):
             raise ValueError(f"{where}: holds no keys; needed are key, on and off")
-        values = {
-            {True: "on", False: "off"}.get(key, str(key)): value for key, value in values.items()
-        }  # as YAML reads them
+        read_as = {True: "on", False: "off"}  # by YAML
         try:
-            component = Component(name, **values)
+            component = Component(name, **{read_as.get(key, str(key)): value for key, value in values.items()})
         except TypeError as error:
             raise ValueError(f"{where}: {error}") from error
         if component.key not in known:
