@@ -75,10 +75,8 @@ def setting(default: Any, about: str = "", **declared: Any) -> Any:
     --------
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)
-    ... class Rays:
+    ... class Rays(Checked):
     ...     count: int = setting(32, "Rays of a scanline.", least=1)
-    ...     def __post_init__(self):
-    ...         check_settings(self)
     >>> Rays(count=0)
     Traceback (most recent call last):
     ValueError: count=0: allowed are whole numbers from 1
@@ -132,6 +130,13 @@ def is_group(kind: Any) -> bool:
     """Whether a type is a group of settings: a dataclass, or a union of dataclasses such as the kinds of a probe."""
     kinds = get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
     return all(isinstance(k, type) and dataclasses.is_dataclass(k) for k in kinds)
+
+
+class Checked:
+    """What a settings dataclass inherits: its values are checked when it is made, as by `check_settings`."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 def check_settings(values: object) -> None:
@@ -228,16 +233,9 @@ def check_store(key: str, uri: str) -> None:
     if not re.match(r"(https?|(sqlite|postgresql|mysql|mssql)(\+\w+)?)://|databricks", uri):
         allowed = "http://, https://, sqlite:///, postgresql://, mysql:// and mssql:// with what follows"
         raise ValueError(f"{key}={shown(uri)}: allowed are {allowed}")
-    if has_secret(uri):
+    scheme, _, rest = uri.partition("://")
+    named = re.search(r"[?&;](\w*passw\w*|pwd|\w*token|\w*secret)=", rest, re.IGNORECASE)
+    user = r".*@" if scheme.startswith("http") else r"[^@]*:.*@"  # a user of a web server may be a token
+    if not scheme.startswith("sqlite") and (named or re.match(user, rest)):
         where = "MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or PGPASSWORD for a database"
         raise ValueError(f"{key}: holds a user or a password; allowed is a URI without, and {where}")
-
-
-def has_secret(uri: str) -> bool:
-    """Whether a tracking URI names a password, or any user of a web server, whose name may be a token."""
-    scheme, _, rest = uri.partition("://")
-    if scheme.startswith(("sqlite", "file")):
-        return False
-    named = re.search(r"[?&;](\w*passw\w*|pwd|\w*token|\w*secret)=", rest, re.IGNORECASE)
-    user = r".*@" if scheme.startswith("http") else r"[^@]*:.*@"
-    return bool(named or re.match(user, rest))

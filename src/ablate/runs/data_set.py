@@ -113,7 +113,9 @@ def maps_needed(models: Iterable[GeneratorSpec]) -> frozenset[str]:
 def about_data(settings: StudySettings) -> dict[str, Any]:
     """What every pair of the data set is made from, as JSON values."""
     if settings.scene.kind is SceneKind.pairs:
-        about = about_imported(settings)
+        scene = {"kind": "pairs", "files": dataset.content_digest(checked_folder(settings))}
+        chosen = {name: plain(settings.dataset)[name] for name in ("split", "validation", "test", "seed")}
+        about = {"scene": scene, "probe": plain(settings.probe), "dataset": chosen}  # the probe tells depths
     else:
         from ablate.runs.simulated import about_simulated
 
@@ -168,16 +170,6 @@ def checked_folder(settings: StudySettings) -> PngFolder:
                 table = checked.folder / "frames.csv"
                 raise ValueError(f"{table}: site '{site}' is in two parts; allowed with dataset.split=frame")
     return checked
-
-
-def about_imported(settings: StudySettings) -> dict[str, Any]:
-    """What every pair of the data set is made from, fit for JSON; the probe tells how deep a pixel lies."""
-    chosen = plain(settings.dataset)
-    return {
-        "scene": {"kind": "pairs", "files": dataset.content_digest(checked_folder(settings))},
-        "probe": plain(settings.probe),
-        "dataset": {name: chosen[name] for name in ("split", "validation", "test", "seed")},
-    }
 
 
 def import_data(settings: StudySettings, folder: Path, maps: frozenset[str], about: Mapping[str, object]) -> None:

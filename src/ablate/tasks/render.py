@@ -1,6 +1,5 @@
 """Frames at poses of your choice as files, with what they were made with; and one drawn with its probe in 3-D."""
 
-import json
 from collections.abc import Sequence
 from contextlib import suppress
 from itertools import count
@@ -63,17 +62,15 @@ def _folder_of(wanted: Path, made_with: dict[str, Any]) -> Path:
 
     Its settings are written first, so pictures of two settings never lie in one folder.
     """
-    plain = json.loads(json.dumps(made_with))
-    for number in count(1):
-        folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")
-        if not folder.exists():
-            folder.mkdir(parents=True)
-            write_json(folder / "settings.json", made_with)
-            return folder
+    folder, numbers = wanted, count(2)
+    while folder.exists():
         with suppress(OSError, ValueError):
-            if read_json(folder / "settings.json") == plain:
+            if read_json(folder / "settings.json") == made_with:
                 return folder
-    raise AssertionError
+        folder = wanted.with_name(f"{wanted.name}-{next(numbers)}")
+    folder.mkdir(parents=True)
+    write_json(folder / "settings.json", made_with)
+    return folder
 
 
 def _named_poses(job: Job) -> tuple[str, np.ndarray] | None:

@@ -20,8 +20,7 @@ from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelOutput, 
 from PIL import Image
 
 from ablate.storage import digest, read_json, write_json
-from ablate.tracking.background import Background
-from ablate.tracking.local_log import Status, logged_images, points, read_log
+from ablate.tracking.local_log import Background, Status, logged_images, points, read_log
 from ablate.tracking.store import Store, parent_run
 
 STATE = "copied"  # a tag: the digest of what was on disk when all of it had been copied
