@@ -1,6 +1,6 @@
 """What a training logs, in the folder of its run: metrics as lines of JSON, images as PNG. The store has a copy.
 
-The copy is made in a thread of its own, as is the watch on a busy machine: a store that does not answer holds up nothing.
+The copy is made in a thread of its own, as is the watch on a busy machine: a store that is silent holds nothing up.
 """
 
 import json
