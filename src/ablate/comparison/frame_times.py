@@ -14,7 +14,7 @@ from tqdm import tqdm
 from ablate import dataset
 from ablate.comparison.usable_runs import without_anatomy
 from ablate.dataset import Part, equally_spaced
-from ablate.metrics.stored_names import BOUNDS, FRAME_TIME
+from ablate.metrics.metric import BOUNDS, FRAME_TIME
 from ablate.networks import Family, Generator, conditions
 from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run

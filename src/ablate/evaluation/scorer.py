@@ -28,7 +28,7 @@ from ablate.metrics import (
     speckle_features,
 )
 from ablate.metrics.features import CENTRE, PATCH
-from ablate.metrics.stored_names import BOUNDS, SCORE_COLUMNS
+from ablate.metrics.metric import BOUNDS, SCORE_COLUMNS
 from ablate.threads import in_parts
 from ablate.ultrasound import Probe, fan_mask
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm

@@ -38,15 +38,11 @@ _CHANGES = np.count_nonzero(_BITS != np.roll(_BITS, 1, axis=1), axis=1)
 _PATTERN_OF_CODE = np.where(_CHANGES <= 2, _BITS.sum(axis=1), 9).astype(np.uint8)
 
 FEATURE_NAMES: tuple[str, ...] = (
-    "mean",
-    "sd",
-    "skewness",
-    "kurtosis",
+    *("mean", "sd", "skewness", "kurtosis"),
     *(f"quantile_{100 * q:.0f}" for q in QUANTILES),
     *(f"correlation_lateral_{lag}px" for lag in LAGS_PX),
     *(f"correlation_axial_{lag}px" for lag in LAGS_PX),
-    "gradient_lateral",
-    "gradient_axial",
+    *("gradient_lateral", "gradient_axial"),
     *(f"band_{direction}_{k}" for direction in ("lateral", "axial") for k in range(4)),
     *(f"lbp_{k}" for k in range(10)),
 )

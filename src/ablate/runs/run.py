@@ -16,7 +16,7 @@ from filelock import FileLock
 
 from ablate.evaluation import check_stored_scores
 from ablate.metrics import METRICS_VERSION
-from ablate.metrics.stored_names import SOURCES
+from ablate.metrics.metric import SOURCES
 from ablate.runs.data_set import DataSet
 from ablate.setting import check_name
 from ablate.settings.conf import build

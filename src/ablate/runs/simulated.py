@@ -82,9 +82,6 @@ class Layout:
     split: np.ndarray  # (n,) uint8 of `Part`
     placement: Placement  # what the frames were chosen from, and what was dropped
 
-    def __len__(self) -> int:
-        return len(self.sites)
-
 
 def lay_out(settings: StudySettings, scene: Scene, grid: SiteGrid) -> Layout:
     """Place the probe, choose the frames and split them; where fewer poses can be used than asked for, all of them.

@@ -32,7 +32,7 @@ def render(jobs: Sequence[Job]) -> int:
     scene, grid = build_scene(settings)
     if named is None:
         frames = frames_of(job, scene, grid)
-        check_frame(settings.frame, len(frames))
+        check_frame(settings.frame, len(frames.sites))
         named = f"frame_{settings.frame}", np.asarray(frames.poses[settings.frame])[None]
     name, poses = named
     chosen = simulator_of(job, scene, grid, poses)
@@ -114,7 +114,7 @@ def preview(jobs: Sequence[Job]) -> int:
     check_frame(frame, len(data.pairs) if data.exists else settings.dataset.frames)
     scene, grid = build_scene(settings)
     frames = frames_of(job, scene, grid)
-    check_frame(frame, len(frames))
+    check_frame(frame, len(frames.sites))
     if isinstance(frames, Pairs) and frame // frames.shard not in frames.missing(_PREVIEW):
         image, segmentation = (frames.read(name, [frame])[0] for name in ("target", "segmentation"))
     else:
@@ -123,7 +123,7 @@ def preview(jobs: Sequence[Job]) -> int:
         rendered = simulator.render(frames.poses[frame], seed=settings.dataset.seed)  # as the data set will hold it
         image, segmentation = rendered.image, rendered.segmentation
     part, site = Part(frames.split[frame]).name, frames.sites[frame]
-    title = f"{settings.scene_name}: frame {frame} of {len(frames)}, {part}, site {site}"
+    title = f"{settings.scene_name}: frame {frame} of {len(frames.sites)}, {part}, site {site}"
     path, pose = data.folder / f"preview_{frame}.png", frames.poses[frame]
     print(preview_figure(path, title, scene, settings.probe, pose, image, segmentation, grid))
     return 0
