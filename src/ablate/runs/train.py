@@ -59,7 +59,29 @@ def _run(job: Job) -> None:
     run, log = job.run, LocalLog(job.folder)  # curves, images and states as the training goes on
     watch = tracking.system_metrics(job.folder, log) if job.settings.tracking.system_metrics else nullcontext()
     with copying(job.settings, run, log), watch:
-        _train_score_and_store(job, run, data, log)
+        clock, started = time.perf_counter(), _now()
+        for file in (run.scores_file, run.pictures_file, run.folder / "result.json"):
+            remove_partial(file)
+        before = run.result if run.result.get("hash") == job.hash else {}
+        scalars, notes = _train_and_score(job, run, data, log)
+        first_scored = _now()
+        if before:  # trained by an earlier call; now scored by more metrics, or by another version of them
+            scores = {k: v for k, v in scalars.items() if k.startswith(("val/", "test/"))}
+            scalars = {k: v for k, v in before["scalars"].items() if not k.startswith(("val/", "test/"))} | scores
+            started, first_scored = before.get("started", started), before.get("first_scored", first_scored)
+        elif scalars["train/resumed_at"] == 0:
+            scalars["seconds"] = time.perf_counter() - clock  # task=plan estimates the time of other jobs from it
+        elif run.starts:
+            started = str(run.starts[0].get("time", started))
+        asked = with_earlier_metrics(job)
+        result = {
+            **{"hash": job.hash, "label": job.label, "seed": job.settings.seed},
+            **{"data": data.name, "pixels": data.pixels},
+            **{"started": started, "ended": _now(), "first_scored": first_scored},
+            **{"metrics": asked.metrics, "sources": sources_of(asked.metrics), "metrics_version": METRICS_VERSION},
+            **{"inception": asked.evaluation.inception, "notes": list(notes), "scalars": scalars},
+        }
+        write_json(run.folder / "result.json", result)  # last of all, because a run that has it is finished
 
 
 def write_provenance(job: Job) -> None:
@@ -110,32 +132,6 @@ def _in_short(starts: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     values = {key: dict.fromkeys(str(start[key]) for start in starts if key in start) for key in keys}
     dirty = {"git_dirty": "true"} if "true" in values.get("git_dirty", ()) else {}
     return {key: ", ".join(several) for key, several in values.items()} | dirty
-
-
-def _train_score_and_store(job: Job, run: Run, data: DataSet, log: LocalLog) -> None:
-    clock, started = time.perf_counter(), _now()
-    for file in (run.scores_file, run.pictures_file, run.folder / "result.json"):
-        remove_partial(file)
-    before = run.result if run.result.get("hash") == job.hash else {}
-    scalars, notes = _train_and_score(job, run, data, log)
-    first_scored = _now()
-    if before:  # trained by an earlier call; now scored by more metrics, or by another version of them
-        scores = {k: v for k, v in scalars.items() if k.startswith(("val/", "test/"))}
-        scalars = {k: v for k, v in before["scalars"].items() if not k.startswith(("val/", "test/"))} | scores
-        started, first_scored = before.get("started", started), before.get("first_scored", first_scored)
-    elif scalars["train/resumed_at"] == 0:
-        scalars["seconds"] = time.perf_counter() - clock  # task=plan estimates the time of other jobs from it
-    elif run.starts:
-        started = str(run.starts[0].get("time", started))
-    asked = with_earlier_metrics(job)
-    result = {
-        **{"hash": job.hash, "label": job.label, "seed": job.settings.seed},
-        **{"data": data.name, "pixels": data.pixels},
-        **{"started": started, "ended": _now(), "first_scored": first_scored},
-        **{"metrics": asked.metrics, "sources": sources_of(asked.metrics), "metrics_version": METRICS_VERSION},
-        **{"inception": asked.evaluation.inception, "notes": list(notes), "scalars": scalars},
-    }
-    write_json(run.folder / "result.json", result)  # last of all, because a run that has it is finished
 
 
 def _now() -> str:

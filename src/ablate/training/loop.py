@@ -16,11 +16,11 @@ from lightning.pytorch.callbacks import LambdaCallback
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from torch import Tensor
 
+from ablate.dataset.processes import Interruption
 from ablate.networks import Generator, GeneratorSpec
 from ablate.setting import plain
 from ablate.storage import remove_partial, written_whole
 from ablate.training.inference import chosen_device, chosen_precision
-from ablate.training.interruption import Interruption
 from ablate.training.module import PairGAN
 from ablate.training.reporting import DivergenceError, DivergenceGuard, MetricSink, Report, Validation
 from ablate.training.settings import TRAINING_VERSION, Schedule, TrainingPrecision, TrainingSettings
