@@ -63,13 +63,18 @@ class ResizedConvolution(nn.Conv2d):
         if torch.compiler.is_exporting():
             return super().forward(joined(F.interpolate(features, scale_factor=2, mode="nearest"), maps))
         own = features.shape[1]
-        taps = self.weight[:, :own].flip(2, 3)  # of n taps, sums of neighbours are n + 1, along both axes
-        taps = F.pad(taps, (0, 0, 1, 0)) + F.pad(taps, (0, 0, 0, 1))
-        kernel = F.pad(taps, (1, 0)) + F.pad(taps, (0, 1))
+        kernel = _sums_of_neighbours(_sums_of_neighbours(self.weight[:, :own].flip(2, 3), 2), 3)
         result = F.conv_transpose2d(features, kernel.transpose(0, 1), None, stride=2, padding=1)
         if maps is not None:
             return result + F.conv2d(maps, self.weight[:, own:], self.bias, padding=1)
         return result if self.bias is None else result + self.bias.to(result.dtype)[:, None, None]
+
+
+def _sums_of_neighbours(taps: Tensor, dim: int) -> Tensor:
+    """Convolve with (1, 1) along a dimension: n taps become n + 1."""
+    count = taps.shape[dim]
+    inner = taps.narrow(dim, 0, count - 1) + taps.narrow(dim, 1, count - 1)
+    return torch.cat((taps.narrow(dim, 0, 1), inner, taps.narrow(dim, count - 1, 1)), dim)
 
 
 class OneChannelConvolution(nn.Conv2d):
