@@ -181,17 +181,11 @@ class Scorer:
         image = draws[0]
         target, labels = self.pairs.stored("target", frame), self.pairs.stored("segmentation", frame)
         attenuation = self.pairs.read("attenuation", [frame])[0] if "attenuation" in self.pairs.maps else None
-        pair = Pair(
-            image,
-            target,
-            self._mask,
-            tissue_mask=np.isin(labels, tissue_labels(self.tissues)),
-            attenuation=attenuation,
-            segmentation=labels,
-            bone_mask=np.isin(labels, tissue_labels(self.tissues, [TissueKind.bone])),
-            draws=draws if len(draws) > 1 else None,
-            **self._sizes,
-        )
+        solid = np.isin(labels, tissue_labels(self.tissues))
+        bone = np.isin(labels, tissue_labels(self.tissues, [TissueKind.bone]))
+        maps: dict[str, Any] = {"attenuation": attenuation, "segmentation": labels, **self._sizes}
+        several = draws if len(draws) > 1 else None
+        pair = Pair(image, target, self._mask, tissue_mask=solid, bone_mask=bone, draws=several, **maps)
         try:
             values = evaluate_image(pair, self.metrics.values())
         except Exception as error:

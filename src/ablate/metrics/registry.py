@@ -16,7 +16,6 @@ from ablate.user_code import load
 #: made anew.
 METRICS_VERSION = 2
 
-
 _MODULES = [m.name for m in walk_packages(package.__path__, f"{package.__name__}.") if m.name != __name__]
 _DECLARED = {m for name in _MODULES for m in vars(import_module(name)).values() if isinstance(m, Metric)}
 #: By name, in the order of every table and figure.

@@ -3,13 +3,7 @@
 import torch
 from torch import nn
 
-from ablate.networks.families import (
-    CustomNetwork,
-    LocalNetwork,
-    PatchDiscriminator,
-    UNetwork,
-    discriminator_channels,
-)
+from ablate.networks.families import CustomNetwork, LocalNetwork, PatchDiscriminator, UNetwork, discriminator_channels
 from ablate.networks.generator import Generator
 from ablate.networks.layers import Convolution, ResizedConvolution, convolutions
 from ablate.networks.spec import Concat, GeneratorSpec

@@ -126,7 +126,7 @@ def about_data(settings: StudySettings) -> dict[str, Any]:
 def prepare_data(job: Job, maps: frozenset[str]) -> DataSet:
     """Simulate, or import, what is missing of the job's pairs; returns at once when nothing is."""
     settings, data = job.settings, job.data
-    if data.lacks(wanted := _offered(job, maps)):
+    if data.lacks(wanted := offered(job, maps)):
         data.kept_digest.unlink(missing_ok=True)  # frames are made again, perhaps on another kind of processor
         if settings.scene.kind is SceneKind.pairs:
             make = import_data
@@ -139,18 +139,12 @@ def prepare_data(job: Job, maps: frozenset[str]) -> DataSet:
     return data
 
 
-def made_data(job: Job, maps: frozenset[str]) -> DataSet | None:
-    """The job's pairs, or None where something is missing of them."""
-    data = job.data
-    return None if data.lacks(_offered(job, maps)) else data
-
-
 def drop_damaged(job: Job, maps: frozenset[str]) -> tuple[str, ...]:
     """Compare what is on disk of the job's pairs with its checksums; what is damaged is removed and named."""
     return dataset.remove_damaged(open_pairs(job.data.folder), maps) if job.data.exists else ()
 
 
-def _offered(job: Job, maps: frozenset[str]) -> frozenset[str]:
+def offered(job: Job, maps: frozenset[str]) -> frozenset[str]:
     """Those of the maps that there can be: a folder of pairs made elsewhere may have fewer."""
     return maps & checked_folder(job.settings).maps if job.settings.scene.kind is SceneKind.pairs else maps
 
