@@ -6,7 +6,7 @@ python scripts/settings_page.py > docs/settings.md
 from enum import Enum
 
 from ablate.setting import Setting, settings_of
-from ablate.settings.values import keys
+from ablate.settings.conf import keys
 from ablate.ultrasound.settings import PROBES
 
 HEAD = """\

@@ -24,8 +24,8 @@ from ablate.jobs.compose import composed
 from ablate.jobs.refusals import in_one_line
 from ablate.jobs.schema import settings as settings_of_config
 from ablate.setting import plain
+from ablate.settings.conf import build
 from ablate.settings.study import ConfigurationError, StudySettings
-from ablate.settings.values import build
 from ablate.ultrasound.settings import PROBE_KEYS, Probe, ProbeKind
 
 Refused = Callable[..., str]

@@ -1,6 +1,6 @@
 """docs/settings.md is what scripts/settings_page.py prints."""
 
-from ablate.settings.values import keys
+from ablate.settings.conf import keys
 from support.scripts import ROOT
 from support.scripts import script as load
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ablate.validation import check_name, shown
+from ablate.setting import check_name, shown
 
 
 @pytest.mark.parametrize(

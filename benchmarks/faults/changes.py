@@ -33,7 +33,7 @@ _CHANGES = (
     Change("a loss", file="training/module.py", pattern=r"\(fake - image\)\.abs\(\)", by="(fake - image).square()"),
     Change("precision", ("training.precision=bf16",)),
     Change("threads", ("training.threads=2",)),
-    Change("a metric", file="metrics/fidelity.py", pattern=r"PEAK = 255", by="PEAK = 254"),
+    Change("a metric", file="metrics/patches.py", pattern=r"PEAK = 255", by="PEAK = 254"),
     Change("a line of any source file"),
     Change("learning rate", ("training.learning_rate=0.001",)),
 )

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
 
+from ablate.dataset.processes import stop_requested
 from ablate.settings.study import ConfigurationError
 from ablate.tasks.command import execute
-from ablate.training.interruption import stop_requested
 
 
 class _Stopped(KeyboardInterrupt):

@@ -1,20 +1,25 @@
 """A setting is declared once, as a field of a frozen dataclass: type, default, range or choices, unit, use.
 
 From this come the checks, Hydra's schema, the identity of runs and data sets, `--help` and the table of keys in docs/.
+Names and addresses, which several rooms share, have checks of their own.
 """
 
 import dataclasses
 import math
+import re
+import reprlib
 import types
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from numbers import Integral, Real
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from ablate.validation import shown
-
 _METADATA = "setting"
+LONGEST_NAME = 200  # bytes; file systems take 255, and endings are added to names
+_REPR = reprlib.Repr()
+_REPR.maxstring = _REPR.maxother = 60
+_REPR.maxlevel = 2
 
 
 @dataclass(frozen=True)
@@ -70,10 +75,8 @@ def setting(default: Any, about: str = "", **declared: Any) -> Any:
     --------
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)
-    ... class Rays:
+    ... class Rays(Checked):
     ...     count: int = setting(32, "Rays of a scanline.", least=1)
-    ...     def __post_init__(self):
-    ...         check_settings(self)
     >>> Rays(count=0)
     Traceback (most recent call last):
     ValueError: count=0: allowed are whole numbers from 1
@@ -127,6 +130,13 @@ def is_group(kind: Any) -> bool:
     """Whether a type is a group of settings: a dataclass, or a union of dataclasses such as the kinds of a probe."""
     kinds = get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
     return all(isinstance(k, type) and dataclasses.is_dataclass(k) for k in kinds)
+
+
+class Checked:
+    """What a settings dataclass inherits: its values are checked when it is made, as by `check_settings`."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 def check_settings(values: object) -> None:
@@ -199,3 +209,33 @@ def flat(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield from flat(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
+
+
+def shown(value: object) -> str:
+    """Represent a value in a message, shortened where it is long."""
+    return " ".join(_REPR.repr(value).split())
+
+
+def check_name(key: str, value: str, reserved: Collection[str] = ()) -> None:
+    """Raise ValueError unless `value` can name a folder and a run: letters, digits, blanks and `_.+-`.
+
+    The part before its first dot, whatever its case, must not be one of the lower-case names in `reserved`.
+    """
+    if not re.fullmatch(r"\w([\w.+ -]*[\w.+-])?", value) or len(value.encode(errors="replace")) > LONGEST_NAME:
+        allowed = f"at most {LONGEST_NAME} letters, digits, blanks and _.+-, the first a letter, a digit or _"
+        raise ValueError(f"{key}={shown(value)}: allowed are {allowed}")
+    if value.partition(".")[0].lower() in reserved:
+        raise ValueError(f"{key}={value}: the names {', '.join(sorted(reserved))} are taken by other folders")
+
+
+def check_store(key: str, uri: str) -> None:
+    """Raise ValueError unless MLflow can track into `uri`: a server or a database, and no secret within."""
+    if not re.match(r"(https?|(sqlite|postgresql|mysql|mssql)(\+\w+)?)://|databricks", uri):
+        allowed = "http://, https://, sqlite:///, postgresql://, mysql:// and mssql:// with what follows"
+        raise ValueError(f"{key}={shown(uri)}: allowed are {allowed}")
+    scheme, _, rest = uri.partition("://")
+    named = re.search(r"[?&;](\w*passw\w*|pwd|\w*token|\w*secret)=", rest, re.IGNORECASE)
+    user = r".*@" if scheme.startswith("http") else r"[^@]*:.*@"  # a user of a web server may be a token
+    if not scheme.startswith("sqlite") and (named or re.match(user, rest)):
+        where = "MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD, or PGPASSWORD for a database"
+        raise ValueError(f"{key}: holds a user or a password; allowed is a URI without, and {where}")

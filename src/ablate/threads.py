@@ -67,7 +67,7 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
             for begin in left:
                 results[begin] = work(begin, min(begin + part, rows))
 
-    if threads <= 1:
+    if threads <= 1:  # without memory the start of a thread never returns (CPython 3.11): none that is not needed
         take_parts()
     else:
         with ThreadPoolExecutor(threads - 1) as pool:

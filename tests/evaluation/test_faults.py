@@ -9,7 +9,7 @@ import torch
 
 from ablate.dataset import Part, counted_clipping, decode_grey_levels
 from ablate.evaluation import ImageSource, Scores, check_stored_scores, score_run
-from ablate.metrics.stored_names import STORED_COLUMNS
+from ablate.metrics.metric import STORED_COLUMNS
 
 FAN = torch.ones(10, 100, dtype=torch.bool)
 

@@ -24,18 +24,17 @@ from ablate.metrics import (
     Pair,
     choose_metrics,
     crps,
+    features,
     frechet_distance,
-    inception,
     load_inception,
     mae,
     noise_sd,
     speckle_features,
 )
 from ablate.runs.data_set import DataSet as Data
-from ablate.runs.data_set import maps_needed
+from ablate.runs.data_set import maps_needed, prepare_data
 from ablate.runs.job import Job
 from ablate.runs.place import finished_run
-from ablate.runs.prepare import prepare_data
 from ablate.runs.train import run_job, scorer
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_json
@@ -70,7 +69,7 @@ def network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "net.pt"
     with pytest.warns(DeprecationWarning, match="torch.jit"):
         torch.jit.save(torch.jit.script(Means()), str(path))
-    monkeypatch.setattr(inception, "INCEPTION_SHA256", hashlib.sha256(path.read_bytes()).hexdigest())
+    monkeypatch.setattr(features, "INCEPTION_SHA256", hashlib.sha256(path.read_bytes()).hexdigest())
     return path
 
 
@@ -120,7 +119,7 @@ def test_values_are_those_of_each_frame_alone_however_many_threads(runs: Path, d
 def test_where_torch_has_one_thread_frames_are_scored_in_it(
     runs: Path, data: Data, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ablate.evaluation.scorer.ThreadPoolExecutor", None)
+    monkeypatch.setattr("ablate.threads.ThreadPoolExecutor", None)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
     assert scored(data, job(runs), resimulation_images(data.pairs)).scalars["psnr"] > 0
 

@@ -9,8 +9,8 @@ import pytest
 from ablate.jobs.compose import jobs_of
 from ablate.runs.simulated import about_simulated
 from ablate.setting import plain
+from ablate.settings.conf import build
 from ablate.settings.study import StudySettings
-from ablate.settings.values import build
 from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, SimulatorSettings
 from ablate.ultrasound.probe import pixel_size_mm
 

@@ -9,9 +9,8 @@ import pytest
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS
 from ablate.networks import GeneratorSpec
-from ablate.settings.conf import components, components_of_networks, variant_names
+from ablate.settings.conf import components, components_of_networks, keys, variant_names
 from ablate.settings.study import StudySettings
-from ablate.settings.values import keys
 from ablate.training import AdversarialLoss
 from ablate.ultrasound import SimulatorSettings, TimeGain
 

@@ -12,7 +12,7 @@ import torch
 from torchmetrics.image.fid import FrechetInceptionDistance
 from torchmetrics.image.kid import KernelInceptionDistance
 
-from ablate.metrics import frechet_distance, inception, inception_file, kernel_distance, load_inception
+from ablate.metrics import features, frechet_distance, inception_file, kernel_distance, load_inception
 
 
 class SmallNet(torch.nn.Module):
@@ -41,7 +41,7 @@ def small_net(tmp_path_factory):
 @pytest.fixture
 def pinned(small_net, monkeypatch):
     """The small network passes for the one whose digest is known."""
-    monkeypatch.setattr(inception, "INCEPTION_SHA256", hashlib.sha256(small_net.read_bytes()).hexdigest())
+    monkeypatch.setattr(features, "INCEPTION_SHA256", hashlib.sha256(small_net.read_bytes()).hexdigest())
     return small_net
 
 
@@ -64,7 +64,7 @@ def served(pinned, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        monkeypatch.setattr(inception, "INCEPTION_URL", f"http://127.0.0.1:{server.server_port}/some/net.pt")
+        monkeypatch.setattr(features, "INCEPTION_URL", f"http://127.0.0.1:{server.server_port}/some/net.pt")
         yield asked
         server.shutdown()
 
@@ -79,7 +79,7 @@ def test_it_is_fetched_once_and_checked(served, pinned, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="SHA-256"):
         inception_file("download")
     path.unlink()
-    monkeypatch.setattr(inception, "INCEPTION_SHA256", "0" * 64)
+    monkeypatch.setattr(features, "INCEPTION_SHA256", "0" * 64)
     with pytest.raises(ValueError, match="SHA-256"):
         inception_file("download")
     assert not path.exists(), "what is not the network is not kept as it"
@@ -87,7 +87,7 @@ def test_it_is_fetched_once_and_checked(served, pinned, tmp_path, monkeypatch):
 
 def test_no_network_says_so(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(inception, "INCEPTION_URL", "http://127.0.0.1:9/net.pt")
+    monkeypatch.setattr(features, "INCEPTION_URL", "http://127.0.0.1:9/net.pt")
     with pytest.raises(ConnectionError, match=r"127.0.0.1:9/net.pt cannot be downloaded.*give the path"):
         inception_file("download")
 

@@ -14,8 +14,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from ablate.networks import Generator, GeneratorSpec, Upsampling
+from ablate.networks.families import UpBlock
 from ablate.networks.layers import draw_initial_weights
-from ablate.networks.local import UpBlock
 
 SIDE, BAND = 256, 5
 

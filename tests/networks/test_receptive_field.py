@@ -17,8 +17,7 @@ def measured_extent(gradient: Tensor) -> int:
 
 def make_linear(network: nn.Module, monkeypatch: pytest.MonkeyPatch) -> None:
     """Positive weights and no norm: no contribution cancels, and no statistics reach across the image."""
-    for room in ("local", "pix2pix"):
-        monkeypatch.setattr(f"ablate.networks.{room}.instance_norm", lambda features: features)
+    monkeypatch.setattr("ablate.networks.families.instance_norm", lambda features: features)
     for parameter in network.parameters():
         fan_in = parameter[0].numel() if parameter.ndim == 4 else 1
         nn.init.constant_(parameter, 1.0 / fan_in)

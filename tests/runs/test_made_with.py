@@ -13,7 +13,7 @@ from ablate import tracking
 from ablate.comparison.reading import appendix
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
-from ablate.runs.provenance import write_provenance
+from ablate.runs.train import write_provenance
 from ablate.storage import write_json
 from support.finished_runs import result_of
 

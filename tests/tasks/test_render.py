@@ -11,8 +11,8 @@ from PIL import Image, ImageSequence
 
 from ablate.analysis.figures import body_view
 from ablate.dataset import open_pairs
+from ablate.settings.conf import build
 from ablate.settings.study import ConfigurationError
-from ablate.settings.values import build
 from ablate.tasks import render as tasks_render
 from ablate.ultrasound import Simulator, SimulatorSettings
 from ablate.ultrasound.settings import probe_from

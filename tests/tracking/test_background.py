@@ -15,7 +15,7 @@ from ablate.tracking import (
     Background,
     LocalLog,
     StoredRun,
-    background,
+    local_log,
     open_store,
     parent_run,
     read_log,
@@ -47,7 +47,7 @@ def test_a_server_that_takes_another_user_is_told_once_and_how_to_be_let_in(
     refusing: tuple[int, str], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     status, uri = refusing
-    background._say.cache_clear()
+    local_log._say.cache_clear()
     for _ in range(2):  # as two jobs of a sweep
         assert not Background(lambda: open_store(tmp_path, uri, "ablate")).close()
     (line,) = [record.getMessage() for record in caplog.records]

@@ -16,7 +16,7 @@ import pytest
 import requests
 from mlflow import MlflowClient
 
-from ablate.metrics.stored_names import FRAME_TIME
+from ablate.metrics.metric import FRAME_TIME
 from ablate.tracking.local_log import points, read_log
 from support.servers import Mlflow, Postgres, new_postgres, why_no_postgres
 from support.studies import run

@@ -9,7 +9,7 @@ import pytest
 from mlflow import MlflowClient
 from mlflow.entities import Run
 
-from ablate.tracking import Status, copy_tasks, default_uri, open_store, recorded_task, task_record, within
+from ablate.tracking import Status, copy_tasks, default_uri, open_store, recorded_task, stored_run, within
 
 
 def work(
@@ -61,7 +61,7 @@ def test_a_task_goes_on_without_a_server_and_is_stored_later_once(
     runs: Path, monkeypatch: pytest.MonkeyPatch, server: str
 ) -> None:
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_TIMEOUT", "2")
-    monkeypatch.setattr(task_record, "_WAIT_S", 10.0)
+    monkeypatch.setattr(stored_run, "_WAIT_S", 10.0)
     with socket.socket() as frozen:
         frozen.bind(("127.0.0.1", 0))
         frozen.listen(8)  # takes connections and never answers

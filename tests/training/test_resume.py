@@ -21,7 +21,6 @@ from ablate.training import (
     TRAINING_VERSION,
     Loader,
     Schedule,
-    interruption,
     load_generator,
     read_checkpoint,
     train,
@@ -212,7 +211,7 @@ def test_a_signal_whose_exception_was_lost_stops_the_training_after_a_step(
 ) -> None:
     asked = threading.Event()
     asked.set()
-    monkeypatch.setattr(interruption, "stop_requested", asked)
+    monkeypatch.setattr("ablate.dataset.processes.stop_requested", asked)
     with handled_by(lambda *_: None), pytest.raises(InterruptedError, match="SIGTERM after step 1 of"):
         train(SPEC, SETTINGS, loader, tmp_path)
     assert read_checkpoint(tmp_path / LAST)["steps_done"] == 1

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Real
 
-from ablate.validation import check_name
+from ablate.setting import check_name
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from ablate.metrics import METRICS, Group, metric_of
-from ablate.metrics.stored_names import SCALAR_COLUMNS
+from ablate.metrics.metric import SCALAR_COLUMNS
 
 REFERENCE = "sa2h"
 RESIMULATION = "re-simulation"  # shown among the variants

@@ -10,7 +10,7 @@ import pandas as pd
 
 from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants, variant_group
 from ablate.metrics import Direction, Resimulation, metric_of
-from ablate.metrics.stored_names import BOUNDS, FRAME_TIME, SCALAR_COLUMNS
+from ablate.metrics.metric import BOUNDS, FRAME_TIME, SCALAR_COLUMNS
 
 NOTHING = "–"  # where a variant has no value
 ARROWS = {Direction.higher: "↑", Direction.lower: "↓", Direction.zero: "→0", Direction.none: ""}

@@ -16,7 +16,7 @@ from ablate.anatomy.scene import Scene, Structure
 from ablate.anatomy.site_grid import SiteGrid
 from ablate.anatomy.tissue import Tissue, load_tissues
 from ablate.anatomy.volumes.label_map import LabelMap, checked_labels
-from ablate.validation import shown
+from ablate.setting import shown
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf", *VTK_SUFFIXES)
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}

@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from ablate.anatomy.site_grid import MOST_POSES
-from ablate.validation import shown
+from ablate.setting import shown
 
 
 def read_yaml(path: Path) -> Any:

@@ -16,7 +16,7 @@ from ablate.comparison.parent_run import describe_study, register_reference
 from ablate.comparison.reading import Study, appendix, pictures, provenance, runtime_points, scored_frames
 from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Shown, shown_in
-from ablate.metrics.stored_names import FRAME_TIME
+from ablate.metrics.metric import FRAME_TIME
 from ablate.runs.job import COMPARISON
 from ablate.runs.run import Run
 from ablate.runs.store_copy import copy_study

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from ablate import dataset
 from ablate.comparison.usable_runs import without_anatomy
 from ablate.dataset import Part, equally_spaced
-from ablate.metrics.stored_names import BOUNDS, FRAME_TIME
+from ablate.metrics.metric import BOUNDS, FRAME_TIME
 from ablate.networks import Family, Generator, conditions
 from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run
@@ -196,8 +196,8 @@ def _map_maker(settings: StudySettings, data: DataSet, names: set[str]) -> Calla
     if settings.scene.kind is SceneKind.pairs:
         return lambda frame, _: ({name: data.pairs.read(name, [frame])[0] for name in names}, {})
 
+    from ablate.dataset.simulate import nudged, timed_maps
     from ablate.runs.simulated import build_scene
-    from ablate.runs.timed_maps import nudged, timed_maps
 
     scene, _ = build_scene(settings)
     simulator = replace(settings.simulator, time_gain_db=data.time_gain_db)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from ablate import tracking
 from ablate.dataset import Part, label_values
-from ablate.metrics.stored_names import FLOOR_PREFIX
+from ablate.metrics.metric import FLOOR_PREFIX
 from ablate.networks import conditions
 from ablate.runs.run import Run
 from ablate.runs.store_copy import logged

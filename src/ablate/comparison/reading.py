@@ -17,7 +17,7 @@ from ablate.analysis import REFERENCE, RESIMULATION, Component, Design, FramePic
 from ablate.comparison.frame_times import frame_times
 from ablate.comparison.usable_runs import UsableRuns, factors_of, levels_of, usable_runs
 from ablate.metrics import Shown, shown_in
-from ablate.metrics.stored_names import BOUNDS, FLOOR_PREFIX, FRAME_TIME, MODEL, RESIMULATED, is_bound
+from ablate.metrics.metric import BOUNDS, FLOOR_PREFIX, FRAME_TIME, MODEL, RESIMULATED, is_bound
 from ablate.runs.job import COMPARISON
 from ablate.runs.run import Run
 from ablate.runs.store_copy import ABOUT_CODE

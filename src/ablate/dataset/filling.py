@@ -93,14 +93,13 @@ def write_shard(path: Path, name: str, stack: np.ndarray, slots: int) -> None:
         partial.write_bytes(encoded["c/0/0/0"].to_bytes())
 
 
-def unclaimed(pairs: Pairs, maps: frozenset[str]) -> tuple[int, ...]:
-    """Shards that are missing and that nobody is making at the moment."""
-    free = []
+def unclaimed(pairs: Pairs, maps: frozenset[str]) -> int:
+    """How many shards are missing that nobody is making at the moment."""
+    count = 0
     for shard in pairs.missing(maps):
         with _claimed(pairs, shard) as mine:
-            if mine:
-                free.append(shard)
-    return tuple(free)
+            count += mine
+    return count
 
 
 def remove_damaged(pairs: Pairs, maps: frozenset[str]) -> tuple[str, ...]:

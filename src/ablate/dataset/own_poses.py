@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ablate.setting import shown
 from ablate.ultrasound.probe import check_pose
-from ablate.validation import shown
 
 COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _SAME_MM, _SAME_RAD = 1e-3, 1e-4

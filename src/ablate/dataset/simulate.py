@@ -1,4 +1,4 @@
-"""From a scene and a pose to the maps of one frame, in as many processes as there are cores."""
+"""From a scene and a pose to the maps of a frame: timed, or for a data set in as many processes as there are cores."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import multiprocessing
 import queue
 import signal
 import sys
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -18,7 +19,10 @@ from ablate.dataset.filling import MakeFrames, fill_all, fill_pairs, unclaimed
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.processes import allotted_cores, end_with_parent, interrupts_blocked
 from ablate.dataset.split import Part, resimulation_seed
-from ablate.ultrasound import Probe, Simulator, SimulatorSettings
+from ablate.ultrasound import Probe, Simulator, SimulatorSettings, compensated_attenuation
+from ablate.ultrasound.stages import Stage, stage_times
+
+_NUDGE_MM = 1e-3
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ def simulate_pairs(recipe: Recipe, pairs: Pairs, maps: frozenset[str], workers: 
     """
 
     def fill() -> Iterator[int]:
-        wanted = min(workers or allotted_cores(), len(unclaimed(pairs, maps)))
+        wanted = min(workers or allotted_cores(), unclaimed(pairs, maps))
         if wanted > 1:
             yield from _fill_in_processes(recipe, pairs, maps, wanted)
         elif wanted == 1:
@@ -123,3 +127,43 @@ def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], told: multiprocess
             told.put(frames)
     except OSError as error:
         told.put(error)
+
+
+def timed_maps(
+    scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray, low: bool
+) -> Callable[[np.ndarray, int], tuple[dict[str, np.ndarray], dict[str, float]]]:
+    """A function of a pose that was not the last one, and a seed: the maps, (H, W), and the milliseconds of each.
+
+    They are the maps that generators read, by name; without `low` the low-quality image is left out.
+    The inputs are `segmentation`, uint8, `attenuation` and `compensated`, float32 in [0, 1], and `low`, uint8.
+    The first two come from one call of `Simulator.maps`, whose part for the attenuation counts for `compensated` too.
+    For a generator that reads no attenuation only the labels of the pixels count.
+    """
+    simulator = Simulator(scene, probe, settings, poses=poses)
+    of_low = Simulator(scene, probe, replace(settings, rays=1, layers=1), poses=poses) if low else None
+
+    def make(pose: np.ndarray, seed: int) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+        with stage_times() as taken:
+            start = time.perf_counter()
+            segmentation, attenuation = simulator.maps(pose)
+            both = 1e3 * (time.perf_counter() - start)
+        labels = sum(taken[Stage.pixel_labels])
+        start = time.perf_counter()
+        compensated = compensated_attenuation(attenuation, probe, settings.time_gain)
+        more = 1e3 * (time.perf_counter() - start)
+        made = {"segmentation": segmentation, "attenuation": attenuation, "compensated": compensated}
+        times = {"segmentation": labels, "attenuation": both - labels, "compensated": both - labels + more}
+        if of_low is not None:
+            start = time.perf_counter()
+            made["low"] = of_low.image(pose, seed)
+            times["low"] = 1e3 * (time.perf_counter() - start)
+        return made, times
+
+    return make
+
+
+def nudged(pose: np.ndarray, times: int = 1) -> np.ndarray:
+    """Another pose, some micrometres away, because a simulator keeps the results of its last one."""
+    moved = pose.copy()
+    moved[2, 3] += times * _NUDGE_MM
+    return moved

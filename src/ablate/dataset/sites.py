@@ -168,30 +168,27 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
     front = _unit(front - axis * (front @ axis))
     side = np.cross(axis, front)
     turns = [(tilt, roll) for tilt in grid.tilts_deg for roll in grid.rolls_deg]
-    started: list[np.ndarray] = []
-    approaches: list[np.ndarray] = []
-    sites: list[int] = []
+    placed: list[tuple[np.ndarray, np.ndarray, int]] = []  # pose, approach, site
     places = [(height, angle) for height in grid.heights_mm for angle in np.deg2rad(grid.angles_deg)]
     for site, (height, angle) in enumerate(places):
         middle = skin.centre + axis * (height - skin.centre @ axis)
         contact = skin.contact(middle, np.cos(angle) * front + np.sin(angle) * side, axis)
         if contact is not None:
             point, inward = contact
-            started += [_pose(point, inward, axis, tilt, roll) for tilt, roll in turns]
-            approaches += [inward] * len(turns)
-            sites += [site] * len(turns)
+            placed += [(_pose(point, inward, axis, tilt, roll), inward, site) for tilt, roll in turns]
     dropped = dict.fromkeys(Dropped, 0)
-    dropped[Dropped.no_skin] = len(places) * len(turns) - len(started)
-    poses, kept = np.reshape(started, (-1, 4, 4)), np.ones(len(started), bool)
-    if started:
-        poses, on_body, hard = press(skin, probe, poses, np.stack(approaches), press_mm)
+    dropped[Dropped.no_skin] = len(places) * len(turns) - len(placed)
+    poses, sites, kept = np.empty((0, 4, 4)), np.empty(0, np.int64), np.ones(len(placed), bool)
+    if placed:
+        started, approaches, sites = (np.array(column) for column in zip(*placed, strict=True))
+        poses, on_body, hard = press(skin, probe, started, approaches, press_mm)
         reasons = [(Dropped.off_body, ~on_body), (Dropped.hard, hard)]
         if region is not None:
             reasons.append((Dropped.off_region, ~region.seen_from(probe, poses)))
         for reason, holds in reasons:
             dropped[reason] = int((kept & holds).sum())
             kept &= ~holds
-    placement = Placement(poses[kept], np.array(sites, np.int64)[kept], dropped)
+    placement = Placement(poses[kept], sites[kept], dropped)
     if not kept.any():
         raise ValueError(
             f"scene '{scene.name}': no probe pose can be used; check sites.heights and sites.angles ({placement})"

@@ -5,6 +5,5 @@ from .scorer import ImageSource as ImageSource
 from .scorer import Scorer as Scorer
 from .scorer import Scores as Scores
 from .scorer import describes_fan as describes_fan
-from .scorer import inception_for as inception_for
 from .scorer import tissue_labels as tissue_labels
 from .settings import EvaluationSettings as EvaluationSettings

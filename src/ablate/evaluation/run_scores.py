@@ -14,7 +14,7 @@ from pandas.api.types import is_float_dtype, is_integer_dtype, is_string_dtype
 from ablate.dataset import Part, counted_clipping
 from ablate.evaluation.scorer import ImageSource, Scorer, Scores
 from ablate.metrics import METRICS, METRICS_VERSION
-from ablate.metrics.stored_names import FLOOR_PREFIX, MODEL, RESIMULATED, STORED_COLUMNS
+from ablate.metrics.metric import FLOOR_PREFIX, MODEL, RESIMULATED, STORED_COLUMNS
 from ablate.storage import digest, read_json, write_json
 
 if TYPE_CHECKING:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Collection, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-import torch
 from tqdm import tqdm
 
 from ablate.anatomy import Tissue, TissueKind
@@ -27,15 +24,12 @@ from ablate.metrics import (
     bootstrap_interval,
     choose_metrics,
     evaluate_image,
-    inception_file,
-    load_inception,
-    needs_inception,
     patches_inside,
     speckle_features,
 )
-from ablate.metrics.features import PATCH
-from ablate.metrics.inception import CENTRE
-from ablate.metrics.stored_names import BOUNDS, SCORE_COLUMNS
+from ablate.metrics.features import CENTRE, PATCH
+from ablate.metrics.metric import BOUNDS, SCORE_COLUMNS
+from ablate.threads import in_parts
 from ablate.ultrasound import Probe, fan_mask
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm
 
@@ -83,18 +77,6 @@ def describes_fan(probe: Probe, mask: np.ndarray) -> bool:
     """Whether a fan is that of a probe, up to a few pixels; only then are the depths of the pixels known."""
     expected = fan_mask(probe, (mask.shape[0], mask.shape[1]))
     return bool((expected & mask).sum() >= _SAME_FAN * (expected | mask).sum())
-
-
-def inception_for(
-    metrics: Mapping[str, Metric], shape: tuple[int, int], where: str | None, device: str
-) -> InceptionFeatures | None:
-    """The network of FID and KID, None where no metric needs it, frames are too small, or none was given.
-
-    `shape` is (H, W) of a frame in px, `where` is `EvaluationSettings.inception`.
-    """
-    if where is None or min(shape) < CENTRE or not needs_inception(metrics):
-        return None
-    return load_inception(inception_file(where), device)
 
 
 def not_computed(
@@ -165,27 +147,22 @@ class Scorer:
         missing, notes = not_computed(self.metrics.values(), self._mask, len(frames), self.inception)
         computed = [metric for name, metric in self.metrics.items() if name not in missing]
         speckle, fid = ([m for m in computed if m.uses(kind)] for kind in (FeatureKind.speckle, FeatureKind.inception))
-        score_frame = partial(self._score_frame, with_texture=bool(speckle))
         draws = self.settings.noise_draws if any(metric.of_draws for metric in computed) else 1
 
-        def draws_of(batch: np.ndarray, images: np.ndarray) -> np.ndarray:
-            """(k, draws, H, W) uint8, the first of which are `images`."""
-            if not draws_noise:
-                return np.broadcast_to(images[:, None], (len(images), min(draws, 2), *images.shape[1:]))
-            return np.stack([images, *(images_of(batch, draw) for draw in range(1, draws))], axis=1)
+        def score_batch(batch: np.ndarray, images: np.ndarray) -> list[tuple[dict[str, float], Features]]:
+            if draws_noise:
+                drawn = np.stack([images, *(images_of(batch, draw) for draw in range(1, draws))], axis=1)
+            else:
+                drawn = np.broadcast_to(images[:, None], (len(images), min(draws, 2), *images.shape[1:]))
+            return in_parts(lambda k, _: self._score_frame(batch[k], drawn[k], bool(speckle)), len(batch), 1)
 
         scored: list[tuple[dict[str, float], Features]] = []
         of_inception: list[Features] = []
-        threads = torch.get_num_threads()
-        with (
-            # Without memory the start of a thread never returns (CPython 3.11), so there is none that is not needed.
-            ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool,
-            tqdm(total=len(frames), desc=f"evaluate {part.name}", leave=False, mininterval=1.0, disable=None) as bar,
-        ):
+        with tqdm(total=len(frames), desc=f"evaluate {part.name}", leave=False, mininterval=1.0, disable=None) as bar:
             for start in range(0, len(frames), _BATCH):
                 batch = frames[start : start + _BATCH]
                 images = images_of(batch, 0)
-                scored += (pool.map if pool else map)(score_frame, batch, draws_of(batch, images))
+                scored += score_batch(batch, images)
                 if fid and self.inception is not None:
                     of_inception.append((self.inception(images), self.inception(self.pairs.read("target", batch))))
                 bar.update(len(batch))
@@ -204,17 +181,11 @@ class Scorer:
         image = draws[0]
         target, labels = self.pairs.stored("target", frame), self.pairs.stored("segmentation", frame)
         attenuation = self.pairs.read("attenuation", [frame])[0] if "attenuation" in self.pairs.maps else None
-        pair = Pair(
-            image,
-            target,
-            self._mask,
-            tissue_mask=np.isin(labels, tissue_labels(self.tissues)),
-            attenuation=attenuation,
-            segmentation=labels,
-            bone_mask=np.isin(labels, tissue_labels(self.tissues, [TissueKind.bone])),
-            draws=draws if len(draws) > 1 else None,
-            **self._sizes,
-        )
+        solid = np.isin(labels, tissue_labels(self.tissues))
+        bone = np.isin(labels, tissue_labels(self.tissues, [TissueKind.bone]))
+        maps: dict[str, Any] = {"attenuation": attenuation, "segmentation": labels, **self._sizes}
+        several = draws if len(draws) > 1 else None
+        pair = Pair(image, target, self._mask, tissue_mask=solid, bone_mask=bone, draws=several, **maps)
         try:
             values = evaluate_image(pair, self.metrics.values())
         except Exception as error:

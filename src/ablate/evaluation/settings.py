@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 
-from ablate.setting import check_settings, setting
+from ablate.setting import Checked, setting
 
 
 @dataclass(frozen=True)
-class EvaluationSettings:
+class EvaluationSettings(Checked):
     """How each frame is rendered and scored; a value that is not allowed is a ValueError that names it."""
 
     noise_draws: int = setting(
@@ -19,6 +19,3 @@ class EvaluationSettings:
     inception: str | None = setting(
         None, "Path of the network of FID, or `download`; without it there is no FID.", incidental=True
     )
-
-    def __post_init__(self) -> None:
-        check_settings(self)

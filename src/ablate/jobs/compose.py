@@ -21,9 +21,8 @@ from ablate.jobs.schema import register, settings
 from ablate.networks import GeneratorSpec
 from ablate.runs.job import Job
 from ablate.setting import flat, plain
-from ablate.settings.conf import CUSTOM, components, conf_folder
+from ablate.settings.conf import CUSTOM, components, conf_folder, keys
 from ablate.settings.study import ConfigurationError, StudySettings, Task
-from ablate.settings.values import keys
 
 CONFIG = "config"
 VERSION_BASE = "1.3"

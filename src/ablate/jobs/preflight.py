@@ -13,14 +13,14 @@ from ablate.dataset import Part, resample_grid
 from ablate.jobs.compose import variant_model
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Attenuation, Family, check_custom, conditions
-from ablate.runs.imported import checked_folder
+from ablate.runs.data_set import checked_folder
 from ablate.runs.job import Job
 from ablate.runs.place import check_place
+from ablate.setting import shown
 from ablate.settings.conf import variant_names
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, Task, refusing
 from ablate.training import TrainingPrecision
 from ablate.training.settings import SMALLEST_CROP
-from ablate.validation import shown
 
 _NEED_SCENE = (Task.preview, Task.render, Task.view, Task.precision)
 

@@ -9,10 +9,9 @@ from hydra.errors import HydraException, OverrideParseException
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from yaml import YAMLError
 
-from ablate.settings.conf import conf_folder
+from ablate.setting import shown
+from ablate.settings.conf import conf_folder, keys
 from ablate.settings.study import ConfigurationError
-from ablate.settings.values import keys
-from ablate.validation import shown
 
 
 @contextmanager

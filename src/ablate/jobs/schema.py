@@ -11,8 +11,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from ablate.jobs.scale import register_resolvers
 from ablate.setting import is_group
+from ablate.settings.conf import build
 from ablate.settings.study import StudySettings
-from ablate.settings.values import build
 from ablate.ultrasound.settings import PROBE_KEYS, Probe, ProbeKind
 
 

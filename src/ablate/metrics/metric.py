@@ -1,4 +1,4 @@
-"""What there is to know of a metric: how it is computed, printed, judged, and where it is shown."""
+"""What there is to know of a metric: what it reads, how it is computed, printed, judged, shown and stored."""
 
 from __future__ import annotations
 
@@ -6,10 +6,21 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, Flag, StrEnum, auto
+from functools import cached_property
 
 import numpy as np
 
-from ablate.metrics.pair import Pair
+from ablate.metrics.patches import check_pair, patch_chi2
+
+# Names in stored scores, once for all rooms that write or read them.
+SCORE_COLUMNS = ("frame", "site", "metric", "value")  # of an evaluation, one row a metric of a frame
+SOURCES = MODEL, RESIMULATED = ("model", "resimulation")  # of images: the trained generator, or simulated again
+STORED_COLUMNS = (*SCORE_COLUMNS, "source", "split", "variant", "seed")  # `per_image.parquet` of a run
+PER_IMAGE_COLUMNS = ("variant", "seed", *SCORE_COLUMNS)  # of compared runs; the re-simulation is one of the variants
+SCALAR_COLUMNS = ("variant", "seed", "metric", "value")  # one row a metric of a run; `BOUNDS` may follow
+BOUNDS = ("lower", "upper")  # ends of an interval: columns of tables, and suffixes as in `test/fd_speckle_lower`
+FRAME_TIME = "ms_per_frame"  # of a network, timed beside the others of its study; its bounds are quartiles
+FLOOR_PREFIX = "floor_"  # of a scalar of the re-simulation, as `test/floor_psnr`
 
 
 class Direction(Enum):
@@ -65,7 +76,67 @@ class FeatureKind(Enum):
     speckle = "the speckle descriptor"
 
 
-ImageMetric = Callable[["Pair"], "float | None"]
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A prediction beside its target and the maps of the frame; raises ValueError when shapes or dtypes do not fit.
+
+    The arrays are views that cannot be written to: what one metric changed, all later ones would read.
+
+    Attributes
+    ----------
+    prediction, target : (H, W) uint8
+        Grey levels.
+    mask : (H, W) bool
+        The fan.
+    tissue_mask : (H, W) bool, optional
+        Pixels of tissue; fluid, gas and the outside are False.
+    attenuation : (H, W) float in [0, 1], optional
+        The integral attenuation map.
+    depth_mm : (H, W) float, mm, optional
+        Distance from the probe's face along the scanline.
+    segmentation : (H, W) uint8, optional
+        Tissue labels.
+    bone_mask : (H, W) bool, optional
+        Pixels of bone.
+    pixel_mm : (float, float), mm, optional
+        Height and width of a pixel.
+    draws : (k >= 2, H, W) uint8, optional
+        The prediction, and the same frame with other draws of the generator's noise.
+    """
+
+    prediction: np.ndarray
+    target: np.ndarray
+    mask: np.ndarray
+    tissue_mask: np.ndarray | None = None
+    attenuation: np.ndarray | None = None
+    depth_mm: np.ndarray | None = None
+    segmentation: np.ndarray | None = None
+    bone_mask: np.ndarray | None = None
+    pixel_mm: tuple[float, float] | None = None
+    draws: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        check_pair(self.prediction, self.target)
+        shape = self.target.shape
+        for name, array in vars(self).items():
+            if isinstance(array, np.ndarray):
+                if name == "draws" and (array.shape[1:] != shape or len(array) < 2):
+                    raise ValueError(f"draws must be (k >= 2, {shape[0]}, {shape[1]}), got {array.shape}")
+                if name != "draws" and array.shape != shape:
+                    raise ValueError(f"{name} must be {shape}, got {array.shape}")
+                view = array.view()
+                view.flags.writeable = False
+                object.__setattr__(self, name, view)
+
+    @cached_property
+    def chi2_map(self) -> np.ndarray:
+        """(H // 20, W // 20) float: patch chi-square map, computed once."""
+        chi2 = patch_chi2(self.prediction, self.target)
+        chi2.flags.writeable = False
+        return chi2
+
+
+ImageMetric = Callable[[Pair], float | None]
 
 
 @dataclass(frozen=True)
@@ -132,3 +203,18 @@ class Metric:
         """A number that is smaller the better the value; NaN when the metric does not judge."""
         signs = {Direction.higher: -value, Direction.lower: value, Direction.zero: abs(value)}
         return signs.get(self.better, float("nan"))
+
+
+def is_bound(name: str) -> bool:
+    """Whether a scalar is an end of the interval of another."""
+    return name.endswith(tuple(f"_{side}" for side in BOUNDS))
+
+
+# Metrics that no pair of images gives.
+_COST = (Resimulation.none, Group.cost)
+ENVELOPE_RMS = Metric(
+    *("envelope_rms", "Envelope error", "relative RMS", Direction.lower, Resimulation.level, Group.simulation, 4),
+    place=120,
+)
+TIME = Metric(FRAME_TIME, "Time", "ms/frame", Direction.lower, *_COST, 1, Shown.screen | Shown.report, place=130)
+PARAMETERS = Metric("parameters", "Parameters", "", Direction.none, *_COST, 0, Shown.table | Shown.report, place=140)

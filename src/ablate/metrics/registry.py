@@ -8,14 +8,13 @@ from importlib import import_module
 from pkgutil import walk_packages
 
 from ablate import metrics as package
-from ablate.metrics.metric import FeatureKind, Metric, Shown
-from ablate.metrics.pair import Pair
-from ablate.validation import check_name
+from ablate.metrics.metric import FeatureKind, Metric, Pair, Shown
+from ablate.setting import check_name
+from ablate.user_code import load
 
 #: Raise it when a metric gives another value for the same images: kept scores, of runs and of re-simulation, are then
 #: made anew.
 METRICS_VERSION = 2
-
 
 _MODULES = [m.name for m in walk_packages(package.__path__, f"{package.__name__}.") if m.name != __name__]
 _DECLARED = {m for name in _MODULES for m in vars(import_module(name)).values() if isinstance(m, Metric)}
@@ -102,15 +101,13 @@ def needs_inception(metrics: Mapping[str, Metric]) -> bool:
 
 def _imported(path: str) -> Metric:
     """A user's metric, known from now on to tables, figures and statistics."""
-    module, _, name = path.rpartition(".")
-    if not module:
+    if "." not in path:
         raise ValueError(f"metrics={path}: {_allowed()}")
     try:
-        named = getattr(import_module(module), name)
-    except (Exception, SystemExit) as error:  # whatever the user's module does
-        why = " ".join(str(error).split())
-        raise ValueError(f"metrics={path}: {type(error).__name__}: {why:.200}; {_allowed()}") from error
-    metric = named if isinstance(named, Metric) else Metric(name, of_image=named)
+        named = load(path)
+    except ValueError as error:
+        raise ValueError(f"metrics={path}: {error}; {_allowed()}") from error
+    metric = named if isinstance(named, Metric) else Metric(path.rpartition(".")[2], of_image=named)
     if not callable(metric.of_image):
         raise ValueError(f"metrics={path}: is no function; {_allowed()}")
     check_name(f"metrics={path}: name", metric.name)

@@ -1,9 +1,9 @@
-from .custom import check_custom as check_custom
 from .export import export_onnx as export_onnx
+from .families import PatchDiscriminator as PatchDiscriminator
+from .families import check_custom as check_custom
+from .families import discriminator_channels as discriminator_channels
 from .generator import Generator as Generator
 from .generator import gaussian_field as gaussian_field
-from .pix2pix import PatchDiscriminator as PatchDiscriminator
-from .pix2pix import discriminator_channels as discriminator_channels
 from .sizes import count_discriminator as count_discriminator
 from .sizes import count_generator as count_generator
 from .sizes import count_parameters as count_parameters

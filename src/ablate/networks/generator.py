@@ -7,10 +7,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ablate.networks.custom import CustomNetwork
+from ablate.networks.families import CustomNetwork, LocalNetwork, UNetwork
 from ablate.networks.layers import draw_initial_weights, laid_out
-from ablate.networks.local import LocalNetwork
-from ablate.networks.pix2pix import UNetwork
 from ablate.networks.spec import DEPTHS, Family, GeneratorSpec, Noise, conditions, inputs, maps_of_every_level
 
 # The value of each map outside the fan, also used for padding.

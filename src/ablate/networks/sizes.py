@@ -3,11 +3,9 @@
 import torch
 from torch import nn
 
-from ablate.networks.custom import CustomNetwork
+from ablate.networks.families import CustomNetwork, LocalNetwork, PatchDiscriminator, UNetwork, discriminator_channels
 from ablate.networks.generator import Generator
 from ablate.networks.layers import Convolution, ResizedConvolution, convolutions
-from ablate.networks.local import LocalNetwork
-from ablate.networks.pix2pix import PatchDiscriminator, UNetwork, discriminator_channels
 from ablate.networks.spec import Concat, GeneratorSpec
 
 Interval = tuple[int, int]

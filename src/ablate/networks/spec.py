@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from ablate.setting import check_settings, setting
+from ablate.setting import Checked, setting
 
 DEPTHS = range(1, 9)
 
@@ -59,7 +59,7 @@ class ExtraInput(StrEnum):
 
 
 @dataclass(frozen=True)
-class GeneratorSpec:
+class GeneratorSpec(Checked):
     """A generator, named by its components; the defaults are the paper's full model SA2H.
 
     Enums may be given as plain strings. The U-Net and a custom network allow only `concat=input`,
@@ -87,7 +87,7 @@ class GeneratorSpec:
     )
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        super().__post_init__()
         if self.family is Family.unet and self.depth < 2:
             raise ValueError(f"depth={self.depth} with family=unet: allowed are 2 to {DEPTHS[-1]}")
         if self.family is not Family.local:

@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ablate.dataset.encoding import Encoding
-from ablate.setting import identity
+from ablate.setting import check_name, identity
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
 from ablate.training.settings import TRAINING_VERSION, TrainingPrecision, TrainingSettings
 from ablate.user_code import source_digest
-from ablate.validation import check_name
 
 if TYPE_CHECKING:
     from ablate.runs.data_set import DataSet

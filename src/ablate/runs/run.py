@@ -16,12 +16,12 @@ from filelock import FileLock
 
 from ablate.evaluation import check_stored_scores
 from ablate.metrics import METRICS_VERSION
-from ablate.metrics.stored_names import SOURCES
+from ablate.metrics.metric import SOURCES
 from ablate.runs.data_set import DataSet
+from ablate.setting import check_name
+from ablate.settings.conf import build
 from ablate.settings.study import StudySettings
-from ablate.settings.values import build
 from ablate.storage import digest, digest_of_files, read_json
-from ablate.validation import check_name
 
 #: The checkpoint of a training; `ablate.training.LAST`, whose import loads PyTorch.
 CHECKPOINT = "last.ckpt"
@@ -227,8 +227,7 @@ def runs_of(study_dir: Path) -> list[Run]:
 def _unusable_keys(result: Mapping[str, Any]) -> list[str]:
     """The keys that are missing from a `result.json`, or hold what no run writes there."""
     wrong = [key for key, kind in _KINDS.items() if not isinstance(result.get(key), kind)]
-    if not wrong:
-        wrong = [key for key in ("metrics", "notes") if not all(isinstance(text, str) for text in result[key])]
+    wrong = wrong or [key for key in ("metrics", "notes") if not all(isinstance(text, str) for text in result[key])]
     if not wrong and not all(isinstance(value, int | float) for value in result["scalars"].values()):
         wrong = ["scalars"]
     return wrong or sorted(f"scalars.{name}" for name in _PARAMETERS - result["scalars"].keys())

@@ -1,10 +1,12 @@
 """Pairs simulated from a scene as the data set of a study: its hash, its frames, and how they are made."""
 
+from __future__ import annotations
+
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
@@ -12,12 +14,14 @@ from tqdm import tqdm
 from ablate import anatomy, dataset
 from ablate.anatomy import ANATOMY_VERSION, LABELS_VERSION, Scene, SiteGrid
 from ablate.dataset import Dropped, Pairs, Part, Placement, Recipe
-from ablate.runs.job import Job
 from ablate.setting import identity, plain
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest_of_files
 from ablate.ultrasound import SIMULATOR_VERSION, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.media import plan_scene
+
+if TYPE_CHECKING:
+    from ablate.runs.job import Job
 
 
 def about_simulated(settings: StudySettings) -> dict[str, Any]:
@@ -77,9 +81,6 @@ class Layout:
     sites: np.ndarray  # (n,) int64
     split: np.ndarray  # (n,) uint8 of `Part`
     placement: Placement  # what the frames were chosen from, and what was dropped
-
-    def __len__(self) -> int:
-        return len(self.sites)
 
 
 def lay_out(settings: StudySettings, scene: Scene, grid: SiteGrid) -> Layout:

@@ -10,7 +10,7 @@ from filelock import FileLock, Timeout
 
 from ablate import tracking
 from ablate.dataset.pairs import FORMATS
-from ablate.metrics.stored_names import FLOOR_PREFIX, FRAME_TIME, is_bound
+from ablate.metrics.metric import FLOOR_PREFIX, FRAME_TIME, is_bound
 from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run, State, runs_of
 from ablate.setting import plain

@@ -1,30 +1,37 @@
-"""Run one job: train a variant, score it on unseen frames, log it. A stopped job resumes, a finished one is skipped."""
+"""Run one job: train a variant, score it on unseen frames, log it. A stopped job resumes, a finished one is skipped.
+
+What a run was made with is written at each start, as a stopped run may go on with other code.
+"""
 
 import logging
 import time
-from contextlib import nullcontext
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext, suppress
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 import torch
 
-from ablate import dataset
+from ablate import dataset, tracking
 from ablate.dataset import CropLoader, Crops, CropSettings, Part
-from ablate.evaluation import ImageSource, Scorer, inception_for, score_run
-from ablate.metrics import METRICS_VERSION, choose_metrics
+from ablate.evaluation import ImageSource, Scorer, score_run
+from ablate.metrics import METRICS_VERSION, choose_metrics, inception_file, load_inception, needs_inception
+from ablate.metrics.features import CENTRE
 from ablate.networks import Generator, conditions, draws_noise
-from ablate.runs.data_set import DataSet, maps_needed
-from ablate.runs.job import Job, parameters
+from ablate.runs.data_set import DataSet, maps_needed, prepare_data
+from ablate.runs.job import Job, parameters, precision_of
 from ablate.runs.place import claim_place, finished_run, sources_of, with_earlier_metrics
-from ablate.runs.prepare import prepare_data
-from ablate.runs.provenance import write_provenance
 from ablate.runs.run import Run
 from ablate.runs.store_copy import copying, log_samples
-from ablate.settings.study import StudySettings
-from ablate.storage import remove_partial, write_json, written_whole
-from ablate.tracking import LocalLog, system_metrics
-from ablate.training import TrainingPrecision, Validation, chosen_device, generate, train
+from ablate.setting import plain
+from ablate.settings.study import Provenance, StudySettings
+from ablate.storage import digest, remove_partial, write_json, write_text, written_whole
+from ablate.tracking import LocalLog
+from ablate.training import TrainingPrecision, Validation, chosen_device, generate, read_checkpoint, train
 
+_LOG = logging.getLogger(__name__)
+_OF_ONE_START = ("time", "step", "device", "precision", "git_diff", "source")  # not in `made_with.json`
 _VALIDATION_FRAMES = 16
 # Metrics of the validation curves; MLflow's comparison of runs shows the first.
 _CURVES = ("psnr_fan", "mae_smooth", "pchi2_tissue", "shadow_contrast", "noise_sd", "crps", "fd_speckle")
@@ -50,35 +57,81 @@ def _run(job: Job) -> None:
     data = prepare_data(job, maps_needed([job.settings.model]))
     write_provenance(job)
     run, log = job.run, LocalLog(job.folder)  # curves, images and states as the training goes on
-    watch = system_metrics(job.folder, log) if job.settings.tracking.system_metrics else nullcontext()
+    watch = tracking.system_metrics(job.folder, log) if job.settings.tracking.system_metrics else nullcontext()
     with copying(job.settings, run, log), watch:
-        _train_score_and_store(job, run, data, log)
+        clock, started = time.perf_counter(), _now()
+        for file in (run.scores_file, run.pictures_file, run.folder / "result.json"):
+            remove_partial(file)
+        before = run.result if run.result.get("hash") == job.hash else {}
+        scalars, notes = _train_and_score(job, run, data, log)
+        first_scored = _now()
+        if before:  # trained by an earlier call; now scored by more metrics, or by another version of them
+            scores = {k: v for k, v in scalars.items() if k.startswith(("val/", "test/"))}
+            scalars = {k: v for k, v in before["scalars"].items() if not k.startswith(("val/", "test/"))} | scores
+            started, first_scored = before.get("started", started), before.get("first_scored", first_scored)
+        elif scalars["train/resumed_at"] == 0:
+            scalars["seconds"] = time.perf_counter() - clock  # task=plan estimates the time of other jobs from it
+        elif run.starts:
+            started = str(run.starts[0].get("time", started))
+        asked = with_earlier_metrics(job)
+        result = {
+            **{"hash": job.hash, "label": job.label, "seed": job.settings.seed},
+            **{"data": data.name, "pixels": data.pixels},
+            **{"started": started, "ended": _now(), "first_scored": first_scored},
+            **{"metrics": asked.metrics, "sources": sources_of(asked.metrics), "metrics_version": METRICS_VERSION},
+            **{"inception": asked.evaluation.inception, "notes": list(notes), "scalars": scalars},
+        }
+        write_json(run.folder / "result.json", result)  # last of all, because a run that has it is finished
 
 
-def _train_score_and_store(job: Job, run: Run, data: DataSet, log: LocalLog) -> None:
-    clock, started = time.perf_counter(), _now()
-    for file in (run.scores_file, run.pictures_file, run.folder / "result.json"):
-        remove_partial(file)
-    before = run.result if run.result.get("hash") == job.hash else {}
-    scalars, notes = _train_and_score(job, run, data, log)
-    first_scored = _now()
-    if before:  # trained by an earlier call; now scored by more metrics, or by another version of them
-        scores = {k: v for k, v in scalars.items() if k.startswith(("val/", "test/"))}
-        scalars = {k: v for k, v in before["scalars"].items() if not k.startswith(("val/", "test/"))} | scores
-        started, first_scored = before.get("started", started), before.get("first_scored", first_scored)
-    elif scalars["train/resumed_at"] == 0:
-        scalars["seconds"] = time.perf_counter() - clock  # task=plan estimates the time of other jobs from it
-    elif run.starts:
-        started = str(run.starts[0].get("time", started))
-    asked = with_earlier_metrics(job)
-    result = {
-        **{"hash": job.hash, "label": job.label, "seed": job.settings.seed},
-        **{"data": data.name, "pixels": data.pixels},
-        **{"started": started, "ended": _now(), "first_scored": first_scored},
-        **{"metrics": asked.metrics, "sources": sources_of(asked.metrics), "metrics_version": METRICS_VERSION},
-        **{"inception": asked.evaluation.inception, "notes": list(notes), "scalars": scalars},
-    }
-    write_json(run.folder / "result.json", result)  # last of all, because a run that has it is finished
+def write_provenance(job: Job) -> None:
+    """Write configuration, code and environment of this start of a run, and keep what earlier starts were made with.
+
+    `starts.json` lists all starts, each with the step that it begins at. `made_with.json` has the values of all, in
+    their order. `uncommitted.diff` is the newest; others have their digest in their names. If an unfinished training
+    goes on with anything else than before, the log says with what.
+    """
+    folder = job.folder / "provenance"
+    folder.mkdir(exist_ok=True)
+    write_json(folder / "config.json", plain(job.settings))
+    code = tracking.git_state()
+    diff = code.pop("git_diff", "")
+    now: dict[str, Any] = {**code, **({"git_diff": digest(diff)} if diff else {}), "source": tracking.source_digest()}
+    training, step = job.settings.training, 0
+    if job.run.checkpoint.exists():
+        with suppress(ValueError):  # a damaged one is refused when training begins
+            step = read_checkpoint(job.run.checkpoint)["steps_done"]
+    now |= {"hardware": tracking.hardware(), "threads": training.threads or torch.get_num_threads(), "step": step}
+    now |= {"device": str(chosen_device(training.device)), "precision": precision_of(training).name}
+    now |= tracking.packages()
+    starts = [*job.run.starts, {"time": _now(), **now}]
+    if len(starts) > 1 and now["step"] and job.run.result.get("hash") != job.hash:
+        before = starts[-2]
+        known = [key for key in now if key != "step" and (key in before or key == "git_diff")]
+        changed = [f"{key} {before.get(key, 'none')}, now {now[key]}" for key in known if before.get(key) != now[key]]
+        if changed:
+            told = "; ".join(changed)
+            _LOG.warning("step %d: training goes on with other code or hardware (%s)", now["step"], told)
+    if job.settings.tracking.provenance is Provenance.full:
+        write_text(folder / "environment.txt", tracking.environment())
+        path = folder / "uncommitted.diff"
+        earlier = path.read_text("utf-8", "replace") if path.exists() else ""
+        if earlier not in ("", diff):
+            path.rename(path.with_stem(f"{path.stem}.{digest(earlier)}"))
+        write_text(path, diff)
+    else:
+        for left in (folder / "environment.txt", *folder.glob("uncommitted*.diff")):
+            left.unlink(missing_ok=True)
+    write_json(folder / "starts.json", {"starts": starts})
+    write_json(folder / "made_with.json", _in_short(starts))
+
+
+def _in_short(starts: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """The values of all starts by key, each once; the code is dirty if it was at any."""
+    keys = dict.fromkeys(key for start in starts for key in start if key not in _OF_ONE_START)
+    values = {key: dict.fromkeys(str(start[key]) for start in starts if key in start) for key in keys}
+    dirty = {"git_dirty": "true"} if "true" in values.get("git_dirty", ()) else {}
+    return {key: ", ".join(several) for key, several in values.items()} | dirty
 
 
 def _now() -> str:
@@ -118,9 +171,9 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
 
 def scorer(settings: StudySettings, data: DataSet) -> Scorer:
     """The scorer that evaluates runs with these settings."""
-    metrics = choose_metrics(settings.metrics)
-    device = str(chosen_device(settings.training.device))
-    inception = inception_for(metrics, data.pairs.shape, settings.evaluation.inception, device)
+    metrics, weights, inception = choose_metrics(settings.metrics), settings.evaluation.inception, None
+    if weights is not None and min(data.pairs.shape) >= CENTRE and needs_inception(metrics):
+        inception = load_inception(inception_file(weights), str(chosen_device(settings.training.device)))
     return Scorer(data.pairs, data.tissues, settings.probe, settings.evaluation, metrics, inception)
 
 

@@ -1,20 +1,74 @@
-"""What the folder conf/ declares: the components that a study switches and the variants, a file each."""
+"""From plain values, as Hydra composes them or JSON stores them, to frozen settings; the table of all keys; and conf/.
+
+The folder conf/ declares the components that a study switches and the variants, a file each.
+"""
 
 from functools import cache
 from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
 
 import yaml
 
 import ablate
 from ablate.analysis.components import Component
-from ablate.settings.values import keys
+from ablate.setting import Setting, is_group, settings_of, shown
+from ablate.settings.study import StudySettings
+from ablate.ultrasound.settings import PROBES, Probe, probe_from
+
+T = TypeVar("T")
 
 # The order of tables and figures; components that are not listed follow by name.
 _COMPONENTS = ("att", "concat", "conv", "noise", "depth", "encoding")
-
-
 CUSTOM = "custom"  # the variant that a user's network takes the place of
 _TABLE_II = ("lsa2h", "nsa2h", "sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h", "sa2h-depth")
+
+
+def build(cls: type[T], values: dict[str, Any], prefix: str = "") -> T:
+    """A frozen dataclass from plain values: dicts become dataclasses, lists tuples, strings enums.
+
+    What is not allowed is a ValueError that begins with the dotted key, `prefix` included.
+    """
+    hints = get_type_hints(cls)
+    unknown = sorted(values.keys() - hints.keys())
+    if unknown:
+        raise ValueError(f"unknown key '{prefix}{unknown[0]}'; allowed: {', '.join(sorted(hints))}")
+    for name, value in values.items():
+        if isinstance(value, int) and abs(value) >= 2**63:  # neither torch nor NumPy takes it
+            raise ValueError(f"{prefix}{name}={shown(value)}: allowed are whole numbers below 2^63")
+    groups = {k: _group(hints[k], v, f"{prefix}{k}.") for k, v in values.items() if is_group(hints[k])}
+    try:
+        return cls(**{**values, **groups})
+    except ValueError as error:
+        raise ValueError(f"{prefix}{error}") from error
+
+
+def _group(hint: Any, values: Any, prefix: str) -> Any:
+    """A group of settings; the probe is of the kind that its values name."""
+    if not isinstance(values, dict):
+        return values
+    if hint != Probe:
+        return build(hint, values, prefix)
+    try:
+        return probe_from(values)
+    except ValueError as error:
+        raise ValueError(f"{prefix}{error}") from error
+
+
+def keys(cls: type = StudySettings, prefix: str = "") -> dict[str, Setting]:
+    """Every key of the command line, such as `training.steps`, in the order of the dataclasses.
+
+    Of the probe they are those of every kind.
+    """
+    own = {one.name: one for one in settings_of(cls)}
+    table: dict[str, Setting] = {}
+    for name, hint in get_type_hints(cls).items():
+        if hint == Probe:
+            table |= {f"{prefix}{name}.{one.name}": one for kind in PROBES.values() for one in settings_of(kind)}
+        elif is_group(hint):
+            table |= keys(hint, f"{prefix}{name}.")
+        else:
+            table[prefix + name] = own[name]
+    return table
 
 
 def conf_folder() -> Path:
@@ -42,11 +96,9 @@ def components() -> tuple[Component, ...]:
         values = yaml.safe_load(files[name].read_text("utf-8"))
         if not isinstance(values, dict):
             raise ValueError(f"{where}: holds no keys; needed are key, on and off")
-        values = {
-            {True: "on", False: "off"}.get(key, str(key)): value for key, value in values.items()
-        }  # as YAML reads them
+        read_as = {True: "on", False: "off"}  # by YAML
         try:
-            component = Component(name, **values)
+            component = Component(name, **{read_as.get(key, str(key)): value for key, value in values.items()})
         except TypeError as error:
             raise ValueError(f"{where}: {error}") from error
         if component.key not in known:

@@ -20,10 +20,9 @@ from ablate.dataset.own_poses import Sweep
 from ablate.dataset.split import SplitBy
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
-from ablate.setting import check_settings, setting
+from ablate.setting import LONGEST_NAME, Checked, check_name, check_store, setting, shown
 from ablate.training.settings import TrainingSettings
 from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings
-from ablate.validation import LONGEST_NAME, check_name, check_store, shown
 
 #: What else lies in `runs_dir`; `mlflow` is the database and its journals.
 _NO_STUDIES = frozenset({"artifacts", "data", "export", "mlflow", "precision", "render", "slurm", "stability", "view"})
@@ -76,7 +75,7 @@ class ExportFormat(StrEnum):
 
 
 @dataclass(frozen=True)
-class SceneSettings:
+class SceneSettings(Checked):
     """Which anatomy."""
 
     kind: SceneKind = setting(SceneKind.fetal, "Where scene or pairs come from.")
@@ -84,12 +83,9 @@ class SceneSettings:
     triangles: int = setting(675_000, "Triangles of the built-in anatomy.", least=FEWEST_TRIANGLES)
     anatomy_seed: int = setting(0, "Which patient the built-in anatomy is.", least=0)
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True)
-class DatasetSettings:
+class DatasetSettings(Checked):
     """Which pairs are simulated and how they are split; the paper's 6,669 frames, 6,000 of them for training."""
 
     frames: int = setting(
@@ -115,7 +111,7 @@ class DatasetSettings:
     format: ExportFormat = setting(ExportFormat.png, "What `task=export` writes.", incidental=True)
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        super().__post_init__()
         if self.grid is not None and math.prod(self.grid) > MOST_POSES:
             raise ValueError(f"grid={list(self.grid)}: allowed are at most {MOST_POSES} poses in all")
         if self.sweep is not None and self.poses is None:
@@ -125,7 +121,7 @@ class DatasetSettings:
 
 
 @dataclass(frozen=True)
-class CropChoice:
+class CropChoice(Checked):
     """How crops are drawn, besides `training.crop` and `training.batch_size`; see `dataset.CropSettings`."""
 
     fan_fraction: float = setting(0.0, "Least share of a crop that lies in the fan.", least=0, most=1)
@@ -133,9 +129,6 @@ class CropChoice:
     workers: int = setting(
         2, "Threads that prepare batches ahead; 0 prepares each when it is asked for.", least=0, incidental=True
     )
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 class Provenance(StrEnum):
@@ -146,7 +139,7 @@ class Provenance(StrEnum):
 
 
 @dataclass(frozen=True)
-class TrackingSettings:
+class TrackingSettings(Checked):
     """Where runs are tracked.
 
     Settings are stored and shown, so `uri` may hold no password: MLflow takes it from the environment.
@@ -165,7 +158,7 @@ class TrackingSettings:
     )
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        super().__post_init__()
         if self.uri is not None:
             check_store("uri", self.uri)
         if not re.fullmatch(r"[\w/]([\w.+@/ -]*[\w.+@-])?", self.experiment) or len(self.experiment) > LONGEST_NAME:
@@ -176,18 +169,15 @@ class TrackingSettings:
 
 
 @dataclass(frozen=True)
-class ViewerSettings:
+class ViewerSettings(Checked):
     """Where `task=view` shows its page, always on this machine alone."""
 
     port: int = setting(8090, "Port of the page.", least=1, most=65535, incidental=True)
     open: bool = setting(True, "Whether a browser is started.", incidental=True)
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True)
-class StudySettings:
+class StudySettings(Checked):
     """A whole job, as the rooms take it. `model` is the composed generator; see conf/ for every value."""
 
     task: Task = setting(Task.study, "What the program does.", incidental=True)
@@ -223,7 +213,7 @@ class StudySettings:
     viewer: ViewerSettings = ViewerSettings()
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        super().__post_init__()
         shown_at = self.task in (Task.render, Task.view)
         if (self.pose or self.plane) and (not shown_at or (self.pose and self.plane)):
             raise ValueError(f"pose={self.pose}, plane={self.plane}: allowed is one of them, with task=render or view")

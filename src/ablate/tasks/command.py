@@ -2,8 +2,7 @@
 
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any
 
 import hydra
@@ -50,7 +49,8 @@ def execute(arguments: Sequence[str]) -> int:
     words = [word for word in arguments if not word.startswith("-")]
     # Hydra's parser wants all of a command's overrides on one side of `-m`.
     ordered = sorted(arguments, key=lambda word: word not in ("-m", "--multirun"))
-    with _argv(ordered), in_one_line(words):
+    with in_one_line(words):
+        before, sys.argv = sys.argv, ["ablate", *ordered]  # which `hydra.main` reads
         try:
             command()
         except NotFinishedError:
@@ -61,18 +61,9 @@ def execute(arguments: Sequence[str]) -> int:
             return end.code if isinstance(end.code, int) else int(end.code is not None)
         else:
             return 0
+        finally:
+            sys.argv = before
     raise error
-
-
-@contextmanager
-def _argv(arguments: Sequence[str]) -> Iterator[None]:
-    """`hydra.main` reads `sys.argv`."""
-    before = sys.argv
-    sys.argv = ["ablate", *arguments]
-    try:
-        yield
-    finally:
-        sys.argv = before
 
 
 def run_one(config: DictConfig) -> float | None:

@@ -2,14 +2,14 @@
 
 import json
 from collections.abc import Sequence
+from importlib.util import find_spec
 
 import numpy as np
 
 from ablate.dataset import Part
 from ablate.dataset.export_formats import write_dicom, write_nnunet, write_png
-from ablate.runs.data_set import DataSet, maps_needed
+from ablate.runs.data_set import DataSet, maps_needed, prepare_data
 from ablate.runs.job import Job
-from ablate.runs.prepare import prepare_data
 from ablate.settings.study import ConfigurationError, ExportFormat, SceneKind, StudySettings, refusing
 from ablate.storage import write_text
 from ablate.ultrasound.probe import pixel_size_mm
@@ -20,8 +20,12 @@ def export(jobs: Sequence[Job]) -> int:
     """Write the first job's data set, simulated first where it is missing, and print the folder of the files."""
     settings = jobs[0].settings
     chosen = settings.dataset.format
-    if chosen is ExportFormat.dicom:
-        _check_dicom(settings)
+    if chosen is ExportFormat.dicom and settings.scene.kind is SceneKind.pairs:
+        raise ConfigurationError(
+            "dataset.format=dicom: pairs made elsewhere do not tell their mm; allowed: png, nnunet"
+        )
+    if chosen is ExportFormat.dicom and not find_spec("pydicom"):
+        raise ConfigurationError("dataset.format=dicom: needs the package pydicom, of the extra `dicom`")
     data = prepare_data(jobs[0], maps_needed(job.settings.model for job in jobs))
     pairs = data.pairs
     folder = settings.results / "export" / f"{data.name}-{chosen}"
@@ -36,17 +40,6 @@ def export(jobs: Sequence[Job]) -> int:
     write_text(folder / "README.md", _card(settings, data))
     print(folder)
     return 0
-
-
-def _check_dicom(settings: StudySettings) -> None:
-    if settings.scene.kind is SceneKind.pairs:
-        raise ConfigurationError(
-            "dataset.format=dicom: pairs made elsewhere do not tell their mm; allowed: png, nnunet"
-        )
-    try:
-        import pydicom  # noqa: F401
-    except ImportError:
-        raise ConfigurationError("dataset.format=dicom: needs the package pydicom, of the extra `dicom`") from None
 
 
 def _card(settings: StudySettings, data: DataSet) -> str:

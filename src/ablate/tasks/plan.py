@@ -35,19 +35,12 @@ def progress(jobs: Sequence[Job]) -> pd.DataFrame:
     finished = {study: [run for run in runs_of(study) if run.state is State.finished] for study in studies}
     for runs in finished.values():
         check_pixels(runs)
-    told_by = [
-        {"study": str(study), "label": run.label, "seconds": run.result["scalars"]["seconds"]}
-        for study, runs in finished.items()
-        for run in runs
-        if "seconds" in run.result["scalars"]
-    ]
-    measured = pd.DataFrame(told_by, columns=["study", "label", "seconds"])
     rows = []
     for job in jobs:
         state, done = _state_of(job)
-        here = measured[measured["study"] == str(job.settings.study_dir)]
-        alike = here[here["label"] == job.label]
-        told = (alike if len(alike) else here)["seconds"].median()
+        here = finished[job.settings.study_dir]
+        alike = [run for run in here if run.label == job.label and "seconds" in run.result["scalars"]]
+        told = pd.Series([run.result["scalars"].get("seconds") for run in alike or here], dtype=float).median()
         rows.append({"job": job.name, "state": state, "done": done, "seconds": told * (1 - done) if done < 1 else 0.0})
     return pd.DataFrame(rows)
 

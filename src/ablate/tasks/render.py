@@ -1,6 +1,5 @@
 """Frames at poses of your choice as files, with what they were made with; and one drawn with its probe in 3-D."""
 
-import json
 from collections.abc import Sequence
 from contextlib import suppress
 from itertools import count
@@ -33,7 +32,7 @@ def render(jobs: Sequence[Job]) -> int:
     scene, grid = build_scene(settings)
     if named is None:
         frames = frames_of(job, scene, grid)
-        check_frame(settings.frame, len(frames))
+        check_frame(settings.frame, len(frames.sites))
         named = f"frame_{settings.frame}", np.asarray(frames.poses[settings.frame])[None]
     name, poses = named
     chosen = simulator_of(job, scene, grid, poses)
@@ -43,7 +42,10 @@ def render(jobs: Sequence[Job]) -> int:
     images = []
     for i, pose in enumerate(poses):
         frame = simulator.render(pose, seed=settings.dataset.seed)  # as a data set would hold it
-        _write(folder, frame, "" if len(poses) == 1 else f"_{i:04d}")
+        attenuation = np.rint(frame.attenuation * 65535).astype(np.uint16)  # PNGs are as `scene=pairs` reads them
+        pictures = {"image": frame.image, "segmentation": frame.segmentation, "attenuation": attenuation}
+        for kind, values in pictures.items():
+            write_image(folder / f"{kind}{'' if len(poses) == 1 else f'_{i:04d}'}.png", values)
         images.append(Image.fromarray(frame.image))
     if len(images) > 1:
         with written_whole(folder / "cine.gif") as partial:
@@ -60,17 +62,15 @@ def _folder_of(wanted: Path, made_with: dict[str, Any]) -> Path:
 
     Its settings are written first, so pictures of two settings never lie in one folder.
     """
-    plain = json.loads(json.dumps(made_with))
-    for number in count(1):
-        folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")
-        if not folder.exists():
-            folder.mkdir(parents=True)
-            write_json(folder / "settings.json", made_with)
-            return folder
+    folder, numbers = wanted, count(2)
+    while folder.exists():
         with suppress(OSError, ValueError):
-            if read_json(folder / "settings.json") == plain:
+            if read_json(folder / "settings.json") == made_with:
                 return folder
-    raise AssertionError
+        folder = wanted.with_name(f"{wanted.name}-{next(numbers)}")
+    folder.mkdir(parents=True)
+    write_json(folder / "settings.json", made_with)
+    return folder
 
 
 def _named_poses(job: Job) -> tuple[str, np.ndarray] | None:
@@ -89,17 +89,6 @@ def _named_poses(job: Job) -> tuple[str, np.ndarray] | None:
         return settings.plane, planes[settings.plane][None]
     check_frame(settings.frame, len(job.data.pairs) if job.data.exists else settings.dataset.frames)
     return None
-
-
-def _write(folder: Path, frame: Frame, number: str) -> None:
-    """PNGs as `scene=pairs` reads them: labels and grey levels of 8 bits, the attenuation of 16."""
-    pictures = {
-        "image": frame.image,
-        "segmentation": frame.segmentation,
-        "attenuation": np.rint(frame.attenuation * 65535).astype(np.uint16),
-    }
-    for name, values in pictures.items():
-        write_image(folder / f"{name}{number}.png", values)
 
 
 def _made_with(
@@ -125,7 +114,7 @@ def preview(jobs: Sequence[Job]) -> int:
     check_frame(frame, len(data.pairs) if data.exists else settings.dataset.frames)
     scene, grid = build_scene(settings)
     frames = frames_of(job, scene, grid)
-    check_frame(frame, len(frames))
+    check_frame(frame, len(frames.sites))
     if isinstance(frames, Pairs) and frame // frames.shard not in frames.missing(_PREVIEW):
         image, segmentation = (frames.read(name, [frame])[0] for name in ("target", "segmentation"))
     else:
@@ -134,7 +123,7 @@ def preview(jobs: Sequence[Job]) -> int:
         rendered = simulator.render(frames.poses[frame], seed=settings.dataset.seed)  # as the data set will hold it
         image, segmentation = rendered.image, rendered.segmentation
     part, site = Part(frames.split[frame]).name, frames.sites[frame]
-    title = f"{settings.scene_name}: frame {frame} of {len(frames)}, {part}, site {site}"
+    title = f"{settings.scene_name}: frame {frame} of {len(frames.sites)}, {part}, site {site}"
     path, pose = data.folder / f"preview_{frame}.png", frames.poses[frame]
     print(preview_figure(path, title, scene, settings.probe, pose, image, segmentation, grid))
     return 0

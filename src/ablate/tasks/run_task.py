@@ -9,10 +9,9 @@ from pkgutil import resolve_name
 from ablate.jobs.describe import description
 from ablate.jobs.launch import Launch
 from ablate.jobs.preflight import check
-from ablate.runs.data_set import maps_needed
+from ablate.runs.data_set import drop_damaged, maps_needed, offered, prepare_data
 from ablate.runs.job import Job
 from ablate.runs.place import claim_place, finished_run
-from ablate.runs.prepare import drop_damaged, made_data, prepare_data
 from ablate.settings.study import SceneKind, StudySettings, Task, refusing
 
 #: The function of each task that starts no jobs.
@@ -100,11 +99,12 @@ def simulate(jobs: Sequence[Job], launch: Launch) -> int:
         _simulate_for(jobs)
     code = 0
     for job, maps in sets:
-        if data := made_data(job, maps):
-            print(f"{len(data.pairs)} frames in {data.folder}; a look at them: {data.contact_sheet.name} there")
-        else:
-            print(f"not finished: {job.data.folder}; the same command takes it up again", file=sys.stderr)
+        data = job.data
+        if data.lacks(offered(job, maps)):
+            print(f"not finished: {data.folder}; the same command takes it up again", file=sys.stderr)
             code = 1
+        else:
+            print(f"{len(data.pairs)} frames in {data.folder}; a look at them: {data.contact_sheet.name} there")
     return code
 
 

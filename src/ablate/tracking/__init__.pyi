@@ -1,10 +1,10 @@
-from .background import Background as Background
-from .background import system_metrics as system_metrics
-from .background import within as within
+from .local_log import Background as Background
 from .local_log import LocalLog as LocalLog
 from .local_log import Status as Status
 from .local_log import logged_images as logged_images
 from .local_log import read_log as read_log
+from .local_log import system_metrics as system_metrics
+from .local_log import within as within
 from .provenance import environment as environment
 from .provenance import git_state as git_state
 from .provenance import hardware as hardware
@@ -22,6 +22,6 @@ from .store import parent_run as parent_run
 from .store import reason as reason
 from .stored_run import STATE as STATE
 from .stored_run import StoredRun as StoredRun
-from .task_record import TaskRecord as TaskRecord
-from .task_record import copy_tasks as copy_tasks
-from .task_record import recorded_task as recorded_task
+from .stored_run import TaskRecord as TaskRecord
+from .stored_run import copy_tasks as copy_tasks
+from .stored_run import recorded_task as recorded_task

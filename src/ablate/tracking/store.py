@@ -115,14 +115,9 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
         return Store(uri, identity, lock, {"runs": owner.read_text("utf-8")})
 
 
-def parent_run(store: Store, study: str) -> str:
-    """Id of the study's parent run, which is created when there is none."""
-    return _run(store, study, {"study": study, "kind": "study", **store.owner}, {})
-
-
-def task_run(store: Store, task: str, study: str) -> str:
-    """Id of the run of a task such as `precision`, named as the task and created when there is none."""
-    return _run(store, task, {"study": study, "kind": task, **store.owner}, {})
+def parent_run(store: Store, study: str, task: str = "") -> str:
+    """Id of the study's parent run, or of its run of a task such as `precision`; it is created when there is none."""
+    return _run(store, task or study, {"study": study, "kind": task or "study", **store.owner}, {})
 
 
 def child_run(

@@ -1,20 +1,32 @@
-"""One run of a store. What it has is left as it is, so whatever failed on the way may be done again."""
+"""One run of a store. What it has is left as it is, so whatever failed on the way may be done again.
+
+Of a task such as `precision`, what the store shows is on disk first, and the store has a copy.
+"""
 
 import json
+import logging
 import re
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelOutput, Metric, Param, RunTag
 from PIL import Image
 
-from ablate.tracking.local_log import Status, logged_images, points, read_log
-from ablate.tracking.store import Store
+from ablate.storage import digest, read_json, write_json
+from ablate.tracking.local_log import Background, Status, logged_images, points, read_log
+from ablate.tracking.store import Store, parent_run
 
 STATE = "copied"  # a tag: the digest of what was on disk when all of it had been copied
+_LOG = logging.getLogger(__name__)
+_RECORD = "run.json"
+_WAIT_S = 60.0
 _BATCH = 500
 # MLflow writes an image and then a smaller copy; an image with both files is complete.
 _WHOLE_IMAGE = re.compile(r".+?\+step\+\d+\+(?=.*\+compressed\.webp$)")
@@ -133,3 +145,76 @@ class StoredRun:
     def _images(self) -> set[str]:
         there = self._client.list_artifacts(self.run_id, "images")
         return {match[0] for a in there if (match := _WHOLE_IMAGE.match(Path(a.path).name))}
+
+
+@dataclass
+class TaskRecord:
+    """What the store shows of a task; it is read when the task has ended.
+
+    `files` lie in the folder of the task and are its artifacts, PDFs in `vector`.
+    """
+
+    files: list[Path] = field(default_factory=list)
+    tags: dict[str, str] = field(default_factory=dict)
+    scores: dict[str, float] = field(default_factory=dict)
+    description: str = ""
+    status: Status = Status.finished
+
+
+@contextmanager
+def recorded_task(folder: Path, study: str, opened: Callable[[], Store]) -> Iterator[TaskRecord]:
+    """Record a task, known by the name of its `folder`, while it runs inside, and copy the record to the store.
+
+    The store is opened and written to in a thread, before the task and after it, since tasks measure times. A minute
+    after the task has ended the store is waited for no longer; `copy_tasks` copies what it did not take.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    record = TaskRecord()
+
+    def write(status: Status) -> None:
+        known = {"study": study, "status": status, "time": int(time.time() * 1000), "description": record.description}
+        files = [path.name for path in record.files if path.exists()]
+        write_json(folder / _RECORD, {**known, "files": files, "tags": record.tags, "scores": record.scores})
+
+    write(Status.running)
+    background = Background(lambda: _copy(folder, opened()), every_s=threading.TIMEOUT_MAX)
+    background.tried.wait(5.0)
+    status = Status.failed
+    try:
+        yield record
+        status = record.status
+    except KeyboardInterrupt:
+        status = Status.killed
+        raise
+    finally:
+        write(status)
+        if not background.close(lambda: _copy(folder, opened()), _WAIT_S):
+            _LOG.warning("not all of %s is in MLflow yet; task=compare copies the rest", folder.name)
+
+
+def copy_tasks(store: Store, runs: Path, study: str) -> None:
+    """Copy the tasks of a study to a store that lacks them."""
+    for path in sorted(runs.glob(f"*/{_RECORD}")):
+        try:
+            if read_json(path)["study"] == study:
+                _copy(path.parent, store)
+        except (ValueError, KeyError, TypeError) as error:
+            _LOG.warning("%s: not copied to the tracking store (%s)", path, error)
+
+
+def _copy(folder: Path, store: Store) -> None:
+    """Copy the record of a task, with the files that it names, unless the store has it."""
+    record: dict[str, Any] = read_json(folder / _RECORD)
+    run = StoredRun(store, parent_run(store, record["study"], folder.name))
+    if run.tag(STATE) == (state := digest(record)):
+        return
+    run.mark(Status.running)
+    run.tags(record["tags"])
+    if record["status"] != Status.running:
+        for name in record["files"]:
+            path = folder / Path(name).name  # a record may come from anybody
+            run.artifact(path, "vector" if path.suffix == ".pdf" else None)
+        run.scores(record["scores"], record["time"])
+        run.describe(record["description"])
+        run.mark(Status(record["status"]), record["time"])
+    run.tags({STATE: state})

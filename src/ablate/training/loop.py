@@ -16,13 +16,13 @@ from lightning.pytorch.callbacks import LambdaCallback
 from lightning.pytorch.plugins.environments import LightningEnvironment
 from torch import Tensor
 
+from ablate.dataset.processes import Interruption
 from ablate.networks import Generator, GeneratorSpec
 from ablate.setting import plain
 from ablate.storage import remove_partial, written_whole
 from ablate.training.inference import chosen_device, chosen_precision
-from ablate.training.interruption import Interruption
 from ablate.training.module import PairGAN
-from ablate.training.reporting import DivergenceError, DivergenceGuard, MetricSink, Report, Validate, Validation
+from ablate.training.reporting import DivergenceError, DivergenceGuard, MetricSink, Report, Validation
 from ablate.training.settings import TRAINING_VERSION, Schedule, TrainingPrecision, TrainingSettings
 
 # Called with the first step and the one after the last; gives one batch a step, a function of the step alone.
@@ -102,13 +102,11 @@ def train(
         interruption = Interruption()
         # The order matters: signals are taken over before the first validation, losses are checked before weights are
         # written.
-        callbacks: list[Callback] = [
+        callbacks = [
             LambdaCallback(on_train_start=lambda *_: interruption.take_over()),
-            Report(sink, DivergenceGuard(settings.log_every, epoch)),
+            Report(sink, DivergenceGuard(settings.log_every, epoch), validation),
+            LastCheckpoint(run_dir, settings.checkpoint_every, interruption),
         ]
-        if validation is not None and settings.validate_every:
-            callbacks.append(Validate(validation, settings.validate_every, sink))
-        callbacks.append(LastCheckpoint(run_dir, settings.checkpoint_every, interruption))
         try:
             _fit(module, loader(start, settings.steps), callbacks, device, run_dir)
         finally:

@@ -101,7 +101,9 @@ class PairGAN(LightningModule):
             self.manual_backward(losses["train/loss_d"])
             others[0].step()
             judge.requires_grad_(False)
-            losses["train/loss_g"] = self._adversarial(judge(stacked, fake).float())
+            logits = judge(stacked, fake).float()  # minimised is -log D, or log(1 - D), with D = sigmoid(logits)
+            is_minimax = self.settings.loss is AdversarialLoss.minimax
+            losses["train/loss_g"] = -F.softplus(logits).mean() if is_minimax else F.softplus(-logits).mean()
 
         losses["train/l1"] = error = mean_in_fan((fake - image).abs(), mask)
         if self.settings.reconstruction is Reconstruction.crps and draws_noise(self.spec):
@@ -151,11 +153,6 @@ class PairGAN(LightningModule):
         """The optimisers, the generator's first; Lightning gives a single one without a list around it."""
         optimizers = self.optimizers()
         return optimizers if isinstance(optimizers, Sequence) else [optimizers]
-
-    def _adversarial(self, logits_fake: Tensor) -> Tensor:
-        """Compute the generator's adversarial loss: -log D, or log(1 - D), with D = sigmoid(logits)."""
-        is_minimax = self.settings.loss is AdversarialLoss.minimax
-        return -F.softplus(logits_fake).mean() if is_minimax else F.softplus(-logits_fake).mean()
 
 
 def _in_fan(rendered: Tensor, mask: Tensor) -> Tensor:

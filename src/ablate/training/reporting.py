@@ -83,30 +83,38 @@ def _failure(step: int, what: str) -> DivergenceError:
 
 
 class Report(Callback):
-    """Send metrics every `guard.interval` steps, check them, and show progress.
+    """Send metrics every `guard.interval` steps, check them, and show progress; validate the generator to evaluate.
 
     The x axis is images seen, so that runs of different batch sizes compare. On a terminal there is a bar;
     elsewhere a line about every tenth of the run.
     """
 
-    def __init__(self, sink: MetricSink, guard: DivergenceGuard) -> None:
-        self.sink, self.guard = sink, guard
+    def __init__(self, sink: MetricSink, guard: DivergenceGuard, validation: Validation | None = None) -> None:
+        self.sink, self.guard, self.validation = sink, guard, validation
 
     def on_train_start(self, _trainer: Trainer, module: PairGAN) -> None:  # type: ignore[override]
-        """Open the bar, start the clock."""
+        """Open the bar, start the clock, and validate the untrained network, where curves begin."""
         steps, done = module.settings.steps, module.steps_done
         # With `disable=None` it is shown on a terminal alone.
         self._bar: tqdm[Any] = tqdm(total=steps, initial=done, unit="step", disable=None)
         self._since, self._steps_timed = time.perf_counter(), 0
+        if done == 0:
+            self._validate(module)
 
     def on_train_batch_end(self, _trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
-        """Report if it is time."""
-        step, settings = module.steps_done, module.settings
+        """Report and validate if it is time."""
         self._steps_timed += 1
         self._bar.update()
-        if step % self.guard.interval != 0 and step != settings.steps:
-            return
-        metrics = module.drain()
+        if module.steps_done % self.guard.interval == 0 or module.steps_done == module.settings.steps:
+            self._report(module)
+        self._validate(module)
+
+    def on_train_end(self, *_: Any) -> None:
+        """Close the bar."""
+        self._bar.close()
+
+    def _report(self, module: PairGAN) -> None:
+        step, settings, metrics = module.steps_done, module.settings, module.drain()
         self.guard.check(metrics, step)
         now = time.perf_counter()
         metrics["train/images_per_second"] = self._steps_timed * settings.batch_size / (now - self._since)
@@ -122,34 +130,15 @@ class Report(Callback):
                     *(weight, step, DYING_NOISE),
                 )
         self.sink(metrics, step * settings.batch_size)
-        self._show(metrics, step, settings.steps)
-
-    def on_train_end(self, *_: Any) -> None:
-        """Close the bar."""
-        self._bar.close()
-
-    def _show(self, metrics: Mapping[str, float], step: int, steps: int) -> None:
         text = ", ".join(shown.format(metrics[name]) for name, shown in _SHOWN.items() if name in metrics)
         self._bar.set_postfix_str(text)
-        is_tenth = step * _LINES // steps > (step - self.guard.interval) * _LINES // steps
-        if self._bar.disable and (is_tenth or step == steps):
-            _LOG.info("step %d of %d: %s", step, steps, text)
+        is_tenth = step * _LINES // settings.steps > (step - self.guard.interval) * _LINES // settings.steps
+        if self._bar.disable and (is_tenth or step == settings.steps):
+            _LOG.info("step %d of %d: %s", step, settings.steps, text)
 
-
-class Validate(Callback):
-    """Evaluate the generator before the first step and every `every` steps, and send the metrics."""
-
-    def __init__(self, validation: Validation, every: int, sink: MetricSink) -> None:
-        self.validation, self.every, self.sink = validation, every, sink
-
-    def on_train_start(self, trainer: Trainer, module: PairGAN) -> None:  # type: ignore[override]
-        """Validate the untrained network, where curves begin."""
-        if module.steps_done == 0:
-            self.on_train_batch_end(trainer, module)
-
-    def on_train_batch_end(self, _trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
-        """Validate if it is time."""
-        if module.steps_done % self.every == 0:
+    def _validate(self, module: PairGAN) -> None:
+        every = module.settings.validate_every
+        if self.validation is not None and every and module.steps_done % every == 0:
             images_seen = module.steps_done * module.settings.batch_size
             with torch.no_grad():
                 metrics = dict(self.validation(module.evaluated, images_seen))

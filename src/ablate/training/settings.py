@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from ablate.setting import check_settings, setting
+from ablate.setting import Checked, setting
 
 #: Part of every run's identity: raise it when the same settings and pairs train another network.
 TRAINING_VERSION = 1
@@ -42,7 +42,7 @@ class TrainingPrecision(StrEnum):
 
 
 @dataclass(frozen=True)
-class TrainingSettings:
+class TrainingSettings(Checked):
     """How a network is trained; a value that is not allowed is a ValueError that names it and what is."""
 
     steps: int = setting(
@@ -94,7 +94,7 @@ class TrainingSettings:
     log_every: int = setting(50, "Steps between two points of a curve.", least=1, incidental=True)
 
     def __post_init__(self) -> None:
-        check_settings(self)
+        super().__post_init__()
         if not (self.has_discriminator or self.l1_weight):
             raise ValueError(
                 "l1_weight=0 with loss=none: allowed are numbers above 0, there is nothing else to minimise"

@@ -10,8 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ablate.setting import check_settings, setting
-from ablate.validation import shown
+from ablate.setting import check_settings, setting, shown
 
 #: Part of every data set's identity: raise it when the same settings give another image.
 SIMULATOR_VERSION = 4

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from ablate.metrics import Pair, nyquist_excess
-from ablate.metrics.mechanism.grid_lines import line_power
+from ablate.metrics.texture import line_power
 
 
 def checkered(frame, grey):

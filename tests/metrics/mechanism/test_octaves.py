@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, zoom
 
 from ablate.metrics import Pair, octave_sd
-from ablate.metrics.mechanism.octaves import octave_variances
+from ablate.metrics.texture import octave_variances
 
 
 def test_bands_are_those_of_plain_loops():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ablate.metrics import shadow_contrast
-from ablate.metrics.mechanism.shadows import relative_attenuation
+from ablate.metrics.structures import relative_attenuation
 
 
 def contrast(prediction, frame, **changes):

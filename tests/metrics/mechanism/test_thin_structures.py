@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from ablate.metrics import Pair, thin_contrast
-from ablate.metrics.mechanism.thin_structures import surface_band
+from ablate.metrics.structures import surface_band
 
 
 def contrast(prediction, frame, **changes):

@@ -27,7 +27,7 @@ from ablate.analysis.figures.style import (
 from ablate.analysis.statistics.work_precision import observed_order, pareto_front
 from ablate.analysis.tables import resimulation_note
 from ablate.metrics import Direction, metric_of
-from ablate.metrics.stored_names import BOUNDS
+from ablate.metrics.metric import BOUNDS
 
 PAPER_ANCHORS_MS = {"simulated": 75.0, "generated": 40.0}
 # The simulator with speckle of its own, as a generator has: only this series compares fairly with a trained run.

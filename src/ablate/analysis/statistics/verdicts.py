@@ -15,7 +15,7 @@ from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.effects import LinearModel, fit_effects
 from ablate.analysis.statistics.paired import holm, where_known
 from ablate.metrics import Direction, metric_of
-from ablate.metrics.stored_names import FRAME_TIME
+from ablate.metrics.metric import FRAME_TIME
 
 ALPHA = 0.05
 UNDECLARED = "no primary metric and band were declared for it before the runs"

@@ -15,7 +15,7 @@ import numpy as np
 
 from ablate.anatomy.scene_values import file_named, mapping, number, one_of, refusal
 from ablate.anatomy.tissue import Tissue
-from ablate.validation import shown
+from ablate.setting import shown
 
 SUFFIXES = (".nii", ".nii.gz", ".nrrd")
 VOXEL_MM = (0.01, 6.0)  # shortest and longest side; CT has slices of up to 5 mm

@@ -13,10 +13,10 @@ from tqdm import tqdm
 
 from ablate.anatomy import Scene
 from ablate.dataset import Part, equally_spaced
+from ablate.dataset.simulate import nudged
 from ablate.metrics import METRICS, Pair, evaluate_image
 from ablate.runs.job import Job
 from ablate.runs.simulated import build_scene, frames_of, simulator_of
-from ablate.runs.timed_maps import nudged
 from ablate.storage import remove_partial, write_text
 from ablate.ultrasound import PlanMode, Probe, Simulator, SimulatorPrecision, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_size_mm

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
+from ablate.dataset.simulate import nudged, timed_maps
 from ablate.networks import Generator, conditions
 from ablate.numerics.precision.bench import Bench, CsvTable, Frames, mean_errors, shown_progress
 from ablate.runs.job import Job
 from ablate.runs.run import Run, State, runs_of
-from ablate.runs.timed_maps import nudged, timed_maps
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
 from ablate.training import (

@@ -1,1 +1,0 @@
-"""Metrics of mechanism: does each component of a generator do what it is for?"""

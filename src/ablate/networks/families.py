@@ -1,0 +1,283 @@
+"""The networks of the families: the paper's local one, those of pix2pix (Isola et al., CVPR 2017), and a user's own.
+
+The local network has few levels, maps at every convolution and noise at every resolution. Of pix2pix come the U-Net,
+which LSA2H and NSA2H are, and the PatchGAN. A class of the user's is named by a dotted path.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+from torch.nn.parameter import UninitializedParameter
+
+from ablate.networks.layers import (
+    JointConvolution,
+    JointTransposedConvolution,
+    OneChannelConvolution,
+    ResizedConvolution,
+    draw_initial_weights,
+    instance_norm,
+    laid_out,
+)
+from ablate.networks.spec import GeneratorSpec, Noise, Upsampling, conditions, inputs, maps_of_every_level, scaled
+from ablate.user_code import in_one_line, load
+
+# Channels at full, half, quarter ... resolution; deeper levels stay at the last.
+LOCAL_WIDTHS = (64, 128, 128, 256, 512)
+# Channels after each down-sampling; deeper levels of the U-Net have as many as the last.
+UNET_WIDTHS = (64, 128, 256, 512)
+LEAK = 0.2
+SMALLEST = 32
+
+
+class DownBlock(nn.Module):
+    """A convolution 3x3 of stride 2 and one of stride 1; both also read the maps."""
+
+    def __init__(self, channels_in: int, channels_out: int, maps: int) -> None:
+        super().__init__()
+        self.shrink = JointConvolution(channels_in + maps, channels_out, 3, stride=2, padding=1)
+        self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1)
+
+    def forward(self, features: Tensor, fine_maps: Tensor | None, coarse_maps: Tensor | None) -> Tensor:
+        """Halve (N, C, H, W); `fine_maps` has its resolution, `coarse_maps` half of it."""
+        features = encoded(self.shrink(features, fine_maps))
+        return encoded(self.refine(features, coarse_maps))
+
+
+class UpBlock(nn.Module):
+    """A convolution that enlarges, one of stride 1 (but for `transposed`), the skip connection, and noise."""
+
+    def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
+        super().__init__()
+        self.grow: ResizedConvolution | JointTransposedConvolution
+        if spec.upsampling is Upsampling.resize:
+            self.grow = ResizedConvolution(channels_in + maps, channels_out)
+        else:
+            kernel, output_padding = (3, 1) if spec.upsampling is Upsampling.texture else (4, 0)
+            self.grow = JointTransposedConvolution(channels_in + maps, channels_out, kernel, 2, 1, output_padding)
+        has_two = spec.upsampling is not Upsampling.transposed
+        self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1) if has_two else None
+        weight = torch.full((2 * channels_out, 1, 1), float(spec.noise_start))
+        self.noise_weight = nn.Parameter(weight) if spec.noise is Noise.inject else None
+
+    def forward(
+        self, features: Tensor, skip: Tensor, coarse_maps: Tensor | None, fine_maps: Tensor | None, noise: Tensor | None
+    ) -> Tensor:
+        """Double the size of (N, C, H, W), append the channels of `skip`, and add `noise` (N, 1, 2H, 2W)."""
+        maps = fine_maps if isinstance(self.grow, ResizedConvolution) else coarse_maps
+        features = decoded(self.grow(features, maps))
+        if self.refine is not None:
+            features = decoded(self.refine(features, fine_maps))
+        features = torch.cat((features, skip), dim=1)
+        if self.noise_weight is None or noise is None:
+            return features
+        return torch.addcmul(features, noise.to(features.dtype), self.noise_weight.to(features.dtype))
+
+
+class LocalNetwork(nn.Module):
+    """Stem, `depth` down blocks, bottleneck, `depth` up blocks, output convolution."""
+
+    def __init__(self, spec: GeneratorSpec) -> None:
+        super().__init__()
+        channels = (LOCAL_WIDTHS + LOCAL_WIDTHS[-1:] * spec.depth)[: spec.depth + 1]
+        widths = [scaled(count, spec.width) for count in channels]
+        maps = len(maps_of_every_level(spec))
+        self.stem = nn.Conv2d(len(inputs(spec)), widths[0], 3, padding=1)
+        self.down = nn.ModuleList(DownBlock(fine, coarse, maps) for fine, coarse in pairwise(widths))
+        self.bottleneck = JointConvolution(widths[-1] + maps, widths[-1], 3, padding=1)
+        coarse_to_fine = pairwise(reversed(widths))
+        self.up = nn.ModuleList(UpBlock(2 * coarse, fine, maps, spec) for coarse, fine in coarse_to_fine)
+        self.output = OneChannelConvolution(2 * widths[0] + maps, 3)
+
+    def forward(self, stacked: Tensor, maps: Sequence[Tensor | None], noise: Sequence[Tensor | None]) -> Tensor:
+        """Render the input channels, (N, inputs, H, W) with H and W multiples of 2^depth, to (N, 1, H, W) in [-1, 1].
+
+        The convolutions of each level, except the stem, read its maps, depth + 1 of (N, K, H / 2^level, W / 2^level).
+        Its noise, depth of (N, 1, H / 2^level, W / 2^level), is injected.
+        """
+        features = encoded(self.stem(stacked))
+        skips = []
+        for level, block in enumerate(self.down):
+            skips.append(features)
+            features = block(features, maps[level], maps[level + 1])
+        bottom = encoded(self.bottleneck(features, maps[-1]))
+        features = torch.cat((bottom, features), dim=1)
+        for level, block in zip(reversed(range(len(skips))), self.up, strict=True):
+            features = block(features, skips[level], maps[level + 1], maps[level], noise[level])
+        return torch.tanh(self.output(features, maps[0]))
+
+
+def encoded(features: Tensor) -> Tensor:
+    """Apply leaky ReLU, then instance norm."""
+    return instance_norm(F.leaky_relu(features, LEAK))
+
+
+def decoded(features: Tensor) -> Tensor:
+    """Apply ReLU, then instance norm."""
+    return instance_norm(F.relu(features))
+
+
+class UNetwork(nn.Module):
+    """`depth` convolutions 4x4 of stride 2, as many transposed ones, and skip connections between them.
+
+    With depth 8 this is the U-Net-256 of pix2pix, with the same order of convolution, instance norm and activation and
+    a bias in every convolution. It has no dropout, because the paper mentions none and a rendering must be repeatable.
+    """
+
+    def __init__(self, spec: GeneratorSpec) -> None:
+        super().__init__()
+        widths = [scaled(UNET_WIDTHS[min(level, len(UNET_WIDTHS) - 1)], spec.width) for level in range(spec.depth)]
+        shrink = pairwise((len(inputs(spec)), *widths))
+        self.down = nn.ModuleList(nn.Conv2d(a, b, 4, stride=2, padding=1) for a, b in shrink)
+        out = (*reversed(widths[:-1]), 1)
+        grow = zip((widths[-1], *(2 * width for width in out)), out, strict=False)
+        self.up = nn.ModuleList(JointTransposedConvolution(a, b, 4, stride=2, padding=1) for a, b in grow)
+
+    def forward(self, stacked: Tensor, _maps: Sequence[Tensor | None], _noise: Sequence[Tensor | None]) -> Tensor:
+        """Render (N, inputs, H, W) in [-1, 1] to (N, 1, H, W); H and W are multiples of 2^depth."""
+        skips = [self.down[0](stacked)]
+        for layer in self.down[1:-1]:
+            skips.append(instance_norm(layer(F.leaky_relu(skips[-1], LEAK))))
+        features = self.down[-1](F.leaky_relu(skips[-1], LEAK))
+        features = instance_norm(self.up[0](F.relu(features)))
+        for layer in self.up[1:-1]:
+            features = instance_norm(layer(F.relu(torch.cat((skips.pop(), features), dim=1))))
+        return torch.tanh(self.up[-1](F.relu(torch.cat((skips.pop(), features), dim=1))))
+
+
+class PatchDiscriminator(nn.Module):
+    """Three 4x4 convolutions of stride 2 and two of stride 1, each followed by instance norm and leaky ReLU.
+
+    The first has no norm, and the last has neither.
+
+    Parameters
+    ----------
+    in_channels : int
+        Conditions and image together: `discriminator_channels(spec)`.
+    width : float
+        Multiplier of the channel counts 64, 128, 256, 512.
+
+    Notes
+    -----
+    Isola et al., "Image-to-image translation with conditional adversarial networks", CVPR 2017.
+
+    Examples
+    --------
+    >>> spec = GeneratorSpec()
+    >>> discriminator = PatchDiscriminator(discriminator_channels(spec), width=0.1)
+    >>> discriminator(torch.zeros(1, 2, 256, 256), torch.zeros(1, 1, 256, 256)).shape
+    torch.Size([1, 1, 30, 30])
+    """
+
+    def __init__(self, in_channels: int, width: float = 1.0) -> None:
+        super().__init__()
+        widths = [scaled(channels, width) for channels in UNET_WIDTHS]
+        self.first = nn.Conv2d(in_channels, widths[0], 4, stride=2, padding=1)
+        self.inner = nn.ModuleList(
+            nn.Conv2d(fine, coarse, 4, stride, padding=1)
+            for (fine, coarse), stride in zip(pairwise(widths), (2, 2, 1), strict=True)
+        )
+        self.last = nn.Conv2d(widths[3], 1, 4, stride=1, padding=1)
+        draw_initial_weights(self)
+
+    def forward(self, maps: Tensor, image: Tensor) -> Tensor:
+        """Score patches.
+
+        Parameters
+        ----------
+        maps : (N, C, H, W) float
+            The conditions.
+        image : (N, 1, H, W) float
+            Real or generated, black outside the fan.
+
+        Returns
+        -------
+        (N, 1, H / 8 - 2, W / 8 - 2) float
+            Logits, positive for real.
+
+        Raises
+        ------
+        ValueError
+            If the image is smaller than 32 x 32 pixels.
+        """
+        height, width = image.shape[-2:]
+        if min(height, width) < SMALLEST:
+            raise ValueError(f"image: {height} x {width} pixels, allowed are {SMALLEST} x {SMALLEST} and more")
+        stacked = laid_out(torch.cat((maps, image.to(maps.dtype)), dim=1))
+        features = F.leaky_relu(self.first(stacked), LEAK)
+        for layer in self.inner:
+            features = F.leaky_relu(instance_norm(layer(features)), LEAK)
+        return cast(Tensor, self.last(features))
+
+
+def discriminator_channels(spec: GeneratorSpec) -> int:
+    """Count the input channels of this generator's discriminator: conditions and image."""
+    return len(conditions(spec)) + 1
+
+
+class CustomNetwork(nn.Module):
+    """A user's network, made with its number of input channels. It keeps the initial weights that it gives itself.
+
+    A path that leads to no `torch.nn.Module`, or to a class that cannot be made, is a ValueError.
+    """
+
+    def __init__(self, spec: GeneratorSpec) -> None:
+        super().__init__()
+        self.target, channels = str(spec.target), len(inputs(spec))
+        try:
+            network_class = load(self.target)
+        except ValueError as error:
+            allowed = "the path of a class, as my_package.MyGenerator"
+            raise ValueError(f"target={self.target}: {error}; allowed is {allowed}") from error
+        if not (isinstance(network_class, type) and issubclass(network_class, nn.Module)):
+            raise ValueError(f"target={self.target}: is no class of torch.nn.Module")
+        try:
+            self.inner: nn.Module = network_class(channels)
+        except (Exception, SystemExit) as error:  # whatever the user's class does
+            raise ValueError(f"target={self.target}: {self.target}({channels}) fails: {in_one_line(error)}") from error
+
+    def forward(self, stacked: Tensor, _maps: Sequence[Tensor | None], _noise: Sequence[Tensor | None]) -> Tensor:
+        """Render (N, inputs, H, W) to (N, 1, H, W); H and W are multiples of 2^depth."""
+        image = self.inner(stacked)
+        allowed = (len(stacked), 1, *stacked.shape[-2:])
+        if not isinstance(image, Tensor) or image.shape != allowed:
+            returned = tuple(image.shape) if isinstance(image, Tensor) else type(image).__name__
+            shape = tuple(stacked.shape)
+            raise ValueError(f"target={self.target}: returns {returned} for {shape}, allowed is {allowed}")
+        return image
+
+
+def check_custom(spec: GeneratorSpec, side: int) -> None:
+    """Try a training step on two images of `side` px; a ValueError names the class and what is wrong."""
+    network = CustomNetwork(spec)
+    if any(isinstance(parameter, UninitializedParameter) for parameter in network.parameters()):
+        raise ValueError(f"target={spec.target}: has parameters without a size (lazy layers); give them one")
+    if not any(parameter.requires_grad for parameter in network.parameters()):
+        raise ValueError(f"target={spec.target}: has no parameter to train")
+    side += -side % 2**spec.depth
+    maps = torch.rand(2, len(inputs(spec)), side, side, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    try:
+        image = network(maps, [], [])
+        wrong = _wrong_with(image)
+        if not wrong:
+            image.mean().backward()
+            wrong = _wrong_with(network.eval()(maps, [], []))  # as it renders once it is trained
+    except ValueError:
+        raise
+    except (Exception, SystemExit) as error:  # whatever the user's class does
+        raise ValueError(
+            f"target={spec.target}: two images of {side} x {side} px fail: {in_one_line(error)}"
+        ) from error
+    if wrong:
+        raise ValueError(f"target={spec.target}: returns {wrong}, allowed are float32 numbers in [-1, 1]")
+
+
+def _wrong_with(image: Tensor) -> str:
+    if image.dtype != torch.float32:
+        return str(image.dtype)
+    if not image.requires_grad:
+        return "an image that does not depend on its parameters"
+    return "" if bool(image.isfinite().all()) else "numbers that are not finite"
