@@ -1,7 +1,7 @@
-"""Milliseconds of a simulated frame: by stage, as each size grows, what the plan saves, and a tolerance; medians.
+"""Milliseconds of a simulated frame: by stage, as each size grows, and what the plan saves; medians.
 
 make bench-simulator
-make bench-simulator SCENE=path/to/folder      # the tables of the plan and of the tolerance with that scene, too
+make bench-simulator SCENE=path/to/folder      # the table of the plan with that scene, too
 make bench-simulator AGAINST=path/to/checkout  # only how long a frame takes, against another checkout
 """
 
@@ -33,9 +33,6 @@ from yardstick import ABOUT, Yardstick, busy_core
 
 POSES = 12
 REPEATS = 3
-REFERENCE_RAYS = 1024
-CEILING = 128
-TOLERANCES = (0.4, 0.2, 0.1, 0.05, 0.025)
 
 
 def milliseconds(call: Callable[[np.ndarray], object], poses: list[np.ndarray]) -> float:
@@ -199,45 +196,6 @@ def plans(cases: list[tuple[str, Scene, list[np.ndarray]]]) -> None:
     table("**What the plan leaves out**, of an image alone.", head, rows)
 
 
-def at_equal_error(cases: list[tuple[str, Scene, list[np.ndarray]]]) -> None:
-    """A tolerance against a fixed number of rays: how long each takes for the same error, in turns."""
-    rows = []
-    for name, each, where in cases:
-        chosen = where[:: max(1, len(where) // 3)][:3]
-        many = Simulator(each, settings=replace(SimulatorSettings(), rays=REFERENCE_RAYS))
-        references = [many.image(pose).astype(float) for pose in chosen]
-        fixed = Simulator(each, beside=many)
-        adaptive = [
-            Simulator(each, settings=replace(SimulatorSettings(), rays=CEILING, tolerance=t), beside=many)
-            for t in TOLERANCES
-        ]
-        every = (fixed, *adaptive)
-        errors = [
-            float(np.mean([np.abs(s.image(p) - r)[s.mask].mean() for p, r in zip(chosen, references, strict=True)]))
-            for s in every
-        ]
-        times = np.median(np.concatenate([_in_turns(every, _fresh(chosen, turn)) for turn in range(REPEATS)]), axis=0)
-        if errors[0] == 0:
-            rows.append((name, f"{times[0]:.0f}", "0", "", "", "no ray is needed"))
-            continue
-        order = np.argsort(errors[1:])
-        levels, costs = np.log(np.maximum(errors[1:], 1e-6))[order], np.log(times[1:])[order]
-        within = levels[0] <= np.log(errors[0]) <= levels[-1]
-        ms = float(np.exp(np.interp(np.log(errors[0]), levels, costs)))
-        each_tolerance = "; ".join(
-            f"{t:g}: {e:.2f}, {ms_t:.0f}" for t, e, ms_t in zip(TOLERANCES, errors[1:], times[1:], strict=True)
-        )
-        said = (f"{ms:.0f}", f"{ms / times[0]:.2f}") if within else ("outside of those tried", "")
-        rows.append((name, f"{times[0]:.0f}", f"{errors[0]:.2f}", *said, each_tolerance))
-    head = ("scene", "fixed, ms", "its error", "tolerance of that error, ms", "ratio", "tolerance: error, ms")
-    table(
-        f"**A tolerance against {SimulatorSettings().rays} fixed rays**, of an image alone. Errors are mean absolute "
-        f"differences in grey levels to {REFERENCE_RAYS} rays; a group gets {CEILING} rays at most.",
-        head,
-        rows,
-    )
-
-
 def _in_turns(simulators: Sequence[Simulator], poses: list[np.ndarray]) -> np.ndarray:
     """Milliseconds of an image, (poses, simulators), after one that does not count."""
     times = np.empty((len(poses) + 1, len(simulators)))
@@ -289,9 +247,7 @@ def memory(scene: Scene, poses: list[np.ndarray]) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--scene", type=Path, default=None, help="a scene folder for the tables of the plan and of the tolerance"
-    )
+    parser.add_argument("--scene", type=Path, default=None, help="a scene folder for the table of the plan")
     parser.add_argument("--against", type=Path, default=None, help="another checkout, which frames are timed against")
     args = parser.parse_args()
     threads = torch.get_num_threads()
@@ -312,7 +268,6 @@ def main() -> None:
     memory(scene, poses)
     cases = scenes(scene, some(all_poses, 6), args.scene)
     plans(cases)
-    at_equal_error(cases)
     growth(all_poses, scene)
 
 

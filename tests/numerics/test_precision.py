@@ -48,7 +48,6 @@ def _small() -> Iterator[None]:
         patch.setattr(bench, "RAYS", (1, 2, 4))
         patch.setattr(bench, "REFERENCE_RAYS", 32)
         patch.setattr(bench, "LAYERS", (1, 2))
-        patch.setattr(bench, "TOLERANCES", (0.8, 0.2))
         patch.setattr(generated, "missing_for", lambda e, _: None if e is Engine.eager else "what a test has not")
         yield
 
@@ -91,9 +90,6 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     assert set(scanlines[scanlines["metric"] == "envelope_rms"]["setting"]) == {"24"}, "one grid has the reference's"
     full = points[points["series"] == "simulator, rays, plan=full"]
     assert np.array_equal(full["error"], rays["error"]), "what the plan leaves out changes nothing"
-    adaptive = points[points["series"] == "simulator, tolerance"]
-    assert set(adaptive["metric"]) == set(rays["metric"])
-    assert [float(t) for t in dict.fromkeys(adaptive["setting"])] == list(bench.TOLERANCES)
     network = points[points["series"] == "sa2h"]
     assert "width 0.05, fp32, eager, seed 0" in set(network["setting"])
     assert "envelope_rms" not in set(network["metric"])
@@ -190,7 +186,7 @@ def test_an_interruption_leaves_what_was_measured_and_the_same_command_measures_
         with pytest.raises(SystemExit, match="interrupted; what was measured is in"):
             run(*arguments)
     points = pd.read_csv(tmp_path / "precision" / "precision.csv")
-    names = ("rays", "rays, plan=full", "tolerance", "layers", "scanlines", "axial samples")
+    names = ("rays", "rays, plan=full", "layers", "scanlines", "axial samples")
     ladders = {f"simulator, {name}" for name in names}
     assert set(points["series"]) == {*ladders, "simulator, other scatterers"}
     client = MlflowClient(default_uri(tmp_path))

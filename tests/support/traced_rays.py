@@ -20,7 +20,7 @@ def follow(
     draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
     rays = probe_rays(probe, settings, draws)
     bundle = at_pose(geometry, rays, np.eye(4))
-    leave_probe(geometry, rays, np.eye(4), bundle, np.arange(len(bundle.origins)))
+    leave_probe(geometry, rays, np.eye(4), bundle)
     groups = len(bundle.starts)
     nodes = Nodes(0.0, 1.0, np.ones((groups, 151), bool), np.zeros((groups, 151)))
     view = View(

@@ -97,15 +97,3 @@ def test_draws_are_stratified_and_repeat() -> None:
     assert (a == step_by_step.table(10)[:10]).all()
     assert abs(np.corrcoef(a[0, :, rays.CHOICE], a[1, :, rays.CHOICE])[0, 1]) < 0.4
     assert (a[9] != other[9]).any()
-
-
-def test_any_first_rays_are_stratified_uniform_and_unrelated_where_not_all_are_traced() -> None:
-    u = rays.progressive(np.random.default_rng(0), 400, 50, 2)
-    assert u.shape == (2, 400, 50)
-    for n in (1, 2, 4, 8, 16, 32):
-        assert (np.sort(np.floor(u[..., :n] * n), axis=-1) == np.arange(n)).all()
-    for ray in (0, 1, 5, 31, 40, 49):
-        assert kstest(u[:, :, ray].ravel(), "uniform").pvalue > 1e-3
-    both = np.floor(4 * u).astype(int)
-    counts = np.bincount((4 * both[0] + both[1]).ravel(), minlength=16)  # all squares, not those of a diagonal
-    assert np.abs(counts / counts.mean() - 1).max() < 0.1

@@ -13,7 +13,7 @@ import numpy as np
 from ablate.setting import check_settings, setting, shown
 
 #: Part of every data set's identity: raise it when the same settings give another image.
-SIMULATOR_VERSION = 4
+SIMULATOR_VERSION = 5
 
 
 class PlanMode(StrEnum):
@@ -65,7 +65,7 @@ class SimulatorSettings:
 
     scanlines: int = setting(192, "Scanlines of a frame.", least=1, most=2**14)
     axial_samples: int = setting(3072, "Samples of a scanline.", least=1, most=2**18)
-    rays: int = setting(32, "Rays of a scanline and layer; with `tolerance` the most.", least=1, most=2**20)
+    rays: int = setting(32, "Rays of a scanline and layer.", least=1, most=2**20)
     layers: int = setting(3, "Elevational layers, within `layer_extent_mm`.", least=1, most=2**10)
     image_shape: tuple[int, int] = setting(
         (1000, 1386), "Rows and columns of the image.", least=1, most=2**14, unit="px"
@@ -134,13 +134,6 @@ class SimulatorSettings:
         incidental=True,
     )
     path_seed: int = setting(0, "Seed of the Monte-Carlo paths.", least=0)
-    tolerance: float | None = setting(
-        None,
-        "Each scanline of each layer gets as many rays as it needs, `rays` at most, for this root mean square error of "
-        "the amplitude shown (0.1 is 0.8 dB); null: all get `rays`.",
-        least=1e-4,
-        most=10,
-    )
 
     def __post_init__(self) -> None:
         check_settings(self)

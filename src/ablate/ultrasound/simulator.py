@@ -4,7 +4,6 @@ import math
 import warnings
 from collections.abc import Iterable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -20,9 +19,8 @@ from ablate.ultrasound.settings import ConvexProbe, Frame, Probe, SimulatorSetti
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport import lines
-from ablate.ultrasound.transport.adaptive import Shown, trace_to_tolerance
 from ablate.ultrasound.transport.aperture import Aperture
-from ablate.ultrasound.transport.rays import Draws, View, at_pose, leave_probe, probe_rays, progressive, stratified
+from ablate.ultrasound.transport.rays import Draws, View, at_pose, leave_probe, probe_rays
 from ablate.ultrasound.transport.tracing import Paths, trace
 
 #: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
@@ -104,8 +102,7 @@ class Simulator:
             self._geometry: Geometry = beside._geometry.reaching(extent)
         else:
             self._geometry = Geometry(self._plan.structures, bounds, self._origin_mm, extent)
-        spread = stratified if settings.tolerance is None else progressive
-        self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays, spread)
+        self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
         self._rays = probe_rays(probe, settings, self._draws)
         self._beam, self._aperture = lines.transmit_beam(probe, settings), Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
@@ -201,7 +198,7 @@ class Simulator:
         shape = settings.scanlines, settings.axial_samples
         local = self._local(pose)
         bundle = at_pose(self._geometry, self._rays, local)
-        send = partial(leave_probe, self._geometry, self._rays, local, bundle)
+        leave_probe(self._geometry, self._rays, local, bundle)
         largest_gain_db = 20 * math.log10(float(self._chain.gain[-1]))
         view = View(
             media=plan.media,
@@ -221,32 +218,16 @@ class Simulator:
             self._warned.add(words)
             warnings.warn(words, stacklevel=3)
         nodes = lines.empty_nodes(plan.media.anechoic[labels], probe.depth_mm)
-        paths = Paths(self._geometry, view, self._draws, bundle, nodes)
-        if settings.tolerance is None:
-            send(np.arange(len(bundle.origins)))
-            echoes, counts = trace(paths), np.full(len(bundle.starts), settings.rays)
-        else:
-            echoes, counts = trace_to_tolerance(paths, self._shown(labels, nodes), settings.tolerance, send)
-        level_db = lines.mean_level_db(nodes, counts, self._beam)
+        echoes = trace(Paths(self._geometry, view, self._draws, bundle, nodes))
+        level_db = lines.mean_level_db(nodes, settings.rays, self._beam)
         gain_db = self._aperture.gain_db(level_db)
         lines.amplify(echoes, gain_db, nodes)
-        where = layer_weights(probe, settings)[1], counts, probe.depth_mm, shape
+        where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
         surfaces, clutter = lines.surface_lines(echoes, *where), lines.clutter_lines(echoes, *where)
         level = torch.from_numpy((level_db + gain_db).astype(np.float32))
         scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
         self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level, surfaces, clutter)
         return self._prepared[1]
-
-    def _shown(self, labels: np.ndarray, nodes: lines.Nodes) -> Shown:
-        """What is seen of rays at the nodes of each group, from the tissues that its samples display."""
-        settings, tissues = self.settings, self.scene.tissues
-        count = nodes.amplitude.shape[1]
-        at_nodes = np.rint(np.linspace(0, settings.axial_samples - 1, count)).astype(int)
-        seen = self._chain.gain[at_nodes].double().cpu().numpy() * layer_weights(self.probe, settings)[1][:, at_nodes]
-        echo = np.repeat(seen, settings.scanlines, axis=0)
-        strength = np.sqrt([tissue.scatter_power for tissue in tissues]) * 10 ** (settings.scatterer_level_db / 20)
-        floor = settings.reference_level * 10 ** (settings.noise_floor_db / 20)
-        return Shown(echo, echo * strength[labels[:, at_nodes]], floor, self._chain.spread.overlap, settings.scanlines)
 
     def _local(self, pose: np.ndarray) -> np.ndarray:
         local = pose.copy()

@@ -36,14 +36,13 @@ OTHER_SPECKLE = "simulator, other scatterers"
 SIMULATOR: dict[str, tuple[str, str, str, float]] = {
     "simulator, rays": ("#000000", "o", "-", 3.5),
     "simulator, rays, plan=full": ("#000000", "o", "none", 6.5),
-    "simulator, tolerance": ("#0072B2", "D", "-", 3.0),
     "simulator, layers": ("#666666", "s", "none", 4.0),
     "simulator, scanlines": ("#666666", "^", "none", 4.5),
     "simulator, axial samples": ("#666666", "v", "none", 4.5),
     OTHER_SPECKLE: ("#AAAAAA", "x", "none", 3.5),
 }
 # Of these the first and the last setting is written beside its point.
-_LABELLED = ("simulator, rays", "simulator, tolerance", "simulator, layers", "simulator, scanlines")
+_LABELLED = ("simulator, rays", "simulator, layers", "simulator, scanlines")
 _RUN_MARKERS = ("D", "P", "X", "*", "h", "<", ">", "d", "p", "8")
 _ENGINE_FILL = {"eager": "none", "compiled": "left", "exported": "full"}
 _LEVEL = "other scatterers"  # the row of a grid that is the level of re-simulation

@@ -30,7 +30,6 @@ IMAGE_ERRORS = tuple(METRICS[name] for name in ("mae", "psnr", "pchi2", "mae_smo
 
 RAYS = (1, 2, 4, 8, 16, 32, 64, 128)
 LAYERS = (1, 3, 5)
-TOLERANCES = (0.8, 0.4, 0.2, 0.1, 0.05)  # with the most of RAYS at most
 _FRACTIONS = (0.25, 0.5, 1, 2)  # of the data set's scanlines and axial samples
 REFERENCE_RAYS = 4096
 _FINEST_LAYERS = 8  # even, so that only its two outermost planes are also planes of the ladder
@@ -38,7 +37,6 @@ _FINER = 4  # times as many scanlines or axial samples, and rays, so that Monte-
 _GRIDS = ("layers", "scanlines", "axial_samples")
 RAYS_SERIES = "simulator, rays"
 FULL_SERIES = "simulator, rays, plan=full"
-TOLERANCE_SERIES = "simulator, tolerance"
 OTHER_SERIES = "simulator, other scatterers"
 
 
@@ -68,15 +66,15 @@ class Bench:
 def bench_of(job: Job) -> Bench:
     """Choose `evaluation.timed_frames` test frames of the study's data set, which need not be simulated yet.
 
-    The settings are those of the data set with a fixed number of rays. It raises ValueError when a mesh or all poses
+    The settings are those of the data set. It raises ValueError when a mesh or all poses
     cannot be used.
     """
     settings = job.settings
     scene, grid = build_scene(settings)
     known = frames_of(job, scene, grid)
     frames = equally_spaced(np.flatnonzero(known.split == Part.test), settings.evaluation.timed_frames)
-    fixed = replace(simulator_of(job, scene, grid, known.poses), tolerance=None)
-    return Bench(scene, settings.probe, fixed, frames, known.poses[frames], settings.dataset.seed)
+    simulator = simulator_of(job, scene, grid, known.poses)
+    return Bench(scene, settings.probe, simulator, frames, known.poses[frames], settings.dataset.seed)
 
 
 def envelope_rms(envelope: np.ndarray, reference: np.ndarray) -> float:
@@ -230,7 +228,6 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable) -> Fram
     for name, ladder in ladders(base).items():
         several: dict[tuple[str, float], SimulatorSettings] = {(series_name(name), v): s for v, s in ladder.items()}
         if name == "rays":
-            several |= {(TOLERANCE_SERIES, t): replace(base, rays=max(ladder), tolerance=t) for t in TOLERANCES}
             several |= {(FULL_SERIES, n): replace(s, plan=PlanMode.full) for n, s in ladder.items()}
         measured = dict(zip(several, render_all(bench, list(several.values()), seeds, name), strict=True))
         for (series, value), ((rendered, other), ms) in measured.items():

@@ -46,15 +46,12 @@ def _settings(checks: Checks, scene: Scene, tried: dict[str, tuple[Any, ...]]) -
 
 @case("one ray, one line, one sample, one pixel")
 def _ones(checks: Checks) -> None:
-    """One of each, then one of all, on a probe of each kind; then few neighbours to judge the error of a line by."""
+    """One of each, then one of all, on a probe of each kind."""
     kinds: dict[str, Probe] = {"": ConvexProbe(), "linear, ": LinearProbe(60.0, 150.0), "phased, ": PhasedProbe()}
     for kind, probe in kinds.items():
         for changes in (*({name: value} for name, value in _ALL_ONE.items()), _ALL_ONE):
             label = ", ".join(f"{name} {value}" for name, value in changes.items())
             checks.render(BODY, replace(SMALL, **changes), probe, label=kind + label)
-    for lines, layers in ((1, 1), (1, 3), (2, 1)):
-        settings = replace(SMALL, scanlines=lines, layers=layers, rays=64, tolerance=0.1)
-        checks.render(BODY, settings, label=f"rays to a tolerance, {lines} lines, {layers} layers")
 
 
 @case("fans and faces of every shape")

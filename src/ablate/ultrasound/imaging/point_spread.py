@@ -95,7 +95,6 @@ class PointSpread:
     lateral: torch.Tensor  # (blocks of depth or 1, scanlines, scanlines); the main lobe's rows sum to 1
     scatterer_scale: torch.Tensor  # (blocks or 1, scanlines, 1): makes squares sum to 1, a row's and the axial kernel's
     axial: torch.Tensor  # (taps,), peak 1
-    overlap: float  # sum of squares of a scanline's shares in those around it, on average
 
 
 def point_spread(probe: Probe, settings: SimulatorSettings, dtype: torch.dtype) -> PointSpread:
@@ -106,7 +105,7 @@ def point_spread(probe: Probe, settings: SimulatorSettings, dtype: torch.dtype) 
     power = (lateral**2).sum(axis=-1, keepdims=True)
     scale = 1 / np.sqrt(power * (axial**2).sum())
     kernels = [torch.from_numpy(values).to(settings.device, dtype) for values in (lateral, scale, axial)]
-    return PointSpread(kernels[0], kernels[1], kernels[2], float(power.mean()))
+    return PointSpread(*kernels)
 
 
 @stage(Stage.point_spread)

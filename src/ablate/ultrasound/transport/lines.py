@@ -71,11 +71,11 @@ def amplify(echoes: np.ndarray, gain_db: np.ndarray, nodes: Nodes) -> None:
 
 @stage(Stage.surface_echoes)
 def surface_lines(
-    echoes: np.ndarray, weights: np.ndarray, rays: np.ndarray, depth_mm: float, shape: tuple[int, int]
+    echoes: np.ndarray, weights: np.ndarray, rays: int, depth_mm: float, shape: tuple[int, int]
 ) -> np.ndarray:
     """Amplitude that surfaces send back to rays never reflected before, (scanlines, samples) float64.
 
-    It is the mean over the `rays` of each group, (groups,), and the sum over layers of the echoes, (n,) ECHO, with
+    It is the mean over the `rays` of each group and the sum over layers of the echoes, (n,) ECHO, with
     elevational weights, (layers, samples), that sum to 1 over layers. It is real and positive, so its estimate
     converges with the number of rays.
     """
@@ -84,7 +84,7 @@ def surface_lines(
 
 @stage(Stage.clutter)
 def clutter_lines(
-    echoes: np.ndarray, weights: np.ndarray, rays: np.ndarray, depth_mm: float, shape: tuple[int, int]
+    echoes: np.ndarray, weights: np.ndarray, rays: int, depth_mm: float, shape: tuple[int, int]
 ) -> np.ndarray | None:
     """The same for reflected rays: few and out of focus, they are spread along and across the lines.
 
@@ -114,14 +114,14 @@ def clutter_lines(
 
 
 def _placed(
-    echoes: np.ndarray, weights: np.ndarray, rays: np.ndarray, depth_mm: float, shape: tuple[int, int]
+    echoes: np.ndarray, weights: np.ndarray, rays: int, depth_mm: float, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Line, position in samples, and amplitude with its elevational weight, of echoes."""
     lines, samples = shape
     layer, line = np.divmod(echoes["group"], lines)
     position = echoes["depth_mm"] * (samples / depth_mm) - 0.5
     nearest = np.clip(position, 0, samples - 1).astype(np.int64)
-    return line, position, echoes["amplitude"] * weights[layer, nearest] / rays[echoes["group"]]
+    return line, position, echoes["amplitude"] * weights[layer, nearest] / rays
 
 
 @cache
@@ -189,14 +189,14 @@ def transmit_beam(probe: Probe, settings: SimulatorSettings) -> torch.Tensor:
 
 
 @stage(Stage.illumination)
-def mean_level_db(nodes: Nodes, rays: np.ndarray, beam: torch.Tensor) -> np.ndarray:
+def mean_level_db(nodes: Nodes, rays: int, beam: torch.Tensor) -> np.ndarray:
     """Level in dB of the mean over rays and, as the beam overlaps, over scanlines, (groups, nodes) float64.
 
-    `rays`, (groups,), is how many rays of each group were accumulated.
+    `rays` of each group were accumulated.
     """
     groups, count = nodes.amplitude.shape
     lines = beam.shape[-1]
-    mean = torch.from_numpy(nodes.amplitude / rays[:, None]).reshape(-1, lines, count)
+    mean = torch.from_numpy(nodes.amplitude / rays).reshape(-1, lines, count)
     parts = np.array_split(np.arange(count), len(beam))
     overlapping = torch.cat([kernel @ mean[..., part] for kernel, part in zip(beam, parts, strict=True)], dim=-1)
     level = 20 * torch.log10(overlapping.reshape(groups, count)).numpy()

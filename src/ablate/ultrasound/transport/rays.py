@@ -9,7 +9,6 @@ each number is a hash of the same three; strata are of no use where no two rays 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any, NamedTuple
@@ -66,24 +65,6 @@ def stratified(generator: np.random.Generator, groups: int, rays: int, dimension
     return np.minimum((order + within) / np.float32(rays), np.float32(1 - 2**-24))
 
 
-def progressive(generator: np.random.Generator, groups: int, rays: int, dimensions: int) -> np.ndarray:
-    """The same for groups of which only the first rays may be traced: any first 2^m of them are stratified, too.
-
-    From 2^m rays to twice as many, each of the 2^m intervals is halved, and the new rays fill the empty halves in a
-    random order. Every single number is uniform, so the mean over the first rays is unbiased, however many they are.
-    """
-    cells = np.zeros((dimensions, groups, 1), np.int64)
-    numbers = generator.random((dimensions, groups, 1), np.float32)
-    while numbers.shape[-1] < rays:
-        n = numbers.shape[-1]
-        cells = np.minimum((numbers * (2 * n)).astype(np.int64), 2 * n - 1)
-        order = np.argsort(generator.random(cells.shape, np.float32), axis=-1)
-        empty = np.take_along_axis(cells ^ 1, order, axis=-1)
-        new = (empty + generator.random(cells.shape, np.float32)) / np.float32(2 * n)
-        numbers = np.concatenate([numbers, new.astype(np.float32)], axis=-1)
-    return np.minimum(numbers[..., :rays], np.float32(1 - 2**-24))
-
-
 @compiled
 def _mixed(key: np.uint64) -> np.uint64:
     """One step of SplitMix64 (Steele, Lea and Flood 2014): neighbouring keys give unrelated numbers."""
@@ -109,13 +90,9 @@ def unstratified(path_seed: np.uint64, interfaces: int, number: int, row: np.nda
 
 
 class Draws:
-    """Draws for all rays of a simulator, made as they are needed and kept; a group is one scanline of one layer.
+    """Draws for all rays of a simulator, made as they are needed and kept; a group is one scanline of one layer."""
 
-    `spread` makes the stratified numbers: `stratified`, or `progressive` where not all rays of a group are traced.
-    """
-
-    def __init__(self, path_seed: int, groups: int, rays: int, spread: Callable[..., np.ndarray] = stratified) -> None:
-        self._spread = spread
+    def __init__(self, path_seed: int, groups: int, rays: int) -> None:
         self.seed, self._groups, self._rays = np.uint64(path_seed % 2**64), groups, rays
         self._table = np.empty((MAX_ROWS, groups * rays, COLUMNS), np.float32)
         self._made = 0
@@ -123,7 +100,7 @@ class Draws:
 
     def aperture(self) -> np.ndarray:
         """Where in the aperture each ray starts, (2, groups, rays) float32 in [0, 1)."""
-        return self._spread(self._generator(0), self._groups, self._rays, 2)
+        return stratified(self._generator(0), self._groups, self._rays, 2)
 
     def table(self, interfaces: int) -> np.ndarray:
         """Draws of all rays, (MAX_ROWS, groups * rays, COLUMNS) float32; the rows for so many interfaces are filled.
@@ -133,7 +110,7 @@ class Draws:
         with self._making:
             while self._made < min(interfaces, MAX_ROWS):
                 generator, row = self._generator(self._made + 1), self._table[self._made]
-                u = self._spread(generator, self._groups, self._rays, 3).reshape(3, -1)
+                u = stratified(generator, self._groups, self._rays, 3).reshape(3, -1)
                 angle = np.float32(2 * np.pi) * u[2]
                 row[:, CHOICE] = u[0]
                 row[:, THICKNESS] = np.abs(generator.standard_normal(u.shape[1], np.float32))
@@ -204,16 +181,16 @@ def at_pose(geometry: Geometry, rays: Bundle, pose: np.ndarray) -> Bundle:
 
 
 @stage(Stage.probe_rays)
-def leave_probe(geometry: Geometry, rays: Bundle, pose: np.ndarray, bundle: Bundle, chosen: np.ndarray) -> None:
-    """Send the chosen rays off, by their numbers: fills their rows of `bundle`.
+def leave_probe(geometry: Geometry, rays: Bundle, pose: np.ndarray, bundle: Bundle) -> None:
+    """Send the rays off: fills `bundle`.
 
     The set of a ray is that of its element, unless some surface lies between them or in the element itself. Then each
     ray of that group is followed from outside in its own direction. Along the face, which nearly lies in the skin, a
     crossing can be missed, and a ray without the loss of its tissue would outweigh all others.
     """
     groups = len(bundle.starts)
-    group = np.repeat(np.arange(groups), len(rays.origins) // groups)[chosen]
-    origins, directions = to_world(pose, rays.origins[chosen]), rays.ray_directions[chosen] @ pose[:3, :3].T
+    group = np.repeat(np.arange(groups), len(rays.origins) // groups)
+    origins, directions = to_world(pose, rays.origins), rays.ray_directions @ pose[:3, :3].T
     element = bundle.starts[group]
     aside = origins - element
     length = np.sqrt(np.einsum("ij,ij->i", aside, aside))
@@ -224,15 +201,15 @@ def leave_probe(geometry: Geometry, rays: Bundle, pose: np.ndarray, bundle: Bund
     through = geometry.closest(before, bundle.directions.astype(np.float32), np.full(groups, 2 * near_mm, np.float32))
     crossed = (np.bincount(group, between, minlength=groups) > 0) | (through.structure >= 0)
     unsure = np.flatnonzero(crossed[group])
-    bundle.inside[chosen[unsure]] = inside_at(geometry, origins[unsure], directions[unsure])
-    bundle.origins[chosen], bundle.ray_directions[chosen] = origins, directions
+    bundle.inside[unsure] = inside_at(geometry, origins[unsure], directions[unsure])
+    bundle.origins[:], bundle.ray_directions[:] = origins, directions
 
 
-def start_rays(bundle: Bundle, chosen: slice | np.ndarray, view: View) -> np.ndarray:
+def start_rays(bundle: Bundle, chosen: slice, view: View) -> np.ndarray:
     """Some rays of a frame, by their numbers, at the probe, (n,) RAY."""
     medium = view.tissue_of_owner[owners(bundle.inside[chosen])]
     rays = np.zeros(len(medium), RAY)
-    rays["number"] = np.arange(chosen.start, chosen.stop) if isinstance(chosen, slice) else chosen
+    rays["number"] = np.arange(chosen.start, chosen.stop)
     rays["origin"], rays["direction"] = bundle.origins[chosen], bundle.ray_directions[chosen]
     rays["medium"], rays["weight"], rays["growth"] = medium, 1.0, 1.0
     rays["structure"] = rays["triangle"] = -1

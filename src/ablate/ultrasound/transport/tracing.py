@@ -55,19 +55,12 @@ class Paths(NamedTuple):
 
 
 @stage(Stage.tracing)
-def trace(paths: Paths, first: int = 0, last: np.ndarray | None = None) -> np.ndarray:
-    """The echoes, (n,) ECHO, of the rays of a frame until they are deeper than the image; `nodes` are accumulated.
-
-    Of each group's rays those from number `first` on are traced, to one before `last`, (groups,), or all of them. What
-    becomes of a ray does not depend on which others are traced.
-    """
+def trace(paths: Paths) -> np.ndarray:
+    """The echoes, (n,) ECHO, of the rays of a frame until they are deeper than the image; `nodes` are accumulated."""
     geometry, view, draws, bundle, nodes = paths
 
     def part(begin: int, end: int) -> np.ndarray:
-        chosen: slice | np.ndarray = slice(begin * view.rays, end * view.rays)
-        if last is not None:
-            number = np.arange(view.rays)
-            chosen = begin * view.rays + np.flatnonzero((number >= first) & (number < last[begin:end, None]))
+        chosen = slice(begin * view.rays, end * view.rays)
         rays, sets = start_rays(bundle, chosen, view), bundle.inside[chosen].copy()
         n, rows, count, echoes = len(rays), 0, 0, np.empty(4 * len(rays), ECHO)
         while n:  # comes back for more of the table of draws
