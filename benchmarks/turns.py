@@ -1,6 +1,6 @@
 """The simulator of this checkout and of another, in turns, with the same scenes and poses; `simulator.py --against`.
 
-Each checkout is a process that stays. Every pose is rendered by one, then by the other, so what else runs on the machine
+Each checkout is a process that stays. Every pose is rendered by one, then by the other, so what else runs there
 disturbs both. No pose comes twice: from round to round it is moved by a micrometre, which costs the same, and the
 shortest of the rounds counts.
 """
