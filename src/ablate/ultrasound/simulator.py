@@ -220,11 +220,11 @@ class Simulator:
         nodes = lines.empty_nodes(plan.media.anechoic[labels], probe.depth_mm)
         echoes = trace(Paths(self._geometry, view, self._draws, bundle, nodes))
         level_db = lines.mean_level_db(nodes, settings.rays, self._beam)
-        gain_db = self._aperture.gain_db(level_db)
+        gain_db, level_db = self._aperture.gain_and_level_db(level_db)
         lines.amplify(echoes, gain_db, nodes)
         where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
         surfaces, clutter = lines.surface_lines(echoes, *where), lines.clutter_lines(echoes, *where)
-        level = torch.from_numpy((level_db + gain_db).astype(np.float32))
+        level = torch.from_numpy(level_db.astype(np.float32))
         scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
         self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level, surfaces, clutter)
         return self._prepared[1]

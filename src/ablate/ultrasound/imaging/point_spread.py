@@ -81,11 +81,12 @@ def lateral_kernels(
     main = np.where(main > np.exp(_LOWEST_EXPONENT), main, 0.0)
     main /= main.sum(axis=-1, keepdims=True)
     wide = _SIDELOBES * sigma
-    power = (main**2).sum(axis=-1, keepdims=True)
-    signs = main @ np.random.default_rng(_SIDELOBE_SEED).standard_normal(apart.shape) / np.sqrt(power)
-    side = np.exp(-0.5 * (apart / wide) ** 2) * signs
+    signs = np.random.default_rng(_SIDELOBE_SEED).choice((-1.0, 1.0), 2**10)
+    widths = np.abs(apart) / (FWHM_PER_SIGMA * sigma)
+    side = np.exp(-0.5 * (apart / wide) ** 2) * np.interp(widths, np.arange(len(signs)), signs)
     side -= main * side.sum(axis=-1, keepdims=True)
-    return main + 10 ** (sidelobe_db / 20) * np.sqrt(power / (math.sqrt(math.pi) * wide)) * side
+    power = (main**2).sum(axis=-1, keepdims=True) / (math.sqrt(math.pi) * wide * 2 / 3)  # main over side lobes
+    return main + 10 ** (sidelobe_db / 20) * np.sqrt(power) * side
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,8 @@ class Aperture:
         self._lines = settings.scanlines
 
     @stage(Stage.aperture)
-    def gain_db(self, level_db: np.ndarray) -> np.ndarray:
-        """What all elements together bring more than the pencil of each scanline, both ways.
+    def gain_and_level_db(self, level_db: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What all elements together bring more than the pencil of each scanline, both ways, and the level with it.
 
         Parameters
         ----------
@@ -60,8 +60,8 @@ class Aperture:
 
         Returns
         -------
-        (groups, nodes) float64, dB
-            With `level_db` at most the level where nothing is lost.
+        gain_db, level_db : (groups, nodes) float64
+            No level is above 0, where nothing is lost. Where a pencil is silent, the level is that of the other ways.
         """
         groups, nodes = level_db.shape
         at_depths = np.minimum((np.arange(_DEPTHS) + 1) * nodes // _DEPTHS, nodes - 1)
@@ -77,8 +77,9 @@ class Aperture:
         by_group = gain.transpose(0, 2, 1).reshape(groups, _DEPTHS)
         heard = np.where(lost_db[:, at_depths] < _MOST_DB, np.arange(_DEPTHS), 0)
         held = np.take_along_axis(by_group, np.maximum.accumulate(heard, axis=1), axis=1)
-        louder = np.minimum(_between(held, nodes), 2 * lost_db)
-        return np.where(level_db > NO_SOUND_DB, louder, _between(by_group, nodes) - 2 * lost_db - level_db)
+        gain_db = np.minimum(_between(held, nodes), 2 * lost_db)
+        of_others = _between(by_group, nodes) - 2 * lost_db
+        return gain_db, np.where(level_db > NO_SOUND_DB, level_db + gain_db, of_others)
 
 
 def _between(by_depth: np.ndarray, nodes: int) -> np.ndarray:
