@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from ablate.setting import check_settings, flat, identity, plain, setting, settings_of
+from ablate.setting import check_name, check_settings, flat, identity, plain, setting, settings_of, shown
 
 
 class Colour(StrEnum):
@@ -73,3 +73,31 @@ def test_the_words_of_a_table_come_from_the_declaration() -> None:
     allowed = {one.name: (one.allowed, one.declared.unit) for one in settings_of(Painted)}
     assert allowed["width_mm"] == ("numbers above 0, or null", "mm")
     assert allowed["dry"] == ("true, false", "")
+
+
+@pytest.mark.parametrize(
+    "value", ["..", "", "a/b", "a\\b", "-m", "a\n", "a ", " a", "o'neill", "what?", "x" * 201, "\ud800"]
+)
+def test_what_names_no_folder(value: str) -> None:
+    with pytest.raises(ValueError, match=r"^study_name=.*: allowed are at most 200 letters") as refused:
+        check_name("study_name", value)
+    assert len(str(refused.value)) < 200
+
+
+@pytest.mark.parametrize("value", ["data", "Data", "data.old"])
+def test_names_that_are_taken(value: str) -> None:
+    with pytest.raises(ValueError, match=rf"^study_name={value}: the names data, more are taken"):
+        check_name("study_name", value, {"more", "data"})
+
+
+@pytest.mark.parametrize("value", ["a", "sa2h.depth-8", "Läufe 2", "_", "database", "x" * 200])
+def test_names(value: str) -> None:
+    check_name("study_name", value, {"data"})
+
+
+def test_a_value_is_shown_short() -> None:
+    bomb: list[object] = [0]
+    for _ in range(9):
+        bomb = [bomb] * 9
+    assert len(shown(bomb)) < 1000
+    assert shown({"unit": "mm"}) == "{'unit': 'mm'}"

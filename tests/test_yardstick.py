@@ -1,7 +1,5 @@
 """The fixed work that benchmarks are compared by."""
 
-import subprocess
-import time
 from pathlib import Path
 from types import ModuleType
 
@@ -32,29 +30,6 @@ def test_ratios_are_taken_round_by_round(yardstick: ModuleType) -> None:
         torch.set_num_threads(1)
     assert len(fixed.convolutions) == len(fixed.loops) == 4
     assert min(fixed.convolutions[-1], fixed.loops[-1]) > 0
-
-
-def test_the_busy_process_works_and_ends_with_the_block(yardstick: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[subprocess.Popen[bytes]] = []
-
-    class Watched(subprocess.Popen[bytes]):
-        def __init__(self, *arguments: object, **more: object) -> None:
-            super().__init__(*arguments, **more)
-            started.append(self)
-
-    monkeypatch.setattr(yardstick.subprocess, "Popen", Watched)
-    with yardstick.busy_core():
-        (process,) = started
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline and cpu_ticks(process.pid) < 5:
-            time.sleep(0.05)
-        assert cpu_ticks(process.pid) >= 5
-    assert process.poll() is not None
-
-
-def cpu_ticks(pid: int) -> int:
-    """Of computing that a process has had, in hundredths of a second; Linux."""
-    return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[11])
 
 
 SCRIPTS = {path.stem for path in BENCHMARKS.glob("*.py") if "__main__" in path.read_text()}

@@ -9,10 +9,11 @@ import torch
 
 import ablate
 from ablate.anatomy import Tissue, fetal_abdomen, fetal_planes, load_tissues
+from ablate.jobs.compose import jobs_of
 from ablate.metrics import psnr
 from ablate.networks import Generator, GeneratorSpec
 from ablate.pretrained import NAMES, Renderer, load, save
-from ablate.ultrasound import ConvexProbe, Frame, Simulator, SimulatorSettings, compensated_attenuation, fan_mask
+from ablate.ultrasound import ConvexProbe, Frame, Simulator, compensated_attenuation, fan_mask
 
 SHAPE, SEED = (64, 88), 5
 PROBE = ConvexProbe()
@@ -92,9 +93,8 @@ def test_what_cannot_be_loaded_or_rendered_is_named(frame: Frame, tmp_path: Path
 def test_a_shipped_generator_renders_the_built_in_anatomy(name: str) -> None:
     """Its image is nearer to the target than with the labels of two tissues exchanged, and has other speckle a seed."""
     renderer, scene = ablate.load(name), fetal_abdomen(160_000)
-    settings = SimulatorSettings(
-        image_shape=renderer.image_shape, scanlines=128, axial_samples=1024, rays=16, axial_fwhm_mm=1.2
-    )
+    settings = jobs_of(["preset=quick"])[0].settings.simulator
+    settings = replace(settings, image_shape=renderer.image_shape, time_gain_db=renderer.tgc)
     frame = Simulator(scene, renderer.probe, settings).render(fetal_planes()["head"], seed=0)
     image = renderer.render(frame, scene.tissues)
     tissues = list(scene.tissues)

@@ -76,20 +76,16 @@ def test_nothing_is_cast_where_nothing_comes_back(slab, gel, probe, small, ahead
     assert not any(note.startswith("rays") for note in Simulator(Scene((), BODY, "s"), probe, small).left_out)
 
 
-def test_the_frame_has_the_promised_shapes(scene, probe, small, ahead) -> None:
-    frame = Simulator(scene, probe, small).render(ahead)
+def test_frames_have_the_promised_shapes_and_share_no_memory(scene, probe, small, ahead) -> None:
+    simulator = Simulator(scene, probe, small)
+    frame = simulator.render(ahead)
     arrays = frame.segmentation, frame.attenuation, frame.image, frame.mask
     assert [array.shape for array in arrays] == 4 * [small.image_shape]
     assert [array.dtype for array in arrays] == [np.uint8, np.float32, np.uint8, np.bool_]
     assert (frame.envelope.shape, frame.envelope.dtype) == ((1024, 64), np.float32)
     assert ((frame.segmentation > 0) == frame.mask).all()
-
-
-def test_frames_do_not_share_memory(scene, probe, small, ahead) -> None:
-    simulator = Simulator(scene, probe, small)
-    first = simulator.render(ahead)
-    kept = first.segmentation.copy()
-    first.segmentation[:], first.attenuation[:] = 0, 0
+    kept = frame.segmentation.copy()
+    frame.segmentation[:], frame.attenuation[:] = 0, 0
     assert (simulator.render(ahead).segmentation == kept).all()
 
 
