@@ -68,8 +68,8 @@ ui: $(STAMP) ## the MLflow pages on http://127.0.0.1:5000
 view: $(STAMP) ## the probe in your hand, on http://127.0.0.1:8090; ARGS="scene=folder scene.folder=path runs=runs/quick-fetal"
 	$(BIN)/python -m ablate task=view $(ARGS)
 
-bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size; SCENE=folder adds one to the table of plans
-	$(BIN)/python benchmarks/simulator.py $(if $(SCENE),--scene $(SCENE))
+bench-simulator: $(STAMP) ## milliseconds of a simulated frame by stage and size; SCENE=folder adds one to the table of plans; AGAINST=checkout
+	$(BIN)/python benchmarks/simulator.py $(if $(SCENE),--scene $(SCENE)) $(if $(AGAINST),--against $(AGAINST))
 
 bench-bands: $(STAMP) ## frames with bright bands in fluid; ARGS="--frames 24 --against path/to/another/checkout"
 	$(BIN)/python benchmarks/bands.py $(ARGS)

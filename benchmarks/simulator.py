@@ -2,6 +2,7 @@
 
 make bench-simulator
 make bench-simulator SCENE=path/to/folder      # the tables of the plan and of the tolerance with that scene, too
+make bench-simulator AGAINST=path/to/checkout  # only how long a frame takes, against another checkout
 """
 
 import argparse
@@ -10,23 +11,24 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
-from itertools import count, product
+from itertools import product
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 import torch
 import trimesh
+import yaml
 
 from ablate.anatomy import Scene, Structure, fetal_abdomen, fetal_sites, load_scene, load_sites, load_tissues
 from ablate.dataset import probe_poses
 from ablate.tracking import hardware
 from ablate.ultrasound import ConvexProbe, PlanMode, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
+from turns import HERE, Case, in_turns
 from yardstick import ABOUT, Yardstick, busy_core
 
 POSES = 12
@@ -78,25 +80,43 @@ def totals(scene: Scene, poses: list[np.ndarray]) -> None:
             high, maps = Simulator(scene), Simulator(scene)
             low = Simulator(scene, settings=SimulatorSettings.low_quality())
             frames = each_time(high.render, poses, yardstick)
-            seeds = count(1)
-            again = median(milliseconds(partial(_other_speckle, high, seeds), [pose]) for pose in poses[:4])
             s_and_a = milliseconds(maps.maps, poses)
             with_low = milliseconds(low.render, poses)
         whole = median(frames)
-        cells = (s_and_a, whole, whole - s_and_a, again, with_low, with_low - s_and_a)
+        cells = (s_and_a, whole, whole - s_and_a, with_low, with_low - s_and_a)
         word = "idle" if beside is nullcontext else f"busy, {whole / idle[threads]:.1f} times idle"
         idle.setdefault(threads, whole)
         rows.append((str(threads), word, *(f"{t:.0f}" for t in cells), yardstick.text(frames)))
     table(
-        "**Totals**, ms. H and L are the frame less its maps; H again is the same pose with other scatterers. Busy: "
-        f"beside a process that keeps a core busy. The last column is of S, A and H; {ABOUT}",
-        ("threads", "machine", "S and A", "S, A and H", "H", "H again", "S, A and L", "L", "yardstick"),
+        "**Totals**, ms. H and L are the frame less its maps. Busy: beside "
+        f" a process that keeps a core busy. The last column is of S, A and H; {ABOUT}",
+        ("threads", "machine", "S and A", "S, A and H", "H", "S, A and L", "L", "yardstick"),
         rows,
     )
 
 
-def _other_speckle(simulator: Simulator, seeds: Iterator[int], pose: np.ndarray) -> object:
-    return simulator.render(pose, seed=next(seeds))
+def against(scene: Scene, poses: list[np.ndarray], other: Path) -> None:
+    """This checkout and another one in turns, with the same scenes."""
+    preset = yaml.safe_load((HERE / "conf/preset/quick.yaml").read_text(encoding="utf-8"))
+    quick, small = preset["simulator"], fetal_abdomen(triangles=preset["scene"]["triangles"])
+    quick["image_shape"] = tuple(quick["image_shape"])
+    cases: dict[str, Case] = {
+        "H": (0, {}, {}, "image"),
+        "L": (0, {}, {"rays": 1, "layers": 1}, "image"),
+        "S, A": (0, {}, {}, "maps"),
+        "S, A, H": (0, {}, {}, "render"),
+        "quick": (1, preset["probe"], quick, "image"),
+        "quick, S, A": (1, preset["probe"], quick, "maps"),
+    }
+    cases = {name.replace(" ", ""): case for name, case in cases.items()}
+    times = in_turns((scene, small), cases, dict.fromkeys(cases, poses), other)
+    rows = []
+    for name, (here, there) in ((name, of_case.T) for name, of_case in times.items()):
+        quartiles = np.percentile(here / there, (25, 50, 75))
+        rows.append((name.replace(",", ", "), f"{median(there):.0f}", f"{median(here):.0f}"))
+        rows[-1] += (f"{median(here) / median(there):.2f}", "{1:.2f} ({0:.2f} to {2:.2f})".format(*quartiles))
+    head = ("image", "the other, ms", "this, ms", "ratio of medians", "median of ratios (quartiles)")
+    table(f"**Against another checkout**, in turns, {torch.get_num_threads()} threads.", head, rows)
 
 
 def by_stage(scene: Scene, poses: list[np.ndarray]) -> None:
@@ -272,6 +292,7 @@ def main() -> None:
     parser.add_argument(
         "--scene", type=Path, default=None, help="a scene folder for the tables of the plan and of the tolerance"
     )
+    parser.add_argument("--against", type=Path, default=None, help="another checkout, which frames are timed against")
     args = parser.parse_args()
     threads = torch.get_num_threads()
     scene = fetal_abdomen()
@@ -282,6 +303,9 @@ def main() -> None:
     print(f"{hardware()}; medians of {POSES} poses, each seen for the first time. {triangles:,} triangles,")
     print(f"{s.scanlines} scanlines, {s.rays} rays, {s.layers} layers, {s.axial_samples} samples,", end=" ")
     print(f"{s.image_shape[0]} x {s.image_shape[1]} pixels, {probe.frequency_mhz:g} MHz.")
+    if args.against:
+        against(scene, poses, args.against)
+        return
     totals(scene, poses)
     torch.set_num_threads(threads)
     by_stage(scene, poses)
