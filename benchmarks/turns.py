@@ -1,8 +1,8 @@
 """The simulator of this checkout and of another, in turns, with the same scenes and poses; `simulator.py --against`.
 
 Each checkout is a process that stays. Every pose is rendered by one, then by the other, so what else runs on the
-machine disturbs both. No pose comes twice: from round to round it is moved by a micrometre, which costs the same, and the
-shortest of the rounds counts.
+machine disturbs both. No pose comes twice: each round moves it by a micrometre, which costs the same, and the shortest
+of the rounds counts.
 """
 
 import os

@@ -107,7 +107,7 @@ class Simulator:
         self._rays = probe_rays(probe, settings, self._draws)
         self._beam, self._aperture = lines.transmit_beam(probe, settings), Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
-        self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None
+        self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None  # of a pose: S, and A on the scanlines
         self._prepared: tuple[bytes, Prepared] | None = None
         self._warned: set[str] = set()
 
@@ -169,16 +169,15 @@ class Simulator:
             When the pose is not rigid.
         """
         pose = check_pose(pose)
-        if self._maps is None or self._maps[0] != pose.tobytes():
-            with without_teams(), torch.inference_mode():
-                geometry, local, inside = self._geometry, self._local(pose), self._chain.convert.mask
-                tissue_of_owner, losses = self._plan.tissue_of_owner, self._plan.media.loss_db_mm
-                labels = segment(geometry, tissue_of_owner, self.probe, self.settings.image_shape, local)
+        geometry, local, inside = self._geometry, self._local(pose), self._chain.convert.mask
+        tissue_of_owner, losses = self._plan.tissue_of_owner, self._plan.media.loss_db_mm
+        with without_teams():
+            if self._maps is None or self._maps[0] != pose.tobytes():
+                labels = segment(geometry, tissue_of_owner, self.probe, inside, local)
                 polar = plane_labels(geometry, tissue_of_owner, self.probe, self.settings, local)
-                polar_map = integral_attenuation(polar, losses, self.probe.depth_mm / self.settings.axial_samples)
-                attenuation = self._chain.convert(self._chain.tensor(polar_map)).clip(0, 1)
-                self._maps = pose.tobytes(), np.where(inside, labels + np.uint8(1), np.uint8(0)), attenuation
-        return self._maps[1].copy(), self._maps[2].copy()
+                spacing_mm = self.probe.depth_mm / self.settings.axial_samples
+                self._maps = pose.tobytes(), labels, integral_attenuation(polar, losses, spacing_mm)
+            return self._maps[1].copy(), self._chain.convert(self._maps[2])
 
     def _prepare(self, pose: np.ndarray) -> Prepared:
         """What the signal chain needs of a pose, unless it was the last one."""

@@ -3,13 +3,14 @@
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
-from torch.nn import functional as F
 
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
+from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.imaging.point_spread import along_lines, blur, point_spread
 from ablate.ultrasound.imaging.speckle import InsonifiedLines, Lines, Speckle
 from ablate.ultrasound.media import time_gain_db
@@ -18,7 +19,7 @@ from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
-_PIXELS_OF_A_PART = 1 << 16
+_RUNS_OF_A_PART = 64
 _MOST_DB = 100.0  # that an operator can add
 _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
 
@@ -92,30 +93,57 @@ def grey_levels(signal: torch.Tensor, settings: SimulatorSettings) -> torch.Tens
 class ScanConverter:
     """Bilinear interpolation from scanlines to pixels of the fan; the sampling positions are computed once."""
 
-    def __init__(self, probe: Probe, settings: SimulatorSettings, dtype: torch.dtype) -> None:
+    def __init__(self, probe: Probe, settings: SimulatorSettings) -> None:
         self.mask = fan_mask(probe, settings.image_shape)
         depth, position = (polar[self.mask] for polar in pixel_polar(probe, settings.image_shape))
-        lines, samples = settings.scanlines, settings.axial_samples
-        sample = depth * (samples / probe.depth_mm) - 0.5
-        along = 2 * sample / max(samples - 1, 1) - 1
-        across = position / fan_of(probe).outer if lines > 1 else np.zeros_like(position)
-        grid = torch.from_numpy(np.stack([along, across], axis=-1))
-        self._grid = grid.to(settings.device, dtype)[None, None]
+        last = settings.scanlines - 1, settings.axial_samples - 1
+        along = np.clip(depth * (settings.axial_samples / probe.depth_mm) - 0.5, 0, last[1])
+        across = np.clip((position / fan_of(probe).outer + 1) / 2 * last[0], 0, last[0])
+        line, sample = (
+            np.minimum(x.astype(np.int32), max(n - 1, 0)) for x, n in zip((across, along), last, strict=True)
+        )
+        edges = np.flatnonzero(np.diff(np.pad(self.mask, ((0, 0), (1, 1))).ravel()))
+        row, column = np.divmod(edges, settings.image_shape[1] + 2)  # two edges a run of pixels
+        wide = column[1::2] - column[::2]
+        self._places = (
+            np.stack([row[::2], column[::2], column[1::2], np.cumsum(wide) - wide], axis=-1),
+            (line * settings.axial_samples + sample).astype(np.uint32),  # negative numbers would be looked for
+            (across - line).astype(np.float32),
+            (along - sample).astype(np.float32),
+        )
 
     @stage(Stage.scan_conversion)
-    def __call__(self, lines: torch.Tensor) -> np.ndarray:
-        """A polar image (scanlines, samples) in the fan; 0 outside, (H, W) float32."""
-        image, given = np.zeros(self.mask.shape, np.float32), lines[None, None]
-
-        def of_pixels(begin: int, end: int) -> np.ndarray:
-            grid = self._grid[:, :, begin:end]
-            pixels = F.grid_sample(given, grid, mode="bilinear", padding_mode="border", align_corners=True)
-            return pixels.flatten().cpu().numpy()
-
-        count = self._grid.shape[2]
-        parts = in_parts(of_pixels, count, _PIXELS_OF_A_PART if lines.device.type == "cpu" else max(count, 1))
-        image[self.mask] = np.concatenate(parts) if parts else 0
+    def __call__(self, lines: np.ndarray, dtype: type[np.generic] = np.float32) -> np.ndarray:
+        """A polar image (scanlines, samples) in the fan, (H, W) float32, or uint8 rounded; 0 outside."""
+        image = np.zeros(self.mask.shape, dtype)
+        added = lines.dtype.type(0.5 if dtype is np.uint8 else 0)
+        in_parts(partial(_interpolate, lines, added, *self._places, image), len(self._places[0]), _RUNS_OF_A_PART)
         return image
+
+
+@compiled
+def _interpolate(
+    lines: np.ndarray,
+    added: float,
+    runs: np.ndarray,
+    first: np.ndarray,
+    across: np.ndarray,
+    along: np.ndarray,
+    image: np.ndarray,
+    begin: int,
+    end: int,
+) -> None:
+    """Fill some runs of pixels, (n, 4): row, columns, first pixel; for each, the first of four neighbours and parts."""
+    values, samples = lines.ravel(), lines.shape[1]
+    line, sample = np.uint64(samples if len(lines) > 1 else 0), np.uint64(samples > 1)  # to the next
+    for run in range(begin, end):
+        row, column, stop, pixel = runs[run]
+        for ahead in range(stop - column):
+            place, part = np.uint64(first[pixel + ahead]), along[pixel + ahead]
+            beside = place + line
+            here = values[place] + part * (values[place + sample] - values[place])
+            there = values[beside] + part * (values[beside + sample] - values[beside])
+            image[row, column + ahead] = here + across[pixel + ahead] * (there - here) + added
 
 
 @dataclass(frozen=True)
@@ -133,7 +161,7 @@ class SignalChain:
     def __init__(self, tissues: Sequence[Tissue], probe: Probe, settings: SimulatorSettings) -> None:
         self.probe, self.settings = probe, settings
         dtype = getattr(torch, settings.precision.value)
-        self.convert = ScanConverter(probe, settings, dtype)
+        self.convert = ScanConverter(probe, settings)
         self.spread = point_spread(probe, settings, dtype)
         self.speckle = Speckle(tissues, probe, settings, dtype)
         depth_mm = sample_depths_mm(probe, settings.axial_samples)
@@ -188,4 +216,4 @@ class SignalChain:
             depth_mm = sample_depths_mm(self.probe, settings.axial_samples)
             shown.mul_(self.tensor(10 ** (display.gain_at(depth_mm / self.probe.depth_mm) / 20)))
             settings = display.applied_to(settings)
-        return np.rint(self.convert(grey_levels(shown, settings))).astype(np.uint8)
+        return self.convert(grey_levels(shown, settings).cpu().numpy(), np.uint8)

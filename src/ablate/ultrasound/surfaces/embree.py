@@ -15,16 +15,19 @@ from typing import Any, NamedTuple, Self
 import llvmlite.binding
 import numpy as np
 from embreex import rtcore_scene
-from numba import types
+from numba import cfunc, types
 from numba.core.types import ExternalFunction
 
 from ablate.anatomy import Structure
 from ablate.ultrasound.compiled import compiled
 
-_TRIANGLES, _INDICES, _VERTICES, _UINT3, _FLOAT3, _ROBUST = 0, 0, 1, 0x5003, 0x9003, 4  # rtcore.h
+_TRIANGLES, _INDICES, _VERTICES, _UINT3, _FLOAT3 = 0, 0, 1, 0x5003, 0x9003  # rtcore.h
+_ROBUST, _FILTER_IN_ARGUMENTS, _ASK_FILTER = 4, 8, 2
 _FLOATS = 24  # of RTCRayHit, which is aligned to 16 bytes
 _TFAR, _MASK, _NORMAL, _TRIANGLE, _STRUCTURE, _INSTANCE = 8, 9, 12, 17, 18, 19  # places in it
 _NONE = np.uint32(0xFFFFFFFF)
+_MET, _FIRST = 4, 5  # behind a query's context: how many surfaces a line has met, and where they begin
+_ROOM = 4096  # surfaces of a line, to begin with
 _POINTER, _WORD, _SIZE = ctypes.c_void_p, ctypes.c_uint, ctypes.c_size_t
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "rtcNewDevice": (_POINTER, (ctypes.c_char_p,)),
@@ -76,8 +79,7 @@ def asked_ray() -> np.ndarray:
 
 
 @compiled
-def closest_of(address: int, asked: np.ndarray, origin: np.ndarray, direction: np.ndarray, reach_mm: np.float32) -> Hit:
-    """The first surface that a ray meets, of the geometry at `address`."""
+def _ask(asked: np.ndarray, origin: np.ndarray, direction: np.ndarray, reach_mm: np.float32) -> None:
     words = asked.view(np.uint32)
     for axis in range(3):
         asked[axis], asked[4 + axis] = origin[axis], direction[axis]
@@ -85,9 +87,78 @@ def closest_of(address: int, asked: np.ndarray, origin: np.ndarray, direction: n
     asked[_TFAR] = max(reach_mm, np.float32(0))
     words[_MASK], words[10], words[11] = _NONE, np.uint32(0), np.uint32(0)
     words[_TRIANGLE] = words[_STRUCTURE] = words[_INSTANCE] = _NONE
+
+
+@compiled
+def closest_of(address: int, asked: np.ndarray, origin: np.ndarray, direction: np.ndarray, reach_mm: np.float32) -> Hit:
+    """The first surface that a ray meets, of the geometry at `address`."""
+    words = asked.view(np.uint32)
+    _ask(asked, origin, direction, reach_mm)
     _intersect_one(address, asked.ctypes.data, 0)
     normal = float(asked[_NORMAL]), float(asked[_NORMAL + 1]), float(asked[_NORMAL + 2])
     return Hit(float(asked[_TFAR]), np.int32(words[_STRUCTURE]), np.int32(words[_TRIANGLE]), normal)
+
+
+@cfunc(types.void(types.CPointer(types.CPointer(types.float32))), cache=True)
+def _keep(given: Any) -> None:
+    """RTCFilterFunctionN for one ray: notes distance and structure of a hit behind the context, and goes on."""
+    valid, context, ray, hit = given[0], given[2], given[3], given[4]
+    place = _FIRST + 2 * int(context[_MET])
+    if place < _FIRST + 2 * int(context[_MET - 1]):
+        context[place], context[place + 1] = ray[_TFAR], hit[_STRUCTURE - _NORMAL]
+    context[_MET] += types.float32(1)
+    valid[0] = 0.0
+
+
+#: What compiled code hands to `asked_line`.
+KEEP = int(_keep.address)
+
+
+@compiled
+def asked_line(keep: int, room: int = _ROOM) -> tuple[np.ndarray, np.ndarray]:
+    """RTCIntersectArguments as (4,) int64, and its context with room for so many surfaces, (n,) float32."""
+    context = np.zeros(_FIRST + 2 * room, np.float32)
+    context.view(np.uint32)[:2] = _NONE  # no instance
+    context[_MET - 1] = room
+    arguments = np.zeros(4, np.int64)
+    arguments[0] = _ASK_FILTER - (1 << 32)  # all features
+    arguments[1], arguments[2] = context.ctypes.data, keep
+    return arguments, context
+
+
+@compiled
+def all_of(
+    address: int,
+    asked: np.ndarray,
+    line: tuple[np.ndarray, np.ndarray],
+    origin: np.ndarray,
+    direction: np.ndarray,
+    reach_mm: np.float32,
+) -> tuple[int, tuple[np.ndarray, np.ndarray]]:
+    """How many surfaces a line meets, and `line`, larger if need be, in which they lie for `surfaces_of`."""
+    while True:
+        arguments, context = line
+        context[_MET] = 0
+        _ask(asked, origin, direction, reach_mm)
+        _intersect_one(address, asked.ctypes.data, arguments.ctypes.data)
+        met = int(context[_MET])
+        if met <= int(context[_MET - 1]):
+            return met, line
+        line = asked_line(arguments[2], 2 * met)
+
+
+@compiled
+def surfaces_of(line: tuple[np.ndarray, np.ndarray], met: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distances, float32 in mm, and structures, int32, that `all_of` found, sorted; they lie in `line`."""
+    found = line[1][_FIRST : _FIRST + 2 * met].reshape(met, 2)
+    distances, structures = found[:, 0], found.view(np.int32)[:, 1]
+    for last in range(1, met):
+        distance, structure, place = distances[last], structures[last], last
+        while place > 0 and (distances[place - 1], structures[place - 1]) > (distance, structure):
+            distances[place], structures[place] = distances[place - 1], structures[place - 1]
+            place -= 1
+        distances[place], structures[place] = distance, structure
+    return distances, structures
 
 
 class Hits(NamedTuple):
@@ -115,7 +186,7 @@ class Geometry:
         self.structures = len(structures)
         device = _embree.rtcNewDevice(None)
         scene = _embree.rtcNewScene(device)
-        _embree.rtcSetSceneFlags(scene, _ROBUST)
+        _embree.rtcSetSceneFlags(scene, _ROBUST | _FILTER_IN_ARGUMENTS)
         self._kept: list[object] = []  # Embree reads the arrays themselves
         for mesh in (structure.mesh for structure in structures):
             places = np.zeros((len(mesh.vertices) + 1, 3), np.float32)  # Embree reads 4 bytes beyond the last vertex

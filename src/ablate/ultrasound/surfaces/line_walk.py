@@ -13,9 +13,9 @@ import numpy as np
 
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.surfaces.embree import Geometry, asked_ray, closest_of
+from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, surfaces_of
 
-_ROWS_OF_A_PART = 256
+_ROWS_OF_A_PART = 64
 
 
 @compiled
@@ -77,7 +77,7 @@ def walk(
     samples: Samples | None = None,
     before_mm: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Follow straight rays, which start outside everything, through every surface, from hit to hit.
+    """Follow straight rays, which start outside everything, through every surface; all are asked for at once.
 
     Return the sets at the ends, (n, words) uint32; the value of each sample's owner, (n, samples) uint8; and the
     distance along its line of the point that each sample displays, (n, samples) float32, or (n, 0) where nothing is
@@ -92,7 +92,7 @@ def walk(
     lines = origins.astype(np.float32), directions.astype(np.float32), length_mm.astype(np.float32), before
     values, ranges_mm = samples.empty(len(origins))
     inside = np.zeros((len(origins), max(1, -(-geometry.structures // 32))), np.uint32)
-    follow = partial(_follow, geometry.address, geometry.step_mm, lines, places, inside, values, ranges_mm)
+    follow = partial(_follow, geometry.address, KEEP, geometry.step_mm, lines, places, inside, values, ranges_mm)
     in_parts(follow, len(origins), _ROWS_OF_A_PART)
     return inside, values, ranges_mm
 
@@ -100,6 +100,7 @@ def walk(
 @compiled
 def _follow(
     address: int,
+    keep: int,
     least_step_mm: float,
     lines: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     places: tuple[float, float, np.ndarray, np.ndarray],
@@ -111,41 +112,42 @@ def _follow(
 ) -> None:
     """Fill the rows of some lines: origins, directions, lengths, and distances to their starts, all but these float32.
 
-    The origin is moved along, to a step beyond the last surface; distances are from the line's start, geometric and as
-    they are displayed, and `filled` is how many samples have their value.
+    Distances are from the line's start, geometric and as they are displayed. `filled` samples have their value.
     """
     origins, directions, lengths_mm, before_mm = lines
     first_mm, spacing_mm, value_of_owner, stretch_of_owner = places
     samples, stretched = values.shape[1], ranges_mm.shape[1] > 0
-    asked = asked_ray()
+    asked, line = asked_ray(), asked_line(keep)
     for row in range(first_row, stop):
-        origin, direction, reach_mm, step_mm = origins[row], directions[row], lengths_mm[row], np.float32(0)
+        met, line = all_of(address, asked, line, origins[row], directions[row], lengths_mm[row])
+        distances, structures = surfaces_of(line, met)
         last, displayed, filled = -before_mm[row], 0.0, 0
-        structure = triangle = np.int32(-1)
-        ends = False
-        while not ends:
-            hit, here = closest_of(address, asked, origin, direction, reach_mm), owner(inside[row])
-            ends = bool(hit.structure < 0)
-            distance, reached, end = last, displayed, samples
-            if not ends:
-                distance = last + step_mm + hit.distance_mm
+        for number in range(met + 1):
+            here, distance, reached, end = owner(inside[row]), last, displayed, samples
+            if number < met:
+                if _again(distances, structures, number, least_step_mm):
+                    continue
+                distance = distances[number] - before_mm[row]
                 reached = displayed + max(distance - max(last, 0.0), 0.0) * stretch_of_owner[here]
                 end = min(max(math.ceil((reached - first_mm) / spacing_mm), 0), samples)
-            for k in range(filled, end):
-                values[row, k] = value_of_owner[here]
-                if stretched:
+                toggle(inside[row], structures[number])
+            values[row, filled:end] = value_of_owner[here]
+            if stretched:
+                for k in range(filled, end):
                     beyond = (first_mm + k * spacing_mm - displayed) / stretch_of_owner[here]
                     ranges_mm[row, k] = max(last, 0.0) + beyond
-            fresh = hit.structure != structure or hit.triangle != triangle
-            if fresh and not ends:  # a plane is met only once
-                toggle(inside[row], hit.structure)
-            step = next_step(float(step_mm), bool(fresh and hit.distance_mm > step_mm), least_step_mm)
-            ahead = hit.distance_mm + step
-            for axis in range(3):
-                origin[axis] += ahead * direction[axis]
             last, displayed, filled = distance, reached, max(filled, end)
-            reach_mm, step_mm = np.float32(reach_mm - ahead), np.float32(step)
-            structure, triangle = hit.structure, hit.triangle
+
+
+@compiled
+def _again(distances: np.ndarray, structures: np.ndarray, number: int, least_mm: float) -> bool:
+    """Whether a line has met this structure just before, as where it meets the edge between two triangles."""
+    before = number - 1
+    while before >= 0 and distances[number] - distances[before] <= least_mm:
+        if structures[before] == structures[number]:
+            return True
+        before -= 1
+    return False
 
 
 def inside_at(geometry: Geometry, points: np.ndarray, directions: np.ndarray) -> np.ndarray:

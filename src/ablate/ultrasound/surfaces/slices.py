@@ -55,19 +55,18 @@ def beside(directions: np.ndarray) -> np.ndarray:
 
 @stage(Stage.pixel_labels)
 def segment(
-    geometry: Geometry, tissue_of_owner: np.ndarray, probe: Probe, shape: tuple[int, int], pose: np.ndarray
+    geometry: Geometry, tissue_of_owner: np.ndarray, probe: Probe, fan: np.ndarray, pose: np.ndarray
 ) -> np.ndarray:
-    """The tissue that owns each pixel's centre, in and outside the fan, (H, W) uint8; one ray a pixel column, along z.
+    """1 + the tissue that owns each pixel's centre, 0 outside the fan, (H, W) uint8; one ray a pixel row, along x.
 
-    `pose` takes probe coordinates to the geometry's.
+    `fan` is (H, W) bool, and `pose` takes probe coordinates to the geometry's.
     """
-    x, z = pixel_coordinates_mm(probe, shape)
-    top = np.stack([x, np.zeros_like(x), np.full_like(x, z[0])], axis=-1)
-    starts = to_world(pose, top)
-    directions = np.broadcast_to(pose[:3, 2], starts.shape)
-    spacing = (z[-1] - z[0]) / max(shape[0] - 1, 1) or 1.0
-    labels, _ = sample_lines(geometry, starts, directions, Samples(0.0, spacing, shape[0], tissue_of_owner))
-    return np.ascontiguousarray(labels.T)
+    x, z = pixel_coordinates_mm(probe, fan.shape)
+    starts = to_world(pose, np.stack([np.full_like(z, x[0]), np.zeros_like(z), z], axis=-1))
+    directions = np.broadcast_to(pose[:3, 0], starts.shape)
+    spacing = (x[-1] - x[0]) / max(len(x) - 1, 1) or 1.0
+    labels, _ = sample_lines(geometry, starts, directions, Samples(0.0, spacing, len(x), tissue_of_owner + np.uint8(1)))
+    return np.multiply(labels, fan, out=labels)
 
 
 @stage(Stage.attenuation_labels)
