@@ -139,26 +139,21 @@ class Simulator:
             attenuation=attenuation,
             image=image,
             mask=self.mask,
-            envelope=envelope.T.to("cpu", torch.float32).contiguous().numpy(),
+            envelope=np.ascontiguousarray(envelope.T, np.float32),
         )
 
     def image(self, pose: np.ndarray, seed: int = 0, display: Display | None = None) -> np.ndarray:
         """The image of `render`, (H, W) uint8, alone: the maps are not made."""
         return self._image(pose, seed, display)[0]
 
-    def _image(self, pose: np.ndarray, seed: int, display: Display | None) -> tuple[np.ndarray, torch.Tensor]:
+    def _image(self, pose: np.ndarray, seed: int, display: Display | None) -> tuple[np.ndarray, np.ndarray]:
         """The image, (H, W) uint8, and its envelope, (scanlines, samples)."""
         if seed < 0:
             raise ValueError(f"seed must be at least 0, not {seed}")
         pose = check_pose(pose)
         with without_teams(), torch.inference_mode():
-            noise = self._chain.noise(pose, seed)
-            if self._plan.anechoic:
-                signal = torch.zeros_like(noise)
-            else:
-                signal = self._chain.signal(self._prepare(pose), seed, noise)
-            envelope = signal.square().sum(dim=0).sqrt_()
-            return self._chain.image(signal, noise, display), envelope
+            prepared = None if self._plan.anechoic else self._prepare(pose)
+            return self._chain.image(prepared, pose, seed, display)
 
     def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Segmentation (H, W) uint8 and attenuation (H, W) float32 of a pose, without casting echo rays.
@@ -218,9 +213,8 @@ class Simulator:
         lines.amplify(echoes, gain_db, nodes)
         where = layer_weights(probe, settings)[1], counts, probe.depth_mm, shape
         surfaces, clutter = lines.surface_lines(echoes, *where), lines.clutter_lines(echoes, *where)
-        level = torch.from_numpy((level_db + gain_db).astype(np.float32))
         scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
-        self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level, surfaces, clutter)
+        self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level_db + gain_db, surfaces, clutter)
         return self._prepared[1]
 
     def _shown(self, labels: np.ndarray, nodes: lines.Nodes) -> Shown:

@@ -1,7 +1,8 @@
 """From what rays bring back to the B-mode image: gain, noise, logarithm, grey levels, scan conversion, controls."""
 
+import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,8 +11,8 @@ import torch
 
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
-from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.imaging.point_spread import along_lines, blur, point_spread
+from ablate.ultrasound.compiled import compiled, logarithm
+from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, along_lines, blur, point_spread
 from ablate.ultrasound.imaging.speckle import InsonifiedLines, Lines, Speckle
 from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, fan_of, pixel_polar, sample_depths_mm
@@ -78,16 +79,46 @@ class Display:
         return np.where(image > 0, np.rint(grey), 0).astype(np.uint8)
 
 
-@stage(Stage.grey_levels)
-def grey_levels(signal: torch.Tensor, settings: SimulatorSettings) -> torch.Tensor:
-    """20 log10 of the envelope against the reference level, `dynamic_range_db` on 0 to 255, not yet rounded.
+@compiled
+def grey_levels(
+    signal: np.ndarray,
+    clutter: np.ndarray,
+    noise: np.ndarray,
+    shift: tuple[int, int],
+    gain: np.ndarray,
+    floor: float,
+    range_db: float,
+    envelope: np.ndarray,
+    grey: np.ndarray,
+    begin: int,
+    end: int,
+) -> None:
+    """Fill some scanlines of the `envelope` and of the `grey` levels, not yet rounded, (scanlines, samples).
 
-    From the signal with gain and noise, (2, scanlines, samples), to (scanlines, samples). No signal, at minus infinity
-    dB, is black whatever the dynamic range.
+    `signal`, which is overwritten, and `noise` are real and imaginary part, (2, scanlines, samples). Reverberation,
+    `clutter`, (scanlines or
+    0, samples), comes from all sides, hence with random phases, which are not the amplifier's noise at the same place.
+    That is of rms `floor` before the `gain`, (samples,), which makes white 1. `range_db` is on 0 to 255; no signal, at
+    minus infinity dB, is black whatever it is.
     """
-    power = signal.square().sum(dim=0) / settings.reference_level**2
-    level_db = 10 * torch.log10(power)
-    return (level_db / settings.dynamic_range_db + 1).clamp_(0, 1).mul_(255)
+    lines, samples = grey.shape
+    per_neper = 10 / math.log(10) / range_db
+    shifted = np.empty((4, samples), noise.dtype)
+    for line in range(begin, end):
+        for row in range(4):  # both parts of the amplifier's noise, then of that of reverberation
+            first = (shift[1] + (row // 2) * (samples // 2)) % samples
+            given = noise[row % 2, (line + shift[0] + (row // 2) * (lines // 2)) % lines]
+            shifted[row, : samples - first], shifted[row, samples - first :] = given[first:], given[:first]
+        real, imaginary = signal[0, line], signal[1, line]
+        if len(clutter):
+            for sample in range(samples):
+                real[sample] += clutter[line, sample] * shifted[2, sample]
+                imaginary[sample] += clutter[line, sample] * shifted[3, sample]
+        for sample in range(samples):
+            a, b = real[sample], imaginary[sample]
+            envelope[line, sample] = math.sqrt(a * a + b * b)
+            a, b = (a + floor * shifted[0, sample]) * gain[sample], (b + floor * shifted[1, sample]) * gain[sample]
+            grey[line, sample] = 255 * min(max(logarithm(a * a + b * b) * per_neper + 1, 0.0), 1.0)
 
 
 class ScanConverter:
@@ -152,7 +183,7 @@ class Prepared:
 
     insonified: InsonifiedLines
     surfaces: torch.Tensor  # (scanlines, samples)
-    clutter: torch.Tensor | None  # (scanlines, samples)
+    clutter: np.ndarray  # (scanlines, samples), or (0, samples) where there is none
 
 
 class SignalChain:
@@ -167,53 +198,60 @@ class SignalChain:
         depth_mm = sample_depths_mm(probe, settings.axial_samples)
         gain_db = np.minimum(time_gain_db(depth_mm, probe.frequency_mhz, settings.tgc_db_cm_mhz), _LARGEST_GAIN_DB)
         self.gain = torch.from_numpy(10 ** (gain_db / 20)).to(settings.device, dtype)  # of the samples, two-way
-        self._noise: tuple[int, torch.Tensor] | None = None
+        self._noise: tuple[int, np.ndarray] | None = None
 
     def tensor(self, values: np.ndarray) -> torch.Tensor:
         """An array as the chain computes with it."""
         return torch.from_numpy(values).to(self.gain)
 
-    def prepare(
-        self, lines: Lines, level_db: torch.Tensor, surfaces: np.ndarray, clutter: np.ndarray | None
-    ) -> Prepared:
+    def prepare(self, lines: Lines, level_db: np.ndarray, surfaces: np.ndarray, clutter: np.ndarray | None) -> Prepared:
         """What does not depend on the scatterers' seed: `lines` and `level_db` are those of `Speckle.insonify`.
 
         `surfaces` and `clutter`, (scanlines, samples), are amplitudes at the receiver: echoes, and reverberation.
         """
-        received = None if clutter is None else self.tensor(clutter) * self.spread.axial.sum()
+        received = np.empty((0, surfaces.shape[1])) if clutter is None else clutter * float(self.spread.axial.sum())
         return Prepared(self.speckle.insonify(lines, level_db), self.tensor(surfaces), received)
 
-    def noise(self, pose: np.ndarray, seed: int) -> torch.Tensor:
+    def noise(self, pose: np.ndarray, seed: int) -> tuple[np.ndarray, tuple[int, int]]:
         """Complex Gaussian noise of unit mean power with the pulse's bandwidth, (2, scanlines, samples).
 
-        It follows `path_seed` and the scatterers' seed, rolled by a hash of the pose so that frames share no pattern.
+        It follows `path_seed` and the scatterers' seed. Also by how many scanlines and samples a frame is to shift it,
+        a hash of the pose, so that frames share no pattern.
         """
         if self._noise is None or self._noise[0] != seed:
             numbers = np.array([(self.settings.path_seed + _KEY) % 2**64, seed % 2**64], np.uint64)  # a list: float64
             generator, axial = np.random.Generator(np.random.Philox(key=numbers)), self.spread.axial
             shape = (2, self.settings.scanlines, self.settings.axial_samples)
             white = self.tensor(generator.standard_normal(shape, np.float32))
-            self._noise = seed, along_lines(white, axial / (2 * axial.square().sum()).sqrt())
+            made = along_lines(white, axial / (2 * axial.square().sum()).sqrt())
+            self._noise = seed, made.cpu().numpy()
         key = zlib.crc32(pose.tobytes())
-        return self._noise[1].roll((key % 65521, key // 7), dims=(1, 2))
+        return self._noise[1], (key % 65521, key // 7)
 
-    def signal(self, prepared: Prepared, seed: int, noise: torch.Tensor) -> torch.Tensor:
-        """The signal received, (2, scanlines, samples): real and imaginary part."""
-        signal = blur(self.speckle(prepared.insonified, seed), prepared.surfaces, self.spread)
-        if prepared.clutter is not None:  # received from all sides, hence with random phases
-            signal.addcmul_(prepared.clutter, noise.flip(1, 2))  # not the display's noise at the same place
-        return signal
-
-    def image(self, signal: torch.Tensor, noise: torch.Tensor, display: Display | None = None) -> np.ndarray:
-        """The picture of a signal, (H, W) uint8; the signal is overwritten.
+    def image(
+        self, prepared: Prepared | None, pose: np.ndarray, seed: int, display: Display | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The picture, (H, W) uint8, of what rays bring back, or of nothing; and its envelope, (scanlines, samples).
 
         The amplifier's noise is there before the gain: it is seen where the gain is large, deep and in fluid.
         """
-        settings = self.settings
-        floor = settings.reference_level * 10 ** (settings.noise_floor_db / 20) / float(self.gain[-1])  # rms
-        shown = signal.add_(noise, alpha=floor).mul_(self.gain)
+        settings, (noise, shift) = self.settings, self.noise(pose, seed)
+        gain = self.gain.double().cpu().numpy() / settings.reference_level
+        floor = 10 ** (settings.noise_floor_db / 20) / gain[-1]  # rms
         if display is not None:
             depth_mm = sample_depths_mm(self.probe, settings.axial_samples)
-            shown.mul_(self.tensor(10 ** (display.gain_at(depth_mm / self.probe.depth_mm) / 20)))
+            gain = gain * 10 ** (display.gain_at(depth_mm / self.probe.depth_mm) / 20)
             settings = display.applied_to(settings)
-        return self.convert(grey_levels(shown, settings).cpu().numpy(), np.uint8)
+        if prepared is None:
+            signal, clutter = np.zeros_like(noise), noise[0, :0]
+        else:
+            received = blur(self.speckle(prepared.insonified, seed), prepared.surfaces, self.spread)
+            signal, clutter = received.cpu().numpy(), prepared.clutter
+        envelope, grey = np.empty((2, *noise.shape[1:]), noise.dtype)
+        given = signal, clutter.astype(noise.dtype), noise, shift, gain, floor, settings.dynamic_range_db
+        self._shown(partial(grey_levels, *given, envelope, grey))
+        return self.convert(grey, np.uint8), envelope
+
+    @stage(Stage.grey_levels)
+    def _shown(self, fill: Callable[[int, int], None]) -> None:
+        in_parts(fill, self.settings.scanlines, LINES_OF_A_PART)

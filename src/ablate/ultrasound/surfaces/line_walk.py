@@ -13,7 +13,7 @@ import numpy as np
 
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, surfaces_of
+from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, at, surfaces_of
 
 _ROWS_OF_A_PART = 64
 
@@ -28,10 +28,15 @@ def toggle(inside: np.ndarray, structure: np.int32) -> None:
 def owner(inside: np.ndarray) -> int:
     """1 + the last structure of a set, (words,) uint32; 0 where it is empty."""
     for word in range(len(inside) - 1, -1, -1):
-        bits = inside[word]
-        if bits:
-            return 32 * word + math.frexp(float(bits))[1]  # exact: 32 bits fit a double's fraction
+        if inside[word]:
+            return 32 * word + highest(inside[word])
     return 0
+
+
+@compiled
+def highest(bits: np.uint32) -> int:
+    """1 + the number of the highest bit that is set, of a word that is not 0."""
+    return math.frexp(float(bits))[1]  # exact: 32 bits fit a double's fraction
 
 
 @compiled
@@ -92,7 +97,7 @@ def walk(
     lines = origins.astype(np.float32), directions.astype(np.float32), length_mm.astype(np.float32), before
     values, ranges_mm = samples.empty(len(origins))
     inside = np.zeros((len(origins), max(1, -(-geometry.structures // 32))), np.uint32)
-    follow = partial(_follow, geometry.address, KEEP, geometry.step_mm, lines, places, inside, values, ranges_mm)
+    follow = partial(_follow, geometry.address_of_all, KEEP, geometry.step_mm, lines, places, inside, values, ranges_mm)
     in_parts(follow, len(origins), _ROWS_OF_A_PART)
     return inside, values, ranges_mm
 
@@ -119,7 +124,7 @@ def _follow(
     samples, stretched = values.shape[1], ranges_mm.shape[1] > 0
     asked, line = asked_ray(), asked_line(keep)
     for row in range(first_row, stop):
-        met, line = all_of(address, asked, line, origins[row], directions[row], lengths_mm[row])
+        met, line = all_of(address, asked, line, at(origins, row), at(directions, row), lengths_mm[row])
         distances, structures = surfaces_of(line, met)
         last, displayed, filled = -before_mm[row], 0.0, 0
         for number in range(met + 1):
