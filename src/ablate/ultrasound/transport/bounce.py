@@ -240,8 +240,8 @@ def leaves(point: Vector, direction: Vector, element: Vector, axis: Vector) -> f
     """How far a ray goes until it leaves the cylinder of `FARTHEST_MM` about its scanline, mm."""
     from_element = point[0] - element[0], point[1] - element[1], point[2] - element[2]
     outside, ahead = along(from_element, axis, -dot(from_element, axis)), along(direction, axis, -dot(direction, axis))
-    a, b, c = dot(ahead, ahead), dot(outside, ahead), dot(outside, outside) - FARTHEST_MM**2
-    return (math.sqrt(max(b * b - a * c, 0.0)) - b) / max(a, 1e-9) if c < 0 else 0.0
+    a, b, c = max(dot(ahead, ahead), 1e-12), dot(outside, ahead), dot(outside, outside) - FARTHEST_MM**2
+    return (math.sqrt(b * b - a * c) - b) / a if c < 0 else 0.0
 
 
 @compiled
