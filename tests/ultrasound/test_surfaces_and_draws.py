@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from ablate.anatomy import Tissue
-from ablate.ultrasound.media import tabulate
-from ablate.ultrasound.settings import DepthMode
 from ablate.ultrasound.transport import rays
-from ablate.ultrasound.transport.bounce import refracted, rough_normal, scatter_about, transmission_cosine
+from ablate.ultrasound.transport.bounce import Interface, refracted, rough_normal, scatter_about, transmission_cosine
 
 ANGLES = np.radians([0.0, 5.0, 20.0, 40.0, 60.0, 85.0])
 Vector = tuple[float, float, float]
@@ -39,8 +36,7 @@ def test_snell_in_closed_form(c1: float, c2: float, angle: float) -> None:
 @pytest.mark.parametrize(("c1", "c2"), [(1540.0, 2600.0), (1540.0, 1540.0), (1540.0, 1100.0)])
 def test_a_ray_along_a_surface_keeps_its_length(c1: float, c2: float) -> None:
     """cos i = 0: total reflection where the other side is faster, R_p = -1 where slower, nothing where equal."""
-    media = tabulate([Tissue("a", c1, 1.5), Tissue("b", c2, 3.0)], np.arange(2), 3.0, DepthMode.geometric, True)
-    (back, onward, pressure), _, _ = scatter_about((1.0, 0.0, 0.0), UP, 0, 1, media)
+    (back, onward, pressure), _, _ = scatter_about((1.0, 0.0, 0.0), UP, Interface(c1, c2, 1.5, 3.0, True))
     assert pressure == {2600.0: 1.0, 1540.0: 0.0, 1100.0: -1.0}[c2]
     assert np.linalg.norm(back) == pytest.approx(1)
     if pressure == 0:

@@ -2,17 +2,19 @@
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
+from ablate.threads import in_parts
+from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, pixel_polar
 from ablate.ultrasound.settings import Probe
 from ablate.ultrasound.stages import Stage, stage
 
 DB_PER_NEPER = 20 / math.log(10)  # 8.686
-_DOUBLE_FROM_NEPERS = 1e3  # float32 is 6e-5 apart there, less than a sample of soft tissue takes
+_LINES_OF_A_PART = 32
 _PERCENT = 98.0  # of A, which is made 1
 _LEAST = 1e-4  # of A; what is darker is black at any depth
 _REACH_DB = 36.0  # levels from minus this to this are 0 to 1
@@ -25,15 +27,61 @@ def integral_attenuation(labels: np.ndarray, losses_db_mm: np.ndarray, spacing_m
     `labels` and the result, float32, are (scanlines, samples); the losses, (tissues,), are one way.
     The sum stays in the log domain, so thousands of dB neither underflow nor divide by zero.
     """
-    nepers = (losses_db_mm * spacing_mm / DB_PER_NEPER).astype(np.float32)
-    large = nepers.max() * labels.shape[1] > _DOUBLE_FROM_NEPERS
-    total: np.ndarray = np.cumsum(nepers[labels], axis=1, dtype=np.float64 if large else np.float32)
+    nepers = losses_db_mm * (spacing_mm / DB_PER_NEPER)
+    total, amplitude = np.empty(labels.shape), np.empty(labels.shape, np.float32)
+    in_parts(partial(_add_up, labels, nepers, total), len(labels), _LINES_OF_A_PART)
     position = (1 - _PERCENT / 100) * (total.size - 1)  # of it in the falling order, interpolated as numpy.percentile
     below = int(position)
-    ordered = np.partition(total, (below, min(below + 1, total.size - 1)), axis=None)
-    a, b = float(ordered[below]), float(ordered[min(below + 1, total.size - 1)])  # a <= b: the larger amplitude first
-    scale = a - math.log1p((position - below) * math.expm1(a - b))
-    return np.exp(np.minimum(scale - total, 0)).astype(np.float32, copy=False)
+    a, b = (_of_rank(total, min(below + next_one, total.size - 1)) for next_one in (0, 1))
+    scale = a - math.log1p((position - below) * math.expm1(a - b))  # a <= b: the larger amplitude first
+    in_parts(partial(_fall, labels, nepers, total, scale, amplitude), len(labels), _LINES_OF_A_PART)
+    return amplitude
+
+
+@compiled
+def _add_up(labels: np.ndarray, nepers: np.ndarray, total: np.ndarray, begin: int, end: int) -> None:
+    """Fill the sums, (lines, samples), of some lines."""
+    for line in range(begin, end):
+        summed = 0.0
+        for sample in range(labels.shape[1]):
+            summed += nepers[labels[line, sample]]
+            total[line, sample] = summed
+
+
+@compiled
+def _of_rank(total: np.ndarray, rank: int) -> float:
+    """The value of a rank, from 0, among lines whose values grow; the bits of positive doubles sort as these do."""
+    bits = total.view(np.int64)
+    low, high = np.int64(0), np.int64(0x7FF0000000000000)
+    while low < high:  # the smallest value that more than `rank` are not larger than
+        middle = low + (high - low) // 2
+        count = 0
+        for line in range(len(total)):
+            count += np.searchsorted(bits[line], middle, side="right")
+        if count > rank:
+            high = middle
+        else:
+            low = middle + 1
+    return np.array([low]).view(np.float64)[0]
+
+
+@compiled
+def _fall(
+    labels: np.ndarray, nepers: np.ndarray, total: np.ndarray, scale: float, amplitude: np.ndarray, begin: int, end: int
+) -> None:
+    """Fill exp(min(scale - total, 0)) of some lines: within a tissue it falls by one factor."""
+    factors = np.exp(-nepers)
+    for line in range(begin, end):
+        level, fell = 1.0, False
+        for sample in range(labels.shape[1]):
+            label = labels[line, sample]
+            if total[line, sample] > scale:
+                if fell and label == labels[line, sample - 1]:
+                    level *= factors[label]
+                else:
+                    level = min(level, math.exp(scale - total[line, sample]))
+                fell = True
+            amplitude[line, sample] = level
 
 
 def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: float | Sequence[float]) -> np.ndarray:

@@ -106,7 +106,7 @@ class Simulator:
         self._rays = probe_rays(probe, settings, self._draws)
         self._beam, self._aperture = lines.transmit_beam(probe, settings), Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
-        self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None
+        self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None  # of a pose: S, and A on the scanlines
         self._prepared: tuple[bytes, Prepared] | None = None
         self._warned: set[str] = set()
 
@@ -138,26 +138,21 @@ class Simulator:
             attenuation=attenuation,
             image=image,
             mask=self.mask,
-            envelope=envelope.T.to("cpu", torch.float32).contiguous().numpy(),
+            envelope=np.ascontiguousarray(envelope.T, np.float32),
         )
 
     def image(self, pose: np.ndarray, seed: int = 0, display: Display | None = None) -> np.ndarray:
         """The image of `render`, (H, W) uint8, alone: the maps are not made."""
         return self._image(pose, seed, display)[0]
 
-    def _image(self, pose: np.ndarray, seed: int, display: Display | None) -> tuple[np.ndarray, torch.Tensor]:
+    def _image(self, pose: np.ndarray, seed: int, display: Display | None) -> tuple[np.ndarray, np.ndarray]:
         """The image, (H, W) uint8, and its envelope, (scanlines, samples)."""
         if seed < 0:
             raise ValueError(f"seed must be at least 0, not {seed}")
         pose = check_pose(pose)
         with without_teams(), torch.inference_mode():
-            noise = self._chain.noise(pose, seed)
-            if self._plan.anechoic:
-                signal = torch.zeros_like(noise)
-            else:
-                signal = self._chain.signal(self._prepare(pose), seed, noise)
-            envelope = signal.square().sum(dim=0).sqrt_()
-            return self._chain.image(signal, noise, display), envelope
+            prepared = None if self._plan.anechoic else self._prepare(pose)
+            return self._chain.image(prepared, pose, seed, display)
 
     def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Segmentation (H, W) uint8 and attenuation (H, W) float32 of a pose, without casting echo rays.
@@ -168,16 +163,15 @@ class Simulator:
             When the pose is not rigid.
         """
         pose = check_pose(pose)
-        if self._maps is None or self._maps[0] != pose.tobytes():
-            with without_teams(), torch.inference_mode():
-                geometry, local, inside = self._geometry, self._local(pose), self._chain.convert.mask
-                tissue_of_owner, losses = self._plan.tissue_of_owner, self._plan.media.loss_db_mm
-                labels = segment(geometry, tissue_of_owner, self.probe, self.settings.image_shape, local)
+        geometry, local, inside = self._geometry, self._local(pose), self._chain.convert.mask
+        tissue_of_owner, losses = self._plan.tissue_of_owner, self._plan.media.loss_db_mm
+        with without_teams():
+            if self._maps is None or self._maps[0] != pose.tobytes():
+                labels = segment(geometry, tissue_of_owner, self.probe, inside, local)
                 polar = plane_labels(geometry, tissue_of_owner, self.probe, self.settings, local)
-                polar_map = integral_attenuation(polar, losses, self.probe.depth_mm / self.settings.axial_samples)
-                attenuation = self._chain.convert(self._chain.tensor(polar_map)).clip(0, 1)
-                self._maps = pose.tobytes(), np.where(inside, labels + np.uint8(1), np.uint8(0)), attenuation
-        return self._maps[1].copy(), self._maps[2].copy()
+                spacing_mm = self.probe.depth_mm / self.settings.axial_samples
+                self._maps = pose.tobytes(), labels, integral_attenuation(polar, losses, spacing_mm)
+            return self._maps[1].copy(), self._chain.convert(self._maps[2])
 
     def scanline_tissues(self, pose: np.ndarray) -> np.ndarray:
         """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8: index in the scene's.
@@ -224,9 +218,8 @@ class Simulator:
         lines.amplify(echoes, gain_db, nodes)
         where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
         surfaces, clutter = lines.surface_lines(echoes, *where), lines.clutter_lines(echoes, *where)
-        level = torch.from_numpy(level_db.astype(np.float32))
         scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
-        self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level, surfaces, clutter)
+        self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level_db, surfaces, clutter)
         return self._prepared[1]
 
     def _local(self, pose: np.ndarray) -> np.ndarray:

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import torch
 
 from ablate.anatomy import Scene, Tissue
 from ablate.numerics.stability.checks import FLOAT32, GEL, SMALL, SOFT, Checks, case, off, slab
@@ -146,15 +145,15 @@ def _conversion(checks: Checks) -> None:
     probe, settings = ConvexProbe(), replace(SMALL, axial_samples=SAMPLES, device=checks.device)
     checks.dtype = "float32"
 
-    def pixels(lines: np.ndarray, dtype: torch.dtype = torch.float32) -> np.ndarray:
-        convert = ScanConverter(probe, settings, dtype)
-        return convert(torch.from_numpy(lines).to(checks.device, dtype))[convert.mask]
+    def pixels(lines: np.ndarray, dtype: type = np.float32) -> np.ndarray:
+        convert = ScanConverter(probe, settings)
+        return convert(lines.astype(dtype))[convert.mask]
 
     why = "The weights of four neighbours sum to 1."
     checks.add("a constant against itself", off(pixels(np.ones((LINES, SAMPLES))), 1.0), 4 * FLOAT32, why)
     step, largest = np.zeros((2, LINES, SAMPLES))
     step[:, SAMPLES // 2 :] = 1
-    error = off(pixels(step), pixels(step, torch.float64))
+    error = off(pixels(step), pixels(step, np.float64))
     why = "The position of a pixel among n samples is rounded by n 2^-23 samples, and a step changes by 1 a sample."
     checks.add("a step against float64", error, (SAMPLES + LINES) * 2 * FLOAT32, why)
     largest[::2] = float(np.finfo(np.float32).max) / 4

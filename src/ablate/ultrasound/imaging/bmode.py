@@ -1,16 +1,18 @@
 """From what rays bring back to the B-mode image: gain, noise, logarithm, grey levels, scan conversion, controls."""
 
+import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
-from torch.nn import functional as F
 
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
-from ablate.ultrasound.imaging.point_spread import along_lines, blur, point_spread
+from ablate.ultrasound.compiled import compiled, logarithm
+from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, along_lines, blur, point_spread
 from ablate.ultrasound.imaging.speckle import InsonifiedLines, Lines, Speckle
 from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, fan_of, pixel_polar, sample_depths_mm
@@ -18,7 +20,7 @@ from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
 _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
-_PIXELS_OF_A_PART = 1 << 16
+_RUNS_OF_A_PART = 64
 _MOST_DB = 100.0  # that an operator can add
 _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
 
@@ -77,45 +79,102 @@ class Display:
         return np.where(image > 0, np.rint(grey), 0).astype(np.uint8)
 
 
-@stage(Stage.grey_levels)
-def grey_levels(signal: torch.Tensor, settings: SimulatorSettings) -> torch.Tensor:
-    """20 log10 of the envelope against the reference level, `dynamic_range_db` on 0 to 255, not yet rounded.
+@compiled
+def grey_levels(
+    signal: np.ndarray,
+    clutter: np.ndarray,
+    noise: np.ndarray,
+    shift: tuple[int, int],
+    gain: np.ndarray,
+    floor: float,
+    range_db: float,
+    envelope: np.ndarray,
+    grey: np.ndarray,
+    begin: int,
+    end: int,
+) -> None:
+    """Fill some scanlines of the `envelope` and of the `grey` levels, not yet rounded, (scanlines, samples).
 
-    From the signal with gain and noise, (2, scanlines, samples), to (scanlines, samples). No signal, at minus infinity
-    dB, is black whatever the dynamic range.
+    `signal`, which is overwritten, and `noise` are real and imaginary part, (2, scanlines, samples). Reverberation,
+    `clutter`, (scanlines or
+    0, samples), comes from all sides, hence with random phases, which are not the amplifier's noise at the same place.
+    That is of rms `floor` before the `gain`, (samples,), which makes white 1. `range_db` is on 0 to 255; no signal, at
+    minus infinity dB, is black whatever it is.
     """
-    power = signal.square().sum(dim=0) / settings.reference_level**2
-    level_db = 10 * torch.log10(power)
-    return (level_db / settings.dynamic_range_db + 1).clamp_(0, 1).mul_(255)
+    lines, samples = grey.shape
+    per_neper = 10 / math.log(10) / range_db
+    shifted = np.empty((4, samples), noise.dtype)
+    for line in range(begin, end):
+        for row in range(4):  # both parts of the amplifier's noise, then of that of reverberation
+            first = (shift[1] + (row // 2) * (samples // 2)) % samples
+            given = noise[row % 2, (line + shift[0] + (row // 2) * (lines // 2)) % lines]
+            shifted[row, : samples - first], shifted[row, samples - first :] = given[first:], given[:first]
+        real, imaginary = signal[0, line], signal[1, line]
+        if len(clutter):
+            for sample in range(samples):
+                real[sample] += clutter[line, sample] * shifted[2, sample]
+                imaginary[sample] += clutter[line, sample] * shifted[3, sample]
+        for sample in range(samples):
+            a, b = real[sample], imaginary[sample]
+            envelope[line, sample] = math.sqrt(a * a + b * b)
+            a, b = (a + floor * shifted[0, sample]) * gain[sample], (b + floor * shifted[1, sample]) * gain[sample]
+            grey[line, sample] = 255 * min(max(logarithm(a * a + b * b) * per_neper + 1, 0.0), 1.0)
 
 
 class ScanConverter:
     """Bilinear interpolation from scanlines to pixels of the fan; the sampling positions are computed once."""
 
-    def __init__(self, probe: Probe, settings: SimulatorSettings, dtype: torch.dtype) -> None:
+    def __init__(self, probe: Probe, settings: SimulatorSettings) -> None:
         self.mask = fan_mask(probe, settings.image_shape)
         depth, position = (polar[self.mask] for polar in pixel_polar(probe, settings.image_shape))
-        lines, samples = settings.scanlines, settings.axial_samples
-        sample = depth * (samples / probe.depth_mm) - 0.5
-        along = 2 * sample / max(samples - 1, 1) - 1
-        across = position / fan_of(probe).outer if lines > 1 else np.zeros_like(position)
-        grid = torch.from_numpy(np.stack([along, across], axis=-1))
-        self._grid = grid.to(settings.device, dtype)[None, None]
+        last = settings.scanlines - 1, settings.axial_samples - 1
+        along = np.clip(depth * (settings.axial_samples / probe.depth_mm) - 0.5, 0, last[1])
+        across = np.clip((position / fan_of(probe).outer + 1) / 2 * last[0], 0, last[0])
+        line, sample = (
+            np.minimum(x.astype(np.int32), max(n - 1, 0)) for x, n in zip((across, along), last, strict=True)
+        )
+        edges = np.flatnonzero(np.diff(np.pad(self.mask, ((0, 0), (1, 1))).ravel()))
+        row, column = np.divmod(edges, settings.image_shape[1] + 2)  # two edges a run of pixels
+        wide = column[1::2] - column[::2]
+        self._places = (
+            np.stack([row[::2], column[::2], column[1::2], np.cumsum(wide) - wide], axis=-1),
+            (line * settings.axial_samples + sample).astype(np.uint32),  # negative numbers would be looked for
+            (across - line).astype(np.float32),
+            (along - sample).astype(np.float32),
+        )
 
     @stage(Stage.scan_conversion)
-    def __call__(self, lines: torch.Tensor) -> np.ndarray:
-        """A polar image (scanlines, samples) in the fan; 0 outside, (H, W) float32."""
-        image, given = np.zeros(self.mask.shape, np.float32), lines[None, None]
-
-        def of_pixels(begin: int, end: int) -> np.ndarray:
-            grid = self._grid[:, :, begin:end]
-            pixels = F.grid_sample(given, grid, mode="bilinear", padding_mode="border", align_corners=True)
-            return pixels.flatten().cpu().numpy()
-
-        count = self._grid.shape[2]
-        parts = in_parts(of_pixels, count, _PIXELS_OF_A_PART if lines.device.type == "cpu" else max(count, 1))
-        image[self.mask] = np.concatenate(parts) if parts else 0
+    def __call__(self, lines: np.ndarray, dtype: type[np.generic] = np.float32) -> np.ndarray:
+        """A polar image (scanlines, samples) in the fan, (H, W) float32, or uint8 rounded; 0 outside."""
+        image = np.zeros(self.mask.shape, dtype)
+        added = lines.dtype.type(0.5 if dtype is np.uint8 else 0)
+        in_parts(partial(_interpolate, lines, added, *self._places, image), len(self._places[0]), _RUNS_OF_A_PART)
         return image
+
+
+@compiled
+def _interpolate(
+    lines: np.ndarray,
+    added: float,
+    runs: np.ndarray,
+    first: np.ndarray,
+    across: np.ndarray,
+    along: np.ndarray,
+    image: np.ndarray,
+    begin: int,
+    end: int,
+) -> None:
+    """Fill some runs of pixels, (n, 4): row, columns, first pixel; for each, the first of four neighbours and parts."""
+    values, samples = lines.ravel(), lines.shape[1]
+    line, sample = np.uint64(samples if len(lines) > 1 else 0), np.uint64(samples > 1)  # to the next
+    for run in range(begin, end):
+        row, column, stop, pixel = runs[run]
+        for ahead in range(stop - column):
+            place, part = np.uint64(first[pixel + ahead]), along[pixel + ahead]
+            beside = place + line
+            here = values[place] + part * (values[place + sample] - values[place])
+            there = values[beside] + part * (values[beside + sample] - values[beside])
+            image[row, column + ahead] = here + across[pixel + ahead] * (there - here) + added
 
 
 @dataclass(frozen=True)
@@ -124,7 +183,7 @@ class Prepared:
 
     insonified: InsonifiedLines
     surfaces: torch.Tensor  # (scanlines, samples)
-    clutter: torch.Tensor | None  # (scanlines, samples)
+    clutter: np.ndarray  # (scanlines, samples), or (0, samples) where there is none
 
 
 class SignalChain:
@@ -133,59 +192,66 @@ class SignalChain:
     def __init__(self, tissues: Sequence[Tissue], probe: Probe, settings: SimulatorSettings) -> None:
         self.probe, self.settings = probe, settings
         dtype = getattr(torch, settings.precision.value)
-        self.convert = ScanConverter(probe, settings, dtype)
+        self.convert = ScanConverter(probe, settings)
         self.spread = point_spread(probe, settings, dtype)
         self.speckle = Speckle(tissues, probe, settings, dtype)
         depth_mm = sample_depths_mm(probe, settings.axial_samples)
         gain_db = np.minimum(time_gain_db(depth_mm, probe, settings.time_gain), _LARGEST_GAIN_DB)
         self.gain = torch.from_numpy(10 ** (gain_db / 20)).to(settings.device, dtype)  # of the samples, two-way
-        self._noise: tuple[int, torch.Tensor] | None = None
+        self._noise: tuple[int, np.ndarray] | None = None
 
     def tensor(self, values: np.ndarray) -> torch.Tensor:
         """An array as the chain computes with it."""
         return torch.from_numpy(values).to(self.gain)
 
-    def prepare(
-        self, lines: Lines, level_db: torch.Tensor, surfaces: np.ndarray, clutter: np.ndarray | None
-    ) -> Prepared:
+    def prepare(self, lines: Lines, level_db: np.ndarray, surfaces: np.ndarray, clutter: np.ndarray | None) -> Prepared:
         """What does not depend on the scatterers' seed: `lines` and `level_db` are those of `Speckle.insonify`.
 
         `surfaces` and `clutter`, (scanlines, samples), are amplitudes at the receiver: echoes, and reverberation.
         """
-        received = None if clutter is None else self.tensor(clutter) * self.spread.axial.sum()
+        received = np.empty((0, surfaces.shape[1])) if clutter is None else clutter * float(self.spread.axial.sum())
         return Prepared(self.speckle.insonify(lines, level_db), self.tensor(surfaces), received)
 
-    def noise(self, pose: np.ndarray, seed: int) -> torch.Tensor:
+    def noise(self, pose: np.ndarray, seed: int) -> tuple[np.ndarray, tuple[int, int]]:
         """Complex Gaussian noise of unit mean power with the pulse's bandwidth, (2, scanlines, samples).
 
-        It follows `path_seed` and the scatterers' seed, rolled by a hash of the pose so that frames share no pattern.
+        It follows `path_seed` and the scatterers' seed. Also by how many scanlines and samples a frame is to shift it,
+        a hash of the pose, so that frames share no pattern.
         """
         if self._noise is None or self._noise[0] != seed:
             numbers = np.array([(self.settings.path_seed + _KEY) % 2**64, seed % 2**64], np.uint64)  # a list: float64
             generator, axial = np.random.Generator(np.random.Philox(key=numbers)), self.spread.axial
             shape = (2, self.settings.scanlines, self.settings.axial_samples)
             white = self.tensor(generator.standard_normal(shape, np.float32))
-            self._noise = seed, along_lines(white, axial / (2 * axial.square().sum()).sqrt())
+            made = along_lines(white, axial / (2 * axial.square().sum()).sqrt())
+            self._noise = seed, made.cpu().numpy()
         key = zlib.crc32(pose.tobytes())
-        return self._noise[1].roll((key % 65521, key // 7), dims=(1, 2))
+        return self._noise[1], (key % 65521, key // 7)
 
-    def signal(self, prepared: Prepared, seed: int, noise: torch.Tensor) -> torch.Tensor:
-        """The signal received, (2, scanlines, samples): real and imaginary part."""
-        signal = blur(self.speckle(prepared.insonified, seed), prepared.surfaces, self.spread)
-        if prepared.clutter is not None:  # received from all sides, hence with random phases
-            signal.addcmul_(prepared.clutter, noise.flip(1, 2))  # not the display's noise at the same place
-        return signal
-
-    def image(self, signal: torch.Tensor, noise: torch.Tensor, display: Display | None = None) -> np.ndarray:
-        """The picture of a signal, (H, W) uint8; the signal is overwritten.
+    def image(
+        self, prepared: Prepared | None, pose: np.ndarray, seed: int, display: Display | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The picture, (H, W) uint8, of what rays bring back, or of nothing; and its envelope, (scanlines, samples).
 
         The amplifier's noise is there before the gain: it is seen where the gain is large, deep and in fluid.
         """
-        settings = self.settings
-        floor = settings.reference_level * 10 ** (settings.noise_floor_db / 20) / float(self.gain[-1])  # rms
-        shown = signal.add_(noise, alpha=floor).mul_(self.gain)
+        settings, (noise, shift) = self.settings, self.noise(pose, seed)
+        gain = self.gain.double().cpu().numpy() / settings.reference_level
+        floor = 10 ** (settings.noise_floor_db / 20) / gain[-1]  # rms
         if display is not None:
             depth_mm = sample_depths_mm(self.probe, settings.axial_samples)
-            shown.mul_(self.tensor(10 ** (display.gain_at(depth_mm / self.probe.depth_mm) / 20)))
+            gain = gain * 10 ** (display.gain_at(depth_mm / self.probe.depth_mm) / 20)
             settings = display.applied_to(settings)
-        return np.rint(self.convert(grey_levels(shown, settings))).astype(np.uint8)
+        if prepared is None:
+            signal, clutter = np.zeros_like(noise), noise[0, :0]
+        else:
+            received = blur(self.speckle(prepared.insonified, seed), prepared.surfaces, self.spread)
+            signal, clutter = received.cpu().numpy(), prepared.clutter
+        envelope, grey = np.empty((2, *noise.shape[1:]), noise.dtype)
+        given = signal, clutter.astype(noise.dtype), noise, shift, gain, floor, settings.dynamic_range_db
+        self._shown(partial(grey_levels, *given, envelope, grey))
+        return self.convert(grey, np.uint8), envelope
+
+    @stage(Stage.grey_levels)
+    def _shown(self, fill: Callable[[int, int], None]) -> None:
+        in_parts(fill, self.settings.scanlines, LINES_OF_A_PART)

@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
 from torch.nn import functional as F
 
 from ablate.threads import in_parts
+from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.probe import fan_of, layer_offsets_mm, sample_depths_mm, scanline_positions
 from ablate.ultrasound.settings import PhasedProbe, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
@@ -20,7 +22,6 @@ _LOWEST_EXPONENT = -12.0  # of the main lobe's last entry
 _BLOCKS_OF_A_PART = 8  # that a thread takes at a time
 LINES_OF_A_PART = 32
 _TAIL = 4.0  # standard deviations kept of the axial kernel
-_WINDOW = 64  # samples that one product of `along_lines` makes
 
 
 def beam_widening(settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarray:
@@ -115,35 +116,44 @@ def blur(scatterers: torch.Tensor, surfaces: torch.Tensor, spread: PointSpread) 
 
     Scatterers and the result are (2, scanlines, samples), real and imaginary part; surfaces are (scanlines, samples).
     """
-    total = torch.empty_like(scatterers)
-    result = torch.empty_like(scatterers)
-    edges = np.linspace(0, surfaces.shape[1], _BLOCKS + 1).round().astype(int)
+    total, lateral = torch.empty_like(scatterers), spread.lateral
+    blocks = _BLOCKS if len(lateral) > 1 else _BLOCKS // _BLOCKS_OF_A_PART  # of one kernel, larger ones are faster
+    edges = np.linspace(0, surfaces.shape[1], blocks + 1).round().astype(int)
 
     def across(begin: int, end: int) -> None:
         for block in range(begin, end):
-            some, kernel = slice(edges[block], edges[block + 1]), min(block, len(spread.lateral) - 1)
-            own = spread.lateral[kernel] @ scatterers[..., some]
-            total[..., some] = own.mul_(spread.scatterer_scale[kernel])
-            total[0, :, some].addmm_(spread.lateral[kernel], surfaces[:, some])
+            some, kernel = slice(edges[block], edges[block + 1]), min(block, len(lateral) - 1)
+            for channel, signal in enumerate(scatterers):
+                own = torch.mm(lateral[kernel], signal[:, some]).mul_(spread.scatterer_scale[kernel])
+                if channel == 0:
+                    own.addmm_(lateral[kernel], surfaces[:, some])
+                total[channel, :, some] = own
 
-    def along(begin: int, end: int) -> None:
-        result[:, begin:end] = along_lines(total[:, begin:end], spread.axial)
-
-    on_cpu = surfaces.device.type == "cpu"
-    in_parts(across, _BLOCKS, _BLOCKS_OF_A_PART if on_cpu else _BLOCKS)
-    in_parts(along, surfaces.shape[0], LINES_OF_A_PART if on_cpu else surfaces.shape[0])
-    return result
+    in_parts(across, blocks, max(1, blocks // _BLOCKS_OF_A_PART) if surfaces.device.type == "cpu" else blocks)
+    return along_lines(total, spread.axial)
 
 
 def along_lines(lines: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:
-    """Convolve lines, (..., samples), along the last axis with a symmetric kernel, zeros beyond the ends.
+    """Convolve lines, (2, scanlines, samples), along the last axis with a symmetric kernel, zeros beyond the ends."""
+    if lines.device.type != "cpu":
+        return F.conv1d(lines.flatten(0, 1)[:, None], kernel[None, None], padding="same").view(lines.shape)
+    result = torch.empty_like(lines)
+    given, made = lines.flatten(0, 1).numpy(), result.flatten(0, 1).numpy()
+    in_parts(partial(_convolve, given, kernel.numpy(), made), len(given), LINES_OF_A_PART)
+    return result
 
-    One product of overlapping windows with a banded matrix: many times faster than a one-channel convolution.
-    """
-    samples, half = lines.shape[-1], len(kernel) // 2
-    window = _WINDOW + 2 * half
-    padded = F.pad(lines, (half, half + -samples % _WINDOW)).unfold(-1, window, _WINDOW)
-    band = kernel.new_zeros(_WINDOW, window)
-    for row in range(_WINDOW):
-        band[row, row : row + len(kernel)] = kernel
-    return (padded @ band.T).flatten(-2)[..., :samples]
+
+@compiled
+def _convolve(lines: np.ndarray, kernel: np.ndarray, result: np.ndarray, begin: int, end: int) -> None:
+    """Fill some lines of `result`, (n, samples), each while it is in the cache."""
+    samples, half = lines.shape[1], len(kernel) // 2
+    for row in range(begin, end):
+        line, made = lines[row], result[row]
+        for sample in range(samples):
+            made[sample] = kernel[half] * line[sample]
+        for apart in range(1, min(half, samples - 1) + 1):
+            weight, before, after = kernel[half + apart], made[apart:], line[apart:]
+            for sample in range(samples - apart):
+                before[sample] += weight * line[sample]
+            for sample in range(samples - apart):
+                made[sample] += weight * after[sample]

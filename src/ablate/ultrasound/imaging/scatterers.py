@@ -13,10 +13,9 @@ from functools import cache
 import numpy as np
 import torch
 from scipy.ndimage import fourier_gaussian
-from torch.nn import functional as F
 
 from ablate.anatomy import Tissue
-from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.compiled import compiled, exponential
 
 DRAWS_PER_SAMPLE = 16
 TABLE_SIZE = 8192
@@ -147,8 +146,8 @@ def shared_cell_gain_of_layers(starts_mm: np.ndarray, weights: np.ndarray, pitch
 
 
 @cache
-def _texture_volume() -> torch.Tensor:
-    """Periodic Gaussian noise, of unit variance when interpolated, (1, 1, side + 1, ...).
+def texture_volume() -> np.ndarray:
+    """Periodic Gaussian noise, of unit variance when interpolated, (side + 1, ...) float32.
 
     The first planes are repeated at the end, so that interpolation needs no wrapping.
     """
@@ -158,25 +157,85 @@ def _texture_volume() -> torch.Tensor:
     neighbours = math.exp(-1 / (2 * _TEXTURE_SMOOTHING) ** 2)  # correlation of adjacent voxels
     interpolated = (2 / 3 + neighbours / 3) ** 1.5  # standard deviation left, on average, between voxels
     smooth = (smooth - smooth.mean()) / (smooth.std() * interpolated)
-    wrapped = np.pad(smooth, (0, 1), mode="wrap").astype(np.float32)
-    return torch.from_numpy(wrapped)[None, None]
+    return np.pad(smooth, (0, 1), mode="wrap").astype(np.float32)
 
 
-def texture_gain_db(points_mm: torch.Tensor, labels: torch.Tensor, tables: torch.Tensor) -> torch.Tensor:
-    """Gain in dB of the scatterers' amplitude, (...) float32, of unit mean power over a tissue.
+@compiled
+def texture_db(volume: np.ndarray, x: float, y: float, z: float, contrast: float) -> float:
+    """Gain in dB of the scatterers' amplitude at a point, in lengths of the texture, of unit mean power over a tissue.
 
-    g is normal with unit variance; the gain contrast * g has mean power exp(2 a^2), a = contrast ln(10) / 20,
-    which is taken off again. Points are (..., 3) float32 in world coordinates, labels (...) indices of their tissues;
-    `tables`, (tissues, 4), hold three inverse lengths of the texture, 1/mm, and its contrast, dB.
+    g, from `texture_volume`, is normal with unit variance; the gain contrast * g has mean power exp(2 a^2), a =
+    contrast ln(10) / 20, which is taken off again.
     """
-    own = tables[labels]
-    contrast = own[..., 3]
-    turns = points_mm * own[..., :3] * (_VOXELS_PER_LENGTH / _TEXTURE_SIDE)
-    turns = turns - turns.floor()
-    grid = (2 * turns - 1).flip(-1).reshape(1, 1, 1, -1, 3)
-    volume = _texture_volume().to(points_mm)
-    g = F.grid_sample(volume, grid, mode="bilinear", padding_mode="border", align_corners=True)
-    return contrast * g.reshape(labels.shape) - contrast**2 * (math.log(10) / 20)
+    a, b, c = _turned(x), _turned(y), _turned(z)
+    i, j, k = np.uint64(a), np.uint64(b), np.uint64(c)
+    a, b, c = a - i, b - j, c - k
+    g, one = 0.0, np.uint64(1)
+    for di in range(2):
+        for dj in range(2):
+            p, q = i + np.uint64(di), j + np.uint64(dj)
+            here, there = volume[p, q, k], volume[p, q, k + one]
+            g += (a if di else 1 - a) * (b if dj else 1 - b) * (here + c * (there - here))
+    return contrast * g - contrast * contrast * (math.log(10) / 20)
+
+
+@compiled
+def _turned(lengths: float) -> float:
+    """Where in the periodic volume a number of texture lengths lies, in voxels, at least 0 and below its side."""
+    turns = lengths * (_VOXELS_PER_LENGTH / _TEXTURE_SIDE)
+    return min((turns - math.floor(turns)) * _TEXTURE_SIDE, _TEXTURE_SIDE - 1e-6)
+
+
+@compiled
+def insonify(
+    amplitude: np.ndarray,
+    node_db: np.ndarray,
+    starts: np.ndarray,
+    directions: np.ndarray,
+    ranges_mm: np.ndarray,
+    tissues: np.ndarray,
+    textures: np.ndarray,
+    volume: np.ndarray,
+    coarse: np.ndarray,
+    begin: int,
+    end: int,
+) -> None:
+    """Fill the amplitudes, (groups, samples), of some groups, from levels at nodes, (groups, nodes), and the texture.
+
+    The level is taken to the `coarse` samples, (places,), with the texture added there, and interpolated between them.
+    `ranges_mm` and `tissues` are (groups, samples), `textures` (tissues, 4): three inverse lengths, and the contrast.
+    """
+    samples, nodes, places = amplitude.shape[1], node_db.shape[1], len(coarse)
+    level, first, factor = np.empty((3, places + 1))
+    begins = np.empty(places + 1, np.int64)
+    apart = (samples - 1) / max(places - 1, 1)
+    for row in range(begin, end):
+        for place in range(places):
+            node = place * ((nodes - 1) / max(places - 1, 1))
+            below = min(int(node), max(nodes - 2, 0))
+            above = min(below + 1, nodes - 1)
+            decibels = node_db[row, below] + (node - below) * (node_db[row, above] - node_db[row, below])
+            tissue = tissues[row, coarse[place]]
+            if textures[tissue, 3] != 0:
+                r = ranges_mm[row, coarse[place]]
+                x = (starts[row, 0] + directions[row, 0] * r) * textures[tissue, 0]
+                y = (starts[row, 1] + directions[row, 1] * r) * textures[tissue, 1]
+                z = (starts[row, 2] + directions[row, 2] * r) * textures[tissue, 2]
+                decibels += texture_db(volume, x, y, z, textures[tissue, 3])
+            level[place] = decibels * (math.log(10) / 20)
+        level[places] = level[places - 1]
+        for place in range(places):
+            rise = (level[place + 1] - level[place]) / max(apart, 1e-9)
+            begins[place] = math.ceil(place * apart - 1e-9)
+            first[place], factor[place] = level[place] + rise * (begins[place] - place * apart), rise
+        begins[places] = samples
+        for place in range(places):
+            first[place], factor[place] = exponential(first[place]), exponential(factor[place])
+        for place in range(places):
+            value = first[place]
+            for sample in range(begins[place], begins[place + 1]):
+                amplitude[row, sample] = value
+                value *= factor[place]
 
 
 @compiled

@@ -1,13 +1,11 @@
 """Scatterers on the scanlines: strength, texture and illumination at every sample."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import torch
-from torch.nn import functional as F
 
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
@@ -17,7 +15,6 @@ from ablate.ultrasound.probe import fan_of
 from ablate.ultrasound.settings import PlanMode, Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 
-_DB_TO_NEPER = math.log(10) / 20
 _TEXTURE_SPACING_MM = 0.3
 _MOST_CELLS = 1 << 24  # of the lattice along a scanline: float32 tells no more apart
 Lines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # starts, directions, labels, ranges_mm
@@ -48,16 +45,14 @@ class Speckle:
         self._tables = torch.view_as_real(tables).flatten(0, 1).to(dtype)
         planned = settings.plan is PlanMode.auto
         self._silent = np.array([planned and tissue.scatter_power == 0 for tissue in tissues])
-        textures = np.array([[*(1 / mm for mm in t.texture_mm), t.texture_contrast_db] for t in tissues], np.float32)
-        self._contrasts = textures[:, 3]
-        self._textures = torch.from_numpy(textures).to(settings.device)
+        self._textures = np.array([[*(1 / mm for mm in t.texture_mm), t.texture_contrast_db] for t in tissues])
         kernel = axial_kernel(probe, settings)
         correlation = np.correlate(kernel, kernel, "full")[len(kernel) - 1 :]
         self._kernel_correlation = correlation / correlation[0]  # 1 at lag 0
         self._weights_db = 20 * np.log10(np.maximum(layer_weights(probe, settings)[0], 1e-15))
 
     @stage(Stage.scatterer_level)
-    def insonify(self, lines: Lines, level_db: torch.Tensor) -> InsonifiedLines:
+    def insonify(self, lines: Lines, level_db: np.ndarray) -> InsonifiedLines:
         """Prepare the scatterers of a pose.
 
         For groups = layers * scanlines, the lines are starts and directions, (groups, 3) float64 in world coordinates,
@@ -76,31 +71,33 @@ class Speckle:
         weights = 10 ** (self._weights_db[:, at_nodes] / 20)
         of_layers = scatterers.shared_cell_gain_of_layers(starts[:: shape[1]], weights, self._pitch_mm)
         own_db = own_db - 10 * np.log10(of_layers)
-        level = level_db.reshape(*shape[:2], nodes) + torch.from_numpy(own_db.astype(np.float32))
-        level = level.to(settings.device)
-        label = torch.from_numpy(labels).to(settings.device).reshape(shape)
+        node_db = (level_db.reshape(*shape[:2], nodes) + own_db).reshape(-1, nodes)
+        ranges = np.broadcast_to(ranges_mm.astype(np.float32), labels.shape)
+        textured = self._textures[np.bincount(labels.ravel(), minlength=1).nonzero(), 3].any()
+        stride = max(1, int(_TEXTURE_SPACING_MM / self._spacing_mm))
+        places = max(2, shape[2] // stride) if textured else nodes
+        coarse = np.rint(np.linspace(0, shape[2] - 1, places)).astype(int)[: shape[2]]
+        amplitude = torch.empty(labels.shape, dtype=self._dtype)
+        of_lines = starts.astype(np.float32), directions.astype(np.float32), ranges, labels
+        texture = self._textures, scatterers.texture_volume(), coarse
+        fill = partial(scatterers.insonify, amplitude.numpy(), node_db, *of_lines, *texture)
+        in_parts(fill, len(labels), LINES_OF_A_PART)
 
         def tensor(values: np.ndarray, *size: int) -> torch.Tensor:
-            return torch.from_numpy(values.astype(np.float32)).to(settings.device).reshape(*size)
+            return torch.from_numpy(values).to(settings.device).reshape(*size)
 
-        ends = tensor(starts, *shape[:2], 3), tensor(directions, *shape[:2], 3)
-        ranges = tensor(ranges_mm, -1, shape[2]).expand(len(labels), -1).view(shape)
-        textured = self._contrasts[np.bincount(labels.ravel(), minlength=1).nonzero()].any()
-        amplitude = torch.empty(shape, dtype=self._dtype, device=settings.device)
-
-        def of_lines(begin: int, end: int) -> None:
-            some = slice(begin, end)
-            part = level[:, some]
-            if textured:
-                texture = self._texture_db(ends[0][:, some], ends[1][:, some], ranges[:, some], label[:, some])
-                part = _interpolated(part, texture.shape[-1]) + texture
-            torch.exp(_interpolated(part * _DB_TO_NEPER, shape[2]).to(self._dtype), out=amplitude[:, some])
-
-        in_parts(of_lines, shape[1], LINES_OF_A_PART if settings.device == "cpu" else shape[1])
         # near the first start, so that float32 tells cells apart: 0 within 50 m of the origin at a pitch of 0.1 mm
         anchor = np.rint(starts[0] / (self._pitch_mm * scatterers.ANCHOR_CELLS)) * scatterers.ANCHOR_CELLS
-        from_anchor = tensor(starts - anchor * self._pitch_mm, *shape[:2], 3)
-        return InsonifiedLines(from_anchor, ends[1], anchor, ranges, label, amplitude)
+        from_anchor = tensor((starts - anchor * self._pitch_mm).astype(np.float32), *shape[:2], 3)
+        along = torch.from_numpy(np.atleast_2d(ranges_mm).astype(np.float32)).to(settings.device).expand(labels.shape)
+        return InsonifiedLines(
+            from_anchor,
+            tensor(of_lines[1], *shape[:2], 3),
+            anchor,
+            along.view(shape),
+            tensor(labels, *shape),
+            amplitude.to(settings.device).view(shape),
+        )
 
     @stage(Stage.scatterers)
     def __call__(self, lines: InsonifiedLines, seed: int) -> torch.Tensor:
@@ -146,25 +143,10 @@ class Speckle:
 
     def _across_db(self, starts: np.ndarray, directions: np.ndarray, samples: np.ndarray) -> np.ndarray:
         """What neighbouring scanlines of a layer add because they share lattice cells, (scanlines, depths), dB."""
-        if len(starts) == 1:
+        step_mm = np.linalg.norm(np.gradient(starts, axis=0), axis=-1) if len(starts) > 1 else np.full(1, np.inf)
+        if step_mm.min() > 2 * self._pitch_mm:  # over sqrt(3), at the face and so everywhere
             return np.zeros((1, len(samples)))
         depth_mm = (samples + 0.5) * self._spacing_mm
         steps = np.gradient(starts, axis=0)[:, None] + depth_mm[:, None] * np.gradient(directions, axis=0)[:, None]
         sigma = lateral_sigma(self._probe, self._settings, depth_mm).T
         return 10 * np.log10(scatterers.shared_cell_gain_across(steps, sigma, self._pitch_mm))
-
-    def _texture_db(
-        self, starts: torch.Tensor, directions: torch.Tensor, ranges_mm: torch.Tensor, label: torch.Tensor
-    ) -> torch.Tensor:
-        """Gain of the slow texture at samples some `_TEXTURE_SPACING_MM` apart, from the first to the last, dB."""
-        stride = max(1, int(_TEXTURE_SPACING_MM / self._spacing_mm))
-        samples = label.shape[-1]
-        coarse = torch.linspace(0, samples - 1, max(2, samples // stride)).round().long()[:samples]
-        coarse = coarse.to(label.device)
-        points = starts[:, :, None] + directions[:, :, None] * ranges_mm[..., coarse, None]
-        return scatterers.texture_gain_db(points, label[..., coarse].long(), self._textures)
-
-
-def _interpolated(values: torch.Tensor, size: int) -> torch.Tensor:
-    """From nodes between the first and the last sample to so many, along the last axis."""
-    return F.interpolate(values, size=size, mode="linear", align_corners=True)

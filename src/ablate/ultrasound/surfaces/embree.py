@@ -15,16 +15,19 @@ from typing import Any, NamedTuple, Self
 import llvmlite.binding
 import numpy as np
 from embreex import rtcore_scene
-from numba import types
+from numba import cfunc, types
 from numba.core.types import ExternalFunction
 
 from ablate.anatomy import Structure
 from ablate.ultrasound.compiled import compiled
 
-_TRIANGLES, _INDICES, _VERTICES, _UINT3, _FLOAT3, _ROBUST = 0, 0, 1, 0x5003, 0x9003, 4  # rtcore.h
+_TRIANGLES, _INDICES, _VERTICES, _UINT3, _FLOAT3 = 0, 0, 1, 0x5003, 0x9003  # rtcore.h
+_ROBUST, _FILTER_IN_ARGUMENTS, _ASK_FILTER = 4, 8, 2
 _FLOATS = 24  # of RTCRayHit, which is aligned to 16 bytes
 _TFAR, _MASK, _NORMAL, _TRIANGLE, _STRUCTURE, _INSTANCE = 8, 9, 12, 17, 18, 19  # places in it
 _NONE = np.uint32(0xFFFFFFFF)
+_MET, _FIRST = 4, 5  # behind a query's context: how many surfaces a line has met, and where they begin
+_ROOM = 4096  # surfaces of a line, to begin with
 _POINTER, _WORD, _SIZE = ctypes.c_void_p, ctypes.c_uint, ctypes.c_size_t
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "rtcNewDevice": (_POINTER, (ctypes.c_char_p,)),
@@ -68,26 +71,111 @@ class Hit(NamedTuple):
 
 
 @compiled
-def asked_ray() -> np.ndarray:
-    """Room for one ray and its hit, RTCRayHit as (24,) float32, aligned."""
+def asked_ray() -> tuple[np.ndarray, np.ndarray, int]:
+    """Room for one ray and its hit, RTCRayHit as (24,) float32, aligned; the same in uint32; its address."""
     room = np.zeros(_FLOATS + 16, np.float32)
     past = (room.ctypes.data & 63) // 4
-    return room[16 - past : 16 - past + _FLOATS] if past else room[:_FLOATS]
+    asked = room[16 - past : 16 - past + _FLOATS] if past else room[:_FLOATS]
+    return asked, asked.view(np.uint32), asked.ctypes.data
 
 
 @compiled
-def closest_of(address: int, asked: np.ndarray, origin: np.ndarray, direction: np.ndarray, reach_mm: np.float32) -> Hit:
-    """The first surface that a ray meets, of the geometry at `address`."""
-    words = asked.view(np.uint32)
-    for axis in range(3):
-        asked[axis], asked[4 + axis] = origin[axis], direction[axis]
-    asked[3] = asked[7] = np.float32(0)
-    asked[_TFAR] = max(reach_mm, np.float32(0))
+def _ask(
+    asked: tuple[np.ndarray, np.ndarray, int],
+    origin: tuple[float, float, float],
+    direction: tuple[float, float, float],
+    reach_mm: float,
+) -> None:
+    numbers, words, _ = asked
+    numbers[0], numbers[1], numbers[2], numbers[3] = origin[0], origin[1], origin[2], 0.0
+    numbers[4], numbers[5], numbers[6], numbers[7] = direction[0], direction[1], direction[2], 0.0
+    numbers[_TFAR] = max(reach_mm, 0.0)
     words[_MASK], words[10], words[11] = _NONE, np.uint32(0), np.uint32(0)
     words[_TRIANGLE] = words[_STRUCTURE] = words[_INSTANCE] = _NONE
-    _intersect_one(address, asked.ctypes.data, 0)
-    normal = float(asked[_NORMAL]), float(asked[_NORMAL + 1]), float(asked[_NORMAL + 2])
-    return Hit(float(asked[_TFAR]), np.int32(words[_STRUCTURE]), np.int32(words[_TRIANGLE]), normal)
+
+
+@compiled
+def closest_of(
+    address: int,
+    asked: tuple[np.ndarray, np.ndarray, int],
+    origin: tuple[float, float, float],
+    direction: tuple[float, float, float],
+    reach_mm: float,
+) -> Hit:
+    """The first surface that a ray meets, of the geometry at `address`."""
+    _ask(asked, origin, direction, reach_mm)
+    _intersect_one(address, asked[2], 0)
+    numbers, words, _ = asked
+    normal = float(numbers[_NORMAL]), float(numbers[_NORMAL + 1]), float(numbers[_NORMAL + 2])
+    return Hit(float(numbers[_TFAR]), np.int32(words[_STRUCTURE]), np.int32(words[_TRIANGLE]), normal)
+
+
+@compiled
+def at(rows: np.ndarray, row: int) -> tuple[float, float, float]:
+    """A row of (n, 3) in numbers."""
+    return float(rows[row, 0]), float(rows[row, 1]), float(rows[row, 2])
+
+
+@cfunc(types.void(types.CPointer(types.CPointer(types.float32))), cache=True)
+def _keep(given: Any) -> None:
+    """RTCFilterFunctionN for one ray: notes distance and structure of a hit behind the context, and goes on."""
+    valid, context, ray, hit = given[0], given[2], given[3], given[4]
+    place = _FIRST + 2 * int(context[_MET])
+    if place < _FIRST + 2 * int(context[_MET - 1]):
+        context[place], context[place + 1] = ray[_TFAR], hit[_STRUCTURE - _NORMAL]
+    context[_MET] += types.float32(1)
+    valid[0] = 0.0
+
+
+#: What compiled code hands to `asked_line`.
+KEEP = int(_keep.address)
+
+
+@compiled
+def asked_line(keep: int, room: int = _ROOM) -> tuple[np.ndarray, np.ndarray]:
+    """RTCIntersectArguments as (4,) int64, and its context with room for so many surfaces, (n,) float32."""
+    context = np.zeros(_FIRST + 2 * room, np.float32)
+    context.view(np.uint32)[:2] = _NONE  # no instance
+    context[_MET - 1] = room
+    arguments = np.zeros(4, np.int64)
+    arguments[0] = _ASK_FILTER - (1 << 32)  # all features
+    arguments[1], arguments[2] = context.ctypes.data, keep
+    return arguments, context
+
+
+@compiled
+def all_of(
+    address: int,
+    asked: tuple[np.ndarray, np.ndarray, int],
+    line: tuple[np.ndarray, np.ndarray],
+    origin: tuple[float, float, float],
+    direction: tuple[float, float, float],
+    reach_mm: float,
+) -> tuple[int, tuple[np.ndarray, np.ndarray]]:
+    """How many surfaces a line meets, and `line`, larger if need be, in which they lie for `surfaces_of`."""
+    while True:
+        arguments, context = line
+        context[_MET] = 0
+        _ask(asked, origin, direction, reach_mm)
+        _intersect_one(address, asked[2], arguments.ctypes.data)
+        met = int(context[_MET])
+        if met <= int(context[_MET - 1]):
+            return met, line
+        line = asked_line(arguments[2], 2 * met)
+
+
+@compiled
+def surfaces_of(line: tuple[np.ndarray, np.ndarray], met: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distances, float32 in mm, and structures, int32, that `all_of` found, sorted; they lie in `line`."""
+    found = line[1][_FIRST : _FIRST + 2 * met].reshape(met, 2)
+    distances, structures = found[:, 0], found.view(np.int32)[:, 1]
+    for last in range(1, met):
+        distance, structure, place = distances[last], structures[last], last
+        while place > 0 and (distances[place - 1], structures[place - 1]) > (distance, structure):
+            distances[place], structures[place] = distances[place - 1], structures[place - 1]
+            place -= 1
+        distances[place], structures[place] = distance, structure
+    return distances, structures
 
 
 class Hits(NamedTuple):
@@ -106,7 +194,8 @@ class Geometry:
     is subtracted from every vertex, so that far-away worlds keep their precision. `extent_mm` is the largest distance
     that rays go; with the scene's own it sets `step_mm`, how far a ray is put beyond a surface that it has crossed: a
     few times float32's spacing. With a smaller one, a grazing ray would meet a surface twice; with a larger one, it
-    would jump over the second side of a corner that it clips. `address` is what compiled code hands to `closest_of`.
+    would jump over the second side of a corner that it clips. Compiled code hands `address` to `closest_of`, and
+    `address_of_all` to `all_of`.
     """
 
     def __init__(
@@ -114,8 +203,9 @@ class Geometry:
     ) -> None:
         self.structures = len(structures)
         device = _embree.rtcNewDevice(None)
-        scene = _embree.rtcNewScene(device)
-        _embree.rtcSetSceneFlags(scene, _ROBUST)
+        scenes = [_embree.rtcNewScene(device) for _ in range(2)]  # one that can be filtered picks others of equal hits
+        for scene, flags in zip(scenes, (_ROBUST, _ROBUST | _FILTER_IN_ARGUMENTS), strict=True):
+            _embree.rtcSetSceneFlags(scene, flags)
         self._kept: list[object] = []  # Embree reads the arrays themselves
         for mesh in (structure.mesh for structure in structures):
             places = np.zeros((len(mesh.vertices) + 1, 3), np.float32)  # Embree reads 4 bytes beyond the last vertex
@@ -129,12 +219,14 @@ class Geometry:
             ):
                 _embree.rtcSetSharedGeometryBuffer(triangles, kind, 0, form, values.ctypes.data, 0, 12, count)
             _embree.rtcCommitGeometry(triangles)
-            _embree.rtcAttachGeometry(scene, triangles)
+            for scene in scenes:
+                _embree.rtcAttachGeometry(scene, triangles)
             _embree.rtcReleaseGeometry(triangles)
-        _embree.rtcCommitScene(scene)
-        self.address = int(scene)
-        for release, what in ((_embree.rtcReleaseDevice, device), (_embree.rtcReleaseScene, scene)):
-            weakref.finalize(self, release, what)  # the last one first
+        weakref.finalize(self, _embree.rtcReleaseDevice, device)  # the last one first
+        for scene in scenes:
+            _embree.rtcCommitScene(scene)
+            weakref.finalize(self, _embree.rtcReleaseScene, scene)
+        self.address, self.address_of_all = map(int, scenes)
         self._centre_mm = np.mean(bounds_mm, axis=0) - origin_mm
         self._radius_mm = float(np.linalg.norm(bounds_mm[1] - bounds_mm[0])) / 2
         self.step_mm = self._step_for(extent_mm)
@@ -177,7 +269,7 @@ def _closest_of_all(address: int, origins: np.ndarray, directions: np.ndarray, r
     hits = Hits(np.empty(n, np.float32), np.empty(n, np.int32), np.empty(n, np.int32), np.empty((n, 3), np.float32))
     asked = asked_ray()
     for i in range(n):
-        hit = closest_of(address, asked, origins[i], directions[i], reach_mm[i])
+        hit = closest_of(address, asked, at(origins, i), at(directions, i), reach_mm[i])
         hits.distance_mm[i], hits.structure[i], hits.triangle[i] = hit.distance_mm, hit.structure, hit.triangle
         for axis in range(3):
             hits.normal[i, axis] = hit.normal[axis]

@@ -13,9 +13,9 @@ import numpy as np
 
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.surfaces.embree import Geometry, asked_ray, closest_of
+from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, at, closest_of, surfaces_of
 
-_ROWS_OF_A_PART = 256
+_ROWS_OF_A_PART = 64
 
 
 @compiled
@@ -28,10 +28,15 @@ def toggle(inside: np.ndarray, structure: np.int32) -> None:
 def owner(inside: np.ndarray) -> int:
     """1 + the last structure of a set, (words,) uint32; 0 where it is empty."""
     for word in range(len(inside) - 1, -1, -1):
-        bits = inside[word]
-        if bits:
-            return 32 * word + math.frexp(float(bits))[1]  # exact: 32 bits fit a double's fraction
+        if inside[word]:
+            return 32 * word + highest(inside[word])
     return 0
+
+
+@compiled
+def highest(bits: np.uint32) -> int:
+    """1 + the number of the highest bit that is set, of a word that is not 0."""
+    return math.frexp(float(bits))[1]  # exact: 32 bits fit a double's fraction
 
 
 @compiled
@@ -76,8 +81,9 @@ def walk(
     length_mm: np.ndarray,
     samples: Samples | None = None,
     before_mm: np.ndarray | None = None,
+    as_rays: bool = True,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Follow straight rays, which start outside everything, through every surface, from hit to hit.
+    """Follow straight rays, which start outside everything, through every surface, as rays do or all asked for at once.
 
     Return the sets at the ends, (n, words) uint32; the value of each sample's owner, (n, samples) uint8; and the
     distance along its line of the point that each sample displays, (n, samples) float32, or (n, 0) where nothing is
@@ -92,7 +98,8 @@ def walk(
     lines = origins.astype(np.float32), directions.astype(np.float32), length_mm.astype(np.float32), before
     values, ranges_mm = samples.empty(len(origins))
     inside = np.zeros((len(origins), max(1, -(-geometry.structures // 32))), np.uint32)
-    follow = partial(_follow, geometry.address, geometry.step_mm, lines, places, inside, values, ranges_mm)
+    way = (_step_along, geometry.address) if as_rays else (_follow, geometry.address_of_all, KEEP)
+    follow = partial(*way, geometry.step_mm, lines, places, inside, values, ranges_mm)
     in_parts(follow, len(origins), _ROWS_OF_A_PART)
     return inside, values, ranges_mm
 
@@ -100,6 +107,7 @@ def walk(
 @compiled
 def _follow(
     address: int,
+    keep: int,
     least_step_mm: float,
     lines: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
     places: tuple[float, float, np.ndarray, np.ndarray],
@@ -110,6 +118,49 @@ def _follow(
     stop: int,
 ) -> None:
     """Fill the rows of some lines: origins, directions, lengths, and distances to their starts, all but these float32.
+
+    Distances are from the line's start, geometric and as they are displayed. `filled` samples have their value.
+    """
+    origins, directions, lengths_mm, before_mm = lines
+    first_mm, spacing_mm, value_of_owner, stretch_of_owner = places
+    samples, stretched = values.shape[1], ranges_mm.shape[1] > 0
+    asked, line = asked_ray(), asked_line(keep)
+    for row in range(first_row, stop):
+        met, line = all_of(address, asked, line, at(origins, row), at(directions, row), lengths_mm[row])
+        distances, structures = surfaces_of(line, met)
+        last, displayed, filled = -before_mm[row], 0.0, 0
+        for number in range(met + 1):
+            here, distance, reached, end = owner(inside[row]), last, displayed, samples
+            if number < met:
+                if _again(distances, structures, number, least_step_mm):
+                    continue
+                distance = distances[number] - before_mm[row]
+                reached = displayed + max(distance - max(last, 0.0), 0.0) * stretch_of_owner[here]
+                end = min(max(math.ceil((reached - first_mm) / spacing_mm), 0), samples)
+                toggle(inside[row], structures[number])
+            values[row, filled:end] = value_of_owner[here]
+            if stretched:
+                for k in range(filled, end):
+                    beyond = (first_mm + k * spacing_mm - displayed) / stretch_of_owner[here]
+                    ranges_mm[row, k] = max(last, 0.0) + beyond
+            last, displayed, filled = distance, reached, max(filled, end)
+
+
+@compiled
+def _step_along(
+    address: int,
+    least_step_mm: float,
+    lines: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    places: tuple[float, float, np.ndarray, np.ndarray],
+    inside: np.ndarray,
+    values: np.ndarray,
+    ranges_mm: np.ndarray,
+    first_row: int,
+    stop: int,
+) -> None:
+    """The same from hit to hit, as a ray is traced: of surfaces at one place it meets the one that rays meet there.
+
+    Fill the rows of some lines: origins, directions, lengths, and distances to their starts, all but these float32.
 
     The origin is moved along, to a step beyond the last surface; distances are from the line's start, geometric and as
     they are displayed, and `filled` is how many samples have their value.
@@ -124,7 +175,16 @@ def _follow(
         structure = triangle = np.int32(-1)
         ends = False
         while not ends:
-            hit, here = closest_of(address, asked, origin, direction, reach_mm), owner(inside[row])
+            hit, here = (
+                closest_of(
+                    address,
+                    asked,
+                    (origin[0], origin[1], origin[2]),
+                    (direction[0], direction[1], direction[2]),
+                    reach_mm,
+                ),
+                owner(inside[row]),
+            )
             ends = bool(hit.structure < 0)
             distance, reached, end = last, displayed, samples
             if not ends:
@@ -146,6 +206,17 @@ def _follow(
             last, displayed, filled = distance, reached, max(filled, end)
             reach_mm, step_mm = np.float32(reach_mm - ahead), np.float32(step)
             structure, triangle = hit.structure, hit.triangle
+
+
+@compiled
+def _again(distances: np.ndarray, structures: np.ndarray, number: int, least_mm: float) -> bool:
+    """Whether a line has met this structure just before, as where it meets the edge between two triangles."""
+    before = number - 1
+    while before >= 0 and distances[number] - distances[before] <= least_mm:
+        if structures[before] == structures[number]:
+            return True
+        before -= 1
+    return False
 
 
 def inside_at(geometry: Geometry, points: np.ndarray, directions: np.ndarray) -> np.ndarray:

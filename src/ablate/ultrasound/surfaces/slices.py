@@ -24,7 +24,7 @@ Lines = tuple[np.ndarray, np.ndarray]  # starts and unit directions, (n, 3) each
 
 
 def sample_lines(
-    geometry: Geometry, starts: np.ndarray, directions: np.ndarray, samples: Samples
+    geometry: Geometry, starts: np.ndarray, directions: np.ndarray, samples: Samples, as_rays: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """What each sample of lines holds, (n, samples) uint8, and its distance along its line, (n, samples) float32, mm.
 
@@ -39,7 +39,9 @@ def sample_lines(
         aside = attempt * _ASIDE_STEPS * geometry.step_mm * beside(directions[rows])
         origins = starts[rows] + aside - back[rows, None] * directions[rows]
         length = (back + ahead)[rows]
-        inside, values[rows], ranges_mm[rows] = walk(geometry, origins, directions[rows], length, samples, back[rows])
+        inside, values[rows], ranges_mm[rows] = walk(
+            geometry, origins, directions[rows], length, samples, back[rows], as_rays
+        )
         rows = rows[(inside != 0).any(axis=1)]
         if not rows.size:
             break
@@ -55,19 +57,18 @@ def beside(directions: np.ndarray) -> np.ndarray:
 
 @stage(Stage.pixel_labels)
 def segment(
-    geometry: Geometry, tissue_of_owner: np.ndarray, probe: Probe, shape: tuple[int, int], pose: np.ndarray
+    geometry: Geometry, tissue_of_owner: np.ndarray, probe: Probe, fan: np.ndarray, pose: np.ndarray
 ) -> np.ndarray:
-    """The tissue that owns each pixel's centre, in and outside the fan, (H, W) uint8; one ray a pixel column, along z.
+    """1 + the tissue that owns each pixel's centre, 0 outside the fan, (H, W) uint8; one ray a pixel row, along x.
 
-    `pose` takes probe coordinates to the geometry's.
+    `fan` is (H, W) bool, and `pose` takes probe coordinates to the geometry's.
     """
-    x, z = pixel_coordinates_mm(probe, shape)
-    top = np.stack([x, np.zeros_like(x), np.full_like(x, z[0])], axis=-1)
-    starts = to_world(pose, top)
-    directions = np.broadcast_to(pose[:3, 2], starts.shape)
-    spacing = (z[-1] - z[0]) / max(shape[0] - 1, 1) or 1.0
-    labels, _ = sample_lines(geometry, starts, directions, Samples(0.0, spacing, shape[0], tissue_of_owner))
-    return np.ascontiguousarray(labels.T)
+    x, z = pixel_coordinates_mm(probe, fan.shape)
+    starts = to_world(pose, np.stack([np.full_like(z, x[0]), np.zeros_like(z), z], axis=-1))
+    directions = np.broadcast_to(pose[:3, 0], starts.shape)
+    spacing = (x[-1] - x[0]) / max(len(x) - 1, 1) or 1.0
+    labels, _ = sample_lines(geometry, starts, directions, Samples(0.0, spacing, len(x), tissue_of_owner + np.uint8(1)))
+    return np.multiply(labels, fan, out=labels)
 
 
 @stage(Stage.attenuation_labels)
@@ -94,7 +95,7 @@ def scanline_labels(
     stretched = settings.depth_mode is DepthMode.time_of_flight
     stretch = plan.media.stretch[plan.tissue_of_owner] if stretched else None
     samples = Samples(spacing / 2, spacing, settings.axial_samples, plan.tissue_of_owner, stretch)
-    labels, ranges = sample_lines(geometry, *lines, samples)
+    labels, ranges = sample_lines(geometry, *lines, samples, as_rays=True)
     return labels, ranges if stretched else sample_depths_mm(probe, samples.count).astype(np.float32)
 
 

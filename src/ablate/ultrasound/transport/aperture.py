@@ -9,9 +9,13 @@ takes that room. Its radius is sqrt(wavelength z' (z - z') / z) at the depth z' 
 Principles of Optics, ch. 8).
 """
 
+import math
+from functools import partial
+
 import numpy as np
 
-from ablate.ultrasound.compiled import compiled
+from ablate.threads import in_parts
+from ablate.ultrasound.compiled import compiled, exponential
 from ablate.ultrasound.media import DISPLAY_SPEED_M_S
 from ablate.ultrasound.probe import fan_of
 from ablate.ultrasound.settings import PhasedProbe, Probe, SimulatorSettings
@@ -20,6 +24,8 @@ from ablate.ultrasound.transport.lines import NO_SOUND_DB
 
 _ELEMENTS = 24  # that stand for all that see a point
 _DEPTHS = 64
+_ROWS_OF_A_PART = 4
+_NEPER_PER_DB = math.log(10) / 20
 _ZONES = 1.25  # radii of the zone; shadows of rods are then those of waves (tests/ultrasound/test_aperture.py)
 _MOST_DB = 300.0  # that other elements add to what a pencil brings
 
@@ -46,7 +52,7 @@ class Aperture:
         face_mm = np.maximum(fan_of(probe).width_mm(np.zeros(1)) / last, 1e-9)
         at_face = 0 * beside_mm if isinstance(probe, PhasedProbe) else np.clip(beside_mm / face_mm, -1e9, 1e9)
         line = np.arange(settings.scanlines)[None, None] + at_face[:, :, None]
-        self._exists = (line >= -0.5) & (line <= last + 0.5)  # elements beyond the array's ends do not
+        self._exists = ((line >= -0.5) & (line <= last + 0.5)).astype(float)  # elements beyond the array's ends do not
         self._lines = settings.scanlines
 
     @stage(Stage.aperture)
@@ -68,12 +74,13 @@ class Aperture:
         # A pencil that is louder farther on, because few of its rays came back into it, has blocked nothing before.
         lost_db = np.minimum(-level_db / 2, _MOST_DB)  # one way
         lost_db = np.minimum.accumulate(lost_db[:, ::-1], axis=1)[:, ::-1]
-        at_depth = lost_db[:, at_depths].reshape(-1, self._lines, _DEPTHS).transpose(0, 2, 1)
+        by_line = lost_db[:, at_depths].reshape(-1, self._lines, _DEPTHS)
+        at_depth = np.ascontiguousarray(by_line.transpose(0, 2, 1))
         gain = np.zeros_like(at_depth)
-        for of_layer, lost in zip(gain, at_depth, strict=True):
-            steps = np.diff(lost, axis=0, prepend=0.0)
-            padded = np.pad(steps, ((0, 0), (self._lines, self._lines)), mode="edge")
-            _add_up(np.ascontiguousarray(padded), lost, self._ways, self._weights, self._exists, of_layer)
+        steps = np.diff(at_depth, axis=1, prepend=0.0)
+        padded = np.pad(steps, ((0, 0), (0, 0), (self._lines, self._lines)), mode="edge")
+        elements = self._ways, self._weights, self._exists
+        in_parts(partial(_add_up, padded, at_depth, *elements, gain), len(gain) * _DEPTHS, _ROWS_OF_A_PART)
         by_group = gain.transpose(0, 2, 1).reshape(groups, _DEPTHS)
         heard = np.where(lost_db[:, at_depths] < _MOST_DB, np.arange(_DEPTHS), 0)
         held = np.take_along_axis(by_group, np.maximum.accumulate(heard, axis=1), axis=1)
@@ -91,23 +98,36 @@ def _between(by_depth: np.ndarray, nodes: int) -> np.ndarray:
 
 @compiled
 def _add_up(
-    steps: np.ndarray, lost: np.ndarray, ways: np.ndarray, weights: np.ndarray, exists: np.ndarray, gain: np.ndarray
+    steps: np.ndarray,
+    lost: np.ndarray,
+    ways: np.ndarray,
+    weights: np.ndarray,
+    exists: np.ndarray,
+    gain: np.ndarray,
+    begin: int,
+    end: int,
 ) -> None:
-    """Fill `gain`, (depths, lines), from the losses on each step of each pencil, (steps, 3 lines), and their sums."""
-    depths, lines = gain.shape
-    way = np.empty(lines)
-    for depth in range(depths):
-        amplitude, weight = np.zeros(lines), np.zeros(lines)
+    """Fill some rows of `gain`, (layers, depths, lines): layer by layer, a row a depth.
+
+    From the losses on each step of each pencil, (layers, steps, 3 lines), and their sums.
+    """
+    _, depths, lines = gain.shape
+    way, amplitude, weight = np.empty((3, lines))
+    for row in range(begin, end):
+        layer, depth = row // depths, row % depths
+        amplitude[:], weight[:] = 0.0, 0.0
         for element in range(len(weights)):
-            way[:] = lost[depth]
+            way[:] = lost[layer, depth]
             for step in range(depth + 1):
                 first = lines + ways[depth, element, step]
+                crossed = steps[layer, step, first : first + lines]
                 for line in range(lines):
-                    way[line] -= steps[step, first + line]
+                    way[line] -= crossed[line]
+            there = exists[depth, element]
             for line in range(lines):
-                if exists[depth, element, line]:
-                    weight[line] += weights[element]
-                    amplitude[line] += weights[element] * 10 ** (min(way[line], _MOST_DB) / 20)
+                share = weights[element] * there[line]
+                weight[line] += share
+                amplitude[line] += share * exponential(min(way[line], _MOST_DB) * _NEPER_PER_DB)
         for line in range(lines):
             if weight[line] > 0:  # else no element but that of the pencil, as of a single scanline
-                gain[depth, line] = 40 * np.log10(max(amplitude[line] / weight[line], 1e-15))
+                gain[layer, depth, line] = 40 * np.log10(max(amplitude[line] / weight[line], 1e-15))

@@ -1,18 +1,16 @@
 """The steps of one bounce, for one ray: scatter at a surface (rough normal, Snell, Fresnel), echo, roulette, spawn.
 
 Vectors are tuples of three; directions and normals are of unit length, and normals point against the ray. Compiled
-functions that branch take numbers, and those that take many arrays do not branch: Numba counts references to every
-array that a function with branches gets, which takes longer than tracing the ray.
+functions that branch take numbers, not arrays: Numba counts references to every array that a function with branches
+gets, and to every part of an array, which takes longer than tracing the ray.
 """
 
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.media import Media, Medium
-from ablate.ultrasound.transport.rays import COS_AZIMUTH, LOG_U, SIN_AZIMUTH, Ray
+from ablate.ultrasound.media import Medium
+from ablate.ultrasound.transport.rays import Ray
 
 Vector = tuple[float, float, float]
 
@@ -37,6 +35,10 @@ SHARED_FROM_GROWTH = 6.4
 #: Gaussian of this standard deviation (assumed); reverberation between layers that face the probe is hardly changed.
 RECEIVE_SIGMA_MM = 6.0
 
+#: A reflected ray ends where it leaves the cylinder of this radius about its scanline: echoes from there are received
+#: with 70 dB less, and those of what comes back from there after one more reflection are weak and late.
+FARTHEST_MM = 4 * RECEIVE_SIGMA_MM
+
 #: Russian roulette takes a ray off its axis to be received by at least this, because it may come back to the axis.
 LEAST_RECEIVED = 0.1
 
@@ -49,12 +51,6 @@ class Scattering(NamedTuple):
     reflected: Vector
     transmitted: Vector
     pressure: float
-
-
-@compiled
-def vector(row: np.ndarray) -> Vector:
-    """A (3,) array as a tuple of doubles."""
-    return float(row[0]), float(row[1]), float(row[2])
 
 
 @compiled
@@ -124,38 +120,45 @@ def refracted(direction: Vector, normal: Vector, cos_i: float, cos_t: float, spe
     return along(stretched, normal, speed_ratio * cos_i - cos_t)
 
 
+class Interface(NamedTuple):
+    """The tissues on both sides of a surface, and whether the scene needs refraction."""
+
+    speed_1: float
+    speed_2: float
+    impedance_1: float
+    impedance_2: float
+    refracts: bool
+
+
 @compiled
 def sample_scattering(
-    direction: Vector, normal: Vector, before: int, after: int, surface: int, drawn: np.ndarray, media: Media
+    direction: Vector, normal: Vector, interface: Interface, exponent: float, drawn: Vector, rough: bool
 ) -> Scattering:
     """Scatter about a rough normal; about the surface's own where a direction would be on the wrong side of it.
 
-    `normal` may have any length and sign. Tissues: `before` and `after` the surface, and the one that owns it. `drawn`,
-    (COLUMNS,), holds the random numbers of this interface and ray.
+    `normal` may have any length and sign. `exponent` is that of the surface's lobe; `drawn` holds the random numbers of
+    this interface and ray: log of a uniform, cosine and sine of the azimuth.
     """
     flat = facing(normal, direction)
-    if media.rough:
-        tilted = rough_normal(flat, drawn[LOG_U], drawn[COS_AZIMUTH], drawn[SIN_AZIMUTH], media.lobe_exponent[surface])
-        rough, cos_i, total = scatter_about(direction, tilted, before, after, media)
-        if cos_i > 0 and dot(rough.reflected, flat) > 0 and (total or dot(rough.transmitted, flat) < 0):
-            return rough
-    return scatter_about(direction, flat, before, after, media)[0]
+    if rough:
+        tilted = rough_normal(flat, drawn[0], drawn[1], drawn[2], exponent)
+        scattering, cos_i, total = scatter_about(direction, tilted, interface)
+        if cos_i > 0 and dot(scattering.reflected, flat) > 0 and (total or dot(scattering.transmitted, flat) < 0):
+            return scattering
+    return scatter_about(direction, flat, interface)[0]
 
 
 @compiled
-def scatter_about(
-    direction: Vector, normal: Vector, before: int, after: int, media: Media
-) -> tuple[Scattering, float, bool]:
+def scatter_about(direction: Vector, normal: Vector, interface: Interface) -> tuple[Scattering, float, bool]:
     """Mirror, Snell and Fresnel about a normal; also cos i, and whether the reflection is total."""
+    speed_1, speed_2, impedance_1, impedance_2, refracts = interface
     cos_i = -dot(direction, normal)
     cos_t, transmitted, mirrored = cos_i, direction, along(direction, normal, 2 * cos_i)
-    if media.refracts:
-        speed_1, speed_2 = float(media.speed_m_s[before]), float(media.speed_m_s[after])
+    if refracts:
         cos_t = transmission_cosine(cos_i, speed_1, speed_2)
         transmitted = refracted(direction, normal, cos_i, cos_t, speed_2 / speed_1)
         if cos_t == 0 and speed_1 != speed_2:  # total, along the surface too, where R_p is 0 / 0
             return Scattering(mirrored, transmitted, 1.0), cos_i, True
-    impedance_1, impedance_2 = float(media.impedance_mrayl[before]), float(media.impedance_mrayl[after])
     pressure = pressure_reflection(impedance_1, impedance_2, cos_i, cos_t)
     return Scattering(mirrored, transmitted, pressure), cos_i, cos_t == 0
 
@@ -233,9 +236,20 @@ def _surviving(weight: float, luck: float, faint_db: float, roulette_db: float, 
 
 
 @compiled
-def spawn(ray: Ray, origin: Vector, direction: Vector, weight: float, depth_mm: float, stretch: float) -> None:
+def leaves(point: Vector, direction: Vector, element: Vector, axis: Vector) -> float:
+    """How far a ray goes until it leaves the cylinder of `FARTHEST_MM` about its scanline, mm."""
+    from_element = point[0] - element[0], point[1] - element[1], point[2] - element[2]
+    outside, ahead = along(from_element, axis, -dot(from_element, axis)), along(direction, axis, -dot(direction, axis))
+    a, b, c = max(dot(ahead, ahead), 1e-12), dot(outside, ahead), dot(outside, outside) - FARTHEST_MM**2
+    return (math.sqrt(b * b - a * c) - b) / a if c < 0 else 0.0
+
+
+@compiled
+def spawn(
+    ray: Ray, origin: Vector, direction: Vector, weight: float, depth_mm: float, stretch: float, leaves_mm: float
+) -> None:
     """Send a ray off from its surface, until it is deeper than the image; a reflected ray goes down and up again."""
-    for axis in range(3):
-        ray.origin[axis], ray.direction[axis] = origin[axis], direction[axis]
+    ray.origin[0], ray.origin[1], ray.origin[2] = origin
+    ray.direction[0], ray.direction[1], ray.direction[2] = direction
     ways = 1.0 if ray.reflections == 0 else 2.0
-    ray.weight, ray.reach_mm = weight, (ways * depth_mm - ray.displayed_mm) / stretch
+    ray.weight, ray.reach_mm = weight, min((ways * depth_mm - ray.displayed_mm) / stretch, leaves_mm)

@@ -154,29 +154,24 @@ def empty_nodes(anechoic: np.ndarray, depth_mm: float) -> Nodes:
 
 
 @compiled
-def accumulate(nodes: Nodes, group: int, ray: Ray, medium: Medium, length_mm: float, weight: float) -> None:
-    """Add a ray of this weight at the nodes that it passes over a displayed length, from its last surface on.
+def passed(
+    first_mm: float, spacing_mm: float, count: int, ray: Ray, medium: Medium, length_mm: float, weight: float
+) -> tuple[int, int, float, float]:
+    """The nodes that a ray of this weight passes over a displayed length, from its last surface on: from and to before.
 
-    Between nodes the amplitude falls by one factor, so a length costs two exponentials, however long it is. A ray in
-    the anechoic background does not insonify a scanline that is in the body: bone bends rays out of the body, and a
-    ray that loses nothing outside would fill the shadow behind the bone.
+    Also its amplitude at the first of them, and by which factor it falls from one to the next: so a length costs two
+    exponentials, however long it is.
     """
-    amplitude = nodes.amplitude[group]
-    count = len(amplitude)
     to_mm, slope_db_mm = ray.displayed_mm + length_mm, medium.loss_db_mm / medium.stretch
-    first = min(max(math.ceil((ray.displayed_mm - nodes.first_mm) / nodes.spacing_mm), 0), count)
+    first = min(max(math.ceil((ray.displayed_mm - first_mm) / spacing_mm), 0), count)
     last = count
-    if to_mm < nodes.first_mm + count * nodes.spacing_mm:
-        last = max(math.ceil((to_mm - nodes.first_mm) / nodes.spacing_mm), 0)
+    if to_mm < first_mm + count * spacing_mm:
+        last = max(math.ceil((to_mm - first_mm) / spacing_mm), 0)
     if first >= last:
-        return
-    at_first = ray.loss_db + slope_db_mm * (nodes.first_mm + first * nodes.spacing_mm - ray.displayed_mm)
-    level = weight * math.exp(-at_first * _NEPER_PER_TWO_WAY_DB)
-    factor = math.exp(-slope_db_mm * nodes.spacing_mm * _NEPER_PER_TWO_WAY_DB)
-    for k in range(first, last):
-        if not medium.anechoic or nodes.anechoic[group, k]:
-            amplitude[k] += level
-        level *= factor
+        return 0, 0, 0.0, 0.0
+    at_first = ray.loss_db + slope_db_mm * (first_mm + first * spacing_mm - ray.displayed_mm)
+    factor = math.exp(-slope_db_mm * spacing_mm * _NEPER_PER_TWO_WAY_DB)
+    return first, last, weight * math.exp(-at_first * _NEPER_PER_TWO_WAY_DB), factor
 
 
 def transmit_beam(probe: Probe, settings: SimulatorSettings) -> torch.Tensor:

@@ -24,14 +24,17 @@ from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
 from ablate.ultrasound.media import Medium
 from ablate.ultrasound.stages import Stage, stage
-from ablate.ultrasound.surfaces.embree import Geometry, asked_ray, closest_of
-from ablate.ultrasound.surfaces.line_walk import next_step, owner, toggle
+from ablate.ultrasound.surfaces.embree import Geometry, asked_ray, at, closest_of
+from ablate.ultrasound.surfaces.line_walk import highest, next_step
 from ablate.ultrasound.transport import bounce
-from ablate.ultrasound.transport.lines import ECHO, Nodes, accumulate
+from ablate.ultrasound.transport.lines import ECHO, Nodes, passed
 from ablate.ultrasound.transport.rays import (
     CHOICE,
     COLUMNS,
+    COS_AZIMUTH,
+    LOG_U,
     MAX_ROWS,
+    SIN_AZIMUTH,
     SURVIVAL,
     THICKNESS,
     Bundle,
@@ -114,7 +117,7 @@ def _grown(rows: np.ndarray, count: int) -> np.ndarray:
 @compiled
 def _advance(
     address: int,
-    asked: np.ndarray,
+    asked: tuple[np.ndarray, np.ndarray, int],
     rays: np.ndarray,
     inside: np.ndarray,
     n: int,
@@ -128,48 +131,73 @@ def _advance(
     Reflected rays are written behind all rays at first, because transmitted rays take the rows from 0. Returns how many
     rays there are then, and how many echoes were written.
     """
-    media = view.media
+    # arrays by name and element: no part of an array is made for a ray, see `bounce`
+    speed, impedance, specularity, thickness, loss, lobe, stretches, silent, differs, refracts, rough, thick = (
+        view.media
+    )
+    elements, axes, tissue_of_owner, of_group = view.elements, view.axes, view.tissue_of_owner, view.rays
+    at_mm, apart_mm, empty, amplitudes = nodes
+    words, count = inside.shape[1], amplitudes.shape[1]
     beyond_table = np.empty(COLUMNS, np.float32)
     transmitted, reflected, received = 0, n, 0
     for i in range(n):
         ray = rays[i]
-        hit = closest_of(address, asked, ray.origin, ray.direction, ray.reach_mm)
-        group, direct = ray.number // view.rays, ray.reflections == 0
-        tissue = ray.medium
-        medium = Medium(float(media.loss_db_mm[tissue]), float(media.stretch[tissue]), media.anechoic[tissue])
+        origin = float(ray.origin[0]), float(ray.origin[1]), float(ray.origin[2])
+        direction = float(ray.direction[0]), float(ray.direction[1]), float(ray.direction[2])
+        hit = closest_of(address, asked, origin, direction, ray.reach_mm)
+        group, direct, tissue, weight = ray.number // of_group, ray.reflections == 0, ray.medium, ray.weight
+        medium = Medium(float(loss[tissue]), float(stretches[tissue]), silent[tissue])
         if direct:  # up to the surface, or to the end of the image
             ahead_mm = (hit.distance_mm + ray.step_mm) * medium.stretch if hit.structure >= 0 else math.inf
-            accumulate(nodes, group, ray, medium, ahead_mm, ray.weight)
+            first, last, level, factor = passed(at_mm, apart_mm, count, ray, medium, ahead_mm, weight)
+            for k in range(first, last):
+                # A ray in the anechoic background does not insonify a scanline that is in the body: bone bends rays out
+                # of the body, and a ray that loses nothing outside would fill the shadow behind the bone.
+                if not medium.anechoic or empty[group, k]:
+                    amplitudes[group, k] += level
+                level *= factor
         if hit.structure < 0:
             continue
         fresh = hit.structure != ray.structure or hit.triangle != ray.triangle  # a plane is met only once
-        beyond = ray.medium
+        beyond = tissue
         if fresh:
-            toggle(inside[i], hit.structure)
-            beyond = view.tissue_of_owner[owner(inside[i])]
+            inside[i, hit.structure >> 5] ^= np.uint32(1) << np.uint32(hit.structure & 31)
+            owned_by = 0
+            for word in range(words):
+                if inside[i, word]:
+                    owned_by = 32 * word + highest(inside[i, word])
+            beyond = tissue_of_owner[owned_by]
         step_mm = next_step(ray.step_mm, fresh and hit.distance_mm > ray.step_mm, view.step_mm)
-        point = bounce.along(bounce.vector(ray.origin), bounce.vector(ray.direction), hit.distance_mm)
+        point = bounce.along(origin, direction, hit.distance_mm)
         length_mm = hit.distance_mm + ray.step_mm
         ray.path_mm += length_mm
         ray.displayed_mm += length_mm * medium.stretch
         ray.loss_db += length_mm * medium.loss_db_mm
         ray.structure, ray.triangle, ray.step_mm = hit.structure, hit.triangle, step_mm
-        direction, weight = bounce.vector(ray.direction), ray.weight
 
-        if media.differs[ray.medium, beyond]:
-            if ray.interfaces < MAX_ROWS:
-                drawn = table[ray.interfaces, ray.number]
+        if differs[tissue, beyond]:
+            row, number = ray.interfaces, ray.number
+            if row < MAX_ROWS:
+                choice, luck, deep = (
+                    table[row, number, CHOICE],
+                    table[row, number, SURVIVAL],
+                    table[row, number, THICKNESS],
+                )
+                drawn = table[row, number, LOG_U], table[row, number, COS_AZIMUTH], table[row, number, SIN_AZIMUTH]
             else:
-                drawn = unstratified(view.path_seed, ray.interfaces, ray.number, beyond_table)
-            surface = view.tissue_of_owner[hit.structure + 1]
-            scattering = bounce.sample_scattering(direction, hit.normal, ray.medium, beyond, surface, drawn, media)
-            thickness_mm = float(drawn[THICKNESS]) * media.thickness_mm[surface] if media.thick else 0.0
+                unstratified(view.path_seed, row, number, beyond_table)
+                choice, luck, deep = beyond_table[CHOICE], beyond_table[SURVIVAL], beyond_table[THICKNESS]
+                drawn = beyond_table[LOG_U], beyond_table[COS_AZIMUTH], beyond_table[SIN_AZIMUTH]
+            surface = tissue_of_owner[hit.structure + 1]
+            sides = float(speed[tissue]), float(speed[beyond]), float(impedance[tissue]), float(impedance[beyond])
+            interface = bounce.Interface(sides[0], sides[1], sides[2], sides[3], refracts)
+            scattering = bounce.sample_scattering(direction, hit.normal, interface, lobe[surface], drawn, rough)
+            thickness_mm = float(deep) * thickness[surface] if thick else 0.0
 
-            element, axis = bounce.vector(view.elements[group]), bounce.vector(view.axes[group])
-            link = bounce.connect(ray, point, medium, thickness_mm, element, axis)
+            link = bounce.connect(ray, point, medium, thickness_mm, at(elements, group), at(axes, group))
             depth_mm = link.depth_mm + thickness_mm * medium.stretch
             if depth_mm < view.depth_mm:
-                amplitude = bounce.echo(ray, scattering, link, media.specularity[surface])
+                amplitude = bounce.echo(ray, scattering, link, specularity[surface])
                 if amplitude > 0:
                     received_echo = echoes[received]
                     received_echo.group, received_echo.depth_mm = group, depth_mm
@@ -183,8 +211,12 @@ def _advance(
             probability = abs(scattering.pressure) if abs(scattering.pressure) >= bounce.SMALLEST_REFLECTION else 0.0
             if direct and probability > 0:  # the level is interpolated between nodes: keep it up to the surface
                 energy = scattering.pressure * scattering.pressure
-                accumulate(nodes, group, ray, medium, nodes.spacing_mm, weight * energy)
-            pressure, choice, luck = scattering.pressure, drawn[CHOICE], drawn[SURVIVAL]
+                first, last, level, factor = passed(at_mm, apart_mm, count, ray, medium, apart_mm, weight * energy)
+                for k in range(first, last):
+                    if not medium.anechoic or empty[group, k]:
+                        amplitudes[group, k] += level
+                    level *= factor
+            pressure = scattering.pressure
             faint_db = 0.0  # not read where a direct ray is transmitted alone
             if not direct or probability > 0:  # how much fainter than its weight: loss, direction, half the gain ahead
                 # What the time gain adds up to the end of the image makes up for loss in tissue, not in fluid.
@@ -192,25 +224,33 @@ def _advance(
                 faint_db = link.two_way_db + ahead_db / 2 - 20 * math.log10(max(link.received, bounce.LEAST_RECEIVED))
             back_weight, weight = bounce.go_on(ray, pressure, probability, choice, luck, faint_db, view.roulette_db)
             if back_weight > 0:
-                rays[reflected], inside[reflected] = ray, inside[i]
-                toggle(inside[reflected], hit.structure)
+                rays[reflected] = ray
+                for word in range(words):
+                    inside[reflected, word] = inside[i, word]
+                inside[reflected, hit.structure >> 5] ^= np.uint32(1) << np.uint32(hit.structure & 31)
                 child, back = rays[reflected], scattering.reflected
                 child.reflections += 1
                 child.path_mm += 2 * thickness_mm  # there and back
                 child.displayed_mm += 2 * thickness_mm * medium.stretch
                 child.loss_db += 2 * thickness_mm * medium.loss_db_mm
-                bounce.spawn(
-                    child, bounce.along(point, back, step_mm), back, back_weight, view.depth_mm, medium.stretch
-                )
+                leaves_mm = bounce.leaves(point, back, at(elements, group), at(axes, group))
+                start = bounce.along(point, back, step_mm)
+                bounce.spawn(child, start, back, back_weight, view.depth_mm, medium.stretch, leaves_mm)
                 reflected += 1
             direction = scattering.transmitted
         if weight > 0:
-            rays[transmitted], inside[transmitted] = ray, inside[i]
-            child, stretch = rays[transmitted], float(media.stretch[beyond])
+            rays[transmitted] = ray
+            for word in range(words):
+                inside[transmitted, word] = inside[i, word]
+            child, stretch = rays[transmitted], float(stretches[beyond])
             child.medium = beyond
-            bounce.spawn(child, bounce.along(point, direction, step_mm), direction, weight, view.depth_mm, stretch)
+            leaves_mm = math.inf if direct else bounce.leaves(point, direction, at(elements, group), at(axes, group))
+            start = bounce.along(point, direction, step_mm)
+            bounce.spawn(child, start, direction, weight, view.depth_mm, stretch, leaves_mm)
             transmitted += 1
     for i in range(n, reflected):
-        rays[transmitted], inside[transmitted] = rays[i], inside[i]
+        rays[transmitted] = rays[i]
+        for word in range(words):
+            inside[transmitted, word] = inside[i, word]
         transmitted += 1
     return transmitted, received
