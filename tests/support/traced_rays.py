@@ -7,7 +7,7 @@ from ablate.ultrasound import ConvexProbe, SimulatorSettings
 from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.transport.lines import Nodes
-from ablate.ultrasound.transport.rays import Draws, View, at_pose, leave_probe, probe_rays
+from ablate.ultrasound.transport.rays import Draws, View, at_pose, probe_rays
 from ablate.ultrasound.transport.tracing import Paths, trace
 
 
@@ -20,7 +20,6 @@ def follow(
     draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
     rays = probe_rays(probe, settings, draws)
     bundle = at_pose(geometry, rays, np.eye(4))
-    leave_probe(geometry, rays, np.eye(4), bundle)
     groups = len(bundle.starts)
     nodes = Nodes(0.0, 1.0, np.ones((groups, 151), bool), np.zeros((groups, 151)))
     view = View(

@@ -13,7 +13,7 @@ from support.traced_rays import follow
 
 @pytest.mark.parametrize("pressure", [0.06, 0.25, 0.6, 0.98])
 def test_every_direct_ray_is_reflected_once(gel, slab, probe, one_line, pressure) -> None:
-    """A surface splits each of them; the reflected part has the weight |R_p|, the same for all of them and any seed.
+    """Half of them, by strata: the reflected part has twice the weight |R_p|, the same for all of them and any seed.
 
     They meet a face from behind that is too weak to reflect them again, so each echoes once.
     """
@@ -24,19 +24,20 @@ def test_every_direct_ray_is_reflected_once(gel, slab, probe, one_line, pressure
     for seed in range(5):
         scene = Scene((slab(weak, 20.0, 400.0), slab(hard, 40.0, 400.0)), gel, "s")
         echoes, _ = follow(scene, probe, replace(one_line, path_seed=seed, rays=64))
-        np.testing.assert_allclose(echoes.amplitude[echoes.reflected], np.full(64, expected), rtol=1e-5)
+        np.testing.assert_allclose(echoes.amplitude[echoes.reflected], np.full(32, 2 * expected), rtol=1e-5)
 
 
 def test_weak_reverberation_has_no_error(gel, slab, probe, one_line) -> None:
     """Off faces of R_p = 0.08: at probability R, 8 of 200,000 rays would be reflected twice and make the echo.
 
-    A surface splits a ray until its second reflection, so every ray makes the echo, with the weight of its path.
+    A surface splits a ray until its second reflection, so every ray that is followed makes the echo, with the weight of
+    its path; half of them are, with twice the weight.
     """
     tissues = (Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 1.5 * 1.08 / 0.92), ("b", 1.5)))
     scene = Scene(tuple(slab(t, near, 400.0) for t, near in zip(tissues, (30.0, 60.0), strict=True)), gel, "s")
     echoes, _ = follow(scene, probe, one_line)
     thrice = echoes.amplitude[echoes.reflected & (np.abs(echoes.depth_mm - 90.0) < 1)]
-    np.testing.assert_allclose(thrice, np.full(one_line.rays, (1 - 0.08**2) * 0.08**3), rtol=1e-5)
+    np.testing.assert_allclose(thrice, np.full(one_line.rays // 2, 2 * (1 - 0.08**2) * 0.08**3), rtol=1e-5)
 
 
 def test_reverberation_between_two_plates(gel, slab, probe, one_line) -> None:

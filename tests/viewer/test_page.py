@@ -15,6 +15,7 @@ from PIL import Image
 pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultrasound[view]'")
 
 from ablate.jobs.compose import jobs_of
+from ablate.runs.simulated import build_scene, simulator_of
 from ablate.settings.study import ConfigurationError, Task
 from ablate.ultrasound import Simulator
 from ablate.viewer.task import Viewer, check_server
@@ -118,6 +119,8 @@ def test_nonsense_closes_its_connection_and_the_viewer_lives_on(viewer: Viewer) 
     with Client(viewer.page.settings.viewer.port) as odd:
         odd.until(lambda: odd.labels)
         odd.send_raw(b"\x81\xa4type\xa4What")
+    with Client(viewer.page.settings.viewer.port) as odd:
+        odd.until(lambda: odd.labels)
         odd.send({"type": "GuiUpdateMessage", "uuid": "no such part", "updates": {"value": 3}})
     with Client(viewer.page.settings.viewer.port) as next_one:
         next_one.until(lambda: next_one.captions())
@@ -176,7 +179,8 @@ def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer:
     assert job.settings.simulator == viewer.session.state.simulator
     np.testing.assert_array_equal(np.load(str(job.settings.pose)), viewer.session.state.pose)
     state = viewer.session.state
-    frame = Simulator(viewer.page.scene, state.probe, state.simulator).render(state.pose, state.seed)
+    settings = simulator_of(job, viewer.page.scene, build_scene(job.settings)[1], state.pose[None])
+    frame = Simulator(viewer.page.scene, state.probe, settings).render(state.pose, state.seed)
     np.testing.assert_array_equal(np.array(Image.open(folder / "simulated.png")), frame.image)
 
 

@@ -20,12 +20,12 @@ from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport import lines
 from ablate.ultrasound.transport.aperture import Aperture
-from ablate.ultrasound.transport.rays import Draws, View, at_pose, leave_probe, probe_rays
+from ablate.ultrasound.transport.rays import Draws, View, at_pose, probe_rays
 from ablate.ultrasound.transport.tracing import Paths, trace
 
 #: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
 #: rays in 3 layers, spread over its surroundings, an echo of this level is 61 dB under white.
-_ROULETTE_DB = 8.0
+_ROULETTE_DB = 24.0
 
 
 class Simulator:
@@ -189,10 +189,8 @@ class Simulator:
         if self._prepared is not None and self._prepared[0] == pose.tobytes():
             return self._prepared[1]
         probe, settings, plan = self.probe, self.settings, self._plan
-        shape = settings.scanlines, settings.axial_samples
         local = self._local(pose)
         bundle = at_pose(self._geometry, self._rays, local)
-        leave_probe(self._geometry, self._rays, local, bundle)
         largest_gain_db = 20 * math.log10(float(self._chain.gain[-1]))
         view = View(
             media=plan.media,
@@ -215,9 +213,9 @@ class Simulator:
         echoes = trace(Paths(self._geometry, view, self._draws, bundle, nodes))
         level_db = lines.mean_level_db(nodes, settings.rays, self._beam)
         gain_db, level_db = self._aperture.gain_and_level_db(level_db)
-        lines.amplify(echoes, gain_db, nodes)
-        where = layer_weights(probe, settings)[1], settings.rays, probe.depth_mm, shape
-        surfaces, clutter = lines.surface_lines(echoes, *where), lines.clutter_lines(echoes, *where)
+        weights = layer_weights(probe, settings)[1]
+        surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, weights, settings.rays, probe.depth_mm)
+        clutter = lines.clutter_lines(reverberation, settings.axial_samples)
         scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
         self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level_db, surfaces, clutter)
         return self._prepared[1]

@@ -72,8 +72,8 @@ def lateral_kernels(
     """What each scanline gets of each other one, (depths, scanlines, scanlines) float64, or (1, ...) if all are equal.
 
     Rows sum to 1. The main lobe is a Gaussian, `widen` times as wide as `lateral_sigma`. Side lobes are `_SIDELOBES`
-    times as wide and of the power `sidelobe_db`. Their sign is random from one width of the main lobe to the next, so
-    that a smooth surface does not fill what lies beside it, and one bright point makes no row of equal dots.
+    times as wide and of the power `sidelobe_db`. Of every two widths of the main lobe, at random, one is positive and
+    one negative, so that a smooth surface does not fill what lies beside it, and one bright point makes no row of dots.
     """
     sigma = widen * np.maximum(lateral_sigma(probe, settings, depth_mm), 1e-3 / widen)[:, :, None]
     sigma = sigma[:1] if (sigma == sigma[:1]).all() else sigma
@@ -81,13 +81,21 @@ def lateral_kernels(
     main = np.exp(np.maximum(-0.5 * (apart / sigma) ** 2, _LOWEST_EXPONENT))
     main = np.where(main > np.exp(_LOWEST_EXPONENT), main, 0.0)
     main /= main.sum(axis=-1, keepdims=True)
-    wide = _SIDELOBES * sigma
-    signs = np.random.default_rng(_SIDELOBE_SEED).choice((-1.0, 1.0), 2**10)
-    widths = np.abs(apart) / (FWHM_PER_SIGMA * sigma)
-    side = np.exp(-0.5 * (apart / wide) ** 2) * np.interp(widths, np.arange(len(signs)), signs)
+    side, energy = _side_lobes(np.abs(apart) / (FWHM_PER_SIGMA * sigma))
     side -= main * side.sum(axis=-1, keepdims=True)
-    power = (main**2).sum(axis=-1, keepdims=True) / (math.sqrt(math.pi) * wide * 2 / 3)  # main over side lobes
+    power = (main**2).sum(axis=-1, keepdims=True) / (FWHM_PER_SIGMA * sigma * energy)  # main over side lobes
     return main + 10 ** (sidelobe_db / 20) * np.sqrt(power) * side
+
+
+def _side_lobes(widths: np.ndarray) -> tuple[np.ndarray, float]:
+    """Side lobes at distances in widths of the main lobe, and the integral of their square over all distances."""
+    signs = np.random.default_rng(_SIDELOBE_SEED).choice((-1.0, 1.0), (2**9, 1)) * (1, -1)
+    at_widths, reach = np.concatenate([[0.0], signs.ravel()]), _SIDELOBES / FWHM_PER_SIGMA
+
+    def lobes(far: np.ndarray) -> np.ndarray:
+        return np.exp(-0.5 * (far / reach) ** 2) * np.interp(far, np.arange(len(at_widths)), at_widths)
+
+    return lobes(widths), 2 * float(np.trapezoid(lobes(fine := np.linspace(0, 6 * reach, 4001)) ** 2, fine))
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ _ROWS_OF_A_PART = 4
 _NEPER_PER_DB = math.log(10) / 20
 _ZONES = 1.25  # radii of the zone; shadows of rods are then those of waves (tests/ultrasound/test_aperture.py)
 _MOST_DB = 300.0  # that other elements add to what a pencil brings
+_SILENT_DB = 1 - 2 * _MOST_DB  # where all of them are
 
 
 class Aperture:
@@ -86,6 +87,7 @@ class Aperture:
         held = np.take_along_axis(by_group, np.maximum.accumulate(heard, axis=1), axis=1)
         gain_db = np.minimum(_between(held, nodes), 2 * lost_db)
         of_others = _between(by_group, nodes) - 2 * lost_db
+        of_others = np.where(of_others > _SILENT_DB, of_others, NO_SOUND_DB)
         return gain_db, np.where(level_db > NO_SOUND_DB, level_db + gain_db, of_others)
 
 

@@ -18,6 +18,10 @@ Vector = tuple[float, float, float]
 #: the others, so that a thin gap does not reflect rays to and fro until they are as deep as the image.
 ROULETTE_REFLECTIONS = 8
 
+#: Of the rays that surfaces reflect for the first time, this part is followed, with a larger weight: reverberation is
+#: spread over many scanlines, each of which has its own rays.
+REVERBERATION_SHARE = 0.5
+
 #: Up to this many reflections a surface splits a ray into a reflected and a transmitted one, so that both keep the
 #: weights of their paths. From then on it sends one of the two, at random, so that rays do not multiply.
 SPLIT_REFLECTIONS = 1
@@ -39,10 +43,11 @@ RECEIVE_SIGMA_MM = 6.0
 #: with 70 dB less, and those of what comes back from there after one more reflection are weak and late.
 FARTHEST_MM = 4 * RECEIVE_SIGMA_MM
 
-#: Russian roulette takes a ray off its axis to be received by at least this, because it may come back to the axis.
-LEAST_RECEIVED = 0.1
+#: Russian roulette takes a ray off its axis to be fainter by at most this, because it may come back to the axis.
+MOST_ASIDE_DB = 20.0
 
 _NEPER_PER_DB = math.log(10) / 20
+_ASIDE_DB = 0.5 / RECEIVE_SIGMA_MM**2 / _NEPER_PER_DB  # a square millimetre
 
 
 class Scattering(NamedTuple):
@@ -166,14 +171,14 @@ def scatter_about(direction: Vector, normal: Vector, interface: Interface) -> tu
 class Connection(NamedTuple):
     """The straight way back from a surface to the ray's element: displayed depth, and loss there and back.
 
-    `received` is what the element's direction leaves of it, 1 for a direct ray.
+    `aside_db` is how much less the element receives from its direction, 0 for a direct ray.
     """
 
     to_element: Vector
     distance_mm: float
     depth_mm: float
     two_way_db: float
-    received: float
+    aside_db: float
 
 
 @compiled
@@ -186,22 +191,22 @@ def connect(ray: Ray, point: Vector, medium: Medium, thickness_mm: float, elemen
     distance_mm = max(math.sqrt(dot(to_element, to_element)), 1e-6)
     ways = 2.0 if ray.reflections == 0 else 1 + distance_mm / max(ray.path_mm, 1e-6)
     two_way_db = ray.loss_db * ways + 2 * thickness_mm * medium.loss_db_mm
-    received = 1.0
+    aside_db = 0.0
     if ray.reflections > 0:
         on_axis = dot(to_element, axis)
-        received = math.exp(-0.5 * max(distance_mm**2 - on_axis**2, 0.0) / RECEIVE_SIGMA_MM**2)
-    return Connection(to_element, distance_mm, ray.displayed_mm * ways / 2, two_way_db, received)
+        aside_db = max(distance_mm * distance_mm - on_axis * on_axis, 0.0) * _ASIDE_DB
+    return Connection(to_element, distance_mm, ray.displayed_mm * ways / 2, two_way_db, aside_db)
 
 
 @compiled
 def echo(ray: Ray, scattering: Scattering, link: Connection, specularity: float) -> float:
     """Amplitude that the element receives: weight |R_p| cos^n, less the loss of both ways."""
-    towards = dot(scattering.reflected, link.to_element) / link.distance_mm
-    if towards <= 0 and specularity > 0:  # 0 below, too, which takes a power and an exponential
-        return 0.0
-    lobe = max(towards, 0.0) ** specularity
-    amplitude = ray.weight * abs(scattering.pressure) * lobe
-    return amplitude * link.received * math.exp(-link.two_way_db * _NEPER_PER_DB)
+    towards, nepers = dot(scattering.reflected, link.to_element), (link.two_way_db + link.aside_db) * _NEPER_PER_DB
+    if specularity > 0:
+        if towards <= 0:
+            return 0.0
+        nepers -= specularity * math.log(towards / link.distance_mm)
+    return ray.weight * abs(scattering.pressure) * math.exp(-nepers)
 
 
 @compiled
@@ -216,22 +221,21 @@ def go_on(
         ray.growth *= reflection + through
     back, onward = ray.weight * reflection, ray.weight * through
     if ray.reflections <= SPLIT_REFLECTIONS:
-        back = _surviving(back, choice, faint_db, roulette_db, False) if probability > 0 else 0.0
+        followed = REVERBERATION_SHARE if ray.reflections == 0 else 1.0
+        back = _surviving(back, choice, faint_db, roulette_db, followed) if probability > 0 else 0.0
         if ray.reflections > 0:
-            onward = _surviving(onward, luck, faint_db, roulette_db, False)
+            onward = _surviving(onward, luck, faint_db, roulette_db, 1.0)
         return back, onward
     if choice < probability:
-        return _surviving(back / probability, luck, faint_db, roulette_db, ray.reflections >= ROULETTE_REFLECTIONS), 0.0
-    return 0.0, _surviving(onward / (1 - probability), luck, faint_db, roulette_db, False)
+        share = 0.5 if ray.reflections >= ROULETTE_REFLECTIONS else 1.0
+        return _surviving(back / probability, luck, faint_db, roulette_db, share), 0.0
+    return 0.0, _surviving(onward / (1 - probability), luck, faint_db, roulette_db, 1.0)
 
 
 @compiled
-def _surviving(weight: float, luck: float, faint_db: float, roulette_db: float, often_reflected: bool) -> float:
+def _surviving(weight: float, luck: float, faint_db: float, roulette_db: float, at_most: float) -> float:
     """Weight after Russian roulette: it grows by the inverse of the probability to survive, without bias, or is 0."""
-    level_db = 20 * math.log10(max(weight, 1e-30)) - faint_db
-    if level_db >= roulette_db and not often_reflected:  # survives for certain: spares the power below
-        return weight
-    survival = min(0.5 if often_reflected else 1.0, 10 ** ((level_db - roulette_db) / 20))
+    survival = min(weight * math.exp(-(roulette_db + faint_db) * _NEPER_PER_DB), at_most)
     return weight / survival if luck < survival else 0.0
 
 

@@ -41,68 +41,87 @@ NODES = 256
 NO_SOUND_DB = -4000.0
 _LOWEST_DB = -600.0  # all below counts as no sound: far under any display, and it spares the signal chain denormals
 _BLOCKS = 64  # of depth, within which the beam's overlap is taken as constant
-_NEPER_PER_TWO_WAY_DB = math.log(10) / 10
-
-
-def splat(line: np.ndarray, position: np.ndarray, amplitude: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Add amplitudes, (n,), of some lines, (n,), to the two samples on either side of their positions, (n,).
-
-    Positions are in samples; what lies beyond the outer samples' centres goes to them. The sum is `shape`, (scanlines,
-    samples) float64.
-    """
-    lines, samples = shape
-    position = np.clip(position.astype(np.float64), 0, samples - 1)
-    below = np.minimum(position.astype(np.int64), max(samples - 2, 0))
-    part = (position - below) * amplitude
-    start = line.astype(np.int64) * samples + below
-    total = np.bincount(start, amplitude - part, minlength=lines * samples)
-    if samples > 1:
-        total += np.bincount(start + 1, part, minlength=lines * samples)
-    return total.reshape(shape)
-
-
-def amplify(echoes: np.ndarray, gain_db: np.ndarray, nodes: Nodes) -> None:
-    """Change echoes of rays never reflected before, (n,) ECHO, by gains at the nodes, (groups, nodes), dB."""
-    direct = ~echoes["reflected"]
-    node = np.rint((echoes["depth_mm"][direct] - nodes.first_mm) / nodes.spacing_mm).astype(int)
-    own_db = gain_db[echoes["group"][direct], np.clip(node, 0, gain_db.shape[1] - 1)]
-    echoes["amplitude"][direct] *= 10 ** (own_db / 20)
+_NEPER_PER_DB = math.log(10) / 20
+_NEPER_PER_TWO_WAY_DB = 2 * _NEPER_PER_DB
 
 
 @stage(Stage.surface_echoes)
-def surface_lines(
-    echoes: np.ndarray, weights: np.ndarray, rays: int, depth_mm: float, shape: tuple[int, int]
-) -> np.ndarray:
-    """Amplitude that surfaces send back to rays never reflected before, (scanlines, samples) float64.
+def echo_lines(
+    echoes: np.ndarray, gain_db: np.ndarray, nodes: Nodes, weights: np.ndarray, rays: int, depth_mm: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """What rays bring back, of those never reflected before and of the others: the mean over the `rays` of a group.
 
-    It is the mean over the `rays` of each group and the sum over layers of the echoes, (n,) ECHO, with
-    elevational weights, (layers, samples), that sum to 1 over layers. It is real and positive, so its estimate
-    converges with the number of rays.
+    Parameters
+    ----------
+    echoes : (n,) ECHO
+    gain_db : (groups, nodes) float
+        Of the aperture, for echoes of rays never reflected before.
+    weights : (layers, samples) float
+        Elevational, they sum to 1 over the layers.
+
+    Returns
+    -------
+    surfaces : (scanlines, samples) float64
+        Amplitudes of surfaces, real and positive, so that the estimate converges with the number of rays.
+    reverberation : (scanlines, cells) float64
+        That of reflected rays, in cells of a depth that suits `clutter_lines`.
     """
-    return splat(*_placed(echoes[~echoes["reflected"]], weights, rays, depth_mm, shape), shape)
+    layers, samples = weights.shape
+    lines = len(gain_db) // layers
+    cells = max(1, min(samples, math.ceil(depth_mm / _CLUTTER_MM * _CLUTTER_CELLS_PER_SIGMA)))
+    surfaces, reverberation = np.zeros((lines, samples)), np.zeros((lines, cells))
+    places = nodes.first_mm, nodes.spacing_mm, samples / depth_mm
+    _add_echoes(echoes, gain_db, places, weights / rays, surfaces, reverberation)
+    return surfaces, reverberation
+
+
+@compiled
+def _add_echoes(
+    echoes: np.ndarray,
+    gain_db: np.ndarray,
+    places: tuple[float, float, float],
+    weights: np.ndarray,
+    surfaces: np.ndarray,
+    reverberation: np.ndarray,
+) -> None:
+    """Share echoes among the two samples or cells on either side; what lies beyond the outer centres goes to them."""
+    first_mm, spacing_mm, per_mm = places
+    (lines, samples), cells, nodes = surfaces.shape, reverberation.shape[1], gain_db.shape[1]
+    for i in range(len(echoes)):
+        echo = echoes[i]
+        layer, line = echo.group // lines, echo.group % lines
+        position = min(max(echo.depth_mm * per_mm - 0.5, 0.0), samples - 1.0)
+        amplitude = echo.amplitude * weights[layer, int(position)]
+        if echo.reflected:
+            position = min(max((position + 0.5) * (cells / samples) - 0.5, 0.0), cells - 1.0)
+            below = min(int(position), max(cells - 2, 0))
+            part = (position - below) * amplitude
+            reverberation[line, below] += amplitude - part
+            reverberation[line, min(below + 1, cells - 1)] += part
+        else:
+            node = min(max(round((echo.depth_mm - first_mm) / spacing_mm), 0), nodes - 1)
+            amplitude *= math.exp(gain_db[echo.group, node] * _NEPER_PER_DB)
+            below = min(int(position), max(samples - 2, 0))
+            part = (position - below) * amplitude
+            surfaces[line, below] += amplitude - part
+            surfaces[line, min(below + 1, samples - 1)] += part
 
 
 @stage(Stage.clutter)
-def clutter_lines(
-    echoes: np.ndarray, weights: np.ndarray, rays: int, depth_mm: float, shape: tuple[int, int]
-) -> np.ndarray | None:
-    """The same for reflected rays: few and out of focus, they are spread along and across the lines.
+def clutter_lines(reverberation: np.ndarray, samples: int) -> np.ndarray | None:
+    """Echoes of reflected rays, few and out of focus, spread along and across the lines, (scanlines, samples) float64.
 
     The sum is kept; None where there are no such echoes. The power of the sum is estimated without bias, from products
     x_i x_j of different lines' shares i != j in it (a U-statistic; Hoeffding 1948). The square of the sum would hold
     x_i^2 as well, whose mean is too large by the variance: bright bands of one heavy path in dark fluid.
     """
-    echoes = echoes[echoes["reflected"]]
-    if not len(echoes):
+    if not reverberation.any():
         return None
-    lines, samples = shape
-    line, position, amplitude = _placed(echoes, weights, rays, depth_mm, shape)
-    cells = max(1, min(samples, math.ceil(depth_mm / _CLUTTER_MM * _CLUTTER_CELLS_PER_SIGMA)))
-    coarse = torch.from_numpy(splat(line, (position + 0.5) * (cells / samples) - 0.5, amplitude, (lines, cells)))
+    lines, cells = reverberation.shape
     across, along = _spreading(lines, _CLUTTER_LINES), _spreading(cells, _CLUTTER_CELLS_PER_SIGMA)
     dealt = torch.arange(lines) % _CLUTTER_SETS == torch.arange(min(_CLUTTER_SETS, lines))[:, None]
     by_set = across * dealt[:, None, :]
-    spread = by_set @ (coarse @ along.T)
+    spread = by_set @ (torch.from_numpy(reverberation) @ along.T)
     share = by_set.sum(dim=-1) / across.sum(dim=-1)
     if len(spread) == 1:
         total = spread[0]
@@ -111,17 +130,6 @@ def clutter_lines(
         total = (of_pairs.clamp(min=0) / (1 - share.square().sum(dim=0))[:, None]).sqrt()
     fine = F.interpolate(total[None], size=samples, mode="linear", align_corners=False)
     return fine[0].numpy() * (cells / samples)
-
-
-def _placed(
-    echoes: np.ndarray, weights: np.ndarray, rays: int, depth_mm: float, shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Line, position in samples, and amplitude with its elevational weight, of echoes."""
-    lines, samples = shape
-    layer, line = np.divmod(echoes["group"], lines)
-    position = echoes["depth_mm"] * (samples / depth_mm) - 0.5
-    nearest = np.clip(position, 0, samples - 1).astype(np.int64)
-    return line, position, echoes["amplitude"] * weights[layer, nearest] / rays
 
 
 @cache

@@ -170,39 +170,29 @@ def probe_rays(probe: Probe, settings: SimulatorSettings, draws: Draws) -> Bundl
 
 @stage(Stage.probe_rays)
 def at_pose(geometry: Geometry, rays: Bundle, pose: np.ndarray) -> Bundle:
-    """Scanlines at a pose, from probe to the geometry's coordinates; `leave_probe` adds where the rays start.
-
-    The set of a ray is that of its element so far.
-    """
-    starts, directions = to_world(pose, rays.starts), rays.directions @ pose[:3, :3].T
-    origins, ray_directions = np.empty((2, len(rays.origins), 3), np.float32)
-    inside = np.repeat(inside_at(geometry, starts, directions), len(origins) // len(starts), axis=0)
-    return Bundle(starts, directions, origins, ray_directions, inside)
-
-
-@stage(Stage.probe_rays)
-def leave_probe(geometry: Geometry, rays: Bundle, pose: np.ndarray, bundle: Bundle) -> None:
-    """Send the rays off: fills `bundle`.
+    """Scanlines and rays at a pose, from probe to the geometry's coordinates.
 
     The set of a ray is that of its element, unless some surface lies between them or in the element itself. Then each
     ray of that group is followed from outside in its own direction. Along the face, which nearly lies in the skin, a
     crossing can be missed, and a ray without the loss of its tissue would outweigh all others.
     """
-    groups = len(bundle.starts)
+    starts, lines = to_world(pose, rays.starts), rays.directions @ pose[:3, :3].T
+    groups = len(starts)
     group = np.repeat(np.arange(groups), len(rays.origins) // groups)
     origins, directions = to_world(pose, rays.origins), rays.ray_directions @ pose[:3, :3].T
-    element = bundle.starts[group]
+    element = starts[group]
     aside = origins - element
     length = np.sqrt(np.einsum("ij,ij->i", aside, aside))
     towards = (aside / np.maximum(length, 1e-12)[:, None]).astype(np.float32)
     between = geometry.closest(element.astype(np.float32), towards, length.astype(np.float32)).structure >= 0
     near_mm = _FACE_STEPS * geometry.step_mm
-    before = (bundle.starts - near_mm * bundle.directions).astype(np.float32)
-    through = geometry.closest(before, bundle.directions.astype(np.float32), np.full(groups, 2 * near_mm, np.float32))
+    before = (starts - near_mm * lines).astype(np.float32)
+    through = geometry.closest(before, lines.astype(np.float32), np.full(groups, 2 * near_mm, np.float32))
     crossed = (np.bincount(group, between, minlength=groups) > 0) | (through.structure >= 0)
     unsure = np.flatnonzero(crossed[group])
-    bundle.inside[unsure] = inside_at(geometry, origins[unsure], directions[unsure])
-    bundle.origins[:], bundle.ray_directions[:] = origins, directions
+    inside = inside_at(geometry, starts, lines)[group]
+    inside[unsure] = inside_at(geometry, origins[unsure], directions[unsure])
+    return Bundle(starts, lines, origins.astype(np.float32), directions.astype(np.float32), inside)
 
 
 def start_rays(bundle: Bundle, chosen: slice, view: View) -> np.ndarray:

@@ -221,7 +221,7 @@ def _advance(
             if not direct or probability > 0:  # how much fainter than its weight: loss, direction, half the gain ahead
                 # What the time gain adds up to the end of the image makes up for loss in tissue, not in fluid.
                 ahead_db = view.gain_db_mm * max(view.depth_mm - link.depth_mm, 0.0)
-                faint_db = link.two_way_db + ahead_db / 2 - 20 * math.log10(max(link.received, bounce.LEAST_RECEIVED))
+                faint_db = link.two_way_db + ahead_db / 2 + min(link.aside_db, bounce.MOST_ASIDE_DB)
             back_weight, weight = bounce.go_on(ray, pressure, probability, choice, luck, faint_db, view.roulette_db)
             if back_weight > 0:
                 rays[reflected] = ray
