@@ -57,7 +57,7 @@ def _of_rank(total: np.ndarray, rank: int) -> float:
         middle = low + (high - low) // 2
         count = 0
         for line in range(len(total)):
-            count += np.searchsorted(bits[line], middle, side="right")
+            count += int(np.searchsorted(bits[line], middle, side="right"))
         if count > rank:
             high = middle
         else:

@@ -209,13 +209,13 @@ class Simulator:
         if words is not None and words not in self._warned:  # once a simulator, however many frames it renders
             self._warned.add(words)
             warnings.warn(words, stacklevel=3)
-        nodes = lines.empty_nodes(plan.media.anechoic[labels], probe.depth_mm)
+        nodes = lines.empty_nodes(labels, plan.media.anechoic, probe.depth_mm)
         echoes = trace(Paths(self._geometry, view, self._draws, bundle, nodes))
         level_db = lines.mean_level_db(nodes, settings.rays, self._beam)
         gain_db, level_db = self._aperture.gain_and_level_db(level_db)
         weights = layer_weights(probe, settings)[1]
         surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, weights, settings.rays, probe.depth_mm)
-        clutter = lines.clutter_lines(reverberation, settings.axial_samples)
+        clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.gain.dtype)
         scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
         self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level_db, surfaces, clutter)
         return self._prepared[1]

@@ -96,10 +96,9 @@ def grey_levels(
     """Fill some scanlines of the `envelope` and of the `grey` levels, not yet rounded, (scanlines, samples).
 
     `signal`, which is overwritten, and `noise` are real and imaginary part, (2, scanlines, samples). Reverberation,
-    `clutter`, (scanlines or
-    0, samples), comes from all sides, hence with random phases, which are not the amplifier's noise at the same place.
-    That is of rms `floor` before the `gain`, (samples,), which makes white 1. `range_db` is on 0 to 255; no signal, at
-    minus infinity dB, is black whatever it is.
+    `clutter`, (scanlines or 0, samples), comes from all sides, hence with random phases, which are not the amplifier's
+    noise at the same place. That is of rms `floor` before the `gain`, (samples,), which makes white 1. `range_db` is on
+    0 to 255; no signal, at minus infinity dB, is black whatever it is.
     """
     lines, samples = grey.shape
     per_neper = 10 / math.log(10) / range_db
@@ -204,12 +203,12 @@ class SignalChain:
         """An array as the chain computes with it."""
         return torch.from_numpy(values).to(self.gain)
 
-    def prepare(self, lines: Lines, level_db: np.ndarray, surfaces: np.ndarray, clutter: np.ndarray | None) -> Prepared:
+    def prepare(self, lines: Lines, level_db: np.ndarray, surfaces: np.ndarray, clutter: np.ndarray) -> Prepared:
         """What does not depend on the scatterers' seed: `lines` and `level_db` are those of `Speckle.insonify`.
 
         `surfaces` and `clutter`, (scanlines, samples), are amplitudes at the receiver: echoes, and reverberation.
         """
-        received = np.empty((0, surfaces.shape[1])) if clutter is None else clutter * float(self.spread.axial.sum())
+        received = clutter * self.spread.axial.sum().item()
         return Prepared(self.speckle.insonify(lines, level_db), self.tensor(surfaces), received)
 
     def noise(self, pose: np.ndarray, seed: int) -> tuple[np.ndarray, tuple[int, int]]:
@@ -248,7 +247,7 @@ class SignalChain:
             received = blur(self.speckle(prepared.insonified, seed), prepared.surfaces, self.spread)
             signal, clutter = received.cpu().numpy(), prepared.clutter
         envelope, grey = np.empty((2, *noise.shape[1:]), noise.dtype)
-        given = signal, clutter.astype(noise.dtype), noise, shift, gain, floor, settings.dynamic_range_db
+        given = signal, clutter, noise, shift, gain, floor, settings.dynamic_range_db
         self._shown(partial(grey_levels, *given, envelope, grey))
         return self.convert(grey, np.uint8), envelope
 

@@ -73,8 +73,8 @@ class Speckle:
         own_db = own_db - 10 * np.log10(of_layers)
         node_db = (level_db.reshape(*shape[:2], nodes) + own_db).reshape(-1, nodes)
         ranges = np.broadcast_to(ranges_mm.astype(np.float32), labels.shape)
-        textured = self._textures[np.bincount(labels.ravel(), minlength=1).nonzero(), 3].any()
         stride = max(1, int(_TEXTURE_SPACING_MM / self._spacing_mm))
+        textured = (self._textures[:, 3] != 0)[labels[:, ::stride]].any()
         places = max(2, shape[2] // stride) if textured else nodes
         coarse = np.rint(np.linspace(0, shape[2] - 1, places)).astype(int)[: shape[2]]
         amplitude = torch.empty(labels.shape, dtype=self._dtype)

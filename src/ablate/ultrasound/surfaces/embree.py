@@ -128,7 +128,7 @@ def _keep(given: Any) -> None:
 
 
 #: What compiled code hands to `asked_line`.
-KEEP = int(_keep.address)
+KEEP = int(_keep.address or 0)
 
 
 @compiled
@@ -194,8 +194,7 @@ class Geometry:
     is subtracted from every vertex, so that far-away worlds keep their precision. `extent_mm` is the largest distance
     that rays go; with the scene's own it sets `step_mm`, how far a ray is put beyond a surface that it has crossed: a
     few times float32's spacing. With a smaller one, a grazing ray would meet a surface twice; with a larger one, it
-    would jump over the second side of a corner that it clips. Compiled code hands `address` to `closest_of`, and
-    `address_of_all` to `all_of`.
+    would jump over the second side of a corner that it clips. Compiled code hands `address` to `closest_of`, `all_of`.
     """
 
     def __init__(
@@ -203,9 +202,8 @@ class Geometry:
     ) -> None:
         self.structures = len(structures)
         device = _embree.rtcNewDevice(None)
-        scenes = [_embree.rtcNewScene(device) for _ in range(2)]  # one that can be filtered picks others of equal hits
-        for scene, flags in zip(scenes, (_ROBUST, _ROBUST | _FILTER_IN_ARGUMENTS), strict=True):
-            _embree.rtcSetSceneFlags(scene, flags)
+        scene = _embree.rtcNewScene(device)
+        _embree.rtcSetSceneFlags(scene, _ROBUST | _FILTER_IN_ARGUMENTS)
         self._kept: list[object] = []  # Embree reads the arrays themselves
         for mesh in (structure.mesh for structure in structures):
             places = np.zeros((len(mesh.vertices) + 1, 3), np.float32)  # Embree reads 4 bytes beyond the last vertex
@@ -219,14 +217,12 @@ class Geometry:
             ):
                 _embree.rtcSetSharedGeometryBuffer(triangles, kind, 0, form, values.ctypes.data, 0, 12, count)
             _embree.rtcCommitGeometry(triangles)
-            for scene in scenes:
-                _embree.rtcAttachGeometry(scene, triangles)
+            _embree.rtcAttachGeometry(scene, triangles)
             _embree.rtcReleaseGeometry(triangles)
         weakref.finalize(self, _embree.rtcReleaseDevice, device)  # the last one first
-        for scene in scenes:
-            _embree.rtcCommitScene(scene)
-            weakref.finalize(self, _embree.rtcReleaseScene, scene)
-        self.address, self.address_of_all = map(int, scenes)
+        _embree.rtcCommitScene(scene)
+        weakref.finalize(self, _embree.rtcReleaseScene, scene)
+        self.address = int(scene)
         self._centre_mm = np.mean(bounds_mm, axis=0) - origin_mm
         self._radius_mm = float(np.linalg.norm(bounds_mm[1] - bounds_mm[0])) / 2
         self.step_mm = self._step_for(extent_mm)

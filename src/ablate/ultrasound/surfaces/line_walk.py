@@ -13,7 +13,7 @@ import numpy as np
 
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, at, closest_of, surfaces_of
+from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, at, surfaces_of
 
 _ROWS_OF_A_PART = 64
 
@@ -81,9 +81,8 @@ def walk(
     length_mm: np.ndarray,
     samples: Samples | None = None,
     before_mm: np.ndarray | None = None,
-    as_rays: bool = True,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Follow straight rays, which start outside everything, through every surface, as rays do or all asked for at once.
+    """Follow straight rays, which start outside everything, through every surface; all are asked for at once.
 
     Return the sets at the ends, (n, words) uint32; the value of each sample's owner, (n, samples) uint8; and the
     distance along its line of the point that each sample displays, (n, samples) float32, or (n, 0) where nothing is
@@ -98,8 +97,7 @@ def walk(
     lines = origins.astype(np.float32), directions.astype(np.float32), length_mm.astype(np.float32), before
     values, ranges_mm = samples.empty(len(origins))
     inside = np.zeros((len(origins), max(1, -(-geometry.structures // 32))), np.uint32)
-    way = (_step_along, geometry.address) if as_rays else (_follow, geometry.address_of_all, KEEP)
-    follow = partial(*way, geometry.step_mm, lines, places, inside, values, ranges_mm)
+    follow = partial(_follow, geometry.address, KEEP, geometry.step_mm, lines, places, inside, values, ranges_mm)
     in_parts(follow, len(origins), _ROWS_OF_A_PART)
     return inside, values, ranges_mm
 
@@ -144,68 +142,6 @@ def _follow(
                     beyond = (first_mm + k * spacing_mm - displayed) / stretch_of_owner[here]
                     ranges_mm[row, k] = max(last, 0.0) + beyond
             last, displayed, filled = distance, reached, max(filled, end)
-
-
-@compiled
-def _step_along(
-    address: int,
-    least_step_mm: float,
-    lines: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    places: tuple[float, float, np.ndarray, np.ndarray],
-    inside: np.ndarray,
-    values: np.ndarray,
-    ranges_mm: np.ndarray,
-    first_row: int,
-    stop: int,
-) -> None:
-    """The same from hit to hit, as a ray is traced: of surfaces at one place it meets the one that rays meet there.
-
-    Fill the rows of some lines: origins, directions, lengths, and distances to their starts, all but these float32.
-
-    The origin is moved along, to a step beyond the last surface; distances are from the line's start, geometric and as
-    they are displayed, and `filled` is how many samples have their value.
-    """
-    origins, directions, lengths_mm, before_mm = lines
-    first_mm, spacing_mm, value_of_owner, stretch_of_owner = places
-    samples, stretched = values.shape[1], ranges_mm.shape[1] > 0
-    asked = asked_ray()
-    for row in range(first_row, stop):
-        origin, direction, reach_mm, step_mm = origins[row], directions[row], lengths_mm[row], np.float32(0)
-        last, displayed, filled = -before_mm[row], 0.0, 0
-        structure = triangle = np.int32(-1)
-        ends = False
-        while not ends:
-            hit, here = (
-                closest_of(
-                    address,
-                    asked,
-                    (origin[0], origin[1], origin[2]),
-                    (direction[0], direction[1], direction[2]),
-                    reach_mm,
-                ),
-                owner(inside[row]),
-            )
-            ends = bool(hit.structure < 0)
-            distance, reached, end = last, displayed, samples
-            if not ends:
-                distance = last + step_mm + hit.distance_mm
-                reached = displayed + max(distance - max(last, 0.0), 0.0) * stretch_of_owner[here]
-                end = min(max(math.ceil((reached - first_mm) / spacing_mm), 0), samples)
-            for k in range(filled, end):
-                values[row, k] = value_of_owner[here]
-                if stretched:
-                    beyond = (first_mm + k * spacing_mm - displayed) / stretch_of_owner[here]
-                    ranges_mm[row, k] = max(last, 0.0) + beyond
-            fresh = hit.structure != structure or hit.triangle != triangle
-            if fresh and not ends:  # a plane is met only once
-                toggle(inside[row], hit.structure)
-            step = next_step(float(step_mm), bool(fresh and hit.distance_mm > step_mm), least_step_mm)
-            ahead = hit.distance_mm + step
-            for axis in range(3):
-                origin[axis] += ahead * direction[axis]
-            last, displayed, filled = distance, reached, max(filled, end)
-            reach_mm, step_mm = np.float32(reach_mm - ahead), np.float32(step)
-            structure, triangle = hit.structure, hit.triangle
 
 
 @compiled

@@ -24,7 +24,7 @@ Lines = tuple[np.ndarray, np.ndarray]  # starts and unit directions, (n, 3) each
 
 
 def sample_lines(
-    geometry: Geometry, starts: np.ndarray, directions: np.ndarray, samples: Samples, as_rays: bool = False
+    geometry: Geometry, starts: np.ndarray, directions: np.ndarray, samples: Samples
 ) -> tuple[np.ndarray, np.ndarray]:
     """What each sample of lines holds, (n, samples) uint8, and its distance along its line, (n, samples) float32, mm.
 
@@ -39,9 +39,7 @@ def sample_lines(
         aside = attempt * _ASIDE_STEPS * geometry.step_mm * beside(directions[rows])
         origins = starts[rows] + aside - back[rows, None] * directions[rows]
         length = (back + ahead)[rows]
-        inside, values[rows], ranges_mm[rows] = walk(
-            geometry, origins, directions[rows], length, samples, back[rows], as_rays
-        )
+        inside, values[rows], ranges_mm[rows] = walk(geometry, origins, directions[rows], length, samples, back[rows])
         rows = rows[(inside != 0).any(axis=1)]
         if not rows.size:
             break
@@ -95,7 +93,7 @@ def scanline_labels(
     stretched = settings.depth_mode is DepthMode.time_of_flight
     stretch = plan.media.stretch[plan.tissue_of_owner] if stretched else None
     samples = Samples(spacing / 2, spacing, settings.axial_samples, plan.tissue_of_owner, stretch)
-    labels, ranges = sample_lines(geometry, *lines, samples, as_rays=True)
+    labels, ranges = sample_lines(geometry, *lines, samples)
     return labels, ranges if stretched else sample_depths_mm(probe, samples.count).astype(np.float32)
 
 

@@ -76,9 +76,9 @@ class Aperture:
         lost_db = np.minimum(-level_db / 2, _MOST_DB)  # one way
         lost_db = np.minimum.accumulate(lost_db[:, ::-1], axis=1)[:, ::-1]
         by_line = lost_db[:, at_depths].reshape(-1, self._lines, _DEPTHS)
-        at_depth = np.ascontiguousarray(by_line.transpose(0, 2, 1))
+        at_depth = np.ascontiguousarray(by_line.transpose(0, 2, 1), np.float32)
         gain = np.zeros_like(at_depth)
-        steps = np.diff(at_depth, axis=1, prepend=0.0)
+        steps = np.diff(at_depth, axis=1, prepend=np.float32(0))
         padded = np.pad(steps, ((0, 0), (0, 0), (self._lines, self._lines)), mode="edge")
         elements = self._ways, self._weights, self._exists
         in_parts(partial(_add_up, padded, at_depth, *elements, gain), len(gain) * _DEPTHS, _ROWS_OF_A_PART)
@@ -114,7 +114,8 @@ def _add_up(
     From the losses on each step of each pencil, (layers, steps, 3 lines), and their sums.
     """
     _, depths, lines = gain.shape
-    way, amplitude, weight = np.empty((3, lines))
+    way = np.empty(lines, np.float32)
+    amplitude, weight = np.empty((2, lines))
     for row in range(begin, end):
         layer, depth = row // depths, row % depths
         amplitude[:], weight[:] = 0.0, 0.0

@@ -108,15 +108,15 @@ def _add_echoes(
 
 
 @stage(Stage.clutter)
-def clutter_lines(reverberation: np.ndarray, samples: int) -> np.ndarray | None:
-    """Echoes of reflected rays, few and out of focus, spread along and across the lines, (scanlines, samples) float64.
+def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype) -> np.ndarray:
+    """Echoes of reflected rays, few and out of focus, spread along and across the lines, (scanlines, samples).
 
-    The sum is kept; None where there are no such echoes. The power of the sum is estimated without bias, from products
-    x_i x_j of different lines' shares i != j in it (a U-statistic; Hoeffding 1948). The square of the sum would hold
-    x_i^2 as well, whose mean is too large by the variance: bright bands of one heavy path in dark fluid.
+    The sum is kept; (0, samples) where there are no such echoes. The power of the sum is estimated without bias, from
+    products x_i x_j of different lines' shares i != j in it (a U-statistic; Hoeffding 1948). The square of the sum would
+    hold x_i^2 as well, whose mean is too large by the variance: bright bands of one heavy path in dark fluid.
     """
     if not reverberation.any():
-        return None
+        return torch.empty((0, samples), dtype=dtype).numpy()
     lines, cells = reverberation.shape
     across, along = _spreading(lines, _CLUTTER_LINES), _spreading(cells, _CLUTTER_CELLS_PER_SIGMA)
     dealt = torch.arange(lines) % _CLUTTER_SETS == torch.arange(min(_CLUTTER_SETS, lines))[:, None]
@@ -128,8 +128,8 @@ def clutter_lines(reverberation: np.ndarray, samples: int) -> np.ndarray | None:
     else:
         of_pairs = spread.sum(dim=0).square() - spread.square().sum(dim=0)
         total = (of_pairs.clamp(min=0) / (1 - share.square().sum(dim=0))[:, None]).sqrt()
-    fine = F.interpolate(total[None], size=samples, mode="linear", align_corners=False)
-    return fine[0].numpy() * (cells / samples)
+    coarse = (total * (cells / samples)).to(dtype)
+    return F.interpolate(coarse[None], size=samples, mode="linear", align_corners=False)[0].numpy()
 
 
 @cache
@@ -149,16 +149,18 @@ class Nodes(NamedTuple):
     amplitude: np.ndarray  # (groups, nodes) float64, sum over the rays of weight x 10^(-2 loss / 20)
 
 
-def empty_nodes(anechoic: np.ndarray, depth_mm: float) -> Nodes:
-    """Nodes from the first sample to the last, before any ray has come; from (groups, samples) bool."""
-    groups, samples = anechoic.shape
+def empty_nodes(labels: np.ndarray, anechoic: np.ndarray, depth_mm: float) -> Nodes:
+    """Nodes from the first sample to the last, before any ray has come; of labels (groups, samples) and which are."""
+    groups, samples = labels.shape
     count = min(samples, NODES)
     first = depth_mm / samples / 2
     spacing = (depth_mm - 2 * first) / max(count - 1, 1) or 1.0
     nearest = np.rint(np.linspace(0, samples - 1, count)).astype(int)
     half = samples // (2 * count)
     around = [np.clip(nearest + shift, 0, samples - 1) for shift in (-half, 0, half)]
-    return Nodes(first, spacing, np.any([anechoic[:, place] for place in around], axis=0), np.zeros((groups, count)))
+    return Nodes(
+        first, spacing, np.any([anechoic[labels[:, place]] for place in around], axis=0), np.zeros((groups, count))
+    )
 
 
 @compiled
