@@ -66,7 +66,7 @@ def test_a_shadow_is_dark_behind_what_casts_it_and_fills_with_depth() -> None:
 def test_a_layered_medium_stays_as_it_is(probe: Probe) -> None:
     layers = -np.cumsum(np.random.default_rng(0).exponential(2.0, 256))
     gain_db, _ = Aperture(probe, SETTINGS).gain_and_level_db(np.tile(layers, (256, 1)))
-    np.testing.assert_allclose(gain_db, 0.0, atol=1e-9)
+    np.testing.assert_allclose(gain_db, 0.0, atol=1e-3)  # sums in float32
 
 
 def test_one_element_is_a_pencil_but_for_diffraction() -> None:
@@ -87,12 +87,12 @@ def test_levels_with_gaps_are_never_lifted_above_the_sound_that_was_sent() -> No
     level = smooth - random.exponential(10, smooth.shape)
     level[random.random(level.shape) < 0.2] = NO_SOUND_DB
     gain_db, lifted_db = aperture.gain_and_level_db(level)
-    assert lifted_db.max() < 1e-9
+    assert lifted_db.max() < 1e-3
     assert gain_db.max() < 600  # echoes stay finite
     one = smooth.copy()
     one[48, 100:130] = NO_SOUND_DB
     _, lifted_db = aperture.gain_and_level_db(one)
-    np.testing.assert_allclose(lifted_db[:, :95], smooth[:, :95], atol=1e-9)
+    np.testing.assert_allclose(lifted_db[:, :95], smooth[:, :95], atol=1e-3)
     beside = np.delete(lifted_db, 48, axis=0)
     np.testing.assert_allclose(beside, np.delete(smooth, 48, axis=0), atol=1.0)
 

@@ -215,7 +215,7 @@ class Simulator:
         gain_db, level_db = self._aperture.gain_and_level_db(level_db)
         weights = layer_weights(probe, settings)[1]
         surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, weights, settings.rays, probe.depth_mm)
-        clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.gain.dtype)
+        clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.dtype)
         scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
         self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level_db, surfaces, clutter)
         return self._prepared[1]

@@ -190,18 +190,18 @@ class SignalChain:
 
     def __init__(self, tissues: Sequence[Tissue], probe: Probe, settings: SimulatorSettings) -> None:
         self.probe, self.settings = probe, settings
-        dtype = getattr(torch, settings.precision.value)
+        self.dtype: torch.dtype = getattr(torch, settings.precision.value)
         self.convert = ScanConverter(probe, settings)
-        self.spread = point_spread(probe, settings, dtype)
-        self.speckle = Speckle(tissues, probe, settings, dtype)
+        self.spread = point_spread(probe, settings, self.dtype)
+        self.speckle = Speckle(tissues, probe, settings, getattr(np, settings.precision.value))
         depth_mm = sample_depths_mm(probe, settings.axial_samples)
         gain_db = np.minimum(time_gain_db(depth_mm, probe, settings.time_gain), _LARGEST_GAIN_DB)
-        self.gain = torch.from_numpy(10 ** (gain_db / 20)).to(settings.device, dtype)  # of the samples, two-way
+        self.gain = 10 ** (gain_db / 20)  # of the samples, two-way
         self._noise: tuple[int, np.ndarray] | None = None
 
     def tensor(self, values: np.ndarray) -> torch.Tensor:
         """An array as the chain computes with it."""
-        return torch.from_numpy(values).to(self.gain)
+        return torch.from_numpy(values).to(self.settings.device, self.dtype)
 
     def prepare(self, lines: Lines, level_db: np.ndarray, surfaces: np.ndarray, clutter: np.ndarray) -> Prepared:
         """What does not depend on the scatterers' seed: `lines` and `level_db` are those of `Speckle.insonify`.
@@ -235,7 +235,7 @@ class SignalChain:
         The amplifier's noise is there before the gain: it is seen where the gain is large, deep and in fluid.
         """
         settings, (noise, shift) = self.settings, self.noise(pose, seed)
-        gain = self.gain.double().cpu().numpy() / settings.reference_level
+        gain = self.gain / settings.reference_level
         floor = 10 ** (settings.noise_floor_db / 20) / gain[-1]  # rms
         if display is not None:
             depth_mm = sample_depths_mm(self.probe, settings.axial_samples)
@@ -244,7 +244,7 @@ class SignalChain:
         if prepared is None:
             signal, clutter = np.zeros_like(noise), noise[0, :0]
         else:
-            received = blur(self.speckle(prepared.insonified, seed), prepared.surfaces, self.spread)
+            received = blur(self.tensor(self.speckle(prepared.insonified, seed)), prepared.surfaces, self.spread)
             signal, clutter = received.cpu().numpy(), prepared.clutter
         envelope, grey = np.empty((2, *noise.shape[1:]), noise.dtype)
         given = signal, clutter, noise, shift, gain, floor, settings.dynamic_range_db

@@ -7,11 +7,10 @@ cells: with one each, three layers of some ten cells would not be fully develope
 
 import math
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
-import torch
 from scipy.ndimage import fourier_gaussian
 
 from ablate.anatomy import Tissue
@@ -19,8 +18,6 @@ from ablate.ultrasound.compiled import compiled, exponential
 
 DRAWS_PER_SAMPLE = 16
 TABLE_SIZE = 8192
-AXIS_FACTORS = (0x1B873593, 0x2545F491, 0x27D4EB2F)
-MIXING = ((15, 0x2C1B3C6D), (12, 0x297A2D39))  # the finaliser of a 32-bit integer hash
 _TABLE_SEED = 20201
 _MASK = 0xFFFFFFFF
 _TEXTURE_SIDE = 64  # voxels of the periodic volume of smooth noise that is stretched for each tissue
@@ -28,8 +25,8 @@ _TEXTURE_SMOOTHING = 1.2  # voxels; the correlation then falls to 1/e over twice
 _VOXELS_PER_LENGTH = 2 * _TEXTURE_SMOOTHING
 _TEXTURE_SEED = 7
 ANCHOR_CELLS = 1 << 20  # float32 tells a sixteenth of a cell apart up to there
-_FACTORS = np.array(AXIS_FACTORS, np.uint32)
-_MIXING = np.array(MIXING, np.uint32)  # (rounds, 2): shift and factor
+_FACTORS = np.array([0x1B873593, 0x2545F491, 0x27D4EB2F], np.uint32)
+_MIXING = np.array([(15, 0x2C1B3C6D), (12, 0x297A2D39)], np.uint32)  # shift and factor: a 32-bit finaliser
 _LAST_SHIFT = np.uint32(15)
 _LAST_BITS = np.uint32(TABLE_SIZE - 1)
 
@@ -59,31 +56,8 @@ def scatterer_tables(tissues: Sequence[Tissue]) -> np.ndarray:
     return tables
 
 
-def cell_hash(
-    points_mm: Sequence[torch.Tensor], pitch_mm: float, seed: int, anchor: Iterable[float] = (0, 0, 0)
-) -> torch.Tensor:
-    """A number in [0, TABLE_SIZE) for the lattice cell that each point lies in.
-
-    `points_mm` holds three tensors of one shape, the coordinates from the anchor; they are overwritten.
-    """
-    mixed = None
-    for axis, factor, first in zip(points_mm, AXIS_FACTORS, anchor, strict=True):
-        cell = axis.mul_(1 / pitch_mm).floor_().to(torch.int32)
-        if first:
-            cell.add_(wrapped(int(first)))
-        cell.mul_(factor)
-        mixed = cell if mixed is None else mixed.bitwise_xor_(cell)
-    assert mixed is not None
-    mixed.bitwise_xor_(torch.tensor(mix_seed(seed), dtype=torch.int32, device=mixed.device))
-    for shift, factor in MIXING:
-        mixed.bitwise_xor_((mixed >> shift).bitwise_and_((1 << (32 - shift)) - 1))
-        mixed.mul_(factor)
-    mixed.bitwise_xor_((mixed >> 15).bitwise_and_((1 << 17) - 1))
-    return mixed.bitwise_and_(TABLE_SIZE - 1)
-
-
-def mix_seed(seed: int) -> int:
-    """A seed of any size as 32 well mixed bits, in the range of int32."""
+def mix_seed(seed: int) -> np.uint32:
+    """A seed of any size as 32 well mixed bits."""
     value = 0x9E3779B9
     while True:
         value = ((value ^ (seed & _MASK)) * 0x85EBCA6B) & _MASK
@@ -92,12 +66,7 @@ def mix_seed(seed: int) -> int:
         value ^= value >> 16
         seed >>= 32
         if seed <= 0:
-            return wrapped(value)
-
-
-def wrapped(value: int) -> int:
-    """A whole number modulo 2^32, in the range of int32."""
-    return (value + (1 << 31)) % (1 << 32) - (1 << 31)
+            return np.uint32(value)
 
 
 def shared_cell_gain(
@@ -243,29 +212,32 @@ def add_scatterers(
     total: np.ndarray,
     starts: np.ndarray,
     directions: np.ndarray,
-    ranges_mm: np.ndarray,
     anchor: np.ndarray,
     cells_per_mm: np.float32,
     seed: np.uint32,
+    ranges_mm: np.ndarray,
     tissues: np.ndarray,
     silent: np.ndarray,
     tables: np.ndarray,
     amplitude: np.ndarray,
+    begin: int,
+    end: int,
 ) -> None:
-    """Add amplitude x scatterer of every layer to `total`, (2, lines, samples).
+    """Add amplitude x scatterer of every layer to some lines of `total`, (2, lines, samples).
 
-    `starts` and `directions` are (layers, lines, 3) float32 in mm from the anchor, `anchor` (3,) uint32, `ranges_mm`,
-    `tissues` and `amplitude` (layers, lines, samples), `silent` (tissues,) bool and `tables` (tissues * TABLE_SIZE, 2).
+    A hash of the lattice cell that a sample lies in chooses its scatterer. `starts` and `directions` are (layers,
+    lines, 3) float32 in mm from the anchor, `anchor` (3,) uint32, `ranges_mm`, `tissues` and `amplitude` (layers,
+    lines, samples), `silent` (tissues,) bool and `tables` (tissues * TABLE_SIZE, 2).
     """
-    layers, lines, samples = amplitude.shape
-    for line in range(lines):
+    layers, _, samples = amplitude.shape
+    for line in range(begin, end):
         for layer in range(layers):
             start, along = starts[layer, line], directions[layer, line]
             for sample in range(samples):
                 tissue, level = tissues[layer, line, sample], amplitude[layer, line, sample]
                 if silent[tissue] or level == 0:
                     continue
-                r, mixed = ranges_mm[layer, line, sample], seed  # as `cell_hash` does
+                r, mixed = ranges_mm[layer, line, sample], seed
                 for axis in range(3):
                     cell = np.int64(np.floor((start[axis] + along[axis] * r) * cells_per_mm))
                     mixed ^= np.uint32((np.uint32(cell) + anchor[axis]) * _FACTORS[axis])

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import torch
 
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
@@ -22,27 +21,27 @@ Lines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # starts, directi
 
 @dataclass(frozen=True)
 class InsonifiedLines:
-    """Everything about the samples of a pose that does not depend on the scatterers' seed, as tensors."""
+    """Everything about the samples of a pose that does not depend on the scatterers' seed."""
 
-    starts: torch.Tensor  # (layers, scanlines, 3) float32, mm from the anchor along the world's axes
-    directions: torch.Tensor  # (layers, scanlines, 3) float32
-    anchor: np.ndarray  # (3,) float64, cells from the world's origin to the corner that the lattice is counted from
-    ranges_mm: torch.Tensor  # (layers, scanlines, samples), along its line to what a sample displays
-    tissue: torch.Tensor  # (layers, scanlines, samples) uint8
-    amplitude: torch.Tensor  # (layers, scanlines, samples), of unit strength: illumination, texture, level and weight
+    starts: np.ndarray  # (layers, scanlines, 3) float32, mm from the anchor along the world's axes
+    directions: np.ndarray  # (layers, scanlines, 3) float32
+    anchor: np.ndarray  # (3,) uint32, cells from the world's origin to where the lattice is counted from, modulo 2^32
+    ranges_mm: np.ndarray  # (layers, scanlines, samples) float32, along its line to what a sample displays
+    tissue: np.ndarray  # (layers, scanlines, samples) uint8
+    amplitude: np.ndarray  # (layers, scanlines, samples), of unit strength: illumination, texture, level and weight
 
 
 class Speckle:
     """Scatterers of a scene's tissues on the scanlines of a probe; `dtype` is the signal's, positions stay float32."""
 
     def __init__(
-        self, tissues: Sequence[Tissue], probe: Probe, settings: SimulatorSettings, dtype: torch.dtype
+        self, tissues: Sequence[Tissue], probe: Probe, settings: SimulatorSettings, dtype: type[np.floating]
     ) -> None:
         self._probe, self._settings, self._dtype = probe, settings, dtype
         self._spacing_mm = probe.depth_mm / settings.axial_samples
         self._pitch_mm = max(settings.scatterer_pitch_mm, fan_of(probe).reach_mm / _MOST_CELLS)
-        tables = torch.from_numpy(scatterers.scatterer_tables(tissues)).to(settings.device)
-        self._tables = torch.view_as_real(tables).flatten(0, 1).to(dtype)
+        tables = scatterers.scatterer_tables(tissues).reshape(-1, 1)
+        self._tables = np.concatenate([tables.real, tables.imag], axis=1).astype(dtype)  # (tissues * TABLE_SIZE, 2)
         planned = settings.plan is PlanMode.auto
         self._silent = np.array([planned and tissue.scatter_power == 0 for tissue in tissues])
         self._textures = np.array([[*(1 / mm for mm in t.texture_mm), t.texture_contrast_db] for t in tissues])
@@ -77,69 +76,29 @@ class Speckle:
         textured = (self._textures[:, 3] != 0)[labels[:, ::stride]].any()
         places = max(2, shape[2] // stride) if textured else nodes
         coarse = np.rint(np.linspace(0, shape[2] - 1, places)).astype(int)[: shape[2]]
-        amplitude = torch.empty(labels.shape, dtype=self._dtype)
+        amplitude = np.empty(labels.shape, self._dtype)
         of_lines = starts.astype(np.float32), directions.astype(np.float32), ranges, labels
         texture = self._textures, scatterers.texture_volume(), coarse
-        fill = partial(scatterers.insonify, amplitude.numpy(), node_db, *of_lines, *texture)
+        fill = partial(scatterers.insonify, amplitude, node_db, *of_lines, *texture)
         in_parts(fill, len(labels), LINES_OF_A_PART)
-
-        def tensor(values: np.ndarray, *size: int) -> torch.Tensor:
-            return torch.from_numpy(values).to(settings.device).reshape(*size)
 
         # near the first start, so that float32 tells cells apart: 0 within 50 m of the origin at a pitch of 0.1 mm
         anchor = np.rint(starts[0] / (self._pitch_mm * scatterers.ANCHOR_CELLS)) * scatterers.ANCHOR_CELLS
-        from_anchor = tensor((starts - anchor * self._pitch_mm).astype(np.float32), *shape[:2], 3)
-        along = torch.from_numpy(np.atleast_2d(ranges_mm).astype(np.float32)).to(settings.device).expand(labels.shape)
-        return InsonifiedLines(
-            from_anchor,
-            tensor(of_lines[1], *shape[:2], 3),
-            anchor,
-            along.view(shape),
-            tensor(labels, *shape),
-            amplitude.to(settings.device).view(shape),
-        )
+        from_anchor = (starts - anchor * self._pitch_mm).astype(np.float32)
+        cells = np.array([int(number) % 2**32 for number in anchor], np.uint32)
+        from_anchor, along = (values.reshape(*shape[:2], 3) for values in (from_anchor, of_lines[1]))
+        ranges, tissue, amplitude = (values.reshape(shape) for values in (ranges, labels, amplitude))
+        return InsonifiedLines(from_anchor, along, cells, ranges, tissue, amplitude)
 
     @stage(Stage.scatterers)
-    def __call__(self, lines: InsonifiedLines, seed: int) -> torch.Tensor:
-        """Sum over layers of amplitude x scatterer, (2, scanlines, samples) tensor: real and imaginary part."""
-        _, scanlines, samples = lines.amplitude.shape
-        summed = torch.zeros((2, scanlines, samples), dtype=self._dtype, device=lines.amplitude.device)
-        on_cpu = summed.device.type == "cpu"
-        add = partial(self._add_compiled if on_cpu else self._add, summed, lines, seed)
-        in_parts(add, scanlines, LINES_OF_A_PART if on_cpu else scanlines)
+    def __call__(self, lines: InsonifiedLines, seed: int) -> np.ndarray:
+        """Sum over layers of amplitude x scatterer, (2, scanlines, samples): real and imaginary part."""
+        summed = np.zeros((2, *lines.amplitude.shape[1:]), lines.amplitude.dtype)
+        lattice = lines.anchor, np.float32(1 / self._pitch_mm), scatterers.mix_seed(seed)
+        held = lines.ranges_mm, lines.tissue, self._silent, self._tables, lines.amplitude
+        add = partial(scatterers.add_scatterers, summed, lines.starts, lines.directions, *lattice, *held)
+        in_parts(add, summed.shape[1], LINES_OF_A_PART)
         return summed
-
-    def _add(self, summed: torch.Tensor, lines: InsonifiedLines, seed: int, begin: int, end: int) -> None:
-        """Add what some scanlines receive, with a few operations of torch on all their samples."""
-        some = slice(begin, end)
-        total = torch.zeros((end - begin, summed.shape[-1], 2), dtype=self._dtype, device=summed.device)
-        for layer, amplitude in enumerate(lines.amplitude[:, some]):
-            starts, directions, along = (
-                each[layer, some] for each in (lines.starts, lines.directions, lines.ranges_mm)
-            )
-            points = [starts[:, axis, None] + directions[:, axis, None] * along for axis in range(3)]
-            entry = scatterers.cell_hash(points, self._pitch_mm, seed, lines.anchor)
-            entry.add_(lines.tissue[layer, some].to(torch.int32), alpha=scatterers.TABLE_SIZE)
-            strength = self._tables.index_select(0, entry.flatten()).view_as(total)
-            total.addcmul_(strength, amplitude[..., None])
-        summed[:, some] = total.permute(2, 0, 1)
-
-    def _add_compiled(self, summed: torch.Tensor, lines: InsonifiedLines, seed: int, begin: int, end: int) -> None:
-        """The same sample by sample, without those that are silent."""
-        some = slice(begin, end)
-        scatterers.add_scatterers(
-            summed[:, some].numpy(),
-            lines.starts[:, some].numpy(),
-            lines.directions[:, some].numpy(),
-            lines.ranges_mm[:, some].numpy(),
-            np.array([scatterers.wrapped(int(cells)) for cells in lines.anchor], np.int32).view(np.uint32),
-            np.float32(1 / self._pitch_mm),
-            np.int32(scatterers.mix_seed(seed)).view(np.uint32),
-            lines.tissue[:, some].numpy(),
-            self._silent,
-            self._tables.numpy(),
-            lines.amplitude[:, some].numpy(),
-        )
 
     def _across_db(self, starts: np.ndarray, directions: np.ndarray, samples: np.ndarray) -> np.ndarray:
         """What neighbouring scanlines of a layer add because they share lattice cells, (scanlines, depths), dB."""

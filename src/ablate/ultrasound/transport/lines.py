@@ -112,8 +112,8 @@ def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype) -
     """Echoes of reflected rays, few and out of focus, spread along and across the lines, (scanlines, samples).
 
     The sum is kept; (0, samples) where there are no such echoes. The power of the sum is estimated without bias, from
-    products x_i x_j of different lines' shares i != j in it (a U-statistic; Hoeffding 1948). The square of the sum would
-    hold x_i^2 as well, whose mean is too large by the variance: bright bands of one heavy path in dark fluid.
+    products x_i x_j of different lines' shares i != j in it (a U-statistic; Hoeffding 1948). The square of the sum
+    would hold x_i^2 as well, whose mean is too large by the variance: bright bands of one heavy path in dark fluid.
     """
     if not reverberation.any():
         return torch.empty((0, samples), dtype=dtype).numpy()
