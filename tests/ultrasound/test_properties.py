@@ -130,8 +130,8 @@ def test_energy_never_grows(scene: Scene, path_seed: int) -> None:
     """Illumination only falls with depth, and the squares of the echoes sum to no more than was sent.
 
     Of rays that meet R_1, R_2, ... the echo of the k-th is |R_k| times the product of 1 - R_j^2 before it, so the sum
-    of squares is at most 1. Surfaces are smooth, so that scanlines are alike and the aperture adds nothing. A background
-    that scatters is insonified like every tissue.
+    of squares is at most 1. Of smooth surfaces scanlines are alike, and the aperture adds nothing. A background that
+    scatters is insonified like every tissue.
     """
     background = replace(scene.background, scatterer_density=0.5, scatterer_sd=1.0, texture_contrast_db=0.0)
     flat = tuple(

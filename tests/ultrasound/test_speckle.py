@@ -8,7 +8,7 @@ import pytest
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 from ablate.ultrasound.imaging import scatterers
-from ablate.ultrasound.imaging.speckle import InsonifiedLines, Speckle
+from ablate.ultrasound.imaging.speckle import Speckle
 from ablate.ultrasound.settings import SimulatorPrecision
 
 DENSE = Tissue("dense", attenuation_db_cm_mhz=0.0, scatterer_density=0.6, scatterer_sd=0.3)
@@ -160,7 +160,7 @@ def test_equals_the_sum_of_hashed_cells(gel: Tissue, tissue: Tissue, precision, 
     held = random.integers(0, 3, shape).astype(np.uint8)
     tissues = gel, tissue, replace(tissue, name="sparse", scatterer_density=0.01)
     chain = Speckle(tissues, ConvexProbe(), settings, dtype)
-    lines = InsonifiedLines(starts, directions, np.array(anchor, np.uint32), along, held, amplitude)
+    lines = scatterers.Samples(starts, directions, np.array(anchor, np.uint32), along, held, amplitude)
     received = chain(lines, seed=5)
     points = starts[:, :, None] + directions[:, :, None] * along[..., None]
     cells = np.floor(points * np.float32(1 / settings.scatterer_pitch_mm)).astype(np.int64) + anchor

@@ -7,7 +7,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from ablate.threads import in_parts
-from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.compiled import compiled, exponential
 from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, pixel_polar
 from ablate.ultrasound.settings import Probe
@@ -31,10 +31,12 @@ def integral_attenuation(labels: np.ndarray, losses_db_mm: np.ndarray, spacing_m
     total, amplitude = np.empty(labels.shape), np.empty(labels.shape, np.float32)
     in_parts(partial(_add_up, labels, nepers, total), len(labels), _LINES_OF_A_PART)
     position = (1 - _PERCENT / 100) * (total.size - 1)  # of it in the falling order, interpolated as numpy.percentile
-    below = int(position)
-    a, b = (_of_rank(total, min(below + next_one, total.size - 1)) for next_one in (0, 1))
-    scale = a - math.log1p((position - below) * math.expm1(a - b))  # a <= b: the larger amplitude first
-    in_parts(partial(_fall, labels, nepers, total, scale, amplitude), len(labels), _LINES_OF_A_PART)
+    below, after = int(position), min(int(position) + 1, total.size - 1)
+    # Lines grow: so many of the first samples are as many as are needed, and none that is needed is larger than all.
+    enough = total[:, after // len(total)].max()
+    a, b = np.partition(total[total <= enough], (below, after))[[below, after]]  # a <= b: the larger amplitude first
+    scale = a - math.log1p((position - below) * math.expm1(a - b))
+    in_parts(partial(_fall, total, scale, amplitude), len(labels), _LINES_OF_A_PART)
     return amplitude
 
 
@@ -49,39 +51,11 @@ def _add_up(labels: np.ndarray, nepers: np.ndarray, total: np.ndarray, begin: in
 
 
 @compiled
-def _of_rank(total: np.ndarray, rank: int) -> float:
-    """The value of a rank, from 0, among lines whose values grow; the bits of positive doubles sort as these do."""
-    bits = total.view(np.int64)
-    low, high = np.int64(0), np.int64(0x7FF0000000000000)
-    while low < high:  # the smallest value that more than `rank` are not larger than
-        middle = low + (high - low) // 2
-        count = 0
-        for line in range(len(total)):
-            count += int(np.searchsorted(bits[line], middle, side="right"))
-        if count > rank:
-            high = middle
-        else:
-            low = middle + 1
-    return np.array([low]).view(np.float64)[0]
-
-
-@compiled
-def _fall(
-    labels: np.ndarray, nepers: np.ndarray, total: np.ndarray, scale: float, amplitude: np.ndarray, begin: int, end: int
-) -> None:
-    """Fill exp(min(scale - total, 0)) of some lines: within a tissue it falls by one factor."""
-    factors = np.exp(-nepers)
+def _fall(total: np.ndarray, scale: float, amplitude: np.ndarray, begin: int, end: int) -> None:
+    """Fill exp(min(scale - total, 0)) of some lines."""
     for line in range(begin, end):
-        level, fell = 1.0, False
-        for sample in range(labels.shape[1]):
-            label = labels[line, sample]
-            if total[line, sample] > scale:
-                if fell and label == labels[line, sample - 1]:
-                    level *= factors[label]
-                else:
-                    level = min(level, math.exp(scale - total[line, sample]))
-                fell = True
-            amplitude[line, sample] = level
+        for sample in range(total.shape[1]):
+            amplitude[line, sample] = exponential(min(scale - total[line, sample], 0.0))
 
 
 def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: float | Sequence[float]) -> np.ndarray:

@@ -12,6 +12,8 @@ from numba import njit
 from numba.core import config
 
 Function = TypeVar("Function", bound=Callable[..., object])
+Arrays = tuple[np.ndarray, ...]  # several arguments of a compiled function, in one
+Vector = tuple[float, float, float]
 
 _KEPT_IN = "CACHE_DIR"  # set by numba.core.config as it is imported, which a type checker cannot see
 _ROOM = Path(__file__).parent
@@ -55,18 +57,3 @@ def exponential(x: float) -> float:
     series += r4 * r4 * (1 / 40320 + r * (1 / 362880))
     power = (np.float64(shifted).view(np.int64) + np.int64(1023)) << np.int64(52)
     return series * np.int64(power).view(np.float64)
-
-
-@compiled
-def logarithm(x: float) -> float:
-    """The natural logarithm within 1e-12, of x from 1e-300 on, else that of 1e-300; as `exponential`, without a branch.
-
-    x is m 2^n with m near 1; log m is twice the series of atanh((m - 1) / (m + 1)).
-    """
-    bits = np.float64(max(x, 1e-300)).view(np.int64)
-    n = (bits - np.int64(0x3FE6A09E667F3BCD)) >> np.int64(52)  # of sqrt(1/2)
-    m = np.int64(bits - (n << np.int64(52))).view(np.float64)
-    s = (m - 1) / (m + 1)
-    t = s * s
-    series = 1 + t * (1 / 3 + t * (1 / 5 + t * (1 / 7 + t * (1 / 9 + t * (1 / 11 + t * (1 / 13 + t * (1 / 15)))))))
-    return 2 * s * series + n * math.log(2)

@@ -129,7 +129,7 @@ class SimulatorSettings:
     precision: SimulatorPrecision = setting(SimulatorPrecision.float32, "Floating point of the signal chain.")
     device: str = setting(
         "cpu",
-        "Device of the signal chain; `auto` is a GPU if there is one.",
+        "Device of the point spread function; `auto` is a GPU if there is one.",
         choices=("auto", "cpu", "cuda"),
         incidental=True,
     )

@@ -12,7 +12,7 @@ from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import without_teams
 from ablate.ultrasound.attenuation import integral_attenuation
 from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain
-from ablate.ultrasound.imaging.point_spread import layer_weights
+from ablate.ultrasound.imaging.point_spread import lateral_kernels, layer_weights
 from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.probe import check_pose, fan_of
 from ablate.ultrasound.settings import ConvexProbe, Frame, Probe, SimulatorSettings, TimeGain
@@ -104,7 +104,9 @@ class Simulator:
             self._geometry = Geometry(self._plan.structures, bounds, self._origin_mm, extent)
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
         self._rays = probe_rays(probe, settings, self._draws)
-        self._beam, self._aperture = lines.transmit_beam(probe, settings), Aperture(probe, settings)
+        # one way of two equal Gaussians is wider than both by sqrt(2)
+        self._beam = torch.from_numpy(lateral_kernels(probe, settings, widen=math.sqrt(2)))
+        self._aperture = Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
         self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None  # of a pose: S, and A on the scanlines
         self._prepared: tuple[bytes, Prepared] | None = None

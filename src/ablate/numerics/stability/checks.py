@@ -13,7 +13,6 @@ from ablate.anatomy import Scene, Structure, Tissue
 from ablate.threads import torch_threads
 from ablate.ultrasound import ConvexProbe, Frame, Probe, Simulator, SimulatorPrecision, SimulatorSettings
 from ablate.ultrasound.imaging.point_spread import axial_kernel, lateral_kernels
-from ablate.ultrasound.probe import sample_depths_mm
 
 #: Unit roundoff: the largest relative error of one rounding.
 FLOAT32, FLOAT64, TF32, BFLOAT16 = 2.0**-24, 2.0**-53, 2.0**-11, 2.0**-8
@@ -127,7 +126,7 @@ class Checks:
 
         Its bound is the rounding of the products that are summed for a sample, pulse, beam and layers, and `moved_by`.
         """
-        beam = np.count_nonzero(lateral_kernels(probe, settings, sample_depths_mm(probe, 64)), axis=-1).max()
+        beam = np.count_nonzero(lateral_kernels(probe, settings), axis=-1).max()
         products = len(axial_kernel(probe, settings)) + int(beam) + settings.layers
         error = off(frame.envelope, right.envelope) / (float(right.envelope.max()) or 1.0)
         self.add(quantity, error, moved_by + products**1.5 * FLOAT32, why)

@@ -10,7 +10,6 @@ from ablate.anatomy import Scene, Tissue
 from ablate.numerics.stability.checks import FLOAT32, GEL, SMALL, SOFT, Checks, case, off, slab
 from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, Probe
 from ablate.ultrasound.attenuation import DB_PER_NEPER, integral_attenuation
-from ablate.ultrasound.imaging.bmode import ScanConverter
 
 HARD = Tissue("hard", 2600, 4.2, 3.0, 0.6, 0.0, 0.2, roughness=0.05, thickness_mm=0.2)
 BODY = Scene((slab(SOFT, 3.0, 120.0), slab(HARD, 40.0, 50.0, 30.0)), GEL, "body")
@@ -137,27 +136,3 @@ def _few(checks: Checks) -> None:
         for name, loss in (("no loss", 0.0), ("1e-12 dB/mm", 1e-12), ("soft", SOFT_DB_MM), ("stiff", STIFF_DB_MM)):
             checks.label = f"{lines} x {samples}, {name}"
             _against_double(checks, np.zeros((lines, samples), np.uint8), np.array([loss]))
-
-
-@case("scan conversion of steps and of the largest float32")
-def _conversion(checks: Checks) -> None:
-    """Scan conversion of a constant, of a step, and of scanlines alternating between 0 and 8e37."""
-    probe, settings = ConvexProbe(), replace(SMALL, axial_samples=SAMPLES, device=checks.device)
-    checks.dtype = "float32"
-
-    def pixels(lines: np.ndarray, dtype: type = np.float32) -> np.ndarray:
-        convert = ScanConverter(probe, settings)
-        return convert(lines.astype(dtype))[convert.mask]
-
-    why = "The weights of four neighbours sum to 1."
-    checks.add("a constant against itself", off(pixels(np.ones((LINES, SAMPLES))), 1.0), 4 * FLOAT32, why)
-    step, largest = np.zeros((2, LINES, SAMPLES))
-    step[:, SAMPLES // 2 :] = 1
-    error = off(pixels(step), pixels(step, np.float64))
-    why = "The position of a pixel among n samples is rounded by n 2^-23 samples, and a step changes by 1 a sample."
-    checks.add("a step against float64", error, (SAMPLES + LINES) * 2 * FLOAT32, why)
-    largest[::2] = float(np.finfo(np.float32).max) / 4
-    image = pixels(largest)
-    checks.finite(image, what="pixels between 0 and 8e37")
-    overshoot = image.max() / largest.max() - 1
-    checks.add("overshoot, relative", overshoot, 4 * FLOAT32, "A mean does not exceed its values.")

@@ -6,7 +6,6 @@ from itertools import product
 
 import numpy as np
 from scipy.linalg import eigvals
-from scipy.ndimage import gaussian_filter
 
 from ablate import metrics
 from ablate.metrics.features import GRADIENT_UNIT
@@ -63,21 +62,6 @@ def _black_and_white(checks: Checks) -> None:
     finite = [value for values in scores for name, value in values.items() if not name.startswith("psnr")]
     checks.finite(np.array(finite), what="scores but PSNR")
     checks.none("PSNR that is NaN", [math.isnan(v["psnr"] + v["psnr_fan"]) for v in scores], "0 dB to infinity.")
-
-
-@case("metrics in float32 against float64")
-def _in_double(checks: Checks) -> None:
-    """Metrics that are computed in float32, against float64, on images of noise."""
-    difference = (NOISE[1].astype(float) - NOISE[2]) * FAN
-    sigma = [1.5 / size for size in PIXEL_MM]
-    smooth, weight = (gaussian_filter(x, sigma, mode="constant", truncate=3.0) for x in (difference, FAN.astype(float)))
-    noise = metrics.Pair(NOISE[1], NOISE[2], FAN, FAN, pixel_mm=PIXEL_MM, draws=NOISE)
-    error = abs((metrics.mae_smooth(noise) or math.nan) - np.abs(smooth[FAN] / weight[FAN]).mean())
-    why = "Sums of values up to 255 by an FFT with some ten factors."
-    checks.add("mae_smooth against float64, grey levels", error, FFT_ERROR, why, "float32")
-    right = float(np.sqrt(NOISE[:, FAN].astype(np.longdouble).var(axis=0, ddof=1).mean()))
-    error = abs((metrics.noise_sd(noise) or math.nan) / right - 1)
-    checks.add("noise_sd against long doubles, relative", error, 64 * FLOAT64, "There are few roundings.")
 
 
 @case("empty histograms, masks and images")

@@ -2,7 +2,7 @@
 
 import math
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -11,9 +11,10 @@ import torch
 
 from ablate.anatomy import Tissue
 from ablate.threads import in_parts
-from ablate.ultrasound.compiled import compiled, logarithm
+from ablate.ultrasound.compiled import Arrays, compiled
 from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, along_lines, blur, point_spread
-from ablate.ultrasound.imaging.speckle import InsonifiedLines, Lines, Speckle
+from ablate.ultrasound.imaging.scatterers import Samples
+from ablate.ultrasound.imaging.speckle import Lines, Speckle
 from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, fan_of, pixel_polar, sample_depths_mm
 from ablate.ultrasound.settings import Probe, SimulatorSettings
@@ -80,28 +81,17 @@ class Display:
 
 
 @compiled
-def grey_levels(
-    signal: np.ndarray,
-    clutter: np.ndarray,
-    noise: np.ndarray,
-    shift: tuple[int, int],
-    gain: np.ndarray,
-    floor: float,
-    range_db: float,
-    envelope: np.ndarray,
-    grey: np.ndarray,
-    begin: int,
-    end: int,
+def _received(
+    given: Arrays, shift: tuple[int, int], gain: np.ndarray, floor: float, made: Arrays, begin: int, end: int
 ) -> None:
-    """Fill some scanlines of the `envelope` and of the `grey` levels, not yet rounded, (scanlines, samples).
+    """Fill some scanlines of what is `made`: the envelope, and the power with noise and gain, (scanlines, samples).
 
-    `signal`, which is overwritten, and `noise` are real and imaginary part, (2, scanlines, samples). Reverberation,
-    `clutter`, (scanlines or 0, samples), comes from all sides, hence with random phases, which are not the amplifier's
-    noise at the same place. That is of rms `floor` before the `gain`, (samples,), which makes white 1. `range_db` is on
-    0 to 255; no signal, at minus infinity dB, is black whatever it is.
+    Given are signal, which is overwritten, and noise, real and imaginary part, (2, scanlines, samples). Reverberation,
+    given as (scanlines or 0, samples), comes from all sides, hence with random phases, which are not the amplifier's
+    noise at the same place. That is of rms `floor` before the `gain`, (samples,), which makes white 1.
     """
-    lines, samples = grey.shape
-    per_neper = 10 / math.log(10) / range_db
+    (signal, clutter, noise), (envelope, power) = given, made
+    lines, samples = power.shape
     shifted = np.empty((4, samples), noise.dtype)
     for line in range(begin, end):
         for row in range(4):  # both parts of the amplifier's noise, then of that of reverberation
@@ -117,7 +107,17 @@ def grey_levels(
             a, b = real[sample], imaginary[sample]
             envelope[line, sample] = math.sqrt(a * a + b * b)
             a, b = (a + floor * shifted[0, sample]) * gain[sample], (b + floor * shifted[1, sample]) * gain[sample]
-            grey[line, sample] = 255 * min(max(logarithm(a * a + b * b) * per_neper + 1, 0.0), 1.0)
+            power[line, sample] = a * a + b * b
+
+
+def grey_levels(power: np.ndarray, range_db: float) -> None:
+    """Change power, 1 of white, into levels from 0 to 255, not yet rounded; no signal is black whatever the range."""
+    with np.errstate(divide="ignore"):
+        np.log10(power, out=power)
+    power *= 10 / range_db
+    power += 1
+    np.clip(power, 0, 1, out=power)
+    power *= 255
 
 
 class ScanConverter:
@@ -135,8 +135,8 @@ class ScanConverter:
         edges = np.flatnonzero(np.diff(np.pad(self.mask, ((0, 0), (1, 1))).ravel()))
         row, column = np.divmod(edges, settings.image_shape[1] + 2)  # two edges a run of pixels
         wide = column[1::2] - column[::2]
+        self._runs = np.stack([row[::2], column[::2], column[1::2], np.cumsum(wide) - wide], axis=-1)
         self._places = (
-            np.stack([row[::2], column[::2], column[1::2], np.cumsum(wide) - wide], axis=-1),
             (line * settings.axial_samples + sample).astype(np.uint32),  # negative numbers would be looked for
             (across - line).astype(np.float32),
             (along - sample).astype(np.float32),
@@ -147,24 +147,16 @@ class ScanConverter:
         """A polar image (scanlines, samples) in the fan, (H, W) float32, or uint8 rounded; 0 outside."""
         image = np.zeros(self.mask.shape, dtype)
         added = lines.dtype.type(0.5 if dtype is np.uint8 else 0)
-        in_parts(partial(_interpolate, lines, added, *self._places, image), len(self._places[0]), _RUNS_OF_A_PART)
+        in_parts(partial(_interpolate, lines, added, self._runs, self._places, image), len(self._runs), _RUNS_OF_A_PART)
         return image
 
 
 @compiled
 def _interpolate(
-    lines: np.ndarray,
-    added: float,
-    runs: np.ndarray,
-    first: np.ndarray,
-    across: np.ndarray,
-    along: np.ndarray,
-    image: np.ndarray,
-    begin: int,
-    end: int,
+    lines: np.ndarray, added: float, runs: np.ndarray, places: Arrays, image: np.ndarray, begin: int, end: int
 ) -> None:
     """Fill some runs of pixels, (n, 4): row, columns, first pixel; for each, the first of four neighbours and parts."""
-    values, samples = lines.ravel(), lines.shape[1]
+    (first, across, along), values, samples = places, lines.ravel(), lines.shape[1]
     line, sample = np.uint64(samples if len(lines) > 1 else 0), np.uint64(samples > 1)  # to the next
     for run in range(begin, end):
         row, column, stop, pixel = runs[run]
@@ -180,7 +172,7 @@ def _interpolate(
 class Prepared:
     """What rays bring back, on the device that makes images of it with any number of seeds."""
 
-    insonified: InsonifiedLines
+    insonified: Samples
     surfaces: torch.Tensor  # (scanlines, samples)
     clutter: np.ndarray  # (scanlines, samples), or (0, samples) where there is none
 
@@ -247,10 +239,10 @@ class SignalChain:
             received = blur(self.tensor(self.speckle(prepared.insonified, seed)), prepared.surfaces, self.spread)
             signal, clutter = received.cpu().numpy(), prepared.clutter
         envelope, grey = np.empty((2, *noise.shape[1:]), noise.dtype)
-        given = signal, clutter, noise, shift, gain, floor, settings.dynamic_range_db
-        self._shown(partial(grey_levels, *given, envelope, grey))
-        return self.convert(grey, np.uint8), envelope
 
-    @stage(Stage.grey_levels)
-    def _shown(self, fill: Callable[[int, int], None]) -> None:
-        in_parts(fill, self.settings.scanlines, LINES_OF_A_PART)
+        def shown(begin: int, end: int) -> None:
+            _received((signal, clutter, noise), shift, gain, floor, (envelope, grey), begin, end)
+            grey_levels(grey[begin:end], settings.dynamic_range_db)
+
+        stage(Stage.grey_levels)(in_parts)(shown, len(grey), LINES_OF_A_PART)
+        return self.convert(grey, np.uint8), envelope

@@ -67,14 +67,15 @@ def layer_weights(probe: Probe, settings: SimulatorSettings) -> tuple[np.ndarray
 
 
 def lateral_kernels(
-    probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarray, widen: float = 1.0, sidelobe_db: float = -np.inf
+    probe: Probe, settings: SimulatorSettings, widen: float = 1.0, sidelobe_db: float = -np.inf
 ) -> np.ndarray:
-    """What each scanline gets of each other one, (depths, scanlines, scanlines) float64, or (1, ...) if all are equal.
+    """What each scanline gets of each other one, (blocks of depth, scanlines, scanlines), or (1, ...) if all are equal.
 
     Rows sum to 1. The main lobe is a Gaussian, `widen` times as wide as `lateral_sigma`. Side lobes are `_SIDELOBES`
     times as wide and of the power `sidelobe_db`. Of every two widths of the main lobe, at random, one is positive and
     one negative, so that a smooth surface does not fill what lies beside it, and one bright point makes no row of dots.
     """
+    depth_mm = (np.arange(_BLOCKS) + 0.5) * probe.depth_mm / _BLOCKS
     sigma = widen * np.maximum(lateral_sigma(probe, settings, depth_mm), 1e-3 / widen)[:, :, None]
     sigma = sigma[:1] if (sigma == sigma[:1]).all() else sigma
     apart = np.arange(settings.scanlines)[:, None] - np.arange(settings.scanlines)
@@ -109,8 +110,7 @@ class PointSpread:
 
 def point_spread(probe: Probe, settings: SimulatorSettings, dtype: torch.dtype) -> PointSpread:
     """Kernels for `blur`."""
-    depth_mm = (np.arange(_BLOCKS) + 0.5) * probe.depth_mm / _BLOCKS
-    lateral = lateral_kernels(probe, settings, depth_mm, sidelobe_db=settings.sidelobe_db)
+    lateral = lateral_kernels(probe, settings, sidelobe_db=settings.sidelobe_db)
     axial = axial_kernel(probe, settings)
     power = (lateral**2).sum(axis=-1, keepdims=True)
     scale = 1 / np.sqrt(power * (axial**2).sum())

@@ -9,12 +9,13 @@ import math
 import zlib
 from collections.abc import Sequence
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import fourier_gaussian
 
 from ablate.anatomy import Tissue
-from ablate.ultrasound.compiled import compiled, exponential
+from ablate.ultrasound.compiled import Arrays, compiled, exponential
 
 DRAWS_PER_SAMPLE = 16
 TABLE_SIZE = 8192
@@ -155,25 +156,27 @@ def _turned(lengths: float) -> float:
     return min((turns - math.floor(turns)) * _TEXTURE_SIDE, _TEXTURE_SIDE - 1e-6)
 
 
+class Samples(NamedTuple):
+    """Everything about the samples of a pose that does not depend on the scatterers' seed."""
+
+    starts: np.ndarray  # (layers, scanlines, 3) float32, mm from the anchor along the world's axes
+    directions: np.ndarray  # (layers, scanlines, 3) float32
+    anchor: np.ndarray  # (3,) uint32, cells from the world's origin to where the lattice is counted from, modulo 2^32
+    ranges_mm: np.ndarray  # (layers, scanlines, samples) float32, along its line to what a sample displays
+    tissue: np.ndarray  # (layers, scanlines, samples) uint8
+    amplitude: np.ndarray  # (layers, scanlines, samples), of unit strength: illumination, texture, level and weight
+
+
 @compiled
-def insonify(
-    amplitude: np.ndarray,
-    node_db: np.ndarray,
-    starts: np.ndarray,
-    directions: np.ndarray,
-    ranges_mm: np.ndarray,
-    tissues: np.ndarray,
-    textures: np.ndarray,
-    volume: np.ndarray,
-    coarse: np.ndarray,
-    begin: int,
-    end: int,
-) -> None:
+def insonify(amplitude: np.ndarray, node_db: np.ndarray, lines: Arrays, textures: Arrays, begin: int, end: int) -> None:
     """Fill the amplitudes, (groups, samples), of some groups, from levels at nodes, (groups, nodes), and the texture.
 
-    The level is taken to the `coarse` samples, (places,), with the texture added there, and interpolated between them.
-    `ranges_mm` and `tissues` are (groups, samples), `textures` (tissues, 4): three inverse lengths, and the contrast.
+    The level is taken to coarse samples, with the texture added there, and interpolated between them. `lines` are
+    starts, directions, ranges in mm and tissues, (groups, samples); `textures` are (tissues, 4), three inverse lengths
+    and the contrast, the volume, and the coarse samples' numbers.
     """
+    starts, directions, ranges_mm, tissues = lines
+    of_tissue, volume, coarse = textures
     samples, nodes, places = amplitude.shape[1], node_db.shape[1], len(coarse)
     level, first, factor = np.empty((3, places + 1))
     begins = np.empty(places + 1, np.int64)
@@ -185,12 +188,12 @@ def insonify(
             above = min(below + 1, nodes - 1)
             decibels = node_db[row, below] + (node - below) * (node_db[row, above] - node_db[row, below])
             tissue = tissues[row, coarse[place]]
-            if textures[tissue, 3] != 0:
+            if of_tissue[tissue, 3] != 0:
                 r = ranges_mm[row, coarse[place]]
-                x = (starts[row, 0] + directions[row, 0] * r) * textures[tissue, 0]
-                y = (starts[row, 1] + directions[row, 1] * r) * textures[tissue, 1]
-                z = (starts[row, 2] + directions[row, 2] * r) * textures[tissue, 2]
-                decibels += texture_db(volume, x, y, z, textures[tissue, 3])
+                x = (starts[row, 0] + directions[row, 0] * r) * of_tissue[tissue, 0]
+                y = (starts[row, 1] + directions[row, 1] * r) * of_tissue[tissue, 1]
+                z = (starts[row, 2] + directions[row, 2] * r) * of_tissue[tissue, 2]
+                decibels += texture_db(volume, x, y, z, of_tissue[tissue, 3])
             level[place] = decibels * (math.log(10) / 20)
         level[places] = level[places - 1]
         for place in range(places):
@@ -209,32 +212,21 @@ def insonify(
 
 @compiled
 def add_scatterers(
-    total: np.ndarray,
-    starts: np.ndarray,
-    directions: np.ndarray,
-    anchor: np.ndarray,
-    cells_per_mm: np.float32,
-    seed: np.uint32,
-    ranges_mm: np.ndarray,
-    tissues: np.ndarray,
-    silent: np.ndarray,
-    tables: np.ndarray,
-    amplitude: np.ndarray,
-    begin: int,
-    end: int,
+    total: np.ndarray, samples: Samples, lattice: tuple[np.float32, np.uint32], tissues: Arrays, begin: int, end: int
 ) -> None:
     """Add amplitude x scatterer of every layer to some lines of `total`, (2, lines, samples).
 
-    A hash of the lattice cell that a sample lies in chooses its scatterer. `starts` and `directions` are (layers,
-    lines, 3) float32 in mm from the anchor, `anchor` (3,) uint32, `ranges_mm`, `tissues` and `amplitude` (layers,
-    lines, samples), `silent` (tissues,) bool and `tables` (tissues * TABLE_SIZE, 2).
+    A hash of the lattice cell that a sample lies in chooses its scatterer. `lattice` is cells a millimetre and the
+    seed, `tissues` which are silent, (tissues,) bool, and the tables, (tissues * TABLE_SIZE, 2).
     """
-    layers, _, samples = amplitude.shape
+    starts, directions, anchor, ranges_mm, held, amplitude = samples
+    (cells_per_mm, seed), (silent, tables) = lattice, tissues
+    layers, _, count = amplitude.shape
     for line in range(begin, end):
         for layer in range(layers):
             start, along = starts[layer, line], directions[layer, line]
-            for sample in range(samples):
-                tissue, level = tissues[layer, line, sample], amplitude[layer, line, sample]
+            for sample in range(count):
+                tissue, level = held[layer, line, sample], amplitude[layer, line, sample]
                 if silent[tissue] or level == 0:
                     continue
                 r, mixed = ranges_mm[layer, line, sample], seed

@@ -1,7 +1,6 @@
 """Scatterers on the scanlines: strength, texture and illumination at every sample."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -17,18 +16,6 @@ from ablate.ultrasound.stages import Stage, stage
 _TEXTURE_SPACING_MM = 0.3
 _MOST_CELLS = 1 << 24  # of the lattice along a scanline: float32 tells no more apart
 Lines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # starts, directions, labels, ranges_mm
-
-
-@dataclass(frozen=True)
-class InsonifiedLines:
-    """Everything about the samples of a pose that does not depend on the scatterers' seed."""
-
-    starts: np.ndarray  # (layers, scanlines, 3) float32, mm from the anchor along the world's axes
-    directions: np.ndarray  # (layers, scanlines, 3) float32
-    anchor: np.ndarray  # (3,) uint32, cells from the world's origin to where the lattice is counted from, modulo 2^32
-    ranges_mm: np.ndarray  # (layers, scanlines, samples) float32, along its line to what a sample displays
-    tissue: np.ndarray  # (layers, scanlines, samples) uint8
-    amplitude: np.ndarray  # (layers, scanlines, samples), of unit strength: illumination, texture, level and weight
 
 
 class Speckle:
@@ -51,7 +38,7 @@ class Speckle:
         self._weights_db = 20 * np.log10(np.maximum(layer_weights(probe, settings)[0], 1e-15))
 
     @stage(Stage.scatterer_level)
-    def insonify(self, lines: Lines, level_db: np.ndarray) -> InsonifiedLines:
+    def insonify(self, lines: Lines, level_db: np.ndarray) -> scatterers.Samples:
         """Prepare the scatterers of a pose.
 
         For groups = layers * scanlines, the lines are starts and directions, (groups, 3) float64 in world coordinates,
@@ -79,7 +66,7 @@ class Speckle:
         amplitude = np.empty(labels.shape, self._dtype)
         of_lines = starts.astype(np.float32), directions.astype(np.float32), ranges, labels
         texture = self._textures, scatterers.texture_volume(), coarse
-        fill = partial(scatterers.insonify, amplitude, node_db, *of_lines, *texture)
+        fill = partial(scatterers.insonify, amplitude, node_db, of_lines, texture)
         in_parts(fill, len(labels), LINES_OF_A_PART)
 
         # near the first start, so that float32 tells cells apart: 0 within 50 m of the origin at a pitch of 0.1 mm
@@ -88,15 +75,14 @@ class Speckle:
         cells = np.array([int(number) % 2**32 for number in anchor], np.uint32)
         from_anchor, along = (values.reshape(*shape[:2], 3) for values in (from_anchor, of_lines[1]))
         ranges, tissue, amplitude = (values.reshape(shape) for values in (ranges, labels, amplitude))
-        return InsonifiedLines(from_anchor, along, cells, ranges, tissue, amplitude)
+        return scatterers.Samples(from_anchor, along, cells, ranges, tissue, amplitude)
 
     @stage(Stage.scatterers)
-    def __call__(self, lines: InsonifiedLines, seed: int) -> np.ndarray:
+    def __call__(self, lines: scatterers.Samples, seed: int) -> np.ndarray:
         """Sum over layers of amplitude x scatterer, (2, scanlines, samples): real and imaginary part."""
         summed = np.zeros((2, *lines.amplitude.shape[1:]), lines.amplitude.dtype)
-        lattice = lines.anchor, np.float32(1 / self._pitch_mm), scatterers.mix_seed(seed)
-        held = lines.ranges_mm, lines.tissue, self._silent, self._tables, lines.amplitude
-        add = partial(scatterers.add_scatterers, summed, lines.starts, lines.directions, *lattice, *held)
+        lattice = np.float32(1 / self._pitch_mm), scatterers.mix_seed(seed)
+        add = partial(scatterers.add_scatterers, summed, lines, lattice, (self._silent, self._tables))
         in_parts(add, summed.shape[1], LINES_OF_A_PART)
         return summed
 

@@ -19,7 +19,7 @@ from numba import cfunc, types
 from numba.core.types import ExternalFunction
 
 from ablate.anatomy import Structure
-from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.compiled import Vector, compiled
 
 _TRIANGLES, _INDICES, _VERTICES, _UINT3, _FLOAT3 = 0, 0, 1, 0x5003, 0x9003  # rtcore.h
 _ROBUST, _FILTER_IN_ARGUMENTS, _ASK_FILTER = 4, 8, 2
@@ -61,17 +61,21 @@ _embree = _loaded()
 _intersect_one: Any = ExternalFunction("rtcIntersect1", types.void(types.intp, types.intp, types.intp))
 
 
+Asked = tuple[np.ndarray, np.ndarray, int]  # see `asked_ray`
+Line = tuple[np.ndarray, np.ndarray]  # see `asked_line`
+
+
 class Hit(NamedTuple):
     """Closest hit of a ray, in numbers."""
 
     distance_mm: float
     structure: np.int32  # -1 where nothing was hit
     triangle: np.int32
-    normal: tuple[float, float, float]  # not of unit length; its sign follows the mesh's winding and means nothing
+    normal: Vector  # not of unit length; its sign follows the mesh's winding and means nothing
 
 
 @compiled
-def asked_ray() -> tuple[np.ndarray, np.ndarray, int]:
+def asked_ray() -> Asked:
     """Room for one ray and its hit, RTCRayHit as (24,) float32, aligned; the same in uint32; its address."""
     room = np.zeros(_FLOATS + 16, np.float32)
     past = (room.ctypes.data & 63) // 4
@@ -80,12 +84,7 @@ def asked_ray() -> tuple[np.ndarray, np.ndarray, int]:
 
 
 @compiled
-def _ask(
-    asked: tuple[np.ndarray, np.ndarray, int],
-    origin: tuple[float, float, float],
-    direction: tuple[float, float, float],
-    reach_mm: float,
-) -> None:
+def _ask(asked: Asked, origin: Vector, direction: Vector, reach_mm: float) -> None:
     numbers, words, _ = asked
     numbers[0], numbers[1], numbers[2], numbers[3] = origin[0], origin[1], origin[2], 0.0
     numbers[4], numbers[5], numbers[6], numbers[7] = direction[0], direction[1], direction[2], 0.0
@@ -95,13 +94,7 @@ def _ask(
 
 
 @compiled
-def closest_of(
-    address: int,
-    asked: tuple[np.ndarray, np.ndarray, int],
-    origin: tuple[float, float, float],
-    direction: tuple[float, float, float],
-    reach_mm: float,
-) -> Hit:
+def closest_of(address: int, asked: Asked, origin: Vector, direction: Vector, reach_mm: float) -> Hit:
     """The first surface that a ray meets, of the geometry at `address`."""
     _ask(asked, origin, direction, reach_mm)
     _intersect_one(address, asked[2], 0)
@@ -111,7 +104,7 @@ def closest_of(
 
 
 @compiled
-def at(rows: np.ndarray, row: int) -> tuple[float, float, float]:
+def at(rows: np.ndarray, row: int) -> Vector:
     """A row of (n, 3) in numbers."""
     return float(rows[row, 0]), float(rows[row, 1]), float(rows[row, 2])
 
@@ -132,7 +125,7 @@ KEEP = int(_keep.address or 0)
 
 
 @compiled
-def asked_line(keep: int, room: int = _ROOM) -> tuple[np.ndarray, np.ndarray]:
+def asked_line(keep: int, room: int = _ROOM) -> Line:
     """RTCIntersectArguments as (4,) int64, and its context with room for so many surfaces, (n,) float32."""
     context = np.zeros(_FIRST + 2 * room, np.float32)
     context.view(np.uint32)[:2] = _NONE  # no instance
@@ -145,13 +138,8 @@ def asked_line(keep: int, room: int = _ROOM) -> tuple[np.ndarray, np.ndarray]:
 
 @compiled
 def all_of(
-    address: int,
-    asked: tuple[np.ndarray, np.ndarray, int],
-    line: tuple[np.ndarray, np.ndarray],
-    origin: tuple[float, float, float],
-    direction: tuple[float, float, float],
-    reach_mm: float,
-) -> tuple[int, tuple[np.ndarray, np.ndarray]]:
+    address: int, asked: Asked, line: Line, origin: Vector, direction: Vector, reach_mm: float
+) -> tuple[int, Line]:
     """How many surfaces a line meets, and `line`, larger if need be, in which they lie for `surfaces_of`."""
     while True:
         arguments, context = line
@@ -165,7 +153,7 @@ def all_of(
 
 
 @compiled
-def surfaces_of(line: tuple[np.ndarray, np.ndarray], met: int) -> tuple[np.ndarray, np.ndarray]:
+def surfaces_of(line: Line, met: int) -> tuple[np.ndarray, np.ndarray]:
     """Distances, float32 in mm, and structures, int32, that `all_of` found, sorted; they lie in `line`."""
     found = line[1][_FIRST : _FIRST + 2 * met].reshape(met, 2)
     distances, structures = found[:, 0], found.view(np.int32)[:, 1]

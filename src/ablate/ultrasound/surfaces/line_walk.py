@@ -12,10 +12,11 @@ from functools import partial
 import numpy as np
 
 from ablate.threads import in_parts
-from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.compiled import Arrays, compiled
 from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, at, surfaces_of
 
 _ROWS_OF_A_PART = 64
+Places = tuple[float, float, np.ndarray, np.ndarray]  # the fields of `Samples` but their count
 
 
 @compiled
@@ -97,51 +98,44 @@ def walk(
     lines = origins.astype(np.float32), directions.astype(np.float32), length_mm.astype(np.float32), before
     values, ranges_mm = samples.empty(len(origins))
     inside = np.zeros((len(origins), max(1, -(-geometry.structures // 32))), np.uint32)
-    follow = partial(_follow, geometry.address, KEEP, geometry.step_mm, lines, places, inside, values, ranges_mm)
+    follow = partial(_follow, geometry.address, KEEP, geometry.step_mm, lines, places, (inside, values, ranges_mm))
     in_parts(follow, len(origins), _ROWS_OF_A_PART)
     return inside, values, ranges_mm
 
 
 @compiled
 def _follow(
-    address: int,
-    keep: int,
-    least_step_mm: float,
-    lines: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    places: tuple[float, float, np.ndarray, np.ndarray],
-    inside: np.ndarray,
-    values: np.ndarray,
-    ranges_mm: np.ndarray,
-    first_row: int,
-    stop: int,
+    address: int, keep: int, least_step_mm: float, lines: Arrays, places: Places, rows: Arrays, begin: int, end: int
 ) -> None:
     """Fill the rows of some lines: origins, directions, lengths, and distances to their starts, all but these float32.
 
-    Distances are from the line's start, geometric and as they are displayed. `filled` samples have their value.
+    `rows` are what `walk` returns. Distances are from the line's start, geometric and as they are displayed; `filled`
+    samples have their value.
     """
     origins, directions, lengths_mm, before_mm = lines
     first_mm, spacing_mm, value_of_owner, stretch_of_owner = places
+    inside, values, ranges_mm = rows
     samples, stretched = values.shape[1], ranges_mm.shape[1] > 0
     asked, line = asked_ray(), asked_line(keep)
-    for row in range(first_row, stop):
+    for row in range(begin, end):
         met, line = all_of(address, asked, line, at(origins, row), at(directions, row), lengths_mm[row])
         distances, structures = surfaces_of(line, met)
         last, displayed, filled = -before_mm[row], 0.0, 0
         for number in range(met + 1):
-            here, distance, reached, end = owner(inside[row]), last, displayed, samples
+            here, distance, reached, ahead = owner(inside[row]), last, displayed, samples
             if number < met:
                 if _again(distances, structures, number, least_step_mm):
                     continue
                 distance = distances[number] - before_mm[row]
                 reached = displayed + max(distance - max(last, 0.0), 0.0) * stretch_of_owner[here]
-                end = min(max(math.ceil((reached - first_mm) / spacing_mm), 0), samples)
+                ahead = min(max(math.ceil((reached - first_mm) / spacing_mm), 0), samples)
                 toggle(inside[row], structures[number])
-            values[row, filled:end] = value_of_owner[here]
+            values[row, filled:ahead] = value_of_owner[here]
             if stretched:
-                for k in range(filled, end):
+                for k in range(filled, ahead):
                     beyond = (first_mm + k * spacing_mm - displayed) / stretch_of_owner[here]
                     ranges_mm[row, k] = max(last, 0.0) + beyond
-            last, displayed, filled = distance, reached, max(filled, end)
+            last, displayed, filled = distance, reached, max(filled, ahead)
 
 
 @compiled

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from ablate.threads import in_parts
-from ablate.ultrasound.compiled import compiled, exponential
+from ablate.ultrasound.compiled import Arrays, compiled, exponential
 from ablate.ultrasound.media import DISPLAY_SPEED_M_S
 from ablate.ultrasound.probe import fan_of
 from ablate.ultrasound.settings import PhasedProbe, Probe, SimulatorSettings
@@ -81,7 +81,7 @@ class Aperture:
         steps = np.diff(at_depth, axis=1, prepend=np.float32(0))
         padded = np.pad(steps, ((0, 0), (0, 0), (self._lines, self._lines)), mode="edge")
         elements = self._ways, self._weights, self._exists
-        in_parts(partial(_add_up, padded, at_depth, *elements, gain), len(gain) * _DEPTHS, _ROWS_OF_A_PART)
+        in_parts(partial(_add_up, padded, at_depth, elements, gain), len(gain) * _DEPTHS, _ROWS_OF_A_PART)
         by_group = gain.transpose(0, 2, 1).reshape(groups, _DEPTHS)
         heard = np.where(lost_db[:, at_depths] < _MOST_DB, np.arange(_DEPTHS), 0)
         held = np.take_along_axis(by_group, np.maximum.accumulate(heard, axis=1), axis=1)
@@ -99,21 +99,12 @@ def _between(by_depth: np.ndarray, nodes: int) -> np.ndarray:
 
 
 @compiled
-def _add_up(
-    steps: np.ndarray,
-    lost: np.ndarray,
-    ways: np.ndarray,
-    weights: np.ndarray,
-    exists: np.ndarray,
-    gain: np.ndarray,
-    begin: int,
-    end: int,
-) -> None:
+def _add_up(steps: np.ndarray, lost: np.ndarray, elements: Arrays, gain: np.ndarray, begin: int, end: int) -> None:
     """Fill some rows of `gain`, (layers, depths, lines): layer by layer, a row a depth.
 
     From the losses on each step of each pencil, (layers, steps, 3 lines), and their sums.
     """
-    _, depths, lines = gain.shape
+    (ways, weights, exists), (_, depths, lines) = elements, gain.shape
     way = np.empty(lines, np.float32)
     amplitude, weight = np.empty((2, lines))
     for row in range(begin, end):

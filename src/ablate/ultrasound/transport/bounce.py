@@ -8,11 +8,9 @@ gets, and to every part of an array, which takes longer than tracing the ray.
 import math
 from typing import NamedTuple
 
-from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.compiled import Vector, compiled
 from ablate.ultrasound.media import Medium
 from ablate.ultrasound.transport.rays import Ray
-
-Vector = tuple[float, float, float]
 
 #: From this many reflections on, Russian roulette ends half of the rays at each further one and doubles the weight of
 #: the others, so that a thin gap does not reflect rays to and fro until they are as deep as the image.

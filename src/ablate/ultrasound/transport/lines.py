@@ -10,10 +10,8 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from ablate.ultrasound.compiled import compiled
-from ablate.ultrasound.imaging.point_spread import lateral_kernels
+from ablate.ultrasound.compiled import Arrays, Vector, compiled
 from ablate.ultrasound.media import Medium
-from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.transport.rays import Ray
 
@@ -40,7 +38,6 @@ NODES = 256
 #: Level of no sound at all, dB: finite, so that interpolation makes no NaN, and zero as a float32 amplitude.
 NO_SOUND_DB = -4000.0
 _LOWEST_DB = -600.0  # all below counts as no sound: far under any display, and it spares the signal chain denormals
-_BLOCKS = 64  # of depth, within which the beam's overlap is taken as constant
 _NEPER_PER_DB = math.log(10) / 20
 _NEPER_PER_TWO_WAY_DB = 2 * _NEPER_PER_DB
 
@@ -71,21 +68,15 @@ def echo_lines(
     cells = max(1, min(samples, math.ceil(depth_mm / _CLUTTER_MM * _CLUTTER_CELLS_PER_SIGMA)))
     surfaces, reverberation = np.zeros((lines, samples)), np.zeros((lines, cells))
     places = nodes.first_mm, nodes.spacing_mm, samples / depth_mm
-    _add_echoes(echoes, gain_db, places, weights / rays, surfaces, reverberation)
+    _add_echoes(echoes, gain_db, places, weights / rays, (surfaces, reverberation))
     return surfaces, reverberation
 
 
 @compiled
-def _add_echoes(
-    echoes: np.ndarray,
-    gain_db: np.ndarray,
-    places: tuple[float, float, float],
-    weights: np.ndarray,
-    surfaces: np.ndarray,
-    reverberation: np.ndarray,
-) -> None:
+def _add_echoes(echoes: np.ndarray, gain_db: np.ndarray, places: Vector, weights: np.ndarray, sums: Arrays) -> None:
     """Share echoes among the two samples or cells on either side; what lies beyond the outer centres goes to them."""
     first_mm, spacing_mm, per_mm = places
+    surfaces, reverberation = sums
     (lines, samples), cells, nodes = surfaces.shape, reverberation.shape[1], gain_db.shape[1]
     for i in range(len(echoes)):
         echo = echoes[i]
@@ -182,15 +173,6 @@ def passed(
     at_first = ray.loss_db + slope_db_mm * (first_mm + first * spacing_mm - ray.displayed_mm)
     factor = math.exp(-slope_db_mm * spacing_mm * _NEPER_PER_TWO_WAY_DB)
     return first, last, weight * math.exp(-at_first * _NEPER_PER_TWO_WAY_DB), factor
-
-
-def transmit_beam(probe: Probe, settings: SimulatorSettings) -> torch.Tensor:
-    """How the sound of neighbouring scanlines overlaps, (blocks of depth or 1, scanlines, scanlines).
-
-    The point spread function is that of both ways; one way of two equal Gaussians is wider by sqrt(2).
-    """
-    depth_mm = (np.arange(_BLOCKS) + 0.5) * probe.depth_mm / _BLOCKS
-    return torch.from_numpy(lateral_kernels(probe, settings, depth_mm, widen=math.sqrt(2)))
 
 
 @stage(Stage.illumination)

@@ -16,15 +16,15 @@ have the weight 1 / |R_p|, and would appear as isolated dots in dark fluid. Russ
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from ablate.threads import in_parts
-from ablate.ultrasound.compiled import compiled
+from ablate.ultrasound.compiled import Arrays, compiled
 from ablate.ultrasound.media import Medium
 from ablate.ultrasound.stages import Stage, stage
-from ablate.ultrasound.surfaces.embree import Geometry, asked_ray, at, closest_of
+from ablate.ultrasound.surfaces.embree import Asked, Geometry, asked_ray, at, closest_of
 from ablate.ultrasound.surfaces.line_walk import highest, next_step
 from ablate.ultrasound.transport import bounce
 from ablate.ultrasound.transport.lines import ECHO, Nodes, passed
@@ -64,44 +64,36 @@ def trace(paths: Paths) -> np.ndarray:
 
     def part(begin: int, end: int) -> np.ndarray:
         chosen = slice(begin * view.rays, end * view.rays)
-        rays, sets = start_rays(bundle, chosen, view), bundle.inside[chosen].copy()
-        n, rows, count, echoes = len(rays), 0, 0, np.empty(4 * len(rays), ECHO)
+        rays, rows, count = start_rays(bundle, chosen, view), 0, 0
+        n, arrays = len(rays), cast(Arrays, (rays, bundle.inside[chosen].copy(), np.empty(4 * len(rays), ECHO)))
         while n:  # comes back for more of the table of draws
             rows += 1
-            given = view, draws.table(rows), rows, nodes, echoes, count
-            rays, sets, n, echoes, count = _bounces(geometry.address, rays, sets, n, *given)
-        return echoes[:count]
+            table = draws.table(rows)
+            arrays, n, count = _bounces(geometry.address, arrays, n, count, view, table, rows, nodes)
+        return arrays[2][:count]
 
     return np.concatenate(in_parts(part, len(bundle.starts), _GROUPS_OF_A_PART))
 
 
 @compiled
 def _bounces(
-    address: int,
-    rays: np.ndarray,
-    inside: np.ndarray,
-    n: int,
-    view: View,
-    table: np.ndarray,
-    rows: int,
-    nodes: Nodes,
-    echoes: np.ndarray,
-    received: int,
-) -> tuple[np.ndarray, np.ndarray, int, np.ndarray, int]:
+    address: int, arrays: Arrays, n: int, received: int, view: View, table: np.ndarray, rows: int, nodes: Nodes
+) -> tuple[Arrays, int, int]:
     """Advance rays until none is left, or until one has met as many interfaces as the table has `rows`.
 
-    Returns the arrays, which grow where they are too small, with the numbers of rays and of echoes.
+    The arrays are rays, the sets that they are inside of, and echoes. Returns them, which grow where they are too
+    small, with the numbers of rays and of echoes.
     """
-    asked = asked_ray()
+    asked, (rays, inside, echoes) = asked_ray(), arrays
     while n > 0:
         if rows < MAX_ROWS:
             for i in range(n):
                 if rays[i].interfaces >= rows:
-                    return rays, inside, n, echoes, received
+                    return (rays, inside, echoes), n, received
         rays, inside, echoes = _grown(rays, 2 * n), _grown(inside, 2 * n), _grown(echoes, received + n)
-        n, count = _advance(address, asked, rays, inside, n, view, table, nodes, echoes[received:])
+        n, count = _advance(address, asked, (rays, inside, echoes[received:]), n, view, table, nodes)
         received += count
-    return rays, inside, n, echoes, received
+    return (rays, inside, echoes), n, received
 
 
 @compiled
@@ -116,21 +108,14 @@ def _grown(rows: np.ndarray, count: int) -> np.ndarray:
 
 @compiled
 def _advance(
-    address: int,
-    asked: tuple[np.ndarray, np.ndarray, int],
-    rays: np.ndarray,
-    inside: np.ndarray,
-    n: int,
-    view: View,
-    table: np.ndarray,
-    nodes: Nodes,
-    echoes: np.ndarray,
+    address: int, asked: Asked, arrays: Arrays, n: int, view: View, table: np.ndarray, nodes: Nodes
 ) -> tuple[int, int]:
     """Advance n rays to the surfaces that they hit: one bounce of the path tracer.
 
     Reflected rays are written behind all rays at first, because transmitted rays take the rows from 0. Returns how many
     rays there are then, and how many echoes were written.
     """
+    rays, inside, echoes = arrays
     # arrays by name and element: no part of an array is made for a ray, see `bounce`
     speed, impedance, specularity, thickness, loss, lobe, stretches, silent, differs, refracts, rough, thick = (
         view.media
@@ -138,7 +123,7 @@ def _advance(
     elements, axes, tissue_of_owner, of_group = view.elements, view.axes, view.tissue_of_owner, view.rays
     at_mm, apart_mm, empty, amplitudes = nodes
     words, count = inside.shape[1], amplitudes.shape[1]
-    beyond_table = np.empty(COLUMNS, np.float32)
+    drawn = np.empty(COLUMNS, np.float32)
     transmitted, reflected, received = 0, n, 0
     for i in range(n):
         ray = rays[i]
@@ -176,23 +161,17 @@ def _advance(
         ray.structure, ray.triangle, ray.step_mm = hit.structure, hit.triangle, step_mm
 
         if differs[tissue, beyond]:
-            row, number = ray.interfaces, ray.number
-            if row < MAX_ROWS:
-                choice, luck, deep = (
-                    table[row, number, CHOICE],
-                    table[row, number, SURVIVAL],
-                    table[row, number, THICKNESS],
-                )
-                drawn = table[row, number, LOG_U], table[row, number, COS_AZIMUTH], table[row, number, SIN_AZIMUTH]
+            if ray.interfaces < MAX_ROWS:
+                for column in range(COLUMNS):
+                    drawn[column] = table[ray.interfaces, ray.number, column]
             else:
-                unstratified(view.path_seed, row, number, beyond_table)
-                choice, luck, deep = beyond_table[CHOICE], beyond_table[SURVIVAL], beyond_table[THICKNESS]
-                drawn = beyond_table[LOG_U], beyond_table[COS_AZIMUTH], beyond_table[SIN_AZIMUTH]
+                unstratified(view.path_seed, ray.interfaces, ray.number, drawn)
+            tilt = drawn[LOG_U], drawn[COS_AZIMUTH], drawn[SIN_AZIMUTH]
             surface = tissue_of_owner[hit.structure + 1]
             sides = float(speed[tissue]), float(speed[beyond]), float(impedance[tissue]), float(impedance[beyond])
             interface = bounce.Interface(sides[0], sides[1], sides[2], sides[3], refracts)
-            scattering = bounce.sample_scattering(direction, hit.normal, interface, lobe[surface], drawn, rough)
-            thickness_mm = float(deep) * thickness[surface] if thick else 0.0
+            scattering = bounce.sample_scattering(direction, hit.normal, interface, lobe[surface], tilt, rough)
+            thickness_mm = float(drawn[THICKNESS]) * thickness[surface] if thick else 0.0
 
             link = bounce.connect(ray, point, medium, thickness_mm, at(elements, group), at(axes, group))
             depth_mm = link.depth_mm + thickness_mm * medium.stretch
@@ -216,13 +195,14 @@ def _advance(
                     if not medium.anechoic or empty[group, k]:
                         amplitudes[group, k] += level
                     level *= factor
-            pressure = scattering.pressure
             faint_db = 0.0  # not read where a direct ray is transmitted alone
             if not direct or probability > 0:  # how much fainter than its weight: loss, direction, half the gain ahead
                 # What the time gain adds up to the end of the image makes up for loss in tissue, not in fluid.
                 ahead_db = view.gain_db_mm * max(view.depth_mm - link.depth_mm, 0.0)
                 faint_db = link.two_way_db + ahead_db / 2 + min(link.aside_db, bounce.MOST_ASIDE_DB)
-            back_weight, weight = bounce.go_on(ray, pressure, probability, choice, luck, faint_db, view.roulette_db)
+            back_weight, weight = bounce.go_on(
+                ray, scattering.pressure, probability, drawn[CHOICE], drawn[SURVIVAL], faint_db, view.roulette_db
+            )
             if back_weight > 0:
                 rays[reflected] = ray
                 for word in range(words):
