@@ -38,14 +38,8 @@ def test_same_seeds_same_frame(scene, probe, small, ahead) -> None:
 
 
 def test_an_image_alone_is_that_of_the_frame_and_makes_no_maps(scene, probe, small, ahead) -> None:
-    taken: list[str] = []
-
-    def observer(which, function, args):
-        taken.append(which)
-        return function(*args)
-
     simulator = Simulator(scene, probe, small)
-    with observe_stages(observer):
+    with stage_times() as taken:
         image = simulator.image(ahead, seed=3)
     assert not {Stage.pixel_labels, Stage.attenuation_labels, Stage.attenuation_sum} & set(taken)
     assert Stage.tracing in taken
