@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -46,8 +46,11 @@ def serve(preset: str, frames: int, many: int) -> None:
         settings = job.settings
         scene, grid = simulated.build_scene(settings)
         poses = simulated.lay_out(settings, scene, grid).poses
-        of_job = getattr(simulated, "simulator_of", None)  # earlier checkouts have one time gain for all scenes
-        simulator = settings.simulator if of_job is None else of_job(job, scene, grid, poses)
+        simulator = settings.simulator
+        with suppress(ImportError):  # earlier checkouts have one time gain for all scenes
+            from ablate.runs.prepare import simulator_of
+
+            simulator = simulator_of(job, scene, grid, poses)
         poses = poses[np.linspace(0, len(poses) - 1, min(frames, len(poses))).astype(int)]
         few = Simulator(scene, settings.probe, simulator, poses=poses)
         dense = Simulator(scene, settings.probe, replace(simulator, rays=many), poses=poses)

@@ -23,7 +23,8 @@ from ablate.evaluation import EvaluationSettings, Scorer, resimulation_images, t
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS, FeatureKind, Pair, choose_metrics, speckle_features
 from ablate.runs.data_set import DataSet as Data
-from ablate.runs.data_set import maps_needed, prepare_data
+from ablate.runs.data_set import maps_needed
+from ablate.runs.prepare import prepare_data
 from ablate.tracking import hardware
 from ablate.ultrasound import ConvexProbe
 from ablate.ultrasound.probe import pixel_polar, pixel_size_mm

@@ -136,7 +136,8 @@ def _load_scene(job: "Job", rng: random.Random) -> None:
 
 
 def _prepare(job: "Job") -> None:
-    from ablate.runs.data_set import maps_needed, prepare_data
+    from ablate.runs.data_set import maps_needed
+    from ablate.runs.prepare import prepare_data
 
     prepare_data(job, maps_needed([job.settings.model]))
 

@@ -32,9 +32,10 @@ from ablate.metrics import (
     speckle_features,
 )
 from ablate.runs.data_set import DataSet as Data
-from ablate.runs.data_set import maps_needed, prepare_data
+from ablate.runs.data_set import maps_needed
 from ablate.runs.job import Job
 from ablate.runs.place import finished_run
+from ablate.runs.prepare import prepare_data
 from ablate.runs.train import run_job, scorer
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_json

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from tqdm import tqdm
@@ -27,9 +27,6 @@ from ablate.settings.conf import build
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import read_json, write_json
 from ablate.ultrasound.settings import Sliders, probe_from
-
-if TYPE_CHECKING:
-    from ablate.runs.job import Job
 
 #: The maps that say which data a run was scored on; all of their test frames are read for the digest.
 _DIGESTED = ("segmentation", "attenuation", "target", "resimulation")
@@ -121,32 +118,6 @@ def about_data(settings: StudySettings) -> dict[str, Any]:
 
         about = about_simulated(settings)
     return {**about, "pairs_version": PAIRS_VERSION}
-
-
-def prepare_data(job: Job, maps: frozenset[str]) -> DataSet:
-    """Simulate, or import, what is missing of the job's pairs; returns at once when nothing is."""
-    settings, data = job.settings, job.data
-    if data.lacks(wanted := offered(job, maps)):
-        data.kept_digest.unlink(missing_ok=True)  # frames are made again, perhaps on another kind of processor
-        if settings.scene.kind is SceneKind.pairs:
-            make = import_data
-        else:
-            from ablate.runs.simulated import simulate_data as make
-        make(settings, data.folder, wanted, job.semantic["data"])
-        data = job.data
-    if not data.contact_sheet.exists():
-        dataset.write_contact_sheet(data.pairs, data.contact_sheet)
-    return data
-
-
-def drop_damaged(job: Job, maps: frozenset[str]) -> tuple[str, ...]:
-    """Compare what is on disk of the job's pairs with its checksums; what is damaged is removed and named."""
-    return dataset.remove_damaged(open_pairs(job.data.folder), maps) if job.data.exists else ()
-
-
-def offered(job: Job, maps: frozenset[str]) -> frozenset[str]:
-    """Those of the maps that there can be: a folder of pairs made elsewhere may have fewer."""
-    return maps & checked_folder(job.settings).maps if job.settings.scene.kind is SceneKind.pairs else maps
 
 
 def checked_folder(settings: StudySettings) -> PngFolder:

@@ -19,9 +19,10 @@ from ablate.evaluation import ImageSource, Scorer, score_run
 from ablate.metrics import METRICS_VERSION, choose_metrics, inception_file, load_inception, needs_inception
 from ablate.metrics.features import CENTRE
 from ablate.networks import Generator, conditions, draws_noise
-from ablate.runs.data_set import DataSet, maps_needed, prepare_data
+from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job, parameters, precision_of
 from ablate.runs.place import claim_place, finished_run, sources_of, with_earlier_metrics
+from ablate.runs.prepare import prepare_data
 from ablate.runs.run import Run
 from ablate.runs.store_copy import copying, log_samples
 from ablate.setting import plain

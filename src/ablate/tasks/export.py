@@ -8,8 +8,9 @@ import numpy as np
 
 from ablate.dataset import Part
 from ablate.dataset.export_formats import write_dicom, write_nnunet, write_png
-from ablate.runs.data_set import DataSet, maps_needed, prepare_data
+from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job
+from ablate.runs.prepare import prepare_data
 from ablate.settings.study import ConfigurationError, ExportFormat, SceneKind, StudySettings, refusing
 from ablate.storage import write_text
 from ablate.ultrasound.probe import pixel_size_mm

@@ -6,12 +6,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from pkgutil import resolve_name
 
+from ablate.dataset import remove_damaged
 from ablate.jobs.describe import description
 from ablate.jobs.launch import Launch
 from ablate.jobs.preflight import check
-from ablate.runs.data_set import drop_damaged, maps_needed, offered, prepare_data
+from ablate.runs.data_set import maps_needed
 from ablate.runs.job import Job
 from ablate.runs.place import claim_place, finished_run
+from ablate.runs.prepare import offered, prepare_data
 from ablate.settings.study import SceneKind, StudySettings, Task, refusing
 
 #: The function of each task that starts no jobs.
@@ -91,7 +93,7 @@ def simulate(jobs: Sequence[Job], launch: Launch) -> int:
     Pairs that exist are checked, and damaged ones are made again.
     """
     for job, maps in (sets := _data_sets(jobs)):
-        for damaged in drop_damaged(job, maps):
+        for damaged in remove_damaged(job.data.pairs, maps) if job.data.exists else ():
             print(damaged, file=sys.stderr)
     if launch.elsewhere:
         launch.start(jobs, lambda job: prepare_data(job, maps_needed([job.settings.model])))

@@ -46,8 +46,7 @@ _SHIFT = 1.5 * 2.0**52  # added to a number, it leaves the nearest whole number 
 def exponential(x: float) -> float:
     """exp(x) within 1e-11 of itself, of x from -700 to 700, else of the nearest of them.
 
-    No branch and no call: LLVM computes several at a time, and the result does not depend on how many. x is n ln 2 + r;
-    exp(r) is the first ten terms of its series.
+    No branch and no call: LLVM computes several at a time, whatever the processor. x is n ln 2 + r; exp(r) is a series.
     """
     x = min(max(x, -700.0), 700.0)
     shifted = x * (1 / math.log(2)) + _SHIFT

@@ -255,6 +255,5 @@ def _closest_of_all(address: int, origins: np.ndarray, directions: np.ndarray, r
     for i in range(n):
         hit = closest_of(address, asked, at(origins, i), at(directions, i), reach_mm[i])
         hits.distance_mm[i], hits.structure[i], hits.triangle[i] = hit.distance_mm, hit.structure, hit.triangle
-        for axis in range(3):
-            hits.normal[i, axis] = hit.normal[axis]
+        hits.normal[i, 0], hits.normal[i, 1], hits.normal[i, 2] = hit.normal
     return hits

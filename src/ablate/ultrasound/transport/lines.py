@@ -46,22 +46,11 @@ _NEPER_PER_TWO_WAY_DB = 2 * _NEPER_PER_DB
 def echo_lines(
     echoes: np.ndarray, gain_db: np.ndarray, nodes: Nodes, weights: np.ndarray, rays: int, depth_mm: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What rays bring back, of those never reflected before and of the others: the mean over the `rays` of a group.
+    """What rays bring back, the mean over the `rays` of a group: of those never reflected before, and of the others.
 
-    Parameters
-    ----------
-    echoes : (n,) ECHO
-    gain_db : (groups, nodes) float
-        Of the aperture, for echoes of rays never reflected before.
-    weights : (layers, samples) float
-        Elevational, they sum to 1 over the layers.
-
-    Returns
-    -------
-    surfaces : (scanlines, samples) float64
-        Amplitudes of surfaces, real and positive, so that the estimate converges with the number of rays.
-    reverberation : (scanlines, cells) float64
-        That of reflected rays, in cells of a depth that suits `clutter_lines`.
+    `echoes` are (n,) ECHO, `gain_db`, (groups, nodes), is the aperture's for the former, and `weights`, (layers,
+    samples), are elevational and sum to 1 over layers. Returns amplitudes of surfaces, (scanlines, samples), real and
+    positive, so that they converge with the number of rays; and of reverberation, (scanlines, cells of some depth).
     """
     layers, samples = weights.shape
     lines = len(gain_db) // layers
