@@ -30,7 +30,7 @@ def test_every_direct_ray_is_reflected_once(gel, slab, probe, one_line, pressure
 def test_weak_reverberation_has_no_error(gel, slab, probe, one_line) -> None:
     """Off faces of R_p = 0.08: at probability R, 8 of 200,000 rays would be reflected twice and make the echo.
 
-    A surface splits a ray until its second reflection: half of the rays make the echo, with twice the weight of its path.
+    A surface splits a ray until its second reflection: half of the rays make the echo, twice as strong.
     """
     tissues = (Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 1.5 * 1.08 / 0.92), ("b", 1.5)))
     scene = Scene(tuple(slab(t, near, 400.0) for t, near in zip(tissues, (30.0, 60.0), strict=True)), gel, "s")

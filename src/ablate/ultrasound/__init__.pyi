@@ -1,4 +1,3 @@
-from .attenuation import compensated_attenuation as compensated_attenuation
 from .imaging.bmode import Display as Display
 from .patient_gain import with_patient_gain as with_patient_gain
 from .probe import fan_mask as fan_mask
@@ -14,3 +13,4 @@ from .settings import SimulatorPrecision as SimulatorPrecision
 from .settings import SimulatorSettings as SimulatorSettings
 from .settings import TimeGain as TimeGain
 from .simulator import Simulator as Simulator
+from .time_gain import compensated_attenuation as compensated_attenuation

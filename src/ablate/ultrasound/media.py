@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.ultrasound.probe import check_pose, fan_lines
@@ -43,19 +42,6 @@ class Medium(NamedTuple):
 def loss_db_mm(tissue: Tissue, frequency_mhz: float) -> float:
     """Amplitude lost one way, alpha f^b, dB/mm."""
     return tissue.attenuation_db_cm_mhz * frequency_mhz**tissue.attenuation_power / 10
-
-
-def time_gain_db(depth_mm: np.ndarray, probe: Probe, tgc: float | Sequence[float]) -> np.ndarray:
-    """Two-way time gain at some depths, (...) to (...) dB.
-
-    A number is the attenuation of a tissue, dB/cm/MHz: the gain is what it takes on the way there and back. Several are
-    the gain itself at equal distances from the face to the imaging depth; between them it is a monotone cubic (Fritsch
-    and Carlson, SIAM J. Numer. Anal. 17, 1980).
-    """
-    if isinstance(tgc, Sequence):
-        gain_db: np.ndarray = PchipInterpolator(np.linspace(0, probe.depth_mm, len(tgc)), tgc)(depth_mm)
-        return gain_db
-    return 2 * tgc * probe.frequency_mhz * (depth_mm / 10)
 
 
 def tabulate(tissues: Sequence[Tissue], used: np.ndarray, frequency_mhz: float, mode: DepthMode, full: bool) -> Media:

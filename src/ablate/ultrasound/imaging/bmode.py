@@ -15,10 +15,10 @@ from ablate.ultrasound.compiled import Arrays, compiled
 from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, along_lines, blur, point_spread
 from ablate.ultrasound.imaging.scatterers import Samples
 from ablate.ultrasound.imaging.speckle import Lines, Speckle
-from ablate.ultrasound.media import time_gain_db
 from ablate.ultrasound.probe import fan_mask, fan_of, pixel_polar, sample_depths_mm
 from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
+from ablate.ultrasound.time_gain import time_gain_db
 
 _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
 _RUNS_OF_A_PART = 64
@@ -170,10 +170,10 @@ def _interpolate(
 
 @dataclass(frozen=True)
 class Prepared:
-    """What rays bring back, on the device that makes images of it with any number of seeds."""
+    """What rays bring back, for images with any number of seeds."""
 
     insonified: Samples
-    surfaces: torch.Tensor  # (scanlines, samples)
+    surfaces: np.ndarray  # (scanlines, samples)
     clutter: np.ndarray  # (scanlines, samples), or (0, samples) where there is none
 
 
@@ -186,22 +186,17 @@ class SignalChain:
         self.convert = ScanConverter(probe, settings)
         self.spread = point_spread(probe, settings, self.dtype)
         self.speckle = Speckle(tissues, probe, settings, getattr(np, settings.precision.value))
-        depth_mm = sample_depths_mm(probe, settings.axial_samples)
-        gain_db = np.minimum(time_gain_db(depth_mm, probe, settings.time_gain), _LARGEST_GAIN_DB)
+        self._depth_mm = sample_depths_mm(probe, settings.axial_samples)
+        gain_db = np.minimum(time_gain_db(self._depth_mm, probe, settings.time_gain), _LARGEST_GAIN_DB)
         self.gain = 10 ** (gain_db / 20)  # of the samples, two-way
         self._noise: tuple[int, np.ndarray] | None = None
-
-    def tensor(self, values: np.ndarray) -> torch.Tensor:
-        """An array as the chain computes with it."""
-        return torch.from_numpy(values).to(self.settings.device, self.dtype)
 
     def prepare(self, lines: Lines, level_db: np.ndarray, surfaces: np.ndarray, clutter: np.ndarray) -> Prepared:
         """What does not depend on the scatterers' seed: `lines` and `level_db` are those of `Speckle.insonify`.
 
         `surfaces` and `clutter`, (scanlines, samples), are amplitudes at the receiver: echoes, and reverberation.
         """
-        received = clutter * self.spread.axial.sum().item()
-        return Prepared(self.speckle.insonify(lines, level_db), self.tensor(surfaces), received)
+        return Prepared(self.speckle.insonify(lines, level_db), surfaces, clutter * self.spread.axial.sum().item())
 
     def noise(self, pose: np.ndarray, seed: int) -> tuple[np.ndarray, tuple[int, int]]:
         """Complex Gaussian noise of unit mean power with the pulse's bandwidth, (2, scanlines, samples).
@@ -213,9 +208,8 @@ class SignalChain:
             numbers = np.array([(self.settings.path_seed + _KEY) % 2**64, seed % 2**64], np.uint64)  # a list: float64
             generator, axial = np.random.Generator(np.random.Philox(key=numbers)), self.spread.axial
             shape = (2, self.settings.scanlines, self.settings.axial_samples)
-            white = self.tensor(generator.standard_normal(shape, np.float32))
-            made = along_lines(white, axial / (2 * axial.square().sum()).sqrt())
-            self._noise = seed, made.cpu().numpy()
+            white = torch.from_numpy(generator.standard_normal(shape, np.float32)).to(axial)
+            self._noise = seed, along_lines(white, axial / (2 * axial.square().sum()).sqrt()).cpu().numpy()
         key = zlib.crc32(pose.tobytes())
         return self._noise[1], (key % 65521, key // 7)
 
@@ -230,14 +224,13 @@ class SignalChain:
         gain = self.gain / settings.reference_level
         floor = 10 ** (settings.noise_floor_db / 20) / gain[-1]  # rms
         if display is not None:
-            depth_mm = sample_depths_mm(self.probe, settings.axial_samples)
-            gain = gain * 10 ** (display.gain_at(depth_mm / self.probe.depth_mm) / 20)
+            gain = gain * 10 ** (display.gain_at(self._depth_mm / self.probe.depth_mm) / 20)
             settings = display.applied_to(settings)
         if prepared is None:
             signal, clutter = np.zeros_like(noise), noise[0, :0]
         else:
-            received = blur(self.tensor(self.speckle(prepared.insonified, seed)), prepared.surfaces, self.spread)
-            signal, clutter = received.cpu().numpy(), prepared.clutter
+            echoes = self.speckle(prepared.insonified, seed), prepared.surfaces
+            signal, clutter = blur(*echoes, self.spread), prepared.clutter
         envelope, grey = np.empty((2, *noise.shape[1:]), noise.dtype)
 
         def shown(begin: int, end: int) -> None:

@@ -119,26 +119,28 @@ def point_spread(probe: Probe, settings: SimulatorSettings, dtype: torch.dtype) 
 
 
 @stage(Stage.point_spread)
-def blur(scatterers: torch.Tensor, surfaces: torch.Tensor, spread: PointSpread) -> torch.Tensor:
+def blur(scatterers: np.ndarray, surfaces: np.ndarray, spread: PointSpread) -> np.ndarray:
     """Scatterers through the PSF of unit energy, plus surfaces through that whose main lobe has unit peak and sum.
 
     Scatterers and the result are (2, scanlines, samples), real and imaginary part; surfaces are (scanlines, samples).
     """
-    total, lateral = torch.empty_like(scatterers), spread.lateral
+    lateral = spread.lateral
+    given, flat = (torch.from_numpy(values).to(lateral) for values in (scatterers, surfaces))
+    total = torch.empty_like(given)
     blocks = _BLOCKS if len(lateral) > 1 else _BLOCKS // _BLOCKS_OF_A_PART  # of one kernel, larger ones are faster
     edges = np.linspace(0, surfaces.shape[1], blocks + 1).round().astype(int)
 
     def across(begin: int, end: int) -> None:
         for block in range(begin, end):
             some, kernel = slice(edges[block], edges[block + 1]), min(block, len(lateral) - 1)
-            for channel, signal in enumerate(scatterers):
+            for channel, signal in enumerate(given):
                 own = torch.mm(lateral[kernel], signal[:, some]).mul_(spread.scatterer_scale[kernel])
                 if channel == 0:
-                    own.addmm_(lateral[kernel], surfaces[:, some])
+                    own.addmm_(lateral[kernel], flat[:, some])
                 total[channel, :, some] = own
 
-    in_parts(across, blocks, max(1, blocks // _BLOCKS_OF_A_PART) if surfaces.device.type == "cpu" else blocks)
-    return along_lines(total, spread.axial)
+    in_parts(across, blocks, max(1, blocks // _BLOCKS_OF_A_PART) if flat.device.type == "cpu" else blocks)
+    return along_lines(total, spread.axial).cpu().numpy()
 
 
 def along_lines(lines: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:

@@ -1,0 +1,71 @@
+"""The time gain: at the depths of samples, and of the attenuation map A."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from ablate.ultrasound.probe import fan_mask, pixel_polar
+from ablate.ultrasound.settings import Probe
+
+_LEAST = 1e-4  # of A; what is darker is black at any depth
+_REACH_DB = 36.0  # levels from minus this to this are 0 to 1
+
+
+def time_gain_db(depth_mm: np.ndarray, probe: Probe, tgc: float | Sequence[float]) -> np.ndarray:
+    """Two-way time gain at some depths, (...) to (...) dB.
+
+    A number is the attenuation of a tissue, dB/cm/MHz: the gain is what it takes on the way there and back. Several are
+    the gain itself at equal distances from the face to the imaging depth; between them it is a monotone cubic (Fritsch
+    and Carlson, SIAM J. Numer. Anal. 17, 1980).
+    """
+    if isinstance(tgc, Sequence):
+        gain_db: np.ndarray = PchipInterpolator(np.linspace(0, probe.depth_mm, len(tgc)), tgc)(depth_mm)
+        return gain_db
+    return 2 * tgc * probe.frequency_mhz * (depth_mm / 10)
+
+
+def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: float | Sequence[float]) -> np.ndarray:
+    """The map A as the image has it: in decibels, two ways, plus the gain of the TGC at the depth of each pixel.
+
+    It is (40 log10(max(A, 1e-4)) + g(z) + 36) / 72 with the time gain g(z) in dB, clipped to [0, 1]. At 0.5 (0 dB) the
+    gain makes up for the attenuation. How bright a pixel is follows from A and z, and a crop of A does not tell z.
+
+    Parameters
+    ----------
+    attenuation : (..., H, W) float in [0, 1]
+        A, over its 98th percentile, of an image of the fan's bounding box.
+    tgc : float or several
+        A slope, dB/cm/MHz one way, or the curve of a patient, dB two ways, as `SimulatorSettings.time_gain`.
+
+    Returns
+    -------
+    (..., H, W) float32 in [0, 1]
+        0 outside the fan.
+
+    Examples
+    --------
+    Where nothing attenuates, the gain makes the image brighter with depth:
+
+    >>> import numpy as np
+    >>> from ablate.ultrasound import ConvexProbe, compensated_attenuation
+    >>> level = compensated_attenuation(np.ones((100, 139)), ConvexProbe(frequency_mhz=3.0), tgc=0.4)
+    >>> [f"{level[row, 69]:.2f}" for row in (10, 50, 90)], float(level[0, 0])
+    (['0.53', '0.74', '0.95'], 0.0)
+    """
+    height, width = attenuation.shape[-2:]
+    level_db = 40 * np.log10(np.maximum(attenuation, _LEAST, dtype=np.float32))
+    level_db += _gain_db(probe, tuple(tgc) if isinstance(tgc, Sequence) else tgc, (height, width))
+    level_db += np.float32(_REACH_DB)
+    level_db /= np.float32(2 * _REACH_DB)
+    return np.clip(level_db, 0, 1, out=level_db)
+
+
+@lru_cache(maxsize=4)
+def _gain_db(probe: Probe, tgc: float | tuple[float, ...], shape: tuple[int, int]) -> np.ndarray:
+    """Gain of the TGC at every pixel, (H, W) float32; minus infinity outside the fan, where the image is black."""
+    depth_mm, _ = pixel_polar(probe, shape)
+    inside = fan_mask(probe, shape)
+    gain = time_gain_db(np.where(inside, depth_mm, 0), probe, tgc)
+    return np.where(inside, gain, -np.inf).astype(np.float32)
