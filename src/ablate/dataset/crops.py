@@ -12,9 +12,13 @@ import numpy as np
 import torch
 
 from ablate.dataset.encoding import decode_attenuation, encode_grey_levels
+from ablate.networks.spec import Space
 
 if TYPE_CHECKING:
     from ablate.dataset.pairs import Pairs  # only here: frames that are read otherwise need no Zarr
+
+#: The maps of position, which follow from the probe alone and are the same in all frames.
+OF_POSITION = frozenset({"depth", "lateral"})
 
 _TRIES = 50
 _AHEAD = 2  # batches a worker prepares before the first of them is taken
@@ -24,7 +28,7 @@ _AHEAD = 2  # batches a worker prepares before the first of them is taken
 class CropSettings:
     """How training batches are cut.
 
-    A crop is a square of `size` px; the part of it beyond the frame is filled as outside the fan. It is drawn again
+    A crop is a square of `size` px, or a whole frame if `size` is 0; the part of it beyond the frame is filled as outside the fan. It is drawn again
     until at least the share `fan_fraction` of it lies in the fan, and it always touches the fan. `flip` mirrors half of
     the crops left to right, which the physics allows.
     """
@@ -34,14 +38,15 @@ class CropSettings:
     fan_fraction: float = 0.0
     flip: bool = False
     seed: int = 0
+    space: Space = Space.image
 
 
 class Crops:
     """Batch number `step` of an endless training run, as a dict of tensors.
 
-    Item `step` holds `segmentation`, `target` and, where the pairs are read with them, `attenuation`, `compensated` and
-    `low`: (N, 1, size, size) float32 in [-1, 1], outside the fan -1 (attenuation in [0, 1], outside 0); `mask`,
-    (N, 1, size, size) float32; and `noise_seed`, (N,) int64.
+    Item `step` holds `segmentation`, (N, channels, h, w) float32 in [-1, 1]; `target` and the other `maps`, (N, 1, h, w)
+    float32 in [-1, 1], outside the fan -1 (attenuation and interfaces in [0, 1], outside 0); `mask`, (N, 1, h, w)
+    float32; and `noise_seed`, (N,) int64.
 
     Crops are drawn from `frames`, (k,) int. `maps` says which maps are included besides, `values` come from
     `label_values`. As many frames as fit into `in_memory_bytes` are kept in memory, as `Pairs.stored` has them: Zarr
@@ -61,16 +66,23 @@ class Crops:
         if settings.batch_size > len(frames):
             raise ValueError(f"training.batch_size={settings.batch_size}: more than the {len(frames)} training frames")
         self.pairs, self.frames, self.values, self.settings = pairs, np.asarray(frames), values, settings
-        self.names = ("segmentation", "target", *sorted(maps - {"segmentation", "target"}))
-        self.mask = pairs.mask()
+        self.mask = pairs.mask(settings.space)
+        self.size = (settings.size, settings.size) if settings.size else self.mask.shape
+        self.positions = pairs.positions(settings.space) if maps & OF_POSITION else {}
+        self.positions = {name: value for name, value in self.positions.items() if name in maps}
+        self.names = ("segmentation", "target", *sorted(maps - {"segmentation", "target"} - OF_POSITION))
         if not self.mask.any():
             raise ValueError(f"{pairs.folder}: no pixel of the frames lies in the fan")
-        self._kept = in_memory_bytes // sum(pairs.stored(name, frames[0]).nbytes for name in self.names)
-        self._in_memory = {name: pairs.stored(name, self.frames[: self._kept]) for name in self.names}
+        self._kept = in_memory_bytes // sum(self._stored(name, frames[0]).nbytes for name in self.names)
+        self._in_memory = {name: self._stored(name, self.frames[: self._kept]) for name in self.names}
+
+    def _stored(self, name: str, frames: np.ndarray) -> np.ndarray:
+        return self.pairs.stored(name, frames, self.settings.space)
 
     def __getitem__(self, step: int) -> dict[str, torch.Tensor]:
-        shape = self.settings.batch_size, 1, self.settings.size, self.settings.size
-        batch = {name: np.empty(shape, np.float32) for name in ("mask", *self.names)}
+        names, shape = ("mask", *self.names, *self.positions), (self.settings.batch_size, 1, *self.size)
+        batch = {name: np.empty(shape, np.float32) for name in names}
+        batch["segmentation"] = np.empty((shape[0], self.values.shape[1], *self.size), np.float32)
         seeds = [self._fill(batch, step, index) for index in range(self.settings.batch_size)]
         return {**{k: torch.from_numpy(v) for k, v in batch.items()}, "noise_seed": torch.tensor(seeds)}
 
@@ -82,13 +94,19 @@ class Crops:
         mirror = self.settings.flip and bool(rng.integers(2))
         mask = self._cut(self.mask, corner, mirror)
         batch["mask"][index, 0] = mask
+        for name, whole in self.positions.items():
+            cut = self._cut(whole, corner, mirror)
+            batch[name][index, 0] = -cut if mirror and name == "lateral" else cut
         for name in self.names:  # in place: temporary arrays of this size cost more than the arithmetic
-            frame = self._in_memory[name][item] if item < self._kept else self.pairs.stored(name, self.frames[item])
+            frame = self._in_memory[name][item] if item < self._kept else self._stored(name, self.frames[item])
             cut, place = self._cut(frame, corner, mirror), batch[name][index, 0]
             if name == "segmentation":
-                np.take(self.values, cut, out=place)
+                for channel, values in enumerate(self.values.T):
+                    np.take(values, cut, out=batch[name][index, channel])
             elif cut.dtype == np.uint16:  # attenuation
                 decode_attenuation(cut, out=place)
+            elif name == "interfaces":
+                np.divide(cut, np.float32(255), out=place)
             else:
                 encode_grey_levels(cut, out=place)
                 np.copyto(place, -1, where=~mask)
@@ -96,13 +114,12 @@ class Crops:
 
     def _window(self, rng: np.random.Generator) -> tuple[int, int]:
         """Top left corner of a crop with enough of the fan in it; where none is found, of the best one seen."""
-        (height, width), size = self.mask.shape, self.settings.size
-        rows, columns = max(height - size, 0), max(width - size, 0)
-        least = max(1.0, self.settings.fan_fraction * size**2)
+        rows, columns = (max(whole - side, 0) for whole, side in zip(self.mask.shape, self.size, strict=True))
+        least = max(1.0, self.settings.fan_fraction * self.size[0] * self.size[1])
         best, best_count = (0, 0), -1
         for _ in range(_TRIES):
             row, column = int(rng.integers(rows + 1)), int(rng.integers(columns + 1))
-            count = int(np.count_nonzero(self.mask[row : row + size, column : column + size]))
+            count = int(np.count_nonzero(self.mask[row : row + self.size[0], column : column + self.size[1]]))
             if count > best_count:
                 best, best_count = (row, column), count
             if count >= least:
@@ -110,14 +127,14 @@ class Crops:
         if best_count == 0:  # a fan of a few pixels: a window about one of them
             inside = np.argwhere(self.mask)
             row, column = (int(v) for v in inside[rng.integers(len(inside))])
-            best = min(max(row - size // 2, 0), rows), min(max(column - size // 2, 0), columns)
+            best = min(max(row - self.size[0] // 2, 0), rows), min(max(column - self.size[1] // 2, 0), columns)
         return best
 
     def _cut(self, image: np.ndarray, corner: tuple[int, int], mirror: bool) -> np.ndarray:
-        (row, column), size = corner, self.settings.size
-        cut = image[row : row + size, column : column + size]
-        if cut.shape != (size, size):
-            cut = np.pad(cut, ((0, size - cut.shape[0]), (0, size - cut.shape[1])))
+        (row, column), (height, width) = corner, self.size
+        cut = image[row : row + height, column : column + width]
+        if cut.shape != self.size:
+            cut = np.pad(cut, ((0, height - cut.shape[0]), (0, width - cut.shape[1])))
         return cut[:, ::-1] if mirror else cut
 
 

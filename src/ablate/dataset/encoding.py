@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ablate.anatomy import Tissue, echogenicity_order
+from ablate.anatomy import Tissue, TissueKind, echogenicity_order
 from ablate.dataset.split import Drawn
+from ablate.networks.spec import GeneratorSpec
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -27,23 +29,55 @@ _ATTENUATION_BITS = 9
 
 
 class Encoding(StrEnum):
-    """`echogenicity`: dark to bright, by the built-in tissue table; `arbitrary`: a seeded permutation."""
+    """How labels become what the networks read.
+
+    `echogenicity`: one number, from dark to bright by the built-in tissue table; `arbitrary`: one number, by an order
+    drawn with the run's seed; `properties`: three numbers from the tissue table; `onehot`: a channel a label, of which
+    the network learns an embedding.
+    """
 
     echogenicity = "echogenicity"
     arbitrary = "arbitrary"
+    properties = "properties"
+    onehot = "onehot"
+
+
+#: Maps that one-hot labels are embedded in.
+_EMBEDDED = 4
+#: Middle and half range of the properties: level of the scatterers in dB, and impedance in MRayl.
+_LEVEL_DB, _IMPEDANCE_MRAYL = (-20.0, 20.0), (1.6, 0.2)
 
 
 def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -> np.ndarray:
-    """Value of every label, (len(tissues) + 1,) float32: -1 outside the fan (label 0), the others equally spaced to 1.
+    """Values of every label, (len(tissues) + 1, channels) float32 in [-1, 1]; label 0 is outside the fan.
 
-    `tissues` are `Scene.tissues`, behind labels 1, 2, ...; `seed` is that of `Encoding.arbitrary`.
+    `tissues` are `Scene.tissues`, behind labels 1, 2, ...; `seed` is that of `Encoding.arbitrary`. An order is one
+    channel: -1 outside, the others equally spaced to 1. Properties are the level of the scatterers, in dB, the
+    impedance and whether a tissue is bone, -1 outside.
     """
     n = len(tissues)
+    if encoding is Encoding.onehot:
+        return np.eye(n + 1, dtype=np.float32)
+    if encoding is Encoding.properties:
+        of_tissues = [
+            (
+                (10 * np.log10(max(tissue.scatter_power, 1e-9)) - _LEVEL_DB[0]) / _LEVEL_DB[1],
+                (tissue.impedance_mrayl - _IMPEDANCE_MRAYL[0]) / _IMPEDANCE_MRAYL[1],
+                1.0 if tissue.kind is TissueKind.bone else -1.0,
+            )
+            for tissue in tissues
+        ]
+        return np.clip([(-1.0, -1.0, -1.0), *of_tissues], -1, 1).astype(np.float32)
     if encoding is Encoding.echogenicity:
         rank = np.asarray(echogenicity_order(tissues))
     else:
         rank = np.random.default_rng([seed, Drawn.label_order]).permutation(n)
-    return np.concatenate([[-1.0], -1 + 2 * (rank + 1) / n]).astype(np.float32)
+    return np.concatenate([[-1.0], -1 + 2 * (rank + 1) / n]).astype(np.float32)[:, None]
+
+
+def fitted(spec: GeneratorSpec, encoding: Encoding, values: np.ndarray) -> GeneratorSpec:
+    """The specification for labels with these `values` of `label_values`."""
+    return replace(spec, labels=values.shape[1], embedding=_EMBEDDED if encoding is Encoding.onehot else 0)
 
 
 def encode_grey_levels(levels: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
@@ -100,17 +134,22 @@ def decode_attenuation(stored: np.ndarray, out: np.ndarray | None = None) -> np.
     return np.divide(stored, ATTENUATION_SCALE, out=out, dtype=np.float32)
 
 
+def encode_labels(labels: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values of labels, (..., H, W) uint8, as channels, (..., channels, H, W) float32."""
+    return np.ascontiguousarray(np.moveaxis(values[labels], -1, -3))
+
+
 def network_inputs(maps: Mapping[str, np.ndarray], values: np.ndarray, mask: np.ndarray) -> dict[str, Tensor]:
     """Convert maps, (k, H, W) each, to what the networks read, (k, 1, H, W) float32 each.
 
-    `maps` holds `segmentation` uint8 and, where they are wanted, `attenuation` and `compensated` float32 in
-    [0, 1] and `low` uint8. `values`, (labels,) float32, come from `label_values`. Outside of `mask`, (H, W) or
-    (k, H, W) bool, `low` is black.
+    `maps` holds `segmentation` uint8, of which there are as many channels as `values`, (labels, channels) float32 of
+    `label_values`, has; and, where they are wanted, `low` uint8 and the other maps as float32. Outside of `mask`,
+    (H, W) or (k, H, W) bool, `low` is black.
     """
     import torch
 
-    read = dict(maps)
-    read["segmentation"] = values[maps["segmentation"]]
+    read = {name: value[:, None] for name, value in maps.items()}
+    read["segmentation"] = encode_labels(maps["segmentation"], values)
     if "low" in maps:
-        read["low"] = np.where(mask, encode_grey_levels(maps["low"]), np.float32(-1))
-    return {name: torch.from_numpy(value)[:, None] for name, value in read.items()}
+        read["low"] = np.where(mask, encode_grey_levels(maps["low"]), np.float32(-1))[:, None]
+    return {name: torch.from_numpy(value) for name, value in read.items()}

@@ -30,7 +30,7 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
     from one machine to the other, a shard may be made twice, with the same content.
 
     `make` is called with the numbers of k frames and the names of the wanted maps, out of `FORMATS`. It returns arrays
-    (k, H, W) by name: `attenuation` float in [0, 1], the others uint8; frames that have no such map are zeros. An
+    (k, H, W), or in beam space, by name: `attenuation` and `interfaces` float in [0, 1], the others uint8; frames that have no such map are zeros. An
     OSError when a shard cannot be written, as on a full disk; those before it stay.
     """
     with FileLock(pairs.folder / ".create.lock"):
@@ -38,7 +38,7 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
             left.unlink()
         group = zarr.open_group(pairs.folder / "pairs.zarr", mode="a")
         for name in sorted(m for m in maps if m not in group):
-            group.create_array(name, **frame_array(name, len(pairs), pairs.shape, pairs.shard))
+            group.create_array(name, **frame_array(name, len(pairs), pairs.stored_shape, pairs.shard))
     for shard in pairs.missing(maps):
         with _claimed(pairs, shard) as mine:
             if mine and (names := pairs.missing_in_shard(shard, maps)):
@@ -113,7 +113,7 @@ def remove_damaged(pairs: Pairs, maps: frozenset[str]) -> tuple[str, ...]:
             for name in sorted(maps) if mine else ():
                 try:
                     with suppress(FileNotFoundError):
-                        pairs.stored(name, pairs.frames_of_shard(shard))
+                        pairs.stored(name, pairs.frames_of_shard(shard), pairs.space)
                 except DamagedShardError as error:
                     pairs.shard_file(name, shard).unlink()
                     errors.append(error.what)
@@ -124,6 +124,8 @@ def _write(pairs: Pairs, name: str, shard: int, stack: np.ndarray) -> None:
     file = pairs.shard_file(name, shard)
     if name == "attenuation":
         stack = np.stack([encode_attenuation(frame) for frame in stack])
+    elif name == "interfaces":
+        stack = np.rint(stack * 255)
     try:
         write_shard(file, name, stack.astype(FORMATS[name][0], copy=False), pairs.shard)
     except OSError as error:

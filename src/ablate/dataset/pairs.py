@@ -1,27 +1,43 @@
-"""Pairs on disk: one Zarr v3 group, what it holds, and how its frames are read."""
+"""Pairs on disk: one Zarr v3 group, what it holds, and how its frames are read, in beam space or as images.
+
+Simulated frames are stored in beam space, and images are scan-converted from them; pairs made elsewhere are images.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zarr
 from filelock import FileLock
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
+from ablate.dataset.crops import OF_POSITION
 from ablate.dataset.encoding import ATTENUATION_SCALE, decode_attenuation
 from ablate.dataset.split import Part
 from ablate.storage import write_json
-from ablate.ultrasound import Probe, compensated_attenuation
+from ablate.networks.spec import Space
+from ablate.setting import plain
+from ablate.ultrasound import (
+    Probe,
+    ScanConverter,
+    compensated_attenuation,
+    compensated_beam,
+    position_maps,
+    scan_converter,
+)
+from ablate.ultrasound.settings import probe_from
 
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
-PAIRS_VERSION = 4
+PAIRS_VERSION = 5
 # How each map is stored: NumPy's name of the type, Blosc's of the shuffle. Labels repeat as whole bytes; other values
 # pack better with bits, or bytes, of like place together.
 FORMATS = {
     "segmentation": ("uint8", "noshuffle"),
     "attenuation": ("uint16", "shuffle"),
+    "interfaces": ("uint8", "noshuffle"),
     "target": ("uint8", "bitshuffle"),
     "low": ("uint8", "bitshuffle"),
     "resimulation": ("uint8", "bitshuffle"),
@@ -44,7 +60,7 @@ class Pairs:
     """A data set on disk.
 
     `folder` holds `pairs.zarr`, `about.json` (what the set was made from), pictures and lock files. There are `shard`
-    frames in a shard; `shape` is (H, W); `tissues` are the names behind the values 1, 2, ... of `segmentation`.
+    frames in a shard; `tissues` are the names behind the values 1, 2, ... of `segmentation`.
 
     Attributes
     ----------
@@ -52,8 +68,16 @@ class Pairs:
         Probe to world, mm.
     sites : (n,) int32
     split : (n,) uint8 of `Part`
-    probe, tgc
-        What the frames were simulated with, for `compensated`; None where it is not known.
+    shape : (H, W)
+        Of the images.
+    space : Space
+        Of the stored arrays.
+    probe : Probe or None
+        None where the geometry of the fan is not known; then there are images alone.
+    beam_shape : (rows, scanlines)
+        Of frames in beam space.
+    tgc
+        Time gain that the frames were simulated with, for `compensated`; None where it is not known.
     """
 
     folder: Path
@@ -63,11 +87,28 @@ class Pairs:
     shape: tuple[int, int]
     shard: int
     tissues: tuple[str, ...]
+    space: Space = Space.image
     probe: Probe | None = None
+    beam_shape: tuple[int, int] = (0, 0)
     tgc: float | tuple[float, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.sites)
+
+    @property
+    def stored_shape(self) -> tuple[int, int]:
+        return self.shape_in(self.space)
+
+    def shape_in(self, space: Space) -> tuple[int, int]:
+        """The shape of a frame in one space."""
+        return self.beam_shape if space is Space.beam else self.shape
+
+    @property
+    def converter(self) -> ScanConverter:
+        """The scan converter; a ValueError where the geometry of the fan is not known."""
+        if self.probe is None:
+            raise ValueError(f"{self.folder}: beam space needs the geometry of the fan, which pairs made elsewhere name in fan.yaml")
+        return scan_converter(self.probe, self.beam_shape, self.shape)
 
     @property
     def shards(self) -> int:
@@ -98,32 +139,42 @@ class Pairs:
     def shard_file(self, name: str, shard: int) -> Path:
         return self.folder / "pairs.zarr" / name / "c" / str(shard) / "0" / "0"
 
-    def stored(self, name: str, frames: int | Sequence[int] | np.ndarray) -> np.ndarray:
-        """Frames of one map as they are stored, uint8 or, of attenuation, uint16.
+    def stored(self, name: str, frames: int | Sequence[int] | np.ndarray, space: Space = Space.image) -> np.ndarray:
+        """Frames of one map in the type in which it is stored, uint8 or, of attenuation, uint16.
 
-        The result is (H, W) for one number and (k, H, W) for several, of which those of one shard are read at once.
-        `compensated` is `compensated_attenuation` in steps of 1/65535.
+        The result is (H, W) for one number and (k, H, W) for several, of which those of one shard are read at once;
+        in beam space (rows, scanlines). `compensated` is `compensated_attenuation` in steps of 1/65535.
 
         A DamagedShardError when a frame is not as it was written, a FileNotFoundError when it has not been made.
         """
-        numbers = np.atleast_1d(np.asarray(frames, np.int64))
-        stack = np.empty((len(numbers), *self.shape), FORMATS[DERIVED.get(name, name)][0])
+        numbers, source = np.atleast_1d(np.asarray(frames, np.int64)), DERIVED.get(name, name)
+        stack = np.empty((len(numbers), *self.shape_in(space)), FORMATS[source][0])
         for shard in np.unique(numbers // self.shard):
             here = numbers // self.shard == shard
             first, last = numbers[here].min(), numbers[here].max()
-            stack[here] = self._of_shard(name, shard, slice(first, last + 1))[numbers[here] - first]
+            read = self._of_shard(source, shard, slice(first, last + 1))[numbers[here] - first]
+            stack[here] = read if space is self.space else [self._converted(name, frame) for frame in read]
+        if name in DERIVED:
+            stack = self._compensated(stack, space)
         return stack if np.ndim(frames) else stack[0]
 
+    def _converted(self, name: str, frame: np.ndarray) -> np.ndarray:
+        """One stored frame in the other space: the nearest label, other values by bilinear interpolation."""
+        converter, to_image = self.converter, self.space is Space.beam
+        if name == "segmentation":
+            return converter.labels_to_image(frame) if to_image else converter.labels_to_beam(frame)
+        made = converter.to_image(frame) if to_image else converter.to_beam(frame)
+        return made if made.dtype == frame.dtype else np.rint(made).astype(frame.dtype)
+
+    def _compensated(self, stack: np.ndarray, space: Space) -> np.ndarray:
+        if self.probe is None or self.tgc is None:
+            raise ValueError(f"{self.folder}: compensated attenuation needs the probe and the TGC of the simulation")
+        compensate = compensated_attenuation if space is Space.image else compensated_beam
+        shares = compensate(decode_attenuation(stack), self.probe, self.tgc)
+        return np.rint(shares * ATTENUATION_SCALE).astype(np.uint16)
+
     def _of_shard(self, name: str, shard: int, frames: slice) -> np.ndarray:
-        """A range of frames, all of one shard, (k, H, W)."""
-        if name in DERIVED:
-            if self.probe is None or self.tgc is None:
-                raise ValueError(
-                    f"{self.folder}: compensated attenuation needs the probe and the TGC of the simulation"
-                )
-            attenuation = decode_attenuation(self._of_shard(DERIVED[name], shard, frames))
-            shares = compensated_attenuation(attenuation, self.probe, self.tgc)
-            return np.rint(shares * ATTENUATION_SCALE).astype(np.uint16)
+        """A range of frames, all of one shard, as stored."""
         file = self.shard_file(name, shard)
         if not file.exists():  # Zarr would read zeros
             raise FileNotFoundError(f"{file}: not made yet; {_MEND} makes it")
@@ -141,14 +192,31 @@ class Pairs:
         """Arrays are opened when they are first read, which takes longer than reading a frame."""
         return {}
 
-    def read(self, name: str, frames: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Frames of one map, (k, H, W): of attenuation float32 in [0, 1], others as stored. Raises as `stored`."""
-        stack = self.stored(name, frames)
-        return decode_attenuation(stack) if stack.dtype == np.uint16 else stack
+    def read(self, name: str, frames: Sequence[int] | np.ndarray, space: Space = Space.image) -> np.ndarray:
+        """Frames of one map, (k, H, W) or, in beam space, (k, rows, scanlines). Raises as `stored`.
 
-    def mask(self) -> np.ndarray:
-        """The fan, (H, W) bool."""
-        return _read_whole(self.folder, "mask")
+        Labels and grey levels are uint8. Attenuation and interfaces are float32 in [0, 1], and the maps of position,
+        `depth` and `lateral`, float32 in [-1, 1].
+        """
+        if name in OF_POSITION:
+            return np.broadcast_to(self.positions(space)[name], (len(frames), *self.shape_in(space))).copy()
+        return decoded(name, self.stored(name, frames, space))
+
+    def positions(self, space: Space = Space.image) -> dict[str, np.ndarray]:
+        """The maps of position, by name."""
+        probe = self.converter.probe
+        return position_maps(probe, self.shape if space is Space.image else None, self.beam_shape)
+
+    def mask(self, space: Space = Space.image) -> np.ndarray:
+        """The fan, (H, W) bool; in beam space it is everything."""
+        return np.ones(self.beam_shape, bool) if space is Space.beam else _read_whole(self.folder, "mask")
+
+
+def decoded(name: str, stored: np.ndarray) -> np.ndarray:
+    """Values of a map from those that are stored, as `Pairs.read` has them."""
+    if stored.dtype == np.uint16:
+        return decode_attenuation(stored)
+    return stored / np.float32(255) if name == "interfaces" else stored
 
 
 def create_pairs(
@@ -160,10 +228,13 @@ def create_pairs(
     shard: int,
     tissues: Sequence[str],
     about: Mapping[str, object],
+    space: Space = Space.image,
+    probe: Probe | None = None,
+    beam_shape: tuple[int, int] = (0, 0),
 ) -> Pairs:
     """Lay out an empty data set, or open the one that is there.
 
-    Arrays of maps are created by `fill_pairs` when first needed. Safe to call from several processes.
+    `mask`, (H, W) bool, is the fan of the images. Arrays of maps are created by `fill_pairs` when first needed. Safe to call from several processes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with FileLock(folder / ".create.lock"):
@@ -172,6 +243,8 @@ def create_pairs(
             for name, data in {"pose": poses, "site": sites.astype("int32"), "split": split, "mask": mask}.items():
                 group.create_array(name, data=np.ascontiguousarray(data), compressors=[ZstdCodec(), Crc32cCodec()])
             group.attrs.update({"version": PAIRS_VERSION, "shard": shard, "tissues": list(tissues)})
+            group.attrs.update({"space": str(space), "beam_shape": list(beam_shape)})
+            group.attrs.update({"probe": None if probe is None else plain(probe)})
             write_json(folder / "about.json", about)
     return open_pairs(folder)
 
@@ -201,8 +274,10 @@ def open_pairs(folder: Path) -> Pairs:
             "them again in a folder of their own, after which this one can be removed"
         )
     pose, site, split, mask = (_read_whole(folder, name) for name in ("pose", "site", "split", "mask"))
-    shard, tissues = int(group.attrs["shard"]), tuple(str(t) for t in group.attrs["tissues"])
-    return Pairs(folder, pose, site, split, (mask.shape[0], mask.shape[1]), shard, tissues)
+    known: dict[str, Any] = dict(group.attrs)
+    tissues, probe = tuple(known["tissues"]), known["probe"] and probe_from(known["probe"])
+    of_beam = Space(known["space"]), probe, (int(known["beam_shape"][0]), int(known["beam_shape"][1]))
+    return Pairs(folder, pose, site, split, (mask.shape[0], mask.shape[1]), known["shard"], tissues, *of_beam)
 
 
 def _read_whole(folder: Path, name: str) -> np.ndarray:

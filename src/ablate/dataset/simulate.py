@@ -23,6 +23,7 @@ from ablate.ultrasound import Probe, Simulator, SimulatorSettings, compensated_a
 from ablate.ultrasound.stages import Stage, stage_times
 
 _NUDGE_MM = 1e-3
+_OF_SURFACES = frozenset({"segmentation", "attenuation", "interfaces"})  # maps that need no echo
 
 
 @dataclass(frozen=True)
@@ -49,22 +50,22 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
         return Simulator(recipe.scene, recipe.probe, settings, poses=pairs.poses)
 
     def render(frames: np.ndarray, maps: frozenset[str]) -> Mapping[str, np.ndarray]:
-        out = {m: np.zeros((len(frames), *pairs.shape), np.float32 if m == "attenuation" else np.uint8) for m in maps}
+        out: dict[str, np.ndarray] = {}
         for k, frame in enumerate(frames):
             pose = pairs.poses[frame]
             made: dict[str, np.ndarray] = {}
+            if maps & _OF_SURFACES:
+                beam = simulator(of_target).beam_maps(pose, "interfaces" in maps)
+                made = {name: getattr(beam, name) for name in _OF_SURFACES & maps}
             if "target" in maps:
-                shown = simulator(of_target).render(pose, seed=recipe.seed)
-                made |= {"target": shown.image, "segmentation": shown.segmentation, "attenuation": shown.attenuation}
-            elif maps & {"segmentation", "attenuation"}:
-                made["segmentation"], made["attenuation"] = simulator(of_target).maps(pose)
+                made["target"] = simulator(of_target).beam_image(pose, seed=recipe.seed)
             if "resimulation" in maps and pairs.split[frame] != Part.train:
-                made["resimulation"] = simulator(again).image(pose, seed=resimulation_seed(recipe.seed))
+                made["resimulation"] = simulator(again).beam_image(pose, seed=resimulation_seed(recipe.seed))
             if "low" in maps:
-                made["low"] = simulator(of_low).image(pose, seed=recipe.seed)
-            for name in made.keys() & maps:
-                out[name][k] = made[name]
-        return out
+                made["low"] = simulator(of_low).beam_image(pose, seed=recipe.seed)
+            for name, value in made.items():
+                out.setdefault(name, np.zeros((len(frames), *value.shape), value.dtype))[k] = value
+        return out | {name: np.zeros((len(frames), *pairs.stored_shape), np.uint8) for name in maps - out.keys()}
 
     return render
 

@@ -12,7 +12,7 @@ from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
 from ablate.dataset import Part, resample_grid
 from ablate.jobs.compose import variant_model
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
-from ablate.networks import Attenuation, Family, check_custom, conditions
+from ablate.networks import Attenuation, Family, Space, check_custom, conditions
 from ablate.runs.data_set import checked_folder
 from ablate.runs.job import Job
 from ablate.runs.place import check_place
@@ -115,18 +115,19 @@ def _training_frames(s: StudySettings, frames: int) -> int:
 def _check_training(job: Job, seen: int, labels: set[str]) -> None:
     s = job.settings
     stride = 2**s.model.depth
-    if s.training.crop < stride:
+    if 0 < s.training.crop < stride:
         smallest = f"2^model.depth = {stride} for variant {job.label}"
         raise ConfigurationError(f"training.crop={s.training.crop}: at least {smallest}")
     if s.scene.kind is not SceneKind.pairs:
-        height, width = s.simulator.image_shape
+        beam = s.model.space is Space.beam
+        height, width = s.simulator.beam_shape if beam else s.simulator.image_shape
         most = max(-(-max(height, width) // stride) * stride, SMALLEST_CROP)
         if s.training.crop > most:
-            covers = f"which covers an image of {height} x {width} px"
+            covers = f"which covers a frame of {height} x {width}"
             raise ConfigurationError(f"training.crop={s.training.crop}: at most {most}, {covers}")
     if s.model.family is Family.custom:
         with refusing("model."):
-            check_custom(s.model, s.training.crop)
+            check_custom(s.model, s.training.crop or SMALLEST_CROP)
     if s.training.batch_size > seen:
         raise ConfigurationError(f"training.batch_size={s.training.batch_size}: more than the {seen} training frames")
     for key, device in (("training", s.training.device), ("simulator", s.simulator.device)):

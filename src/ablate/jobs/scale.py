@@ -10,7 +10,7 @@ from contextlib import suppress
 
 from omegaconf import DictConfig, OmegaConf
 
-from ablate.networks.spec import DEPTHS, GeneratorSpec
+from ablate.networks.spec import DEPTHS, GeneratorSpec, Space
 from ablate.settings.conf import conf_folder
 from ablate.training.settings import SMALLEST_CROP, TrainingSettings
 from ablate.ultrasound.probe import fan_of, square_pixels
@@ -54,10 +54,15 @@ def crop(rows: int) -> int:
 def register_resolvers() -> None:
     """Make the names that conf/ uses between `${` and `}` known to OmegaConf."""
     OmegaConf.register_new_resolver("levels", lambda n, *, _root_: levels(int(n), _rows(_root_)), replace=True)
-    OmegaConf.register_new_resolver("crop", lambda *, _root_: crop(_rows(_root_)), replace=True)
+    OmegaConf.register_new_resolver("crop", _crop, replace=True)
     OmegaConf.register_new_resolver("png_shape", _png_shape, replace=True)
     OmegaConf.register_new_resolver("fan_shape", _fan_shape, replace=True)
     OmegaConf.register_new_resolver("two_pixels", _two_pixels, replace=True)
+
+
+def _crop(*, _root_: DictConfig) -> int:
+    """The side of a crop of an image; in beam space 0, whole frames."""
+    return 0 if str(_root_.model.space) == Space.beam else crop(_rows(_root_))
 
 
 def _fan_shape(*, _root_: DictConfig) -> list[int]:

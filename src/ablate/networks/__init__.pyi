@@ -14,8 +14,14 @@ from .spec import Concat as Concat
 from .spec import ExtraInput as ExtraInput
 from .spec import Family as Family
 from .spec import GeneratorSpec as GeneratorSpec
+from .spec import Grain as Grain
+from .spec import Interfaces as Interfaces
 from .spec import Noise as Noise
+from .spec import Norm as Norm
+from .spec import Position as Position
+from .spec import Space as Space
 from .spec import Upsampling as Upsampling
 from .spec import conditions as conditions
 from .spec import draws_noise as draws_noise
+from .spec import input_channels as input_channels
 from .spec import inputs as inputs

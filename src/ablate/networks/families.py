@@ -4,7 +4,7 @@ The local network has few levels, maps at every convolution and noise at every r
 which LSA2H and NSA2H are, and the PatchGAN. A class of the user's is named by a dotted path.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import cast
 
@@ -21,8 +21,19 @@ from ablate.networks.layers import (
     draw_initial_weights,
     instance_norm,
     laid_out,
+    pixel_norm,
 )
-from ablate.networks.spec import GeneratorSpec, Noise, Upsampling, conditions, inputs, maps_of_every_level, scaled
+from ablate.networks.spec import (
+    GeneratorSpec,
+    Grain,
+    Noise,
+    Norm,
+    Upsampling,
+    conditions,
+    fed_channels,
+    input_channels,
+    scaled,
+)
 from ablate.user_code import in_one_line, load
 
 # Channels at full, half, quarter ... resolution; deeper levels stay at the last.
@@ -36,15 +47,16 @@ SMALLEST = 32
 class DownBlock(nn.Module):
     """A convolution 3x3 of stride 2 and one of stride 1; both also read the maps."""
 
-    def __init__(self, channels_in: int, channels_out: int, maps: int) -> None:
+    def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
         super().__init__()
+        self.normalised = normalisation(spec)
         self.shrink = JointConvolution(channels_in + maps, channels_out, 3, stride=2, padding=1)
         self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1)
 
     def forward(self, features: Tensor, fine_maps: Tensor | None, coarse_maps: Tensor | None) -> Tensor:
         """Halve (N, C, H, W); `fine_maps` has its resolution, `coarse_maps` half of it."""
-        features = encoded(self.shrink(features, fine_maps))
-        return encoded(self.refine(features, coarse_maps))
+        features = self.normalised(F.leaky_relu(self.shrink(features, fine_maps), LEAK))
+        return self.normalised(F.leaky_relu(self.refine(features, coarse_maps), LEAK))
 
 
 class UpBlock(nn.Module):
@@ -52,6 +64,7 @@ class UpBlock(nn.Module):
 
     def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
         super().__init__()
+        self.normalised = normalisation(spec)
         self.grow: ResizedConvolution | JointTransposedConvolution
         if spec.upsampling is Upsampling.resize:
             self.grow = ResizedConvolution(channels_in + maps, channels_out)
@@ -68,9 +81,9 @@ class UpBlock(nn.Module):
     ) -> Tensor:
         """Double the size of (N, C, H, W), append the channels of `skip`, and add `noise` (N, 1, 2H, 2W)."""
         maps = fine_maps if isinstance(self.grow, ResizedConvolution) else coarse_maps
-        features = decoded(self.grow(features, maps))
+        features = self.normalised(F.relu(self.grow(features, maps)))
         if self.refine is not None:
-            features = decoded(self.refine(features, fine_maps))
+            features = self.normalised(F.relu(self.refine(features, fine_maps)))
         features = torch.cat((features, skip), dim=1)
         if self.noise_weight is None or noise is None:
             return features
@@ -84,13 +97,15 @@ class LocalNetwork(nn.Module):
         super().__init__()
         channels = (LOCAL_WIDTHS + LOCAL_WIDTHS[-1:] * spec.depth)[: spec.depth + 1]
         widths = [scaled(count, spec.width) for count in channels]
-        maps = len(maps_of_every_level(spec))
-        self.stem = nn.Conv2d(len(inputs(spec)), widths[0], 3, padding=1)
-        self.down = nn.ModuleList(DownBlock(fine, coarse, maps) for fine, coarse in pairwise(widths))
+        maps, self.normalised = fed_channels(spec), normalisation(spec)
+        self.stem = nn.Conv2d(input_channels(spec), widths[0], 3, padding=1)
+        self.down = nn.ModuleList(DownBlock(fine, coarse, maps, spec) for fine, coarse in pairwise(widths))
         self.bottleneck = JointConvolution(widths[-1] + maps, widths[-1], 3, padding=1)
         coarse_to_fine = pairwise(reversed(widths))
         self.up = nn.ModuleList(UpBlock(2 * coarse, fine, maps, spec) for coarse, fine in coarse_to_fine)
-        self.output = OneChannelConvolution(2 * widths[0] + maps, 3)
+        refines = spec.grain is Grain.refine
+        self.grain = JointConvolution(2 * widths[0] + maps, widths[0], 3, padding=1) if refines else None
+        self.output = OneChannelConvolution((1 if refines else 2) * widths[0] + maps, 3)
 
     def forward(self, stacked: Tensor, maps: Sequence[Tensor | None], noise: Sequence[Tensor | None]) -> Tensor:
         """Render the input channels, (N, inputs, H, W) with H and W multiples of 2^depth, to (N, 1, H, W) in [-1, 1].
@@ -98,26 +113,23 @@ class LocalNetwork(nn.Module):
         The convolutions of each level, except the stem, read its maps, depth + 1 of (N, K, H / 2^level, W / 2^level).
         Its noise, depth of (N, 1, H / 2^level, W / 2^level), is injected.
         """
-        features = encoded(self.stem(stacked))
+        features = self.normalised(F.leaky_relu(self.stem(stacked), LEAK))
         skips = []
         for level, block in enumerate(self.down):
             skips.append(features)
             features = block(features, maps[level], maps[level + 1])
-        bottom = encoded(self.bottleneck(features, maps[-1]))
+        bottom = self.normalised(F.leaky_relu(self.bottleneck(features, maps[-1]), LEAK))
         features = torch.cat((bottom, features), dim=1)
         for level, block in zip(reversed(range(len(skips))), self.up, strict=True):
             features = block(features, skips[level], maps[level + 1], maps[level], noise[level])
+        if self.grain is not None:
+            features = F.leaky_relu(self.grain(features, maps[0]), LEAK)
         return torch.tanh(self.output(features, maps[0]))
 
 
-def encoded(features: Tensor) -> Tensor:
-    """Apply leaky ReLU, then instance norm."""
-    return instance_norm(F.leaky_relu(features, LEAK))
-
-
-def decoded(features: Tensor) -> Tensor:
-    """Apply ReLU, then instance norm."""
-    return instance_norm(F.relu(features))
+def normalisation(spec: GeneratorSpec) -> Callable[[Tensor], Tensor]:
+    """Return the function that normalises features."""
+    return instance_norm if spec.norm is Norm.instance else pixel_norm
 
 
 class UNetwork(nn.Module):
@@ -130,7 +142,8 @@ class UNetwork(nn.Module):
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
         widths = [scaled(UNET_WIDTHS[min(level, len(UNET_WIDTHS) - 1)], spec.width) for level in range(spec.depth)]
-        shrink = pairwise((len(inputs(spec)), *widths))
+        self.normalised = normalisation(spec)
+        shrink = pairwise((input_channels(spec), *widths))
         self.down = nn.ModuleList(nn.Conv2d(a, b, 4, stride=2, padding=1) for a, b in shrink)
         out = (*reversed(widths[:-1]), 1)
         grow = zip((widths[-1], *(2 * width for width in out)), out, strict=False)
@@ -140,11 +153,11 @@ class UNetwork(nn.Module):
         """Render (N, inputs, H, W) in [-1, 1] to (N, 1, H, W); H and W are multiples of 2^depth."""
         skips = [self.down[0](stacked)]
         for layer in self.down[1:-1]:
-            skips.append(instance_norm(layer(F.leaky_relu(skips[-1], LEAK))))
+            skips.append(self.normalised(layer(F.leaky_relu(skips[-1], LEAK))))
         features = self.down[-1](F.leaky_relu(skips[-1], LEAK))
-        features = instance_norm(self.up[0](F.relu(features)))
+        features = self.normalised(self.up[0](F.relu(features)))
         for layer in self.up[1:-1]:
-            features = instance_norm(layer(F.relu(torch.cat((skips.pop(), features), dim=1))))
+            features = self.normalised(layer(F.relu(torch.cat((skips.pop(), features), dim=1))))
         return torch.tanh(self.up[-1](F.relu(torch.cat((skips.pop(), features), dim=1))))
 
 
@@ -215,7 +228,7 @@ class PatchDiscriminator(nn.Module):
 
 def discriminator_channels(spec: GeneratorSpec) -> int:
     """Count the input channels of this generator's discriminator: conditions and image."""
-    return len(conditions(spec)) + 1
+    return spec.labels + len(conditions(spec))
 
 
 class CustomNetwork(nn.Module):
@@ -226,7 +239,7 @@ class CustomNetwork(nn.Module):
 
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
-        self.target, channels = str(spec.target), len(inputs(spec))
+        self.target, channels = str(spec.target), input_channels(spec)
         try:
             network_class = load(self.target)
         except ValueError as error:
@@ -258,7 +271,7 @@ def check_custom(spec: GeneratorSpec, side: int) -> None:
     if not any(parameter.requires_grad for parameter in network.parameters()):
         raise ValueError(f"target={spec.target}: has no parameter to train")
     side += -side % 2**spec.depth
-    maps = torch.rand(2, len(inputs(spec)), side, side, generator=torch.Generator().manual_seed(0)) * 2 - 1
+    maps = torch.rand(2, input_channels(spec), side, side, generator=torch.Generator().manual_seed(0)) * 2 - 1
     try:
         image = network(maps, [], [])
         wrong = _wrong_with(image)

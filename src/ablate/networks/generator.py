@@ -9,10 +9,10 @@ from torch.nn import functional as F
 
 from ablate.networks.families import CustomNetwork, LocalNetwork, UNetwork
 from ablate.networks.layers import draw_initial_weights, laid_out
-from ablate.networks.spec import DEPTHS, Family, GeneratorSpec, Noise, conditions, inputs, maps_of_every_level
+from ablate.networks.spec import DEPTHS, Family, GeneratorSpec, Noise, conditions, fed_channels, inputs
 
 # The value of each map outside the fan, also used for padding.
-OUTSIDE = {"segmentation": -1.0, "attenuation": 0.0, "compensated": 0.0, "low": -1.0}
+OUTSIDE = {"segmentation": -1.0, "low": -1.0}  # and 0 of all others
 # Number of each noise field: those injected at the levels of the decoder, and the input channel.
 FIELD_NUMBERS = {f"noise_{level}": level for level in range(DEPTHS[-1])} | {"noise": 64}
 # splitmix64: Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014;
@@ -39,12 +39,16 @@ class Generator(nn.Module):
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
         self.spec = spec
+        # Of one-hot labels: the same few maps at every level, so the means at coarse levels are those of the labels.
+        self.embedding = nn.Conv2d(spec.labels, spec.embedding, 1, bias=False) if spec.embedding else None
         self.network: LocalNetwork | UNetwork | CustomNetwork
         if spec.family is Family.custom:
             self.network = CustomNetwork(spec)
             return
         self.network = LocalNetwork(spec) if spec.family is Family.local else UNetwork(spec)
         draw_initial_weights(self)
+        if self.embedding is not None:
+            nn.init.normal_(self.embedding.weight)
 
     def forward(
         self,
@@ -52,21 +56,22 @@ class Generator(nn.Module):
         attenuation: Tensor | None = None,
         low: Tensor | None = None,
         noise_seed: Tensor | None = None,
-        compensated: Tensor | None = None,
+        **others: Tensor | None,
     ) -> Tensor:
         """Render images.
 
         Parameters
         ----------
-        segmentation : (N, 1, H, W) float in [-1, 1]
+        segmentation : (N, labels, H, W) float in [-1, 1]
             Encoded labels, -1 outside the fan.
         attenuation, low : (N, 1, H, W) float, optional
             Integral attenuation map in [0, 1], 0 outside the fan, and low-quality image in [-1, 1]; each is ignored by
             a variant without it.
         noise_seed : (N,) int64, optional
             One seed for all noise of each sample; None switches noise off (fields of zero).
-        compensated : (N, 1, H, W) float, optional
-            From `ablate.ultrasound.compensated_attenuation`, in place of `attenuation`, for a variant that reads it.
+        **others : (N, 1, H, W) float, optional
+            The other maps of `conditions(spec)`, by name: `compensated` from `ablate.ultrasound.compensated_attenuation`
+            in place of `attenuation`, `interfaces` in [0, 1], and `depth` and `lateral` of `position_maps`.
 
         Returns
         -------
@@ -78,7 +83,7 @@ class Generator(nn.Module):
         ValueError
             If a map that the variant reads is missing or has another shape.
         """
-        given = {"segmentation": segmentation, "attenuation": attenuation, "compensated": compensated, "low": low}
+        given = {"segmentation": segmentation, "attenuation": attenuation, "low": low, **others}
         if noise_seed is None:
             return self.render(given, {})
         return self.render(given, self.draw_noise(noise_seed.to(segmentation.device), *segmentation.shape[-2:]))
@@ -125,35 +130,38 @@ class Generator(nn.Module):
         names = conditions(self.spec)
         stack: list[Tensor] = []
         for name in names:
-            value = given[name]
+            value, channels = given.get(name), self.spec.labels if name == "segmentation" else 1
             if value is None:
                 raise ValueError(f"{name}: missing, this generator reads {', '.join(names)}")
-            if value.ndim != 4 or value.shape[1] != 1 or (stack and value.shape != stack[0].shape):
-                raise ValueError(f"{name}: shape {tuple(value.shape)}, allowed is (N, 1, H, W), all alike")
+            like = (*stack[0].shape[:1], *stack[0].shape[2:]) if stack else (*value.shape[:1], *value.shape[2:])
+            if value.ndim != 4 or value.shape[1] != channels or (*value.shape[:1], *value.shape[2:]) != like:
+                allowed = f"(N, {channels}, H, W), N, H and W alike of all maps"
+                raise ValueError(f"{name}: shape {tuple(value.shape)}, allowed is {allowed}")
             stack.append(value)
         height, width = stack[0].shape[-2:]
         unit = 2**self.spec.depth
         padding = (0, -width % unit, 0, -height % unit)
         if any(padding):
-            stack = [F.pad(x, padding, value=OUTSIDE[name]) for x, name in zip(stack, names, strict=True)]
+            stack = [F.pad(x, padding, value=OUTSIDE.get(name, 0.0)) for x, name in zip(stack, names, strict=True)]
+        if self.embedding is not None:
+            stack[0] = self.embedding(stack[0])
         stacked = laid_out(torch.cat(stack, dim=1))
         kind = stacked.device.type
         return stacked.to(torch.get_autocast_dtype(kind)) if torch.is_autocast_enabled(kind) else stacked
 
     def _pyramid(self, maps: Tensor) -> list[Tensor | None]:
-        """Resize segmentation (nearest) and attenuation (bilinear) to every level, once."""
-        levels = range(self.spec.depth + 1)
-        fed = len(maps_of_every_level(self.spec))
+        """Resize the maps to every level, once: means over areas, but a scalar order of labels has no mean."""
+        fed, has_order = fed_channels(self.spec), self.spec.labels == 1
         if not fed:
-            return [None for _ in levels]
+            return [None for _ in range(self.spec.depth + 1)]
         pyramid: list[Tensor | None] = [maps[:, :fed]]
-        for step in (2**level for level in levels[1:]):
-            # Nearest: the pixel at each cell's corner, where a convolution of stride 2 is centred.
-            resized = [maps[:, :1, ::step, ::step]]
-            if fed == 2:
-                # Bilinear: the mean of the four pixels around each cell's centre, (step - 1) / 2 px from that corner.
-                size = resized[0].shape[-2:]
-                resized.append(F.interpolate(maps[:, 1:2], size, mode="bilinear", align_corners=False))
+        means = maps[:, has_order:fed]
+        for step in (2**level for level in range(1, self.spec.depth + 1)):
+            # Of the labels the pixel at each cell's corner, where a convolution of stride 2 is centred.
+            resized = [maps[:, :1, ::step, ::step]] if has_order else []
+            if means.shape[1]:
+                means = F.avg_pool2d(means, 2)
+                resized.append(means)
             pyramid.append(laid_out(torch.cat(resized, dim=1)))
         return pyramid
 

@@ -198,6 +198,11 @@ def _along(values: Tensor, rows: Tensor) -> Tensor:
     return values.reshape(len(rows), -1).to(rows.dtype).repeat(1, rows.shape[2] // values.shape[1])[:, None]
 
 
+def pixel_norm(features: Tensor) -> Tensor:
+    """Divide each pixel's features by their root mean square over the channels; no other pixel counts."""
+    return F.rms_norm(features.permute(0, 2, 3, 1), features.shape[1:2], eps=EPSILON).permute(0, 3, 1, 2)
+
+
 def draw_initial_weights(network: nn.Module) -> None:
     """Draw every convolution's weights from N(0, 0.02^2) and set its bias to zero, as pix2pix does."""
     for layer in convolutions(network):

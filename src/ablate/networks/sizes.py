@@ -6,7 +6,7 @@ from torch import nn
 from ablate.networks.families import CustomNetwork, LocalNetwork, PatchDiscriminator, UNetwork, discriminator_channels
 from ablate.networks.generator import Generator
 from ablate.networks.layers import Convolution, ResizedConvolution, convolutions
-from ablate.networks.spec import Concat, GeneratorSpec
+from ablate.networks.spec import GeneratorSpec, fed_channels
 
 Interval = tuple[int, int]
 
@@ -52,8 +52,9 @@ def receptive_field(spec: GeneratorSpec) -> int | None:
     if isinstance(network, CustomNetwork):
         return None
     period = 2**spec.depth
-    feeds_maps = spec.concat is Concat.every_level
-    extents = (_pixels_reached(network, period * 64 + phase, feeds_maps) for phase in range(period))
+    fed = fed_channels(spec)
+    has_means = fed > 1 or spec.embedding > 0  # else the order of the labels alone, of which one pixel is taken
+    extents = (_pixels_reached(network, period * 64 + phase, fed > 0, has_means) for phase in range(period))
     return max(last - first + 1 for first, last in extents)
 
 
@@ -65,7 +66,7 @@ def patch_size(discriminator: PatchDiscriminator) -> int:
     return interval[1] - interval[0] + 1
 
 
-def _pixels_reached(network: LocalNetwork | UNetwork, pixel: int, feeds_maps: bool) -> Interval:
+def _pixels_reached(network: LocalNetwork | UNetwork, pixel: int, feeds_maps: bool, has_means: bool) -> Interval:
     """Follow one output pixel back to the interval of input pixels it depends on."""
     reached: list[Interval] = []
 
@@ -74,16 +75,16 @@ def _pixels_reached(network: LocalNetwork | UNetwork, pixel: int, feeds_maps: bo
             interval = _inputs_of(layer, interval)
             if layer.stride[0] == 2:
                 level += 1 if isinstance(layer, nn.ConvTranspose2d) else -1
-            if feeds_maps:  # a position of the map of this level was resized from these pixels (nearest and bilinear)
+            if feeds_maps:  # a position of the map of this level was resized from these pixels
                 step = 2**level
-                reached.append((interval[0] * step, interval[1] * step + step // 2))
+                reached.append((interval[0] * step, interval[1] * step + (step - 1) * has_means))
             if isinstance(layer, ResizedConvolution):
                 interval, level = (interval[0] // 2, interval[1] // 2), level + 1
         return interval
 
-    names = ("stem", "bottleneck", "output")  # the U-Net has none of them
-    stem, bottleneck, output = (getattr(network, name, nn.Identity()) for name in names)
-    decoder = [through(output, (pixel, pixel), 0)]
+    names = ("stem", "bottleneck", "grain", "output")  # the U-Net has none of them
+    stem, bottleneck, grain, output = (getattr(network, name, None) or nn.Identity() for name in names)
+    decoder = [through(grain, through(output, (pixel, pixel), 0), 0)]
     for level, block in enumerate(reversed(network.up)):
         decoder.append(through(block, decoder[level], level))
     encoder = _union(decoder[-1], through(bottleneck, decoder[-1], len(network.down)))

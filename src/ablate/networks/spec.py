@@ -16,6 +16,50 @@ class Family(StrEnum):
     custom = "custom"
 
 
+class Space(StrEnum):
+    """Where the network works: on the pixels of the image, or in beam space, before scan conversion.
+
+    In beam space rows are depths and columns are scanlines, so a crop tells the direction of the beam, every value lies
+    in the fan, and shadows are columns.
+    """
+
+    image = "image"
+    beam = "beam"
+
+
+class Position(StrEnum):
+    """Further maps that say where a value lies: none, its depth, or its depth and the place of its scanline."""
+
+    none = "none"
+    depth = "depth"
+    beam = "beam"
+
+
+class Interfaces(StrEnum):
+    """Whether the interface map is an input: the echo that each surface on a scanline returns by itself."""
+
+    none = "none"
+    echo = "echo"
+
+
+class Norm(StrEnum):
+    """How features are normalised: over the pixels of a channel, or `fixed`, over the channels of a pixel.
+
+    `instance` sees the statistics of the crop or frame; `fixed` is the same in every crop (Karras et al., "Progressive
+    growing of GANs", ICLR 2018, section 4.2).
+    """
+
+    instance = "instance"
+    fixed = "fixed"
+
+
+class Grain(StrEnum):
+    """What follows the finest noise: the output convolution alone, or a refining 3x3 convolution before it."""
+
+    output = "output"
+    refine = "refine"
+
+
 class Attenuation(StrEnum):
     """Which attenuation map is an input: the integral one, the one compensated for the time gain, or none."""
 
@@ -69,6 +113,11 @@ class GeneratorSpec(Checked):
     """
 
     family: Family = setting(Family.local, "Architecture.")
+    space: Space = setting(Space.image, "Where the network works: on the image or in beam space.")
+    position: Position = setting(Position.none, "Which maps of position are inputs.")
+    interfaces: Interfaces = setting(Interfaces.none, "Whether the interface map is an input.")
+    norm: Norm = setting(Norm.instance, "How features are normalised.")
+    grain: Grain = setting(Grain.output, "What follows the finest noise.")
     attenuation: Attenuation = setting(Attenuation.integral, "Which attenuation map is an input.")
     concat: Concat = setting(Concat.every_level, "Which convolutions read segmentation and attenuation.")
     upsampling: Upsampling = setting(Upsampling.texture, "The up block.")
@@ -82,6 +131,12 @@ class GeneratorSpec(Checked):
     extra_input: ExtraInput = setting(ExtraInput.none, "A further input channel of the U-Nets.")
     width: float = setting(1.0, "Multiplier of every channel count; 1 is the paper's.", above=0)
     noise_start: float = setting(0.0, "Initial weight of injected noise in every channel; the paper starts at zero.")
+    labels: int = setting(
+        1, "Channels of the encoded segmentation, which follow from `encoding`; do not set it.", least=1, most=255
+    )
+    embedding: int = setting(
+        0, "Maps that a one-hot segmentation is embedded in, which follow from `encoding`; do not set it.", least=0
+    )
     target: str | None = setting(
         None, "With `family=custom`, the dotted path of the network's class, as `my_package.MyGenerator`."
     )
@@ -96,6 +151,8 @@ class GeneratorSpec(Checked):
                 raise ValueError(f"concat={self.concat} {family}: allowed is concat=input")
             if self.upsampling is not Upsampling.transposed:
                 raise ValueError(f"upsampling={self.upsampling} {family}: allowed is upsampling=transposed")
+            if self.grain is not Grain.output:
+                raise ValueError(f"grain={self.grain} {family}: allowed is grain=output")
             if self.noise is Noise.inject:
                 raise ValueError(f"noise=inject {family}: allowed are noise=none, noise=input")
         if (self.family is Family.custom) != (self.target is not None):
@@ -109,24 +166,45 @@ class GeneratorSpec(Checked):
             )
 
 
+_OF_POSITION = {Position.none: (), Position.depth: ("depth",), Position.beam: ("depth", "lateral")}
+_OF_ATTENUATION = {Attenuation.integral: ("attenuation",), Attenuation.compensated: ("compensated",)}
+
+
 def conditions(spec: GeneratorSpec) -> tuple[str, ...]:
     """Name the maps of a pair that the generator reads, in the order of its input channels.
 
-    These are also what the discriminator is conditioned on, and what a dataset has to provide.
+    These are also what the discriminator is conditioned on, and what a dataset has to provide. Each is one channel, but
+    for `segmentation`, which has `spec.labels`.
     """
-    names = {Attenuation.integral: ("attenuation",), Attenuation.compensated: ("compensated",), Attenuation.none: ()}
-    return ("segmentation", *names[spec.attenuation], *(("low",) if spec.extra_input is ExtraInput.low else ()))
+    return (
+        "segmentation",
+        *_OF_ATTENUATION.get(spec.attenuation, ()),
+        *(("interfaces",) if spec.interfaces is Interfaces.echo else ()),
+        *_OF_POSITION[spec.position],
+        *(("low",) if spec.extra_input is ExtraInput.low else ()),
+    )
 
 
-def maps_of_every_level(spec: GeneratorSpec) -> tuple[str, ...]:
-    """Name the conditions that every convolution reads, the first ones of all; none where the maps enter only once."""
-    return () if spec.concat is Concat.input else tuple(name for name in conditions(spec) if name != "low")
+def fed_channels(spec: GeneratorSpec) -> int:
+    """Count the channels that every convolution reads, the first ones of all; 0 where the maps enter only once."""
+    without_low = len(conditions(spec)) - (spec.extra_input is ExtraInput.low)
+    return 0 if spec.concat is Concat.input else segmentation_channels(spec) + without_low - 1
+
+
+def segmentation_channels(spec: GeneratorSpec) -> int:
+    """Count the channels of the segmentation in the network: those of its embedding where there is one."""
+    return spec.embedding or spec.labels
 
 
 def inputs(spec: GeneratorSpec) -> tuple[str, ...]:
-    """Name the input channels of the generator: its conditions, then "noise" where noise is a channel."""
+    """Name the inputs of the generator: its conditions, then "noise" where noise is a channel."""
     has_noise = spec.noise is Noise.input or spec.extra_input is ExtraInput.noise
     return (*conditions(spec), "noise") if has_noise else conditions(spec)
+
+
+def input_channels(spec: GeneratorSpec) -> int:
+    """Count the channels of the network's first convolution."""
+    return segmentation_channels(spec) + len(inputs(spec)) - 1
 
 
 def draws_noise(spec: GeneratorSpec) -> bool:

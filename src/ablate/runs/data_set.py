@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from ablate import dataset
 from ablate.anatomy import Tissue
-from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, Part, PngFolder, SplitBy, open_pairs
+from ablate.dataset import DERIVED, OF_POSITION, PAIRS_VERSION, Pairs, Part, PngFolder, SplitBy, open_pairs
 from ablate.evaluation import describes_fan
 from ablate.metrics import speckle_features
 from ablate.networks import GeneratorSpec, conditions
@@ -26,7 +26,7 @@ from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import read_json, write_json
-from ablate.ultrasound.settings import Sliders, probe_from
+from ablate.ultrasound.settings import Sliders
 
 #: The maps that say which data a run was scored on; all of their test frames are read for the digest.
 _DIGESTED = ("segmentation", "attenuation", "target", "resimulation")
@@ -54,11 +54,10 @@ class DataSet:
 
     @cached_property
     def pairs(self) -> Pairs:
-        """Its frames, with the probe and the time gain that they were simulated with."""
+        """Its frames, with the time gain that they were simulated with."""
         pairs = open_pairs(self.folder)
         if simulator := self.about.get("simulator"):
-            tgc = self.time_gain_db or simulator["tgc_db_cm_mhz"]
-            pairs = replace(pairs, probe=probe_from(self.about["probe"]), tgc=tgc)
+            pairs = replace(pairs, tgc=self.time_gain_db or simulator["tgc_db_cm_mhz"])
         return pairs
 
     @property
@@ -96,14 +95,14 @@ class DataSet:
         digest = hashlib.sha256()
         for frame in self.pairs.frames(Part.test):
             for name in (name for name in _DIGESTED if name in self.pairs.maps):
-                digest.update(self.pairs.stored(name, int(frame)).tobytes())
+                digest.update(self.pairs.stored(name, int(frame), self.pairs.space).tobytes())
         write_json(self.kept_digest, {"test_frames": digest.hexdigest()[:16]})
         return digest.hexdigest()[:16]
 
 
 def maps_needed(models: Iterable[GeneratorSpec]) -> frozenset[str]:
     """Arrays that a study reads: L only where a variant does; A always, the mechanism metrics need it."""
-    read = {DERIVED.get(name, name) for spec in models for name in conditions(spec)}
+    read = {DERIVED.get(name, name) for spec in models for name in conditions(spec)} - OF_POSITION
     return frozenset(read | {"segmentation", "attenuation", "target", "resimulation"})
 
 

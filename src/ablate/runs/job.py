@@ -16,6 +16,7 @@ from ablate.training.settings import TRAINING_VERSION, TrainingPrecision, Traini
 from ablate.user_code import source_digest
 
 if TYPE_CHECKING:
+    from ablate.networks import GeneratorSpec
     from ablate.runs.data_set import DataSet
     from ablate.runs.run import Run
 
@@ -67,7 +68,7 @@ class Job:
         order = {"order": s.encoding.name}
         return {
             "data": about_data(s),
-            "encoding": order | ({"seed": s.encoding_seed} if s.encoding is Encoding.arbitrary else {}),
+            "encoding": order | ({"seed": s.label_seed} if s.encoding is Encoding.arbitrary else {}),
             "model": identity(s.model) | ({"source": source_digest(target)} if target else {}),
             "training": identity(s.training) | {"precision": precision_of(s.training).name},
             "training_version": TRAINING_VERSION,
@@ -137,12 +138,12 @@ def semantic_key(key: str) -> str:
     return f"data.{key}" if key.partition(".")[0] in _OF_THE_DATA else key
 
 
-def parameters(s: StudySettings) -> dict[str, float]:
+def parameters(s: StudySettings, spec: GeneratorSpec) -> dict[str, float]:
     """Count the parameters of the generator and of the discriminator, which is 0 for a job that trains without one."""
     from ablate import networks
 
-    discriminator = networks.count_discriminator(s.model, s.training.discriminator_width)
+    discriminator = networks.count_discriminator(spec, s.training.discriminator_width)
     return {
-        "parameters_generator": float(networks.count_generator(s.model)),
+        "parameters_generator": float(networks.count_generator(spec)),
         "parameters_discriminator": float(discriminator if s.training.has_discriminator else 0),
     }

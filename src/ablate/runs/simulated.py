@@ -14,6 +14,7 @@ from tqdm import tqdm
 from ablate import anatomy, dataset
 from ablate.anatomy import ANATOMY_VERSION, LABELS_VERSION, Scene, SiteGrid
 from ablate.dataset import Dropped, Part, Placement, Recipe
+from ablate.networks import Space
 from ablate.setting import identity, plain
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest_of_files
@@ -121,6 +122,7 @@ def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], a
     about = {**about, "tissues": [plain(t) for t in scene.tissues], "left_out": left_out, "poses": poses}
     about |= {"time_gain_db": simulator.time_gain_db}
     placed = layout.poses, layout.sites, layout.split, fan_mask(settings.probe, settings.simulator.image_shape)
-    pairs = dataset.create_pairs(folder, *placed, settings.dataset.shard, [t.name for t in scene.tissues], about)
+    names, in_beam_space = [t.name for t in scene.tissues], (Space.beam, settings.probe, simulator.beam_shape)
+    pairs = dataset.create_pairs(folder, *placed, settings.dataset.shard, names, about, *in_beam_space)
     recipe = Recipe(scene, settings.probe, simulator, settings.dataset.seed)
     dataset.simulate_pairs(recipe, pairs, maps, settings.dataset.workers)

@@ -18,7 +18,7 @@ from ablate.dataset import CropLoader, Crops, CropSettings, Part
 from ablate.evaluation import ImageSource, Scorer, score_run
 from ablate.metrics import METRICS_VERSION, choose_metrics, inception_file, load_inception, needs_inception
 from ablate.metrics.features import CENTRE
-from ablate.networks import Generator, conditions, draws_noise
+from ablate.networks import Generator, Space, conditions, draws_noise
 from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job, parameters, precision_of
 from ablate.runs.place import claim_place, finished_run, sources_of, with_earlier_metrics
@@ -143,11 +143,12 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
     """Train and score a job, write and log the scores; returns its scalars and notes on what was left out."""
     s, pairs = job.settings, data.pairs
     started = time.perf_counter()
-    values = dataset.label_values(data.tissues, s.encoding, s.encoding_seed)
-    settings = CropSettings(s.training.crop, s.training.batch_size, s.crops.fan_fraction, s.crops.flip, s.seed)
-    crops = Crops(pairs, pairs.frames(Part.train), frozenset(conditions(s.model)), values, settings)
+    values = dataset.label_values(data.tissues, s.encoding, s.label_seed)
+    spec, cut = dataset.fitted(s.model, s.encoding, values), s.crops
+    settings = CropSettings(s.training.crop, s.training.batch_size, cut.fan_fraction, cut.flip, s.seed, spec.space)
+    crops = Crops(pairs, pairs.frames(Part.train), frozenset(conditions(spec)), values, settings)
     trained = train(
-        s.model,
+        spec,
         s.training,
         lambda start, stop: CropLoader(crops, start, stop, s.crops.workers),
         run.folder,
@@ -160,7 +161,7 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
         costs["train/seconds"] = time.perf_counter() - started
     render = generated_images(trained.generator, data, values, s.training.precision)
     scores = score_run(scorer(with_earlier_metrics(job), data), render, draws_noise(s.model))
-    scalars = {**costs, **scores.scalars, **parameters(s)}
+    scalars = {**costs, **scores.scalars, **parameters(s, spec)}
     with written_whole(run.scores_file) as partial:
         scores.per_image.assign(variant=job.label, seed=s.seed).to_parquet(partial)
     shown = dataset.equally_spaced(pairs.frames(Part.test), s.evaluation.pictures)  # the same for every variant
@@ -196,12 +197,18 @@ def _validation(s: StudySettings, data: DataSet, values: np.ndarray, log: LocalL
 def generated_images(
     generator: Generator, data: DataSet, values: np.ndarray, precision: TrainingPrecision
 ) -> ImageSource:
-    """A function that renders frames of a data set with a generator; the noise depends on frame number and draw."""
-    mask = data.pairs.mask()
+    """A function that renders frames of a data set with a generator; the noise depends on frame number and draw.
+
+    A generator in beam space renders there, and its frames are scan-converted.
+    """
+    pairs, space = data.pairs, generator.spec.space
+    mask = pairs.mask(space)
 
     def render(frames: np.ndarray, draw: int) -> np.ndarray:
-        maps = {name: data.pairs.read(name, frames) for name in conditions(generator.spec)}
+        maps = {name: pairs.read(name, frames, space) for name in conditions(generator.spec)}
         seeds = torch.from_numpy(dataset.noise_seeds(frames, draw))
-        return generate(generator, dataset.network_inputs(maps, values, mask), torch.from_numpy(mask), seeds, precision)
+        inputs = dataset.network_inputs(maps, values, mask)
+        images = generate(generator, inputs, torch.from_numpy(mask), seeds, precision)
+        return images if space is Space.image else np.stack([pairs.converter.to_image(image) for image in images])
 
     return render

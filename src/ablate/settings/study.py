@@ -184,8 +184,10 @@ class StudySettings(Checked):
     preset: str = setting("paper", "Sizes of frames, networks and training; a file of conf/preset.", incidental=True)
     variant: str = setting("sa2h", "The network; a file of conf/variant.", incidental=True)
     seed: int = setting(0, "Seed of the networks and crops.", least=0)
-    encoding: Encoding = setting(Encoding.echogenicity, "Order of the tissue labels.")
-    encoding_seed: int = setting(0, "Seed of the order with `encoding=arbitrary`.", least=0)
+    encoding: Encoding = setting(Encoding.echogenicity, "How labels are read.")
+    encoding_seed: int | None = setting(
+        None, "Seed of the order with `encoding=arbitrary`; null is that of the run.", least=0
+    )
     reference: str = setting("sa2h", "The variant that all others are compared with.", incidental=True)
     scene: SceneSettings = SceneSettings()
     probe: Probe = ConvexProbe()
@@ -228,6 +230,11 @@ class StudySettings(Checked):
             return "fetal"
         name = re.sub(r"[^\w.+ -]", "_", Path(self.scene.folder or "").resolve().name)
         return name.encode()[:_LONGEST_SCENE_NAME].decode(errors="ignore")
+
+    @property
+    def label_seed(self) -> int:
+        """Seed of the order of the labels."""
+        return self.seed if self.encoding_seed is None else self.encoding_seed
 
     @property
     def study(self) -> str:

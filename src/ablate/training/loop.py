@@ -85,7 +85,7 @@ def train(
     RuntimeError
         Where the loader ends too early, or there is no GPU and one is asked for.
     """
-    if settings.crop < 2**spec.depth:
+    if 0 < settings.crop < 2**spec.depth:
         raise ValueError(f"crop={settings.crop}: allowed are 2^depth = {2**spec.depth} and more")
     if settings.threads:
         torch.set_num_threads(settings.threads)

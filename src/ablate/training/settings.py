@@ -6,7 +6,7 @@ from enum import StrEnum
 from ablate.setting import Checked, setting
 
 #: Part of every run's identity: raise it when the same settings and pairs train another network.
-TRAINING_VERSION = 1
+TRAINING_VERSION = 2
 SMALLEST_CROP = 32
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -52,7 +52,7 @@ class TrainingSettings(Checked):
         least=1,
     )
     batch_size: int = setting(4, "Crops of a step.", least=1)
-    crop: int = setting(512, "Side of the square crops.", least=SMALLEST_CROP, most=2**14, unit="px")
+    crop: int = setting(512, "Side of the square crops; 0 takes whole frames.", least=0, most=2**14, unit="px")
     learning_rate: float = setting(2e-4, "Learning rate of Adam, for both networks.", above=0)
     schedule: Schedule = setting(Schedule.constant, "How the learning rate falls.")
     beta1: float = setting(0.5, "Decay of Adam's average of gradients.", least=0, below=1)
@@ -95,6 +95,8 @@ class TrainingSettings(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if 0 < self.crop < SMALLEST_CROP:
+            raise ValueError(f"crop={self.crop}: allowed are 0, for whole frames, and numbers from {SMALLEST_CROP}")
         if not (self.has_discriminator or self.l1_weight):
             raise ValueError(
                 "l1_weight=0 with loss=none: allowed are numbers above 0, there is nothing else to minimise"

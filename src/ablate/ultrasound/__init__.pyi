@@ -1,7 +1,11 @@
 from .imaging.bmode import Display as Display
 from .patient_gain import with_patient_gain as with_patient_gain
 from .probe import fan_mask as fan_mask
+from .scan_conversion import ScanConverter as ScanConverter
+from .scan_conversion import position_maps as position_maps
+from .scan_conversion import scan_converter as scan_converter
 from .settings import SIMULATOR_VERSION as SIMULATOR_VERSION
+from .settings import Beam as Beam
 from .settings import ConvexProbe as ConvexProbe
 from .settings import DepthMode as DepthMode
 from .settings import Frame as Frame
@@ -14,3 +18,4 @@ from .settings import SimulatorSettings as SimulatorSettings
 from .settings import TimeGain as TimeGain
 from .simulator import Simulator as Simulator
 from .time_gain import compensated_attenuation as compensated_attenuation
+from .time_gain import compensated_beam as compensated_beam

@@ -65,6 +65,9 @@ class SimulatorSettings:
 
     scanlines: int = setting(192, "Scanlines of a frame.", least=1, most=2**14)
     axial_samples: int = setting(3072, "Samples of a scanline.", least=1, most=2**18)
+    samples_per_row: int = setting(
+        2, "Samples of a scanline whose mean grey level is a row in beam space; pixels lie between rows.", least=1
+    )
     rays: int = setting(32, "Rays of a scanline and layer.", least=1, most=2**20)
     layers: int = setting(3, "Elevational layers, within `layer_extent_mm`.", least=1, most=2**10)
     image_shape: tuple[int, int] = setting(
@@ -139,6 +142,11 @@ class SimulatorSettings:
         check_settings(self)
 
     @property
+    def beam_shape(self) -> tuple[int, int]:
+        """Rows and scanlines of a frame in beam space."""
+        return -(-self.axial_samples // self.samples_per_row), self.scanlines
+
+    @property
     def time_gain(self) -> float | tuple[float, ...]:
         """What `media.time_gain_db` takes: a slope, dB/cm/MHz one way, or a curve, dB two ways."""
         return self.tgc_db_cm_mhz if self.time_gain_db is None else self.time_gain_db
@@ -147,6 +155,28 @@ class SimulatorSettings:
     def low_quality(cls, **changes: object) -> SimulatorSettings:
         """Settings of the low-quality image L: one ray, one layer, and `changes`."""
         return replace(cls(**changes), rays=1, layers=1)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Beam:
+    """A frame before scan conversion; (rows, scanlines) is `SimulatorSettings.beam_shape`.
+
+    Attributes
+    ----------
+    segmentation : (rows, scanlines) uint8
+        i + 1 for `scene.tissues[i]`: the tissue of the sample in the middle of each row.
+    attenuation : (rows, scanlines) float32 in [0, 1]
+        The integral attenuation map.
+    interfaces : (rows, scanlines) float32 in [0, 1]
+        What the surfaces on each scanline return by themselves (`interface_echoes`).
+    image : (rows, scanlines) uint8
+        Grey levels.
+    """
+
+    segmentation: np.ndarray
+    attenuation: np.ndarray
+    interfaces: np.ndarray
+    image: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -165,6 +195,8 @@ class Frame:
         The fan; equal to `segmentation > 0`.
     envelope : (axial samples, scanlines) float32
         Linear envelope before TGC, noise floor and log.
+    beam : Beam or None
+        The same before scan conversion; image and attenuation are made from it. None in a frame made elsewhere.
     """
 
     segmentation: np.ndarray
@@ -172,6 +204,7 @@ class Frame:
     image: np.ndarray
     mask: np.ndarray
     envelope: np.ndarray
+    beam: Beam | None = None
 
 
 class ProbeKind(StrEnum):

@@ -11,12 +11,13 @@ import torch
 from ablate.anatomy import Scene, bounds_mm, check_scene
 from ablate.threads import without_teams
 from ablate.ultrasound.attenuation import integral_attenuation
-from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain
+from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain, means_of_rows
 from ablate.ultrasound.imaging.point_spread import lateral_kernels, layer_weights
 from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.probe import check_pose, fan_of
-from ablate.ultrasound.settings import ConvexProbe, Frame, Probe, SimulatorSettings, TimeGain
+from ablate.ultrasound.settings import Beam, ConvexProbe, Frame, Probe, SimulatorSettings, TimeGain
 from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.surfaces.interface_map import InterfaceMap
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport import lines
 from ablate.ultrasound.transport.aperture import Aperture
@@ -108,7 +109,9 @@ class Simulator:
         self._beam = torch.from_numpy(lateral_kernels(probe, settings, widen=math.sqrt(2)))
         self._aperture = Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
-        self._maps: tuple[bytes, np.ndarray, np.ndarray] | None = None  # of a pose: S, and A on the scanlines
+        self._interfaces = InterfaceMap(self._geometry, self._plan, probe, settings)
+        self._labels: tuple[bytes, np.ndarray] | None = None  # of a pose: S of the pixels
+        self._maps: dict[bytes, Beam] = {}  # of the last pose
         self._prepared: tuple[bytes, Prepared] | None = None
         self._warned: set[str] = set()
 
@@ -138,17 +141,22 @@ class Simulator:
         return Frame(
             segmentation=segmentation,
             attenuation=attenuation,
-            image=image,
+            image=self._chain.convert.to_image(image),
             mask=self.mask,
             envelope=np.ascontiguousarray(envelope.T, np.float32),
+            beam=replace(self.beam_maps(pose), image=image),
         )
 
     def image(self, pose: np.ndarray, seed: int = 0, display: Display | None = None) -> np.ndarray:
         """The image of `render`, (H, W) uint8, alone: the maps are not made."""
+        return self._chain.convert.to_image(self.beam_image(pose, seed, display))
+
+    def beam_image(self, pose: np.ndarray, seed: int = 0, display: Display | None = None) -> np.ndarray:
+        """The image of `render` before scan conversion, (rows, scanlines) uint8."""
         return self._image(pose, seed, display)[0]
 
     def _image(self, pose: np.ndarray, seed: int, display: Display | None) -> tuple[np.ndarray, np.ndarray]:
-        """The image, (H, W) uint8, and its envelope, (scanlines, samples)."""
+        """The image, (rows, scanlines) uint8, and its envelope, (scanlines, samples)."""
         if seed < 0:
             raise ValueError(f"seed must be at least 0, not {seed}")
         pose = check_pose(pose)
@@ -165,15 +173,37 @@ class Simulator:
             When the pose is not rigid.
         """
         pose = check_pose(pose)
-        geometry, local, inside = self._geometry, self._local(pose), self._chain.convert.mask
-        tissue_of_owner, losses = self._plan.tissue_of_owner, self._plan.media.loss_db_mm
         with without_teams():
-            if self._maps is None or self._maps[0] != pose.tobytes():
-                labels = segment(geometry, tissue_of_owner, self.probe, inside, local)
-                polar = plane_labels(geometry, tissue_of_owner, self.probe, self.settings, local)
-                spacing_mm = self.probe.depth_mm / self.settings.axial_samples
-                self._maps = pose.tobytes(), labels, integral_attenuation(polar, losses, spacing_mm)
-            return self._maps[1].copy(), self._chain.convert(self._maps[2])
+            if self._labels is None or self._labels[0] != pose.tobytes():
+                local, inside = self._local(pose), self._chain.convert.mask
+                labels = segment(self._geometry, self._plan.tissue_of_owner, self.probe, inside, local)
+                self._labels = pose.tobytes(), labels
+            return self._labels[1].copy(), self._chain.convert.to_image(self.beam_maps(pose, False).attenuation)
+
+    def beam_maps(self, pose: np.ndarray, interfaces: bool = True) -> Beam:
+        """Segmentation, attenuation and, if asked for, `interfaces` of a pose in beam space; its image is empty.
+
+        Raises
+        ------
+        ValueError
+            When the pose is not rigid.
+        """
+        pose = check_pose(pose)
+        known, settings = self._maps.get(pose.tobytes()), self.settings
+        with without_teams():
+            if known is None:
+                labels = self.scanline_tissues(pose)
+                spacing_mm = self.probe.depth_mm / settings.axial_samples
+                amplitude = integral_attenuation(labels, self._plan.media.loss_db_mm, spacing_mm)
+                each, last = settings.samples_per_row, settings.axial_samples - 1
+                middles = np.minimum(np.arange(settings.beam_shape[0]) * each + each // 2, last)
+                segmentation = np.ascontiguousarray(labels[:, middles].T) + np.uint8(1)
+                attenuation = np.ascontiguousarray(means_of_rows(amplitude, settings))
+                known = Beam(segmentation, attenuation, np.empty((0, 0), np.float32), np.empty((0, 0), np.uint8))
+            if interfaces and not known.interfaces.size:
+                known = replace(known, interfaces=self._interfaces(self._local(pose)))
+            self._maps = {pose.tobytes(): known}
+        return known
 
     def scanline_tissues(self, pose: np.ndarray) -> np.ndarray:
         """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8: index in the scene's.

@@ -55,8 +55,19 @@ def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: float | 
     (['0.53', '0.74', '0.95'], 0.0)
     """
     height, width = attenuation.shape[-2:]
+    return _compensated(attenuation, _gain_db(probe, tuple(tgc) if isinstance(tgc, Sequence) else tgc, (height, width)))
+
+
+def compensated_beam(attenuation: np.ndarray, probe: Probe, tgc: float | Sequence[float]) -> np.ndarray:
+    """`compensated_attenuation` of A in beam space, (..., rows, scanlines) float32 in [0, 1]."""
+    rows = attenuation.shape[-2]
+    gain_db = time_gain_db((np.arange(rows) + 0.5) * (probe.depth_mm / rows), probe, tgc)
+    return _compensated(attenuation, gain_db[:, None].astype(np.float32))
+
+
+def _compensated(attenuation: np.ndarray, gain_db: np.ndarray) -> np.ndarray:
     level_db = 40 * np.log10(np.maximum(attenuation, _LEAST, dtype=np.float32))
-    level_db += _gain_db(probe, tuple(tgc) if isinstance(tgc, Sequence) else tgc, (height, width))
+    level_db += gain_db
     level_db += np.float32(_REACH_DB)
     level_db /= np.float32(2 * _REACH_DB)
     return np.clip(level_db, 0, 1, out=level_db)

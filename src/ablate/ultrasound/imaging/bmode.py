@@ -1,4 +1,4 @@
-"""From what rays bring back to the B-mode image: gain, noise, logarithm, grey levels, scan conversion, controls."""
+"""From what rays bring back to the B-mode image: gain, noise, logarithm, grey levels, rows, controls."""
 
 import math
 import zlib
@@ -15,13 +15,13 @@ from ablate.ultrasound.compiled import Arrays, compiled
 from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, along_lines, blur, point_spread
 from ablate.ultrasound.imaging.scatterers import Samples
 from ablate.ultrasound.imaging.speckle import Lines, Speckle
-from ablate.ultrasound.probe import fan_mask, fan_of, pixel_polar, sample_depths_mm
+from ablate.ultrasound.probe import sample_depths_mm
+from ablate.ultrasound.scan_conversion import ScanConverter
 from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.time_gain import time_gain_db
 
 _KEY = 0x9E3779B97F4A7C15  # keeps the noise apart from the paths' draws
-_RUNS_OF_A_PART = 64
 _MOST_DB = 100.0  # that an operator can add
 _LARGEST_GAIN_DB = 700.0  # finite as float32, so that 0 stays 0; every echo is white by then
 
@@ -120,52 +120,15 @@ def grey_levels(power: np.ndarray, range_db: float) -> None:
     power *= 255
 
 
-class ScanConverter:
-    """Bilinear interpolation from scanlines to pixels of the fan; the sampling positions are computed once."""
-
-    def __init__(self, probe: Probe, settings: SimulatorSettings) -> None:
-        self.mask = fan_mask(probe, settings.image_shape)
-        depth, position = (polar[self.mask] for polar in pixel_polar(probe, settings.image_shape))
-        last = settings.scanlines - 1, settings.axial_samples - 1
-        along = np.clip(depth * (settings.axial_samples / probe.depth_mm) - 0.5, 0, last[1])
-        across = np.clip((position / fan_of(probe).outer + 1) / 2 * last[0], 0, last[0])
-        line, sample = (
-            np.minimum(x.astype(np.int32), max(n - 1, 0)) for x, n in zip((across, along), last, strict=True)
-        )
-        edges = np.flatnonzero(np.diff(np.pad(self.mask, ((0, 0), (1, 1))).ravel()))
-        row, column = np.divmod(edges, settings.image_shape[1] + 2)  # two edges a run of pixels
-        wide = column[1::2] - column[::2]
-        self._runs = np.stack([row[::2], column[::2], column[1::2], np.cumsum(wide) - wide], axis=-1)
-        self._places = (
-            (line * settings.axial_samples + sample).astype(np.uint32),  # negative numbers would be looked for
-            (across - line).astype(np.float32),
-            (along - sample).astype(np.float32),
-        )
-
-    @stage(Stage.scan_conversion)
-    def __call__(self, lines: np.ndarray, dtype: type[np.generic] = np.float32) -> np.ndarray:
-        """A polar image (scanlines, samples) in the fan, (H, W) float32, or uint8 rounded; 0 outside."""
-        image = np.zeros(self.mask.shape, dtype)
-        added = lines.dtype.type(0.5 if dtype is np.uint8 else 0)
-        in_parts(partial(_interpolate, lines, added, self._runs, self._places, image), len(self._runs), _RUNS_OF_A_PART)
-        return image
-
-
-@compiled
-def _interpolate(
-    lines: np.ndarray, added: float, runs: np.ndarray, places: Arrays, image: np.ndarray, begin: int, end: int
-) -> None:
-    """Fill some runs of pixels, (n, 4): row, columns, first pixel; for each, the first of four neighbours and parts."""
-    (first, across, along), values, samples = places, lines.ravel(), lines.shape[1]
-    line, sample = np.uint64(samples if len(lines) > 1 else 0), np.uint64(samples > 1)  # to the next
-    for run in range(begin, end):
-        row, column, stop, pixel = runs[run]
-        for ahead in range(stop - column):
-            place, part = np.uint64(first[pixel + ahead]), along[pixel + ahead]
-            beside = place + line
-            here = values[place] + part * (values[place + sample] - values[place])
-            there = values[beside] + part * (values[beside + sample] - values[beside])
-            image[row, column + ahead] = here + across[pixel + ahead] * (there - here) + added
+def means_of_rows(lines: np.ndarray, settings: SimulatorSettings) -> np.ndarray:
+    """The mean of the samples of each row, (rows, scanlines), of values (scanlines, samples)."""
+    each = settings.samples_per_row
+    if each == 1:
+        return lines.T
+    first = np.arange(0, lines.shape[1], each)
+    counts = np.minimum(each, lines.shape[1] - first).astype(lines.dtype)
+    means: np.ndarray = (np.add.reduceat(lines, first, axis=1) / counts).T
+    return means
 
 
 @dataclass(frozen=True)
@@ -183,7 +146,7 @@ class SignalChain:
     def __init__(self, tissues: Sequence[Tissue], probe: Probe, settings: SimulatorSettings) -> None:
         self.probe, self.settings = probe, settings
         self.dtype: torch.dtype = getattr(torch, settings.precision.value)
-        self.convert = ScanConverter(probe, settings)
+        self.convert = ScanConverter(probe, settings.beam_shape, settings.image_shape)
         self.spread = point_spread(probe, settings, self.dtype)
         self.speckle = Speckle(tissues, probe, settings, getattr(np, settings.precision.value))
         self._depth_mm = sample_depths_mm(probe, settings.axial_samples)
@@ -216,7 +179,9 @@ class SignalChain:
     def image(
         self, prepared: Prepared | None, pose: np.ndarray, seed: int, display: Display | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The picture, (H, W) uint8, of what rays bring back, or of nothing; and its envelope, (scanlines, samples).
+        """The picture, (rows, scanlines) uint8, of what rays bring back, or of nothing; and its envelope.
+
+        The envelope is (scanlines, samples), and a row of the picture the mean grey level of `samples_per_row` of them.
 
         The amplifier's noise is there before the gain: it is seen where the gain is large, deep and in fluid.
         """
@@ -238,4 +203,4 @@ class SignalChain:
             grey_levels(grey[begin:end], settings.dynamic_range_db)
 
         stage(Stage.grey_levels)(in_parts)(shown, len(grey), LINES_OF_A_PART)
-        return self.convert(grey, np.uint8), envelope
+        return np.rint(means_of_rows(grey, settings)).astype(np.uint8), envelope

@@ -119,12 +119,12 @@ def _follow(
     asked, line = asked_ray(), asked_line(keep)
     for row in range(begin, end):
         met, line = all_of(address, asked, line, at(origins, row), at(directions, row), lengths_mm[row])
-        distances, structures = surfaces_of(line, met)
+        distances, structures, _ = surfaces_of(line, met)
         last, displayed, filled = -before_mm[row], 0.0, 0
         for number in range(met + 1):
             here, distance, reached, ahead = owner(inside[row]), last, displayed, samples
             if number < met:
-                if _again(distances, structures, number, least_step_mm):
+                if again(distances, structures, number, least_step_mm):
                     continue
                 distance = distances[number] - before_mm[row]
                 reached = displayed + max(distance - max(last, 0.0), 0.0) * stretch_of_owner[here]
@@ -139,7 +139,7 @@ def _follow(
 
 
 @compiled
-def _again(distances: np.ndarray, structures: np.ndarray, number: int, least_mm: float) -> bool:
+def again(distances: np.ndarray, structures: np.ndarray, number: int, least_mm: float) -> bool:
     """Whether a line has met this structure just before, as where it meets the edge between two triangles."""
     before = number - 1
     while before >= 0 and distances[number] - distances[before] <= least_mm:

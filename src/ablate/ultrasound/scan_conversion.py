@@ -1,0 +1,172 @@
+"""From beam space, whose rows are depths and whose columns are scanlines, to the pixels of the image, and back.
+
+A sample of a scanline has the same depth in every column; a pixel lies between four of them. In beam space every value
+lies in the fan, shadows are columns, and the grain of speckle has one direction along a row.
+"""
+
+from functools import lru_cache, partial
+
+import numpy as np
+
+from ablate.threads import in_parts
+from ablate.ultrasound.compiled import Arrays, compiled
+from ablate.ultrasound.probe import fan_mask, fan_of, pixel_coordinates_mm, pixel_polar, scanline_positions
+from ablate.ultrasound.settings import Probe
+from ablate.ultrasound.stages import Stage, stage
+
+_RUNS_OF_A_PART = 64
+Shape = tuple[int, int]
+
+
+class ScanConverter:
+    """Interpolation between beam space and the image of a probe; the places are computed once.
+
+    Parameters
+    ----------
+    beam_shape : (rows, scanlines)
+        Rows are the middles of equal parts of the imaging depth, columns the scanlines from edge to edge of the fan.
+    image_shape : (H, W)
+        Pixels of the fan's bounding box.
+
+    Attributes
+    ----------
+    mask : (H, W) bool
+        The fan.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ablate.ultrasound import ConvexProbe, ScanConverter
+    >>> converter = ScanConverter(ConvexProbe(), (512, 128), (256, 355))
+    >>> depth = np.repeat(np.linspace(0, 1, 512, dtype=np.float32)[:, None], 128, axis=1)
+    >>> image = converter.to_image(depth)
+    >>> image.shape, [f"{value:.2f}" for value in image[[20, 128, 250], 177]]
+    ((256, 355), ['0.04', '0.48', '0.98'])
+    """
+
+    def __init__(self, probe: Probe, beam_shape: Shape, image_shape: Shape) -> None:
+        self.probe, self.beam_shape, self.image_shape = probe, beam_shape, image_shape
+        self.mask = fan_mask(probe, image_shape)
+        depth, position = (polar[self.mask] for polar in pixel_polar(probe, image_shape))
+        rows, lines = beam_shape
+        along = np.clip(depth * (rows / probe.depth_mm) - 0.5, 0, rows - 1)
+        across = np.clip((position / fan_of(probe).outer + 1) / 2 * (lines - 1), 0, lines - 1)
+        row, line = (np.minimum(x.astype(np.int32), max(n - 2, 0)) for x, n in ((along, rows), (across, lines)))
+        edges = np.flatnonzero(np.diff(np.pad(self.mask, ((0, 0), (1, 1))).ravel()))
+        pixel_row, column = np.divmod(edges, image_shape[1] + 2)  # two edges a run of pixels
+        wide = column[1::2] - column[::2]
+        self._runs = np.stack([pixel_row[::2], column[::2], column[1::2], np.cumsum(wide) - wide], axis=-1)
+        self._places = (
+            (row * lines + line).astype(np.uint32),  # negative numbers would be looked for
+            (across - line).astype(np.float32),
+            (along - row).astype(np.float32),
+        )
+
+    @stage(Stage.scan_conversion)
+    def to_image(self, beam: np.ndarray) -> np.ndarray:
+        """Bilinear interpolation of (rows, scanlines) to (H, W); bytes are rounded. It is 0 outside the fan.
+
+        The result is uint8 of uint8, else float32.
+        """
+        is_bytes = beam.dtype == np.uint8
+        image = np.zeros(self.mask.shape, np.uint8 if is_bytes else np.float32)
+        fill = partial(_interpolate, np.ascontiguousarray(beam), np.float32(0.5 * is_bytes))
+        in_parts(partial(fill, self._runs, self._places, image), len(self._runs), _RUNS_OF_A_PART)
+        return image
+
+    @stage(Stage.scan_conversion)
+    def labels_to_image(self, beam: np.ndarray) -> np.ndarray:
+        """The label, (rows, scanlines) uint8, that is nearest to each pixel, (H, W); 0 outside the fan."""
+        image = np.zeros(self.mask.shape, np.uint8)
+        fill = partial(_nearest, np.ascontiguousarray(beam), self._runs, self._places, image)
+        in_parts(fill, len(self._runs), _RUNS_OF_A_PART)
+        return image
+
+    def to_beam(self, image: np.ndarray) -> np.ndarray:
+        """Bilinear interpolation of an image, (H, W), at the samples of the scanlines, (rows, scanlines).
+
+        The result is uint8 of uint8, else float32. Only pixels of the fan count.
+        """
+        from scipy.ndimage import map_coordinates
+
+        places = self._samples_px()
+        inside = map_coordinates(self.mask.astype(np.float32), places, order=1, mode="nearest")
+        values = map_coordinates(np.where(self.mask, image, 0).astype(np.float32), places, order=1, mode="nearest")
+        values = values / np.maximum(inside, 1e-3)
+        return np.rint(values).astype(np.uint8) if image.dtype == np.uint8 else values.astype(np.float32)
+
+    def labels_to_beam(self, image: np.ndarray) -> np.ndarray:
+        """The label of the nearest pixel of the fan, of (H, W) uint8, at each sample, (rows, scanlines)."""
+        from scipy.ndimage import distance_transform_edt
+
+        nearest = distance_transform_edt(~self.mask, return_distances=False, return_indices=True)
+        row, column = np.rint(self._samples_px()).astype(int)
+        height, width = self.image_shape
+        row, column = np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
+        labels: np.ndarray = image[nearest[0][row, column], nearest[1][row, column]]
+        return labels
+
+    def _samples_px(self) -> np.ndarray:
+        """Row and column of each sample in the image, (2, rows, scanlines) float64, px."""
+        rows, lines = self.beam_shape
+        depths = (np.arange(rows) + 0.5) * (self.probe.depth_mm / rows)
+        starts, directions = fan_of(self.probe).lines(scanline_positions(self.probe, lines))
+        points = starts[None] + depths[:, None, None] * directions[None]
+        x, z = pixel_coordinates_mm(self.probe, self.image_shape)
+        spacing_x, spacing_z = fan_of(self.probe).size_mm[1] / len(x), fan_of(self.probe).size_mm[0] / len(z)
+        return np.stack([(points[..., 2] - z[0]) / spacing_z, (points[..., 0] - x[0]) / spacing_x])
+
+
+@lru_cache(maxsize=4)
+def scan_converter(probe: Probe, beam_shape: Shape, image_shape: Shape) -> ScanConverter:
+    """The converter of a probe and two sizes; the last few are kept."""
+    return ScanConverter(probe, beam_shape, image_shape)
+
+
+def position_maps(probe: Probe, image_shape: Shape | None, beam_shape: Shape) -> dict[str, np.ndarray]:
+    """Where each value lies: its depth, and the position of its scanline, float32 in [-1, 1], by name.
+
+    They are `depth` and `lateral`, of the pixels, 0 outside the fan, or without `image_shape` of beam space.
+    """
+    if image_shape is None:
+        rows, lines = beam_shape
+        depth = np.repeat((2 * (np.arange(rows) + 0.5) / rows - 1)[:, None], lines, axis=1)
+        lateral = np.repeat(np.linspace(-1, 1, lines)[None] if lines > 1 else np.zeros((1, 1)), rows, axis=0)
+        return {"depth": depth.astype(np.float32), "lateral": lateral.astype(np.float32)}
+    depth, position = pixel_polar(probe, image_shape)
+    inside = fan_mask(probe, image_shape)
+    maps = {"depth": 2 * depth / probe.depth_mm - 1, "lateral": position / fan_of(probe).outer}
+    return {name: np.where(inside, values, 0).astype(np.float32) for name, values in maps.items()}
+
+
+@compiled
+def _interpolate(
+    beam: np.ndarray, added: float, runs: np.ndarray, places: Arrays, image: np.ndarray, begin: int, end: int
+) -> None:
+    """Fill some runs of pixels, (n, 4): row, columns, first pixel; for each, the first of four neighbours and parts."""
+    (first, across, along), values, lines = places, beam.ravel(), beam.shape[1]
+    line, deeper = np.uint64(lines > 1), np.uint64(lines if len(beam) > 1 else 0)  # to the next
+    for run in range(begin, end):
+        row, column, stop, pixel = runs[run]
+        for ahead in range(stop - column):
+            place, part = np.uint64(first[pixel + ahead]), across[pixel + ahead]
+            below = place + deeper
+            a, b = np.float32(values[place]), np.float32(values[place + line])
+            c, d = np.float32(values[below]), np.float32(values[below + line])
+            above, under = a + part * (b - a), c + part * (d - c)
+            image[row, column + ahead] = above + along[pixel + ahead] * (under - above) + added
+
+
+@compiled
+def _nearest(beam: np.ndarray, runs: np.ndarray, places: Arrays, image: np.ndarray, begin: int, end: int) -> None:
+    """Fill some runs of pixels, as `_interpolate`, with the nearest value."""
+    (first, across, along), values, lines = places, beam.ravel(), beam.shape[1]
+    for run in range(begin, end):
+        row, column, stop, pixel = runs[run]
+        for ahead in range(stop - column):
+            place = np.uint64(first[pixel + ahead])
+            if across[pixel + ahead] >= 0.5 and lines > 1:
+                place += np.uint64(1)
+            if along[pixel + ahead] >= 0.5 and len(beam) > 1:
+                place += np.uint64(lines)
+            image[row, column + ahead] = values[place]

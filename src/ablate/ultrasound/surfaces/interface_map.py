@@ -1,0 +1,160 @@
+"""The interface map: what each surface on a scanline returns by itself.
+
+Segmentation and attenuation do not say how a surface is tilted out of the image plane, and that decides whether a rib
+is white or black. The echo of a surface alone is known from the crossings of straight scanlines with the meshes: no ray
+is drawn, and no echo of a reflected ray is in it.
+"""
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from ablate.threads import in_parts
+from ablate.ultrasound.compiled import Arrays, compiled
+from ablate.ultrasound.media import RenderPlan
+from ablate.ultrasound.probe import layer_offsets_mm, sample_depths_mm, scanlines_in_plane, to_world
+from ablate.ultrasound.settings import Probe, SimulatorSettings
+from ablate.ultrasound.stages import Stage, stage
+from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, at, surfaces_of
+from ablate.ultrasound.surfaces.line_walk import again, highest
+from ablate.ultrasound.time_gain import time_gain_db
+from ablate.ultrasound.transport.bounce import pressure_reflection, transmission_cosine
+
+#: Levels from this, dB about white, to `BRIGHTEST_DB` are 0 to 1.
+FAINTEST_DB, BRIGHTEST_DB = -60.0, 20.0
+_LINES_OF_A_PART = 32
+_COSINES = 65  # of incidence, at which the share that is received is tabulated
+_LOBE = 256  # normals of a rough surface
+_MEAN_DEPTH = math.sqrt(2 / math.pi)  # of a surface's echo, in units of its thickness: the mean of a half normal
+
+
+class _Tables(NamedTuple):
+    """Of tissues, (tissues,) float64 unless said otherwise."""
+
+    speed_m_s: np.ndarray
+    impedance_mrayl: np.ndarray
+    loss_db_mm: np.ndarray
+    depth_mm: np.ndarray  # of the echo behind a surface, which is rough
+    received: np.ndarray  # (tissues, _COSINES): share of a surface's echo that its element receives, by incidence
+    differs: np.ndarray  # (tissues, tissues) bool
+
+
+class InterfaceMap:
+    """Makes interface maps of a geometry, for one probe and one set of settings."""
+
+    def __init__(self, geometry: Geometry, plan: RenderPlan, probe: Probe, settings: SimulatorSettings) -> None:
+        self._geometry, self._owners = geometry, plan.tissue_of_owner
+        self._shape = settings.beam_shape
+        self._spacing_mm = probe.depth_mm / settings.axial_samples * settings.samples_per_row
+        self._lines = scanlines_in_plane(probe, settings.scanlines, layer_offsets_mm(settings))
+        gain_db = time_gain_db(sample_depths_mm(probe, self._shape[0]), probe, settings.time_gain)
+        self._level_db = (gain_db - 20 * math.log10(settings.reference_level)).astype(np.float32)
+        media = plan.media
+        self._tables = _Tables(
+            media.speed_m_s.astype(float),
+            media.impedance_mrayl.astype(float),
+            media.loss_db_mm.astype(float),
+            _MEAN_DEPTH * media.thickness_mm.astype(float),
+            np.array([_received(*pair) for pair in zip(media.specularity, media.lobe_exponent, strict=True)]),
+            media.differs,
+        )
+
+    @stage(Stage.interface_echoes)
+    def __call__(self, pose: np.ndarray) -> np.ndarray:
+        """The map of a pose, which takes probe coordinates to the geometry's, (rows, scanlines) float32 in [0, 1].
+
+        A surface between tissues 1 and 2 returns w R_p E[max(0, cos 2i)^n] 10^(-2 alpha f d / 20) of the amplitude,
+        where w is the product of 1 - R_p^2 of the surfaces before it, and the mean is over the normals i of a rough
+        surface (docs/simulator.md, sections 5 and 6). Powers of the layers are averaged. With the time gain, levels
+        from -60 to 20 dB about white are 0 to 1.
+        """
+        starts, directions = (to_world(pose, self._lines[0]), self._lines[1] @ pose[:3, :3].T)
+        layers, count = starts.shape[:2]
+        starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
+        back, ahead = self._geometry.through(starts, directions)
+        lines = (
+            (starts - back[:, None] * directions).astype(np.float32),
+            directions.astype(np.float32),
+            (back + ahead).astype(np.float32),
+            back,
+        )
+        amplitude = np.zeros((len(starts), self._shape[0]))
+        words = max(1, -(-self._geometry.structures // 32))
+        follow = partial(
+            _follow, self._geometry.address, KEEP, self._geometry.step_mm, words, lines, self._owners, self._tables
+        )
+        in_parts(partial(follow, self._spacing_mm, amplitude), len(starts), _LINES_OF_A_PART)
+        power = np.square(amplitude, out=amplitude).reshape(layers, count, -1).mean(axis=0)
+        level_db = (10 * np.log10(np.maximum(power, 1e-30))).astype(np.float32).T + self._level_db[:, None]
+        return np.clip((level_db - FAINTEST_DB) / (BRIGHTEST_DB - FAINTEST_DB), 0, 1).astype(np.float32)
+
+
+def _received(specularity: float, lobe_exponent: float) -> np.ndarray:
+    """E[max(0, cos 2i)^n] over the normals of a power-cosine lobe, by the cosine of incidence of the mesh, (cosines,).
+
+    The normals are a lattice of the golden ratio, so the mean is the same every time.
+    """
+    index = np.arange(_LOBE)
+    cos_tilt = ((index + 0.5) / _LOBE) ** lobe_exponent
+    azimuth = 2 * math.pi * ((index * (math.sqrt(5) - 1) / 2) % 1)
+    cos_i = np.linspace(0, 1, _COSINES)[:, None]
+    sin_i, sin_tilt = np.sqrt(1 - cos_i**2), np.sqrt(1 - cos_tilt**2)
+    towards = 2 * (cos_i * cos_tilt + sin_i * sin_tilt * np.cos(azimuth)) ** 2 - 1
+    share: np.ndarray = np.where(towards > 0, np.maximum(towards, 1e-12) ** specularity, 0.0).mean(axis=1)
+    return share
+
+
+@compiled
+def _follow(
+    address: int,
+    keep: int,
+    least_mm: float,
+    words: int,
+    lines: Arrays,
+    tissue_of_owner: np.ndarray,
+    tables: _Tables,
+    spacing_mm: float,
+    amplitude: np.ndarray,
+    begin: int,
+    end: int,
+) -> None:
+    """Add the echoes of the surfaces on some lines to their rows, (lines, rows)."""
+    origins, directions, lengths_mm, before_mm = lines
+    speed, impedance, loss_db_mm, behind_mm, received, differs = tables
+    rows, cosines = amplitude.shape[1], received.shape[1]
+    asked, line, inside = asked_ray(), asked_line(keep), np.zeros(words, np.uint32)
+    for number in range(begin, end):
+        met, line = all_of(address, asked, line, at(origins, number), at(directions, number), lengths_mm[number])
+        distances, structures, incidence = surfaces_of(line, met)
+        inside[:] = 0
+        here, reached, loss_db, weight = tissue_of_owner[0], 0.0, 0.0, 1.0
+        for k in range(met):
+            if again(distances, structures, k, least_mm):
+                continue
+            distance = distances[k] - before_mm[number]
+            structure = structures[k]
+            inside[structure >> 5] ^= np.uint32(1) << np.uint32(structure & 31)
+            owned_by = 0
+            for word in range(words):
+                if inside[word]:
+                    owned_by = 32 * word + highest(inside[word])
+            beyond = tissue_of_owner[owned_by]
+            loss_db += 2 * loss_db_mm[here] * max(distance - reached, 0.0)
+            reached = max(distance, 0.0)
+            if distance > 0 and differs[here, beyond]:
+                surface = tissue_of_owner[structure + 1]
+                cos_i = min(float(incidence[k]), 1.0)
+                cos_t = transmission_cosine(cos_i, speed[here], speed[beyond])
+                pressure = pressure_reflection(impedance[here], impedance[beyond], cos_i, cos_t)
+                row = (distance + behind_mm[surface]) / spacing_mm - 0.5
+                if row < rows:
+                    at_row = min(max(int(row), 0), rows - 1)
+                    beside, part = min(at_row + 1, rows - 1), min(max(row - at_row, 0.0), 1.0)
+                    echo = weight * abs(pressure) * 10 ** (-loss_db / 20)
+                    echo *= received[surface, int(cos_i * (cosines - 1) + 0.5)]
+                    amplitude[number, at_row] += (1 - part) * echo
+                    amplitude[number, beside] += part * echo
+                weight *= 1 - pressure * pressure
+            here = beyond
