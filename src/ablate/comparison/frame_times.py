@@ -15,7 +15,7 @@ from ablate import dataset
 from ablate.comparison.usable_runs import without_anatomy
 from ablate.dataset import Part, equally_spaced
 from ablate.metrics.metric import BOUNDS, FRAME_TIME
-from ablate.networks import Family, Generator, conditions
+from ablate.networks import Family, Generator, Space, conditions
 from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run
 from ablate.settings.study import SceneKind, StudySettings
@@ -157,31 +157,40 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     """
     first = next((network for network, run in runs.items() if run.data_set.exists), next(iter(runs)))
     data = runs[first].data_set
+    values = {k: dataset.label_values(data.tissues, s.encoding, s.label_seed) for k, s in settings.items()}
     generators = {  # trained, or with the weights that a training starts with
         network: (
-            load_generator(run.checkpoint) if run.checkpoint.is_file() else Generator(settings[network].model).eval()
+            load_generator(run.checkpoint)
+            if run.checkpoint.is_file()
+            else Generator(dataset.fitted(settings[network].model, settings[network].encoding, values[network])).eval()
         ).to(device)
         for network, run in runs.items()
     }
-    read = {network: conditions(generator.spec) for network, generator in generators.items()}
-    values = {k: dataset.label_values(data.tissues, s.encoding, s.encoding_seed) for k, s in settings.items()}
+    specs = {network: generator.spec for network, generator in generators.items()}
+    read = {network: conditions(spec) for network, spec in specs.items()}
     rounds = max(settings[first].evaluation.timed_frames, _FEWEST_ROUNDS)
-    make = _map_maker(settings[first], data, {name for names in read.values() for name in names})
-    mask = data.pairs.mask()
+    spaces = dict.fromkeys(spec.space for spec in specs.values())
+    needed = {space: {n for k, names in read.items() for n in names if specs[k].space is space} for space in spaces}
+    make = {space: _map_maker(settings[first], data, names, space) for space, names in needed.items()}
+    masks = {space: data.pairs.mask(space) for space in spaces}
     frames = equally_spaced(data.pairs.frames(Part.test), rounds)
     rows: list[tuple[str, int, str, float]] = []
     turns = list(runs)
     with tqdm(total=(rounds + 1) * len(runs), unit="frame", desc="time", mininterval=1.0, leave=False) as bar:
         for number in range(rounds + 1):
             frame = int(frames[number % len(frames)])
-            maps, map_ms = make(frame, number)
+            made = {space: of_space(frame, number) for space, of_space in make.items()}
             for network in turns:
+                space = specs[network].space
+                (maps, map_ms), mask = made[space], masks[space]
+                converter = data.pairs.converter if space is Space.beam else None
                 given = {name: maps[name][None] for name in read[network]}
                 seed = torch.from_numpy(dataset.noise_seeds(np.array([frame]), number))
                 start = time.perf_counter()
                 inputs = dataset.network_inputs(given, values[network], mask)
                 precision = settings[network].training.precision
-                generate(generators[network], inputs, torch.from_numpy(mask), seed, precision)  # waits for a GPU
+                fan = torch.from_numpy(mask)
+                generate(generators[network], inputs, fan, seed, precision, converter)  # waits for a GPU
                 parts = {name: map_ms[name] for name in read[network] if name in map_ms}
                 parts[NETWORK] = 1e3 * (time.perf_counter() - start)
                 rows += [(network, number, name, ms) for name, ms in parts.items()]
@@ -191,15 +200,15 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     return times[times["round"] > 0]
 
 
-def _map_maker(settings: StudySettings, data: DataSet, names: set[str]) -> Callable[[int, int], Maps]:
+def _map_maker(settings: StudySettings, data: DataSet, names: set[str], space: Space) -> Callable[[int, int], Maps]:
     """A function of frame and round that makes maps. Where pairs were made elsewhere they are read and take no time."""
     if settings.scene.kind is SceneKind.pairs:
-        return lambda frame, _: ({name: data.pairs.read(name, [frame])[0] for name in names}, {})
+        return lambda frame, _: ({name: data.pairs.read(name, [frame], space)[0] for name in names}, {})
 
     from ablate.dataset.simulate import nudged, timed_maps
     from ablate.runs.simulated import build_scene
 
     scene, _ = build_scene(settings)
     simulator = replace(settings.simulator, time_gain_db=data.time_gain_db)
-    make = timed_maps(scene, settings.probe, simulator, data.pairs.poses, low="low" in names)
+    make = timed_maps(scene, settings.probe, simulator, data.pairs.poses, sorted(names), space)
     return lambda frame, number: make(nudged(data.pairs.poses[frame], number), settings.dataset.seed)

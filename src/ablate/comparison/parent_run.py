@@ -56,7 +56,7 @@ def register_reference(settings: StudySettings, runs: Sequence[Run], store: Stor
         str(name),
         ids[chosen.name],
         load_generator(chosen.checkpoint),
-        label_values(data.tissues, trained.encoding, trained.encoding_seed),
+        label_values(data.tissues, trained.encoding, trained.label_seed),
         trained.training.precision,
         {name: data.pairs.read(name, frame)[:, *middle] for name in conditions(trained.model)},
         f"{chosen.name} of the study {settings.study}, the seed that validates best.",

@@ -28,9 +28,9 @@ _AHEAD = 2  # batches a worker prepares before the first of them is taken
 class CropSettings:
     """How training batches are cut.
 
-    A crop is a square of `size` px, or a whole frame if `size` is 0; the part of it beyond the frame is filled as outside the fan. It is drawn again
-    until at least the share `fan_fraction` of it lies in the fan, and it always touches the fan. `flip` mirrors half of
-    the crops left to right, which the physics allows.
+    A crop is a square of `size` px, or a whole frame if `size` is 0; the part of it beyond the frame is filled as
+    outside the fan. It is drawn again until at least the share `fan_fraction` of it lies in the fan, and it always
+    touches the fan. `flip` mirrors half of the crops left to right, which the physics allows.
     """
 
     size: int = 512
@@ -44,8 +44,8 @@ class CropSettings:
 class Crops:
     """Batch number `step` of an endless training run, as a dict of tensors.
 
-    Item `step` holds `segmentation`, (N, channels, h, w) float32 in [-1, 1]; `target` and the other `maps`, (N, 1, h, w)
-    float32 in [-1, 1], outside the fan -1 (attenuation and interfaces in [0, 1], outside 0); `mask`, (N, 1, h, w)
+    Item `step` holds `segmentation`, (N, channels, h, w) float32 in [-1, 1]; `target` and the other `maps`,
+    (N, 1, h, w) float32 in [-1, 1], outside the fan -1 (attenuation and interfaces in [0, 1], outside 0); `mask`, (N, 1, h, w)
     float32; and `noise_seed`, (N,) int64.
 
     Crops are drawn from `frames`, (k,) int. `maps` says which maps are included besides, `values` come from

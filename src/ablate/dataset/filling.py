@@ -30,8 +30,8 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
     from one machine to the other, a shard may be made twice, with the same content.
 
     `make` is called with the numbers of k frames and the names of the wanted maps, out of `FORMATS`. It returns arrays
-    (k, H, W), or in beam space, by name: `attenuation` and `interfaces` float in [0, 1], the others uint8; frames that have no such map are zeros. An
-    OSError when a shard cannot be written, as on a full disk; those before it stay.
+    (k, *pairs.stored_shape) by name: `attenuation` and `interfaces` float in [0, 1], the others uint8; frames that have
+    no such map are zeros. An OSError when a shard cannot be written, as on a full disk; those before it stay.
     """
     with FileLock(pairs.folder / ".create.lock"):
         for left in pairs.folder.glob("pairs.zarr/*/*.partial"):

@@ -3,11 +3,13 @@
 Simulated frames are stored in beam space, and images are scan-converted from them; pairs made elsewhere are images.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zarr
@@ -17,18 +19,14 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from ablate.dataset.crops import OF_POSITION
 from ablate.dataset.encoding import ATTENUATION_SCALE, decode_attenuation
 from ablate.dataset.split import Part
-from ablate.storage import write_json
 from ablate.networks.spec import Space
 from ablate.setting import plain
-from ablate.ultrasound import (
-    Probe,
-    ScanConverter,
-    compensated_attenuation,
-    compensated_beam,
-    position_maps,
-    scan_converter,
-)
+from ablate.storage import write_json
+from ablate.ultrasound import Probe, compensated_attenuation, compensated_beam, position_maps
 from ablate.ultrasound.settings import probe_from
+
+if TYPE_CHECKING:
+    from ablate.ultrasound import ScanConverter
 
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
 PAIRS_VERSION = 5
@@ -106,9 +104,15 @@ class Pairs:
     @property
     def converter(self) -> ScanConverter:
         """The scan converter; a ValueError where the geometry of the fan is not known."""
+        from ablate.ultrasound import scan_converter  # here, because it is compiled
+
+        return scan_converter(self._geometry, self.beam_shape, self.shape)
+
+    @property
+    def _geometry(self) -> Probe:
         if self.probe is None:
-            raise ValueError(f"{self.folder}: beam space needs the geometry of the fan, which pairs made elsewhere name in fan.yaml")
-        return scan_converter(self.probe, self.beam_shape, self.shape)
+            raise ValueError(f"{self.folder}: the geometry of the fan is not known, which fan.yaml names for pairs")
+        return self.probe
 
     @property
     def shards(self) -> int:
@@ -204,8 +208,7 @@ class Pairs:
 
     def positions(self, space: Space = Space.image) -> dict[str, np.ndarray]:
         """The maps of position, by name."""
-        probe = self.converter.probe
-        return position_maps(probe, self.shape if space is Space.image else None, self.beam_shape)
+        return position_maps(self._geometry, self.shape if space is Space.image else None, self.beam_shape)
 
     def mask(self, space: Space = Space.image) -> np.ndarray:
         """The fan, (H, W) bool; in beam space it is everything."""
@@ -234,7 +237,8 @@ def create_pairs(
 ) -> Pairs:
     """Lay out an empty data set, or open the one that is there.
 
-    `mask`, (H, W) bool, is the fan of the images. Arrays of maps are created by `fill_pairs` when first needed. Safe to call from several processes.
+    `mask`, (H, W) bool, is the fan of the images. Arrays of maps are created by `fill_pairs` when first needed. Safe to
+    call from several processes.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with FileLock(folder / ".create.lock"):

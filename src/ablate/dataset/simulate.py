@@ -7,7 +7,7 @@ import queue
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -16,10 +16,12 @@ import numpy as np
 
 from ablate.anatomy import Scene
 from ablate.dataset.filling import MakeFrames, fill_all, fill_pairs, unclaimed
+from ablate.dataset.frame_maps import maps_read
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.processes import allotted_cores, end_with_parent, interrupts_blocked
 from ablate.dataset.split import Part, resimulation_seed
-from ablate.ultrasound import Probe, Simulator, SimulatorSettings, compensated_attenuation
+from ablate.networks.spec import Space
+from ablate.ultrasound import Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
 
 _NUDGE_MM = 1e-3
@@ -131,32 +133,35 @@ def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], told: multiprocess
 
 
 def timed_maps(
-    scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray, low: bool
+    scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray, names: Sequence[str], space: Space
 ) -> Callable[[np.ndarray, int], tuple[dict[str, np.ndarray], dict[str, float]]]:
-    """A function of a pose that was not the last one, and a seed: the maps, (H, W), and the milliseconds of each.
+    """A function of a pose that was not the last one, and a seed: the maps, and the milliseconds of each, by name.
 
-    They are the maps that generators read, by name; without `low` the low-quality image is left out.
-    The inputs are `segmentation`, uint8, `attenuation` and `compensated`, float32 in [0, 1], and `low`, uint8.
-    The first two come from one call of `Simulator.maps`, whose part for the attenuation counts for `compensated` too.
-    For a generator that reads no attenuation only the labels of the pixels count.
+    They are the maps of these names, (H, W) or (rows, scanlines), as `maps_read` gives them, and `low`, uint8. Labels
+    and interfaces have the time of their stages, and the attenuation, of either scale, the rest.
     """
     simulator = Simulator(scene, probe, settings, poses=poses)
-    of_low = Simulator(scene, probe, replace(settings, rays=1, layers=1), poses=poses) if low else None
+    of_low = Simulator(scene, probe, replace(settings, rays=1, layers=1), poses=poses) if "low" in names else None
+    nothing = np.zeros(settings.image_shape, np.uint8)
 
     def make(pose: np.ndarray, seed: int) -> tuple[dict[str, np.ndarray], dict[str, float]]:
         with stage_times() as taken:
             start = time.perf_counter()
-            segmentation, attenuation = simulator.maps(pose)
-            both = 1e3 * (time.perf_counter() - start)
-        labels = sum(taken[Stage.pixel_labels])
-        start = time.perf_counter()
-        compensated = compensated_attenuation(attenuation, probe, settings.time_gain)
-        more = 1e3 * (time.perf_counter() - start)
-        made = {"segmentation": segmentation, "attenuation": attenuation, "compensated": compensated}
-        times = {"segmentation": labels, "attenuation": both - labels, "compensated": both - labels + more}
+            beam = simulator.beam_maps(pose, "interfaces" in names)
+            shown = simulator.maps(pose) if space is Space.image else (nothing, nothing)
+            made = maps_read(names, space, (*shown, beam), probe, settings.time_gain)
+            ms = 1e3 * (time.perf_counter() - start)
+        own = {
+            "segmentation": Stage.pixel_labels if space is Space.image else Stage.attenuation_labels,
+            "interfaces": Stage.interface_echoes,
+        }
+        times = {name: sum(taken[which]) for name, which in own.items() if name in names}
+        rest = next((name for name in ("attenuation", "compensated") if name in names), "")
+        if rest:
+            times[rest] = ms - sum(times.values())
         if of_low is not None:
             start = time.perf_counter()
-            made["low"] = of_low.image(pose, seed)
+            made["low"] = of_low.image(pose, seed) if space is Space.image else of_low.beam_image(pose, seed)
             times["low"] = 1e3 * (time.perf_counter() - start)
         return made, times
 

@@ -7,6 +7,8 @@ from enum import StrEnum
 import pandas as pd
 
 from ablate import networks
+from ablate.anatomy import load_tissues
+from ablate.dataset.encoding import fitted, label_values
 from ablate.jobs.compose import job_of
 from ablate.jobs.scale import PAPER_CROP, PAPER_ROWS, paper_levels
 from ablate.networks import ExtraInput, GeneratorSpec, Noise, PatchDiscriminator
@@ -67,21 +69,23 @@ def _variants(jobs: Sequence[Job]) -> list[tuple[str, StudySettings]]:
 
 
 def _row(settings: StudySettings) -> dict[str, object]:
-    spec, rows = settings.model, settings.simulator.image_shape[0]
+    tissues = tuple(load_tissues().values())  # a scene of other tissues has another number of one-hot labels
+    spec = fitted(settings.model, settings.encoding, label_values(tissues, settings.encoding))
+    rows = settings.simulator.image_shape[0]
     at_paper = paper_levels(spec.depth, rows)
     row: dict[str, object] = {
         "family": spec.family.value,
         **{component.name: _level(spec, field) for field, component in components_of_networks().items()},
         "inputs": "+".join(networks.inputs(spec)),
         **_field(spec, "field", rows, fan_of(settings.probe).size_mm[0]),
-        "total_here": sum(parameters(settings).values()),
+        "total_here": sum(parameters(settings, spec).values()),
         "paper_depth": at_paper,
     }
     if at_paper is None:
         return row
     paper = replace(spec, width=1.0, depth=at_paper)
     at_width_1 = replace(settings.training, discriminator_width=None)
-    generator, discriminator = parameters(replace(settings, model=paper, training=at_width_1)).values()
+    generator, discriminator = parameters(replace(settings, training=at_width_1), paper).values()
     sizes = {"generator": generator, "discriminator": discriminator, "total": generator + discriminator}
     return row | _field(paper, "paper_field", PAPER_ROWS, _PAPER_MM) | sizes
 

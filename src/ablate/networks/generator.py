@@ -70,8 +70,8 @@ class Generator(nn.Module):
         noise_seed : (N,) int64, optional
             One seed for all noise of each sample; None switches noise off (fields of zero).
         **others : (N, 1, H, W) float, optional
-            The other maps of `conditions(spec)`, by name: `compensated` from `ablate.ultrasound.compensated_attenuation`
-            in place of `attenuation`, `interfaces` in [0, 1], and `depth` and `lateral` of `position_maps`.
+            The other maps of `conditions(spec)`, by name: `compensated` in place of `attenuation`, `interfaces` in
+            [0, 1], and `depth` and `lateral` in [-1, 1].
 
         Returns
         -------

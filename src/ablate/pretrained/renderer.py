@@ -8,15 +8,17 @@ from typing import Any
 import numpy as np
 import torch
 
+from ablate import dataset
 from ablate.anatomy import Tissue
-from ablate.dataset import network_inputs
-from ablate.networks import Generator, GeneratorSpec, conditions
+from ablate.networks import Generator, GeneratorSpec, Space, conditions
 from ablate.setting import plain
 from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
-from ablate.ultrasound import Frame, Probe, compensated_attenuation
+from ablate.ultrasound import Beam, Frame, Probe, scan_converter
 from ablate.ultrasound.settings import probe_from
 
+#: The key of the values outside the fan.
+OUTSIDE = ""
 _FOLDER = Path(__file__).parent
 #: The generators that come with the package; the README.md beside them says how each was trained.
 NAMES = tuple(sorted(path.stem for path in _FOLDER.glob("*.pt")))
@@ -28,8 +30,8 @@ class Renderer:
 
     Attributes
     ----------
-    values : mapping of str to float
-        The value in [-1, 1] that the generator reads for each tissue.
+    values : mapping of str to tuple of float
+        The values in [-1, 1] that the generator reads for each tissue, and `OUTSIDE` for those outside the fan.
     probe, tgc, image_shape
         Of its training frames. Frames of another size in pixels or millimetres are rendered, but not well: the
         generator has learnt the speckle of these.
@@ -38,7 +40,7 @@ class Renderer:
     """
 
     generator: Generator
-    values: Mapping[str, float]
+    values: Mapping[str, tuple[float, ...]]
     probe: Probe
     tgc: float | tuple[float, ...]
     image_shape: tuple[int, int]
@@ -78,17 +80,34 @@ class Renderer:
         """
         unknown = [tissue.name for tissue in tissues if tissue.name not in self.values]
         if unknown:
-            raise ValueError(f"tissue {unknown[0]!r}: the generator was trained on {', '.join(self.values)}")
-        values = np.asarray([-1.0, *(self.values[tissue.name] for tissue in tissues)], np.float32)
-        maps = {
-            "segmentation": frame.segmentation[None],
-            "attenuation": frame.attenuation[None],
-            "compensated": compensated_attenuation(frame.attenuation[None], self.probe, self.tgc),
-        }
-        read = {name: maps[name] for name in conditions(self.generator.spec)}
-        inputs, mask = network_inputs(read, values, frame.mask), torch.from_numpy(frame.mask)
+            trained_on = ", ".join(name for name in self.values if name != OUTSIDE)
+            raise ValueError(f"tissue {unknown[0]!r}: the generator was trained on {trained_on}")
+        values = np.asarray([self.values[OUTSIDE], *(self.values[tissue.name] for tissue in tissues)], np.float32)
+        space, converter, mask = self.generator.spec.space, None, frame.mask
+        beam = frame.beam or _nothing_of(frame)
+        if space is Space.beam:
+            if frame.beam is None:
+                raise ValueError("the frame has no maps in beam space, which this generator reads: frame.beam is None")
+            rows, lines = beam.segmentation.shape
+            converter = scan_converter(self.probe, (rows, lines), (mask.shape[0], mask.shape[1]))
+            mask = np.ones((rows, lines), bool)
+        maps = frame.segmentation, frame.attenuation, beam
+        read = dataset.maps_read(conditions(self.generator.spec), space, maps, self.probe, self.tgc)
+        inputs = dataset.network_inputs({name: value[None] for name, value in read.items()}, values, mask)
         noise_seed = torch.tensor([seed], dtype=torch.int64)
-        return generate(self.generator, inputs, mask, noise_seed, TrainingPrecision.fp32)[0]
+        fan = torch.from_numpy(mask)
+        return generate(self.generator, inputs, fan, noise_seed, TrainingPrecision.fp32, converter)[0]
+
+
+def _nothing_of(frame: Frame) -> Beam:
+    """Of a frame without beam space, which a generator of images does not read."""
+    return Beam(frame.segmentation, frame.attenuation, frame.attenuation, frame.image)
+
+
+def values_of(tissues: Sequence[Tissue], values: np.ndarray) -> dict[str, tuple[float, ...]]:
+    """`Renderer.values` from those of `label_values` for the labels of some tissues."""
+    names = (OUTSIDE, *(tissue.name for tissue in tissues))
+    return dict(zip(names, map(tuple, values.tolist()), strict=True))
 
 
 def load(name: str | Path) -> Renderer:
@@ -113,7 +132,8 @@ def load(name: str | Path) -> Renderer:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         generator = Generator(GeneratorSpec(**content["spec"]))
         generator.load_state_dict(content["weights"])
-        setting = (content["values"], probe_from(content["probe"]), content["tgc"])
+        values = {name: tuple(of_tissue) for name, of_tissue in content["values"].items()}
+        setting = (values, probe_from(content["probe"]), content["tgc"])
         return Renderer(generator.eval(), *setting, tuple(content["image_shape"]), content["made"])
     except Exception as error:
         raise ValueError(f"{path}: not a file of a trained generator ({' '.join(str(error).split()):.200})") from error
@@ -134,7 +154,7 @@ def save(renderer: Renderer, path: Path) -> None:
     content = {
         "spec": plain(renderer.generator.spec),
         "weights": renderer.generator.state_dict(),
-        "values": dict(renderer.values),
+        "values": {name: list(values) for name, values in renderer.values.items()},
         "probe": plain(renderer.probe),
         "tgc": renderer.tgc,
         "image_shape": list(renderer.image_shape),

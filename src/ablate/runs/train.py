@@ -202,13 +202,12 @@ def generated_images(
     A generator in beam space renders there, and its frames are scan-converted.
     """
     pairs, space = data.pairs, generator.spec.space
-    mask = pairs.mask(space)
+    mask, converter = pairs.mask(space), pairs.converter if space is Space.beam else None
 
     def render(frames: np.ndarray, draw: int) -> np.ndarray:
         maps = {name: pairs.read(name, frames, space) for name in conditions(generator.spec)}
         seeds = torch.from_numpy(dataset.noise_seeds(frames, draw))
         inputs = dataset.network_inputs(maps, values, mask)
-        images = generate(generator, inputs, torch.from_numpy(mask), seeds, precision)
-        return images if space is Space.image else np.stack([pairs.converter.to_image(image) for image in images])
+        return generate(generator, inputs, torch.from_numpy(mask), seeds, precision, converter)
 
     return render

@@ -18,9 +18,10 @@ import torch
 from torch import Tensor
 
 from ablate.dataset import decode_grey_levels
-from ablate.networks import Generator, conditions, export_onnx
+from ablate.networks import Generator, Space, conditions, export_onnx
 from ablate.threads import in_parts, without_teams
 from ablate.training.settings import TrainingPrecision
+from ablate.ultrasound import ScanConverter
 
 # Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
 OpenEngine = Callable[[Mapping[str, Tensor], Tensor], Tensor]
@@ -169,6 +170,7 @@ def generate(
     mask: Tensor,
     noise_seed: Tensor | None,
     precision: TrainingPrecision = TrainingPrecision.auto,
+    converter: ScanConverter | None = None,
 ) -> np.ndarray:
     """Render full frames on the generator's device: one at a time, or small ones on a CPU one a thread, side by side.
 
@@ -180,6 +182,8 @@ def generate(
         The fan; outside of it the image is black.
     noise_seed : (N,) int64 or None
         One a frame: the same seed gives the same frame. None renders without noise.
+    converter : ScanConverter, optional
+        Makes images of the frames of a generator in beam space; without it they stay there.
 
     Returns
     -------
@@ -211,8 +215,12 @@ def generate(
             levels: np.ndarray = decode_grey_levels(generator(**frame, noise_seed=seed)[0, 0], fan).cpu().numpy()
             return levels
 
+    def finished(frames: list[np.ndarray]) -> np.ndarray:
+        stack = np.stack(frames)
+        return converter.to_image(stack) if converter and generator.spec.space is Space.beam else stack
+
     count, pixels = len(given["segmentation"]), math.prod(given["segmentation"].shape[-2:])
     if device.type == "cpu" and count > 1 and pixels <= _SMALL_FRAME_PX:
         with without_teams():
-            return np.stack(in_parts(render, count, 1))
-    return np.stack([render(index, index + 1) for index in range(count)])
+            return finished(in_parts(render, count, 1))
+    return finished([render(index, index + 1) for index in range(count)])

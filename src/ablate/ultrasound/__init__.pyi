@@ -1,8 +1,8 @@
 from .imaging.bmode import Display as Display
 from .patient_gain import with_patient_gain as with_patient_gain
 from .probe import fan_mask as fan_mask
+from .probe import position_maps as position_maps
 from .scan_conversion import ScanConverter as ScanConverter
-from .scan_conversion import position_maps as position_maps
 from .scan_conversion import scan_converter as scan_converter
 from .settings import SIMULATOR_VERSION as SIMULATOR_VERSION
 from .settings import Beam as Beam

@@ -143,6 +143,24 @@ def fan_mask(probe: Probe, shape: tuple[int, int]) -> np.ndarray:
     return (depth >= 0) & (depth <= probe.depth_mm) & (np.abs(position) <= fan_of(probe).outer)
 
 
+def position_maps(
+    probe: Probe, image_shape: tuple[int, int] | None, beam_shape: tuple[int, int]
+) -> dict[str, np.ndarray]:
+    """Where each value lies: its depth, and the position of its scanline, float32 in [-1, 1], by name.
+
+    They are `depth` and `lateral`, of the pixels, 0 outside the fan, or without `image_shape` of beam space.
+    """
+    if image_shape is None:
+        rows, lines = beam_shape
+        depth = np.repeat((2 * (np.arange(rows) + 0.5) / rows - 1)[:, None], lines, axis=1)
+        lateral = np.repeat(np.linspace(-1, 1, lines)[None] if lines > 1 else np.zeros((1, 1)), rows, axis=0)
+        return {"depth": depth.astype(np.float32), "lateral": lateral.astype(np.float32)}
+    depth, position = pixel_polar(probe, image_shape)
+    inside = fan_mask(probe, image_shape)
+    maps = {"depth": 2 * depth / probe.depth_mm - 1, "lateral": position / fan_of(probe).outer}
+    return {name: np.where(inside, values, 0).astype(np.float32) for name, values in maps.items()}
+
+
 def scanline_positions(probe: Probe, scanlines: int) -> np.ndarray:
     """Positions of the scanlines, (scanlines,) float64, growing with x; the outer ones bound the fan.
 

@@ -64,13 +64,15 @@ class ScanConverter:
 
     @stage(Stage.scan_conversion)
     def to_image(self, beam: np.ndarray) -> np.ndarray:
-        """Bilinear interpolation of (rows, scanlines) to (H, W); bytes are rounded. It is 0 outside the fan.
+        """Bilinear interpolation of (..., rows, scanlines) to (..., H, W); bytes are rounded. It is 0 outside the fan.
 
         The result is uint8 of uint8, else float32.
         """
+        if beam.ndim > 2:
+            return np.stack([self.to_image(one) for one in beam])
         is_bytes = beam.dtype == np.uint8
         image = np.zeros(self.mask.shape, np.uint8 if is_bytes else np.float32)
-        fill = partial(_interpolate, np.ascontiguousarray(beam), np.float32(0.5 * is_bytes))
+        fill = partial(_interpolate, np.ascontiguousarray(beam), 0.5 * is_bytes)
         in_parts(partial(fill, self._runs, self._places, image), len(self._runs), _RUNS_OF_A_PART)
         return image
 
@@ -121,22 +123,6 @@ class ScanConverter:
 def scan_converter(probe: Probe, beam_shape: Shape, image_shape: Shape) -> ScanConverter:
     """The converter of a probe and two sizes; the last few are kept."""
     return ScanConverter(probe, beam_shape, image_shape)
-
-
-def position_maps(probe: Probe, image_shape: Shape | None, beam_shape: Shape) -> dict[str, np.ndarray]:
-    """Where each value lies: its depth, and the position of its scanline, float32 in [-1, 1], by name.
-
-    They are `depth` and `lateral`, of the pixels, 0 outside the fan, or without `image_shape` of beam space.
-    """
-    if image_shape is None:
-        rows, lines = beam_shape
-        depth = np.repeat((2 * (np.arange(rows) + 0.5) / rows - 1)[:, None], lines, axis=1)
-        lateral = np.repeat(np.linspace(-1, 1, lines)[None] if lines > 1 else np.zeros((1, 1)), rows, axis=0)
-        return {"depth": depth.astype(np.float32), "lateral": lateral.astype(np.float32)}
-    depth, position = pixel_polar(probe, image_shape)
-    inside = fan_mask(probe, image_shape)
-    maps = {"depth": 2 * depth / probe.depth_mm - 1, "lateral": position / fan_of(probe).outer}
-    return {name: np.where(inside, values, 0).astype(np.float32) for name, values in maps.items()}
 
 
 @compiled

@@ -17,10 +17,10 @@ from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.probe import check_pose, fan_of
 from ablate.ultrasound.settings import Beam, ConvexProbe, Frame, Probe, SimulatorSettings, TimeGain
 from ablate.ultrasound.surfaces.embree import Geometry
-from ablate.ultrasound.surfaces.interface_map import InterfaceMap
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport import lines
 from ablate.ultrasound.transport.aperture import Aperture
+from ablate.ultrasound.transport.interface_map import InterfaceMap
 from ablate.ultrasound.transport.rays import Draws, View, at_pose, probe_rays
 from ablate.ultrasound.transport.tracing import Paths, trace
 

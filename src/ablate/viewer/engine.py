@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ablate.anatomy import Scene
+from ablate.networks import Space
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.probe import pixel_polar
 from ablate.ultrasound.settings import Sliders
@@ -58,11 +59,15 @@ class Engine:
             name = f"generated {number}"
             try:
                 trained = self._generator(folder)
-                maps = {"segmentation": segmentation, "attenuation": attenuation}
+                maps, of_low = (
+                    (segmentation, attenuation, full.beam_maps(state.pose, "interfaces" in trained.reads)),
+                    None,
+                )
                 if "low" in trained.reads:
                     simulate = partial(_quietly, self._simulator(probe, low), replace(state, display=None))
-                    maps["low"] = self._once("low", (*place, state.seed), simulate)[0].image
-                render = partial(trained.render, maps, mask, probe, state.seed)
+                    frame = self._once("low", (*place, state.seed), simulate)[0]
+                    of_low = frame.image if trained.space is Space.image else frame.beam.image
+                render = partial(trained.render, maps, of_low, mask, probe, state.seed)
                 image, ms[name] = self._once(name, (folder, *place, state.seed), render)
                 images.append(image if state.display is None else state.display.shown(image, depth, settings))
                 notes[name] = trained.reservation(state)

@@ -18,15 +18,15 @@ from torch import Tensor
 
 from ablate import pretrained
 from ablate.anatomy import Tissue
-from ablate.dataset import decode_grey_levels, label_values, network_inputs
+from ablate.dataset import decode_grey_levels, label_values, maps_read, network_inputs
 from ablate.dataset.processes import interrupts_blocked, work_for_parent
-from ablate.networks import Generator, conditions, export_onnx
-from ablate.pretrained import Renderer
+from ablate.networks import Generator, Space, conditions, export_onnx
+from ablate.pretrained import OUTSIDE, Renderer, values_of
 from ablate.runs.run import Run
 from ablate.runs.run import State as RunState
 from ablate.settings.study import StudySettings
 from ablate.training import Engine, OpenEngine, TrainingPrecision, generate, load_generator, missing_for, open_exported
-from ablate.ultrasound import Probe, compensated_attenuation
+from ablate.ultrasound import Beam, Probe, scan_converter
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.viewer.session import State
 
@@ -114,8 +114,8 @@ def _end(running: Mapping[tuple[int, int], SpawnProcess], folder: Path) -> None:
 class Trained:
     """A generator, ready to render frames of a scene.
 
-    `values`, (labels,) float32, is what it reads for each label of the scene; `unknown` names the tissues of the scene
-    that it was not trained on.
+    `values`, (labels, channels) float32, is what it reads for each label of the scene; `unknown` names the tissues of
+    the scene that it was not trained on.
     """
 
     renderer: Renderer
@@ -127,16 +127,33 @@ class Trained:
     def reads(self) -> tuple[str, ...]:
         return conditions(self.renderer.generator.spec)
 
-    def render(self, maps: Mapping[str, np.ndarray], mask: np.ndarray, probe: Probe, seed: int) -> np.ndarray:
-        """Render (H, W) uint8 from `segmentation`, `attenuation` and, where it reads it, `low`, (H, W) each.
+    @property
+    def space(self) -> Space:
+        return self.renderer.generator.spec.space
+
+    def render(
+        self,
+        maps: tuple[np.ndarray, np.ndarray, Beam],
+        low: np.ndarray | None,
+        mask: np.ndarray,
+        probe: Probe,
+        seed: int,
+    ) -> np.ndarray:
+        """Render (H, W) uint8 from S and A, (H, W) each, the maps in beam space, and L in the space of the generator.
 
         `mask`, (H, W) bool, is the fan.
         """
-        batch = {name: value[None] for name, value in maps.items()}
-        if "compensated" in self.reads:
-            batch["compensated"] = compensated_attenuation(batch["attenuation"], probe, self.renderer.tgc)
-        inputs = network_inputs(batch, self.values, mask)
-        return self.engine.render(inputs, torch.from_numpy(mask), torch.tensor([seed]))
+        space, converter = self.space, None
+        read = maps_read(self.reads, space, maps, probe, self.renderer.tgc)
+        if low is not None:
+            read["low"] = low
+        if space is Space.beam:
+            rows, lines = maps[2].segmentation.shape
+            converter = scan_converter(probe, (rows, lines), (mask.shape[0], mask.shape[1]))
+            mask = np.ones((rows, lines), bool)
+        inputs = network_inputs({name: value[None] for name, value in read.items()}, self.values, mask)
+        image = self.engine.render(inputs, torch.from_numpy(mask), torch.tensor([seed]))
+        return image if converter is None else converter.to_image(image)
 
     def reservation(self, state: State) -> str:
         """Say in what a state differs from the training; empty if it does not."""
@@ -167,12 +184,20 @@ def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
             raise FileNotFoundError(f"this run is gone: {picked} is {run.state} {run.why}".rstrip())
         settings, data = run.settings, run.data_set
         trained_on = data.tissues if data.exists else tuple(tissues)
-        encoding = settings.encoding, settings.encoding_seed
+        encoding = settings.encoding, settings.label_seed
         levels, own = label_values(trained_on, *encoding), label_values(tissues, *encoding)
-        values = dict(zip((tissue.name for tissue in trained_on), levels[1:].tolist(), strict=True))
         tgc = data.pairs.tgc if data.exists else None
         frames = settings.probe, tgc or settings.simulator.time_gain, settings.simulator.image_shape
-        renderer = Renderer(load_generator(run.checkpoint), values, *frames, made={})
-    known = [renderer.values.get(tissue.name, value) for tissue, value in zip(tissues, own[1:], strict=True)]
+        renderer = Renderer(load_generator(run.checkpoint), values_of(trained_on, levels), *frames, made={})
     unknown = tuple(tissue.name for tissue in tissues if tissue.name not in renderer.values)
-    return Trained(renderer, FastGenerator(renderer.generator), np.array([own[0], *known], np.float32), unknown)
+    width = len(renderer.values[OUTSIDE])
+    known = [
+        renderer.values.get(tissue.name, _widened(value, width)) for tissue, value in zip(tissues, own[1:], strict=True)
+    ]
+    values = np.array([renderer.values[OUTSIDE], *known], np.float32)
+    return Trained(renderer, FastGenerator(renderer.generator), values, unknown)
+
+
+def _widened(values: np.ndarray, width: int) -> tuple[float, ...]:
+    """Values of an unknown tissue where the encodings of both scenes have another number of channels."""
+    return tuple(values.tolist()) if len(values) == width else (0.0,) * width

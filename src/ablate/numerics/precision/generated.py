@@ -2,6 +2,7 @@
 
 import logging
 import time
+from functools import lru_cache, partial
 from statistics import median
 
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.dataset.simulate import nudged, timed_maps
-from ablate.networks import Generator, conditions
+from ablate.networks import Generator, Space, conditions
 from ablate.numerics.precision.bench import Bench, CsvTable, Frames, mean_errors, shown_progress
 from ablate.runs.job import Job
 from ablate.runs.run import Run, State, runs_of
@@ -24,7 +25,7 @@ from ablate.training import (
     missing_for,
     open_engine,
 )
-from ablate.ultrasound import fan_mask
+from ablate.ultrasound import scan_converter
 
 _WARMUP = 2
 _LOG = logging.getLogger(__name__)
@@ -80,11 +81,11 @@ def schedule_of(runs: list[Run], settings: StudySettings) -> Planned:
     return [(run, execution) for run, its_executions in chosen.items() for execution in its_executions]
 
 
-def make_inputs(bench: Bench) -> tuple[dict[str, np.ndarray], dict[str, float]]:
-    """Make the inputs of generators, (n, H, W) each, and measure the median milliseconds of each, as `timed_maps`."""
-    make = timed_maps(bench.scene, bench.probe, bench.simulator, bench.poses, low=True)
+def make_inputs(bench: Bench, names: tuple[str, ...], space: Space) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """Make inputs of generators in one space, and measure the median milliseconds of each, as `timed_maps`."""
+    make = timed_maps(bench.scene, bench.probe, bench.simulator, bench.poses, names, space)
     make(nudged(bench.poses[0]), bench.seed)
-    made = [make(pose, bench.seed) for pose in shown_progress(bench.poses, "inputs of generators")]
+    made = [make(pose, bench.seed) for pose in shown_progress(bench.poses, f"inputs of generators, {space} space")]
     inputs, times = zip(*made, strict=True)
     arrays = {name: np.stack([maps[name] for maps in inputs]) for name in inputs[0]}
     return arrays, {name: median(taken[name] for taken in times) for name in times[0]}
@@ -99,7 +100,7 @@ def measure_generators(
     """
     if not planned:
         return
-    maps, inputs = make_inputs(bench)
+    made = lru_cache(partial(make_inputs, bench))
     device = chosen_device(settings.training.device)
     exact: dict[Run, Frames] = {}
     for run, execution in shown_progress(planned, "trained runs"):
@@ -108,11 +109,11 @@ def measure_generators(
         setting = f"width {width:g}, {', '.join(execution)}, seed {run.seed}{elsewhere}"
         try:
             generator = load_generator(run.checkpoint).to(device)
+            maps, needed = made(conditions(generator.spec), generator.spec.space)
             rendered, network_ms = _render(run, generator, maps, bench, execution)
         except Exception as failure:
             _LOG.warning("left out, %s, %s: %s", run.label, setting, " ".join(str(failure).split())[:300])
             continue
-        needed = {name: inputs[name] for name in conditions(generator.spec)}
         ms = sum(needed.values()) + network_ms
         points.add_each(run.label, setting, ms, values=mean_errors(rendered, reference, bench.probe))
         details.add_each("stage", run.label, setting, values={**needed, "network": network_ms})
@@ -126,19 +127,21 @@ def _render(
     run: Run, generator: Generator, maps: dict[str, np.ndarray], bench: Bench, execution: Execution
 ) -> tuple[Frames, float]:
     """Render every frame, and measure the median milliseconds from stored maps to grey levels, after a warm-up."""
-    trained = run.settings
-    values = label_values(bench.scene.tissues, trained.encoding, trained.encoding_seed)
-    stored = {name: maps[name] for name in conditions(generator.spec)}
+    trained, in_beam_space = run.settings, generator.spec.space is Space.beam
+    values = label_values(bench.scene.tissues, trained.encoding, trained.label_seed)
     device = next(generator.parameters()).device
-    render = open_engine(generator, *bench.simulator.image_shape, *execution)
-    fan = fan_mask(bench.probe, bench.simulator.image_shape)
+    simulator = bench.simulator
+    render = open_engine(generator, *(simulator.beam_shape if in_beam_space else simulator.image_shape), *execution)
+    converter = scan_converter(bench.probe, simulator.beam_shape, simulator.image_shape)
+    fan = np.ones(simulator.beam_shape, bool) if in_beam_space else converter.mask
     mask = torch.from_numpy(fan).to(device)
     images, times = [], []
     for k in [0] * _WARMUP + list(range(len(bench.frames))):
         start = time.perf_counter()
-        read = network_inputs({name: m[k : k + 1] for name, m in stored.items()}, values, fan)
+        read = network_inputs({name: m[k : k + 1] for name, m in maps.items()}, values, fan)
         seed = torch.tensor([int(bench.frames[k])], device=device)
         image = render({name: m.to(device) for name, m in read.items()}, seed)
-        images.append(decode_grey_levels(image[0, 0], mask).cpu().numpy())  # waits for the device
+        levels = decode_grey_levels(image[0, 0], mask).cpu().numpy()  # waits for the device
+        images.append(converter.to_image(levels) if in_beam_space else levels)
         times.append(1e3 * (time.perf_counter() - start))
     return Frames(np.stack(images[_WARMUP:])), median(times[_WARMUP:])
