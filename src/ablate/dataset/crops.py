@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ablate.dataset.encoding import decode_attenuation, encode_grey_levels
-from ablate.networks.spec import Space
+from ablate.networks.spec import OF_SURFACES, Space
 
 if TYPE_CHECKING:
     from ablate.dataset.pairs import Pairs  # only here: frames that are read otherwise need no Zarr
@@ -45,8 +45,8 @@ class Crops:
     """Batch number `step` of an endless training run, as a dict of tensors.
 
     Item `step` holds `segmentation`, (N, channels, h, w) float32 in [-1, 1]; `target` and the other `maps`,
-    (N, 1, h, w) float32 in [-1, 1], outside the fan -1 (attenuation and interfaces in [0, 1], outside 0); `mask`, (N, 1, h, w)
-    float32; and `noise_seed`, (N,) int64.
+    (N, 1, h, w) float32 in [-1, 1], outside the fan -1 (attenuation and interfaces in [0, 1], outside 0); `mask`,
+    (N, 1, h, w) float32; and `noise_seed`, (N,) int64.
 
     Crops are drawn from `frames`, (k,) int. `maps` says which maps are included besides, `values` come from
     `label_values`. As many frames as fit into `in_memory_bytes` are kept in memory, as `Pairs.stored` has them: Zarr
@@ -105,7 +105,7 @@ class Crops:
                     np.take(values, cut, out=batch[name][index, channel])
             elif cut.dtype == np.uint16:  # attenuation
                 decode_attenuation(cut, out=place)
-            elif name == "interfaces":
+            elif name in OF_SURFACES:
                 np.divide(cut, np.float32(255), out=place)
             else:
                 encode_grey_levels(cut, out=place)

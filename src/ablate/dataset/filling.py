@@ -15,6 +15,7 @@ from zarr.storage import MemoryStore
 
 from ablate.dataset.encoding import encode_attenuation
 from ablate.dataset.pairs import FORMATS, DamagedShardError, Pairs
+from ablate.networks.spec import OF_SURFACES
 from ablate.storage import remove_partial, written_whole
 
 _WAIT_S = 1.0
@@ -30,8 +31,8 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
     from one machine to the other, a shard may be made twice, with the same content.
 
     `make` is called with the numbers of k frames and the names of the wanted maps, out of `FORMATS`. It returns arrays
-    (k, *pairs.stored_shape) by name: `attenuation` and `interfaces` float in [0, 1], the others uint8; frames that have
-    no such map are zeros. An OSError when a shard cannot be written, as on a full disk; those before it stay.
+    (k, *pairs.stored_shape) by name: `attenuation` and maps of surfaces float in [0, 1], the others uint8; frames that
+    have no such map are zeros. An OSError when a shard cannot be written, as on a full disk; those before it stay.
     """
     with FileLock(pairs.folder / ".create.lock"):
         for left in pairs.folder.glob("pairs.zarr/*/*.partial"):
@@ -124,7 +125,7 @@ def _write(pairs: Pairs, name: str, shard: int, stack: np.ndarray) -> None:
     file = pairs.shard_file(name, shard)
     if name == "attenuation":
         stack = np.stack([encode_attenuation(frame) for frame in stack])
-    elif name == "interfaces":
+    elif name in OF_SURFACES:
         stack = np.rint(stack * 255)
     try:
         write_shard(file, name, stack.astype(FORMATS[name][0], copy=False), pairs.shard)

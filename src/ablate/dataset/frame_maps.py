@@ -35,6 +35,7 @@ def maps_read(
             "attenuation": lambda: beam.attenuation,
             "compensated": lambda: compensated_beam(beam.attenuation, probe, tgc),
             "interfaces": lambda: beam.interfaces,
+            "illumination": lambda: beam.illumination,
         }
     else:
         made = {
@@ -42,6 +43,7 @@ def maps_read(
             "attenuation": lambda: attenuation,
             "compensated": lambda: compensated_attenuation(attenuation, probe, tgc),
             "interfaces": lambda: scan_converter(probe, (rows, lines), image_shape).to_image(beam.interfaces),
+            "illumination": lambda: scan_converter(probe, (rows, lines), image_shape).to_image(beam.illumination),
         }
     read = {name: made[name]() for name in names if name in made}
     if {"depth", "lateral"} & set(names):

@@ -19,7 +19,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from ablate.dataset.crops import OF_POSITION
 from ablate.dataset.encoding import ATTENUATION_SCALE, decode_attenuation
 from ablate.dataset.split import Part
-from ablate.networks.spec import Space
+from ablate.networks.spec import OF_SURFACES, Space
 from ablate.setting import plain
 from ablate.storage import write_json
 from ablate.ultrasound import Probe, compensated_attenuation, compensated_beam, position_maps
@@ -36,6 +36,7 @@ FORMATS = {
     "segmentation": ("uint8", "noshuffle"),
     "attenuation": ("uint16", "shuffle"),
     "interfaces": ("uint8", "noshuffle"),
+    "illumination": ("uint8", "noshuffle"),
     "target": ("uint8", "bitshuffle"),
     "low": ("uint8", "bitshuffle"),
     "resimulation": ("uint8", "bitshuffle"),
@@ -219,7 +220,7 @@ def decoded(name: str, stored: np.ndarray) -> np.ndarray:
     """Values of a map from those that are stored, as `Pairs.read` has them."""
     if stored.dtype == np.uint16:
         return decode_attenuation(stored)
-    return stored / np.float32(255) if name == "interfaces" else stored
+    return stored / np.float32(255) if name in OF_SURFACES else stored
 
 
 def create_pairs(

@@ -20,12 +20,12 @@ from ablate.dataset.frame_maps import maps_read
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.processes import allotted_cores, end_with_parent, interrupts_blocked
 from ablate.dataset.split import Part, resimulation_seed
-from ablate.networks.spec import Space
+from ablate.networks.spec import OF_SURFACES, Space
 from ablate.ultrasound import Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
 
 _NUDGE_MM = 1e-3
-_OF_SURFACES = frozenset({"segmentation", "attenuation", "interfaces"})  # maps that need no echo
+_WITHOUT_ECHOES = frozenset({"segmentation", "attenuation"}) | OF_SURFACES  # maps that need no ray
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
         for k, frame in enumerate(frames):
             pose = pairs.poses[frame]
             made: dict[str, np.ndarray] = {}
-            if maps & _OF_SURFACES:
-                beam = simulator(of_target).beam_maps(pose, "interfaces" in maps)
-                made = {name: getattr(beam, name) for name in _OF_SURFACES & maps}
+            if maps & _WITHOUT_ECHOES:
+                beam = simulator(of_target).beam_maps(pose, bool(maps & OF_SURFACES))
+                made = {name: getattr(beam, name) for name in _WITHOUT_ECHOES & maps}
             if "target" in maps:
                 made["target"] = simulator(of_target).beam_image(pose, seed=recipe.seed)
             if "resimulation" in maps and pairs.split[frame] != Part.train:
@@ -138,7 +138,7 @@ def timed_maps(
     """A function of a pose that was not the last one, and a seed: the maps, and the milliseconds of each, by name.
 
     They are the maps of these names, (H, W) or (rows, scanlines), as `maps_read` gives them, and `low`, uint8. Labels
-    and interfaces have the time of their stages, and the attenuation, of either scale, the rest.
+    and interfaces have the time of their stages, and the attenuation, of any scale, the rest.
     """
     simulator = Simulator(scene, probe, settings, poses=poses)
     of_low = Simulator(scene, probe, replace(settings, rays=1, layers=1), poses=poses) if "low" in names else None
@@ -147,16 +147,16 @@ def timed_maps(
     def make(pose: np.ndarray, seed: int) -> tuple[dict[str, np.ndarray], dict[str, float]]:
         with stage_times() as taken:
             start = time.perf_counter()
-            beam = simulator.beam_maps(pose, "interfaces" in names)
+            beam = simulator.beam_maps(pose, bool(OF_SURFACES & set(names)))
             shown = simulator.maps(pose) if space is Space.image else (nothing, nothing)
             made = maps_read(names, space, (*shown, beam), probe, settings.time_gain)
             ms = 1e3 * (time.perf_counter() - start)
         own = {
             "segmentation": Stage.pixel_labels if space is Space.image else Stage.attenuation_labels,
-            "interfaces": Stage.interface_echoes,
+            "interfaces": Stage.surface_maps,
         }
         times = {name: sum(taken[which]) for name, which in own.items() if name in names}
-        rest = next((name for name in ("attenuation", "compensated") if name in names), "")
+        rest = next((name for name in ("attenuation", "compensated", "illumination") if name in names), "")
         if rest:
             times[rest] = ms - sum(times.values())
         if of_low is not None:

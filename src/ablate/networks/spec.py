@@ -61,10 +61,15 @@ class Grain(StrEnum):
 
 
 class Attenuation(StrEnum):
-    """Which attenuation map is an input: the integral one, the one compensated for the time gain, or none."""
+    """Which map of attenuation is an input: the integral one, the one compensated for the time gain, or none.
+
+    `illumination` is more than the paper's: it also knows what surfaces keep from the tissue behind them, and that a
+    shadow is soft, because many elements see a point.
+    """
 
     integral = "integral"
     compensated = "compensated"
+    illumination = "illumination"
     none = "none"
 
 
@@ -167,7 +172,13 @@ class GeneratorSpec(Checked):
 
 
 _OF_POSITION = {Position.none: (), Position.depth: ("depth",), Position.beam: ("depth", "lateral")}
-_OF_ATTENUATION = {Attenuation.integral: ("attenuation",), Attenuation.compensated: ("compensated",)}
+_OF_ATTENUATION = {
+    Attenuation.integral: ("attenuation",),
+    Attenuation.compensated: ("compensated",),
+    Attenuation.illumination: ("illumination",),
+}
+#: Maps of the surfaces on each scanline, which the simulator makes and nobody can derive from S and A.
+OF_SURFACES = frozenset({"interfaces", "illumination"})
 
 
 def conditions(spec: GeneratorSpec) -> tuple[str, ...]:

@@ -101,7 +101,7 @@ class Renderer:
 
 def _nothing_of(frame: Frame) -> Beam:
     """Of a frame without beam space, which a generator of images does not read."""
-    return Beam(frame.segmentation, frame.attenuation, frame.attenuation, frame.image)
+    return Beam(frame.segmentation, frame.attenuation)
 
 
 def values_of(tissues: Sequence[Tissue], values: np.ndarray) -> dict[str, tuple[float, ...]]:

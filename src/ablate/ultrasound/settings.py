@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import partial
 from typing import Any, ClassVar
@@ -168,15 +168,18 @@ class Beam:
     attenuation : (rows, scanlines) float32 in [0, 1]
         The integral attenuation map.
     interfaces : (rows, scanlines) float32 in [0, 1]
-        What the surfaces on each scanline return by themselves (`interface_echoes`).
+        What the surfaces on each scanline return by themselves: -60 to 20 dB about white; empty where not asked for.
+    illumination : (rows, scanlines) float32 in [0, 1]
+        How much sound reaches each point, there and back, with the gain: -48 to 24 dB; empty where not asked for.
     image : (rows, scanlines) uint8
         Grey levels.
     """
 
     segmentation: np.ndarray
     attenuation: np.ndarray
-    interfaces: np.ndarray
-    image: np.ndarray
+    interfaces: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.float32))
+    illumination: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.float32))
+    image: np.ndarray = field(default_factory=partial(np.empty, (0, 0), np.uint8))
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport import lines
 from ablate.ultrasound.transport.aperture import Aperture
-from ablate.ultrasound.transport.interface_map import InterfaceMap
 from ablate.ultrasound.transport.rays import Draws, View, at_pose, probe_rays
+from ablate.ultrasound.transport.surface_maps import SurfaceMaps
 from ablate.ultrasound.transport.tracing import Paths, trace
 
 #: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
@@ -109,7 +109,7 @@ class Simulator:
         self._beam = torch.from_numpy(lateral_kernels(probe, settings, widen=math.sqrt(2)))
         self._aperture = Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
-        self._interfaces = InterfaceMap(self._geometry, self._plan, probe, settings)
+        self._surface_maps = SurfaceMaps(self._geometry, self._plan, self._aperture, probe, settings)
         self._labels: tuple[bytes, np.ndarray] | None = None  # of a pose: S of the pixels
         self._maps: dict[bytes, Beam] = {}  # of the last pose
         self._prepared: tuple[bytes, Prepared] | None = None
@@ -180,8 +180,8 @@ class Simulator:
                 self._labels = pose.tobytes(), labels
             return self._labels[1].copy(), self._chain.convert.to_image(self.beam_maps(pose, False).attenuation)
 
-    def beam_maps(self, pose: np.ndarray, interfaces: bool = True) -> Beam:
-        """Segmentation, attenuation and, if asked for, `interfaces` of a pose in beam space; its image is empty.
+    def beam_maps(self, pose: np.ndarray, of_surfaces: bool = True) -> Beam:
+        """Segmentation, attenuation and, if asked for, the maps of surfaces of a pose in beam space; without an image.
 
         Raises
         ------
@@ -199,9 +199,10 @@ class Simulator:
                 middles = np.minimum(np.arange(settings.beam_shape[0]) * each + each // 2, last)
                 segmentation = np.ascontiguousarray(labels[:, middles].T) + np.uint8(1)
                 attenuation = np.ascontiguousarray(means_of_rows(amplitude, settings))
-                known = Beam(segmentation, attenuation, np.empty((0, 0), np.float32), np.empty((0, 0), np.uint8))
-            if interfaces and not known.interfaces.size:
-                known = replace(known, interfaces=self._interfaces(self._local(pose)))
+                known = Beam(segmentation, attenuation)
+            if of_surfaces and not known.interfaces.size:
+                interfaces, illumination = self._surface_maps(self._local(pose))
+                known = replace(known, interfaces=interfaces, illumination=illumination)
             self._maps = {pose.tobytes(): known}
         return known
 

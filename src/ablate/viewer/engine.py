@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ablate.anatomy import Scene
-from ablate.networks import Space
+from ablate.networks.spec import OF_SURFACES, Space
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.probe import pixel_polar
 from ablate.ultrasound.settings import Sliders
@@ -60,7 +60,7 @@ class Engine:
             try:
                 trained = self._generator(folder)
                 maps, of_low = (
-                    (segmentation, attenuation, full.beam_maps(state.pose, "interfaces" in trained.reads)),
+                    (segmentation, attenuation, full.beam_maps(state.pose, bool(OF_SURFACES & set(trained.reads)))),
                     None,
                 )
                 if "low" in trained.reads:

@@ -1,8 +1,8 @@
-"""The interface map: what each surface on a scanline returns by itself.
+"""Two maps that need no ray drawn: what surfaces return by themselves, and how much sound reaches each point.
 
 Segmentation and attenuation do not say how a surface is tilted out of the image plane, and that decides whether a rib
-is white or black. The echo of a surface alone is known from the crossings of straight scanlines with the meshes: no ray
-is drawn, and no echo of a reflected ray is in it.
+is white or black; nor what surfaces keep from the tissue behind them, as gas does, which attenuates little. Both are
+known from the crossings of straight scanlines with the meshes. Echoes of reflected rays are not in these maps.
 """
 
 import math
@@ -10,6 +10,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import Arrays, compiled
@@ -20,11 +21,14 @@ from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, at, surfaces_of
 from ablate.ultrasound.surfaces.line_walk import again, highest
 from ablate.ultrasound.time_gain import time_gain_db
+from ablate.ultrasound.transport.aperture import Aperture
 from ablate.ultrasound.transport.bounce import pressure_reflection, transmission_cosine
 
-#: Levels from this, dB about white, to `BRIGHTEST_DB` are 0 to 1.
-FAINTEST_DB, BRIGHTEST_DB = -60.0, 20.0
+#: Levels that are 0 and 1 in the maps, dB: of an echo about white; of sound about tissue whose loss the gain makes up.
+ECHO_DB, LIGHT_DB = (-60.0, 20.0), (-48.0, 24.0)
 _LINES_OF_A_PART = 32
+_LINES_BESIDE = 15  # scanlines whose pencils cross those ways to a point that matter most
+_MOST_MORE_DB = 40.0  # of an echo whose own pencil hardly reaches it
 _COSINES = 65  # of incidence, at which the share that is received is tabulated
 _LOBE = 256  # normals of a rough surface
 _MEAN_DEPTH = math.sqrt(2 / math.pi)  # of a surface's echo, in units of its thickness: the mean of a half normal
@@ -41,16 +45,18 @@ class _Tables(NamedTuple):
     differs: np.ndarray  # (tissues, tissues) bool
 
 
-class InterfaceMap:
-    """Makes interface maps of a geometry, for one probe and one set of settings."""
+class SurfaceMaps:
+    """Makes the maps of a geometry, for one probe and one set of settings."""
 
-    def __init__(self, geometry: Geometry, plan: RenderPlan, probe: Probe, settings: SimulatorSettings) -> None:
-        self._geometry, self._owners = geometry, plan.tissue_of_owner
+    def __init__(
+        self, geometry: Geometry, plan: RenderPlan, aperture: Aperture, probe: Probe, settings: SimulatorSettings
+    ) -> None:
+        self._geometry, self._owners, self._aperture = geometry, plan.tissue_of_owner, aperture
         self._shape = settings.beam_shape
         self._spacing_mm = probe.depth_mm / settings.axial_samples * settings.samples_per_row
         self._lines = scanlines_in_plane(probe, settings.scanlines, layer_offsets_mm(settings))
         gain_db = time_gain_db(sample_depths_mm(probe, self._shape[0]), probe, settings.time_gain)
-        self._level_db = (gain_db - 20 * math.log10(settings.reference_level)).astype(np.float32)
+        self._gain_db, self._white_db = gain_db[:, None], 20 * math.log10(settings.reference_level)
         media = plan.media
         self._tables = _Tables(
             media.speed_m_s.astype(float),
@@ -61,34 +67,39 @@ class InterfaceMap:
             media.differs,
         )
 
-    @stage(Stage.interface_echoes)
-    def __call__(self, pose: np.ndarray) -> np.ndarray:
-        """The map of a pose, which takes probe coordinates to the geometry's, (rows, scanlines) float32 in [0, 1].
+    @stage(Stage.surface_maps)
+    def __call__(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Interfaces and illumination, (rows, scanlines) float32 in [0, 1] each; `pose` leads to the geometry's world.
 
         A surface between tissues 1 and 2 returns w R_p E[max(0, cos 2i)^n] 10^(-2 alpha f d / 20) of the amplitude,
         where w is the product of 1 - R_p^2 of the surfaces before it, and the mean is over the normals i of a rough
-        surface (docs/simulator.md, sections 5 and 6). Powers of the layers are averaged. With the time gain, levels
-        from -60 to 20 dB about white are 0 to 1.
+        surface (docs/simulator.md, sections 5 and 6). Without the factors of the surface itself it is the illumination.
+        The aperture is that of the image. Powers of the layers are averaged, and the time gain is added.
         """
-        starts, directions = (to_world(pose, self._lines[0]), self._lines[1] @ pose[:3, :3].T)
+        starts, directions = to_world(pose, self._lines[0]), self._lines[1] @ pose[:3, :3].T
         layers, count = starts.shape[:2]
         starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
         back, ahead = self._geometry.through(starts, directions)
-        lines = (
-            (starts - back[:, None] * directions).astype(np.float32),
-            directions.astype(np.float32),
-            (back + ahead).astype(np.float32),
-            back,
-        )
-        amplitude = np.zeros((len(starts), self._shape[0]))
+        origins = (starts - back[:, None] * directions).astype(np.float32)
+        lines = origins, directions.astype(np.float32), (back + ahead).astype(np.float32), back
+        made = np.zeros((len(starts), self._shape[0])), np.zeros((len(starts), self._shape[0]))
         words = max(1, -(-self._geometry.structures // 32))
-        follow = partial(
-            _follow, self._geometry.address, KEEP, self._geometry.step_mm, words, lines, self._owners, self._tables
-        )
-        in_parts(partial(follow, self._spacing_mm, amplitude), len(starts), _LINES_OF_A_PART)
-        power = np.square(amplitude, out=amplitude).reshape(layers, count, -1).mean(axis=0)
-        level_db = (10 * np.log10(np.maximum(power, 1e-30))).astype(np.float32).T + self._level_db[:, None]
-        return np.clip((level_db - FAINTEST_DB) / (BRIGHTEST_DB - FAINTEST_DB), 0, 1).astype(np.float32)
+        asked = self._geometry.address, KEEP, self._geometry.step_mm, words
+        follow = partial(_follow, asked, lines, self._owners, self._tables, self._spacing_mm, made)
+        in_parts(follow, len(starts), _LINES_OF_A_PART)
+        pencils_db = made[1].reshape(layers, count, -1)
+        _, level_db = self._aperture.gain_and_level_db(made[1])
+        # The mean over elements is no more than what the best of them brings, which interpolation in depth forgets.
+        best_db = maximum_filter1d(pencils_db, _LINES_BESIDE, axis=1, mode="nearest")
+        level_db = np.minimum(level_db.reshape(pencils_db.shape), best_db)
+        more_db = np.clip(level_db - pencils_db, None, _MOST_MORE_DB)
+        by_layer = np.stack([made[0].reshape(pencils_db.shape) * 10 ** (more_db / 20), 10 ** (level_db / 20)])
+        echo, light = (10 * np.log10(np.maximum(np.square(by_layer).mean(axis=1), 1e-30))).transpose(0, 2, 1)
+        return self._shown(echo - self._white_db, ECHO_DB), self._shown(light, LIGHT_DB)
+
+    def _shown(self, level_db: np.ndarray, ends_db: tuple[float, float]) -> np.ndarray:
+        shares = (level_db + self._gain_db - ends_db[0]) / (ends_db[1] - ends_db[0])
+        return np.clip(shares, 0, 1).astype(np.float32)
 
 
 def _received(specularity: float, lobe_exponent: float) -> np.ndarray:
@@ -108,19 +119,18 @@ def _received(specularity: float, lobe_exponent: float) -> np.ndarray:
 
 @compiled
 def _follow(
-    address: int,
-    keep: int,
-    least_mm: float,
-    words: int,
+    geometry: tuple[int, int, float, int],
     lines: Arrays,
     tissue_of_owner: np.ndarray,
     tables: _Tables,
     spacing_mm: float,
-    amplitude: np.ndarray,
+    made: Arrays,
     begin: int,
     end: int,
 ) -> None:
-    """Add the echoes of the surfaces on some lines to their rows, (lines, rows)."""
+    """Fill rows of some lines: the amplitudes of their surfaces, and the level of the sound, dB, (lines, rows)."""
+    address, keep, least_mm, words = geometry
+    amplitude, level_db = made
     origins, directions, lengths_mm, before_mm = lines
     speed, impedance, loss_db_mm, behind_mm, received, differs = tables
     rows, cosines = amplitude.shape[1], received.shape[1]
@@ -129,11 +139,19 @@ def _follow(
         met, line = all_of(address, asked, line, at(origins, number), at(directions, number), lengths_mm[number])
         distances, structures, incidence = surfaces_of(line, met)
         inside[:] = 0
-        here, reached, loss_db, weight = tissue_of_owner[0], 0.0, 0.0, 1.0
-        for k in range(met):
-            if again(distances, structures, k, least_mm):
-                continue
-            distance = distances[k] - before_mm[number]
+        here, reached, loss_db, weight, filled = tissue_of_owner[0], 0.0, 0.0, 1.0, 0
+        for k in range(met + 1):
+            distance = math.inf
+            if k < met:
+                if again(distances, structures, k, least_mm):
+                    continue
+                distance = distances[k] - before_mm[number]
+            passed_db = 20 * math.log10(max(weight, 1e-15)) - loss_db
+            while filled < rows and (filled + 0.5) * spacing_mm < distance:
+                level_db[number, filled] = passed_db - 2 * loss_db_mm[here] * ((filled + 0.5) * spacing_mm - reached)
+                filled += 1
+            if k == met:
+                break
             structure = structures[k]
             inside[structure >> 5] ^= np.uint32(1) << np.uint32(structure & 31)
             owned_by = 0
