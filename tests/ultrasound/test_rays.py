@@ -70,19 +70,25 @@ def test_direct_illumination_behind_flat_faces_is_exact(gel, slab, probe, one_li
         np.testing.assert_allclose(level, truth, rtol=1e-6)
 
 
-def test_refraction_bends_the_path(gel, slab) -> None:
-    """Depths of a second face seen through an oblique first one follow from Snell's law."""
+@pytest.mark.parametrize(("thickness_mm", "in_beam"), [(10.0, True), (30.0, False)])
+def test_refraction_bends_the_path(gel, slab, thickness_mm, in_beam) -> None:
+    """Depths of a second face seen through an oblique first one follow from Snell's law.
+
+    Rays are there 2.4 or 7.2 mm beside their straight way, so out of their beam or not; a wide aperture alone leaves
+    them in it.
+    """
     settings = SimulatorSettings(scanlines=3, layers=1, rays=1, aperture_mm=0.0, elevational_aperture_mm=0.0)
     fast = Tissue("fast", 2000, 2.0, 0.0, roughness=0.0, specularity=0.0)
-    scene = Scene((slab(fast, 30.0, 60.0),), gel, "s")
+    scene = Scene((slab(fast, 30.0, 30.0 + thickness_mm),), gel, "s")
     echoes, _ = follow(scene, ConvexProbe(fov_deg=60.0), settings)
-    edge = np.sort(echoes.depth_mm[(echoes.group == 0) & ~echoes.reflected])
-    assert len(edge) == 2
+    edge = np.sort(echoes[echoes.group == 0], order="depth_mm")[:2]
     theta = np.radians(30.0)
     first = (30 + 40 * (1 - np.cos(theta))) / np.cos(theta)
-    second = first + 30 / np.cos(np.arcsin(2000 / 1540 * np.sin(theta)))
-    assert edge[0] == pytest.approx(first, abs=1e-3)
-    assert edge[1] == pytest.approx(second, abs=1e-3)
+    second = first + thickness_mm / np.cos(np.arcsin(2000 / 1540 * np.sin(theta)))
+    np.testing.assert_allclose(edge.depth_mm, (first, second), atol=1e-3)
+    assert edge.clutter.tolist() == [False, not in_beam]
+    wide, _ = follow(scene, ConvexProbe(), replace(settings, rays=9, elevational_aperture_mm=7.0))
+    assert wide.clutter[(wide.group == 1) & (wide.depth_mm < 31)].tolist() == 9 * [False]
 
 
 def test_a_crossing_inside_a_structure_of_higher_priority_changes_nothing(gel, slab, probe, one_line) -> None:
@@ -115,8 +121,8 @@ def test_echoes_behind_forty_structures(gel, slab, probe, one_line) -> None:
         slab(Tissue(f"t{i}", 1540, (1.8, 1.5)[i % 2], 0.0, roughness=0.0), 20.0 + 3 * i, 400.0) for i in range(40)
     )
     echoes, _ = follow(Scene(layers, gel, "s"), probe, one_line)
-    depth = np.unique(np.round(echoes.depth_mm[~echoes.reflected], 2))
+    depth = np.unique(np.round(echoes.depth_mm[~echoes.clutter], 2))
     np.testing.assert_allclose(depth, 20.0 + 3 * np.arange(40), atol=0.01)
-    amplitude = echoes.amplitude[~echoes.reflected & (echoes.depth_mm > 136)].sum() / one_line.rays
+    amplitude = echoes.amplitude[~echoes.clutter & (echoes.depth_mm > 136)].sum() / one_line.rays
     r = 0.3 / 3.3
     assert amplitude == pytest.approx(r * (1 - r**2) ** 39, rel=1e-5)

@@ -24,7 +24,7 @@ def test_every_direct_ray_is_reflected_once(gel, slab, probe, one_line, pressure
     for seed in range(5):
         scene = Scene((slab(weak, 20.0, 400.0), slab(hard, 40.0, 400.0)), gel, "s")
         echoes, _ = follow(scene, probe, replace(one_line, path_seed=seed, rays=64))
-        np.testing.assert_allclose(echoes.amplitude[echoes.reflected], np.full(32, 2 * expected), rtol=1e-5)
+        np.testing.assert_allclose(echoes.amplitude[echoes.clutter], np.full(32, 2 * expected), rtol=1e-5)
 
 
 def test_weak_reverberation_has_no_error(gel, slab, probe, one_line) -> None:
@@ -35,7 +35,7 @@ def test_weak_reverberation_has_no_error(gel, slab, probe, one_line) -> None:
     tissues = (Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 1.5 * 1.08 / 0.92), ("b", 1.5)))
     scene = Scene(tuple(slab(t, near, 400.0) for t, near in zip(tissues, (30.0, 60.0), strict=True)), gel, "s")
     echoes, _ = follow(scene, probe, one_line)
-    thrice = echoes.amplitude[echoes.reflected & (np.abs(echoes.depth_mm - 90.0) < 1)]
+    thrice = echoes.amplitude[echoes.clutter & (np.abs(echoes.depth_mm - 90.0) < 1)]
     np.testing.assert_allclose(thrice, np.full(one_line.rays // 2, 2 * (1 - 0.08**2) * 0.08**3), rtol=1e-5)
 
 
@@ -53,7 +53,7 @@ def test_reverberation_between_two_plates(gel, slab, probe, one_line) -> None:
     inside_first = t * r * r * t * r  # off 30, off 20 from within, through 30, echo at 40
     off_40_and_20 = t * t * r * t * r * r  # off 40, up through 30, off 20 from within, echo at 30
     within = t * r * r * r * r * r  # twice to and fro inside the plate, echo at 30
-    assert echoes.reflected[at_50].all()
+    assert echoes.clutter[at_50].all()
     assert mean == pytest.approx(gap + inside_first + off_40_and_20 + within, rel=0.1)
 
 
@@ -66,7 +66,7 @@ def test_reverberation_of_a_film(gel, slab, probe, one_line, pressure, thickness
     for seed in range(10):
         settings = replace(one_line, rays=10_000, path_seed=seed)
         echoes, _ = follow(scene, probe, settings)
-        totals.append(echoes.amplitude[echoes.reflected].sum(dtype=float) / settings.rays)
+        totals.append(echoes.amplitude[echoes.clutter].sum(dtype=float) / settings.rays)
     error = np.std(totals, ddof=1) / np.sqrt(10)
     assert abs(np.mean(totals) - pressure**3) < 4 * error
     assert error < 0.05 * pressure**3
@@ -84,7 +84,7 @@ def test_echoes_of_many_reflections_keep_their_mean(gel, slab, probe, one_line) 
         settings = replace(one_line, rays=10_000, path_seed=seed)
         echoes, _ = follow(scene, probe, settings)
         near = [np.abs(echoes.depth_mm - (20 + 10 * k)) < 1 for k in range(1, 8)]
-        means.append([echoes.amplitude[each & echoes.reflected].sum(dtype=float) / settings.rays for each in near])
+        means.append([echoes.amplitude[each & echoes.clutter].sum(dtype=float) / settings.rays for each in near])
     truth = (1 - 0.8**2) * 0.8 * 0.8 ** (2 * np.arange(1, 8))
     error = np.std(means, axis=0, ddof=1) / np.sqrt(10)
     assert (np.abs(np.mean(means, axis=0) - truth) < 4 * error + 1e-6 * truth).all()  # the first has no error
@@ -97,7 +97,7 @@ def test_surfaces_share_reflected_rays(gel, slab, probe, one_line) -> None:
     scene = Scene(tuple(slab(pair[i % 2], 20.0 + 0.5 * i, 400.0) for i in range(200)), gel, "s")
     settings = replace(one_line, rays=200)
     echoes, _ = follow(scene, probe, settings, -10.0)  # else each ray is split at each face
-    deep = echoes.reflected & (echoes.depth_mm > 110)
+    deep = echoes.clutter & (echoes.depth_mm > 110)
     a_face = echoes.amplitude[deep].sum(dtype=float) / settings.rays / (2 * (probe.depth_mm - 110))
     direct = 10.0  # 1 / |R_p|: what all of 1 - R, (1 - R)^2, ... send back together
     assert 0 < a_face < 0.1 * 5 / 4 * SHARED_FROM_GROWTH * direct
@@ -112,7 +112,7 @@ def test_draws_beyond_the_table_are_new_ones(gel, slab, probe, one_line) -> None
     for seed in range(10):
         settings = replace(one_line, rays=2000, path_seed=seed)
         echoes, _ = follow(scene, probe, settings)
-        again = echoes.reflected & (np.abs(echoes.depth_mm - 116.0) < 0.1)
+        again = echoes.clutter & (np.abs(echoes.depth_mm - 116.0) < 0.1)
         means.append(echoes.amplitude[again].sum(dtype=float) / settings.rays)
     assert abs(np.mean(means) - 0.75 * 0.5**5) < 4 * np.std(means, ddof=1) / np.sqrt(10)
     assert np.std(means, ddof=1) < 0.1 * np.mean(means)
@@ -135,7 +135,7 @@ def test_roulette_is_unbiased(gel, slab, probe, one_line) -> None:
     for roulette_db in (-300.0, 0.0):
         settings = replace(one_line, rays=50_000)
         echoes, _ = follow(scene, probe, settings, roulette_db)
-        late = echoes.reflected & (echoes.depth_mm < 70)
+        late = echoes.clutter & (echoes.depth_mm < 70)
         means.append((echoes.amplitude[late].sum() / settings.rays, late.sum()))
     assert means[1][1] < means[0][1]
     assert means[1][0] == pytest.approx(means[0][0], rel=0.1)

@@ -41,6 +41,10 @@ RECEIVE_SIGMA_MM = 6.0
 #: with 70 dB less, and those of what comes back from there after one more reflection are weak and late.
 FARTHEST_MM = 4 * RECEIVE_SIGMA_MM
 
+#: Sound that surfaces bend farther than this off its straight way has left its beam. It reached the place through a
+#: part of the aperture, at its own time, so its echo adds with a random phase. At 1.5 mm vertebrae lose their echoes.
+IN_BEAM_MM = 3.0
+
 #: Russian roulette takes a ray off its axis to be fainter by at most this, because it may come back to the axis.
 MOST_ASIDE_DB = 20.0
 
@@ -177,11 +181,14 @@ class Connection(NamedTuple):
     depth_mm: float
     two_way_db: float
     aside_db: float
+    sharp: bool
 
 
 @compiled
-def connect(ray: Ray, point: Vector, medium: Medium, thickness_mm: float, element: Vector, axis: Vector) -> Connection:
-    """Connect a surface to the ray's element.
+def connect(
+    ray: Ray, point: Vector, medium: Medium, thickness_mm: float, element: Vector, aside_mm2: float
+) -> Connection:
+    """Connect a surface to the ray's element; the surface is `aside_mm2` off the beam, squared.
 
     A reflected ray's way back to its element is not its way there; its loss is taken in proportion.
     """
@@ -189,11 +196,17 @@ def connect(ray: Ray, point: Vector, medium: Medium, thickness_mm: float, elemen
     distance_mm = max(math.sqrt(dot(to_element, to_element)), 1e-6)
     ways = 2.0 if ray.reflections == 0 else 1 + distance_mm / max(ray.path_mm, 1e-6)
     two_way_db = ray.loss_db * ways + 2 * thickness_mm * medium.loss_db_mm
-    aside_db = 0.0
-    if ray.reflections > 0:
-        on_axis = dot(to_element, axis)
-        aside_db = max(distance_mm * distance_mm - on_axis * on_axis, 0.0) * _ASIDE_DB
-    return Connection(to_element, distance_mm, ray.displayed_mm * ways / 2, two_way_db, aside_db)
+    sharp = ray.reflections == 0 and aside_mm2 < IN_BEAM_MM**2
+    aside_db = 0.0 if sharp else aside_mm2 * _ASIDE_DB
+    return Connection(to_element, distance_mm, ray.displayed_mm * ways / 2, two_way_db, aside_db, sharp)
+
+
+@compiled
+def aside(point: Vector, start: Vector, direction: Vector) -> float:
+    """Squared distance of a point from a straight line, mm^2."""
+    way = point[0] - start[0], point[1] - start[1], point[2] - start[2]
+    ahead = dot(way, direction)
+    return max(dot(way, way) - ahead * ahead, 0.0)
 
 
 @compiled

@@ -15,7 +15,7 @@ from ablate.ultrasound.media import Medium
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.transport.rays import Ray
 
-#: Echoes of reflected rays are few and out of focus: they are spread over these standard deviations.
+#: Echoes of rays that have left their beam are few and out of focus: they are spread over these standard deviations.
 _CLUTTER_LINES = 12.0
 _CLUTTER_MM = 2.0
 _CLUTTER_CELLS_PER_SIGMA = 2.0
@@ -29,7 +29,7 @@ ECHO = np.dtype(
         ("group", np.int32),  # scanline and layer
         ("depth_mm", np.float32),  # as displayed
         ("amplitude", np.float32),  # of one ray: to be divided by the rays of a group
-        ("reflected", np.bool_),  # whether the ray had been reflected before
+        ("clutter", np.bool_),  # of random phase: of a ray that had been reflected before, or had left its beam
     ]
 )
 
@@ -46,7 +46,7 @@ _NEPER_PER_TWO_WAY_DB = 2 * _NEPER_PER_DB
 def echo_lines(
     echoes: np.ndarray, gain_db: np.ndarray, nodes: Nodes, weights: np.ndarray, rays: int, depth_mm: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What rays bring back, the mean over the `rays` of a group: of those never reflected before, and of the others.
+    """What rays bring back, the mean over the `rays` of a group: of those still in their beam, and of the others.
 
     `echoes` are (n,) ECHO, `gain_db`, (groups, nodes), is the aperture's for the former, and `weights`, (layers,
     samples), are elevational and sum to 1 over layers. Returns amplitudes of surfaces, (scanlines, samples), real and
@@ -72,7 +72,7 @@ def _add_echoes(echoes: np.ndarray, gain_db: np.ndarray, places: Vector, weights
         layer, line = echo.group // lines, echo.group % lines
         position = min(max(echo.depth_mm * per_mm - 0.5, 0.0), samples - 1.0)
         amplitude = echo.amplitude * weights[layer, int(position)]
-        if echo.reflected:
+        if echo.clutter:
             position = min(max((position + 0.5) * (cells / samples) - 0.5, 0.0), cells - 1.0)
             below = min(int(position), max(cells - 2, 0))
             part = (position - below) * amplitude
@@ -89,7 +89,7 @@ def _add_echoes(echoes: np.ndarray, gain_db: np.ndarray, places: Vector, weights
 
 @stage(Stage.clutter)
 def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype) -> np.ndarray:
-    """Echoes of reflected rays, few and out of focus, spread along and across the lines, (scanlines, samples).
+    """Echoes of rays that have left their beam, few and out of focus, spread along and across the lines, (scanlines, samples).
 
     The sum is kept; (0, samples) where there are no such echoes. The power of the sum is estimated without bias, from
     products x_i x_j of different lines' shares i != j in it (a U-statistic; Hoeffding 1948). The square of the sum

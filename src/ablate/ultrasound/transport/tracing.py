@@ -61,6 +61,7 @@ class Paths(NamedTuple):
 def trace(paths: Paths) -> np.ndarray:
     """The echoes, (n,) ECHO, of the rays of a frame until they are deeper than the image; `nodes` are accumulated."""
     geometry, view, draws, bundle, nodes = paths
+    ways = bundle.origins, bundle.ray_directions
 
     def part(begin: int, end: int) -> np.ndarray:
         chosen = slice(begin * view.rays, end * view.rays)
@@ -69,7 +70,7 @@ def trace(paths: Paths) -> np.ndarray:
         while n:  # comes back for more of the table of draws
             rows += 1
             table = draws.table(rows)
-            arrays, n, count = _bounces(geometry.address, arrays, n, count, view, table, rows, nodes)
+            arrays, n, count = _bounces(geometry.address, arrays, n, count, view, ways, table, rows, nodes)
         return arrays[2][:count]
 
     return np.concatenate(in_parts(part, len(bundle.starts), _GROUPS_OF_A_PART))
@@ -77,12 +78,20 @@ def trace(paths: Paths) -> np.ndarray:
 
 @compiled
 def _bounces(
-    address: int, arrays: Arrays, n: int, received: int, view: View, table: np.ndarray, rows: int, nodes: Nodes
+    address: int,
+    arrays: Arrays,
+    n: int,
+    received: int,
+    view: View,
+    ways: Arrays,
+    table: np.ndarray,
+    rows: int,
+    nodes: Nodes,
 ) -> tuple[Arrays, int, int]:
     """Advance rays until none is left, or until one has met as many interfaces as the table has `rows`.
 
     The arrays are rays, the sets that they are inside of, and echoes. Returns them, which grow where they are too
-    small, with the numbers of rays and of echoes.
+    small, with the numbers of rays and of echoes. Ways are origins and directions at the probe, (rays, 3).
     """
     asked, (rays, inside, echoes) = asked_ray(), arrays
     while n > 0:
@@ -91,7 +100,7 @@ def _bounces(
                 if rays[i].interfaces >= rows:
                     return (rays, inside, echoes), n, received
         rays, inside, echoes = _grown(rays, 2 * n), _grown(inside, 2 * n), _grown(echoes, received + n)
-        n, count = _advance(address, asked, (rays, inside, echoes[received:]), n, view, table, nodes)
+        n, count = _advance(address, asked, (rays, inside, echoes[received:]), n, view, ways, table, nodes)
         received += count
     return (rays, inside, echoes), n, received
 
@@ -108,14 +117,14 @@ def _grown(rows: np.ndarray, count: int) -> np.ndarray:
 
 @compiled
 def _advance(
-    address: int, asked: Asked, arrays: Arrays, n: int, view: View, table: np.ndarray, nodes: Nodes
+    address: int, asked: Asked, arrays: Arrays, n: int, view: View, ways: Arrays, table: np.ndarray, nodes: Nodes
 ) -> tuple[int, int]:
     """Advance n rays to the surfaces that they hit: one bounce of the path tracer.
 
     Reflected rays are written behind all rays at first, because transmitted rays take the rows from 0. Returns how many
     rays there are then, and how many echoes were written.
     """
-    rays, inside, echoes = arrays
+    (rays, inside, echoes), (origins, directions) = arrays, ways
     # arrays by name and element: no part of an array is made for a ray, see `bounce`
     speed, impedance, specularity, thickness, loss, lobe, stretches, silent, differs, refracts, rough, thick = (
         view.media
@@ -173,14 +182,18 @@ def _advance(
             scattering = bounce.sample_scattering(direction, hit.normal, interface, lobe[surface], tilt, rough)
             thickness_mm = float(drawn[THICKNESS]) * thickness[surface] if thick else 0.0
 
-            link = bounce.connect(ray, point, medium, thickness_mm, at(elements, group), at(axes, group))
+            if direct:  # off its own straight way
+                aside_mm2 = bounce.aside(point, at(origins, ray.number), at(directions, ray.number))
+            else:  # off its scanline
+                aside_mm2 = bounce.aside(point, at(elements, group), at(axes, group))
+            link = bounce.connect(ray, point, medium, thickness_mm, at(elements, group), aside_mm2)
             depth_mm = link.depth_mm + thickness_mm * medium.stretch
             if depth_mm < view.depth_mm:
                 amplitude = bounce.echo(ray, scattering, link, specularity[surface])
                 if amplitude > 0:
                     received_echo = echoes[received]
                     received_echo.group, received_echo.depth_mm = group, depth_mm
-                    received_echo.amplitude, received_echo.reflected = amplitude, not direct
+                    received_echo.amplitude, received_echo.clutter = amplitude, not link.sharp
                     received += 1
             if link.depth_mm >= view.depth_mm:
                 continue
