@@ -1,1 +1,3 @@
+__version__: str
+
 from .pretrained import load as load
