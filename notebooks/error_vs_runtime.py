@@ -23,9 +23,9 @@ from IPython.display import Image, display
 
 from ablate.analysis import error_vs_runtime, pareto_front
 from ablate.comparison.frame_times import timed_on
-from ablate.comparison.reading import open_study, runtime_points
+from ablate.comparison.reading import found_study, runtime_points
 
-study = open_study()
+study = found_study()
 folder = Path(mkdtemp())
 points, level = runtime_points(study.table)
 
@@ -38,7 +38,7 @@ points, level = runtime_points(study.table)
 # simulator and 40 ms for its networks, on a GPU that it does not name.
 
 # %%
-png, pdf = error_vs_runtime(points, folder / "error_vs_runtime", level, timed_on(study.runs))
+png, pdf = error_vs_runtime(points, folder / "error_vs_runtime", level, timed_on(study.usable.runs))
 Image(png, width=1000)
 
 # %%

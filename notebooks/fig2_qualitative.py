@@ -22,9 +22,9 @@ import matplotlib.pyplot as plt
 from IPython.display import Image
 
 from ablate.analysis import qualitative_figure
-from ablate.comparison.reading import open_study
+from ablate.comparison.reading import found_study
 
-study = open_study()
+study = found_study()
 folder = Path(mkdtemp())
 print("test frames shown:", ", ".join(picture.name for picture in study.pictures))
 

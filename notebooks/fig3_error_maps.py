@@ -21,9 +21,9 @@ from tempfile import mkdtemp
 from IPython.display import Image, display
 
 from ablate.analysis import chi2_maps_figure
-from ablate.comparison.reading import open_study
+from ablate.comparison.reading import found_study
 
-study = open_study()
+study = found_study()
 folder = Path(mkdtemp())
 
 # %% [markdown]

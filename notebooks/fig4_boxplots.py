@@ -21,10 +21,10 @@ from tempfile import mkdtemp
 from IPython.display import Image, display
 
 from ablate.analysis import boxplot_panels, cautions, paired_table
-from ablate.comparison.reading import open_study
+from ablate.comparison.reading import found_study
 from ablate.metrics import Group, Shown, metric_of, shown_in
 
-study = open_study()
+study = found_study()
 folder, paired = Path(mkdtemp()), paired_table(study.per_image, study.reference)
 print("\n".join(cautions(study.per_image, study.reference)))
 

@@ -29,7 +29,7 @@ from scipy.ndimage import maximum_filter1d
 from ablate.analysis.figures.body_view import draw_body
 from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import bounds_mm
-from ablate.comparison.reading import open_study
+from ablate.comparison.reading import found_study
 from ablate.dataset import Part
 from ablate.runs.simulated import build_scene
 from ablate.settings.study import SceneKind
@@ -41,8 +41,8 @@ from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.line_walk import Samples
 from ablate.ultrasound.surfaces.slices import sample_lines
 
-study = open_study()
-run = study.runs[0]  # scene, probe and simulator are the same for all
+study = found_study()
+run = study.usable.runs[0]  # scene, probe and simulator are the same for all
 if run.settings.scene.kind is SceneKind.pairs:
     raise SystemExit("The pairs of this study were made elsewhere: it has no scene. Run `make sweep`.")
 scene, grid = build_scene(run.settings)

@@ -18,14 +18,14 @@
 from IPython.display import Markdown
 
 from ablate.analysis import paired_table, resimulation_note, to_latex, to_markdown
-from ablate.comparison.reading import open_study
+from ablate.comparison.reading import found_study
 from ablate.metrics import Shown, shown_in
 
-study = open_study()
+study = found_study()
 columns = shown_in(Shown.table)
 table = study.table[study.table["metric"].isin(columns)]
 frames, sites = study.per_image["frame"].nunique(), study.per_image["site"].nunique()
-print(f"{study.folder.name}: {len(study.runs)} runs, {frames} test frames of {sites} probe sites")
+print(f"{study.folder.name}: {len(study.usable.runs)} runs, {frames} test frames of {sites} probe sites")
 
 # %% [markdown]
 # ## The table

@@ -24,11 +24,11 @@ from tempfile import mkdtemp
 from IPython.display import Image, display
 
 from ablate.analysis import forest_figure, improvements, interactions, verdicts_caption
-from ablate.comparison.reading import ANSWER, open_study
+from ablate.comparison.reading import ANSWER, found_study
 from ablate.metrics import metric_of
 from ablate.settings.conf import components
 
-study = open_study(ANSWER, "make answer")
+study = found_study(ANSWER, "make answer")
 answers = study.answers
 runs = answers.runs.groupby("data", sort=False).size()
 print(f"{study.folder.name}: {len(answers.runs)} runs; by data set: {runs.to_dict()}")

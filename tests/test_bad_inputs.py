@@ -123,7 +123,6 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["training.crop=4096"], r"training\.crop=4096: at most 356, which covers an image of 256 x 355 px"),
     (["variant=sa2h-gan", "training.l1_weight=0"], r"l1_weight=0 with loss=none"),
     (["training.batch_size=1000"], r"training\.batch_size=1000: more than the \d+ training frames"),
-    (["dataset.frames=99999999"], r"dataset\.frames=99999999: at most \d+, the poses"),
     (["dataset.grid=[1,2]"], r"dataset\.grid=\[1, 2\]: allowed are 4 whole numbers from 1, or null"),
     (["training.device=tpu"], r"training\.device='tpu': allowed are auto, cpu, cuda"),
     (["model.noise_start=0.1", "model.noise=none"], r"noise_start=0.1 with noise=none: allowed is 0"),

@@ -11,10 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ablate
 from ablate.__main__ import main
 from ablate.jobs.launch import Launch
 from ablate.runs.job import Job
 from ablate.settings.study import TrackingSettings
+from ablate.tasks.command import execute
 
 
 def only_line(out: str, error: str, runs: Path) -> str:
@@ -119,6 +121,37 @@ def test_a_signal_that_ends_the_program_is_said_and_what_is_open_is_closed(
     told = f"ablate: stopped by {number.name}; the same command continues where it stopped\n"
     assert capsys.readouterr().err == told
     assert closed == [number]
+
+
+def test_the_version_is_ours_and_a_pipe_that_closes_is_no_error(capsys: pytest.CaptureFixture[str]) -> None:
+    assert execute(["--version"]) == 0
+    assert capsys.readouterr().out == f"ablate {ablate.__version__}\n"
+    help_of = subprocess.Popen([sys.executable, "-m", "ablate", "--help"], stdout=-1, stderr=-1, text=True, bufsize=1)
+    assert help_of.stdout is not None
+    help_of.stdout.close()
+    assert help_of.communicate(timeout=60)[1] == ""
+
+
+def test_a_module_of_the_folder_is_found_whichever_way_the_program_starts(tmp_path: Path) -> None:
+    """The console script has its own folder first among those that Python searches, and not the current one."""
+    (tmp_path / "own_metrics.py").write_text("def bias(pair):\n    return 0.0\n")
+    script = "import sys; sys.path[0] = '/nowhere'; from ablate.__main__ import main; main()"
+    words = ["task=plan", "metrics=[psnr,own_metrics.bias]", f"runs_dir={tmp_path}"]
+    for start in (["-c", script], ["-m", "ablate"]):
+        command = [sys.executable, *start, *words]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert "1 job is left" in done.stdout
+
+
+def test_the_extra_of_a_launcher_that_is_not_installed_is_named() -> None:
+    only_ours = "hydra_plugins.__path__ = [p for p in hydra_plugins.__path__ if 'site-packages' not in p]"
+    script = f"import hydra_plugins; {only_ours}; from ablate.__main__ import main; main()"
+    for launcher, package, extra in (("joblib", "joblib", "parallel"), ("slurm", "submitit_slurm", "slurm")):
+        command = [sys.executable, "-c", script, "-m", f"hydra/launcher={launcher}", "task=plan", "seed=0,1"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        told = f"ablate: hydra/launcher: {package} is not installed: pip install -e '.[{extra}]'\n"
+        assert (done.returncode, done.stderr) == (2, told)
 
 
 @pytest.mark.parametrize("uri", ["http://host:5000", "postgresql://anna@host/db", "sqlite:////a:b/c@d/mlflow.db"])

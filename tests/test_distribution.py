@@ -2,9 +2,15 @@
 
 import re
 import tomllib
+from importlib import metadata
 from pathlib import Path
 
+import pytest
+from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+
+import ablate
+from ablate.extras import installing
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
@@ -12,7 +18,7 @@ KINDS = (".py", ".pyi", ".md", ".yaml", ".yml", ".toml", ".cff", ".ipynb", ".txt
 PLACES = ("src", "docs", "conf", "notebooks", "scripts", "benchmarks", "tests")
 # The old name as an installer takes it: after `install`, with options, or with extras or a version.
 OLD = re.compile(r"install (-\S+ )*['\"]?ablate(?![\w./-])|(?<![\w./-])ablate(\[[a-z]|[=<>~]=)")
-WITH_EXTRAS = re.compile(r"ablate-ultrasound\[([a-z, ]+)\]")
+WITH_EXTRAS = re.compile(r"(?:ablate-ultrasound|-e '\.)\[([a-z, ]+)\]")
 
 
 def texts() -> dict[Path, str]:
@@ -31,6 +37,21 @@ def test_nobody_is_told_to_install_the_other_project() -> None:
         assert not OLD.search(ours)
     told = {path: match[0] for path, text in texts().items() if (match := OLD.search(text))}
     assert told == {}
+
+
+def test_a_hint_installs_the_extra_of_a_checkout_or_the_packages_that_it_stands_for(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    assert installing("slurm") == "pip install -e '.[slurm]'"
+    monkeypatch.setattr("ablate.extras.__file__", str(tmp_path / "site-packages" / "ablate" / "extras.py"))
+    for extra in ("slurm", "volumes", "view", "parallel"):
+        named = re.findall(r"'([^']+)'", installing(extra))
+        assert {Requirement(one) for one in named} == {Requirement(o) for o in PROJECT["optional-dependencies"][extra]}
+
+
+def test_the_version_is_the_packages_and_that_of_the_citation() -> None:
+    assert f"version: {ablate.__version__}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
+    assert metadata.version("ablate-ultrasound") == ablate.__version__
 
 
 def test_extras_that_are_named_exist() -> None:

@@ -1,11 +1,13 @@
 """Entry point of `python -m ablate` and of the console script `ablate`."""
 
+import os
 import re
 import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
+from pathlib import Path
 
 from ablate.dataset.processes import stop_requested
 from ablate.settings.study import ConfigurationError
@@ -25,13 +27,19 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):  # a locale may know no ± and no χ²
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    if not sys.flags.safe_path and (here := str(Path.cwd())) not in sys.path:
+        sys.path.insert(0, here)  # of `python -m ablate` it is the first; so a module of the user's is found by both
     try:
         with _stopping_at_signals():
             code = execute(sys.argv[1:])
+        sys.stdout.flush()
     except ConfigurationError as error:
         message = re.sub(r"://[^\s@]*@", "://...@", str(error))  # no password on the screen
         print(f"ablate: {message}", file=sys.stderr)
         sys.exit(2)
+    except BrokenPipeError:  # such as `| head`, which has read enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is written when Python ends
+        sys.exit(1)
     except OSError as error:  # such as a full disk; what the system did not raise has no number
         if error.errno is None:
             raise

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
+import ablate
 from ablate.analysis import RESIMULATION, find_design
 from ablate.comparison.compare import compare_study, write_comparison
 from ablate.comparison.frame_times import TIMES, network_of
@@ -153,6 +154,27 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     assert "one change at a time around sa2h" in report
     assert report.count("FID: no Inception weights were given.") == 1
     assert "There are no pictures: the runs kept no frame in common." in notes
+
+
+def test_an_opened_study_is_tables_and_says_nothing_of_what_a_network_of_the_user_lacks(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = {"family": "custom", "concat": "input", "upsampling": "transposed", "noise": "none"}
+    monkeypatch.setitem(VARIANTS, "Mine", own)
+    write_run(study, "Mine", 0)
+    opened = ablate.open_study(study)
+    assert len(opened.runs) == 3 * (len(VARIANTS) - 1) + 1
+    runs = opened.runs.set_index(["variant", "seed"])
+    assert runs.loc[("Mine", 0), ["model.concat", "model.upsampling", "model.depth"]].isna().all()
+    assert list(runs.loc[("Mine", 0), ["model.attenuation", "model.noise"]]) == ["integral", "none"]
+    assert list(runs.loc[("sa2h", 0), ["model.concat", "model.depth"]]) == ["every_level", 4]
+    frames = opened.per_image.query("variant == 'sa2h' and seed == 0 and metric == 'psnr'")["value"]
+    assert runs.loc[("sa2h", 0), "psnr"] == pytest.approx(frames.mean())
+    again = opened.per_image.query(f"variant == '{RESIMULATION}' and metric == 'psnr'")["value"]
+    assert opened.floor.loc["psnr", "mean"] == pytest.approx(again.mean())
+    assert set(opened.verdicts["component"]) == {component.name for component in components()}
+    with pytest.raises(FileNotFoundError, match="There is no finished study at nowhere"):
+        ablate.open_study("nowhere")
 
 
 def test_a_run_without_a_discriminator_is_compared_but_is_no_cell_of_the_design(study: Path) -> None:

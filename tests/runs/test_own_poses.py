@@ -50,6 +50,6 @@ def test_poses_decide_and_where_they_lie_does_not(folder: Path) -> None:
     assert data("moved.npy") != own
 
 
-def test_more_frames_than_poses_are_refused(folder: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"^dataset\.frames=12: at most 2, the poses of the file"):
-        check(jobs_of(arguments(folder)))
+def test_a_preset_asks_for_no_more_frames_than_there_are_poses(folder: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"^training\.batch_size=3: more than the 1 training frames"):
+        check(jobs_of([*arguments(folder), "training.batch_size=3"]))

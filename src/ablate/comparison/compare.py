@@ -194,7 +194,7 @@ def draw_figures(study: Study, frames: Sequence[FramePictures], folder: Path) ->
 def _track(settings: StudySettings, study: Study, notes: Sequence[str]) -> str:
     """Bring the store up to date with the runs of a study and their comparison; returns lines for the screen."""
     run, ids = copy_study(settings)
-    runs, table = study.runs, study.table
+    runs, table = study.usable.runs, study.table
     files = [path for path in sorted((study.folder / COMPARISON).iterdir()) if path.is_file()]
     state = digest([ids, {path.name: path.stat().st_mtime_ns for path in files}])
     if run.tag(STATE) != state:

@@ -10,6 +10,7 @@ import torch
 
 from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
 from ablate.dataset import Part, resample_grid
+from ablate.extras import installing
 from ablate.jobs.compose import variant_model
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Attenuation, Family, Space, check_custom, conditions
@@ -39,8 +40,7 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
         _check_training(job, seen, {other.label for other in jobs})
         _check_metrics(job.settings)
     if jobs[0].settings.task is Task.study and jobs[0].settings.tracking.system_metrics and find_spec("psutil") is None:
-        install = "pip install 'ablate-ultrasound[system]'"
-        raise ConfigurationError(f"tracking.system_metrics=true needs the package psutil: {install}")
+        raise ConfigurationError(f"tracking.system_metrics=true needs the package psutil: {installing('system')}")
     if odd := set(str(jobs[0].settings.results)) & {"?", "%"}:  # they mean something else in the address of a database
         raise ConfigurationError(f"runs_dir={jobs[0].settings.results}: allowed is a path without {' and '.join(odd)}")
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
@@ -80,7 +80,7 @@ def _check_pairs(job: Job) -> int:
 
 
 def _check_scene(s: StudySettings) -> int:
-    """Check that the grid has as many poses as frames are asked for; returns the number of training frames."""
+    """Check that there is a scene with probe sites; returns the number of training frames that they can give."""
     sites: SiteGrid | None = fetal_sites()
     of_render = s.pose or s.plane  # then the folder may do without sites
     if s.scene.kind is SceneKind.folder:
@@ -97,15 +97,12 @@ def _check_scene(s: StudySettings) -> int:
 
         with refusing():
             poses, _ = own_poses(s)
-        offered, whose = len(poses), "the poses of the file"
+        offered = len(poses)
     else:
         assert sites is not None
         grid = resample_grid(sites, s.dataset.grid)
         offered = len(grid.heights_mm) * len(grid.angles_deg) * len(grid.tilts_deg) * len(grid.rolls_deg)
-        whose = "the poses of the probe sites; more of them: dataset.grid=[heights,angles,tilts,rolls]"
-    if s.dataset.frames > offered:
-        raise ConfigurationError(f"dataset.frames={s.dataset.frames}: at most {offered}, {whose}")
-    return _training_frames(s, s.dataset.frames)
+    return _training_frames(s, min(s.dataset.frames, offered))
 
 
 def _training_frames(s: StudySettings, frames: int) -> int:

@@ -9,9 +9,13 @@ from hydra.errors import HydraException, OverrideParseException
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from yaml import YAMLError
 
+from ablate.extras import installing
 from ablate.setting import shown
 from ablate.settings.conf import conf_folder, keys
 from ablate.settings.study import ConfigurationError
+
+# Launchers that Hydra knows where an extra is installed.
+_EXTRAS = {"joblib": "parallel", "submitit_slurm": "slurm", "submitit_local": "slurm"}
 
 
 @contextmanager
@@ -54,6 +58,9 @@ def _of_a_group(words: Sequence[str]) -> str:
 
 def _explained(error: Exception) -> str:
     """Hydra's message on one line, with what is allowed where a key or a choice is unknown."""
+    for launcher, extra in _EXTRAS.items():
+        if f"'hydra/launcher/{launcher}'" in str(error):
+            return f"hydra/launcher: {launcher} is not installed: {installing(extra)}"
     unknown_choice = r"Could not find '(.+)/([^/]+)'\s+Available options in '.+?':(.*?)\n\s*Config search"
     if choice := re.search(unknown_choice, str(error), re.S):
         return f"{choice[1]}={choice[2]}: allowed are {', '.join(choice[3].split())}"

@@ -43,7 +43,7 @@ def _submit(launcher: Any, jobs: Sequence[Numbered], _work: Work) -> None:
     ]
     submitted = executor.map_array(launcher, *zip(*arguments, strict=True))
     where = f"`squeue --me` shows them, what they print is in {Path(folder).parent}"
-    print(f"{len(jobs)} jobs go to SLURM; {where}", flush=True)
+    print(f"{'1 job goes' if len(jobs) == 1 else f'{len(jobs)} jobs go'} to SLURM; {where}", flush=True)
     wait_for([job.job_id for job in submitted])
 
 

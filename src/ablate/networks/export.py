@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from ablate.extras import installing
 from ablate.networks.generator import Generator
 from ablate.networks.spec import conditions
 from ablate.storage import written_whole
@@ -45,7 +46,7 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int) -> No
         import onnx
         import onnxscript  # noqa: F401 (torch's exporter is written in it)
     except ImportError as error:
-        raise ImportError(f"export needs the package {error.name}: pip install 'ablate-ultrasound[export]'") from error
+        raise ImportError(f"export needs the package {error.name}: {installing('export')}") from error
     device = next(generator.parameters()).device
     frame = _Frame(generator, height, width)
     sizes = [(height, width)] * len(frame.maps) + list(frame.sizes.values())

@@ -20,6 +20,8 @@ T = TypeVar("T")
 # The order of tables and figures; components that are not listed follow by name.
 _COMPONENTS = ("att", "concat", "conv", "noise", "depth", "encoding")
 CUSTOM = "custom"  # the variant that a user's network takes the place of
+#: Components that a network of the user's does not have, whatever its settings say.
+NOT_OF_CUSTOM = frozenset({"model.concat", "model.upsampling", "model.depth"})
 _TABLE_II = ("lsa2h", "nsa2h", "sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h", "sa2h-depth")
 
 

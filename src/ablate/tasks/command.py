@@ -12,6 +12,7 @@ from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+import ablate
 from ablate.jobs.compose import CONFIG, VERSION_BASE, job_of, parsed, swept_keys, without_repetitions
 from ablate.jobs.launch import Launch, Start, Work, start_here
 from ablate.jobs.refusals import in_one_line
@@ -40,9 +41,12 @@ class _Raised(BaseException):
 def execute(arguments: Sequence[str]) -> int:
     """Do what a command line asks for, given as the words after `python -m ablate`; returns the exit code.
 
-    Hydra answers its own questions (`--help`, `--cfg job`, ...). What cannot be run is a ConfigurationError before
-    anything starts.
+    Hydra answers its own questions (`--help`, `--cfg job`, ...), but for `--version`. What cannot be run is a
+    ConfigurationError before anything starts.
     """
+    if "--version" in arguments:
+        print(f"ablate {ablate.__version__}")
+        return 0
     # Hydra documents this variable: it then raises what is wrong with a configuration instead of printing it.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     command = hydra.main(version_base=VERSION_BASE, config_path=str(conf_folder()), config_name=CONFIG)(run_one)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ablate.dataset import Part
 from ablate.dataset.export_formats import write_dicom, write_nnunet, write_png
+from ablate.extras import installing
 from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job
 from ablate.runs.prepare import prepare_data
@@ -26,7 +27,7 @@ def export(jobs: Sequence[Job]) -> int:
             "dataset.format=dicom: pairs made elsewhere do not tell their mm; allowed: png, nnunet"
         )
     if chosen is ExportFormat.dicom and not find_spec("pydicom"):
-        raise ConfigurationError("dataset.format=dicom: needs the package pydicom, of the extra `dicom`")
+        raise ConfigurationError(f"dataset.format=dicom: needs the package pydicom: {installing('dicom')}")
     data = prepare_data(jobs[0], maps_needed(job.settings.model for job in jobs))
     pairs = data.pairs
     folder = settings.results / "export" / f"{data.name}-{chosen}"

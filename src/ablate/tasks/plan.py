@@ -72,8 +72,8 @@ def duration(seconds: float) -> str:
 def _rest(table: pd.DataFrame) -> str:
     left = table[table["state"] != "finished"]
     if left.empty:
-        return f"all {len(table)} jobs are finished"
-    text = f"{len(left)} of {len(table)} jobs are left"
+        return f"all {len(table)} jobs are finished" if len(table) > 1 else "1 job, which is finished"
+    text = f"{len(left)} of {len(table)} jobs are left" if len(table) > 1 else "1 job is left"
     if left["seconds"].isna().any():
         return f"{text}; how long they take is not known before the first run of this study has finished"
     together = duration(left["seconds"].sum())

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from ablate.dataset import decode_grey_levels
+from ablate.extras import installing
 from ablate.networks import Generator, Space, conditions, export_onnx
 from ablate.threads import in_parts, without_teams
 from ablate.training.settings import TrainingPrecision
@@ -85,7 +86,7 @@ def missing_for(engine: Engine, device: torch.device) -> str | None:
         if device.type != "cpu":
             return "a CPU: on a GPU, take the exported file to TensorRT or ONNX Runtime"
         lacking = [name for name in ("onnx", "onnxscript", "openvino") if find_spec(name) is None]
-        return f"the package {lacking[0]}: pip install 'ablate-ultrasound[export]'" if lacking else None
+        return f"the package {lacking[0]}: {installing('export')}" if lacking else None
     if engine is Engine.compiled:
         if device.type != "cpu":
             return None if find_spec("triton") else "the package triton, which writes torch's compiled GPU code"

@@ -19,6 +19,7 @@ import numpy as np
 
 from ablate.anatomy import Scene, SiteGrid, fetal_planes
 from ablate.dataset import equally_spaced, place_probe, read_poses
+from ablate.extras import installing
 from ablate.runs.job import Job
 from ablate.runs.simulated import build_scene, training_poses
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
@@ -34,7 +35,7 @@ from ablate.viewer.worker import Worker
 
 #: Whatever the library's default, the page is shown to this machine only.
 HOST = "127.0.0.1"
-NEEDS = "task=view needs viser: pip install 'ablate-ultrasound[view]'"
+NEEDS = f"task=view needs viser: {installing('view')}"
 _LOOK_EVERY_S = 3600.0
 _CONTROLS_PX, _IMAGES_PX = 290, 640  # widths, for a window of 1366 px
 _MOST_SITES = 60  # of a list that can be searched by eye

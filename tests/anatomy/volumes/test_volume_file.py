@@ -106,5 +106,5 @@ def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     nrrd.write(str(tmp_path / "a.nrrd"), values())
     for module, package, name in (("nibabel", "nibabel", "a.nii"), ("nrrd", "pynrrd", "a.nrrd")):
         monkeypatch.setitem(__import__("sys").modules, module, None)
-        with pytest.raises(ValueError, match=rf"{name} needs the package {package}, of the extra `volumes`"):
+        with pytest.raises(ValueError, match=rf"{name} needs the package {package}: pip install "):
             check_volume(tmp_path / name, "labels.file")

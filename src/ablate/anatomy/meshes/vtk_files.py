@@ -5,8 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from ablate.extras import installing
+
 VTK_SUFFIXES = (".vtk", ".vtp")
-NEEDS_VTK = ".vtk and .vtp need the package vtk: pip install 'ablate-ultrasound[vtk]'"
+NEEDS_VTK = f".vtk and .vtp need the package vtk: {installing('vtk')}"
 
 
 def read_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ablate.anatomy.scene_values import file_named, mapping, number, one_of, refusal
 from ablate.anatomy.tissue import Tissue
+from ablate.extras import installing
 from ablate.setting import shown
 
 SUFFIXES = (".nii", ".nii.gz", ".nrrd")
@@ -56,7 +57,7 @@ def check_volume(path: Path, where: str) -> VolumeFile:
         shape, affine = _nrrd_header(path) if path.suffix.lower() == ".nrrd" else _nifti_header(path)
     except ImportError as error:
         package = {"nrrd": "pynrrd"}.get(error.name or "", error.name)
-        raise ValueError(f"{where}: {path} needs the package {package}, of the extra `volumes`") from None
+        raise ValueError(f"{where}: {path} needs the package {package}: {installing('volumes')}") from None
     except Exception as error:  # every reader raises its own
         raise ValueError(f"{where}: {path}: not readable: {' '.join(str(error).split())}") from None
     if len(shape) != 3:

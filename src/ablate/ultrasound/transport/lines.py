@@ -89,9 +89,9 @@ def _add_echoes(echoes: np.ndarray, gain_db: np.ndarray, places: Vector, weights
 
 @stage(Stage.clutter)
 def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype) -> np.ndarray:
-    """Echoes of rays that have left their beam, few and out of focus, spread along and across the lines, (scanlines, samples).
+    """Spread echoes of rays that have left their beam, few and out of focus, along and across the scanlines.
 
-    The sum is kept; (0, samples) where there are no such echoes. The power of the sum is estimated without bias, from
+    The sum is kept. The result is (scanlines, samples), or (0, samples) where there are no such echoes. The power of the sum is estimated without bias, from
     products x_i x_j of different lines' shares i != j in it (a U-statistic; Hoeffding 1948). The square of the sum
     would hold x_i^2 as well, whose mean is too large by the variance: bright bands of one heavy path in dark fluid.
     """
