@@ -34,6 +34,38 @@ def test_opening_twice_gives_the_same_runs(runs: Path) -> None:
     assert parent_run(second, "other") != parent
 
 
+def edited(client: MlflowClient, parent: str, child: str) -> None:
+    """What a person may change in MLflow's pages."""
+    client.rename_experiment(client.get_run(parent).info.experiment_id, "mine")
+    for run_id in (parent, child):
+        client.set_tag(run_id, "mlflow.runName", "the best")
+        for tag in ("kind", "config_hash", "study", "variant", "mlflow.parentRunId"):
+            if tag in client.get_run(run_id).data.tags:
+                client.delete_tag(run_id, tag)
+
+
+def test_what_somebody_edits_or_deletes_in_mlflow_is_found_again_and_left_so(runs: Path) -> None:
+    def ids() -> tuple[str, str]:
+        store = open_store(runs, None, "ablate")
+        parent = parent_run(store, "study")
+        return parent, child_run(store, parent, "sa2h/seed0", "abc", {"variant": "sa2h"})
+
+    made, client = ids(), MlflowClient(default_uri(runs))
+    edited(client, *made)
+    assert ids() == made
+    assert client.get_run(made[1]).info.run_name == "the best"
+    for run_id in reversed(made):
+        client.delete_run(run_id)
+        with pytest.raises(MlflowException, match=f"was deleted in MLflow, .* restore --run-id {run_id}"):
+            ids()
+    for run_id in made:
+        client.restore_run(run_id)
+    (runs / ".stored.json").write_text("{")
+    client.set_tag(made[0], "study", "study")
+    client.set_tag(made[0], "kind", "study")
+    assert ids()[0] == made[0], "its tags tell as well"
+
+
 def test_a_run_carries_what_was_logged(runs: Path) -> None:
     store = open_store(runs, None, "ablate")
     parent = parent_run(store, "study")
