@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -94,14 +95,30 @@ def test_want_of_memory_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert "\n" not in str(end.value)
 
 
+class _Dying:
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def __del__(self) -> None:  # Python drops what a signal raises here
+        os.kill(os.getpid(), self.number)
+
+
+@pytest.mark.parametrize("dropped", [False, True])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_that_ends_the_program_is_said_and_what_is_open_is_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: signal.Signals
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    number: signal.Signals,
+    dropped: bool,
 ) -> None:
     closed = []
 
     def signalled(*_: object) -> None:
         try:
+            if dropped:
+                _Dying(number)
+                time.sleep(10)
             os.kill(os.getpid(), number)
         finally:
             closed.append(number)

@@ -1,13 +1,15 @@
 """Entry point of `python -m ablate` and of the console script `ablate`."""
 
+import _thread
 import re
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
+from typing import Any
 
-from ablate.dataset.processes import stop_requested
 from ablate.settings.study import ConfigurationError
 from ablate.tasks.command import execute
 
@@ -51,17 +53,24 @@ def _stopping_at_signals() -> Iterator[None]:
     """Raise `_Stopped` at SIGTERM, and at SIGHUP, which closes a terminal; a signal that is ignored stays ignored."""
 
     def stop(number: int, _: object) -> None:
-        stop_requested.set()  # Python drops what is raised here while it runs the callback of a weak reference
         raise _Stopped(number)
+
+    def dropped(what: Any) -> None:
+        """Send the signal again where Python ran `__del__` or the callback of a weak reference, and raised nothing."""
+        if not isinstance(what.exc_value, KeyboardInterrupt):
+            return before(what)
+        number = getattr(what.exc_value, "number", signal.SIGINT)
+        return threading.Timer(0.05, _thread.interrupt_main, [number]).start()
 
     there = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has one
     watched = [number for number in there if signal.getsignal(number) is signal.SIG_DFL]
+    before, sys.unraisablehook = sys.unraisablehook, dropped
     for number in watched:
         signal.signal(number, stop)
     try:
         yield
     finally:
-        stop_requested.clear()
+        sys.unraisablehook = before
         for number in watched:
             signal.signal(number, signal.SIG_DFL)
 
