@@ -3,7 +3,9 @@
 import os
 import random
 import shutil
+import sqlite3
 import subprocess
+from contextlib import closing
 from pathlib import Path
 
 import ablate
@@ -110,13 +112,13 @@ def edited(bench: Bench, _: random.Random, number: int) -> Round:
     runs = bench.copy()
     line = [*SWEEP, f"runs_dir={runs}"]
     first = start_ablate(line, runs.parent).wait()  # the folder is a copy: its store is made anew
-    before = start(_ids, (runs,), runs.parent).wait().said
+    before = _ids(runs)
     changed = start(_edit, (runs, how), runs.parent).wait()
     ended = start_ablate(line, runs.parent).wait()
-    after = start(_ids, (runs,), runs.parent).wait().said
+    after = _ids(runs)
     wrong = [f"{how}: exit code {e.code}: {e.said[-300:]}" for e in (first, changed, ended) if e.code]
     if after != before:
-        wrong.append(f"{how}: the runs were {before.split()} and are {after.split()}")
+        wrong.append(f"{how}: the runs were {before} and are {after}")
     if how.endswith("deleted") and "was deleted in MLflow, and is left so" not in ended.said:
         wrong.append(f"{how}: without a word")
     return Round(wrong)
@@ -140,14 +142,10 @@ def _edit(runs: Path, how: str) -> None:
         client.delete_run(job if how == "run deleted" else study)
 
 
-def _ids(runs: Path) -> None:
-    """Print the runs of all experiments, those that were deleted too."""
-    from mlflow import MlflowClient
-    from mlflow.entities import ViewType
-
-    client = MlflowClient(f"sqlite:///{runs}/mlflow.db")
-    experiments = [one.experiment_id for one in client.search_experiments()]
-    print(*sorted(run.info.run_id for run in client.search_runs(experiments, run_view_type=ViewType.ALL)))
+def _ids(runs: Path) -> list[str]:
+    """The runs of all experiments, those that were deleted too."""
+    with closing(sqlite3.connect(runs / "mlflow.db")) as connection:
+        return sorted(run_id for (run_id,) in connection.execute("SELECT run_uuid FROM runs"))
 
 
 FAULTS = (

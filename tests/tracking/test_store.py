@@ -178,6 +178,18 @@ def test_what_a_database_refuses_is_raised_and_not_printed_with_a_traceback(
     assert "Traceback" not in capfd.readouterr().err
 
 
+def test_a_database_that_is_locked_or_cannot_be_opened_is_one_that_does_not_answer(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store_module, "_BUSY_S", 0.1)
+    (tmp_path / "mlflow.db").mkdir()
+    with closing(sqlite3.connect(runs / "mlflow.db")) as connection:
+        connection.execute("BEGIN EXCLUSIVE")
+        for folder, why in ((runs, "database is locked"), (tmp_path, "unable to open database file")):
+            with pytest.raises(OSError, match=f"mlflow.db: {why}"):
+                open_store(folder, None, "ablate")
+
+
 class Killed(BaseException):
     """In place of SIGKILL."""
 

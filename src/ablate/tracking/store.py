@@ -24,7 +24,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from ablate.storage import digest, read_json, remove_partial, write_json, write_text, written_whole
 
 _LOG = logging.getLogger(__name__)
-_LOCK_S = 60.0
+_LOCK_S, _BUSY_S = 60.0, 20.0
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _OF_TRANSACTIONS = ("-journal", "-wal", "-shm")
 _PARENT_TAG = "mlflow.parentRunId"
@@ -237,13 +237,13 @@ def _make(path: Path) -> None:
 def _is_whole(path: Path) -> bool:
     """Whether SQLite can read the file, and MLflow has laid it out to the end: the table of its version is the last.
 
-    An OSError where another program holds the file locked for 20 s.
+    An OSError where it cannot be opened, or another program holds it locked for `_BUSY_S`.
     """
-    with closing(sqlite3.connect(path, timeout=20)) as connection:
-        try:
+    try:
+        with closing(sqlite3.connect(path, timeout=_BUSY_S)) as connection:
             tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        except sqlite3.DatabaseError as error:
-            if error.sqlite_errorcode in _DAMAGED:
-                return False
-            raise OSError(f"{path}: {error}") from error
+    except sqlite3.DatabaseError as error:
+        if error.sqlite_errorcode in _DAMAGED:
+            return False
+        raise OSError(f"{path}: {error}") from error
     return {"alembic_version", "experiments", "runs"} <= tables
