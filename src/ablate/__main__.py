@@ -1,6 +1,7 @@
 """Entry point of `python -m ablate` and of the console script `ablate`."""
 
 import _thread
+import os
 import re
 import signal
 import sys
@@ -30,22 +31,31 @@ def main() -> None:
     try:
         with _stopping_at_signals():
             code = execute(sys.argv[1:])
+            sys.stdout.flush()
     except ConfigurationError as error:
         message = re.sub(r"://[^\s@]*@", "://...@", str(error))  # no password on the screen
         print(f"ablate: {message}", file=sys.stderr)
         sys.exit(2)
+    except BrokenPipeError:  # whoever read the output, such as `head`, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python writes as it ends
+        sys.exit(128 + 13)
     except OSError as error:  # such as a full disk; what the system did not raise has no number
         if error.errno is None:
             raise
-        sys.exit(f"ablate: {error}; the same command continues where it stopped")
+        sys.exit(_told(error))
     except MemoryError as error:
-        sys.exit(f"ablate: out of memory: {error or 'no size was given'}; the same command continues where it stopped")
+        sys.exit(_told(error, f"out of memory: {error or 'no size was given'}"))
     except _Stopped as stopped:
-        print(f"ablate: {stopped}; the same command continues where it stopped", file=sys.stderr)
+        print(_told(stopped), file=sys.stderr)
         sys.exit(128 + stopped.number)
-    except KeyboardInterrupt:
-        sys.exit("ablate: interrupted; the same command continues where it stopped")
+    except KeyboardInterrupt as error:
+        sys.exit(_told(error, "interrupted"))
     sys.exit(code)
+
+
+def _told(error: BaseException, what: str = "") -> str:
+    """What stopped the program, and what a task has noted of going on."""
+    return "; ".join([f"ablate: {what or error}", *getattr(error, "__notes__", ())])
 
 
 @contextmanager
