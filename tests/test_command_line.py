@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -88,27 +89,69 @@ def test_a_full_disk_is_one_line_for_a_job_and_for_the_program(
     assert capsys.readouterr().err == "sa2h/seed0: [Errno 28] No space left on device: 'last.ckpt'\n"
 
 
-def test_want_of_memory_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ablate.tasks.run_task.run_task", lambda *_: np.empty(2**50))
-    monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path}"])
-    with pytest.raises(SystemExit, match=r"^ablate: out of memory: Unable to allocate .*; the same command") as end:
+@pytest.mark.parametrize("task", ["study", "describe"])
+def test_want_of_memory_is_one_line_and_what_goes_on_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, task: str
+) -> None:
+    monkeypatch.setattr(f"ablate.tasks.run_task.{task}", lambda *_: np.empty(2**50))
+    monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path}", f"task={task}"])
+    with pytest.raises(SystemExit, match=r"^ablate: out of memory: Unable to allocate") as end:
         main()
     assert "\n" not in str(end.value)
+    assert str(end.value).endswith("; the same command continues where it stopped") == (task == "study")
 
 
+def test_a_reader_that_has_had_enough_is_no_error(tmp_path: Path) -> None:
+    command = f"{sys.executable} -m ablate task=describe runs_dir={tmp_path}; echo $? >&2"
+    done = subprocess.run(["sh", "-c", f"{{ {command}; }} | true"], capture_output=True, text=True, check=True)
+    assert done.stderr == "141\n"
+
+
+def test_what_another_user_owns_is_refused_with_the_owner_before_anything_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lock = tmp_path / "quick-fetal" / ".claim.lock"
+    lock.parent.mkdir()
+    lock.touch()
+    access = os.access
+    monkeypatch.setattr("os.access", lambda path, *a, **k: Path(path) != lock and access(path, *a, **k))  # also root's
+    monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path}"])
+    with pytest.raises(SystemExit) as end:
+        main()
+    assert end.value.code == 2
+    told = f"ablate: runs_dir: {lock} belongs to {lock.owner()}, and you may not write it; docs/cluster.md says"
+    assert capsys.readouterr().err.startswith(told)
+
+
+class _Dying:
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def __del__(self) -> None:  # Python drops what a signal raises here
+        os.kill(os.getpid(), self.number)
+
+
+@pytest.mark.parametrize("dropped", [False, True])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_that_ends_the_program_is_said_and_what_is_open_is_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: signal.Signals
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    number: signal.Signals,
+    dropped: bool,
 ) -> None:
     closed = []
 
     def signalled(*_: object) -> None:
         try:
+            if dropped:
+                _Dying(number)
+                time.sleep(10)
             os.kill(os.getpid(), number)
         finally:
             closed.append(number)
 
-    monkeypatch.setattr("ablate.tasks.run_task.run_task", signalled)
+    monkeypatch.setattr("ablate.tasks.run_task.study", signalled)
     monkeypatch.setattr("sys.argv", ["ablate", f"runs_dir={tmp_path}"])
     before = signal.signal(number, signal.SIG_DFL)
     try:

@@ -3,12 +3,14 @@
 import os
 import random
 import shutil
+import sqlite3
 import subprocess
+from contextlib import closing
 from pathlib import Path
 
 import ablate
 from faults.bench import STUDY, SWEEP, Bench, Fault, Round
-from faults.commands import Ended, Start
+from faults.commands import Ended, Start, start
 from faults.commands import ablate as start_ablate
 from faults.judge import differences
 
@@ -101,6 +103,51 @@ def moved(bench: Bench, _: random.Random, number: int) -> Round:
     return Round(wrong)
 
 
+_EDITS = ("run renamed", "tags removed", "experiment renamed", "run deleted", "study deleted")
+
+
+def edited(bench: Bench, _: random.Random, number: int) -> Round:
+    """Edit or delete in MLflow; the same command leaves it so, makes nothing twice and says what was deleted."""
+    how = _EDITS[number % len(_EDITS)]
+    runs = bench.copy()
+    line = [*SWEEP, f"runs_dir={runs}"]
+    first = start_ablate(line, runs.parent).wait()  # the folder is a copy: its store is made anew
+    before = _ids(runs)
+    changed = start(_edit, (runs, how), runs.parent).wait()
+    ended = start_ablate(line, runs.parent).wait()
+    after = _ids(runs)
+    wrong = [f"{how}: exit code {e.code}: {e.said[-300:]}" for e in (first, changed, ended) if e.code]
+    if after != before:
+        wrong.append(f"{how}: the runs were {before} and are {after}")
+    if how.endswith("deleted") and "was deleted in MLflow, and is left so" not in ended.said:
+        wrong.append(f"{how}: without a word")
+    return Round(wrong)
+
+
+def _edit(runs: Path, how: str) -> None:
+    from mlflow import MlflowClient
+
+    client = MlflowClient(f"sqlite:///{runs}/mlflow.db")
+    experiment = client.get_experiment_by_name("ablate").experiment_id
+    kinds = {run.data.tags["kind"]: run for run in client.search_runs([experiment])}
+    job, study = (kinds[kind].info.run_id for kind in ("job", "study"))
+    if how == "run renamed":
+        client.update_run(job, name="the best")
+    elif how == "tags removed":
+        for run_id, tag in ((job, "config_hash"), (job, "variant"), (job, "kind"), (study, "study")):
+            client.delete_tag(run_id, tag)
+    elif how == "experiment renamed":
+        client.rename_experiment(experiment, "mine")
+    else:
+        client.delete_run(job if how == "run deleted" else study)
+
+
+def _ids(runs: Path) -> list[str]:
+    """The runs of all experiments, those that were deleted too."""
+    with closing(sqlite3.connect(runs / "mlflow.db")) as connection:
+        return sorted(run_id for (run_id,) in connection.execute("SELECT run_uuid FROM runs"))
+
+
 FAULTS = (
     Fault(
         "canary",
@@ -117,5 +164,13 @@ FAULTS = (
         moved,
         8,
         1,
+    ),
+    Fault(
+        "edited",
+        "runs and experiment renamed, untagged or deleted in MLflow",
+        "no second run; what was edited is left so, and what was deleted is told",
+        edited,
+        2 * len(_EDITS),
+        0,
     ),
 )

@@ -1,15 +1,17 @@
 """Entry point of `python -m ablate` and of the console script `ablate`."""
 
+import _thread
 import os
 import re
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
 from pathlib import Path
+from typing import Any
 
-from ablate.dataset.processes import stop_requested
 from ablate.settings.study import ConfigurationError
 from ablate.tasks.command import execute
 
@@ -32,26 +34,31 @@ def main() -> None:
     try:
         with _stopping_at_signals():
             code = execute(sys.argv[1:])
-        sys.stdout.flush()
+            sys.stdout.flush()
     except ConfigurationError as error:
         message = re.sub(r"://[^\s@]*@", "://...@", str(error))  # no password on the screen
         print(f"ablate: {message}", file=sys.stderr)
         sys.exit(2)
-    except BrokenPipeError:  # such as `| head`, which has read enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is written when Python ends
-        sys.exit(1)
+    except BrokenPipeError:  # whoever read the output, such as `head`, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python writes as it ends
+        sys.exit(128 + 13)
     except OSError as error:  # such as a full disk; what the system did not raise has no number
         if error.errno is None:
             raise
-        sys.exit(f"ablate: {error}; the same command continues where it stopped")
+        sys.exit(_told(error))
     except MemoryError as error:
-        sys.exit(f"ablate: out of memory: {error or 'no size was given'}; the same command continues where it stopped")
+        sys.exit(_told(error, f"out of memory: {error or 'no size was given'}"))
     except _Stopped as stopped:
-        print(f"ablate: {stopped}; the same command continues where it stopped", file=sys.stderr)
+        print(_told(stopped), file=sys.stderr)
         sys.exit(128 + stopped.number)
-    except KeyboardInterrupt:
-        sys.exit("ablate: interrupted; the same command continues where it stopped")
+    except KeyboardInterrupt as error:
+        sys.exit(_told(error, "interrupted"))
     sys.exit(code)
+
+
+def _told(error: BaseException, what: str = "") -> str:
+    """What stopped the program, and what a task has noted of going on."""
+    return "; ".join([f"ablate: {what or error}", *getattr(error, "__notes__", ())])
 
 
 @contextmanager
@@ -59,17 +66,24 @@ def _stopping_at_signals() -> Iterator[None]:
     """Raise `_Stopped` at SIGTERM, and at SIGHUP, which closes a terminal; a signal that is ignored stays ignored."""
 
     def stop(number: int, _: object) -> None:
-        stop_requested.set()  # Python drops what is raised here while it runs the callback of a weak reference
         raise _Stopped(number)
+
+    def dropped(what: Any) -> None:
+        """Send the signal again where Python ran `__del__` or the callback of a weak reference, and raised nothing."""
+        if not isinstance(what.exc_value, KeyboardInterrupt):
+            return before(what)
+        number = getattr(what.exc_value, "number", signal.SIGINT)
+        return threading.Timer(0.05, _thread.interrupt_main, [number]).start()
 
     there = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has one
     watched = [number for number in there if signal.getsignal(number) is signal.SIG_DFL]
+    before, sys.unraisablehook = sys.unraisablehook, dropped
     for number in watched:
         signal.signal(number, stop)
     try:
         yield
     finally:
-        stop_requested.clear()
+        sys.unraisablehook = before
         for number in watched:
             signal.signal(number, signal.SIG_DFL)
 

@@ -114,6 +114,25 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
         load_scene(write(tmp_path, **structure(mesh="gone.obj")))
 
 
+def test_a_file_that_is_named_lies_in_the_folder(tmp_path: Path) -> None:
+    folder, outside = tmp_path / "scene", write_mesh(tmp_path, ".obj")
+    folder.mkdir()
+    (folder / "linked.obj").symlink_to(outside)
+    for name in ("../model.obj", str(outside), "linked.obj"):
+        with pytest.raises(ValueError, match=r"structures\[0\]\.mesh: '(model|linked)\.obj' does not lie in .*/scene;"):
+            validate_scene_folder(write(folder, **structure(mesh=name)))
+    mesh = write_mesh(folder, ".gltf")
+    buffer = sorted(folder.glob("*.bin"))[0]
+    mesh.write_text(mesh.read_text().replace(buffer.name, f"../{buffer.name}"))
+    buffer.rename(tmp_path / buffer.name)
+    with pytest.raises(ValueError, match=rf"model\.gltf: buffer: '{buffer.name}' does not lie in"):
+        mesh_files(mesh)
+    (tmp_path / "link").symlink_to(folder)
+    write(folder, **structure(mesh="own.obj"))
+    write_mesh(folder, ".obj").rename(folder / "own.obj")
+    assert validate_scene_folder(tmp_path / "link").meshes, "the folder itself may be a link"
+
+
 def test_keys_given_twice_are_refused(tmp_path: Path) -> None:
     write(tmp_path)
     with (tmp_path / "scene.yaml").open("a") as stream:

@@ -85,7 +85,9 @@ def test_it_is_registered_once_and_not_without_the_reference(registered: tuple[P
     (version,) = mlflow.MlflowClient(default_uri(runs)).search_model_versions("name = 'renderer of a fetus'")
     assert version.run_id == ids[finished[0].name]
     other = replace(job.settings, reference="nsa2h")
-    assert register_reference(other, finished, parent.store, ids) == "not registered: nsa2h has no finished run"
+    assert (
+        register_reference(other, finished, parent.store, ids) == "not registered: nsa2h has no finished run in MLflow"
+    )
 
 
 def test_a_name_that_mlflow_would_refuse_is_refused_before_anything_starts() -> None:

@@ -34,6 +34,38 @@ def test_opening_twice_gives_the_same_runs(runs: Path) -> None:
     assert parent_run(second, "other") != parent
 
 
+def edited(client: MlflowClient, parent: str, child: str) -> None:
+    """What a person may change in MLflow's pages."""
+    client.rename_experiment(client.get_run(parent).info.experiment_id, "mine")
+    for run_id in (parent, child):
+        client.set_tag(run_id, "mlflow.runName", "the best")
+        for tag in ("kind", "config_hash", "study", "variant", "mlflow.parentRunId"):
+            if tag in client.get_run(run_id).data.tags:
+                client.delete_tag(run_id, tag)
+
+
+def test_what_somebody_edits_or_deletes_in_mlflow_is_found_again_and_left_so(runs: Path) -> None:
+    def ids() -> tuple[str, str]:
+        store = open_store(runs, None, "ablate")
+        parent = parent_run(store, "study")
+        return parent, child_run(store, parent, "sa2h/seed0", "abc", {"variant": "sa2h"})
+
+    made, client = ids(), MlflowClient(default_uri(runs))
+    edited(client, *made)
+    assert ids() == made
+    assert client.get_run(made[1]).info.run_name == "the best"
+    for run_id in reversed(made):
+        client.delete_run(run_id)
+        with pytest.raises(MlflowException, match=f"was deleted in MLflow, .* restore --run-id {run_id}"):
+            ids()
+    for run_id in made:
+        client.restore_run(run_id)
+    (runs / ".stored.json").write_text("{")
+    client.set_tag(made[0], "study", "study")
+    client.set_tag(made[0], "kind", "study")
+    assert ids()[0] == made[0], "its tags tell as well"
+
+
 def test_a_run_carries_what_was_logged(runs: Path) -> None:
     store = open_store(runs, None, "ablate")
     parent = parent_run(store, "study")
@@ -144,6 +176,18 @@ def test_what_a_database_refuses_is_raised_and_not_printed_with_a_traceback(
     with pytest.raises(MlflowException, match="no such table"):
         StoredRun(store, run).mark(Status.finished)
     assert "Traceback" not in capfd.readouterr().err
+
+
+def test_a_database_that_is_locked_or_cannot_be_opened_is_one_that_does_not_answer(
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store_module, "_BUSY_S", 0.1)
+    (tmp_path / "mlflow.db").mkdir()
+    with closing(sqlite3.connect(runs / "mlflow.db")) as connection:
+        connection.execute("BEGIN EXCLUSIVE")
+        for folder, why in ((runs, "database is locked"), (tmp_path, "unable to open database file")):
+            with pytest.raises(OSError, match=f"mlflow.db: {why}"):
+                open_store(folder, None, "ablate")
 
 
 class Killed(BaseException):

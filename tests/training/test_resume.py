@@ -4,7 +4,6 @@ import errno
 import shutil
 import signal
 import tempfile
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -204,17 +203,6 @@ def test_a_signal_that_is_passed_over_stops_the_training_all_the_same(tmp_path: 
     with handled_by(lambda *_: None), pytest.raises(InterruptedError, match=f"SIGTERM after.* of {SETTINGS.steps}"):
         train(SPEC, SETTINGS, stopping, tmp_path)
     assert read_checkpoint(tmp_path / LAST)["steps_done"] in (4, 5)
-
-
-def test_a_signal_whose_exception_was_lost_stops_the_training_after_a_step(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = threading.Event()
-    asked.set()
-    monkeypatch.setattr("ablate.dataset.processes.stop_requested", asked)
-    with handled_by(lambda *_: None), pytest.raises(InterruptedError, match="SIGTERM after step 1 of"):
-        train(SPEC, SETTINGS, loader, tmp_path)
-    assert read_checkpoint(tmp_path / LAST)["steps_done"] == 1
 
 
 def test_a_finished_run_is_not_trained_again_and_a_longer_one_goes_on(

@@ -1,4 +1,4 @@
-"""What is kept of compiled functions follows the sources."""
+"""What is kept of compiled functions follows the sources; without a place to keep it they work all the same."""
 
 import os
 import shutil
@@ -35,3 +35,21 @@ def test_a_change_in_another_file_is_compiled_in(tmp_path: Path) -> None:
     inner = room / "inner.py"
     inner.write_text(inner.read_text().replace("x + 1", "x + 10"))
     assert result() == 20
+
+
+def test_without_a_place_of_its_own_or_a_home_it_works_and_leaves_nothing(tmp_path: Path) -> None:
+    room, temporary = tmp_path / "room", tmp_path / "temporary"
+    for folder in (room, temporary):
+        folder.mkdir()
+    for name, source in SOURCES.items():
+        (room / name).write_text(source)
+    source = Path(compiled.__file__).read_text()
+    (room / "compiled.py").write_text(source.replace("os.access(_ROOM, os.W_OK)", "False"))  # root may write anywhere
+    kept = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    environment = {**kept, "PYTHONPATH": str(tmp_path), "TMPDIR": str(temporary)}
+    environment["NUMBA_CACHE_LOCATOR_CLASSES"] = "UserProvidedCacheLocator"
+    command = [sys.executable, "-m", "room.outer"]
+    done = subprocess.run(command, env=environment, cwd=tmp_path, check=True, capture_output=True, text=True)
+    assert done.stdout == "2\n"
+    assert done.stderr.count("NUMBA_CACHE_DIR=<folder>") == 1
+    assert not list(temporary.iterdir())

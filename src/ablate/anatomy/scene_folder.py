@@ -167,6 +167,7 @@ def mesh_files(path: Path) -> tuple[Path, ...]:
     for buffer in buffers:
         if not buffer.is_file():
             raise FileNotFoundError(f"{path}: buffer {shown(buffer.name)} is no file in the folder of the mesh")
+        values.check_within(path.parent, buffer, f"{path}: buffer")
     return (path, *buffers)
 
 

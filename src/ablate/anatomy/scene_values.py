@@ -60,12 +60,19 @@ def mapping(value: Any, where: str, keys: Collection[str]) -> Mapping[str, Any]:
 
 
 def file_named(name: Any, suffixes: tuple[str, ...], folder: Path, where: str) -> Path:
-    """The file of this name in the folder of the `scene.yaml`, if it is there and ends in one of the suffixes."""
+    """The file of this name within the folder of the `scene.yaml`, if it is there and ends in one of the suffixes."""
     if not isinstance(name, str) or not name.lower().endswith(suffixes):
         raise refusal(where, name, f"names of files that end in {', '.join(suffixes)}")
     if not os.path.isfile(folder / name):  # noqa: PTH113, it is False for a name that is too long
         raise FileNotFoundError(f"{where}: no file {shown(name)} in {folder}")
+    check_within(folder, folder / name, where)
     return folder / name
+
+
+def check_within(folder: Path, path: Path, where: str) -> None:
+    """Refuse a file that a file of the folder names and that lies elsewhere, also where a link leads out."""
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ValueError(f"{where}: {shown(path.name)} does not lie in {folder}; allowed are files within it")
 
 
 def series(value: Any, where: str) -> tuple[float, ...]:

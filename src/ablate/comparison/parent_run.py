@@ -44,9 +44,9 @@ def register_reference(settings: StudySettings, runs: Sequence[Run], store: Stor
     from ablate.tracking.registration import register_generator  # its import takes seconds
 
     name = settings.tracking.register
-    of_reference = [run for run in runs if run.label == settings.reference]
+    of_reference = [run for run in runs if run.label == settings.reference and run.name in ids]
     if not of_reference:
-        return f"not registered: {settings.reference} has no finished run"
+        return f"not registered: {settings.reference} has no finished run in MLflow"
     chosen = max(of_reference, key=lambda run: run.result["scalars"]["val/psnr_fan"])
     trained, data = chosen.settings, chosen.data_set
     middle = [slice(size // 2 - _EXAMPLE_PX // 2, size // 2 + _EXAMPLE_PX // 2) for size in data.pairs.shape]

@@ -189,8 +189,10 @@ def _digest(folder: Path, stats: tuple[tuple[Path, int, int], ...]) -> str:
 
 def _header(path: Path) -> tuple[tuple[int, int], int, int]:
     """Height and width, bits a sample and colour type of a PNG, from its first chunk."""
-    with path.open("rb") as stream:
-        data = stream.read(26)
+    data = b""
+    if path.is_file():  # reading a pipe would wait without end
+        with path.open("rb") as stream:
+            data = stream.read(26)
     if len(data) < 26 or data[:8] != b"\x89PNG\r\n\x1a\n" or data[12:16] != b"IHDR":
         raise ValueError(f"{path}: not a PNG file")
     width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
@@ -252,6 +254,8 @@ def _tissues(path: Path) -> tuple[Tissue, ...] | None:
 
 def _table(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> list[tuple[str, dict[str, str]]]:
     """Places, for messages, and rows of a CSV file with a header line, values without blanks around them."""
+    if not path.is_file():
+        raise ValueError(f"{path}: is no file")
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             reader = csv.DictReader(stream, skipinitialspace=True)

@@ -15,10 +15,6 @@ _QUOTA = Path("/sys/fs/cgroup/cpu.max")  # of a container: microseconds of compu
 # SIGHUP: the terminal is closed; SIGUSR2: submitit's notice that a job's time is up. Windows has neither.
 _SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2") if hasattr(signal, name)]
 
-#: Set by a signal handler of the process that cannot be sure of its exception: Python drops what a handler raises while
-#: it runs the callback of a weak reference. A training that sees it after a step stops as after SIGTERM.
-stop_requested = threading.Event()
-
 
 def allotted_cores() -> int:
     """Cores that this process may use: of its job on a cluster, or of its container, not of the machine."""
@@ -98,9 +94,7 @@ class Interruption:
 
     @property
     def is_asked_for(self) -> bool:
-        """Whether the training is to stop: a signal came, or `stop_requested` is set, which counts as SIGTERM."""
-        if self.signal is None and stop_requested.is_set():
-            self.signal = signal.SIGTERM
+        """Whether the training is to stop."""
         return self.signal is not None
 
     def _receive(self, number: int, _: Any) -> None:

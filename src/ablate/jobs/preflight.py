@@ -47,8 +47,10 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
     if starts or jobs[0].settings.task in (*_NEED_SCENE, Task.export, Task.stability):
         _check_writable(jobs[0].settings.results)
     if starts or jobs[0].settings.task is Task.compare:
-        for folder in {f for job in jobs for f in (job.settings.results, job.settings.study_dir) if f.exists()}:
-            _check_writable(folder)
+        waiting = {job.folder for job in jobs if starts and not (job.folder / "result.json").exists()}
+        for folder in {f for job in jobs for f in (job.settings.results, job.settings.study_dir)} | waiting:
+            if folder.exists():
+                _check_writable(folder)
     if starts or jobs[0].settings.task is Task.plan:
         for job in jobs:
             check_place(job)
@@ -168,3 +170,14 @@ def _check_writable(folder: Path) -> None:
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise ConfigurationError(f"runs_dir: {folder} cannot be written: {os.strerror(error.errno or 0)}") from error
+    for file in (*folder.glob(".*lock"), folder / "mlflow.db"):
+        if file.exists() and not os.access(file, os.W_OK):
+            share = "docs/cluster.md says how a group shares a folder"
+            raise ConfigurationError(f"runs_dir: {file} belongs to {_owner(file)}, and you may not write it; {share}")
+
+
+def _owner(file: Path) -> str:
+    try:
+        return file.owner()
+    except (KeyError, NotImplementedError):  # a number without a name, or Windows
+        return f"user {file.stat().st_uid}"

@@ -91,6 +91,8 @@ def copy_study(settings: StudySettings) -> tuple[StoredRun, dict[str, str]]:
                     run_id = _Copy(settings, run).everything()
             except Timeout:
                 pass  # another process trains it
+            except tracking.RunDeletedError as error:
+                _LOG.warning("%s", error)
             except (KeyError, TypeError, AttributeError) as error:
                 _LOG.warning("%s: not copied to the tracking store, %s is not as runs are now", run.folder, error)
         if run_id:

@@ -35,10 +35,12 @@ def run_task(jobs: Sequence[Job], launch: Launch) -> int:
     task = jobs[0].settings.task
     if task is not Task.describe:
         check(jobs, elsewhere=launch.elsewhere)
-    if task is Task.study:
-        return study(jobs, launch)
-    if task is Task.simulate:
-        return simulate(jobs, launch)
+    if task in (Task.study, Task.simulate):
+        try:
+            return study(jobs, launch) if task is Task.study else simulate(jobs, launch)
+        except (OSError, MemoryError, KeyboardInterrupt) as error:
+            error.add_note("the same command continues where it stopped")
+            raise
     return int(resolve_name(_LOOKING[task])(jobs))
 
 

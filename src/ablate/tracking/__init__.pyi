@@ -11,6 +11,7 @@ from .provenance import hardware as hardware
 from .provenance import packages as packages
 from .provenance import source_digest as source_digest
 from .store import UNAVAILABLE as UNAVAILABLE
+from .store import RunDeletedError as RunDeletedError
 from .store import Store as Store
 from .store import artifact_page as artifact_page
 from .store import child_run as child_run

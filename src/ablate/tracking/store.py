@@ -9,7 +9,7 @@ import logging
 import sqlite3
 import uuid
 from collections.abc import Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,20 +17,23 @@ from urllib.parse import quote
 
 from filelock import FileLock
 from mlflow import MlflowClient
+from mlflow.entities import Run, ViewType
 from mlflow.exceptions import MlflowException
 from sqlalchemy.exc import SQLAlchemyError
 
-from ablate.storage import remove_partial, write_text, written_whole
+from ablate.storage import digest, read_json, remove_partial, write_json, write_text, written_whole
 
 _LOG = logging.getLogger(__name__)
-_LOCK_S = 60.0
+_LOCK_S, _BUSY_S = 60.0, 20.0
 _DAMAGED = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 _OF_TRANSACTIONS = ("-journal", "-wal", "-shm")
 _PARENT_TAG = "mlflow.parentRunId"
 _MOST_RUNS = 50_000  # of one answer, as MLflow allows
+_NOTED = ".stored.json"  # in the folder of runs: ids of runs, which nobody can edit in MLflow's pages as names and tags
 # What is raised where a store does not answer, refuses or is full.
 UNAVAILABLE = (MlflowException, SQLAlchemyError, OSError)
 # Tags of the experiment.
+_AS = "made_as"  # its first name
 _ABOUT = {
     "mlflow.experimentKind": "custom_model_development",  # the pages then show runs and models, not prompts and traces
     "mlflow.note.content": "A run of the first level is a study: its description has the comparison and links to the "
@@ -41,6 +44,14 @@ _REFUSED = {
     "MLFLOW_TRACKING_PASSWORD hold",
     "PERMISSION_DENIED": "your user may not write there; tracking.experiment=<name> makes an experiment of your own",
 }
+
+
+class RunDeletedError(MlflowException):
+    """Somebody has deleted a run in MLflow: it is neither written to nor made a second time."""
+
+    def __init__(self, name: str, run_id: str) -> None:
+        undone = f"`mlflow runs restore --run-id {run_id}` brings it back, after `mlflow gc` it is made anew"
+        super().__init__(f"{name} was deleted in MLflow, and is left so; {undone}")
 
 
 def reason(error: Exception) -> str:
@@ -74,7 +85,7 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
     logging.getLogger("mlflow").setLevel(logging.WARNING)
     logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
     runs.mkdir(parents=True, exist_ok=True)
-    lock, database = runs / ".mlflow.lock", runs / "mlflow.db"
+    lock, database, about = runs / ".mlflow.lock", runs / "mlflow.db", {**_ABOUT, _AS: experiment}
     location = None if uri else (runs / "artifacts").as_uri()
     with FileLock(lock, timeout=_LOCK_S):
         if uri is not None:
@@ -87,6 +98,8 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
         try:
             client = MlflowClient(uri or default_uri(runs))
             known = client.get_experiment_by_name(experiment)
+            if known is None:  # unless somebody has given it another name
+                known = next(iter(client.search_experiments(ViewType.ALL, 1, f"tags.{_AS} = '{experiment}'")), None)
             artifacts = str(known.artifact_location) if known else ""
             is_own = artifacts.startswith("file:") and artifacts.endswith("/artifacts")  # and not at a server's
             if location and is_own and artifacts != location:
@@ -99,7 +112,7 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
             replace_database(database, why)
             client, known = MlflowClient(default_uri(runs)), None
         try:
-            identity = str(known.experiment_id if known else client.create_experiment(experiment, location, _ABOUT))
+            identity = str(known.experiment_id if known else client.create_experiment(experiment, location, about))
         except MlflowException as error:  # somebody else has just made it
             exists = error.error_code == "RESOURCE_ALREADY_EXISTS"
             if not (exists and (known := client.get_experiment_by_name(experiment))):
@@ -107,6 +120,8 @@ def open_store(runs: Path, uri: str | None, experiment: str) -> Store:
             identity = str(known.experiment_id)
         if known and known.lifecycle_stage == "deleted":
             client.restore_experiment(identity)
+        if known and _AS not in known.tags:
+            client.set_experiment_tag(identity, _AS, experiment)
         if uri is None:
             return Store(default_uri(runs), identity, lock, {})
         owner = runs / ".owner"  # the name by which a server knows this folder of runs, wherever it is moved
@@ -139,14 +154,36 @@ def child_runs(store: Store, parent: str) -> dict[tuple[str, str], tuple[str, di
 def _run(
     store: Store, name: str, known_by: Mapping[str, str], tags: Mapping[str, str], start_ms: int | None = None
 ) -> str:
-    """Id of the run that has the tags `known_by`, or of a new one with all tags."""
+    """Id of the run that was made for `known_by`, or has them as tags, or of a new one with all tags.
+
+    What somebody has edited since stays; a run that was deleted is a `RunDeletedError`.
+    """
     query = " and ".join(f"tags.`{tag}` = '{value}'" for tag, value in known_by.items())
+    noted = store.lock.with_name(_NOTED)
     with FileLock(store.lock, timeout=_LOCK_S):
-        client = store.client
-        if known := client.search_runs([store.experiment_id], query, max_results=1):
-            return str(known[0].info.run_id)
-        made = client.create_run(store.experiment_id, start_ms, {**tags, **known_by}, run_name=name)
-        return str(made.info.run_id)
+        client, ids = store.client, {}
+        with suppress(OSError, ValueError):  # none was made here yet, or the file is damaged
+            ids = read_json(noted)
+        run = _run_of(client, ids.get(key := digest([store.uri, known_by])))
+        if run is None:
+            found = client.search_runs([store.experiment_id], query, ViewType.ALL)
+            run = min(found, key=lambda run: run.info.lifecycle_stage, default=None)  # active ones before deleted ones
+        run = run or client.create_run(store.experiment_id, start_ms, {**tags, **known_by}, run_name=name)
+        if run.info.lifecycle_stage == "deleted":
+            raise RunDeletedError(name, run.info.run_id)
+        if ids.get(key) != run.info.run_id:
+            write_json(noted, {**ids, key: run.info.run_id})
+        return str(run.info.run_id)
+
+
+def _run_of(client: MlflowClient, run_id: str | None) -> Run | None:
+    """The run of a noted id; None where none is noted, or the store has it no more."""
+    try:
+        return client.get_run(run_id) if run_id else None
+    except MlflowException as error:
+        if error.error_code == "RESOURCE_DOES_NOT_EXIST":
+            return None
+        raise
 
 
 def artifact_page(store: Store, run_id: str, path: str) -> str:
@@ -200,13 +237,13 @@ def _make(path: Path) -> None:
 def _is_whole(path: Path) -> bool:
     """Whether SQLite can read the file, and MLflow has laid it out to the end: the table of its version is the last.
 
-    An OSError where another program holds the file locked for 20 s.
+    An OSError where it cannot be opened, or another program holds it locked for `_BUSY_S`.
     """
-    with closing(sqlite3.connect(path, timeout=20)) as connection:
-        try:
+    try:
+        with closing(sqlite3.connect(path, timeout=_BUSY_S)) as connection:
             tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        except sqlite3.DatabaseError as error:
-            if error.sqlite_errorcode in _DAMAGED:
-                return False
-            raise OSError(f"{path}: {error}") from error
+    except sqlite3.DatabaseError as error:
+        if error.sqlite_errorcode in _DAMAGED:
+            return False
+        raise OSError(f"{path}: {error}") from error
     return {"alembic_version", "experiments", "runs"} <= tables

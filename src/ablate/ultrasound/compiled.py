@@ -1,8 +1,12 @@
 """How functions of this room are compiled: once, kept on disk, without Python's lock, dividing as NumPy does."""
 
+import atexit
 import hashlib
+import logging
 import math
 import os
+import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar, cast
@@ -20,12 +24,27 @@ _ROOM = Path(__file__).parent
 _DIGEST = hashlib.sha256(b"".join(file.read_bytes() for file in sorted(_ROOM.rglob("*.py")))).hexdigest()[:16]
 
 
+def _find_place() -> None:
+    """Where Numba finds no place, as in a container whose user has no home, make one for this process."""
+    try:
+        njit(cache=True)(_find_place)
+    except RuntimeError:
+        place = tempfile.mkdtemp(prefix="ablate-compiled-")
+        setattr(config, _KEPT_IN, place)
+        atexit.register(shutil.rmtree, place, ignore_errors=True)
+        told = "compiled code cannot be kept, so that each start takes longer; NUMBA_CACHE_DIR=<folder> names a place"
+        logging.getLogger(__name__).warning(told)
+
+
+_find_place()
+
+
 def compiled(function: Function) -> Function:
     """Compile a function when it is first called, or take what was kept of the same sources.
 
     Numba looks at a function's own file only, and would go on using what it compiled before another file changed that
     the function calls into; so what is kept lies in a folder named by all files of the room. Where the room cannot
-    be written, it was installed as a whole, and Numba's own place serves.
+    be written, it was installed as a whole, and Numba's own place serves, or else a folder that ends with the process.
 
     No fast-math: the same numbers whatever the processor's vectors.
     """

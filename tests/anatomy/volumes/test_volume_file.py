@@ -1,6 +1,7 @@
 """Headers of volumes: where voxels lie in the world, and one line for those that cannot be used."""
 
 import re
+import tracemalloc
 from pathlib import Path
 
 import nibabel
@@ -99,6 +100,34 @@ def test_what_is_no_volume_or_ends_early_is_named_in_one_line(tmp_path: Path, na
     with pytest.raises(ValueError, match=rf"{re.escape(name)}: not readable to its end") as caught:
         list(slabs(check_volume(path, "labels.file")))
     assert "\n" not in str(caught.value)
+
+
+def test_more_voxels_than_any_scan_has_are_refused_by_the_header(tmp_path: Path) -> None:
+    image = nibabel.Nifti1Image(values(), np.eye(4))
+    for shape in ((32767, 32767, 32767), (5, -6, 7)):
+        image.header["dim"][1:4] = shape
+        (tmp_path / "a.nii").write_bytes(image.header.binaryblock + bytes(2000))
+        with pytest.raises(
+            ValueError, match=r"^labels\.file: .*a\.nii(: not readable| has .* voxels; allowed are 1 and)"
+        ):
+            check_volume(tmp_path / "a.nii", "labels.file")
+
+
+@pytest.mark.parametrize("encoding", ["gzip", "bzip2"])
+def test_what_unpacks_to_more_than_its_header_says_is_not_unpacked(tmp_path: Path, encoding: str) -> None:
+    header = {"space": "LPS", "space directions": np.eye(3), "space origin": [0, 0, 0], "encoding": encoding}
+    nrrd.write(str(tmp_path / "a.nrrd"), np.zeros((256, 256, 1000), np.uint8), header)
+    content = (tmp_path / "a.nrrd").read_bytes()
+    (tmp_path / "a.nrrd").write_bytes(content.replace(b"sizes: 256 256 1000", b"sizes: 4 4 4"))
+    tracemalloc.start()
+    with pytest.raises(
+        ValueError, match=r"a\.nrrd: not readable to its end: it holds more than its header's \(4, 4, 4\)"
+    ):
+        list(slabs(check_volume(tmp_path / "a.nrrd", "labels.file")))
+    assert tracemalloc.get_traced_memory()[1] < 2e7
+    tracemalloc.stop()
+    nrrd.write(str(tmp_path / "b.nrrd"), values(), header)
+    assert np.array_equal(next(iter(slabs(check_volume(tmp_path / "b.nrrd", "labels.file"))))[1], values())
 
 
 def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,11 +3,15 @@
 The world is RAS+ in mm: x to the patient's right, y to the front, z up, as NIfTI has it.
 """
 
+import bz2
 import csv
+import gzip
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.resources import files
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +24,9 @@ from ablate.setting import shown
 
 SUFFIXES = (".nii", ".nii.gz", ".nrrd")
 VOXEL_MM = (0.01, 6.0)  # shortest and longest side; CT has slices of up to 5 mm
+MOST_VOXELS = 2**29  # 512 x 512 x 2048
 _SQUARE = 1e-3  # largest cosine between two axes
-_SLAB_VOXELS = 2**21
+_SLAB_VOXELS, _CHUNK = 2**21, 2**20
 #: NRRD names its world, as left-posterior-superior or LPS; the factors take it to RAS+.
 _SPACES = {"ras": (1, 1, 1), "lps": (-1, -1, 1), "las": (-1, 1, 1)}
 LABELS_VERSION = 1  # of the surfaces that are made from labels: raised when they change
@@ -50,8 +55,8 @@ def check_volume(path: Path, where: str) -> VolumeFile:
     Raises
     ------
     ValueError
-        When the file is not readable, or the package that reads it is missing; when it is not one volume of 3 axes,
-        or its affine is missing, sheared or has voxels whose sides are not within `VOXEL_MM`.
+        When the file is not readable, or the package that reads it is missing; when it is not one volume of 3 axes
+        with at most `MOST_VOXELS`, or its affine is missing, sheared or has voxels with sides beyond `VOXEL_MM`.
     """
     try:
         shape, affine = _nrrd_header(path) if path.suffix.lower() == ".nrrd" else _nifti_header(path)
@@ -62,6 +67,8 @@ def check_volume(path: Path, where: str) -> VolumeFile:
         raise ValueError(f"{where}: {path}: not readable: {' '.join(str(error).split())}") from None
     if len(shape) != 3:
         raise ValueError(f"{where}: {path} has {len(shape)} axes, {shape}; allowed is one volume of 3")
+    if min(shape) < 1 or math.prod(shape) > MOST_VOXELS:
+        raise ValueError(f"{where}: {path} has {shape} voxels; allowed are 1 and more a side, {MOST_VOXELS} in all")
     if affine is None:
         allowed = "allowed is sform or qform of NIfTI, or space, space directions and space origin of NRRD"
         raise ValueError(f"{where}: {path} has no affine, so where its voxels lie is not known; {allowed}")
@@ -81,9 +88,7 @@ def slabs(volume: VolumeFile) -> Iterator[tuple[slice, np.ndarray]]:
     step = max(1, _SLAB_VOXELS // math.prod(volume.shape[:2]))
     try:
         if volume.path.suffix.lower() == ".nrrd":  # which is read whole, NIfTI in parts
-            import nrrd
-
-            values = nrrd.read(str(volume.path), index_order="F")[0]
+            values = _nrrd_values(volume)
         else:
             import nibabel
 
@@ -123,6 +128,21 @@ def _nrrd_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None]:
     affine[:3, :3] = np.asarray(header["space directions"], np.float64).T
     affine[:3, 3] = header["space origin"]
     return shape, np.diag([*_SPACES[initials], 1.0]) @ affine
+
+
+def _nrrd_values(volume: VolumeFile) -> np.ndarray:
+    """All values of an NRRD, unpacked only where they are no more than its header says; pynrrd unpacks any number."""
+    import nrrd
+
+    with volume.path.open("rb") as stream:
+        header = nrrd.read_header(stream)
+        unpacked: Any = {"g": gzip.open, "b": bz2.open}.get(str(header.get("encoding"))[:1])
+        left = 8 * math.prod(volume.shape)  # no type has more bytes
+        with unpacked(stream) if unpacked else nullcontext(BytesIO()) as content:
+            while part := content.read(_CHUNK):
+                if (left := left - len(part)) < 0:
+                    raise ValueError(f"it holds more than its header's {volume.shape} voxels")
+    return nrrd.read(str(volume.path), index_order="F")[0]
 
 
 def _affine_fault(affine: np.ndarray) -> str | None:

@@ -91,9 +91,10 @@ def _add_echoes(echoes: np.ndarray, gain_db: np.ndarray, places: Vector, weights
 def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype) -> np.ndarray:
     """Spread echoes of rays that have left their beam, few and out of focus, along and across the scanlines.
 
-    The sum is kept. The result is (scanlines, samples), or (0, samples) where there are no such echoes. The power of the sum is estimated without bias, from
-    products x_i x_j of different lines' shares i != j in it (a U-statistic; Hoeffding 1948). The square of the sum
-    would hold x_i^2 as well, whose mean is too large by the variance: bright bands of one heavy path in dark fluid.
+    The sum is kept. The result is (scanlines, samples), or (0, samples) where there are no such echoes. The power of
+    the sum is estimated without bias, from products x_i x_j of different lines' shares i != j in it (a U-statistic;
+    Hoeffding 1948). The square of the sum would hold x_i^2 as well, whose mean is too large by the variance: bright
+    bands of one heavy path in dark fluid.
     """
     if not reverberation.any():
         return torch.empty((0, samples), dtype=dtype).numpy()
