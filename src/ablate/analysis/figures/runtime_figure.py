@@ -35,7 +35,6 @@ OTHER_SPECKLE = "simulator, other scatterers"
 # Series of the simulator: colour, marker, line and size. All others are trained runs.
 SIMULATOR: dict[str, tuple[str, str, str, float]] = {
     "simulator, rays": ("#000000", "o", "-", 3.5),
-    "simulator, rays, plan=full": ("#000000", "o", "none", 6.5),
     "simulator, layers": ("#666666", "s", "none", 4.0),
     "simulator, scanlines": ("#666666", "^", "none", 4.5),
     "simulator, axial samples": ("#666666", "v", "none", 4.5),
@@ -118,7 +117,7 @@ def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None,
         if drawn.empty:
             continue
         style: dict[str, Any] = {"marker": marker, "ls": line, "ms": size, "lw": 0.8, "color": colour, "label": name}
-        axes.plot(drawn["ms"], drawn["error"], mfc="none" if name == "simulator, rays, plan=full" else colour, **style)
+        axes.plot(drawn["ms"], drawn["error"], **style)
         for _, end in drawn.iloc[[0, -1]].iterrows() if name in _LABELLED else ():
             shift: dict[str, Any] = {"xytext": (4, 3), "textcoords": "offset points"}
             axes.annotate(str(end["setting"]), (end["ms"], end["error"]), fontsize=6, color=colour, **shift)
