@@ -25,7 +25,6 @@ from ablate.analysis.figures.style import (
     shown_name,
 )
 from ablate.analysis.statistics.work_precision import observed_order, pareto_front
-from ablate.analysis.tables import resimulation_note
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.metric import BOUNDS
 
@@ -154,16 +153,6 @@ def plain_numbers(axis: Axis, subs: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FormatStrFormatter("%g"))
     axis.set_minor_formatter(NullFormatter())
-
-
-def runtime_caption(metrics: Sequence[str]) -> str:
-    """Caption of `error_vs_runtime`."""
-    return (
-        "Error on the test frames against the median time per frame, with the maps that the network reads, on the "
-        "machine that the figure names. Bars are quartiles over rounds in which all networks took turns. The grey line "
-        f"is the Pareto front; no point is on it for a time that differs by less than the bars. The paper does "
-        f"not name the GPU of its times. {resimulation_note(list(metrics))}"
-    )
 
 
 def order_figure(points: pd.DataFrame, grids: pd.DataFrame, base: dict[str, int], stem: Path) -> list[Path]:
