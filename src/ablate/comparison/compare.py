@@ -10,8 +10,8 @@ import pandas as pd
 from filelock import FileLock
 
 from ablate import analysis
-from ablate.analysis import FramePictures, Spread
-from ablate.comparison.frame_times import TIMES, all_times, frame_times, time_networks, timed_on, untimed
+from ablate.analysis import FramePictures
+from ablate.comparison.frame_times import TIMES, frame_times, time_networks, timed_on, untimed
 from ablate.comparison.parent_run import describe_study, register_reference
 from ablate.comparison.reading import Study, appendix, pictures, provenance, runtime_points, scored_frames
 from ablate.comparison.usable_runs import levels_of, usable_runs
@@ -125,9 +125,8 @@ def write_comparison(study: Study, title: str) -> list[str]:
     analysis.wide_table(study.table).to_csv(partial / "table.csv", index=False)
     of_the_paper = study.table[study.table["metric"].isin(shown_in(Shown.table))]
     (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
-    (partial / "table.md").write_text(_markdown(study.table), "utf-8")
     tables = {"paired": study.paired, "claims": claims, "verdicts": judged.verdicts, "runs": judged.runs}
-    more = {"effects": judged.effects, "paper": judged.paper, "times": all_times(usable.all)}
+    more = {"effects": judged.effects, "paper": judged.paper}
     for name, content in (tables | {name: made for name, made in more.items() if len(made)}).items():
         content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
@@ -211,19 +210,6 @@ def _verdicts_in_words(verdicts: Path) -> str:
     shown = table[table["effect"].notna()]
     words = [f"{c} {v.replace('_', ' ')}" for c, v in zip(shown["component"], shown["verdict"], strict=True)]
     return f" ({', '.join(words)})" if words else ""
-
-
-def _markdown(table: pd.DataFrame) -> str:
-    """The table of the paper, then every metric with the spread over seeds."""
-    over_seeds = table["seed_sd"].notna().any()
-    title = "Mean ± standard deviation of the seeds' means." if over_seeds else "All metrics."
-    parts = [
-        "Mean ± standard deviation over test frames (over seeds for figures that a run has one of); the best network "
-        f"in bold.\n\n{analysis.to_markdown(table[table['metric'].isin(shown_in(Shown.table))])}",
-        f"{analysis.resimulation_note(list(dict.fromkeys(table['metric'])))}\n",
-        f"{title}\n\n{analysis.to_markdown(table, Spread.seeds if over_seeds else Spread.frames)}",
-    ]
-    return "\n".join(parts)
 
 
 def _left_out(runs: Sequence[Run]) -> list[str]:
