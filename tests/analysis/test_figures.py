@@ -64,15 +64,6 @@ def legend_of(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
-@pytest.mark.parametrize("metrics", [["psnr"], ["psnr", "pchi2"]])
-def test_a_single_network_leaves_room_to_draw(metrics, study_of, figures, tmp_path):
-    analysis.boxplot_panels(study_of(variants=(RESIMULATION, "sa2h", "nsa2h")), metrics, tmp_path / "boxplots")
-    analysis.seed_plot(study_of(variants=(RESIMULATION, "sa2h")), None, metrics, tmp_path / "seeds")
-    for figure in figures.values():
-        figure.draw_without_rendering()
-        assert min(axes.get_position().height * figure.get_size_inches()[1] for axes in figure.axes) > 0.25, "inches"
-
-
 def test_boxes_are_quartiles_of_the_paired_differences_and_resimulation_is_a_band(study, figures, tmp_path):
     analysis.boxplot_panels(
         study, ["psnr", "pchi2"], tmp_path / "boxplots", paired=analysis.paired_table(study, resamples=50)
