@@ -23,7 +23,7 @@ from tempfile import mkdtemp
 
 from IPython.display import Image, display
 
-from ablate.analysis import forest_figure, improvements, interactions, verdicts_caption
+from ablate.analysis import caption, forest_figure, improvements, interactions
 from ablate.comparison.reading import ANSWER, found_study
 from ablate.metrics import metric_of
 from ablate.settings.conf import components
@@ -32,7 +32,7 @@ study = found_study(ANSWER, "make answer")
 answers = study.answers
 runs = answers.runs.groupby("data", sort=False).size()
 print(f"{study.folder.name}: {len(answers.runs)} runs; by data set: {runs.to_dict()}")
-print(verdicts_caption(answers.design, study.reference))
+print(caption("verdicts", reference=study.reference, design=answers.design))
 
 # %% [markdown]
 # ## The picture

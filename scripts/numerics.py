@@ -27,7 +27,6 @@ TABLES = {
     "order": "Observed order",
     "grids": "Error of a grid",
     "limits": "Single precision",
-    "plan": "What the plan saves",
     "budgets": "The best within",
     "stages": "Stages of a simulated",
 }

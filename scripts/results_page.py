@@ -17,6 +17,7 @@ from ablate.analysis import (
     Design,
     FramePictures,
     Spread,
+    caption,
     comparison_table,
     forest_figure,
     improvements,
@@ -26,7 +27,6 @@ from ablate.analysis import (
     resimulation_note,
     seed_claims,
     to_markdown,
-    verdicts_caption,
 )
 from ablate.comparison.reading import Answers, answers, provenance, scored_frames
 from ablate.comparison.usable_runs import UsableRuns, usable_runs
@@ -105,7 +105,7 @@ def study_lines(study: Path) -> Iterator[str]:
         path.stem: f"![{path.stem}]({study.parent.name}/{study.name}/{path.name})" for path in figures(study, found)
     }
     if "verdicts" in drawn:
-        yield f"{drawn['verdicts']}\n\n*{verdicts_caption(design)}*"
+        yield f"{drawn['verdicts']}\n\n*{caption('verdicts', design=design)}*"
         yield from verdict_lines(study.name, found, preliminary)
     if "qualitative" in drawn:
         yield "### Pictures"

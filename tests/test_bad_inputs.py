@@ -95,7 +95,6 @@ def scene_folder(folder: Path, **changes: object) -> None:
 COMMAND_LINES: list[tuple[list[str], str]] = [
     # What is not there.
     (["variant=sa3h"], r"variant=sa3h: allowed are custom, lsa2h, nsa2h, sa2h, "),
-    (["-m", "variant=sa2h,sa3h"], r"variant=sa3h: allowed are"),
     (["preset=huge"], r"preset=huge: allowed are laptop, paper, quick"),
     (["scene=mars"], r"scene=mars: allowed are fetal, folder, pairs"),
     (["+study=everything"], r"study=everything: allowed are add_one_in, answer"),
@@ -116,7 +115,6 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["variant=[sa2h"], r"."),
     # Out of range, or not together.
     (["seed=-1"], r"seed=-1: allowed are whole numbers from 0"),
-    (["-m", "seed=0,-1"], r"seed=-1: allowed are whole numbers from 0"),
     (["seed=99999999999999999999"], r"seed=99999999999999999999: allowed are whole numbers below 2\^63"),
     (["simulator.image_shape=[]"], r"image_shape"),
     (["simulator.image_shape=[99999,1]"], r"simulator\.image_shape=\[99999, 1\]: .* 2 whole numbers from 1 to 16384"),
@@ -124,7 +122,6 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["variant=sa2h-gan", "training.l1_weight=0"], r"l1_weight=0 with loss=none"),
     (["training.batch_size=1000"], r"training\.batch_size=1000: more than the \d+ training frames"),
     (["dataset.grid=[1,2]"], r"dataset\.grid=\[1, 2\]: allowed are 4 whole numbers from 1, or null"),
-    (["training.device=tpu"], r"training\.device='tpu': allowed are auto, cpu, cuda"),
     (["model.noise_start=0.1", "model.noise=none"], r"noise_start=0.1 with noise=none: allowed is 0"),
     (["probe=matrix"], r"probe=matrix: allowed are c5-2v, convex, l11-5v, linear, p4-2v, phased"),
     (["probe=linear", "probe.radius_mm=50"], r"probe\.radius_mm=50\.0: a linear probe has width_mm, depth_mm"),
@@ -143,7 +140,6 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     ([f"study_name={300 * 'x'}"], r"study_name='x+\.\.\.x+': allowed are at most 200"),
     (["study_name=data"], r"study_name=data: the names artifacts, data, .* are taken"),
     (["tracking.experiment="], r"tracking\.experiment='': allowed are at most 200 letters"),
-    (['tracking.experiment="a\nb"'], r"tracking\.experiment='a\\+nb': allowed are"),
     (["tracking.register=a/b"], r"tracking\.register=a/b: allowed are"),
     (["runs_dir=file/runs"], r"file/runs"),
     (["runs_dir=file", "task=plan"], r"file' is a file; allowed is a folder"),

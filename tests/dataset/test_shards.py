@@ -1,7 +1,5 @@
 """Shards are read by zarr as they were written, and every way of damaging them is noticed."""
 
-import errno
-import os
 from pathlib import Path
 
 import numpy as np
@@ -72,25 +70,6 @@ def test_a_damaged_frame_costs_only_itself(pairs: Pairs, shard: Path) -> None:
         except DamagedShardError:
             damaged.append(k)
     assert len(damaged) == 1
-
-
-def test_a_full_disk_leaves_what_was_there(shard: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = shard.read_bytes()
-
-    def full(_: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space left"):
-        write_shard(shard, "target", frames("target", 4), SLOTS)
-    assert [p.name for p in shard.parent.iterdir()] == ["0"]
-    assert shard.read_bytes() == before
-
-
-def test_what_a_killed_process_left_is_removed(shard: Path) -> None:
-    (shard.parent / "0.deadbeef.partial").write_bytes(b"half a shard")
-    write_shard(shard, "target", frames("target", 3), SLOTS)
-    assert [p.name for p in shard.parent.iterdir()] == ["0"]
 
 
 @given(st.lists(st.floats(0, 1, width=32), min_size=1))

@@ -109,9 +109,3 @@ def test_masks_and_the_figure():
     assert rms(chi2, inside) == pytest.approx(0.25)
     assert rms(chi2) == pytest.approx(np.sqrt(2.25 / 6))
     assert rms(chi2, np.zeros_like(inside)) is None
-
-
-@pytest.mark.parametrize("options", [{"patch": 0}, {"bins": 0}])
-def test_refuses_what_makes_no_sense(options):
-    with pytest.raises(ValueError, match="must be"):
-        patch_chi2(*np.zeros((2, 40, 40), np.uint8), **options)

@@ -21,7 +21,7 @@ from ablate.jobs.compose import jobs_of
 from ablate.metrics import mae, psnr
 from ablate.numerics.precision import bench, generated
 from ablate.numerics.precision import task as module
-from ablate.numerics.precision.bench import CsvTable, Frames, bench_of, mean_errors
+from ablate.numerics.precision.bench import Frames, bench_of, mean_errors
 from ablate.runs.simulated import build_scene
 from ablate.runs.train import run_job
 from ablate.settings.study import ConfigurationError
@@ -33,7 +33,6 @@ from ablate.ultrasound.imaging import scatterers
 from support.studies import run as run_command
 
 TINY = ("preset=tiny", "training.steps=2", "evaluation.pictures=1")
-POINTS, DETAILS = "series setting ms metric error", "table series setting quantity value"
 
 
 def run(*arguments: str) -> int:
@@ -88,8 +87,6 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     scanlines = points[points["series"] == "simulator, scanlines"]
     assert list(dict.fromkeys(scanlines["setting"])) == ["6", "12", "24", "48"]
     assert set(scanlines[scanlines["metric"] == "envelope_rms"]["setting"]) == {"24"}, "one grid has the reference's"
-    full = points[points["series"] == "simulator, rays, plan=full"]
-    assert np.array_equal(full["error"], rays["error"]), "what the plan leaves out changes nothing"
     network = points[points["series"] == "sa2h"]
     assert "width 0.05, fp32, eager, seed 0" in set(network["setting"])
     assert "envelope_rms" not in set(network["metric"])
@@ -100,7 +97,7 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     assert set(paid.index) == {"segmentation", "attenuation", "network"}
     whole = network[network["setting"] == "width 0.05, fp32, eager, seed 0"]["ms"].iloc[0]
     assert paid.sum() == pytest.approx(whole), "S and A are paid for"
-    assert {"reference", "convergence", "limit", "plan"} <= set(details["table"])
+    assert {"reference", "convergence", "limit", "stage"} == set(details["table"])
     for figure in ("precision", "precision_order"):
         assert (trained / "precision" / f"{figure}.png").exists()
 
@@ -154,7 +151,7 @@ def test_the_compensated_attenuation_is_that_of_the_pairs_and_costs_more_than_th
 
 
 def test_an_engine_that_fails_costs_its_points_alone(
-    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    trained: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fails(*arguments: Any) -> Any:
         if arguments[-2] is not TrainingPrecision.fp32:
@@ -166,15 +163,13 @@ def test_an_engine_that_fails_costs_its_points_alone(
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
     chosen = bench_of(job)
     ((reference,), _) = bench.render_all(chosen, [chosen.simulator], (chosen.seed,), "reference")[0]
-    points, details = CsvTable(tmp_path / "p.csv", POINTS), CsvTable(tmp_path / "d.csv", DETAILS)
     planned = generated.schedule_of(generated.comparable_runs(job)[0], job.settings)
-    generated.measure_generators(chosen, planned, job.settings, reference, points, details)
+    points, _ = generated.measure_generators(chosen, planned, job.settings, reference)
     assert "left out, sa2h, width 0.05, bf16, eager, seed 0: no such kernel" in caplog.text
-    table = points.table()
-    assert set(table.loc[table["series"] == "sa2h", "setting"]) == {"width 0.05, fp32, eager, seed 0"}
+    assert {row[:2] for row in points} == {("sa2h", "width 0.05, fp32, eager, seed 0")}
 
 
-def test_an_interruption_leaves_what_was_measured_and_the_same_command_measures_it_again(
+def test_without_a_trained_run_the_simulator_is_measured_alone_also_after_an_interruption(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def stopped(*_: object) -> None:
@@ -182,19 +177,12 @@ def test_an_interruption_leaves_what_was_measured_and_the_same_command_measures_
 
     arguments = f"runs_dir={tmp_path}", "evaluation.timed_frames=1"
     with monkeypatch.context() as patch:
-        patch.setattr(bench, "_converging", stopped)
-        with pytest.raises(SystemExit, match="interrupted; what was measured is in"):
+        patch.setattr(module, "measure_simulator", stopped)
+        with pytest.raises(SystemExit, match="interrupted; the same command measures everything again"):
             run(*arguments)
-    points = pd.read_csv(tmp_path / "precision" / "precision.csv")
-    names = ("rays", "rays, plan=full", "layers", "scanlines", "axial samples")
-    ladders = {f"simulator, {name}" for name in names}
-    assert set(points["series"]) == {*ladders, "simulator, other scatterers"}
     client = MlflowClient(default_uri(tmp_path))
     (recorded,) = client.search_runs(["1"], "attributes.run_name = 'precision'")
     assert recorded.info.status == "KILLED"
-    assert {a.path for a in client.list_artifacts(recorded.info.run_id)} == {"precision.csv", "details.csv"}
-
-    # There is no trained run: the simulator is measured and drawn alone.
     assert run(*arguments) == 0
     assert f"no trained run in {tmp_path}: the simulator alone" in capsys.readouterr().out
     points = pd.read_csv(tmp_path / "precision" / "precision.csv")
@@ -280,29 +268,6 @@ def test_how_far_a_reference_moves_an_error(metric: str, error: float, other: fl
     assert bench.relative_change(metric, error, other) == pytest.approx(moved)
 
 
-def test_a_table_grows_on_disk_and_a_kill_leaves_the_rows_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "deep" / "a.csv"
-    table = CsvTable(path, "series setting quantity value")
-    table.add_each("a, b", 16, values={"mae": 0.1})
-    assert table.table().to_dict("records") == [{"series": "a, b", "setting": "16", "quantity": "mae", "value": 0.1}]
-
-    def killed(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    before = path.read_text()
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "replace", killed)
-        patch.setattr(Path, "unlink", killed)  # nothing is tidied up
-        with pytest.raises(KeyboardInterrupt):
-            table.add_each("c", 1, values={"mae": 0.2})
-    assert path.read_text() == before
-    assert len(list(path.parent.iterdir())) == 2
-    CsvTable(path, "series value")
-    assert [p.name for p in path.parent.iterdir()] == ["a.csv"]
-
-
 def test_bf16_only_where_it_is_multiplied(monkeypatch: pytest.MonkeyPatch) -> None:
     (job,) = jobs_of(TINY)
     monkeypatch.setattr(generated, "chosen_precision", lambda *_: TrainingPrecision.fp32)
@@ -314,7 +279,6 @@ def test_bf16_only_where_it_is_multiplied(monkeypatch: pytest.MonkeyPatch) -> No
 def test_the_best_within_a_budget_and_of_equal_ones_the_fastest() -> None:
     points = [
         *(("simulator, rays", n, 30.0 + n, 1 / n) for n in (1, 4, 16)),
-        *(("simulator, rays, plan=full", n, 20.0 + n, 0.0) for n in (1, 4)),
         *(("simulator, other scatterers", f"rays {n}", 30.0 + n, 2 / n) for n in (1, 4)),
         *(("sa2h", way, ms, 0.7) for way, ms in (("bf16", 20.0), ("fp32", 9.0))),
     ]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ablate.tracking import environment, git_state, hardware, packages
+from ablate.tracking import git_state, packages
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -59,18 +59,9 @@ def test_another_repository_tells_nothing(tmp_path: Path, place: str, name: str,
     assert git_state(package) == {}
 
 
-def test_environment_names_versions() -> None:
-    assert f"numpy=={np.__version__}" in environment().splitlines()
-
-
 def test_packages_are_those_that_the_project_names() -> None:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
     versions = packages()
     assert list(versions)[:2] == ["python", project["name"]]
     assert len(versions) == 2 + len(project["dependencies"])
     assert versions["numpy"] == np.__version__
-
-
-def test_hardware_is_one_line() -> None:
-    assert "core" in hardware()
-    assert "\n" not in hardware()

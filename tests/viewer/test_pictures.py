@@ -6,12 +6,10 @@ import pytest
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.viewer.pictures import (
     difference_picture,
-    empty_picture,
     framed,
     label_at,
     label_picture,
     marked,
-    on_fan,
     share_picture,
 )
 
@@ -61,16 +59,3 @@ def test_a_cross_lies_where_the_label_of_its_point_is_read() -> None:
     picture = marked(np.zeros((*SHAPE, 3), np.uint8), [(x, z)], PROBE)
     yellow = np.argwhere(picture.any(axis=-1)).mean(axis=0)
     np.testing.assert_allclose(yellow, (row, column), atol=1.5)
-
-
-def test_outside_the_fan_the_picture_in_space_is_transparent() -> None:
-    seen = on_fan(np.full(SHAPE, 90, np.uint8), MASK, rows=100)
-    assert seen.shape == (100, 139, 4)
-    assert seen[0, 0, 3] == 0
-    assert seen[50, 69].tolist() == [90, 90, 90, 255]
-
-
-def test_words_stand_in_for_a_picture_of_the_same_size() -> None:
-    words = empty_picture("no trained network yet\nmake sweep", SHAPE)
-    assert words.shape == framed(np.zeros(SHAPE, np.uint8), MASK, PROBE).shape
-    assert words.max() > 100

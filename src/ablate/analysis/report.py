@@ -55,6 +55,20 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
     return [*texts, *_about_frames(networks), *_about_values(per_image)]
 
 
+def caption(figure: str, metrics: Sequence[str] = (), reference: str = REFERENCE, **shown: object) -> str:
+    """Caption of a figure, by the name of its file without a number; `shown` is what else stands in `captions.jinja`.
+
+    Examples
+    --------
+    >>> from ablate.analysis import caption
+    >>> caption("seeds", ["psnr"])[:42]
+    'Scores of all trainings. A ring is the mea'
+    """
+    labels, note = ", ".join(metric_of(metric).label for metric in metrics), resimulation_note(list(metrics))
+    template = _TEMPLATES.get_template("captions.jinja")
+    return " ".join(template.render(shown, figure=figure, labels=labels, note=note, reference=reference).split())
+
+
 def listed(names: list[str]) -> str:
     """Names in a sentence, the rest counted where there are many."""
     more = len(names) - MOST_NAMED

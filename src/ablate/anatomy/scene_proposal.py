@@ -1,7 +1,10 @@
 """A scene.yaml proposed for a folder of meshes that has none: tissues from the names of files, the rest from sizes."""
 
+import csv
 import json
 import re
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -14,30 +17,6 @@ from ablate.anatomy.scene_folder import MESH_SUFFIXES, UNITS_MM
 from ablate.anatomy.tissue import TissueKind, load_tissues
 
 _UNKNOWN = "soft_tissue"
-#: Beginnings of words in names, the first that fits decides; a name that is a tissue's is tried before.
-_TISSUE_OF_NAME = {
-    "gall|bile|choledoch": "bile",
-    "suprar|adren": "adrenal",
-    "kidney_cyst|renal_cyst|cyst": "urine",
-    "vessel_wall": "vessel_wall",
-    "fetal_bone": "fetal_bone",
-    "kidney|renal|ren_": "kidney",
-    "bladder|ureter|urin": "urine",
-    "amnio": "amniotic_fluid",
-    "ventricle|cerebrospinal": "csf",
-    "aort|cava|pulmonary|brachioceph|subclav|iliac|vein|vena|arter|vessel|porta|carotid|jugular|atri": "blood",
-    "cartilag": "cartilage",
-    "bone|spine|vertebra|rib|pelvis|sacr|hip|femur|humer|scapul|clavic|skull|crani|stern|tibia|fibula|mandib": "bone",
-    "lung|trachea|bronch|colon|air": "gas",
-    "stomach|bowel|intestin|duoden|jejun|ileum|gut|gastr": "stomach_wall",
-    "heart|cardi": "myocardium",
-    "hepat|spleen|splen": "liver",
-    "uter|myometr": "uterine_wall",
-    "glute|iliopsoas|psoas|autochthon|rectus|diaphragm|esophag|oesophag": "muscle",
-    "cord_vessel|wharton|umbil": "wharton_jelly",
-    "spinal|cerebr|cerebel": "brain",
-    "skin|body|torso|trunk|fetus|foetus|tumou?r|pancrea|thyroid": _UNKNOWN,
-}
 _MISLEADING = {"skin", "lung"}  # a closed skin is the whole body, and the lung of the table is a fetus's
 #: What is filled with something hard or empty cuts into what is soft, so it comes later.
 _ORDER = (TissueKind.soft, TissueKind.fluid, TissueKind.gas, TissueKind.bone)
@@ -103,9 +82,17 @@ def tissue_of_name(name: str) -> tuple[str, str]:
     known = load_tissues().keys() - _MISLEADING
     if stem in known:
         return stem, "its name is that of a tissue"
-    for pattern, tissue in _TISSUE_OF_NAME.items():
+    # beginnings of words, the first that fits decides
+    for pattern, tissue in _names():
         if match := re.search(rf"(?:^|_)(?:{pattern})", stem):
             return tissue, f"its name has {match.group().strip('_')}"
     if longest := max((tissue for tissue in known if tissue in stem), key=len, default=None):
         return longest, f"its name has {longest}"
     return _UNKNOWN, "its name says nothing"
+
+
+@cache
+def _names() -> list[tuple[str, str]]:
+    """Beginnings of words in the names of files, as a regular expression, and the tissue that each points to."""
+    with files("ablate.anatomy").joinpath("names.csv").open(encoding="utf-8") as stream:
+        return [(row["beginnings"], row["tissue"]) for row in csv.DictReader(stream)]

@@ -10,8 +10,8 @@ import pandas as pd
 from filelock import FileLock
 
 from ablate import analysis
-from ablate.analysis import RESIMULATION, FramePictures, Spread
-from ablate.comparison.frame_times import TIMES, all_times, frame_times, time_networks, timed_on, untimed
+from ablate.analysis import FramePictures
+from ablate.comparison.frame_times import TIMES, frame_times, time_networks, timed_on, untimed
 from ablate.comparison.parent_run import describe_study, register_reference
 from ablate.comparison.reading import Study, appendix, pictures, provenance, runtime_points, scored_frames
 from ablate.comparison.usable_runs import levels_of, usable_runs
@@ -125,9 +125,8 @@ def write_comparison(study: Study, title: str) -> list[str]:
     analysis.wide_table(study.table).to_csv(partial / "table.csv", index=False)
     of_the_paper = study.table[study.table["metric"].isin(shown_in(Shown.table))]
     (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
-    (partial / "table.md").write_text(_markdown(study.table), "utf-8")
     tables = {"paired": study.paired, "claims": claims, "verdicts": judged.verdicts, "runs": judged.runs}
-    more = {"effects": judged.effects, "paper": judged.paper, "times": all_times(usable.all)}
+    more = {"effects": judged.effects, "paper": judged.paper}
     for name, content in (tables | {name: made for name, made in more.items() if len(made)}).items():
         content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
@@ -147,47 +146,39 @@ def stored_pictures(runs: Sequence[Run], reference: str) -> tuple[list[FramePict
 def draw_figures(study: Study, frames: Sequence[FramePictures], folder: Path) -> list[tuple[Path, str]]:
     """Draw every figure for which there are numbers or pictures; returns PNGs and PDFs, each with its caption."""
     reference, per_image, answers = study.reference, study.per_image, study.answers
-    design, means, effects, components = answers.design, answers.means, answers.effects, answers.components
+    design, means, components = answers.design, answers.means, answers.components
     made: list[tuple[Path, str]] = []
 
-    def add(paths: Sequence[Path], caption: str) -> None:
-        made.extend((path, caption) for path in paths)
+    def add(paths: Sequence[Path], figure: str, metrics: Sequence[str] = (), **shown: object) -> None:
+        made.extend((path, analysis.caption(figure, metrics, reference, **shown)) for path in paths)
 
     runs = analysis.improvements(means, design, components)
     pairs = analysis.interactions(means, design, components)
     paths = analysis.forest_figure(answers.verdicts, runs, pairs, components, folder / "verdicts")
-    add(paths, analysis.verdicts_caption(design, reference))
+    add(paths, "verdicts", design=design)
     page = analysis.frames_a_page(len(frames[0].predictions)) if frames else 1
     for k, start in enumerate(range(0, len(frames), page)):
         paths = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}", components)
-        add(paths, analysis.QUALITATIVE_CAPTION.format(reference=reference))
+        add(paths, "qualitative")
     boxes = [name for name in shown_in(Shown.headline) if name in set(per_image["metric"])]
     drawn = analysis.boxplot_panels(per_image, boxes, folder / "boxplots", reference, study.paired, components)
-    add(drawn, analysis.boxplot_caption(boxes, reference))
+    add(drawn, "boxplots", boxes)
     panels = shown_in(Shown.panels)
-    add(
-        analysis.seed_plot(per_image, study.scalars, panels, folder / "seeds", reference, components),
-        analysis.seeds_caption(panels, reference),
-    )
-    if design is not None and len(effects):
-        scored = study.table.pivot(index="metric", columns="variant", values="mean")
-        scored = scored.reindex(columns=[RESIMULATION, reference])  # NaN where there is none
-        gaps = {str(m): floor - mean for m, floor, mean in scored.dropna().itertuples()}
-        drawn = analysis.effects_plot(effects, panels, folder / "effects", gaps)
-        add(drawn, analysis.effects_caption(design, effects, reference if gaps else None))
+    paths = analysis.seed_plot(per_image, study.scalars, panels, folder / "seeds", reference, components)
+    add(paths, "seeds", panels)
     for k, frame in enumerate(frames):
         paths = analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}", components)
-        add(paths, analysis.CHI2_CAPTION.format(frame=frame.name))
+        add(paths, "pchi2_maps", frame=frame.name)
     points, floors = runtime_points(study.table)
     if len(points):
         paths = analysis.error_vs_runtime(
             points, folder / "error_vs_runtime", floors, timed_on(study.usable.all), components=components
         )
-        add(paths, analysis.runtime_caption(list(dict.fromkeys(points["metric"]))))
+        add(paths, "error_vs_runtime", list(dict.fromkeys(points["metric"])))
     for metric in analysis.ordered_metrics(list(per_image["metric"])):
         stem = folder / f"boxplot_{metric}"
         paths = analysis.boxplot_panels(per_image, [metric], stem, reference, study.paired, components)
-        add(paths, analysis.boxplot_caption([metric], reference))
+        add(paths, "boxplots", [metric])
     return made
 
 
@@ -219,19 +210,6 @@ def _verdicts_in_words(verdicts: Path) -> str:
     shown = table[table["effect"].notna()]
     words = [f"{c} {v.replace('_', ' ')}" for c, v in zip(shown["component"], shown["verdict"], strict=True)]
     return f" ({', '.join(words)})" if words else ""
-
-
-def _markdown(table: pd.DataFrame) -> str:
-    """The table of the paper, then every metric with the spread over seeds."""
-    over_seeds = table["seed_sd"].notna().any()
-    title = "Mean ± standard deviation of the seeds' means." if over_seeds else "All metrics."
-    parts = [
-        "Mean ± standard deviation over test frames (over seeds for figures that a run has one of); the best network "
-        f"in bold.\n\n{analysis.to_markdown(table[table['metric'].isin(shown_in(Shown.table))])}",
-        f"{analysis.resimulation_note(list(dict.fromkeys(table['metric'])))}\n",
-        f"{title}\n\n{analysis.to_markdown(table, Spread.seeds if over_seeds else Spread.frames)}",
-    ]
-    return "\n".join(parts)
 
 
 def _left_out(runs: Sequence[Run]) -> list[str]:

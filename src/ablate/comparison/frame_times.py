@@ -87,19 +87,6 @@ def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["variant", "seed", "data", "metric", "value", *BOUNDS])
 
 
-def all_times(runs: Sequence[Run]) -> pd.DataFrame:
-    """Everything that is kept: columns variant, machine, ms, lower, upper, rounds, and the median of each part."""
-    times, key = read_times(_study_dir(runs)), ["machine", "network"]
-    if times.empty:
-        return pd.DataFrame()
-    rounds = times.groupby(key)["round"].nunique().rename("rounds")
-    parts = times.groupby([*key, "part"], sort=False)["ms"].median().unstack().add_suffix("_ms")
-    kept = _quartiles(times)[["ms", "lower", "upper"]].join(rounds).join(parts).reset_index()
-    networks = {run.label: network_of(run.spec["semantic"]) for run in runs}
-    variants = pd.DataFrame(networks.items(), columns=["variant", "network"])
-    return kept.merge(variants, on="network").pipe(lambda t: t[["variant", *t.columns.drop(["variant", "network"])]])
-
-
 def untimed(runs: Sequence[Run]) -> list[str]:
     """Sentences about the variants that have no time beside the others'."""
     times, shown = read_times(_study_dir(runs)), timed_on(runs)
@@ -110,7 +97,7 @@ def untimed(runs: Sequence[Run]) -> list[str]:
             missing.setdefault(machines[-1] if machines else "", []).append(variant)
     return [
         f"Times are those of {shown}; none from there: {', '.join(names)} "
-        f"({f'timed on {machine}, see times.csv' if machine else 'not timed'})."
+        f"({f'timed on {machine}, see {TIMES}' if machine else 'not timed'})."
         for machine, names in missing.items()
     ]
 

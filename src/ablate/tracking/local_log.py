@@ -121,7 +121,7 @@ class Background:
     def __init__(self, work: Callable[[], object], every_s: float = _EVERY_S) -> None:
         self._work, self._every_s = work, every_s
         self._last: Callable[[], object] | None = None
-        self._closed, self.tried = threading.Event(), threading.Event()
+        self._closed = threading.Event()
         self._failing = False
         self._thread = threading.Thread(target=self._run, name="tracking", daemon=True)
         self._thread.start()
@@ -139,7 +139,6 @@ class Background:
     def _run(self) -> None:
         while True:
             self._try(self._work)
-            self.tried.set()
             if self._closed.wait(self._every_s):
                 break
         if self._last is not None:

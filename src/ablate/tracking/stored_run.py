@@ -6,7 +6,6 @@ Of a task such as `precision`, what the store shows is on disk first, and the st
 import json
 import logging
 import re
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -20,8 +19,8 @@ from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelOutput, 
 from PIL import Image
 
 from ablate.storage import digest, read_json, write_json
-from ablate.tracking.local_log import Background, Status, logged_images, points, read_log
-from ablate.tracking.store import Store, parent_run
+from ablate.tracking.local_log import Status, logged_images, points, read_log, within
+from ablate.tracking.store import Store, parent_run, reason
 
 STATE = "copied"  # a tag: the digest of what was on disk when all of it had been copied
 _LOG = logging.getLogger(__name__)
@@ -163,23 +162,12 @@ class TaskRecord:
 
 @contextmanager
 def recorded_task(folder: Path, study: str, opened: Callable[[], Store]) -> Iterator[TaskRecord]:
-    """Record a task, known by the name of its `folder`, while it runs inside, and copy the record to the store.
+    """Record a task, known by the name of its `folder`, that runs inside, and then copy the record to the store.
 
-    The store is opened and written to in a thread, before the task and after it, since tasks measure times. A minute
-    after the task has ended the store is waited for no longer; `copy_tasks` copies what it did not take.
+    A minute after the task has ended the store is waited for no longer; `copy_tasks` copies what it did not take.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    record = TaskRecord()
-
-    def write(status: Status) -> None:
-        known = {"study": study, "status": status, "time": int(time.time() * 1000), "description": record.description}
-        files = [path.name for path in record.files if path.exists()]
-        write_json(folder / _RECORD, {**known, "files": files, "tags": record.tags, "scores": record.scores})
-
-    write(Status.running)
-    background = Background(lambda: _copy(folder, opened()), every_s=threading.TIMEOUT_MAX)
-    background.tried.wait(5.0)
-    status = Status.failed
+    record, status = TaskRecord(), Status.failed
     try:
         yield record
         status = record.status
@@ -187,9 +175,13 @@ def recorded_task(folder: Path, study: str, opened: Callable[[], Store]) -> Iter
         status = Status.killed
         raise
     finally:
-        write(status)
-        if not background.close(lambda: _copy(folder, opened()), _WAIT_S):
-            _LOG.warning("not all of %s is in MLflow yet; task=compare copies the rest", folder.name)
+        known = {"study": study, "status": status, "time": int(time.time() * 1000), "description": record.description}
+        files = [path.name for path in record.files if path.exists()]
+        write_json(folder / _RECORD, {**known, "files": files, "tags": record.tags, "scores": record.scores})
+        try:
+            within(_WAIT_S, lambda: _copy(folder, opened()))
+        except Exception as error:  # whatever it is, the task has its result
+            _LOG.warning("%s is not in MLflow yet (%s); task=compare copies it", folder.name, reason(error))
 
 
 def copy_tasks(store: Store, runs: Path, study: str) -> None:
@@ -210,11 +202,10 @@ def _copy(folder: Path, store: Store) -> None:
         return
     run.mark(Status.running)
     run.tags(record["tags"])
-    if record["status"] != Status.running:
-        for name in record["files"]:
-            path = folder / Path(name).name  # a record may come from anybody
-            run.artifact(path, "vector" if path.suffix == ".pdf" else None)
-        run.scores(record["scores"], record["time"])
-        run.describe(record["description"])
-        run.mark(Status(record["status"]), record["time"])
+    for name in record["files"]:
+        path = folder / Path(name).name  # a record may come from anybody
+        run.artifact(path, "vector" if path.suffix == ".pdf" else None)
+    run.scores(record["scores"], record["time"])
+    run.describe(record["description"])
+    run.mark(Status(record["status"]), record["time"])
     run.tags({STATE: state})

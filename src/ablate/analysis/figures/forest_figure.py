@@ -13,8 +13,6 @@ from matplotlib.ticker import PercentFormatter
 
 from ablate.analysis.components import Component
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, one_legend, save_figure
-from ablate.analysis.scored import REFERENCE
-from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.verdicts import ALPHA, Answer
 from ablate.metrics import Direction, metric_of
 
@@ -143,16 +141,3 @@ def _draw_map(
     axes.xaxis.tick_top()
     axes.set_title("(b) interactions", loc="left")
     axes.spines[:].set_visible(False)
-
-
-def verdicts_caption(design: Design | None, reference: str = REFERENCE) -> str:
-    """Caption of `forest_figure`."""
-    of_design = "" if design is None else f" The design is: {design.name}. {design.reading}"
-    return (
-        "Which components earn their keep. Each is judged on its own primary metric. The unit is the distance from "
-        f"{reference} to re-simulation in that metric, that is, the error that {reference} still has. Zero is the mean "
-        "of the runs without the component. Dots are runs, adjusted for the other components and the anatomy. "
-        "earns: the metric improves. does not: the improvement is smaller than the grey band, which was fixed before "
-        "the study. Both verdicts are at 5 % after Holm's correction over the components. The columns at the right "
-        "show what the component adds to the time of a frame and to the parameters of the network." + of_design
-    )

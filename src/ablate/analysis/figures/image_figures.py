@@ -21,17 +21,6 @@ NAME_IN, HEAD_IN = 0.2, 0.25  # beside and above the pictures, for their names
 PATCH = 20  # px, of the chi-square maps
 GREY: dict[str, Any] = {"vmin": 0, "vmax": 255, "interpolation": "antialiased"}  # how 8 bits are shown
 INSET = 0.27  # of the picture's width and height: what fits beside a 70 degree fan
-QUALITATIVE_CAPTION = (
-    "Test frames of unseen probe sites. The target has its segmentation S in the left corner and the logarithm of its "
-    "attenuation A in the right corner. The re-simulation is the same frame with other scatterers and ray paths. Where "
-    "it differs from the target, no network can know the target. The other images are by {reference} and all other "
-    "variants, with the lowest seed of each."
-)
-CHI2_CAPTION = (
-    "Maps of patch chi-square against the target on [0, 1], each above its image ({frame}). The number is the RMS over "
-    "all patches that lie wholly in the fan. The map of the re-simulation is the floor, because it differs from the "
-    "target by its scatterers alone."
-)
 
 
 @dataclass(frozen=True, eq=False)

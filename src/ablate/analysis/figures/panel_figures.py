@@ -1,13 +1,13 @@
-"""Figures with a panel a metric: paired differences as the paper's Fig. 4, every training, and factorial effects."""
+"""Figures with a panel a metric: paired differences as the paper's Fig. 4, and every training."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.components import Component, short_keys
+from ablate.analysis.components import Component
 from ablate.analysis.figures.style import (
     axis_title,
     draw_resimulation,
@@ -18,11 +18,7 @@ from ablate.analysis.figures.style import (
     shown_name,
 )
 from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, ordered_variants
-from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
-from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.paired import aligned_differences
-from ablate.analysis.tables import resimulation_note
-from ablate.metrics import Resimulation, metric_of
 
 BOX_IN = 0.26  # height of a row with a box
 BOX_STYLE: dict[str, Any] = {
@@ -33,11 +29,6 @@ BOX_STYLE: dict[str, Any] = {
     "capprops": {"lw": 0.7},
     "flierprops": {"marker": ".", "ms": 2, "mfc": "#777777", "mec": "none"},
 }
-NO_INTERVAL = (
-    f"An effect has no interval if it rests on fewer than {FEWEST_SEEDS} trainings on one side, or if the design "
-    "leaves no degree of freedom for the error. More seeds give intervals."
-)
-INTERACTION = "An interaction a:b is half the difference that b makes to the effect of a."
 
 
 def boxplot_panels(
@@ -93,16 +84,6 @@ def boxplot_panels(
         return save_figure(figure, stem)
 
 
-def boxplot_caption(metrics: Sequence[str], reference: str = REFERENCE) -> str:
-    """Caption of `boxplot_panels`."""
-    names = ", ".join(metric_of(metric).label for metric in metrics)
-    return (
-        f"Paired differences from {reference} in {names} on the same test frames (means over seeds). A box shows "
-        "quartiles, and its whiskers show the 5th and 95th percentiles. The bar below a box is the 95 % interval of "
-        f"the median shift over probe sites. {resimulation_note(list(metrics))}"
-    )
-
-
 def seed_plot(
     per_image: pd.DataFrame,
     scalars: pd.DataFrame | None,
@@ -147,76 +128,3 @@ def seed_plot(
             axes.set_xlabel(axis_title(metric))
         one_legend(figure, panels, 5)
         return save_figure(figure, stem)
-
-
-def seeds_caption(metrics: Sequence[str], reference: str = REFERENCE) -> str:
-    """Caption of `seed_plot`."""
-    return (
-        "Scores of all trainings. A ring is the mean over the test frames for one seed. A component matters where its "
-        f"rings are separate from those of {reference} (grey). {resimulation_note(list(metrics))}"
-    )
-
-
-def effects_plot(
-    effects: pd.DataFrame, metrics: Sequence[str], stem: Path, gaps: Mapping[str, float] | None = None
-) -> list[Path]:
-    """Draw every effect as a dot with its interval; filled where the interval excludes 0, a ring where it does not.
-
-    Metrics without effects are left out. The files are as for `boxplot_panels`, none without effects.
-
-    Parameters
-    ----------
-    effects : DataFrame
-        What `effects_table` gives.
-    gaps : mapping of str to float, optional
-        By metric, the re-simulation minus the reference: what there is to gain where it is a floor. It is written under
-        the panel, and drawn where it lies within.
-    """
-    shown = [metric for metric in metrics if metric in set(effects["metric"])]
-    if not shown:
-        return []
-    names = list(dict.fromkeys(effects["effect"]))
-    short = short_keys(dict.fromkeys(key for name in names for key in name.split(":")))
-    rows = [":".join(short[key] for key in name.split(":")) for name in names]
-    with house_style():
-        figure, panels = metric_panels(shown, rows, 4, head_in=0.7)
-        for axes, metric in zip(panels, shown, strict=True):
-            axes.axvline(0, color="black", lw=0.8, zorder=1)
-            for row in effects[effects["metric"] == metric].to_dict("records"):
-                place = len(names) - names.index(row["effect"])
-                marker, fill, label = "D", "white", "no interval"
-                if pd.notna(row["lower"]):
-                    axes.plot([row["lower"], row["upper"]], [place] * 2, color="black", lw=1.0, solid_capstyle="butt")
-                    excludes = row["lower"] > 0 or row["upper"] < 0
-                    marker, label = "o", "interval excludes 0" if excludes else "interval holds 0"
-                    fill = "black" if excludes else "white"
-                axes.plot([row["estimate"]], [place], marker, ms=4, mfc=fill, mec="black", mew=0.8, label=label)
-            title, gap = axis_title(metric, "effect on {}"), (gaps or {}).get(metric, np.nan)
-            lower, upper = axes.get_xlim()
-            if lower < gap < upper:
-                draw_resimulation(axes, metric, gap)
-            if np.isfinite(gap):
-                entry = metric_of(metric)
-                kind = "floor" if entry.resimulation is Resimulation.floor else "level"
-                distance = f"{gap:+.{entry.decimals}f}".replace("-", "−")
-                title += f"\nre-simulation {distance} ({kind})"
-            axes.set_xlabel(title)
-        one_legend(figure, panels)
-        return save_figure(figure, stem)
-
-
-def effects_caption(design: Design, effects: pd.DataFrame, gap_to: str | None = None) -> str:
-    """Caption of `effects_plot`; `gap_to` names the reference where gaps are written below the panels."""
-    changes = ", ".join(
-        f"{name} {' → '.join(map(str, design.cells[key].cat.categories))}"
-        for key, name in short_keys(design.factors).items()
-    )
-    sentences = [
-        f"Effects of changing a component ({changes}), computed from one mean per training. The 95 % intervals are not "
-        f"corrected for the number of effects. The design is: {design.name}. {design.reading}",
-        INTERACTION if effects["effect"].str.contains(":").any() else "",
-        "" if effects["p"].notna().all() else NO_INTERVAL,
-        f"The number below a panel is the re-simulation minus {gap_to}." if gap_to else "",
-        resimulation_note(list(dict.fromkeys(effects["metric"]))),
-    ]
-    return " ".join(filter(None, sentences))

@@ -25,7 +25,6 @@ from ablate.analysis.figures.style import (
     shown_name,
 )
 from ablate.analysis.statistics.work_precision import observed_order, pareto_front
-from ablate.analysis.tables import resimulation_note
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.metric import BOUNDS
 
@@ -35,7 +34,6 @@ OTHER_SPECKLE = "simulator, other scatterers"
 # Series of the simulator: colour, marker, line and size. All others are trained runs.
 SIMULATOR: dict[str, tuple[str, str, str, float]] = {
     "simulator, rays": ("#000000", "o", "-", 3.5),
-    "simulator, rays, plan=full": ("#000000", "o", "none", 6.5),
     "simulator, layers": ("#666666", "s", "none", 4.0),
     "simulator, scanlines": ("#666666", "^", "none", 4.5),
     "simulator, axial samples": ("#666666", "v", "none", 4.5),
@@ -118,7 +116,7 @@ def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None,
         if drawn.empty:
             continue
         style: dict[str, Any] = {"marker": marker, "ls": line, "ms": size, "lw": 0.8, "color": colour, "label": name}
-        axes.plot(drawn["ms"], drawn["error"], mfc="none" if name == "simulator, rays, plan=full" else colour, **style)
+        axes.plot(drawn["ms"], drawn["error"], **style)
         for _, end in drawn.iloc[[0, -1]].iterrows() if name in _LABELLED else ():
             shift: dict[str, Any] = {"xytext": (4, 3), "textcoords": "offset points"}
             axes.annotate(str(end["setting"]), (end["ms"], end["error"]), fontsize=6, color=colour, **shift)
@@ -155,16 +153,6 @@ def plain_numbers(axis: Axis, subs: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FormatStrFormatter("%g"))
     axis.set_minor_formatter(NullFormatter())
-
-
-def runtime_caption(metrics: Sequence[str]) -> str:
-    """Caption of `error_vs_runtime`."""
-    return (
-        "Error on the test frames against the median time per frame, with the maps that the network reads, on the "
-        "machine that the figure names. Bars are quartiles over rounds in which all networks took turns. The grey line "
-        f"is the Pareto front; no point is on it for a time that differs by less than the bars. The paper does "
-        f"not name the GPU of its times. {resimulation_note(list(metrics))}"
-    )
 
 
 def order_figure(points: pd.DataFrame, grids: pd.DataFrame, base: dict[str, int], stem: Path) -> list[Path]:

@@ -3,12 +3,10 @@
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from statistics import median
 from typing import Any, TypeVar
 
 import numpy as np
-import pandas as pd
 from tqdm import tqdm
 
 from ablate.anatomy import Scene
@@ -18,12 +16,12 @@ from ablate.metrics import METRICS, Pair, evaluate_image
 from ablate.runs.job import Job
 from ablate.runs.prepare import frames_of, simulator_of
 from ablate.runs.simulated import build_scene
-from ablate.storage import remove_partial, write_text
-from ablate.ultrasound import PlanMode, Probe, Simulator, SimulatorPrecision, SimulatorSettings, fan_mask
+from ablate.ultrasound import Probe, Simulator, SimulatorPrecision, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.ultrasound.stages import Stage, stage_times
 
 T = TypeVar("T")
+Row = tuple[object, ...]
 _TURN = 2  # poses of one setting before the next setting
 ENVELOPE = "envelope_rms"
 #: On the whole image as in the tables of a study; `mae_smooth` in the fan, after a Gaussian that averages speckle.
@@ -37,7 +35,6 @@ _FINEST_LAYERS = 8  # even, so that only its two outermost planes are also plane
 _FINER = 4  # times as many scanlines or axial samples, and rays, so that Monte-Carlo noise is negligible
 _GRIDS = ("layers", "scanlines", "axial_samples")
 RAYS_SERIES = "simulator, rays"
-FULL_SERIES = "simulator, rays, plan=full"
 OTHER_SERIES = "simulator, other scatterers"
 
 
@@ -119,28 +116,9 @@ def relative_change(metric: str, error: float, other: float) -> float:
     return abs(other / error - 1) if error else float("inf")
 
 
-class CsvTable:
-    """A CSV file that is written whole with each row, so that a kill keeps what was measured and leaves no half a row.
-
-    `columns` are names separated by spaces. An existing file is replaced.
-    """
-
-    def __init__(self, path: Path, columns: str) -> None:
-        self.path, self.columns = path, columns.split()
-        self._rows: list[tuple[object, ...]] = []
-        path.parent.mkdir(parents=True, exist_ok=True)
-        remove_partial(path)
-        self.add_each(values={})
-
-    def add_each(self, *first: object, values: Mapping[str, float]) -> None:
-        """Add one row for each value: the first columns, its name and the value."""
-        self._rows += [(*first, name, value) for name, value in values.items()]
-        frame = pd.DataFrame(self._rows, columns=self.columns, dtype=object)
-        write_text(self.path, frame.to_csv(index=False, na_rep="nan"))
-
-    def table(self) -> pd.DataFrame:
-        """Read all rows; names and settings are text."""
-        return pd.read_csv(self.path, dtype={"setting": str}, keep_default_na=False, na_values=["nan"])
+def each(*first: object, values: Mapping[str, float]) -> list[Row]:
+    """Make one row for each value: the first columns, its name and the value."""
+    return [(*first, name, value) for name, value in values.items()]
 
 
 def shown_progress(steps: Iterable[T], what: str) -> Iterable[T]:
@@ -210,8 +188,8 @@ def series_name(name: str) -> str:
     return f"simulator, {name.replace('_', ' ')}"
 
 
-def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable) -> Frames:
-    """Measure errors, times, convergence and stages of the simulator, and return the reference.
+def measure_simulator(bench: Bench) -> tuple[Frames, list[Row], list[Row]]:
+    """Measure the simulator: the reference, rows of errors and times, and rows of convergence, limits and stages.
 
     The reference has `REFERENCE_RAYS` rays and otherwise the settings of the data set. The receiver's noise and the
     phases of clutter depend on `path_seed` and on the grid, not on the rays. With another number of rays and the same
@@ -226,35 +204,30 @@ def measure_simulator(bench: Bench, points: CsvTable, details: CsvTable) -> Fram
     def errors_of(frames: Frames, other: Frames = reference) -> dict[str, float]:
         return mean_errors(frames, other, bench.probe)
 
+    points: list[Row] = []
+    details: list[Row] = []
     for name, ladder in ladders(base).items():
-        several: dict[tuple[str, float], SimulatorSettings] = {(series_name(name), v): s for v, s in ladder.items()}
-        if name == "rays":
-            several |= {(FULL_SERIES, n): replace(s, plan=PlanMode.full) for n, s in ladder.items()}
-        measured = dict(zip(several, render_all(bench, list(several.values()), seeds, name), strict=True))
-        for (series, value), ((rendered, other), ms) in measured.items():
+        measured = render_all(bench, list(ladder.values()), seeds, name)
+        for value, ((rendered, other), ms) in zip(ladder, measured, strict=True):
             errors = errors_of(rendered)
-            points.add_each(series, value, ms, values=errors)
-            if series == series_name(name):
-                points.add_each(OTHER_SERIES, f"{name.replace('_', ' ')} {value}", ms, values=errors_of(other))
-            if series == RAYS_SERIES:
+            points += each(series_name(name), value, ms, values=errors)
+            points += each(OTHER_SERIES, f"{name.replace('_', ' ')} {value}", ms, values=errors_of(other))
+            if name == "rays":
                 to_half = errors_of(rendered, half)
                 changes = {metric: relative_change(metric, errors[metric], to_half[metric]) for metric in errors}
-                details.add_each("reference", series, value, values=changes)
-            if series == FULL_SERIES:
-                ((as_planned, _), _) = measured[RAYS_SERIES, value]
-                apart = np.abs(rendered.images.astype(np.int16) - as_planned.images).max()
-                details.add_each("plan", series, value, values={"largest grey difference to planned": int(apart)})
-        ((usual, _), _) = measured[series_name(name), getattr(base, name)]
+                details += each("reference", RAYS_SERIES, value, values=changes)
+            if value == getattr(base, name):
+                usual = rendered
     for name in _GRIDS:
         for setting, errors in _converging(bench, name).items():
-            details.add_each("convergence", series_name(name), setting, values=errors)
+            details += each("convergence", series_name(name), setting, values=errors)
     in_float64 = replace(base, precision=SimulatorPrecision.float64)
     (((double,), _),) = render_all(bench, [in_float64], seeds[:1], "float64")
     limits = errors_of(usual, double)  # of the signal chain in single precision, on the same paths
-    details.add_each("limit", "simulator, float32 against float64", base.rays, values=limits)
+    details += each("limit", "simulator, float32 against float64", base.rays, values=limits)
     for rays in sorted({RAYS[0], base.rays, RAYS[-1]}):
-        details.add_each("stage", RAYS_SERIES, rays, values=time_stages(bench, replace(base, rays=rays)))
-    return reference
+        details += each("stage", RAYS_SERIES, rays, values=time_stages(bench, replace(base, rays=rays)))
+    return reference, points, details
 
 
 def _converging(bench: Bench, name: str) -> dict[str | int, dict[str, float]]:

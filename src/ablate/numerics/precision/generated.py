@@ -11,7 +11,7 @@ import torch
 from ablate.dataset import decode_grey_levels, label_values, network_inputs
 from ablate.dataset.simulate import nudged, timed_maps
 from ablate.networks import Generator, Space, conditions
-from ablate.numerics.precision.bench import Bench, CsvTable, Frames, mean_errors, shown_progress
+from ablate.numerics.precision.bench import Bench, Frames, Row, each, mean_errors, shown_progress
 from ablate.runs.job import Job
 from ablate.runs.run import Run, State, runs_of
 from ablate.settings.study import StudySettings
@@ -92,14 +92,16 @@ def make_inputs(bench: Bench, names: tuple[str, ...], space: Space) -> tuple[dic
 
 
 def measure_generators(
-    bench: Bench, planned: Planned, settings: StudySettings, reference: Frames, points: CsvTable, details: CsvTable
-) -> None:
-    """Measure every run; the time of a frame is that of its inputs and of the network.
+    bench: Bench, planned: Planned, settings: StudySettings, reference: Frames
+) -> tuple[list[Row], list[Row]]:
+    """Measure every run, in rows as of `measure_simulator`; a frame's time is that of its inputs and of the network.
 
     An execution that fails, as compilers and runtimes can, is left out with a warning.
     """
+    points: list[Row] = []
+    details: list[Row] = []
     if not planned:
-        return
+        return points, details
     made = lru_cache(partial(make_inputs, bench))
     device = chosen_device(settings.training.device)
     exact: dict[Run, Frames] = {}
@@ -115,11 +117,12 @@ def measure_generators(
             _LOG.warning("left out, %s, %s: %s", run.label, setting, " ".join(str(failure).split())[:300])
             continue
         ms = sum(needed.values()) + network_ms
-        points.add_each(run.label, setting, ms, values=mean_errors(rendered, reference, bench.probe))
-        details.add_each("stage", run.label, setting, values={**needed, "network": network_ms})
+        points += each(run.label, setting, ms, values=mean_errors(rendered, reference, bench.probe))
+        details += each("stage", run.label, setting, values={**needed, "network": network_ms})
         if (first := exact.setdefault(run, rendered)) is not rendered:
             errors = mean_errors(rendered, first, bench.probe)
-            details.add_each("limit", f"{run.label}, against fp32 eager", setting, values=errors)
+            details += each("limit", f"{run.label}, against fp32 eager", setting, values=errors)
+    return points, details
 
 
 @torch.inference_mode()

@@ -11,12 +11,10 @@ import torch
 from ablate.analysis import RESIMULATION, error_vs_runtime, observed_order, order_figure
 from ablate.metrics import metric_of
 from ablate.numerics.precision.bench import (
-    FULL_SERIES,
     OTHER_SERIES,
     RAYS_SERIES,
     REFERENCE_RAYS,
     Bench,
-    CsvTable,
     bench_of,
     ladders,
     measure_simulator,
@@ -31,6 +29,8 @@ from ablate.tracking import TaskRecord, git_state, hardware, recorded_task
 from ablate.ultrasound.media import plan_scene
 
 WELL_CONVERGED = 0.05
+#: Columns of `precision.csv` and of `details.csv`.
+POINTS, DETAILS = ["series", "setting", "ms", "metric", "error"], ["table", "series", "setting", "quantity", "value"]
 BUDGETS_MS = (10.0, 40.0, 75.0, 200.0, 1000.0)
 _SAME, _OTHER, _RUN = "simulator, same speckle", "simulator, other speckle", "trained run"
 
@@ -46,19 +46,20 @@ def precision(jobs: Sequence[Job]) -> int:
     about = _about(settings, bench, counts, executions(settings)[1] if runs else ())
     print("\n".join(about), flush=True)
     folder = settings.results / "precision"
-    points = CsvTable(folder / "precision.csv", "series setting ms metric error")
-    details = CsvTable(folder / "details.csv", "table series setting quantity value")
     code = {k: v for k, v in git_state().items() if k != "git_diff"}
     try:
         with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
-            record.files += [points.path, details.path]
             record.tags |= {"hardware": hardware(), "scene": settings.scene_name, **code}
-            reference = measure_simulator(bench, points, details)
-            measure_generators(bench, schedule_of(runs, settings), settings, reference, points, details)
-            for path in _report(bench, about, points, details, record):
+            reference, *simulated = measure_simulator(bench)
+            generated = measure_generators(bench, schedule_of(runs, settings), settings, reference)
+            points, details = (
+                pd.DataFrame(a + b, columns=columns).astype({"setting": str})
+                for columns, a, b in zip((POINTS, DETAILS), simulated, generated, strict=True)
+            )
+            for path in _report(folder, bench, about, points, details, record):
                 print(path)
     except KeyboardInterrupt:
-        sys.exit(f"ablate: interrupted; what was measured is in {folder}, the same command measures it again")
+        sys.exit("ablate: interrupted; the same command measures everything again")
     return 0
 
 
@@ -78,11 +79,15 @@ def _about(settings: StudySettings, bench: Bench, counts: str, lacking: Sequence
     ]
 
 
-def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable, record: TaskRecord) -> list[Path]:
-    """Print the tables, draw the figures, record both, and return the paths of the files except PDFs."""
-    folder, errors, more = points.path.parent, points.table(), details.table()
-    usual = (errors["series"] == OTHER_SERIES) & (errors["setting"] == f"rays {bench.simulator.rays}")
-    level = dict(zip(errors.loc[usual, "metric"], errors.loc[usual, "error"].astype(float), strict=True))
+def _report(
+    folder: Path, bench: Bench, about: list[str], errors: pd.DataFrame, more: pd.DataFrame, record: TaskRecord
+) -> list[Path]:
+    """Write and print the tables, draw the figures, record both, and return the paths of the files except PDFs."""
+    files = {"precision": errors, "details": more}
+    for name, table in files.items():
+        write_text(folder / f"{name}.csv", table.to_csv(index=False))
+    usual = errors[(errors["series"] == OTHER_SERIES) & (errors["setting"] == f"rays {bench.simulator.rays}")]
+    level = dict(zip(usual["metric"], usual["error"], strict=True))
     figures = error_vs_runtime(errors, folder / "precision", level, hardware())
     base = {series_name(name): getattr(bench.simulator, name) for name in ladders(bench.simulator)}
     of_rays, grids = errors[errors["series"] == RAYS_SERIES], more[more["table"] == "convergence"]
@@ -92,11 +97,12 @@ def _report(bench: Bench, about: list[str], points: CsvTable, details: CsvTable,
     print("\n".join([*head, "", as_text(shown), ""]))
     summary = folder / "summary.txt"
     write_text(summary, "\n".join([*about, *head, "", as_text(shown), ""]))
-    record.files += [summary, *figures]
+    written = [*(folder / f"{name}.csv" for name in files), summary]
+    record.files += [*written, *figures]
     record.scores |= {f"order/{metric}": p for metric, (p, _) in _orders(errors).items()}
     first = as_text(dict(list(shown.items())[:1]))  # the run's first page has room for one table
     record.description = "\n\n".join([*about, *head, f"```\n{first}\n```", "The rest: Artifacts, `summary.txt`."])
-    return [points.path, details.path, summary, *(f for f in figures if f.suffix == ".png")]
+    return [*written, *(f for f in figures if f.suffix == ".png")]
 
 
 def _orders(points: pd.DataFrame) -> dict[str, tuple[float, float]]:
@@ -147,7 +153,6 @@ def tables(points: pd.DataFrame, details: pd.DataFrame) -> dict[str, pd.DataFram
         "Observed order p, error ~ rays^-p": pd.DataFrame(fits, ["p", "standard error"]).T.rename_axis("error"),
         grids: _spread_out(rows_of("convergence"), _cell),
         limits: _spread_out(_worst(rows_of("limit")), lambda _, value: f"{value:.2g}"),
-        "What the plan saves": _plan(points, rows_of("plan")),
         "The best within a budget": _budgets(points),
         "Stages of a simulated frame, ms": _stages(stages[simulated]),
         "Stages of a generated frame, ms": _stages(stages[~simulated]).T,
@@ -188,23 +193,13 @@ def _worst(limits: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([limits.drop(runs.index), rows[limits.columns]])
 
 
-def _plan(points: pd.DataFrame, plan: pd.DataFrame) -> pd.DataFrame:
-    ms = {(p["series"], p["setting"]): p["ms"] for p in points.to_dict("records")}
-    rows = []
-    for row in plan.to_dict("records"):
-        full, planned = ms[FULL_SERIES, row["setting"]], ms[RAYS_SERIES, row["setting"]]
-        times = {"full, ms": f"{full:.0f}", "planned, ms": f"{planned:.0f}", "saved": f"{1 - planned / full:.0%}"}
-        rows.append({"rays": row["setting"], **times, row["quantity"]: f"{float(row['value']):.0f}"})
-    return _indexed(rows, ["rays"])
-
-
 def _budgets(points: pd.DataFrame) -> pd.DataFrame:
     """Find the best within each budget; only renderers with speckle of their own are compared with each other."""
     finite = points[np.isfinite(points["error"])]
     badness_of = [metric_of(m).badness(e) for m, e in zip(finite["metric"], finite["error"], strict=True)]
     kinds = finite["series"].where(finite["series"].str.startswith("simulator"), _RUN)
     kinds = kinds.mask(kinds == OTHER_SERIES, _OTHER).where(kinds.isin((_RUN, OTHER_SERIES)), _SAME)
-    ranked = finite.assign(badness=badness_of, kind=kinds)[finite["series"] != FULL_SERIES]
+    ranked = finite.assign(badness=badness_of, kind=kinds)
     ranked = ranked.sort_values(["badness", "ms"], kind="stable")  # of equal ones the fastest
     rows = []
     for metric in dict.fromkeys(points["metric"]):
@@ -221,11 +216,7 @@ def _budgets(points: pd.DataFrame) -> pd.DataFrame:
             if len(rivals):
                 better = str(best.loc[rivals, "badness"].idxmin()).removesuffix(", other speckle")
             rows.append({"metric": metric_of(metric).title, "ms": f"{budget:g}", **cells, "better": better})
-    return _indexed(rows, ["metric", "ms"])
-
-
-def _indexed(rows: list[dict[str, str]], names: list[str]) -> pd.DataFrame:
-    return pd.DataFrame(rows).set_index(names) if rows else pd.DataFrame()
+    return pd.DataFrame(rows).set_index(["metric", "ms"])
 
 
 def _stages(stages: pd.DataFrame) -> pd.DataFrame:
