@@ -22,8 +22,8 @@ class Component:
     key : str
         The dotted configuration key that it switches, as `model.attenuation`, `training.reconstruction` or `encoding`.
     on, off : optional
-        The level of the full model, and the level that stands for "without the component". Where they are not
-        declared, the level of the reference run is the one with the component.
+        The level of the full model, or several of which it has one, and the level that stands for "without the
+        component". Where they are not declared, the level of the reference run is the one with the component.
     label : str
         What figures and reports call it; the last part of the key when left out.
     purpose : str
@@ -53,6 +53,11 @@ class Component:
     purpose: str = ""
     metric: str | None = None
     band: float | None = None
+
+    @property
+    def levels_on(self) -> tuple[object, ...]:
+        """The levels with the component."""
+        return self.on if isinstance(self.on, tuple) else (self.on,)
 
     def __post_init__(self) -> None:
         check_name("component", self.name)
@@ -87,4 +92,4 @@ def level_with(component: Component, levels: Sequence[object]) -> object:
     if all(isinstance(value, Real) for value in (component.on, component.off, *levels)):
         smaller = component.on < component.off  # type: ignore[operator]  # both are real numbers
         return min(levels) if smaller else max(levels)  # type: ignore[type-var]
-    return component.on if component.on in levels else levels[0]
+    return next((level for level in levels if level in component.levels_on), levels[0])

@@ -70,8 +70,8 @@ def _settings_of(words: tuple[str, ...]) -> StudySettings:
 
 
 def variant_model(name: str) -> GeneratorSpec:
-    """The generator of a variant as conf/variant has it."""
-    return job_of([f"variant={name}"]).settings.model
+    """The generator of a variant in the paper."""
+    return job_of(["preset=paper", f"variant={name}"]).settings.model
 
 
 def changed_keys(

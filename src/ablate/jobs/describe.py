@@ -121,7 +121,7 @@ def _level(spec: GeneratorSpec, field: str) -> object:
     """Whether a component with two levels is on, or else its level."""
     level = getattr(spec, field)
     if isinstance(level, StrEnum) and len(type(level)) == 2:
-        return bool(level == components_of_networks()[field].on)
+        return level in components_of_networks()[field].levels_on
     if field == "noise" and spec.extra_input is ExtraInput.noise:
         return Noise.input.value
     return str(level) if isinstance(level, str) else level

@@ -221,7 +221,8 @@ def _require_told(component: Component, design: Design | None) -> None:
     if design is None or component.key not in design.factors:
         raise ValueError("no run goes without it")
     here, there = design.cells[component.key].cat.categories
-    if isinstance(component.on, str) and {here, there} != {component.on, component.off}:
+    declared = isinstance(component.off, str)
+    if declared and not {here, there} - {component.off} <= set(component.levels_on):
         raise ValueError(f"the runs compare {here} with {there}")
 
 
