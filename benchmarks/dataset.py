@@ -106,10 +106,10 @@ def codecs(job: Job, pairs: Pairs) -> None:
     chosen_settings = simulator_of(job, scene, grid, pairs.poses)
     simulator = Simulator(scene, job.settings.probe, chosen_settings, poses=pairs.poses)
     chosen = np.linspace(0, len(pairs) - 1, CODEC_FRAMES).round().astype(int)
-    exact = [simulator.maps(pairs.poses[i])[1] for i in chosen]
+    exact = [simulator.beam_maps(pairs.poses[i], False).attenuation for i in chosen]
     stacks = {
-        "segmentation": [pairs.stored("segmentation", i) for i in chosen],
-        "target": [pairs.stored("target", i) for i in chosen],
+        "segmentation": [pairs.stored("segmentation", i, pairs.space) for i in chosen],
+        "target": [pairs.stored("target", i, pairs.space) for i in chosen],
         "attenuation, 16 bits": [np.rint(a * 65535).astype(np.uint16) for a in exact],
         "attenuation, 9 bits": [encode_attenuation(a) for a in exact],
     }

@@ -21,9 +21,8 @@ from torch import Tensor
 
 import ablate
 from ablate.anatomy import fetal_abdomen, fetal_planes
-from ablate.dataset import network_inputs
 from ablate.networks import Generator, GeneratorSpec
-from ablate.training import TrainingPrecision, TrainingSettings, generate, train
+from ablate.training import TrainingPrecision, TrainingSettings, train
 from ablate.ultrasound import Simulator, SimulatorSettings
 
 # Estimated, no GPU has measured them: float32 in another order, TF32 in cuDNN's convolutions (10 bits), bf16 (7 bits).
@@ -99,20 +98,17 @@ def batches(settings: TrainingSettings, start: int, stop: int) -> Iterator[dict[
 def check_generator(device: str, settings: SimulatorSettings, triangles: int) -> Iterator[Check]:
     """Compare a generated frame in fp32 and in bf16 with that of the CPU in fp32."""
     renderer, scene, pose = ablate.load("sa2h"), fetal_abdomen(triangles), fetal_planes()["abdomen"]
-    segmentation, attenuation = Simulator(scene, settings=settings).maps(pose)
-    mask = segmentation > 0
-    values = np.array([-1.0, *(renderer.values[tissue.name] for tissue in scene.tissues)], np.float32)
-    maps = {"segmentation": segmentation[None], "attenuation": attenuation[None]}
-    inputs = network_inputs(maps, values, mask)
+    settings = replace(settings, image_shape=renderer.image_shape)
+    shown = Simulator(scene, renderer.probe, settings).render(pose)
 
     def frame(generator: Generator, precision: TrainingPrecision) -> np.ndarray:
-        return generate(generator, inputs, torch.from_numpy(mask), torch.tensor([0]), precision)[0]
+        return replace(renderer, generator=generator).render(shown, scene.tissues, precision=precision)
 
     expected = frame(renderer.generator, TrainingPrecision.fp32).astype(int)
     cpu_ms = median_ms(lambda: frame(renderer.generator, TrainingPrecision.fp32))
     generator = renderer.generator.to(device)
     for precision, allowed in APART_LEVELS.items():
-        apart = float(np.abs(frame(generator, precision) - expected)[mask].mean())
+        apart = float(np.abs(frame(generator, precision) - expected)[shown.mask].mean())
         device_ms = median_ms(lambda precision=precision: frame(generator, precision))
         yield Check(f"generated frame, {precision}", apart, allowed, "grey levels", cpu_ms, device_ms)
 

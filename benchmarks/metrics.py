@@ -22,6 +22,7 @@ from ablate.dataset import Pairs, Part
 from ablate.evaluation import EvaluationSettings, Scorer, resimulation_images, tissue_labels
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import METRICS, FeatureKind, Pair, choose_metrics, speckle_features
+from ablate.networks import Space
 from ablate.runs.data_set import DataSet as Data
 from ablate.runs.data_set import maps_needed
 from ablate.runs.prepare import prepare_data
@@ -38,9 +39,9 @@ REPEATS = 5
 class Repeated(Pairs):
     """A few frames on disk that pass for many, all of them unseen."""
 
-    def stored(self, name: str, frames: int | Sequence[int] | np.ndarray) -> np.ndarray:
+    def stored(self, name: str, frames: int | Sequence[int] | np.ndarray, space: Space = Space.image) -> np.ndarray:
         unseen = np.flatnonzero(self.split[:SIMULATED] != Part.train)
-        return super().stored(name, unseen[np.asarray(frames) % len(unseen)])
+        return super().stored(name, unseen[np.asarray(frames) % len(unseen)], space)
 
     def frames(self, part: Part) -> np.ndarray:
         return np.arange(len(self) if part is Part.test else 0)

@@ -43,7 +43,7 @@ from yardstick import ABOUT, Yardstick
 
 Times = list[list[float]]
 FRAMES, WARM_UP = 16, 3
-LABELS = np.linspace(-1, 1, 256).astype(np.float32)
+LABELS = np.linspace(-1, 1, 256).astype(np.float32)[:, None]
 
 
 def drawn_pairs(folder: Path, shape: tuple[int, int]) -> None:
@@ -66,7 +66,17 @@ def settings_of(arguments: argparse.Namespace) -> StudySettings:
     """What `preset=...` composes to for a variant, with what is asked for otherwise."""
     sizes = {"model.width": arguments.width, "training.batch_size": arguments.batch, "training.crop": arguments.crop}
     sizes["training.precision"] = arguments.precision
+    image_space = {
+        "space": "image",
+        "attenuation": "integral",
+        "position": "none",
+        "interfaces": "none",
+        "grain": "output",
+    }
+    if "att" in arguments.variants[0]:
+        del image_space["attenuation"]
     given = [f"{key}={value}" for key, value in sizes.items() if value is not None]
+    given += ["encoding=echogenicity", *(f"model.{key}={value}" for key, value in image_space.items())]
     (job,) = jobs_of([f"preset={arguments.preset}", f"variant={arguments.variants[0]}", *given])
     rounds, device, threads = arguments.rounds + WARM_UP, arguments.device, arguments.threads[0]
     training = replace(

@@ -73,7 +73,7 @@ def distances(study: Path) -> pd.DataFrame:
     for run in runs_of(study):
         settings, data = run.settings, run.data_set
         judge = scorer(settings, data)
-        values = label_values(data.tissues, settings.encoding, settings.encoding_seed)
+        values = label_values(data.tissues, settings.encoding, settings.label_seed)
         images = generated_images(load_generator(run.checkpoint), data, values, settings.training.precision)
         if not columns:
             columns["re-simulation"] = resimulation_scores(judge, Part.validation).scalars

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ablate.comparison.reading import provenance
 from ablate.dataset import label_values
-from ablate.pretrained import Renderer, save
+from ablate.pretrained import Renderer, save, values_of
 from ablate.runs.run import Run
 from ablate.training import load_generator
 
@@ -19,13 +19,11 @@ def renderer_of(folder: Path) -> Renderer:
     """The generator of a finished run, with the setting that it was trained in."""
     run = Run(folder)
     s, tissues = run.settings, run.data_set.tissues
-    values = label_values(tissues, s.encoding, s.encoding_seed)[1:].tolist()
+    values = label_values(tissues, s.encoding, s.label_seed)
     made = {"study": s.study, "variant": run.label, "seed": str(run.seed), "hash": str(run.result["hash"])}
     made |= {"commit": provenance([run]).get("git_commit", "")}
-    known = dict(zip((tissue.name for tissue in tissues), values, strict=True))
-    simulator = s.simulator
-    generator = load_generator(run.checkpoint)
-    return Renderer(generator, known, s.probe, run.data_set.pairs.tgc, simulator.image_shape, made)
+    of_frames = s.probe, run.data_set.pairs.tgc, s.simulator.image_shape
+    return Renderer(load_generator(run.checkpoint), values_of(tissues, values), *of_frames, made)
 
 
 def main() -> None:

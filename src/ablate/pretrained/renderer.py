@@ -46,8 +46,14 @@ class Renderer:
     image_shape: tuple[int, int]
     made: Mapping[str, str]
 
-    def render(self, frame: Frame, tissues: Sequence[Tissue], seed: int = 0) -> np.ndarray:
-        """Render a frame from its segmentation and its attenuation map; its image is not read.
+    def render(
+        self,
+        frame: Frame,
+        tissues: Sequence[Tissue],
+        seed: int = 0,
+        precision: TrainingPrecision = TrainingPrecision.fp32,
+    ) -> np.ndarray:
+        """Render a frame from its maps, in the space that the generator works in; its image is not read.
 
         Parameters
         ----------
@@ -69,13 +75,16 @@ class Renderer:
         Examples
         --------
         >>> import numpy as np
-        >>> from ablate.anatomy import load_tissues
-        >>> from ablate.ultrasound import ConvexProbe, fan_mask
-        >>> mask = fan_mask(ConvexProbe(), (64, 89))
-        >>> nothing = np.zeros((64, 89), np.uint8)
-        >>> frame = Frame(mask.astype(np.uint8), 0.5 * mask.astype(np.float32), nothing, mask, nothing)
-        >>> image = load("sa2h").render(frame, [load_tissues()["soft_tissue"]])
-        >>> image.shape, image.dtype, bool((image[~mask] == 0).all())
+        >>> import trimesh
+        >>> from ablate.anatomy import Scene, Structure, load_tissues
+        >>> from ablate.ultrasound import Simulator, SimulatorSettings
+        >>> tissues, renderer = load_tissues(), load("sa2h")
+        >>> box = trimesh.creation.box((200, 200, 100)).apply_translation((0, 0, 53))
+        >>> scene = Scene((Structure(box, tissues["liver"]),), tissues["coupling_gel"], "a block of liver")
+        >>> settings = SimulatorSettings(scanlines=32, axial_samples=256, image_shape=(64, 89), rays=2)
+        >>> frame = Simulator(scene, renderer.probe, settings).render(np.eye(4))
+        >>> image = renderer.render(frame, scene.tissues)
+        >>> image.shape, image.dtype, bool((image[~frame.mask] == 0).all())
         ((64, 89), dtype('uint8'), True)
         """
         unknown = [tissue.name for tissue in tissues if tissue.name not in self.values]
@@ -96,7 +105,7 @@ class Renderer:
         inputs = dataset.network_inputs({name: value[None] for name, value in read.items()}, values, mask)
         noise_seed = torch.tensor([seed], dtype=torch.int64)
         fan = torch.from_numpy(mask)
-        return generate(self.generator, inputs, fan, noise_seed, TrainingPrecision.fp32, converter)[0]
+        return generate(self.generator, inputs, fan, noise_seed, precision, converter)[0]
 
 
 def _nothing_of(frame: Frame) -> Beam:

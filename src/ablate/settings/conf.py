@@ -18,7 +18,7 @@ from ablate.ultrasound.settings import PROBES, Probe, probe_from
 T = TypeVar("T")
 
 # The order of tables and figures; components that are not listed follow by name.
-_COMPONENTS = ("att", "concat", "conv", "noise", "depth", "encoding", "space", "position", "interfaces", "grain", "loss")
+_COMPONENTS = ("att", "concat", "conv", "noise", "depth", "encoding", "space", "position", "interfaces", "grain")
 CUSTOM = "custom"  # the variant that a user's network takes the place of
 #: Components that a network of the user's does not have, whatever its settings say.
 NOT_OF_CUSTOM = frozenset({"model.concat", "model.upsampling", "model.depth"})
@@ -100,7 +100,7 @@ def components() -> tuple[Component, ...]:
             raise ValueError(f"{where}: holds no keys; needed are key, on and off")
         read_as = {True: "on", False: "off"}  # by YAML
         try:
-            own = {read_as.get(key, str(key)): value for key, value in values.items()}
+            own: dict[str, Any] = {read_as.get(key, str(key)): value for key, value in values.items()}
             component = Component(name, **{k: tuple(v) if isinstance(v, list) else v for k, v in own.items()})
         except TypeError as error:
             raise ValueError(f"{where}: {error}") from error

@@ -1,0 +1,40 @@
+"""What each part of the networks' representation buys, on validation sites alone: a table for docs/networks.md.
+
+python -m ablate +study=representation
+python scripts/representation.py [folder of the study]
+"""
+
+import sys
+from pathlib import Path
+
+import pandas as pd
+
+import ablate
+from ablate.metrics import metric_of
+from numerics import fill, markdown
+
+PAGE = Path(__file__).parents[1] / "docs" / "networks.md"
+SHOWN = ("mae_smooth", "pchi2_tissue", "shadow_contrast", "thin_contrast", "crps", "noise_sd")
+
+
+def shares(study: "ablate.comparison.reading.Study") -> pd.DataFrame:
+    """A row a run: its scores on validation sites over those of re-simulation, FD speckle, and minutes of training."""
+    rows = {}
+    for run in study.usable.runs:
+        scalars = run.result["scalars"]
+        row = {metric_of(name).label: scalars[f"val/{name}"] / scalars[f"val/floor_{name}"] for name in SHOWN}
+        row["FD speckle"] = scalars["val/fd_speckle"]
+        rows[run.name] = row | {"minutes": scalars["train/seconds"] / 60}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("run")
+
+
+def main() -> None:
+    """Print the table and put it into the page."""
+    table = shares(ablate.open_study(sys.argv[1] if len(sys.argv) > 1 else "runs/representation"))
+    text = markdown(table.map("{:.2f}".format))
+    PAGE.write_text(fill(PAGE.read_text(), {"representation": text}))
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
