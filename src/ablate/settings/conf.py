@@ -21,7 +21,7 @@ T = TypeVar("T")
 _COMPONENTS = ("att", "concat", "conv", "noise", "depth", "encoding", "space", "position", "interfaces", "grain")
 CUSTOM = "custom"  # the variant that a user's network takes the place of
 #: Components that a network of the user's does not have, whatever its settings say.
-NOT_OF_CUSTOM = frozenset({"model.concat", "model.upsampling", "model.depth"})
+NOT_OF_CUSTOM = frozenset({"model.concat", "model.upsampling", "model.depth", "model.grain"})
 _TABLE_II = ("lsa2h", "nsa2h", "sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h", "sa2h-depth")
 
 
@@ -101,7 +101,7 @@ def components() -> tuple[Component, ...]:
         read_as = {True: "on", False: "off"}  # by YAML
         try:
             own: dict[str, Any] = {read_as.get(key, str(key)): value for key, value in values.items()}
-            component = Component(name, **{k: tuple(v) if isinstance(v, list) else v for k, v in own.items()})
+            component = Component(name, **own | {"on": tuple(on) if isinstance(on := own.get("on"), list) else on})
         except TypeError as error:
             raise ValueError(f"{where}: {error}") from error
         if component.key not in known:
