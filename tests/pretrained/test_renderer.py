@@ -12,8 +12,8 @@ from ablate.anatomy import Tissue, fetal_abdomen, fetal_planes, load_tissues
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import psnr
 from ablate.networks import Generator, GeneratorSpec
-from ablate.pretrained import NAMES, Renderer, load, save
-from ablate.ultrasound import ConvexProbe, Frame, Simulator, compensated_attenuation, fan_mask
+from ablate.pretrained import NAMES, OUTSIDE, Renderer, load, save
+from ablate.ultrasound import Beam, ConvexProbe, Frame, ScanConverter, Simulator, compensated_attenuation, fan_mask
 
 SHAPE, SEED = (64, 88), 5
 PROBE = ConvexProbe()
@@ -34,7 +34,8 @@ def made(attenuation: str = "integral") -> Renderer:
     generator = Generator(GeneratorSpec(attenuation=attenuation, depth=2, width=0.1)).eval()
     for parameter in generator.parameters():
         torch.nn.init.normal_(parameter, 0, 0.1)
-    values = {tissue.name: value for tissue, value in zip(TISSUES, (-0.25, 1.0, 0.125), strict=True)}
+    values = {tissue.name: (value,) for tissue, value in zip(TISSUES, (-0.25, 1.0, 0.125), strict=True)}
+    values[OUTSIDE] = (-1.0,)
     return Renderer(generator, values, PROBE, 0.4, SHAPE, {"study": "none"})
 
 
@@ -42,7 +43,7 @@ def by_hand(renderer: Renderer, frame: Frame, tissues: list[Tissue], seed: int) 
     """The same image pixel by pixel of labels, without the functions of the package that prepare and decode."""
     read = np.full(SHAPE, -1, np.float32)
     for place in zip(*frame.mask.nonzero(), strict=True):
-        read[place] = renderer.values[tissues[frame.segmentation[place] - 1].name]
+        (read[place],) = renderer.values[tissues[frame.segmentation[place] - 1].name]
     attenuation = frame.attenuation
     if renderer.generator.spec.attenuation == "compensated":
         attenuation = compensated_attenuation(attenuation, PROBE, 0.4)
@@ -62,6 +63,23 @@ def test_an_image_is_what_the_network_gives_by_hand(attenuation: str, frame: Fra
     assert (difference > 0).mean() < 0.01
     assert image.std() > 1
     assert not np.array_equal(image, renderer.render(frame, TISSUES, SEED + 1))
+
+
+def test_in_beam_space_the_image_is_the_scan_conversion(frame: Frame) -> None:
+    """A network that passes one map on, as its output layer may, shows this map on the pixels."""
+    renderer = made()
+    spec = replace(renderer.generator.spec, space="beam")
+    renderer = replace(renderer, generator=Generator(spec).eval())
+    with pytest.raises(ValueError, match=r"frame\.beam is None"):
+        renderer.render(frame, TISSUES)
+    for parameter in renderer.generator.parameters():
+        torch.nn.init.zeros_(parameter)
+    renderer.generator.network.output.bias.data.fill_(0.5)
+    rows, lines = 32, 12
+    beam = Beam(np.ones((rows, lines), np.uint8), np.zeros((rows, lines), np.float32))
+    image = renderer.render(replace(frame, beam=beam), TISSUES)
+    grey = np.full((rows, lines), round((np.tanh(0.5) + 1) * 127.5), np.uint8)
+    np.testing.assert_array_equal(image, ScanConverter(PROBE, (rows, lines), SHAPE).to_image(grey))
 
 
 def test_labels_are_read_by_the_names_of_their_tissues(frame: Frame) -> None:
