@@ -183,6 +183,27 @@ def test_a_command_line_that_cannot_be_run(
 
 
 @pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"model:\n\tdepth: 4\n", r"cannot start any token; in .*variant/mine\.yaml\", line 2"),
+        (b"a: 1\na: 2\n", r"found duplicate key a; in .*variant/mine\.yaml\", line 2"),
+        (b"# caf\xe9\n", r"variant=mine: a file that is not UTF-8"),
+        (b"defaults:\n  - mine\n", r"variant=mine: defaults that lead back to the same file"),
+        (b"defaults:\n  - other\n", r"variant=mine: defaults that lead back to the same file"),
+    ],
+)
+@pytest.mark.parametrize("arguments", [["variant=mine"], ["-m", "variant=mine,sa2h"]], ids=["one", "sweep"])
+def test_a_variant_file_that_cannot_be_read(
+    refused: Refused, tmp_path: Path, content: bytes, words: str, arguments: list[str]
+) -> None:
+    folder = tmp_path / "conf" / "variant"
+    folder.mkdir(parents=True)
+    (folder / "mine.yaml").write_bytes(content)
+    (folder / "other.yaml").write_text("defaults:\n  - mine\n")
+    assert re.search(words, refused(f"hydra.searchpath=[file://{tmp_path / 'conf'}]", *arguments))
+
+
+@pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"structures": [{"mesh": "body.obj", "tissue": "unobtainium"}]}, "unobtainium"),
