@@ -70,7 +70,7 @@ def test_the_parent_run_carries_the_comparison(finished: Path) -> None:
             assert f"test/floor_{name}" in metrics
         assert {"ms_per_frame", "train/l1", "val/psnr"} <= metrics.keys()
         assert metrics["ms_per_frame"] == times.loc[child.data.tags["variant"], "ms"]
-        assert {"variant", "seed", "study", "config_hash", "data_hash"} <= tags.keys()
+        assert {"variant", "seed", "study", "config_hash"} <= tags.keys()
         kept = {a.path for a in client.list_artifacts(child.info.run_id, "provenance")}
         assert kept >= {"provenance/config.json", "provenance/environment.txt"}
 
