@@ -196,7 +196,7 @@ def _track(settings: StudySettings, study: Study, notes: Sequence[str]) -> str:
             if (run_id := ids.get(f"{row['variant']}/seed{row['seed']}")) is not None:
                 StoredRun(run.store, run_id).scores({FRAME_TIME: row["value"]})
         headline = table[table["metric"].isin(shown_in(Shown.headline))]
-        describe_study(run, runs, ids, analysis.to_markdown(headline), notes)
+        describe_study(run, runs, ids, headline, notes)
         run.tags({STATE: state})
     run.mark(Status.finished)
     if settings.tracking.register:

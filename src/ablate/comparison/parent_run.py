@@ -1,13 +1,14 @@
 """What MLflow shows of a study: the description of its parent run, and the model in the registry."""
 
+import re
 from collections.abc import Mapping, Sequence
 
-from ablate import tracking
+import pandas as pd
+
+from ablate import analysis, tracking
 from ablate.dataset import Part, label_values
-from ablate.metrics.metric import FLOOR_PREFIX
 from ablate.networks import conditions
 from ablate.runs.run import Run
-from ablate.runs.store_copy import logged
 from ablate.settings.study import StudySettings
 from ablate.tracking import Store, StoredRun
 from ablate.training import load_generator
@@ -16,9 +17,9 @@ _EXAMPLE_PX = 64  # size of the example input of a registered model
 
 
 def describe_study(
-    run: StoredRun, runs: Sequence[Run], ids: Mapping[str, str], comparison: str, cautions: Sequence[str]
+    run: StoredRun, runs: Sequence[Run], ids: Mapping[str, str], table: pd.DataFrame, cautions: Sequence[str]
 ) -> None:
-    """Write the parent run's description (links, the table in Markdown, cautions) and the re-simulation's scores.
+    """Write the parent run's description (links, a `comparison_table` in Markdown, cautions) and the table's means.
 
     `ids` are those of the stored runs, by name.
     """
@@ -29,11 +30,11 @@ def describe_study(
     report = tracking.artifact_page(run.store, run.run_id, "report.html")
     compared = tracking.comparison_page(run.store, list(first.values()))
     links = f"[The report]({report}) · [the variants side by side]({compared})"
-    rows = comparison.splitlines()  # MLflow's pages show no space between the columns of a table
+    rows = analysis.to_markdown(table).splitlines()  # MLflow's pages show no space between the columns of a table
     spaced = [row if set(row) <= set("|-: ") else row.replace(" |", "\u00a0\u00a0|") for row in rows]
     run.describe("\n\n".join([links, "\n".join(spaced), *cautions]))
-    floors = {k: v for k, v in logged(runs[0].result["scalars"]).items() if k.startswith(f"test/{FLOOR_PREFIX}")}
-    run.scores(floors)
+    means = table[["metric", "variant", "mean"]].dropna().itertuples(index=False)
+    run.scores({re.sub(r"[^\w/. -]", "_", f"test/{metric}/{variant}"): float(mean) for metric, variant, mean in means})
 
 
 def register_reference(settings: StudySettings, runs: Sequence[Run], store: Store, ids: Mapping[str, str]) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import StrEnum
 
 import pandas as pd
 
@@ -11,9 +10,9 @@ from ablate.anatomy import load_tissues
 from ablate.dataset.encoding import fitted, label_values
 from ablate.jobs.compose import job_of
 from ablate.jobs.scale import PAPER_CROP, PAPER_ROWS, paper_levels
-from ablate.networks import ExtraInput, GeneratorSpec, Noise, PatchDiscriminator
+from ablate.networks import GeneratorSpec, PatchDiscriminator
 from ablate.runs.job import Job, parameters
-from ablate.settings.conf import components_of_networks, variant_names
+from ablate.settings.conf import components_of_networks, named_components, variant_names
 from ablate.settings.study import StudySettings
 from ablate.ultrasound.probe import fan_of
 from ablate.ultrasound.settings import ConvexProbe
@@ -74,9 +73,7 @@ def _row(settings: StudySettings) -> dict[str, object]:
     rows = settings.simulator.image_shape[0]
     at_paper = paper_levels(spec.depth, rows)
     row: dict[str, object] = {
-        "family": spec.family.value,
-        **{component.name: _level(spec, field) for field, component in components_of_networks().items()},
-        "inputs": "+".join(networks.inputs(spec)),
+        **named_components(spec),
         **_field(spec, "field", rows, fan_of(settings.probe).size_mm[0]),
         "total_here": sum(parameters(settings, spec).values()),
         "paper_depth": at_paper,
@@ -115,16 +112,6 @@ def _same_for_all(settings: StudySettings) -> list[str]:
 
 def _length(px: int, rows: int, height_mm: float) -> str:
     return f"{px} px, {px * height_mm / rows:.0f} mm, {100 * px / rows:.0f} %"
-
-
-def _level(spec: GeneratorSpec, field: str) -> object:
-    """Whether a component with two levels is on, or else its level."""
-    level = getattr(spec, field)
-    if isinstance(level, StrEnum) and len(type(level)) == 2:
-        return level in components_of_networks()[field].levels_on
-    if field == "noise" and spec.extra_input is ExtraInput.noise:
-        return Noise.input.value
-    return str(level) if isinstance(level, str) else level
 
 
 def _cell(value: object) -> str:

@@ -10,10 +10,13 @@ from filelock import FileLock, Timeout
 
 from ablate import tracking
 from ablate.dataset.pairs import FORMATS
+from ablate.metrics import choose_metrics
 from ablate.metrics.metric import FLOOR_PREFIX, FRAME_TIME, is_bound
+from ablate.networks.spec import GeneratorSpec
 from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run, State, runs_of
-from ablate.setting import plain
+from ablate.setting import flat, plain
+from ablate.settings.conf import build, components, components_of_networks, named_components
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest
 from ablate.tracking import STATE, LocalLog, Status, Store, StoredRun
@@ -26,6 +29,11 @@ _SHARED = (  # settings that all runs of a study have in common, shown as its pa
     *("simulator.rays", "simulator.layers", "simulator.scanlines", "simulator.image_shape"),
     *("training.steps", "training.batch_size", "training.crop", "training.learning_rate", "training.schedule"),
     *("training.reconstruction", "training.l1_weight", "training.ema_decay", "training.precision"),
+)
+#: Settings of a run that people sort and compare by, beside its components.
+_SORTED_BY = (
+    *("model.target", "preset", "seed", "scene.anatomy_seed", "dataset.frames", "encoding"),
+    *(f"training.{key}" for key in ("steps", "batch_size", "learning_rate", "reconstruction", "loss")),
 )
 _SAMPLES = 2  # validation frames shown through training
 _SAMPLE_PX = 512  # larger frames are shrunk before they are logged: a run keeps a few dozen of them
@@ -93,7 +101,7 @@ def copy_study(settings: StudySettings) -> tuple[StoredRun, dict[str, str]]:
                 pass  # another process trains it
             except tracking.RunDeletedError as error:
                 _LOG.warning("%s", error)
-            except (KeyError, TypeError, AttributeError) as error:
+            except (KeyError, TypeError, AttributeError, ValueError) as error:
                 _LOG.warning("%s: not copied to the tracking store, %s is not as runs are now", run.folder, error)
         if run_id:
             ids[run.name] = run_id
@@ -130,6 +138,7 @@ class _Copy:
             ended = Status.finished
             stored.scores(logged(run.result["scalars"]), changed_ms, stored.model(run.label))
             stored.artifact(run.scores_file)
+            stored.copy_newest(self.folder)
         stored.mark(ended, changed_ms)
         stored.tags({STATE: state})
         return stored.run_id
@@ -146,19 +155,17 @@ def _opened(settings: StudySettings, run: Run) -> StoredRun:
     stored.mark(Status.running)
     stored.tags({k: v for k, v in run.made_with.items() if k in ABOUT_CODE})
     stored.describe(
-        f"`{label}`, seed {of_run['seed']}, of the study `{settings.study}`. **Model metrics**: `frames/` are "
-        "validation frames as training went on, rendered above, their target below; `train/` and `val/` are curves; "
-        "the step of all these is the number of images seen. `test/` was measured once, on frames of unseen probe "
-        "sites; `test/floor_` is what the same frames simulated with other scatterers and ray paths score. "
+        f"`{label}`, seed {of_run['seed']}, of the study `{settings.study}`. **Model metrics**: `test/` was measured "
+        "once, on frames of unseen probe sites; `test/floor_` is what the same frames simulated with other scatterers "
+        "and ray paths score. `newest/` are validation frames as rendered last, above their target, and `frames/` as "
+        "training went on; `train/` and `val/` are curves; the step of all these is the number of images seen. "
         "**Artifacts**: every metric of every frame in `per_image.parquet`; configuration, code and environment in "
-        "`provenance`."
+        "`provenance`. **Tags**: `config_hash` is a digest of the settings that decide the result; `git_dirty` says "
+        "whether the code had uncommitted changes."
     )
-    model = of_run["model"].items()
-    components = {f"model.{k}": v for k, v in model if k != "width" and (k not in ("noise_start", "target") or v)}
-    own = {"encoding": of_run["encoding"], "training.loss": of_run["training"]["loss"], "seed": of_run["seed"]}
-    # The label is called `model`, so that it comes before its components: of the parameters that differ, MLflow's
-    # comparison draws the first three by name.
-    stored.parameters({"model": label, **components, **own, **run.changed})
+    stored.parameters({"variant": label, **named_components(build(GeneratorSpec, of_run["model"])), **_sorted_by(run)})
+    with suppress(ValueError):  # a metric of the user's that is gone
+        stored.announce([f"test/{name}" for name, one in choose_metrics(settings.metrics).items() if one.of_image])
     for folder in (settings.results / "data").glob(f"*-{data}"):
         with suppress(OSError, ValueError, KeyError):  # pairs that are being made again
             pairs = DataSet(folder).pairs
@@ -168,6 +175,15 @@ def _opened(settings: StudySettings, run: Run) -> StoredRun:
     for path in run.provenance:
         stored.artifact(path, "provenance")
     return stored
+
+
+def _sorted_by(run: Run) -> dict[str, Any]:
+    """What is told of a run beside its components; the precision is that which `auto` stood for."""
+    settings = dict(flat(run.spec["settings"]))
+    others = {c.key for c in components()} - {c.key for c in components_of_networks().values()}
+    keys = others.union(_SORTED_BY, (key for key in run.changed if not key.startswith("model.")))
+    told = {key: settings[key] for key in sorted(keys) if settings.get(key) is not None}
+    return {**told, "training.precision": run.spec["semantic"]["training"]["precision"]}
 
 
 def log_samples(log: LocalLog, frames: np.ndarray, images: np.ndarray, targets: np.ndarray, images_seen: int) -> None:

@@ -3,6 +3,7 @@
 The folder conf/ declares the components that a study switches and the variants, a file each.
 """
 
+from enum import StrEnum
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -11,6 +12,7 @@ import yaml
 
 import ablate
 from ablate.analysis.components import Component
+from ablate.networks.spec import ExtraInput, GeneratorSpec, Noise, inputs
 from ablate.setting import Setting, is_group, settings_of, shown
 from ablate.settings.study import StudySettings
 from ablate.ultrasound.settings import PROBES, Probe, probe_from
@@ -113,6 +115,25 @@ def components() -> tuple[Component, ...]:
 def components_of_networks() -> dict[str, Component]:
     """The components that a generator is made of, by the field's name; others are options of data or training."""
     return {c.key.removeprefix("model."): c for c in components() if c.key.startswith("model.")}
+
+
+def named_components(spec: GeneratorSpec) -> dict[str, object]:
+    """The components of a generator by the names that tables have for them, and its inputs.
+
+    One of two levels is whether it is on. A network of the user's has fewer.
+    """
+    has = {f: c for f, c in components_of_networks().items() if spec.target is None or c.key not in NOT_OF_CUSTOM}
+    levels = {component.name: _level(spec, field, component) for field, component in has.items()}
+    return {"family": spec.family.value, **levels, "inputs": "+".join(inputs(spec))}
+
+
+def _level(spec: GeneratorSpec, field: str, component: Component) -> object:
+    level = getattr(spec, field)
+    if isinstance(level, StrEnum) and len(type(level)) == 2:
+        return level in component.levels_on
+    if field == "noise" and spec.extra_input is ExtraInput.noise:
+        return Noise.input.value
+    return str(level) if isinstance(level, str) else level
 
 
 def variant_names() -> tuple[str, ...]:

@@ -5,9 +5,10 @@ Of a task such as `precision`, what the store shows is on disk first, and the st
 
 import json
 import logging
+import math
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -22,7 +23,7 @@ from ablate.storage import digest, read_json, write_json
 from ablate.tracking.local_log import Status, logged_images, points, read_log, within
 from ablate.tracking.store import Store, parent_run, reason
 
-STATE = "copied"  # a tag: the digest of what was on disk when all of it had been copied
+STATE = "digest_of_what_was_copied"  # a tag: the digest of what was on disk when all of it had been copied
 _LOG = logging.getLogger(__name__)
 _RECORD = "run.json"
 _WAIT_S = 60.0
@@ -48,12 +49,27 @@ class StoredRun:
             self._client.log_batch(self.run_id, metrics=[Metric(p.key, p.value, p.time_ms, p.step) for p in batch])
             self._steps.update((point.key, point.step) for point in batch)
         for key, step, path in logged_images(folder):
-            name = f"{key.replace('/', '~')}+step+{step}+"
-            if name not in self._images:
-                with Image.open(path) as image:
-                    self._client.log_image(self.run_id, np.asarray(image), key=key, step=step)
-                self._images.add(name)
+            self._copy_image(key, step, path)
         self._read = end
+
+    def copy_newest(self, folder: Path) -> None:
+        """Copy the last image of each series once more, as `newest/`: of a series MLflow shows the first."""
+        for key, (step, path) in {key: (step, path) for key, step, path in logged_images(folder)}.items():
+            self._copy_image(f"newest/{Path(key).name}", step, path)
+
+    def _copy_image(self, key: str, step: int, path: Path) -> None:
+        name = f"{key.replace('/', '~')}+step+{step}+"
+        if name not in self._images:
+            with Image.open(path) as image:
+                self._client.log_image(self.run_id, np.asarray(image), key=key, step=step)
+            self._images.add(name)
+
+    def announce(self, keys: Sequence[str]) -> None:
+        """Log NaN for scores that are to come: MLflow lists metrics in the order in which they were first seen."""
+        known = self._client.get_run(self.run_id).data.metrics
+        new = [Metric(key, math.nan, 0, 0) for key in keys if key not in known]
+        if new:
+            self._client.log_batch(self.run_id, metrics=new)
 
     def scores(self, values: Mapping[str, float], time_ms: int | None = None, model: str | None = None) -> None:
         """Log one value for each name at step 0; NaN and infinite values are left out.
@@ -64,7 +80,8 @@ class StoredRun:
         id of a model they are that model's too, on the data set of the run.
         """
         run = self._client.get_run(self.run_id)
-        known, used = run.data.metrics, run.inputs.dataset_inputs if model else []
+        known = {key: value for key, value in run.data.metrics.items() if value == value}
+        used = run.inputs.dataset_inputs if model else []
         new = {k: float(v) for k, v in values.items() if abs(float(v)) < 1e300 and known.get(k) != float(v)}
         logged_ms = time_ms or int(time.time() * 1000)
         steps = {k: self._client.get_metric_history(self.run_id, k)[-1].step + 1 for k in new.keys() & known.keys()}
@@ -88,7 +105,8 @@ class StoredRun:
     def parameters(self, values: Mapping[str, object]) -> None:
         """Log parameters; those that the run already has are left as they are."""
         known = self._client.get_run(self.run_id).data.params
-        new = [Param(k, str(v)) for k, v in values.items() if k not in known]
+        words = {True: "yes", False: "no"}
+        new = [Param(k, words[v] if isinstance(v, bool) else str(v)) for k, v in values.items() if k not in known]
         if new:
             self._client.log_batch(self.run_id, params=new)
 
