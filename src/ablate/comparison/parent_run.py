@@ -50,7 +50,9 @@ def register_reference(settings: StudySettings, runs: Sequence[Run], store: Stor
         return f"not registered: {settings.reference} has no finished run in MLflow"
     chosen = max(of_reference, key=lambda run: run.result["scalars"]["val/psnr_fan"])
     trained, data = chosen.settings, chosen.data_set
-    middle = [slice(size // 2 - _EXAMPLE_PX // 2, size // 2 + _EXAMPLE_PX // 2) for size in data.pairs.shape]
+    space = trained.model.space
+    sizes = data.pairs.shape_in(space)
+    middle = [slice(size // 2 - _EXAMPLE_PX // 2, size // 2 + _EXAMPLE_PX // 2) for size in sizes]
     frame = data.pairs.frames(Part.test)[:1]
     version = register_generator(
         store,
@@ -59,7 +61,7 @@ def register_reference(settings: StudySettings, runs: Sequence[Run], store: Stor
         load_generator(chosen.checkpoint),
         label_values(data.tissues, trained.encoding, trained.label_seed),
         trained.training.precision,
-        {name: data.pairs.read(name, frame)[:, *middle] for name in conditions(trained.model)},
+        {name: data.pairs.read(name, frame, space)[:, *middle] for name in conditions(trained.model)},
         f"{chosen.name} of the study {settings.study}, the seed that validates best.",
     )
     return f"models:/{name}/{version}    ({chosen.name})"

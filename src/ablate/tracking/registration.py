@@ -24,7 +24,7 @@ with warnings.catch_warnings():
     warnings.filterwarnings("ignore", message=".*Any type hint is inferred as AnyType")  # in MLflow's own classes
     import mlflow.pyfunc
 
-_TYPES = {"segmentation": np.uint8, "attenuation": np.float32, "compensated": np.float32, "low": np.uint8}
+_TYPES = {"segmentation": np.uint8, "low": np.uint8}  # and float32 of all others
 _FRAMES = (-1, -1, -1)
 
 
@@ -69,10 +69,10 @@ def register_generator(
     """Make a version of the registered model `name` from the generator of a run, unless one exists; returns it.
 
     The model joins the artifacts of the run. Its file loads without running code. Its inputs are `segmentation`
-    (n, H, W) uint8, 0 outside the fan, and, where the generator reads them, `attenuation` or `compensated` float32 in
-    [0, 1] and `low` uint8; a parameter is the integer `seed`; the output is (n, H, W) uint8.
+    (n, H, W) uint8, 0 outside the fan, and the other maps that the generator reads: `low` uint8, others float32; a
+    parameter is the integer `seed`; the output is (n, H, W) uint8. All are in the space that the generator works in.
 
-    `values`, (labels,) float32 from `label_values`, tell how the labels of S are read. `example` holds the maps that
+    `values`, (labels, channels) float32 from `label_values`, tell how the labels of S are read. `example` holds the maps that
     the generator reads, (n, H, W) by name, small, because they are kept as text.
     """
     client = store.client
@@ -88,7 +88,9 @@ def register_generator(
             weights, model = Path(folder, "generator.pt"), Path(folder, "model")
             kept = {"spec": plain(generator.spec), "values": torch.from_numpy(values), "precision": str(precision)}
             torch.save({**kept, "weights": generator.state_dict()}, weights)
-            inputs = [TensorSpec(np.dtype(_TYPES[name]), _FRAMES, name) for name in conditions(generator.spec)]
+            inputs = [
+                TensorSpec(np.dtype(_TYPES.get(name, np.float32)), _FRAMES, name) for name in conditions(generator.spec)
+            ]
             output, seed = TensorSpec(np.dtype(np.uint8), _FRAMES), ParamSpec("seed", "long", 0)
             versions = {k: v.partition("+")[0] for k, v in packages().items() if k != "python"}
             mlflow.pyfunc.save_model(
