@@ -2,6 +2,7 @@
 
 make bench-inference
 make bench-inference ARGS="--variant lsa2h --widths 0.25 --size 250 346"
+make bench-inference ARGS="--preset quick --widths 0.25 --size 1536 192"    # beam space, rows and scanlines
 
 Every row is measured in a process of its own, so that the peak of its memory is its own; for the exported engine
 that process starts from the finished file. Differences are to the eager engine in fp32. Weights are drawn, not
@@ -22,9 +23,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from ablate.anatomy import load_tissues
+from ablate.dataset import fitted, label_values
 from ablate.dataset.encoding import HALF_RANGE
-from ablate.jobs.compose import variant_model
-from ablate.networks import Generator, conditions, count_generator, export_onnx
+from ablate.jobs.compose import jobs_of
+from ablate.networks import Generator, GeneratorSpec, conditions, count_generator, export_onnx
 from ablate.tracking import hardware
 from ablate.training import (
     Engine,
@@ -57,7 +60,16 @@ def line(cells: tuple[str, ...]) -> None:
 
 def child(arguments: argparse.Namespace, *more: str) -> dict[str, Any]:
     """Run this file once more for one row, or one file, and return what it measured."""
-    own = ("--variant", arguments.variant, "--size", *map(str, arguments.size), "--repeats", str(arguments.repeats))
+    own = (
+        "--variant",
+        arguments.variant,
+        "--preset",
+        arguments.preset,
+        "--size",
+        *map(str, arguments.size),
+        "--repeats",
+        str(arguments.repeats),
+    )
     command = [sys.executable, __file__, *own, "--device", arguments.device, *more]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
@@ -74,9 +86,16 @@ def peak_gib(device: torch.device) -> float:
         return next(int(row.split()[1]) for row in file if row.startswith("VmHWM")) / 2**20
 
 
-def drawn_generator(variant: str, width: float) -> Generator:
-    """A variant's generator with its first weights, its noise switched on."""
-    spec = replace(variant_model(variant), width=width)
+def spec_of(arguments: argparse.Namespace, width: float) -> GeneratorSpec:
+    """The generator of a variant with the maps of a preset, and as deep as in the paper's frame."""
+    given = [f"preset={arguments.preset}", f"variant={arguments.variant}", "simulator.image_shape=[1000,1386]"]
+    settings = jobs_of(given)[0].settings
+    values = label_values(tuple(load_tissues().values()), settings.encoding)
+    return replace(fitted(settings.model, settings.encoding, values), width=width)
+
+
+def drawn_generator(spec: GeneratorSpec) -> Generator:
+    """A generator with its first weights, its noise switched on."""
     torch.manual_seed(0)
     generator = Generator(spec).eval().requires_grad_(False)
     for name, parameter in generator.named_parameters():
@@ -89,13 +108,14 @@ def measure(arguments: argparse.Namespace) -> None:
     """Measure one row; prints JSON."""
     (height, width), device = arguments.size, chosen_device(arguments.device)
     before = peak_gib(device)
-    generator = drawn_generator(arguments.variant, arguments.widths[0]).to(device)
+    generator = drawn_generator(spec_of(arguments, arguments.widths[0])).to(device)
     if arguments.engine is None:
         export_onnx(generator, arguments.file, height, width)
         print("{}")
         return
     random = torch.Generator().manual_seed(0)
-    maps = {name: torch.rand(1, 1, height, width, generator=random).to(device) for name in conditions(generator.spec)}
+    channels = dict.fromkeys(conditions(generator.spec), 1) | {"segmentation": generator.spec.labels}
+    maps = {name: torch.rand(1, n, height, width, generator=random).to(device) for name, n in channels.items()}
     started = time.perf_counter()
     if arguments.engine is Engine.exported:
         render = open_exported(generator, arguments.file, arguments.precision)
@@ -120,7 +140,7 @@ def table(arguments: argparse.Namespace, folder: Path) -> None:
     device, before = chosen_device(arguments.device), 0.0
     computed = tuple(dict.fromkeys((TrainingPrecision.fp32, chosen_precision(TrainingPrecision.auto, device))))
     for width in arguments.widths:
-        parameters = f"{count_generator(replace(variant_model(arguments.variant), width=width)):,}"
+        parameters = f"{count_generator(spec_of(arguments, width)):,}"
         exported, reference = folder / "model.onnx", None
         for engine in Engine:
             lacking = missing_for(engine, device)
@@ -163,6 +183,7 @@ def main() -> None:
     """Print the table, or measure one row of it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--variant", default="sa2h")
+    parser.add_argument("--preset", default="paper", help="whose maps the network reads")
     parser.add_argument("--widths", type=float, nargs="+", default=[1.0, 0.5, 0.25])
     parser.add_argument("--size", type=int, nargs=2, default=[1000, 1386], metavar=("HEIGHT", "WIDTH"))
     parser.add_argument("--repeats", type=int, default=5)

@@ -20,8 +20,8 @@ OPSET = 18
 def export_onnx(generator: Generator, path: Path, height: int, width: int) -> None:
     """Write a generator as one ONNX file for frames of one size, batch 1, float32.
 
-    The inputs are named. First come the maps of `conditions(generator.spec)`, (1, 1, H, W) each. The noise fields of
-    `generator.noise_sizes(height, width)` follow: standard normal numbers, for example of `generator.draw_noise`, or
+    The inputs are named. First come the maps of `conditions(generator.spec)`, (1, 1, H, W) each but for the channels of
+    the segmentation. The noise fields of `generator.noise_sizes(height, width)` follow: standard normal numbers, for example of `generator.draw_noise`, or
     zeros to switch the noise off. The output `image` is (1, 1, H, W) in [-1, 1], not masked. The metadata of the file
     hold the specification as JSON under `spec`.
 
@@ -49,8 +49,9 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int) -> No
         raise ImportError(f"export needs the package {error.name}: {installing('export')}") from error
     device = next(generator.parameters()).device
     frame = _Frame(generator, height, width)
-    sizes = [(height, width)] * len(frame.maps) + list(frame.sizes.values())
-    arguments = tuple(torch.zeros(1, 1, *size, device=device) for size in sizes)
+    channels = [generator.spec.labels] + [1] * (len(frame.maps) - 1)  # the segmentation is the first of the maps
+    shapes = [(n, height, width) for n in channels] + [(1, *size) for size in frame.sizes.values()]
+    arguments = tuple(torch.zeros(1, *shape, device=device) for shape in shapes)
     names = [*frame.maps, *frame.sizes]
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it tells of optional packages
     with warnings.catch_warnings(), torch.no_grad():
