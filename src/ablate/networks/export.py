@@ -21,9 +21,9 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int) -> No
     """Write a generator as one ONNX file for frames of one size, batch 1, float32.
 
     The inputs are named. First come the maps of `conditions(generator.spec)`, (1, 1, H, W) each but for the channels of
-    the segmentation. The noise fields of `generator.noise_sizes(height, width)` follow: standard normal numbers, for example of `generator.draw_noise`, or
-    zeros to switch the noise off. The output `image` is (1, 1, H, W) in [-1, 1], not masked. The metadata of the file
-    hold the specification as JSON under `spec`.
+    the segmentation. The noise fields of `generator.noise_sizes(height, width)` follow: standard normal numbers, for
+    example of `generator.draw_noise`, or zeros to switch the noise off. The output `image` is (1, 1, H, W) in [-1, 1],
+    not masked, in the space that the generator works in. The metadata hold the specification as JSON under `spec`.
 
     Parameters
     ----------
