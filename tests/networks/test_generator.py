@@ -9,9 +9,20 @@ from scipy import stats
 from torch import Tensor
 from torch.nn import functional as F
 
-from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, discriminator_channels, gaussian_field, inputs
+from ablate.networks import (
+    Generator,
+    GeneratorSpec,
+    Norm,
+    PatchDiscriminator,
+    conditions,
+    discriminator_channels,
+    gaussian_field,
+    inputs,
+    receptive_field,
+)
 from ablate.networks.generator import _GOLDEN, _mix
-from support.variants import VARIANTS
+from ablate.networks.spec import fed_channels
+from support.variants import BEAM, ONEHOT, OUTSIDE, VARIANTS, maps_of
 
 
 def make(seed: int = 0, **changes: object) -> Generator:
@@ -20,16 +31,8 @@ def make(seed: int = 0, **changes: object) -> Generator:
     return Generator(GeneratorSpec(**{**defaults, **changes})).eval()
 
 
-def maps(height: int = 24, width: int = 32, batch: int = 2, seed: int = 0) -> dict[str, Tensor]:
-    random = torch.Generator().manual_seed(seed)
-    shape = (batch, 1, height, width)
-    return {
-        "segmentation": torch.rand(shape, generator=random) * 2 - 1,
-        "attenuation": torch.rand(shape, generator=random),
-        "low": torch.rand(shape, generator=random) * 2 - 1,
-        "compensated": torch.rand(shape, generator=random),
-        "noise_seed": torch.arange(batch) + seed,
-    }
+def maps(height: int = 24, width: int = 32, batch: int = 2, labels: int = 1) -> dict[str, Tensor]:
+    return {**maps_of(GeneratorSpec(labels=labels), batch, height, width), "noise_seed": torch.arange(batch)}
 
 
 LARGE = {(1024, 1023): {}, (1, 1024): {"depth": 8}, (999, 3): {"depth": 8}, (1023, 65): VARIANTS["concat"]}
@@ -44,7 +47,7 @@ LARGE = {(1024, 1023): {}, (1, 1024): {"depth": 8}, (999, 3): {"depth": 8}, (102
 )
 def test_any_size_comes_back_in_range(size: tuple[int, int], changes: dict) -> None:
     with torch.inference_mode():
-        image = make(**changes)(**maps(*size))
+        image = make(**changes)(**maps(*size, labels=changes.get("labels", 1)))
     assert image.shape == (2, 1, *size)
     assert image.isfinite().all()
     assert image.abs().max() <= 1
@@ -67,7 +70,7 @@ def test_at_depth_8_a_crop_of_256_ends_in_one_pixel_that_is_not_normalised() -> 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_parameter_is_used(variant: str) -> None:
     generator = make(**VARIANTS[variant])
-    generator(**maps()).square().mean().backward()
+    generator(**maps(labels=generator.spec.labels)).square().mean().backward()
     unused = [name for name, p in generator.named_parameters() if p.grad is None or not p.grad.any()]
     # A bias before instance norm without a non-linearity between them cancels: pix2pix has them too.
     assert not [name for name in unused if generator.spec.family == "local" or not name.endswith("bias")]
@@ -76,24 +79,62 @@ def test_every_parameter_is_used(variant: str) -> None:
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_exactly_the_named_maps_are_read(variant: str) -> None:
     generator = make(**VARIANTS[variant])
-    given = maps()
+    given = maps(labels=generator.spec.labels)
     reference = generator(**given)
-    for name in ("segmentation", "attenuation", "compensated", "low"):
+    for name in OUTSIDE:
         changed = generator(**{**given, name: given[name].flip(-1)})
         assert torch.equal(changed, reference) is (name not in inputs(generator.spec))
 
 
-@pytest.mark.parametrize("variant", ["sa2h", "compensated", "lsa2h"])
+@pytest.mark.parametrize("variant", ["sa2h", "compensated", "lsa2h", "beam", "onehot"])
 def test_padding_is_a_larger_frame_with_nothing_beside_the_fan(variant: str) -> None:
-    generator = make(**VARIANTS[variant], **({} if variant == "lsa2h" else {"noise_start": 0.5}))
-    given = maps(21, 30)
-    padded = {
-        name: F.pad(value, (0, 2, 0, 3), value=0.0 if name in ("attenuation", "compensated") else -1.0)
-        for name, value in given.items()
-        if name != "noise_seed"
-    }
+    generator = make(**{**VARIANTS[variant], **({} if variant == "lsa2h" else {"noise_start": 0.5})})
+    given = maps(21, 30, labels=generator.spec.labels)
+    padded = {name: F.pad(given[name], (0, 2, 0, 3), value=outside) for name, outside in OUTSIDE.items()}
+    if variant == "onehot":  # the first label is outside the fan
+        for channel, value in enumerate((1.0, 0.0, 0.0, 0.0, 0.0, 0.0)):
+            padded["segmentation"][:, channel, 21:], padded["segmentation"][:, channel, :, 30:] = value, value
     whole = generator(**padded, noise_seed=given["noise_seed"])
     assert torch.equal(generator(**given), whole[..., :21, :30])
+
+
+@pytest.mark.parametrize("changes", [{}, BEAM, ONEHOT])
+def test_coarse_maps_are_means_over_areas_and_of_an_order_of_labels_its_pixel(changes: dict) -> None:
+    generator = make(**changes).double()
+    labels, fed = generator.spec.labels, fed_channels(generator.spec)
+    given = {name: value.double() for name, value in maps(labels=labels).items() if name != "noise_seed"}
+    drawn = torch.randint(labels, (2, 24, 32), generator=torch.Generator().manual_seed(0))
+    if generator.embedding is not None:
+        given["segmentation"] = F.one_hot(drawn, labels).permute(0, 3, 1, 2).double()
+    seen: list[list[Tensor]] = []
+    generator.network.register_forward_pre_hook(lambda _, args: seen.append(args[1]))
+    generator(**given)
+    whole = torch.cat([given[name] for name in conditions(generator.spec)], 1)
+    for level, coarse in enumerate(seen[0]):
+        expected = F.avg_pool2d(whole, 2**level)
+        if labels == 1:
+            expected[:, :1] = whole[:, :1, :: 2**level, :: 2**level]
+        if generator.embedding is not None:  # the embedding of the shares that the labels have of a cell
+            shares, weight = expected[:, :labels], generator.embedding.weight[:, :, 0, 0]
+            expected = torch.cat((torch.einsum("nlhw,el->nehw", shares, weight), expected[:, labels:]), 1)
+        torch.testing.assert_close(coarse, expected[:, :fed], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("norm", Norm)
+def test_only_a_fixed_norm_renders_a_tile_as_it_renders_the_frame(norm: Norm) -> None:
+    generator = make(**{**BEAM, "depth": 2, "norm": norm}).double()
+    for layer in generator.modules():
+        if isinstance(layer, torch.nn.Conv2d | torch.nn.ConvTranspose2d):
+            torch.nn.init.normal_(layer.weight, 0.0, 0.1)
+    frame = {name: value.double() for name, value in maps(128, 160, 1, labels=3).items() if name != "noise_seed"}
+    tile = {name: value[..., 16:112, 32:128] for name, value in frame.items()}
+    edge = (receptive_field(generator.spec) or 0) // 2 + 1
+    inner = slice(edge, 96 - edge)
+    with torch.no_grad():
+        whole, part = generator(**frame)[..., 16:112, 32:128], generator(**tile)
+    difference = float((whole - part)[..., inner, inner].abs().max())
+    assert difference < 1e-12 if norm is Norm.fixed else difference > 1e-3
+    assert float(part[..., inner, inner].std()) > 0.01
 
 
 def test_the_compensated_map_takes_the_place_of_the_integral_one() -> None:
@@ -149,9 +190,9 @@ def test_injected_noise_is_the_weight_times_one_field_a_level() -> None:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_bf16_stays_in_bf16_and_close(variant: str) -> None:
-    generator, given = make(**VARIANTS[variant]), maps()
-    dtypes = set()
-    for layer in generator.modules():
+    generator = make(**VARIANTS[variant])
+    given, dtypes = maps(labels=generator.spec.labels), set()
+    for layer in generator.network.modules():
         if not list(layer.children()):
             layer.register_forward_pre_hook(lambda _, args: dtypes.add(args[0].dtype))
     reference = generator(**given)

@@ -41,6 +41,19 @@ def test_a_variant_without_injected_noise_has_no_weight_for_it(noise: str) -> No
     assert count_generator(GeneratorSpec(noise=noise)) == with_noise - channels + stem  # type: ignore[arg-type]
 
 
+def test_a_refined_grain_costs_its_convolution_and_every_map_alike() -> None:
+    whole, read = count_generator(GeneratorSpec()), 2 * 64 + 2
+    narrower_output = 64 * 9
+    refined = count_generator(GeneratorSpec(grain="refine"))  # type: ignore[arg-type]
+    assert refined == whole + (read * 9 + 1) * 64 - narrower_output
+    one_map = whole - count_generator(GeneratorSpec(attenuation="none"))  # type: ignore[arg-type]
+    for changes, maps in (({"interfaces": "echo"}, 1), ({"position": "beam"}, 2), ({"labels": 3}, 2)):
+        assert count_generator(GeneratorSpec(**changes)) == whole + maps * one_map  # type: ignore[arg-type]
+    embedded = count_generator(GeneratorSpec(labels=30, embedding=4))
+    assert embedded == whole + 3 * one_map + 30 * 4
+    assert count_generator(GeneratorSpec(norm="fixed")) == whole  # type: ignore[arg-type]
+
+
 def test_the_narrowest_network_keeps_four_channels() -> None:
     generator = Generator(GeneratorSpec(width=1e-6))
     assert {layer.out_channels for layer in convolutions(generator.network.down)} == {4}

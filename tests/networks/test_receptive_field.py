@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, patch_size, receptive_field
+from ablate.networks import Generator, GeneratorSpec, PatchDiscriminator, conditions, patch_size, receptive_field
 from support.variants import UNET
 
 
@@ -15,9 +15,14 @@ def measured_extent(gradient: Tensor) -> int:
     return int(max(columns[-1] - columns[0], rows[-1] - rows[0])) + 1
 
 
-def make_linear(network: nn.Module, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Positive weights and no norm: no contribution cancels, and no statistics reach across the image."""
+@pytest.fixture(autouse=True)
+def no_norm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No statistics reach across the image."""
     monkeypatch.setattr("ablate.networks.families.instance_norm", lambda features: features)
+
+
+def make_linear(network: nn.Module) -> None:
+    """Positive weights: no contribution cancels."""
     for parameter in network.parameters():
         fan_in = parameter[0].numel() if parameter.ndim == 4 else 1
         nn.init.constant_(parameter, 1.0 / fan_in)
@@ -29,6 +34,10 @@ def make_linear(network: nn.Module, monkeypatch: pytest.MonkeyPatch) -> None:
         *({"depth": depth} for depth in (1, 2, 3, 4)),
         {"depth": 2, "attenuation": "none"},
         {"depth": 2, "noise": "input"},
+        {"depth": 2, "grain": "refine"},
+        {"depth": 2, "grain": "refine", "upsampling": "resize", "position": "beam"},
+        {"depth": 2, "labels": 3, "attenuation": "none"},
+        {"depth": 2, "labels": 5, "embedding": 2, "attenuation": "none"},
         {"depth": 2, "extra_input": "low"},
         {"depth": 2, "upsampling": "resize"},
         {"depth": 3, "concat": "input"},
@@ -38,27 +47,30 @@ def make_linear(network: nn.Module, monkeypatch: pytest.MonkeyPatch) -> None:
         *({**UNET, "depth": 3, "extra_input": extra} for extra in ("low", "noise")),
     ],
 )
-def test_generator(changes: dict, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_generator(changes: dict) -> None:
     spec = GeneratorSpec(**changes, width=0.01)
     generator = Generator(spec).double()
-    make_linear(generator, monkeypatch)
+    make_linear(generator)
     expected = receptive_field(spec)
     period = 2**spec.depth
     size = (expected // period + 3) * period
     extents = []
     for phase in range(period):
-        maps = torch.full((3, 1, 1, size, size), 1e-3, dtype=torch.float64, requires_grad=True)
+        channels = {name: spec.labels if name == "segmentation" else 1 for name in conditions(spec)}
+        maps = {
+            name: torch.full((1, count, size, size), 1e-3, dtype=torch.float64, requires_grad=True)
+            for name, count in channels.items()
+        }
         pixel = size // 2 // period * period + phase
-        generator(*maps)[0, 0, pixel, pixel].backward()
-        assert maps.grad is not None
-        extents.append(max(measured_extent(gradient) for gradient in maps.grad if gradient.any()))
+        generator(**maps)[0, 0, pixel, pixel].backward()
+        extents.append(max(measured_extent(value.grad) for value in maps.values()))
     assert max(extents) == expected
 
 
-def test_generator_of_eight_levels_on_a_strip(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_generator_of_eight_levels_on_a_strip() -> None:
     spec = GeneratorSpec(depth=8, width=0.01)
     generator = Generator(spec).double()
-    make_linear(generator, monkeypatch)
+    make_linear(generator)
     expected, period = receptive_field(spec), 2**spec.depth
     assert expected == 2813
     width = (expected // period + 3) * period
@@ -72,9 +84,9 @@ def test_generator_of_eight_levels_on_a_strip(monkeypatch: pytest.MonkeyPatch) -
     assert max(extents) == expected
 
 
-def test_discriminator_judges_patches_of_70(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_discriminator_judges_patches_of_70() -> None:
     discriminator = PatchDiscriminator(2, width=0.01).double()
-    make_linear(discriminator, monkeypatch)
+    make_linear(discriminator)
     image = torch.full((1, 1, 256, 256), 1e-3, dtype=torch.float64, requires_grad=True)
     discriminator(image.detach(), image)[0, 0, 15, 15].backward()
     assert image.grad is not None

@@ -10,16 +10,41 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from ablate.networks import Concat, Family, GeneratorSpec, Noise, Upsampling, conditions, discriminator_channels, inputs
+from ablate.networks import (
+    Concat,
+    Family,
+    GeneratorSpec,
+    Grain,
+    Noise,
+    Norm,
+    Upsampling,
+    conditions,
+    discriminator_channels,
+    inputs,
+)
 from ablate.networks.spec import scaled
 
 
+class PixelNorm(nn.Module):
+    def forward(self, features: Tensor) -> Tensor:
+        return features / (features.square().mean(1, keepdim=True) + 1e-5).sqrt()
+
+
+def norm_of(spec: GeneratorSpec, channels: int) -> nn.Module:
+    return PixelNorm() if spec.norm is Norm.fixed else nn.InstanceNorm2d(channels)
+
+
+def channels_of(names: tuple[str, ...], spec: GeneratorSpec) -> int:
+    """Channels of these maps as the generator's convolutions read them."""
+    return sum((spec.embedding or spec.labels) if name == "segmentation" else 1 for name in names)
+
+
 class PlainDownBlock(nn.Module):
-    def __init__(self, channels_in: int, channels_out: int, maps: int) -> None:
+    def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
         super().__init__()
         self.shrink = nn.Conv2d(channels_in + maps, channels_out, 3, stride=2, padding=1)
         self.refine = nn.Conv2d(channels_out + maps, channels_out, 3, padding=1)
-        self.norm = nn.InstanceNorm2d(channels_out)
+        self.norm = norm_of(spec, channels_out)
 
     def forward(self, features: Tensor, fine: list[Tensor], coarse: list[Tensor]) -> Tensor:
         features = self.norm(F.leaky_relu(self.shrink(torch.cat([features, *fine], 1)), 0.2))
@@ -38,7 +63,7 @@ class PlainUpBlock(nn.Module):
             self.refine = nn.Conv2d(channels_out + maps, channels_out, 3, padding=1)
         else:
             self.grow = nn.ConvTranspose2d(channels_in + maps, channels_out, 4, stride=2, padding=1)
-        self.norm = nn.InstanceNorm2d(channels_out)
+        self.norm = norm_of(spec, channels_out)
         if spec.noise is Noise.inject:
             self.noise_weight = nn.Parameter(torch.full((2 * channels_out, 1, 1), float(spec.noise_start)))
 
@@ -64,34 +89,46 @@ class PlainLocal(nn.Module):
         widths = [scaled(count, spec.width) for count in channels]
         self.fed = 0
         if spec.concat is Concat.every_level:
-            self.fed = sum(name in ("segmentation", "attenuation", "compensated") for name in conditions(spec))
-        self.stem = nn.Conv2d(len(inputs(spec)), widths[0], 3, padding=1)
-        self.down = nn.ModuleList(PlainDownBlock(fine, coarse, self.fed) for fine, coarse in pairwise(widths))
+            self.fed = channels_of(tuple(name for name in conditions(spec) if name != "low"), spec)
+        if spec.embedding:
+            self.embedding = nn.Conv2d(spec.labels, spec.embedding, 1, bias=False)
+        self.stem = nn.Conv2d(channels_of(inputs(spec), spec), widths[0], 3, padding=1)
+        self.norms = nn.ModuleList(norm_of(spec, count) for count in (widths[0], widths[-1]))
+        self.down = nn.ModuleList(PlainDownBlock(fine, coarse, self.fed, spec) for fine, coarse in pairwise(widths))
         self.bottleneck = nn.Conv2d(widths[-1] + self.fed, widths[-1], 3, padding=1)
         ups = list(pairwise([widths[-1], *reversed(widths[:-1])]))
         self.up = nn.ModuleList(PlainUpBlock(2 * coarse, fine, self.fed, spec) for coarse, fine in ups)
-        self.output = nn.Conv2d(2 * widths[0] + self.fed, 1, 3, padding=1)
+        if spec.grain is Grain.refine:
+            self.grain = nn.Conv2d(2 * widths[0] + self.fed, widths[0], 3, padding=1)
+        last = widths[0] if spec.grain is Grain.refine else 2 * widths[0]
+        self.output = nn.Conv2d(last + self.fed, 1, 3, padding=1)
 
     def forward(self, stacked: Tensor) -> Tensor:
         """Render the stacked conditions, (N, conditions, H, W); H and W are multiples of 2^depth."""
+        if self.spec.embedding:
+            labels, others = stacked[:, : self.spec.labels], stacked[:, self.spec.labels :]
+            stacked = torch.cat([self.embedding(labels), others], 1)
         maps = [self.resized(stacked, level) for level in range(self.spec.depth + 1)]
-        features = F.instance_norm(F.leaky_relu(self.stem(with_noise(stacked, self.spec)), 0.2))
+        features = self.norms[0](F.leaky_relu(self.stem(with_noise(stacked, self.spec)), 0.2))
         skips = []
         for level, block in enumerate(self.down):
             skips.append(features)
             features = block(features, maps[level], maps[level + 1])
-        bottom = F.instance_norm(F.leaky_relu(self.bottleneck(torch.cat([features, *maps[-1]], 1)), 0.2))
+        bottom = self.norms[1](F.leaky_relu(self.bottleneck(torch.cat([features, *maps[-1]], 1)), 0.2))
         features = torch.cat([bottom, features], 1)
         for level, block in zip(reversed(range(self.spec.depth)), self.up, strict=True):
             features = block(features, skips[level], maps[level + 1], maps[level])
+        if self.spec.grain is Grain.refine:
+            features = F.leaky_relu(self.grain(torch.cat([features, *maps[0]], 1)), 0.2)
         return torch.tanh(self.output(torch.cat([features, *maps[0]], 1)))
 
     def resized(self, stacked: Tensor, level: int) -> list[Tensor]:
         """The maps that every level reads, at 1 / 2^level of the resolution."""
         size = [length >> level for length in stacked.shape[-2:]]
-        maps = [F.interpolate(stacked[:, :1], size, mode="nearest")] if self.fed else []
-        if self.fed == 2:
-            maps.append(F.interpolate(stacked[:, 1:2], size, mode="bilinear"))
+        order = int(self.fed > 0 and self.spec.labels == 1)
+        maps = [F.interpolate(stacked[:, :1], size, mode="nearest")] if order else []
+        if self.fed > order:
+            maps.append(F.interpolate(stacked[:, order : self.fed], size, mode="area"))
         return maps
 
 
@@ -102,8 +139,9 @@ class PlainUNet(nn.Module):
         super().__init__()
         self.spec = spec
         widths = [scaled((64, 128, 256, 512)[min(level, 3)], spec.width) for level in range(spec.depth)]
-        channels = [len(inputs(spec)), *widths]
+        channels = [channels_of(inputs(spec), spec), *widths]
         self.down = nn.ModuleList(nn.Conv2d(a, b, 4, stride=2, padding=1) for a, b in pairwise(channels))
+        self.norm = PixelNorm() if spec.norm is Norm.fixed else F.instance_norm
         out = [*reversed(widths[:-1]), 1]
         into = [widths[-1], *(2 * width for width in out[:-1])]
         self.up = nn.ModuleList(
@@ -116,14 +154,14 @@ class PlainUNet(nn.Module):
         skips = []
         for layer in self.down[1:-1]:
             skips.append(features)
-            features = F.instance_norm(layer(F.leaky_relu(features, 0.2)))
+            features = self.norm(layer(F.leaky_relu(features, 0.2)))
         skips.append(features)
         features = self.down[-1](F.leaky_relu(features, 0.2))
         for index, layer in enumerate(self.up):
             features = F.relu(features if index == 0 else torch.cat([skips.pop(), features], 1))
             features = layer(features)
             if index < len(self.up) - 1:
-                features = F.instance_norm(features)
+                features = self.norm(features)
         return torch.tanh(features)
 
 

@@ -2,7 +2,18 @@
 
 from typing import Any
 
+import torch
+from torch import Tensor
+
+from ablate.networks import GeneratorSpec
+
 UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none"}
+#: The representation of the presets: four more maps, three values a label, and a convolution after the finest noise.
+BEAM = {
+    **{"space": "beam", "labels": 3, "attenuation": "illumination", "interfaces": "echo", "position": "beam"},
+    **{"grain": "refine", "norm": "fixed", "noise_start": 0.5},
+}
+ONEHOT = {"labels": 6, "embedding": 2, "position": "depth"}
 VARIANTS: dict[str, dict[str, Any]] = {
     "sa2h": {},
     "att": {"attenuation": "none"},
@@ -16,4 +27,17 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "low": {"extra_input": "low"},
     "lsa2h": {**UNET, "extra_input": "low"},
     "nsa2h": {**UNET, "extra_input": "noise"},
+    "beam": BEAM,
+    "onehot": ONEHOT,
+    "beam-unet": {**UNET, "labels": 3, "attenuation": "illumination", "position": "beam", "norm": "fixed"},
 }
+#: Every map that some generator reads, and what it is outside the fan.
+OUTSIDE = {"segmentation": -1.0, "low": -1.0, "depth": 0.0, "lateral": 0.0, "interfaces": 0.0}
+OUTSIDE |= dict.fromkeys(("attenuation", "compensated", "illumination"), 0.0)
+
+
+def maps_of(spec: GeneratorSpec, batch: int, height: int, width: int, seed: int = 0) -> dict[str, Tensor]:
+    """Random maps in their ranges, (batch, channels, height, width), whether the generator reads them or not."""
+    random = torch.Generator().manual_seed(seed)
+    shapes = {name: (batch, spec.labels if name == "segmentation" else 1, height, width) for name in OUTSIDE}
+    return {name: torch.rand(shapes[name], generator=random) * (1 - low) + low for name, low in OUTSIDE.items()}

@@ -142,7 +142,10 @@ class Generator(nn.Module):
         unit = 2**self.spec.depth
         padding = (0, -width % unit, 0, -height % unit)
         if any(padding):
+            labels = stack[0]
             stack = [F.pad(x, padding, value=OUTSIDE.get(name, 0.0)) for x, name in zip(stack, names, strict=True)]
+            if self.embedding is not None:  # one-hot: the first channel says that a pixel is outside
+                stack[0] = torch.cat((F.pad(labels[:, :1], padding, value=1.0), F.pad(labels[:, 1:], padding)), dim=1)
         if self.embedding is not None:
             stack[0] = self.embedding(stack[0])
         stacked = laid_out(torch.cat(stack, dim=1))
