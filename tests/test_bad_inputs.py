@@ -118,7 +118,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["seed=99999999999999999999"], r"seed=99999999999999999999: allowed are whole numbers below 2\^63"),
     (["simulator.image_shape=[]"], r"image_shape"),
     (["simulator.image_shape=[99999,1]"], r"simulator\.image_shape=\[99999, 1\]: .* 2 whole numbers from 1 to 16384"),
-    (["training.crop=4096"], r"training\.crop=4096: at most 356, which covers an image of 256 x 355 px"),
+    (["training.crop=4096"], r"training\.crop=4096: at most 384, which covers a frame of 384 x 128"),
     (["variant=sa2h-gan", "training.l1_weight=0"], r"l1_weight=0 with loss=none"),
     (["training.batch_size=1000"], r"training\.batch_size=1000: more than the \d+ training frames"),
     (["dataset.grid=[1,2]"], r"dataset\.grid=\[1, 2\]: allowed are 4 whole numbers from 1, or null"),
