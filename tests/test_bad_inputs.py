@@ -119,6 +119,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["simulator.image_shape=[]"], r"image_shape"),
     (["simulator.image_shape=[99999,1]"], r"simulator\.image_shape=\[99999, 1\]: .* 2 whole numbers from 1 to 16384"),
     (["training.crop=4096"], r"training\.crop=4096: at most 384, which covers a frame of 384 x 128"),
+    (["simulator.scanlines=24"], r"training\.crop=0: whole frames are 384 x 24; allowed are at least 32 x 32"),
     (["variant=sa2h-gan", "training.l1_weight=0"], r"l1_weight=0 with loss=none"),
     (["training.batch_size=1000"], r"training\.batch_size=1000: more than the \d+ training frames"),
     (["dataset.grid=[1,2]"], r"dataset\.grid=\[1, 2\]: allowed are 4 whole numbers from 1, or null"),

@@ -134,6 +134,9 @@ def _check_training(job: Job, seen: int, labels: set[str]) -> None:
         beam = s.model.space is Space.beam
         height, width = s.simulator.beam_shape if beam else s.simulator.image_shape
         most = max(-(-max(height, width) // stride) * stride, SMALLEST_CROP)
+        if s.task is Task.study and s.training.crop == 0 and min(height, width) < SMALLEST_CROP:
+            allowed = f"allowed are at least {SMALLEST_CROP} x {SMALLEST_CROP}"
+            raise ConfigurationError(f"training.crop=0: whole frames are {height} x {width}; {allowed}")
         if s.training.crop > most:
             covers = f"which covers a frame of {height} x {width}"
             raise ConfigurationError(f"training.crop={s.training.crop}: at most {most}, {covers}")
