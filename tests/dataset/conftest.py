@@ -9,6 +9,7 @@ import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.dataset import Pairs, Part, Recipe, create_pairs
+from ablate.networks import Space
 from ablate.ultrasound import ConvexProbe, SimulatorSettings, fan_mask
 
 Blank = Callable[..., Pairs]
@@ -36,7 +37,9 @@ def blank(recipe: Recipe) -> Blank:
         split = np.full(frames, Part.train, np.uint8)
         split[-4:] = Part.validation, Part.validation, Part.test, Part.test
         mask = fan_mask(recipe.probe, recipe.settings.image_shape)
-        return create_pairs(folder, poses, np.arange(frames), split, mask, shard, ["gel", "tissue"], {"made": "so"})
+        of_beam = Space.beam, recipe.probe, recipe.settings.beam_shape
+        placed, tissues = (poses, np.arange(frames), split, mask), ["gel", "tissue"]
+        return create_pairs(folder, *placed, shard, tissues, {"made": "so"}, *of_beam)
 
     return lay_out
 

@@ -22,11 +22,12 @@ from ablate.dataset import (
     fill_pairs,
     network_inputs,
 )
+from ablate.networks import Space
 from ablate.ultrasound import ConvexProbe, compensated_attenuation
 
 H, W, FRAMES = 40, 60, 6
 MAPS = frozenset({"segmentation", "attenuation", "target"})
-VALUES = np.linspace(-1, 1, 256).astype(np.float32)
+VALUES = np.linspace(-1, 1, 256, dtype=np.float32)[:, None]
 PROBE, TGC = ConvexProbe(frequency_mhz=3.0), 0.4
 
 
@@ -69,10 +70,10 @@ class Numbered:
     frames: int
     folder: Path = Path("numbered")
 
-    def mask(self) -> np.ndarray:
+    def mask(self, _: Space) -> np.ndarray:
         return self.fan
 
-    def stored(self, name: str, frames: int | np.ndarray) -> np.ndarray:
+    def stored(self, name: str, frames: int | np.ndarray, _: Space = Space.image) -> np.ndarray:
         numbers = np.asarray(frames)[..., None, None]
         if name == "attenuation":
             pixels = (1 + np.arange(self.fan.size, dtype=np.uint16)).reshape(self.fan.shape)

@@ -11,6 +11,9 @@ import pytest
 from skimage.io import imread, imsave
 
 from ablate.dataset import Part, PngFolder, content_digest, create_pairs, import_pairs, read_fan, validate_png_folder
+from ablate.networks import Space
+from ablate.ultrasound import ConvexProbe, fan_mask
+from ablate.ultrasound.probe import pixel_coordinates_mm, square_pixels
 
 H, W = 20, 30
 NAMES = ("a_0", "a_1", "b_0", "b_1", "c_0")
@@ -131,6 +134,17 @@ FRAMES = "name,site,part\na_0,1,train\na_1,1,train\nb_0,2,validation\nb_1,2,vali
         ("labels.csv", "label,tissue\n255,fat\n", r"labels\.csv, line 2: label '255'; allowed are 1 to 254"),
         ("labels.csv", "label,tissue\none,fat\n", r"labels\.csv, line 2: label 'one'"),
         ("labels.csv", "label,tissue\n1,fat\n1,fat\n", r"labels\.csv, line 3: label 1 is listed twice"),
+        ("fan.yaml", PIPE, r"fan\.yaml: is no file"),
+        ("fan.yaml", "kind: square", r"fan\.yaml: kind='square': allowed are convex, linear, phased"),
+        ("fan.yaml", "kind: [convex]", r"fan\.yaml: .*list"),
+        ("fan.yaml", "kind: linear\nwidth_mm: wide", r"fan\.yaml: width_mm='wide': allowed are numbers from 1e-06"),
+        ("fan.yaml", "kind: linear\nfov_deg: 60", r"fan\.yaml: fov_deg=60: a linear probe has width_mm, depth_mm"),
+        (
+            "fan.yaml",
+            "kind: linear\nwidth_mm: 40",
+            r"fan\.yaml: no depth_mm; a linear fan has kind, width_mm, depth_mm",
+        ),
+        ("fan.yaml", "- convex", r"fan\.yaml=\['convex'\]: allowed are mappings of kind, radius_mm"),
         ("labels.csv", "label,tissue\n1,fat\n3,fat\n", r"labels\.csv: the labels must be 1, 2, .* \[1, 3\]"),
     ],
 )
@@ -154,6 +168,43 @@ def test_what_does_not_fit_is_named_in_one_line(
     assert "\n" not in str(caught.value)
     with pytest.raises(FileNotFoundError, match="nowhere is not a folder"):
         validate_png_folder(folder / "nowhere")
+
+
+def test_with_their_fan_pairs_are_read_in_beam_space(tmp_path: Path) -> None:
+    """A wave along x and z, at the places of the samples as the radius, the angles and the depths give them."""
+    (tmp_path / "fan.yaml").write_text("kind: convex\nradius_mm: 50\nfov_deg: 60\ndepth_mm: 120\n")
+    probe = ConvexProbe(50, 60, 120)
+    shape = square_pixels(probe, 256)
+    mask, (x, z) = fan_mask(probe, shape), pixel_coordinates_mm(probe, shape)
+
+    def wave(x: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return 128 + 100 * np.sin(x / 15) * np.cos(z / 12)
+
+    image = np.rint(wave(x, z[:, None])).astype(np.uint8) * mask
+    labels = np.where(np.hypot(x, z[:, None] + 50) < 110, 1, 2) * mask
+    for name in NAMES:
+        save(tmp_path / "image" / f"{name}.png", image)
+        save(tmp_path / "segmentation" / f"{name}.png", labels.astype(np.uint8))
+        save(tmp_path / "attenuation" / f"{name}.png", np.uint16(257) * image)
+    checked = validate_png_folder(tmp_path)
+    placed = np.zeros((5, 4, 4)), np.arange(5), np.zeros(5, np.uint8), mask
+    of_beam = Space.image, checked.probe, checked.beam_shape
+    pairs = create_pairs(tmp_path / "set", *placed, 2, ["x"] * 2, {}, *of_beam)
+    import_pairs(checked, checked.names, pairs, checked.maps)
+    assert pairs.beam_shape == (384, 128)
+    beam = {name: pairs.read(name, [0], Space.beam)[0] for name in checked.maps}
+    angle, depth = np.deg2rad(np.linspace(-30, 30, 128)), (np.arange(384)[:, None] + 0.5) * (120 / 384)
+    expected = wave((50 + depth) * np.sin(angle), (50 + depth) * np.cos(angle) - 50)
+    assert psnr(beam["target"], expected) > 40
+    assert psnr(255 * beam["attenuation"], expected) > 40
+    assert psnr(pairs.converter.to_image(beam["target"])[mask], image[mask]) > 40
+    assert (beam["segmentation"][:190] == 1).all()  # 60 mm is row 192, and a pixel 1.6 rows
+    assert (beam["segmentation"][194:] == 2).all()
+    np.testing.assert_array_equal(pairs.read("target", [0])[0], image)
+
+
+def psnr(image: np.ndarray, expected: np.ndarray) -> float:
+    return float(10 * np.log10(255**2 / np.mean((image.astype(float) - expected) ** 2)))
 
 
 def repainted(folder: Path, name: str, where: tuple[int, int], value: int) -> None:

@@ -10,6 +10,7 @@ import torch
 
 from ablate.dataset import Pairs, Part, Recipe, simulate_pairs
 from ablate.dataset.split import resimulation_seed
+from ablate.networks import Space
 from ablate.ultrasound import Display, Simulator
 
 Blank = Callable[..., Pairs]
@@ -23,13 +24,17 @@ def pairs(tmp_path: Path, blank: Blank) -> Pairs:
 
 
 def test_the_maps_are_those_of_the_simulator(pairs: Pairs, recipe: Recipe) -> None:
-    assert simulate_pairs(recipe, pairs, MAPS | {"low"}, 1) == 7
+    assert simulate_pairs(recipe, pairs, MAPS | {"low", "interfaces", "illumination"}, 1) == 7
     simulator = Simulator(recipe.scene, recipe.probe, recipe.settings)
     low = Simulator(recipe.scene, recipe.probe, replace(recipe.settings, rays=1, layers=1))
     for i, pose in enumerate(pairs.poses):
         frame = simulator.render(pose, seed=recipe.seed)
         np.testing.assert_array_equal(pairs.stored("target", i), frame.image)
-        np.testing.assert_array_equal(pairs.stored("segmentation", i), frame.segmentation)
+        np.testing.assert_array_equal(pairs.stored("segmentation", i, Space.beam), frame.beam.segmentation)
+        assert (pairs.stored("segmentation", i) != frame.segmentation).mean() < 0.02  # of the nearest sample
+        for name in ("interfaces", "illumination"):
+            stored = pairs.read(name, [i], Space.beam)[0]
+            np.testing.assert_allclose(stored, getattr(frame.beam, name), atol=0.51 / 255)
         np.testing.assert_allclose(pairs.read("attenuation", [i])[0], frame.attenuation, rtol=2**-9, atol=1e-5)
         np.testing.assert_array_equal(pairs.stored("low", i), low.render(pose, seed=recipe.seed).image)
 

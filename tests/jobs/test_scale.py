@@ -22,10 +22,13 @@ def test_a_frame_n_times_smaller_has_log2_n_levels_less_and_a_crop_n_times_small
     frame: tuple[int, int], local: int, deep: int, side: int
 ) -> None:
     size = f"simulator.image_shape=[{frame[0]},{frame[1]}]"
-    jobs = {job.label: job.settings for job in jobs_of(["-m", "variant=sa2h,sa2h-depth,lsa2h,nsa2h", size])}
+    jobs = {
+        job.label: job.settings
+        for job in jobs_of(["-m", "variant=sa2h,sa2h-depth,lsa2h,nsa2h", size, "model.space=image"])
+    }
     assert len(jobs) == 4
-    for variant, settings in jobs.items():
-        assert settings.model.depth == (local if variant == "sa2h" else deep)
+    for settings in jobs.values():
+        assert settings.model.depth == (local if settings.variant == "sa2h" else deep)
         assert settings.training.crop == side
 
 
@@ -36,13 +39,13 @@ def test_any_frame_keeps_the_papers_share_within_the_rounding() -> None:
         assert abs(deviation) <= 0.5
         assert abs(crop(rows) / rows - 0.512) <= 2 ** (levels(UNET, rows) - 1) / rows
         assert crop(rows) % 2 ** levels(UNET, rows) == 0
-    (quick,) = jobs_of(["preset=quick"])
+    (quick,) = jobs_of(["preset=quick", "model.space=image", "model.grain=output"])
     share = receptive_field(quick.settings.model) / quick.settings.simulator.image_shape[0]
     assert share == pytest.approx(paper, rel=0.1)
 
 
 def test_a_users_own_frame_size_is_to_scale() -> None:
-    (job,) = jobs_of(["simulator.image_shape=[300,416]", "variant=lsa2h"])
+    (job,) = jobs_of(["simulator.image_shape=[300,416]", "variant=lsa2h", "model.space=image"])
     assert (job.settings.model.depth, job.settings.training.crop) == (6, 128)
 
 

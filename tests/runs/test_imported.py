@@ -1,6 +1,7 @@
 """Pairs made elsewhere serve a study as simulated ones do, as far as they go."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -19,6 +20,9 @@ from ablate.settings.study import ConfigurationError
 from ablate.tasks import run_task as tasks
 from support.studies import TINY, TinyStudy, run
 
+#: What scene=pairs leaves a generator, which reads maps that others can have too.
+AS_PAIRS = ["encoding=echogenicity", "model={space:image,position:none,interfaces:none,attenuation:integral}"]
+
 
 def make_all_maps(arguments: list[str]) -> None:
     lsa2h = ["study_name=maps", "variant=lsa2h"]  # the only one that reads `low`
@@ -27,10 +31,11 @@ def make_all_maps(arguments: list[str]) -> None:
 
 @pytest.fixture(scope="module")
 def simulated(tiny_study: TinyStudy, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs of a study of simulated pairs, with every map."""
+    """A run of simulated pairs, which have every map."""
     runs = tmp_path_factory.mktemp("simulated") / "runs"
-    shutil.copytree(tiny_study.runs, runs)
+    shutil.copytree(tiny_study.runs / "data", runs / "data")
     make_all_maps([f"runs_dir={runs}", *TINY])
+    assert run(f"runs_dir={runs}", *TINY, *AS_PAIRS) == 0
     return runs
 
 
@@ -64,7 +69,7 @@ def test_exported_pairs_come_back_bit_for_bit_and_train_the_same_networks(
     assert len(set(zip(here.sites, there.sites, strict=True))) == len(set(there.sites))  # other numbers, same groups
     assert here.tissues == there.tissues
     assert not (here.folder / "pairs.zarr" / "resimulation").exists()
-    mine, theirs = per_image(runs, "sa2h"), per_image(simulated, "sa2h")
+    mine, theirs = per_image(runs, "sa2h"), per_image(simulated, "sa2h*")
     assert set(mine["source"]) == {"model"}
     assert set(mine["metric"]) >= {"psnr", "pchi2", "mae_smooth", "shadow_contrast"}
     theirs = theirs[theirs["source"] == "model"].reset_index(drop=True)
@@ -118,17 +123,46 @@ def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenua
         assert len(set(pairs.split[pairs.sites == site])) == 1
 
 
-def test_depths_are_known_only_where_the_fan_is_that_of_the_probe(folder: Path, tmp_path: Path) -> None:
-    where = ["scene=pairs", f"scene.folder={folder}", f"runs_dir={tmp_path}", "probe.depth_mm=100"]
-    assert run("task=simulate", *TINY, *where) == 0
-    data = DataSet(next(tmp_path.glob("data/*")))
-    assert any("depth_mm=100, so depths are not known" in line for line in data.about["left_out"])
+def test_depths_are_known_where_the_fan_is_told_or_is_that_of_the_probe(folder: Path, tmp_path: Path) -> None:
+    untold = tmp_path / "untold"
+    shutil.copytree(folder, untold, ignore=shutil.ignore_patterns("fan.yaml"))
+    for pngs, known in ((folder, True), (untold, False)):
+        where = ["scene=pairs", f"scene.folder={pngs}", f"runs_dir={tmp_path / pngs.name}", "probe.depth_mm=100"]
+        assert run("task=simulate", *TINY, *where) == 0
+        data = DataSet(next((tmp_path / pngs.name / "data").iterdir()))
+        assert any("depth_mm=100, so depths are not known" in line for line in data.about["left_out"]) is not known
+        assert (data.pairs.probe is not None) is known
 
 
-def test_a_variant_that_needs_the_simulators_time_gain_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_a_network_in_beam_space_needs_the_fan_and_learns_from_the_images_of_others(
+    folder: Path, tmp_path: Path
+) -> None:
+    told = tmp_path / "told"
+    shutil.copytree(folder, told)
+    where = [*TINY, "scene=pairs", f"scene.folder={told}", f"runs_dir={tmp_path / 'runs'}"]
+    in_beam_space = ["model.space=beam", "model.position=beam"]
+    fan = told / "fan.yaml"
+    fitting = fan.read_text()
+    fan.write_text(fitting.replace("fov_deg: 70", "fov_deg: 60"))
+    with pytest.raises(ConfigurationError, match=r"^.*told/fan\.yaml: its fan is not that of the images, .*frame00000"):
+        run(*where, *in_beam_space)
+    fan.unlink()
+    for key in in_beam_space:
+        message = rf"^{re.escape(key)} in variant .*: needs .*told/fan\.yaml, .* allowed without it is (image|none)$"
+        with pytest.raises(ConfigurationError, match=message):
+            run(*where, key)
+    assert not (tmp_path / "runs" / "data").exists()
+    fan.write_text(fitting)
+    assert run(*where, *in_beam_space) == 0
+    assert set(per_image(tmp_path / "runs", "sa2h*")["metric"]) >= {"psnr", "shadow_contrast"}
+
+
+@pytest.mark.parametrize("key", ["attenuation=compensated", "attenuation=illumination", "interfaces=echo"])
+def test_a_map_that_only_the_simulator_makes_is_refused(folder: Path, tmp_path: Path, key: str) -> None:
     where = [f"runs_dir={tmp_path / 'runs'}", "scene=pairs", f"scene.folder={folder}"]
-    with pytest.raises(ConfigurationError, match=r"^model\.attenuation=compensated in variant sa2h-c.*allowed are int"):
-        run(*where, "variant=sa2h-compensated")
+    message = rf"^model\.{key} in variant .*pairs made elsewhere .*allowed are (integral and )?none$"
+    with pytest.raises(ConfigurationError, match=message):
+        run(*where, f"model.{key}")
 
 
 def test_a_site_on_two_sides_is_refused_unless_frames_are_split(folder: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,8 @@ def test_pngs_are_read_back_bit_for_bit(
     for name in ("segmentation", "target", "attenuation"):
         for frame in range(len(pairs)):
             assert np.array_equal(again.stored(name, frame), pairs.stored(name, frame))
+    assert again.probe is not None
+    assert replace(again.probe, frequency_mhz=3) == pairs.probe
     rows = list(csv.DictReader((folder / "frames.csv").read_text().splitlines()))
     assert [row["part"] for row in rows] == [Part(part).name for part in pairs.split]
 

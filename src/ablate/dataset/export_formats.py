@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import yaml
 from skimage.color import hsv2rgb
 from skimage.transform import resize
 from skimage.util import montage
 
 from ablate.anatomy import load_tissues
 from ablate.dataset.pairs import Pairs
-from ablate.dataset.png_folder import FOLDERS
+from ablate.dataset.png_folder import FOLDERS, fan_values
 from ablate.dataset.split import Part
 from ablate.storage import write_image, write_json, write_text
 from ablate.ultrasound import SIMULATOR_VERSION
@@ -46,7 +47,7 @@ def _thumbnail(image: np.ndarray) -> np.ndarray:
 
 
 def write_png(pairs: Pairs, folder: Path) -> None:
-    """A folder that `scene=pairs` reads back bit for bit, with sites, parts and, where all are built in, tissues."""
+    """A folder that `scene=pairs` reads back bit for bit: sites, parts, the fan, and tissues where all are built in."""
     for name in sorted(pairs.maps & FOLDERS.keys()):
         (folder / FOLDERS[name]).mkdir(parents=True, exist_ok=True)
         for frame in range(len(pairs)):
@@ -57,6 +58,8 @@ def write_png(pairs: Pairs, folder: Path) -> None:
     if set(pairs.tissues) <= load_tissues().keys():
         labels = pd.Series(pairs.tissues, pd.RangeIndex(1, len(pairs.tissues) + 1, name="label"), name="tissue")
         write_text(folder / "labels.csv", labels.to_csv())
+    if pairs.probe:
+        write_text(folder / "fan.yaml", yaml.safe_dump(fan_values(pairs.probe), sort_keys=False))
 
 
 def write_nnunet(pairs: Pairs, folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 segmentation/ and image/ hold files of the same names, attenuation/ and low/ may hold more of them. `labels.csv` (label,
 tissue) names what the labels stand for, `frames.csv` (name, site and, if wanted, part) says which frames belong
-together and which part they are in.
+together and which part they are in, `fan.yaml` is the geometry of the fan, as a probe has it.
 """
 
 import csv
@@ -19,12 +19,17 @@ import numpy as np
 from skimage.io import imread
 
 from ablate.anatomy import Tissue, load_tissues
+from ablate.anatomy.scene_values import mapping, read_yaml
 from ablate.dataset.filling import fill_all, fill_pairs
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.split import Part
+from ablate.setting import plain
+from ablate.ultrasound import Probe
+from ablate.ultrasound.settings import PROBE_KEYS, probe_from
 
 #: Folder of each map of a data set.
 FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}
+_TABLES = ("labels.csv", "frames.csv", "fan.yaml")
 MOST_LABELS = 254
 MOST_PIXELS = 2**24  # 4096 x 4096; a PNG of a few bytes can decode to gigabytes
 _COLOURS = {0: "grey", 2: "RGB", 3: "with a palette", 4: "grey with alpha", 6: "RGBA"}
@@ -45,6 +50,7 @@ class PngFolder:
         Of each frame: frames of one site see almost the same, and stay on one side of a split.
     parts : (n,) uint8 of `Part`, or None where the split is to be drawn
     tissues : tuple of Tissue behind labels 1, 2, ..., or None where no file names them
+    probe : Probe with the geometry of the fan, or None where no file tells it
     """
 
     folder: Path
@@ -54,6 +60,13 @@ class PngFolder:
     sites: tuple[str, ...]
     parts: np.ndarray | None
     tissues: tuple[Tissue, ...] | None
+    probe: Probe | None
+
+    @property
+    def beam_shape(self) -> tuple[int, int]:
+        """Rows and scanlines in beam space: 3/2 and 3/8 of the image's, as in simulated frames, in steps of 64."""
+        rows, lines = (max(64 * round(n / 64), 64) for n in (self.shape[0] * 3 / 2, self.shape[1] * 3 / 8))
+        return rows, lines
 
     @property
     def maps(self) -> frozenset[str]:
@@ -77,7 +90,7 @@ def validate_png_folder(folder: str | Path) -> PngFolder:
                 f"{folder}: no folder {FOLDERS[name]} in it; needed are segmentation and image, "
                 "attenuation and low are read where they are there"
             )
-    watched = (*(folder / place for place in FOLDERS.values()), folder / "frames.csv", folder / "labels.csv")
+    watched = (folder / name for name in (*FOLDERS.values(), *_TABLES))
     return _validated(folder, tuple(path.stat().st_mtime_ns if path.exists() else 0 for path in watched))
 
 
@@ -111,7 +124,8 @@ def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
             here, there = f"{width} x {height} px", f"{shape[1]} x {shape[0]}"
             raise ValueError(f"{path}: is {here}, but {first} is {there}; all must have one size")
     sites, parts = _frames(folder / "frames.csv", names)
-    return PngFolder(folder, names, files, shape, sites, parts, _tissues(folder / "labels.csv"))
+    tissues, probe = _tissues(folder / "labels.csv"), _probe(folder / "fan.yaml")
+    return PngFolder(folder, names, files, shape, sites, parts, tissues, probe)
 
 
 def read_fan(checked: PngFolder) -> tuple[np.ndarray, int]:
@@ -172,7 +186,7 @@ def _decoded(path: Path, shape: tuple[int, int]) -> np.ndarray:
 def content_digest(checked: PngFolder) -> str:
     """SHA-256, hexadecimal, of all that becomes part of a data set: names and bytes of the files."""
     files = [checked.files[name][frame] for name in sorted(checked.maps) for frame in checked.names]
-    tables = [path for path in (checked.folder / "labels.csv", checked.folder / "frames.csv") if path.exists()]
+    tables = [checked.folder / name for name in _TABLES if (checked.folder / name).exists()]
     stats = ((path, path.stat()) for path in (*files, *tables))
     return _digest(checked.folder, tuple((path, stat.st_size, stat.st_mtime_ns) for path, stat in stats))
 
@@ -250,6 +264,27 @@ def _tissues(path: Path) -> tuple[Tissue, ...] | None:
     if sorted(tissues) != list(range(1, len(tissues) + 1)) or not tissues:
         raise ValueError(f"{path}: the labels must be 1, 2, ... without a gap, not {sorted(tissues)}")
     return tuple(tissues[label] for label in sorted(tissues))
+
+
+def _probe(path: Path) -> Probe | None:
+    """The probe whose fan the images are of: its kind and every length and angle, whatever its frequency."""
+    if not path.exists():
+        return None
+    if not path.is_file():
+        raise ValueError(f"{path}: is no file")
+    given = mapping(read_yaml(path), f"{path}", ("kind", *PROBE_KEYS))
+    try:
+        probe = probe_from(given)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path}: {error}") from error
+    if missing := [name for name in fan_values(probe) if given.get(name) is None]:  # a default would be a guess
+        raise ValueError(f"{path}: no {missing[0]}; a {probe.kind} fan has {', '.join(fan_values(probe))}")
+    return probe
+
+
+def fan_values(probe: Probe) -> dict[str, str | float]:
+    """What `fan.yaml` holds of a probe."""
+    return {name: value for name, value in plain(probe).items() if name != "frequency_mhz"}
 
 
 def _table(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> list[tuple[str, dict[str, str]]]:

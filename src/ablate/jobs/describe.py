@@ -10,12 +10,12 @@ from ablate.anatomy import load_tissues
 from ablate.dataset.encoding import fitted, label_values
 from ablate.jobs.compose import job_of
 from ablate.jobs.scale import PAPER_CROP, PAPER_ROWS, paper_levels
-from ablate.networks import GeneratorSpec, PatchDiscriminator
+from ablate.networks import GeneratorSpec, PatchDiscriminator, Space
 from ablate.runs.job import Job, parameters
 from ablate.settings.conf import components_of_networks, named_components, variant_names
 from ablate.settings.study import StudySettings
 from ablate.ultrasound.probe import fan_of
-from ablate.ultrasound.settings import ConvexProbe
+from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings
 
 _UNKNOWN = "-"
 _PAPER_MM = fan_of(ConvexProbe()).size_mm[0]
@@ -25,8 +25,8 @@ def described(jobs: Sequence[Job]) -> pd.DataFrame:
     """One row a variant, indexed by it: components, inputs, receptive field and parameters, here and in the paper.
 
     A single job asks for all variants at its sizes; a sweep for its own. Lengths are px, mm and per cent of the frame's
-    height. The columns of the paper are those of the network with the levels that it has in the paper's frame, and
-    width 1; they are None where no network of the paper's frame is so deep.
+    height; in beam space, of a scanline. The columns of the paper are those of the network with the levels that it has
+    in the paper's frame, and width 1; they are None where no network of the paper's frame is so deep.
     """
     rows = {label: _row(settings) for label, settings in _variants(jobs)}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variant")
@@ -37,7 +37,8 @@ def description(jobs: Sequence[Job]) -> str:
     table = described(jobs).map(_cell).reset_index()
     paper = "in the paper: "
     parts = {
-        "components": {n: n for n in ("family", *(c.name for c in components_of_networks().values()), "inputs")},
+        "components": {n: n for n in ("family", *(c.name for c in components_of_networks().values()))},
+        "inputs": {"inputs": "inputs"},
         "receptive field of the generator: px, mm, and % of the frame's height": {
             **{"depth": "levels", "field_px": "px", "field_mm": "mm", "field_percent": "%"},
             **{"paper_depth": paper + "levels", "paper_field_px": "px", "paper_field_mm": "mm"},
@@ -74,7 +75,7 @@ def _row(settings: StudySettings) -> dict[str, object]:
     at_paper = paper_levels(spec.depth, rows)
     row: dict[str, object] = {
         **named_components(spec),
-        **_field(spec, "field", rows, fan_of(settings.probe).size_mm[0]),
+        **_field(spec, "field", *_height(spec.space, settings.simulator, settings.probe)),
         "total_here": sum(parameters(settings, spec).values()),
         "paper_depth": at_paper,
     }
@@ -84,7 +85,14 @@ def _row(settings: StudySettings) -> dict[str, object]:
     at_width_1 = replace(settings.training, discriminator_width=None)
     generator, discriminator = parameters(replace(settings, training=at_width_1), paper).values()
     sizes = {"generator": generator, "discriminator": discriminator, "total": generator + discriminator}
-    return row | _field(paper, "paper_field", PAPER_ROWS, _PAPER_MM) | sizes
+    return row | _field(paper, "paper_field", *_height(spec.space, SimulatorSettings(), ConvexProbe())) | sizes
+
+
+def _height(space: Space, simulator: SimulatorSettings, probe: Probe) -> tuple[int, float]:
+    """Rows of a frame in the space of a network, and their mm."""
+    if space is Space.beam:
+        return simulator.beam_shape[0], probe.depth_mm
+    return simulator.image_shape[0], fan_of(probe).size_mm[0]
 
 
 def _field(spec: GeneratorSpec, name: str, rows: int, height_mm: float) -> dict[str, object]:
@@ -95,10 +103,12 @@ def _field(spec: GeneratorSpec, name: str, rows: int, height_mm: float) -> dict[
 
 
 def _same_for_all(settings: StudySettings) -> list[str]:
-    """The frame, the crop and the discriminator's patch, beside the paper's."""
-    (rows, columns), height = settings.simulator.image_shape, fan_of(settings.probe).size_mm[0]
+    """The frame, the crop and the discriminator's patch, in the space of the network, beside the paper's."""
+    simulator, space = settings.simulator, settings.model.space
+    rows, height = _height(space, simulator, settings.probe)
+    columns = (simulator.beam_shape if space is Space.beam else simulator.image_shape)[1]
     patch = networks.patch_size(PatchDiscriminator(networks.discriminator_channels(settings.model), 0.01))
-    lengths = {"crop": (settings.training.crop, PAPER_CROP), "patch of the discriminator": (patch, patch)}
+    lengths = {"crop": (settings.training.crop or rows, PAPER_CROP), "patch of the discriminator": (patch, patch)}
     return [
         f"frame: {rows} x {columns} px of {height / rows:.2f} mm (in the paper: {PAPER_ROWS} rows of "
         f"{_PAPER_MM / PAPER_ROWS:.2f} mm)",

@@ -9,11 +9,12 @@ from pathlib import Path
 import torch
 
 from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
-from ablate.dataset import Part, resample_grid
+from ablate.dataset import OF_POSITION, Part, resample_grid
 from ablate.extras import installing
 from ablate.jobs.compose import variant_model
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
-from ablate.networks import Attenuation, Family, Space, check_custom, conditions
+from ablate.networks import Attenuation, Family, Position, Space, check_custom, conditions
+from ablate.networks.spec import OF_SURFACES
 from ablate.runs.data_set import checked_folder
 from ablate.runs.job import Job
 from ablate.runs.place import check_place
@@ -69,12 +70,24 @@ def _check_pairs(job: Job) -> int:
             f"model.attenuation=compensated in variant {job.label}: pairs made elsewhere do not tell the time gain of "
             "their images; allowed are integral and none"
         )
+    for key, allowed in () if checked.probe else (("space", Space.image), ("position", Position.none)):
+        if (value := getattr(s.model, key)) != allowed:
+            raise ConfigurationError(
+                f"model.{key}={value} in variant {job.label}: needs {checked.folder / 'fan.yaml'}, the geometry of the "
+                f"fan; allowed without it is {allowed}"
+            )
+    there = checked.maps | OF_POSITION
     for name in conditions(s.model):
-        if name not in checked.maps:
-            allowed = [v for v in variant_names() if checked.maps.issuperset(conditions(variant_model(v)))]
+        if name in OF_SURFACES:
+            setting = "interfaces=echo" if name == "interfaces" else "attenuation=illumination"
+            others = "none" if name == "interfaces" else "integral and none"
+            why = "only a simulator makes this map; for pairs made elsewhere allowed are"
+            raise ConfigurationError(f"model.{setting} in variant {job.label}: {why} {others}")
+        if name not in there:
+            others = ", ".join(v for v in variant_names() if there.issuperset(conditions(variant_model(v))))
             raise ConfigurationError(
                 f"variant {job.label} reads {name}, but {checked.folder} has no folder {name}; "
-                f"allowed are variants without it: {', '.join(allowed)}"
+                f"allowed are variants without it: {others}"
             )
     if checked.parts is not None:
         return int((checked.parts == Part.train).sum())
@@ -121,6 +134,9 @@ def _check_training(job: Job, seen: int, labels: set[str]) -> None:
         beam = s.model.space is Space.beam
         height, width = s.simulator.beam_shape if beam else s.simulator.image_shape
         most = max(-(-max(height, width) // stride) * stride, SMALLEST_CROP)
+        if s.task is Task.study and s.training.crop == 0 and min(height, width) < SMALLEST_CROP:
+            allowed = f"allowed are at least {SMALLEST_CROP} x {SMALLEST_CROP}"
+            raise ConfigurationError(f"training.crop=0: whole frames are {height} x {width}; {allowed}")
         if s.training.crop > most:
             covers = f"which covers a frame of {height} x {width}"
             raise ConfigurationError(f"training.crop={s.training.crop}: at most {most}, {covers}")

@@ -21,7 +21,7 @@ from ablate.anatomy import Tissue
 from ablate.dataset import DERIVED, OF_POSITION, PAIRS_VERSION, Pairs, Part, PngFolder, SplitBy, open_pairs
 from ablate.evaluation import describes_fan
 from ablate.metrics import speckle_features
-from ablate.networks import GeneratorSpec, conditions
+from ablate.networks import GeneratorSpec, Space, conditions
 from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import SceneKind, StudySettings
@@ -111,7 +111,8 @@ def about_data(settings: StudySettings) -> dict[str, Any]:
     if settings.scene.kind is SceneKind.pairs:
         scene = {"kind": "pairs", "files": dataset.content_digest(checked_folder(settings))}
         chosen = {name: plain(settings.dataset)[name] for name in ("split", "validation", "test", "seed")}
-        about = {"scene": scene, "probe": plain(settings.probe), "dataset": chosen}  # the probe tells depths
+        probe = checked_folder(settings).probe or settings.probe  # it tells depths
+        about = {"scene": scene, "probe": plain(probe), "dataset": chosen}
     else:
         from ablate.runs.simulated import about_simulated
 
@@ -144,6 +145,9 @@ def import_data(settings: StudySettings, folder: Path, maps: frozenset[str], abo
     checked = checked_folder(settings)
     tqdm.write(f"Importing {len(checked.names)} pairs from {checked.folder} into {folder}")
     mask, labels = dataset.read_fan(checked)
+    if checked.probe and not describes_fan(checked.probe, mask):
+        fan, first = checked.folder / "fan.yaml", checked.files["segmentation"][checked.names[0]]
+        raise ValueError(f"{fan}: its fan is not that of the images, the pixels that are not 0 in {first}")
     speckle_features(np.zeros((1, *mask.shape), np.uint8), mask)  # raises where the fan is too small for metrics
     numbers = {site: number for number, site in enumerate(dict.fromkeys(checked.sites))}
     sites = np.array([numbers[site] for site in checked.sites])
@@ -160,7 +164,9 @@ def import_data(settings: StudySettings, folder: Path, maps: frozenset[str], abo
     frames = [{"name": checked.names[i], "site": checked.sites[i]} for i in order]
     about = {**about, "tissues": [plain(tissue) for tissue in tissues], "left_out": left_out, "frames": frames}
     placed = np.full((len(names), 4, 4), np.nan), sites[order], split[order], mask  # where the probe was is not known
-    pairs = dataset.create_pairs(folder, *placed, chosen.shard, [tissue.name for tissue in tissues], about)
+    of_beam = Space.image, checked.probe, checked.beam_shape
+    names_of_tissues = [tissue.name for tissue in tissues]
+    pairs = dataset.create_pairs(folder, *placed, chosen.shard, names_of_tissues, about, *of_beam)
     dataset.import_pairs(checked, names, pairs, maps)
 
 
@@ -169,7 +175,7 @@ def _left_out(settings: StudySettings, checked: PngFolder, mask: np.ndarray) -> 
     left_out = ["re-simulation: pairs made elsewhere cannot be simulated again, so metrics have no floor"]
     if "attenuation" not in checked.maps:
         left_out.append("shadow_contrast and variants that read A: there is no folder attenuation")
-    elif not describes_fan(settings.probe, mask):
+    elif not checked.probe and not describes_fan(settings.probe, mask):
         probe = ", ".join(f"{k}={v:g}" for k, v in asdict(settings.probe).items() if k != "frequency_mhz")
         left_out.append(
             f"shadow_contrast and thin_contrast: the fan of the images is not that of probe.{probe}, so depths are not "

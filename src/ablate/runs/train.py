@@ -176,14 +176,16 @@ def scorer(settings: StudySettings, data: DataSet) -> Scorer:
     metrics, weights, inception = choose_metrics(settings.metrics), settings.evaluation.inception, None
     if weights is not None and min(data.pairs.shape) >= CENTRE and needs_inception(metrics):
         inception = load_inception(inception_file(weights), str(chosen_device(settings.training.device)))
-    return Scorer(data.pairs, data.tissues, settings.probe, settings.evaluation, metrics, inception)
+    probe = data.pairs.probe or settings.probe
+    return Scorer(data.pairs, data.tissues, probe, settings.evaluation, metrics, inception)
 
 
 def _validation(s: StudySettings, data: DataSet, values: np.ndarray, log: LocalLog) -> Validation:
     """A function that scores a few validation frames and logs them as images: the curves of a training."""
     frames = dataset.equally_spaced(data.pairs.frames(Part.validation), _VALIDATION_FRAMES)
     targets = data.pairs.read("target", frames)
-    of_curves = Scorer(data.pairs, data.tissues, s.probe, s.evaluation, choose_metrics(list(_CURVES)))
+    probe, metrics = data.pairs.probe or s.probe, choose_metrics(list(_CURVES))
+    of_curves = Scorer(data.pairs, data.tissues, probe, s.evaluation, metrics)
 
     def validate(generator: Generator, images_seen: int) -> dict[str, float]:
         render = generated_images(generator, data, values, s.training.precision)

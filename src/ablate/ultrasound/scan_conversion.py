@@ -4,7 +4,7 @@ A sample of a scanline has the same depth in every column; a pixel lies between 
 lies in the fan, shadows are columns, and the grain of speckle has one direction along a row.
 """
 
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
@@ -99,14 +99,19 @@ class ScanConverter:
 
     def labels_to_beam(self, image: np.ndarray) -> np.ndarray:
         """The label of the nearest pixel of the fan, of (H, W) uint8, at each sample, (rows, scanlines)."""
+        labels: np.ndarray = image.ravel()[self._nearest_px]
+        return labels
+
+    @cached_property
+    def _nearest_px(self) -> np.ndarray:
+        """The number of the nearest pixel of the fan of each sample, (rows, scanlines)."""
         from scipy.ndimage import distance_transform_edt
 
-        nearest = distance_transform_edt(~self.mask, return_distances=False, return_indices=True)
-        row, column = np.rint(self._samples_px()).astype(int)
         height, width = self.image_shape
-        row, column = np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
-        labels: np.ndarray = image[nearest[0][row, column], nearest[1][row, column]]
-        return labels
+        row, column = np.rint(self._samples_px()).astype(int)
+        inside = distance_transform_edt(~self.mask, return_distances=False, return_indices=True)
+        inside = inside[:, np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+        return np.asarray(np.ravel_multi_index(tuple(inside), self.image_shape))
 
     def _samples_px(self) -> np.ndarray:
         """Row and column of each sample in the image, (2, rows, scanlines) float64, px."""
