@@ -72,8 +72,8 @@ def register_generator(
     (n, H, W) uint8, 0 outside the fan, and the other maps that the generator reads: `low` uint8, others float32; a
     parameter is the integer `seed`; the output is (n, H, W) uint8. All are in the space that the generator works in.
 
-    `values`, (labels, channels) float32 from `label_values`, tell how the labels of S are read. `example` holds the maps that
-    the generator reads, (n, H, W) by name, small, because they are kept as text.
+    `values`, (labels, channels) float32 from `label_values`, tell how the labels of S are read. `example` holds the
+    maps that the generator reads, (n, H, W) by name, small, because they are kept as text.
     """
     client = store.client
     with FileLock(store.lock):
