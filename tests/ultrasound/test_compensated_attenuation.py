@@ -8,6 +8,7 @@ import pytest
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, compensated_attenuation
 from ablate.ultrasound.probe import fan_mask, pixel_polar
+from ablate.ultrasound.time_gain import compensated_beam
 
 PROBE = ConvexProbe(frequency_mhz=3.0)
 SETTINGS = SimulatorSettings(scanlines=160, axial_samples=2000, image_shape=(250, 347))
@@ -69,3 +70,6 @@ def test_every_pixel_is_that_of_a_plain_loop() -> None:
         assert values[:, fan].min() == 0  # too dark or too bright for the range inside the fan, too
         assert values[:, fan].max() == (1 if tgc == 1.0 else pytest.approx(1, abs=0.05))
         np.testing.assert_array_equal(values[1], compensated_attenuation(attenuation[1], probe, tgc))
+        gain_db = 2 * tgc * probe.frequency_mhz * (np.arange(20)[:, None] + 0.5) * probe.depth_mm / 200  # in beam space
+        level = (40 * np.log10(np.maximum(attenuation, 1e-4)) + gain_db + 36) / 72
+        np.testing.assert_allclose(compensated_beam(attenuation, probe, tgc), np.clip(level, 0, 1), atol=2e-6)

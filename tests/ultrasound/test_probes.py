@@ -10,48 +10,17 @@ from scipy.spatial.transform import Rotation
 
 from ablate.anatomy import Scene, Structure, Tissue
 from ablate.setting import plain
-from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, Probe, Simulator, SimulatorSettings
+from ablate.ultrasound import LinearProbe, Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import face_points, fan_of, fan_outline, square_pixels
 from ablate.ultrasound.settings import probe_from
+from support.fans import CONVEX, KINDS, LINEAR, PHASED, across_and_depth, pixels, place
 
-CONVEX = ConvexProbe(radius_mm=30.0, fov_deg=60.0, depth_mm=100.0, frequency_mhz=3.0)
-LINEAR = LinearProbe(width_mm=60.0, depth_mm=100.0, frequency_mhz=3.0)
-PHASED = PhasedProbe(aperture_mm=20.0, fov_deg=80.0, depth_mm=100.0, frequency_mhz=3.0)
-KINDS = pytest.mark.parametrize("probe", [CONVEX, LINEAR, PHASED], ids=["convex", "linear", "phased"])
 TISSUE = Tissue("t", 1540, 1.5, 0.5, 0.6, 0.0, 1.0, roughness=0.0)
 CLEAR = replace(TISSUE, attenuation_db_cm_mhz=0.0)
 SPECKLE = SimulatorSettings(
     scanlines=161, axial_samples=1024, rays=1, layers=1, image_shape=(50, 50), axial_fwhm_mm=0.6, lateral_fwhm_mm=1.5,
     focus_mm=60.0, focal_range_mm=40.0, noise_floor_db=-300.0, tgc_db_cm_mhz=0.0,
 )  # fmt: skip
-
-
-def place(probe: Probe, across: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """x and z, mm, of points of the fan; `across` is -1 on the first scanline and 1 on the last."""
-    if isinstance(probe, LinearProbe):
-        return probe.width_mm / 2 * across, depth + 0 * across
-    radius = probe.radius_mm if isinstance(probe, ConvexProbe) else 0.0
-    angle = np.radians(probe.fov_deg / 2) * across
-    return (radius + depth) * np.sin(angle), (radius + depth) * np.cos(angle) - radius
-
-
-def across_and_depth(probe: Probe, x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The inverse of `place`."""
-    if isinstance(probe, LinearProbe):
-        return x / (probe.width_mm / 2) + 0 * z, z + 0 * x
-    radius = probe.radius_mm if isinstance(probe, ConvexProbe) else 0.0
-    return np.degrees(np.arctan2(x, z + radius)) / (probe.fov_deg / 2), np.hypot(x, z + radius) - radius
-
-
-def pixels(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """x, (W,), and z, (H, 1), of the pixels' centres: the bounding box of the fan's border in equal parts."""
-    sides = np.linspace(-1, 1, 2001)
-    border = [np.concatenate(part) for part in zip(
-        place(probe, sides, np.zeros(2001)), place(probe, sides, np.full(2001, probe.depth_mm)), strict=True
-    )]  # fmt: skip
-    (left, right), (top, bottom) = ((part.min(), part.max()) for part in border)
-    rows, columns = (np.arange(n) + 0.5 for n in shape)
-    return left + (right - left) * columns / shape[1], top + (bottom - top) * rows[:, None] / shape[0]
 
 
 def level_db(envelope: np.ndarray) -> float:
@@ -68,20 +37,6 @@ def test_the_mask_is_the_fan(probe) -> None:
     np.testing.assert_array_equal(mask[sure], expected[sure])
     assert (fan_of(probe).size_mm[0] / shape[0]) == pytest.approx(fan_of(probe).size_mm[1] / shape[1], rel=0.003)
     assert mask.all() == isinstance(probe, LinearProbe)
-
-
-@KINDS
-def test_segmentation_is_exact_to_the_pixel(probe, slab, ball, gel, ahead) -> None:
-    shape = square_pixels(probe, 300)
-    scene = Scene((slab(TISSUE, 40.0, 300.0), ball(Tissue("b"), (4.0, 0.0, 60.0), 9.0)), gel, "s")
-    labels, _ = Simulator(scene, probe, replace(SPECKLE, image_shape=shape)).maps(ahead)
-    x, z = pixels(probe, shape)
-    from_ball = np.hypot(x - 4, z - 60)
-    fan = labels > 0
-    assert (labels[fan & (z < 39.999) & (x == x)] == 1).all()
-    assert (labels[fan & (z > 40.001) & (from_ball > 9)] == 2).all()
-    assert (labels[fan & (from_ball < 8.98)] == 3).all()
-    assert (labels == 3).sum() * np.prod(fan_of(probe).size_mm) / labels.size == pytest.approx(np.pi * 81, rel=0.02)
 
 
 @KINDS

@@ -78,6 +78,8 @@ def test_frames_are_finite_and_maps_are_maps(scene: Scene, seed: int) -> None:
     assert frame.envelope.min() >= 0
     assert np.isfinite(frame.attenuation).all()
     assert 0 <= frame.attenuation.min() <= frame.attenuation.max() <= 1
+    for of_surfaces in (frame.beam.interfaces, frame.beam.illumination):
+        assert 0 <= of_surfaces.min() <= of_surfaces.max() <= 1  # which NaN is not
     assert ((frame.segmentation > 0) == frame.mask).all()
     assert frame.segmentation.max() <= len(scene.tissues)
 
@@ -90,6 +92,8 @@ def test_planned_equals_full(scene: Scene) -> None:
     )
     for name in ("segmentation", "attenuation", "image", "mask", "envelope"):
         np.testing.assert_array_equal(getattr(auto, name), getattr(full, name))
+    for name in ("interfaces", "illumination"):
+        np.testing.assert_array_equal(getattr(auto.beam, name), getattr(full.beam, name))
 
 
 @PROPERTY

@@ -1,7 +1,7 @@
 """Frames as a whole: repeatable, finite, and the same whatever the plan leaves out."""
 
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -41,7 +41,8 @@ def test_an_image_alone_is_that_of_the_frame_and_makes_no_maps(scene, probe, sma
     simulator = Simulator(scene, probe, small)
     with stage_times() as taken:
         image = simulator.image(ahead, seed=3)
-    assert not {Stage.pixel_labels, Stage.attenuation_labels, Stage.attenuation_sum} & set(taken)
+    maps = {Stage.pixel_labels, Stage.attenuation_labels, Stage.attenuation_sum, Stage.surface_maps}
+    assert not maps & set(taken)
     assert Stage.tracing in taken
     assert (image == Simulator(scene, probe, small).render(ahead, seed=3).image).all()
     with pytest.raises(ValueError, match="seed"):
@@ -78,9 +79,16 @@ def test_frames_have_the_promised_shapes_and_share_no_memory(scene, probe, small
     assert [array.dtype for array in arrays] == [np.uint8, np.float32, np.uint8, np.bool_]
     assert (frame.envelope.shape, frame.envelope.dtype) == ((1024, 64), np.float32)
     assert ((frame.segmentation > 0) == frame.mask).all()
-    kept = frame.segmentation.copy()
-    frame.segmentation[:], frame.attenuation[:] = 0, 0
-    assert (simulator.render(ahead).segmentation == kept).all()
+    of_beam = [getattr(frame.beam, field.name) for field in fields(frame.beam)]
+    assert [array.shape for array in of_beam] == 5 * [small.beam_shape]
+    assert [array.dtype for array in of_beam] == [np.uint8, np.float32, np.float32, np.float32, np.uint8]
+    kept = [array.copy() for array in (*arrays, *of_beam)]
+    for array in (*arrays, *of_beam):
+        array[:] = 0
+    again = simulator.render(ahead)
+    arrays = again.segmentation, again.attenuation, again.image, again.mask
+    arrays += tuple(getattr(again.beam, field.name) for field in fields(again.beam))
+    assert all((array == before).all() for array, before in zip(arrays, kept, strict=True))
 
 
 def test_the_plan_changes_nothing(gel, slab, ball, probe, small, ahead) -> None:
@@ -190,7 +198,7 @@ def test_every_stage_is_timed_and_the_frame_is_the_same(scene, probe, small) -> 
         whole = 1e3 * (time.perf_counter() - start)
     assert np.array_equal(unobserved.image, timed.image)
     counts = {name: len(taken[name]) for name in Stage}
-    twice = {Stage.scan_conversion: 2}  # A is converted, too
+    twice = {Stage.scan_conversion: 2, Stage.aperture: 2}  # of A, and of the maps of surfaces, too
     assert counts == dict.fromkeys(Stage, 1) | twice
     total = sum(sum(times) for times in taken.values())
     assert 0 < total <= whole

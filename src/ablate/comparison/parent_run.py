@@ -52,7 +52,7 @@ def register_reference(settings: StudySettings, runs: Sequence[Run], store: Stor
     trained, data = chosen.settings, chosen.data_set
     space = trained.model.space
     sizes = data.pairs.shape_in(space)
-    middle = [slice(size // 2 - _EXAMPLE_PX // 2, size // 2 + _EXAMPLE_PX // 2) for size in sizes]
+    middle = [slice(max(0, (size - _EXAMPLE_PX) // 2), (size + _EXAMPLE_PX) // 2) for size in sizes]
     frame = data.pairs.frames(Part.test)[:1]
     version = register_generator(
         store,

@@ -152,10 +152,10 @@ def timed_maps(
             made = maps_read(names, space, (*shown, beam), probe, settings.time_gain)
             ms = 1e3 * (time.perf_counter() - start)
         own = {
-            "segmentation": Stage.pixel_labels if space is Space.image else Stage.attenuation_labels,
-            "interfaces": Stage.surface_maps,
+            "segmentation": taken[Stage.pixel_labels if space is Space.image else Stage.attenuation_labels],
+            "interfaces": taken[Stage.surface_maps] + taken[Stage.aperture],
         }
-        times = {name: sum(taken[which]) for name, which in own.items() if name in names}
+        times = {name: sum(own[name]) for name in own if name in names}
         rest = next((name for name in ("attenuation", "compensated", "illumination") if name in names), "")
         if rest:
             times[rest] = ms - sum(times.values())

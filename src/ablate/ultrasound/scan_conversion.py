@@ -87,31 +87,31 @@ class ScanConverter:
     def to_beam(self, image: np.ndarray) -> np.ndarray:
         """Bilinear interpolation of an image, (H, W), at the samples of the scanlines, (rows, scanlines).
 
-        The result is uint8 of uint8, else float32. Only pixels of the fan count.
+        The result is uint8 of uint8, else float32. A pixel outside the fan counts as the nearest one in it.
         """
         from scipy.ndimage import map_coordinates
 
-        places = self._samples_px()
-        inside = map_coordinates(self.mask.astype(np.float32), places, order=1, mode="nearest")
-        values = map_coordinates(np.where(self.mask, image, 0).astype(np.float32), places, order=1, mode="nearest")
-        values = values / np.maximum(inside, 1e-3)
-        return np.rint(values).astype(np.uint8) if image.dtype == np.uint8 else values.astype(np.float32)
+        filled = self._filled(image).astype(np.float32)
+        values: np.ndarray = map_coordinates(filled, self._samples_px(), order=1, mode="nearest")
+        return np.rint(values).astype(np.uint8) if image.dtype == np.uint8 else values
 
     def labels_to_beam(self, image: np.ndarray) -> np.ndarray:
         """The label of the nearest pixel of the fan, of (H, W) uint8, at each sample, (rows, scanlines)."""
-        labels: np.ndarray = image.ravel()[self._nearest_px]
-        return labels
+        row, column = np.rint(self._samples_px()).astype(int)
+        height, width = self.image_shape
+        return self._filled(image)[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+
+    def _filled(self, image: np.ndarray) -> np.ndarray:
+        """An image whose pixels outside the fan are as the nearest one in it."""
+        filled: np.ndarray = image[self._inside]
+        return filled
 
     @cached_property
-    def _nearest_px(self) -> np.ndarray:
-        """The number of the nearest pixel of the fan of each sample, (rows, scanlines)."""
+    def _inside(self) -> tuple[np.ndarray, ...]:
+        """Rows and columns of the nearest pixel of the fan, (H, W) each."""
         from scipy.ndimage import distance_transform_edt
 
-        height, width = self.image_shape
-        row, column = np.rint(self._samples_px()).astype(int)
-        inside = distance_transform_edt(~self.mask, return_distances=False, return_indices=True)
-        inside = inside[:, np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
-        return np.asarray(np.ravel_multi_index(tuple(inside), self.image_shape))
+        return tuple(distance_transform_edt(~self.mask, return_distances=False, return_indices=True))
 
     def _samples_px(self) -> np.ndarray:
         """Row and column of each sample in the image, (2, rows, scanlines) float64, px."""

@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import torch
@@ -119,6 +119,7 @@ class Simulator:
     def mask(self) -> np.ndarray:
         return self._chain.convert.mask.copy()
 
+    @without_teams()
     def render(self, pose: np.ndarray, seed: int = 0, display: Display | None = None) -> Frame:
         """One frame.
 
@@ -147,6 +148,7 @@ class Simulator:
             beam=replace(self.beam_maps(pose), image=image),
         )
 
+    @without_teams()
     def image(self, pose: np.ndarray, seed: int = 0, display: Display | None = None) -> np.ndarray:
         """The image of `render`, (H, W) uint8, alone: the maps are not made."""
         return self._chain.convert.to_image(self.beam_image(pose, seed, display))
@@ -204,7 +206,7 @@ class Simulator:
                 interfaces, illumination = self._surface_maps(self._local(pose))
                 known = replace(known, interfaces=interfaces, illumination=illumination)
             self._maps = {pose.tobytes(): known}
-        return known
+        return Beam(*(getattr(known, field.name).copy() for field in fields(Beam)))
 
     def scanline_tissues(self, pose: np.ndarray) -> np.ndarray:
         """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8: index in the scene's.
