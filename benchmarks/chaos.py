@@ -24,7 +24,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 
-from faults import at_once, canaries, changes, disks, inputs, kills, servers, stops
+from faults import at_once, canaries, changes, disks, inputs, kills, servers, stops, surroundings
 from faults.bench import Bench, Fault, Round
 from faults.commands import none_left_behind
 
@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "reliability.md"
 BEGIN, END = "<!-- written by benchmarks/chaos.py: begin -->", "<!-- written by benchmarks/chaos.py: end -->"
 HEAD = ("fault", "done", "must reach", "reached", "verdict", "commit")
-_THEMES = (kills, changes, disks, inputs, canaries, stops, servers, at_once)
+_THEMES = (kills, changes, disks, inputs, canaries, stops, servers, at_once, surroundings)
 FAULTS: tuple[Fault, ...] = tuple(fault for theme in _THEMES for fault in theme.FAULTS)
 
 

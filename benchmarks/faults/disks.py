@@ -31,14 +31,14 @@ def full(which: str, bench: Bench, rng: random.Random, _: int) -> Round:
     environment = {"TMPDIR": str(room)} if which == "TMPDIR" else {}
     free = rng.randrange(_MOST_FREE)
     with small_disk(room) as inside:
-        _in(inside, place, _begin, bench.unbroken, runs)
-        before = _in(inside, place, _digests, runs)
-        _in(inside, place, _fill, room, free)
+        inside_of(inside, place, _begin, bench.unbroken, runs)
+        before = inside_of(inside, place, _digests, runs)
+        inside_of(inside, place, fill_up, room, free)
         ended = ablate(line, place, Start.cold, environment, inside).wait()
-        after = _in(inside, place, _digests, runs)
-        _in(inside, place, (room / "ballast").unlink)
+        after = inside_of(inside, place, _digests, runs)
+        inside_of(inside, place, (room / "ballast").unlink)
         again = ablate(line, place, Start.warm, environment, inside).wait()
-        _in(inside, place, shutil.copytree, room, place / "kept")
+        inside_of(inside, place, shutil.copytree, room, place / "kept")
     wrong = []
     if "Traceback" in ended.said:
         wrong.append(f"{free} bytes free, a traceback: {ended.said[ended.said.find('Traceback') :][-300:]}")
@@ -52,9 +52,9 @@ def full(which: str, bench: Bench, rng: random.Random, _: int) -> Round:
 
 
 @contextmanager
-def small_disk(folder: Path) -> Iterator[int]:
+def small_disk(folder: Path, mib: int = _SIZE_MIB) -> Iterator[int]:
     """Mount an empty file system at a folder for the process whose id is given, and those that enter; see `start`."""
-    mount = f"mount -t tmpfs -o size={_SIZE_MIB}M tmpfs {folder} && echo mounted && exec sleep 100000"
+    mount = f"mount -t tmpfs -o size={mib}M tmpfs {folder} && echo mounted && exec sleep 100000"
     command = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c", mount]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None
@@ -66,7 +66,7 @@ def small_disk(folder: Path) -> Iterator[int]:
             holder.kill()
 
 
-def _in(inside: int, place: Path, work: object, *arguments: object) -> str:
+def inside_of(inside: int, place: Path, work: object, *arguments: object) -> str:
     """Call a function where the small disk is seen; returns what it prints."""
     ended = start(work, arguments, place, inside=inside).wait()  # type: ignore[arg-type]
     if ended.code:
@@ -86,7 +86,7 @@ def _digests(runs: Path) -> None:
             print(path.name, hashlib.sha256(path.read_bytes()).hexdigest())
 
 
-def _fill(room: Path, free: int) -> None:
+def fill_up(room: Path, free: int) -> None:
     disk = os.statvfs(room)
     with (room / "ballast").open("wb") as file:
         file.write(bytes(max(0, disk.f_bavail * disk.f_bsize - free)))

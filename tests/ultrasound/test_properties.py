@@ -1,4 +1,4 @@
-"""What must hold of any scene of layers: impedances and losses over six decades, any pose."""
+"""What must hold of any scene of layers or odd bodies: impedances and losses over six decades, any pose."""
 
 from dataclasses import replace
 
@@ -59,6 +59,19 @@ def layered(draw: st.DrawFn) -> Scene:
 
 
 @st.composite
+def bodies(draw: st.DrawFn) -> Scene:
+    """Up to four closed meshes of any form that cross each other, about and around the probe."""
+    structures = []
+    for i in range(draw(st.integers(1, 4))):
+        mesh = trimesh.creation.icosphere(draw(st.integers(0, 2)), radius=draw(decades(0.5, 200)))
+        rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+        mesh.vertices *= rng.uniform(draw(st.floats(0.01, 1)), 1, (len(mesh.vertices), 1))  # spikes and dents
+        mesh.apply_translation(draw(st.tuples(*[st.floats(-100, 100)] * 3)))
+        structures.append(Structure(mesh, draw(tissues(f"t{i}"))))
+    return Scene(tuple(structures), draw(tissues("background")), "bodies")
+
+
+@st.composite
 def poses(draw: st.DrawFn) -> np.ndarray:
     """Any rotation, and a place within a metre."""
     angles = draw(st.tuples(*[st.floats(-np.pi, np.pi)] * 3))
@@ -71,7 +84,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")  # of probes in b
 
 
 @PROPERTY
-@given(layered(), st.integers(0, 2**63 - 1))
+@given(layered() | bodies(), st.integers(0, 2**63 - 1))
 def test_frames_are_finite_and_maps_are_maps(scene: Scene, seed: int) -> None:
     frame = Simulator(scene, settings=TINY).render(np.eye(4), seed)
     assert np.isfinite(frame.envelope).all()
