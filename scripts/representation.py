@@ -1,19 +1,17 @@
-"""What each part of the networks' representation buys, on validation sites alone: a table for docs/networks.md.
+"""What each part of the networks' representation buys, on validation sites alone, as a table.
 
 python -m ablate +study=representation
 python scripts/representation.py [folder of the study]
 """
 
 import sys
-from pathlib import Path
 
 import pandas as pd
 
 import ablate
 from ablate.metrics import metric_of
-from numerics import fill, markdown
+from numerics import markdown
 
-PAGE = Path(__file__).parents[1] / "docs" / "networks.md"
 SHOWN = ("mae_smooth", "pchi2_tissue", "shadow_contrast", "thin_contrast", "crps", "noise_sd")
 
 
@@ -29,11 +27,9 @@ def shares(study: "ablate.comparison.reading.Study") -> pd.DataFrame:
 
 
 def main() -> None:
-    """Print the table and put it into the page."""
+    """Print the table."""
     table = shares(ablate.open_study(sys.argv[1] if len(sys.argv) > 1 else "runs/representation"))
-    text = markdown(table.map("{:.2f}".format))
-    PAGE.write_text(fill(PAGE.read_text(), {"representation": text}))
-    print(text)
+    print(markdown(table.map("{:.2f}".format)))
 
 
 if __name__ == "__main__":
