@@ -90,8 +90,13 @@ def test_the_file_computes_what_the_network_computes(name: str, tmp_path: Path) 
     assert json.loads(model.metadata_props[0].value) == asdict(generator.spec)
     # Nothing that a runtime may lack, TensorRT among them; and what each variant does without.
     operations = {node.op_type for node in model.graph.node}
-    standard = {"Add", "Concat", "Conv", "ConvTranspose", "InstanceNormalization", "LeakyRelu", "Mul", "Pad", "Relu"}
-    assert operations - OF_FIXED_NORM * (generator.spec.norm == "fixed") <= standard | {"Resize", "Slice", "Tanh"}
+    standard = {"Add", "AveragePool", "Concat", "Conv", "ConvTranspose", "InstanceNormalization", "LeakyRelu", "Mul"}
+    of_fixed_norm = (
+        {"Pow", "ReduceMean", "Sqrt", "Reciprocal", "Transpose"} if generator.spec.norm == "fixed" else set()
+    )
+    assert operations <= standard | of_fixed_norm | {"Pad", "Relu", "Resize", "Slice", "Tanh"}
+    has_means = generator.spec.concat == "every_level" and len(maps) > 1
+    assert ("AveragePool" in operations) is has_means
     assert ("Mul" in operations) is (generator.spec.noise == "inject")
 
 
