@@ -176,13 +176,16 @@ def test_an_opened_study_is_tables_and_says_nothing_of_what_a_network_of_the_use
         ablate.open_study("nowhere")
 
 
-def test_a_run_without_a_discriminator_is_compared_but_is_no_cell_of_the_design(study: Path) -> None:
-    before = pd.read_csv(compared(study)[0] / "effects.csv")
+def test_runs_without_a_discriminator_tell_its_effect_and_leave_the_others(study: Path) -> None:
+    before = pd.read_csv(compared(study)[0] / "effects.csv").set_index(["metric", "effect"])
     for seed in (0, 1, 2):
         write_run(study, "sa2h-gan", seed)
     folder, _, _ = compared(study)
     assert "sa2h-gan" in set(pd.read_csv(folder / "paired.csv")["variant"])
-    pd.testing.assert_frame_equal(pd.read_csv(folder / "effects.csv"), before)
+    after = pd.read_csv(folder / "effects.csv").set_index(["metric", "effect"])
+    assert set(after.index.unique("effect")) - set(before.index.unique("effect")) == {"training.loss"}
+    pd.testing.assert_series_equal(after["estimate"].loc[before.index], before["estimate"])
+    assert (after["dof"].loc[before.index] == before["dof"] + 2).all()
 
 
 def test_pictures_without_their_pairs_are_said_to_be_missing(study: Path) -> None:
