@@ -124,7 +124,7 @@ def test_a_full_disk_stops_with_its_name_and_nothing_half_written(tmp_path: Path
     (tmp_path / "fill.py").write_text(FULL_DISK)
     (tmp_path / "recipe").write_bytes(pickle.dumps(recipe))
     fill = f"{sys.executable} {tmp_path}/fill.py {room} {tmp_path}/recipe 2"
-    ballast = f"cp -r {laid_out} {room} && head -c 600000 /dev/zero > {room}/ballast"
+    ballast = f"cp -r {laid_out} {room} && head -c 800000 /dev/zero > {room}/ballast"
     done = subprocess.run([*mount, f"{disk} && {ballast} && {fill}"], capture_output=True, text=True, check=False)
     printed = dict(line.split(": ", 1) for line in done.stdout.splitlines())
     assert done.returncode == 0, done.stderr

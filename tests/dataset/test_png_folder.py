@@ -65,7 +65,7 @@ def test_pixels_become_pairs_and_what_is_outside_the_fan_becomes_0(folder: Path,
         np.testing.assert_array_equal(stored["segmentation"][k], imread(folder / "segmentation" / f"{name}.png"))
         np.testing.assert_array_equal(stored["target"][k], imread(folder / "image" / f"{name}.png") * FAN)
         share = imread(folder / "attenuation" / f"{name}.png") / np.iinfo(dtype).max * FAN
-        np.testing.assert_allclose(stored["attenuation"][k], share, rtol=2.1e-3, atol=1 / 65535)
+        np.testing.assert_allclose(stored["attenuation"][k], share, rtol=1e-6)
     np.testing.assert_array_equal(stored["attenuation"][:, ~FAN], 0)
 
 

@@ -31,8 +31,9 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
     from one machine to the other, a shard may be made twice, with the same content.
 
     `make` is called with the numbers of k frames and the names of the wanted maps, out of `FORMATS`. It returns arrays
-    (k, *pairs.stored_shape) by name: `attenuation` and maps of surfaces float in [0, 1], the others uint8; frames that
-    have no such map are zeros. An OSError when a shard cannot be written, as on a full disk; those before it stay.
+    (k, *pairs.stored_shape) by name: `attenuation` and maps of surfaces float in [0, 1], or attenuation uint16 as it is
+    stored, the others uint8; frames that have no such map are zeros. An OSError when a shard cannot be written, as on a
+    full disk; those before it stay.
     """
     with FileLock(pairs.folder / ".create.lock"):
         for left in pairs.folder.glob("pairs.zarr/*/*.partial"):
@@ -123,7 +124,7 @@ def remove_damaged(pairs: Pairs, maps: frozenset[str]) -> tuple[str, ...]:
 
 def _write(pairs: Pairs, name: str, shard: int, stack: np.ndarray) -> None:
     file = pairs.shard_file(name, shard)
-    if name == "attenuation":
+    if name == "attenuation" and stack.dtype != np.uint16:
         stack = np.stack([encode_attenuation(frame) for frame in stack])
     elif name in OF_SURFACES:
         stack = np.rint(stack * 255)

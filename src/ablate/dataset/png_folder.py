@@ -164,7 +164,7 @@ def import_pairs(checked: PngFolder, names: Sequence[str], pairs: Pairs, maps: f
 
     def image(name: str, frame: int) -> np.ndarray:
         decoded = mask * _decoded(checked.files[name][names[frame]], checked.shape)
-        return decoded / np.iinfo(decoded.dtype).max if name == "attenuation" else decoded
+        return np.uint16(257) * decoded if name == "attenuation" and decoded.dtype == np.uint8 else decoded
 
     def read(frames: np.ndarray, wanted: frozenset[str]) -> Mapping[str, np.ndarray]:
         return {name: np.stack([image(name, frame) for frame in frames]) for name in wanted}
