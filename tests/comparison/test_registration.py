@@ -60,7 +60,7 @@ def test_it_renders_what_the_study_renders(registered: tuple[Path, Job], loaded:
     frame = data.pairs.frames(Part.test)[:1]
     maps = {name: data.pairs.read(name, frame, Space.beam) for name in READ}
     image = loaded.predict(maps, params={"seed": int(noise_seeds(frame, 0)[0])})
-    assert (image.dtype, image.shape) == (np.uint8, (1, 64, 24))
+    assert (image.dtype, image.shape) == (np.uint8, (1, 64, 32))
     np.testing.assert_array_equal(data.pairs.converter.to_image(image), render(frame, 0))
     assert (image != loaded.predict(maps, params={"seed": 5})).any()  # other noise, another image
 
@@ -71,7 +71,7 @@ def test_its_signature_says_what_it_takes_and_refuses_the_rest(loaded: Any) -> N
     assert loaded.metadata.signature.outputs.inputs[0].type == np.dtype("uint8")
     assert [p.name for p in loaded.metadata.signature.params] == ["seed"]
     example = loaded.input_example
-    assert loaded.predict(example).shape == example["segmentation"].shape == (1, 64, 24)
+    assert loaded.predict(example).shape == example["segmentation"].shape == (1, 64, 32)
     with pytest.raises(MlflowException, match="illumination"):
         loaded.predict({"segmentation": example["segmentation"]})
     with pytest.raises(ValueError, match="segmentation: label 200, allowed are 0 to "):
