@@ -4,12 +4,13 @@
 
 import os
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from ablate.networks import layers, local, pix2pix
+from ablate.networks import families, layers
 from ablate.training import loop
 
 
@@ -20,8 +21,7 @@ def _norm_by_torch(features: Tensor) -> Tensor:
 
 def without_own_gradient() -> None:
     """Instance norm is torch's group norm, with torch's gradient."""
-    for module in (local, pix2pix):
-        module.instance_norm = _norm_by_torch
+    families.instance_norm = _norm_by_torch
 
 
 def without_channels_last() -> None:
@@ -76,13 +76,17 @@ def with_noise_as_product() -> None:
         def __getattr__(self, name: str) -> object:
             return addcmul if name == "addcmul" else getattr(torch, name)
 
-    local.torch = Torch()
+    families.torch = Torch()
 
 
 def with_activations_in_place() -> None:
-    """Activations of the local generator overwrite what they are computed from."""
-    local.encoded = lambda x: local.instance_norm(F.leaky_relu(x, local.LEAK, inplace=True))
-    local.decoded = lambda x: local.instance_norm(F.relu(x, inplace=True))
+    """Activations overwrite what they are computed from."""
+
+    class Functional:
+        def __getattr__(self, name: str) -> object:
+            return partial(getattr(F, name), inplace=True) if name in ("relu", "leaky_relu") else getattr(F, name)
+
+    families.F = Functional()
 
 
 def with_flushed_denormals() -> None:

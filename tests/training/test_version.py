@@ -7,7 +7,7 @@ import torch
 
 from ablate.training import TRAINING_VERSION, PairGAN
 from support.tiny_training import SETTINGS, SPEC, batch
-from support.variants import UNET
+from support.variants import BEAM, UNET
 
 # In float64 all processors agree to about 1e-7: without vector instructions, with AVX2 and AVX-512, with and without
 # oneDNN. In float32, rounding grows from step to step, and the bound would have to hide small changes.
@@ -19,6 +19,7 @@ CASES: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     "minimax": ({"attenuation": "compensated", "noise": "input", "noise_start": 0.0}, {"loss": "minimax"}),
     "transposed": ({"upsampling": "transposed", "concat": "input"}, {}),
     "resize": ({"upsampling": "resize"}, {}),
+    "in beam space": ({**BEAM, "labels": 1}, {"reconstruction": "crps"}),
     "U-Net": ({**UNET, "depth": 5, "noise_start": 0.0, "extra_input": "noise"}, {}),
 }
 ADAM = {"lr": 2e-4, "betas": (0.5, 0.999), "eps": 1e-8, "weight_decay": 0, "amsgrad": False}
@@ -31,6 +32,16 @@ PINNED: dict[str, tuple[float | None, ...]] = {
     "minimax": (1.36753919, -0.0649581629, -0.114152677, -0.617488235, 0.826136331, None, 66.6520976, 66.6468942),
     "transposed": (1.3860212, 0.0585004473, 0.0370847931, 0.699763815, 0.593975308, None, 59.8347232, 59.8221752),
     "resize": (1.34508491, 0.140050173, 0.0294577281, 0.704687019, 0.52925083, None, 68.1128086, 68.1042346),
+    "in beam space": (
+        1.39134371,
+        -0.00625137845,
+        -0.0116103021,
+        0.715894759,
+        0.650193327,
+        0.645865905,
+        107.286752,
+        107.273785,
+    ),
     "U-Net": (1.38512063, -0.000801612002, -0.026178934, 0.728834887, 0.713690709, None, 683.226259, 683.201252),
 }
 
