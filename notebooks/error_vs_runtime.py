@@ -23,7 +23,8 @@ from IPython.display import Image, display
 
 from ablate.analysis import error_vs_runtime, pareto_front
 from ablate.comparison.frame_times import timed_on
-from ablate.comparison.reading import found_study, runtime_points
+from ablate.comparison.opened import found_study
+from ablate.comparison.reading import runtime_points
 
 study = found_study()
 folder = Path(mkdtemp())

@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 from IPython.display import Image
 
 from ablate.analysis import qualitative_figure
-from ablate.comparison.reading import found_study
+from ablate.comparison.opened import found_study
 
 study = found_study()
 folder = Path(mkdtemp())

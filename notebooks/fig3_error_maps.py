@@ -21,7 +21,7 @@ from tempfile import mkdtemp
 from IPython.display import Image, display
 
 from ablate.analysis import chi2_maps_figure
-from ablate.comparison.reading import found_study
+from ablate.comparison.opened import found_study
 
 study = found_study()
 folder = Path(mkdtemp())

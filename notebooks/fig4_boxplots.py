@@ -21,7 +21,7 @@ from tempfile import mkdtemp
 from IPython.display import Image, display
 
 from ablate.analysis import boxplot_panels, cautions, paired_table
-from ablate.comparison.reading import found_study
+from ablate.comparison.opened import found_study
 from ablate.metrics import Group, Shown, metric_of, shown_in
 
 study = found_study()

@@ -29,7 +29,7 @@ from scipy.ndimage import maximum_filter1d
 from ablate.analysis.figures.body_view import draw_body
 from ablate.analysis.figures.scene_parts import tissue_colours
 from ablate.anatomy import bounds_mm
-from ablate.comparison.reading import found_study
+from ablate.comparison.opened import found_study
 from ablate.dataset import Part
 from ablate.runs.simulated import build_scene
 from ablate.settings.study import SceneKind

@@ -18,7 +18,7 @@
 from IPython.display import Markdown
 
 from ablate.analysis import paired_table, resimulation_note, to_latex, to_markdown
-from ablate.comparison.reading import found_study
+from ablate.comparison.opened import found_study
 from ablate.metrics import Shown, shown_in
 
 study = found_study()

@@ -24,7 +24,7 @@ from tempfile import mkdtemp
 from IPython.display import Image, display
 
 from ablate.analysis import caption, forest_figure, improvements, interactions
-from ablate.comparison.reading import ANSWER, found_study
+from ablate.comparison.opened import ANSWER, found_study
 from ablate.metrics import metric_of
 from ablate.settings.conf import components
 

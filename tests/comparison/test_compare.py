@@ -16,7 +16,8 @@ import ablate
 from ablate.analysis import RESIMULATION, find_design
 from ablate.comparison.compare import compare_study, write_comparison
 from ablate.comparison.frame_times import TIMES, network_of
-from ablate.comparison.reading import Study, appendix, pictures, scored_frames
+from ablate.comparison.opened import Study
+from ablate.comparison.reading import appendix, pictures, scored_frames
 from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
 from ablate.runs.run import runs_of

@@ -12,8 +12,9 @@ from filelock import FileLock
 from ablate import analysis
 from ablate.analysis import FramePictures
 from ablate.comparison.frame_times import TIMES, frame_times, time_networks, timed_on, untimed
+from ablate.comparison.opened import Study
 from ablate.comparison.parent_run import describe_study, register_reference
-from ablate.comparison.reading import Study, appendix, pictures, provenance, runtime_points, scored_frames
+from ablate.comparison.reading import appendix, pictures, provenance, runtime_points, scored_frames
 from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME

@@ -11,8 +11,9 @@ from skimage.transform import resize
 from skimage.util import montage
 
 from ablate.anatomy import load_tissues
+from ablate.dataset.fan_file import fan_values
 from ablate.dataset.pairs import Pairs
-from ablate.dataset.png_folder import FOLDERS, fan_values
+from ablate.dataset.png_folder import FOLDERS
 from ablate.dataset.split import Part
 from ablate.storage import write_image, write_json, write_text
 from ablate.ultrasound import SIMULATOR_VERSION

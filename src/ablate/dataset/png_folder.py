@@ -19,13 +19,11 @@ import numpy as np
 from skimage.io import imread
 
 from ablate.anatomy import Tissue, load_tissues
-from ablate.anatomy.scene_values import mapping, read_yaml
+from ablate.dataset.fan_file import read_fan_file
 from ablate.dataset.filling import fill_all, fill_pairs
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.split import Part
-from ablate.setting import plain
 from ablate.ultrasound import Probe
-from ablate.ultrasound.settings import PROBE_KEYS, probe_from
 
 #: Folder of each map of a data set.
 FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}
@@ -124,7 +122,7 @@ def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
             here, there = f"{width} x {height} px", f"{shape[1]} x {shape[0]}"
             raise ValueError(f"{path}: is {here}, but {first} is {there}; all must have one size")
     sites, parts = _frames(folder / "frames.csv", names)
-    tissues, probe = _tissues(folder / "labels.csv"), _probe(folder / "fan.yaml")
+    tissues, probe = _tissues(folder / "labels.csv"), read_fan_file(folder / "fan.yaml")
     return PngFolder(folder, names, files, shape, sites, parts, tissues, probe)
 
 
@@ -264,27 +262,6 @@ def _tissues(path: Path) -> tuple[Tissue, ...] | None:
     if sorted(tissues) != list(range(1, len(tissues) + 1)) or not tissues:
         raise ValueError(f"{path}: the labels must be 1, 2, ... without a gap, not {sorted(tissues)}")
     return tuple(tissues[label] for label in sorted(tissues))
-
-
-def _probe(path: Path) -> Probe | None:
-    """The probe whose fan the images are of: its kind and every length and angle, whatever its frequency."""
-    if not path.exists():
-        return None
-    if not path.is_file():
-        raise ValueError(f"{path}: is no file")
-    given = mapping(read_yaml(path), f"{path}", ("kind", *PROBE_KEYS))
-    try:
-        probe = probe_from(given)
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{path}: {error}") from error
-    if missing := [name for name in fan_values(probe) if given.get(name) is None]:  # a default would be a guess
-        raise ValueError(f"{path}: no {missing[0]}; a {probe.kind} fan has {', '.join(fan_values(probe))}")
-    return probe
-
-
-def fan_values(probe: Probe) -> dict[str, str | float]:
-    """What `fan.yaml` holds of a probe."""
-    return {name: value for name, value in plain(probe).items() if name != "frequency_mhz"}
 
 
 def _table(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> list[tuple[str, dict[str, str]]]:

@@ -1,0 +1,115 @@
+"""A study on disk as notebooks and users read it: `ablate.open_study`."""
+
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import pandas as pd
+
+from ablate import analysis
+from ablate.analysis import FramePictures
+from ablate.comparison.reading import Answers, answers, pictures, scored_frames
+from ablate.comparison.usable_runs import UsableRuns, usable_runs
+from ablate.runs.job import COMPARISON
+from ablate.settings.study import StudySettings
+from ablate.storage import read_json
+
+SWEEP = ("runs/quick-fetal",)  # where `make sweep` leaves its study
+ANSWER = ("runs/answer", "docs/results/answer")  # where `make answer` leaves its study, and where it is kept
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A study on disk with at least one run that can be used; tables are made when they are first asked for.
+
+    Attributes
+    ----------
+    folder : Path
+    usable : UsableRuns
+        The runs as they lie on disk, `usable.runs`, and what was left aside and why, `usable.notes`.
+    reference : str
+        The variant that the others are compared with.
+    per_image : DataFrame
+        Columns variant, seed, frame, site, metric, value, ...: one row a metric of a test frame of a run. The variant
+        `re-simulation` is the same frames simulated again.
+    scalars : DataFrame
+        Columns variant, seed, metric, value, lower, upper: one row a metric that only a run has, as a distance.
+    """
+
+    folder: Path
+    usable: UsableRuns
+    reference: str
+    per_image: pd.DataFrame
+    scalars: pd.DataFrame
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """Mean and spread of every metric of every variant; see `analysis.comparison_table`."""
+        return analysis.comparison_table(self.per_image, self.scalars, self.reference)
+
+    @property
+    def floor(self) -> pd.DataFrame:
+        """The rows of `table` that are of the re-simulation, by metric."""
+        return self.table[self.table["variant"] == RESIMULATION].set_index("metric").drop(columns="variant")
+
+    @cached_property
+    def paired(self) -> pd.DataFrame:
+        """Every variant beside the reference, frame by frame; see `analysis.paired_table`."""
+        return analysis.paired_table(self.per_image, self.reference)
+
+    @cached_property
+    def answers(self) -> Answers:
+        """The design of the study, and what it says of each component."""
+        return answers(self.usable.all, self.table, self.reference)
+
+    @property
+    def runs(self) -> pd.DataFrame:
+        """One row a run: variant, seed, data, its components, and its mean of every metric."""
+        return self.answers.runs
+
+    @property
+    def verdicts(self) -> pd.DataFrame:
+        """One row a component: effect, interval, band and verdict; see `analysis.verdict_table`."""
+        return self.answers.verdicts
+
+    @cached_property
+    def pictures(self) -> list[FramePictures]:
+        """Test frames as (H, W) arrays: target, maps, and what each variant rendered."""
+        return pictures(self.usable.runs, self.reference)
+
+
+def open_study(path: str | Path) -> Study:
+    """Open a study, such as `runs/quick-fetal`, to read what it came to; see `Study`.
+
+    A folder without a finished run that can be used is a FileNotFoundError, which says why.
+
+    Examples
+    --------
+    >>> study = ablate.open_study("runs/quick-fetal")  # doctest: +SKIP
+    >>> study.per_image.query("metric == 'psnr_fan'").groupby("variant")["value"].mean()  # doctest: +SKIP
+    >>> study.verdicts[["component", "effect", "lower", "upper", "verdict"]]  # doctest: +SKIP
+    """
+    folder, reference = Path(path).resolve(), StudySettings.reference
+    with suppress(OSError, ValueError, KeyError):  # not compared yet, or a damaged file
+        reference = str(read_json(folder / COMPARISON / "made_from.json")["reference"])
+    usable = usable_runs(folder, reference)
+    if not usable.runs:
+        raise FileNotFoundError(" ".join([f"There is no finished study at {path}.", *usable.notes]))
+    return Study(folder, usable, reference, *scored_frames(usable.runs))
+
+
+def found_study(places: Sequence[str] = SWEEP, made_by: str = "make sweep") -> Study:
+    """Open the study named by the environment variable ABLATE_STUDY, or the first of `places`, here or one folder up.
+
+    Without one a SystemExit names the command that makes it, so that a notebook stops without a traceback.
+    """
+    named = os.environ.get("ABLATE_STUDY")
+    folders = [named] if named else [f"{up}/{place}" for up in (".", "..") for place in places]
+    for folder in folders:
+        with suppress(FileNotFoundError):
+            return open_study(folder)
+    advice = f"Run `{made_by}` first, or name another by the environment variable ABLATE_STUDY."
+    raise SystemExit(f"There is no finished study at {folders[0]}. {advice}")
