@@ -53,15 +53,16 @@ def verdicts(runs: pd.DataFrame, design: Design, effects: Mapping[str, float], b
     effects : mapping of str to float
         By component, by how much it improves its metric: less is better in all primary metrics.
     band : float
-        Of all components.
+        Of all components that vary in the design.
     seed : int
         Of the chance.
     """
     values = np.random.default_rng(seed).normal(size=len(runs))
-    for component in components():
+    varied = [component for component in components() if component.key in design.factors]
+    for component in varied:
         on = runs[component.key] == design.cells.loc["sa2h", component.key]
         values -= effects.get(component.name, 0.0) * (on & (runs["metric"] == component.metric))
-    return verdict_table(runs.assign(value=values), design, [replace(c, band=band) for c in components()]).set_index(
+    return verdict_table(runs.assign(value=values), design, [replace(c, band=band) for c in varied]).set_index(
         "component"
     )
 

@@ -89,5 +89,5 @@ def test_without_psutil_the_package_to_install_is_named(tmp_path: Path, monkeypa
     jobs = jobs_of(["preset=tiny", f"runs_dir={tmp_path}", "tracking.system_metrics=true"])
     preflight.check(jobs)
     monkeypatch.setattr(preflight, "find_spec", lambda _: None)
-    with pytest.raises(ValueError, match=r"psutil: pip install 'ablate-ultrasound\[system\]'"):
+    with pytest.raises(ValueError, match=r"psutil: pip install -e '\.\[system\]'"):
         preflight.check(jobs)

@@ -156,7 +156,7 @@ def test_a_port_in_use_is_one_sentence(viewer: Viewer) -> None:
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ablate.viewer.task.find_spec", lambda _: None)
-    with pytest.raises(ConfigurationError, match=r"pip install 'ablate-ultrasound\[view\]'"):
+    with pytest.raises(ConfigurationError, match=r"pip install -e '\.\[view\]'"):
         check_server(8090)
 
 

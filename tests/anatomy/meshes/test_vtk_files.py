@@ -79,5 +79,5 @@ def test_a_scene_is_made_of_them_and_without_the_package_its_extra_is_named(
     scene = load_scene(tmp_path)
     assert [s.mesh.metadata["name"] for s in scene.structures] == ["skin.vtp", "liver.stl"]
     monkeypatch.setattr(scene_folder, "find_spec", lambda _: None)
-    with pytest.raises(ValueError, match=r"structures\[0\]\.mesh: .*pip install 'ablate-ultrasound\[vtk\]'"):
+    with pytest.raises(ValueError, match=r"structures\[0\]\.mesh: .*pip install -e '\.\[vtk\]'"):
         validate_scene_folder(tmp_path)
