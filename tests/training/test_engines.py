@@ -105,5 +105,5 @@ def test_what_an_engine_lacks_is_said_before_it_is_used(monkeypatch: pytest.Monk
     monkeypatch.setattr(
         "ablate.training.inference.find_spec", lambda name: None if name == "openvino" else find_spec(name)
     )
-    with pytest.raises(RuntimeError, match="engine=exported: needs the package openvino: pip install .*export"):
+    with pytest.raises(RuntimeError, match=r"engine=exported: needs the package openvino: pip install .*export"):
         open_engine(drawn(SPEC), 8, 8, engine=Engine.exported)

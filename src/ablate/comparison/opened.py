@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from ablate import analysis
-from ablate.analysis import FramePictures
+from ablate.analysis import RESIMULATION, FramePictures
 from ablate.comparison.reading import Answers, answers, pictures, scored_frames
 from ablate.comparison.usable_runs import UsableRuns, usable_runs
 from ablate.runs.job import COMPARISON
