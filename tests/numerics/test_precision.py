@@ -19,6 +19,8 @@ from mlflow import MlflowClient
 from ablate.dataset import Part, label_values, network_inputs
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import mae, psnr
+from ablate.networks import Space
+from ablate.networks.spec import OF_SURFACES
 from ablate.numerics.precision import bench, generated
 from ablate.numerics.precision import task as module
 from ablate.numerics.precision.bench import Frames, bench_of, mean_errors
@@ -28,7 +30,7 @@ from ablate.settings.study import ConfigurationError
 from ablate.storage import digest
 from ablate.tracking import default_uri
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
-from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
+from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, scan_converter
 from ablate.ultrasound.imaging import scatterers
 from support.studies import run as run_command
 
@@ -85,8 +87,8 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     assert list(dict.fromkeys(rays["setting"])) == ["1", "2", "4"]
     assert set(rays["metric"]) == {"envelope_rms", "mae", "psnr", "pchi2", "mae_smooth"}
     scanlines = points[points["series"] == "simulator, scanlines"]
-    assert list(dict.fromkeys(scanlines["setting"])) == ["6", "12", "24", "48"]
-    assert set(scanlines[scanlines["metric"] == "envelope_rms"]["setting"]) == {"24"}, "one grid has the reference's"
+    assert list(dict.fromkeys(scanlines["setting"])) == ["8", "16", "32", "64"]
+    assert set(scanlines[scanlines["metric"] == "envelope_rms"]["setting"]) == {"32"}, "one grid has the reference's"
     network = points[points["series"] == "sa2h"]
     assert "width 0.05, fp32, eager, seed 0" in set(network["setting"])
     assert "envelope_rms" not in set(network["metric"])
@@ -94,9 +96,9 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     details = pd.read_csv(trained / "precision" / "details.csv", dtype=str)
     stages = details[(details["table"] == "stage") & (details["setting"] == "width 0.05, fp32, eager, seed 0")]
     paid = stages.set_index("quantity")["value"].astype(float)
-    assert set(paid.index) == {"segmentation", "attenuation", "network"}
+    assert set(paid.index) == {"segmentation", "illumination", "interfaces", "network"}
     whole = network[network["setting"] == "width 0.05, fp32, eager, seed 0"]["ms"].iloc[0]
-    assert paid.sum() == pytest.approx(whole), "S and A are paid for"
+    assert paid.sum() == pytest.approx(whole), "all maps are paid for"
     assert {"reference", "convergence", "limit", "stage"} == set(details["table"])
     for figure in ("precision", "precision_order"):
         assert (trained / "precision" / f"{figure}.png").exists()
@@ -130,24 +132,32 @@ def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:
     assert errors["simulator, other scatterers", "rays 4", "mae"] == pytest.approx(np.mean([*map(mae, other, targets)]))
 
     generator = load_generator(job.folder / "last.ckpt")
-    labels, attenuation = map(np.stack, zip(*(exact.maps(pairs.poses[f]) for f in frames), strict=True))
-    stacked = {"segmentation": labels, "attenuation": attenuation}
-    inputs = network_inputs(stacked, label_values(scene.tissues, s.encoding), exact.mask)
-    made = generate(generator, inputs, torch.from_numpy(exact.mask), torch.from_numpy(frames), TrainingPrecision.fp32)
+    beams = [exact.render(pairs.poses[f], s.dataset.seed).beam for f in frames]
+    stacked = {name: np.stack([getattr(b, name) for b in beams]) for name in (*OF_SURFACES, "segmentation")}
+    stacked |= {name: np.stack([value] * 2) for name, value in pairs.positions(Space.beam).items()}
+    everywhere = np.ones(s.simulator.beam_shape, bool)
+    inputs = network_inputs(stacked, label_values(scene.tissues, s.encoding), everywhere)
+    converter = scan_converter(s.probe, s.simulator.beam_shape, s.simulator.image_shape)
+    given = torch.from_numpy(everywhere), torch.from_numpy(frames), TrainingPrecision.fp32, converter
+    made = generate(generator, inputs, *given)
     label = "sa2h", "width 0.05, fp32, eager, seed 0"
     assert errors[*label, "psnr"] == pytest.approx(np.mean([*map(psnr, made, targets)]))
 
 
-def test_the_compensated_attenuation_is_that_of_the_pairs_and_costs_more_than_the_integral_one(trained: Path) -> None:
+def test_inputs_are_the_maps_of_the_pairs(trained: Path) -> None:
     (job,) = jobs_of([f"runs_dir={trained}", *TINY])
-    chosen = bench_of(job)
-    maps, ms = generated.make_inputs(chosen)
-    stored = job.data.pairs.read("compensated", chosen.frames)
-    steps = 2 * 20 * np.log10(1 + 2**-9) / 72 + 1e-4  # A is stored with nine bits
-    bright = maps["attenuation"] > 0.01
-    np.testing.assert_allclose(maps["compensated"][bright], stored[bright], atol=steps)
-    assert (maps["compensated"] > 0).mean() > 0.2
-    assert ms["compensated"] > ms["attenuation"]
+    chosen, names = bench_of(job), ("segmentation", *sorted(OF_SURFACES), "depth", "lateral")
+    maps, ms = generated.make_inputs(chosen, names, Space.beam)
+    assert tuple(maps) == names
+    for name in names:
+        stored = job.data.pairs.read(name, chosen.frames, Space.beam)
+        np.testing.assert_allclose(maps[name], stored, atol=0.51 / 255 if name in OF_SURFACES else 0)
+        assert len(np.unique(stored)) > 3
+    assert set(ms) == {"segmentation", *OF_SURFACES}
+    of_image, paid = generated.make_inputs(chosen, ("segmentation", "compensated"), Space.image)
+    assert of_image["compensated"].shape[1:] == job.settings.simulator.image_shape
+    assert (of_image["compensated"] > 0).mean() > 0.2
+    assert set(paid) == {"segmentation", "compensated"}
 
 
 def test_an_engine_that_fails_costs_its_points_alone(

@@ -3,16 +3,21 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from ablate.networks import GeneratorSpec
+from ablate.dataset import Crops, CropSettings, create_pairs, fill_pairs
+from ablate.networks import GeneratorSpec, Space, conditions
 from ablate.training import AdversarialLoss, PairGAN, Reconstruction, TrainingPrecision, TrainingSettings
 from ablate.training.inference import autocast
+from ablate.ultrasound import ConvexProbe
 from support.tiny_training import SETTINGS, SPEC, batch
 from support.torch_operations import Operations
+from support.variants import BEAM
 
 
 def module(spec: GeneratorSpec, settings: TrainingSettings, monkeypatch: pytest.MonkeyPatch) -> PairGAN:
@@ -79,6 +84,50 @@ def test_one_fake_serves_both_networks_and_another_draw_is_rendered_where_draws_
     if passes == 2:
         assert not torch.equal(*fakes)
         assert means["train/crps"] < means["train/l1"] * 1.5
+
+
+def test_a_step_on_a_whole_frame_in_beam_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a crop the batch is a frame as it was simulated, mirrored or not, and the error is that of all of it."""
+    rng, shape = np.random.default_rng(0), (36, 33)
+    fan = np.tril(np.ones((40, 50), bool))
+    pairs = create_pairs(
+        tmp_path,
+        np.zeros((1, 4, 4)),
+        np.arange(1),
+        np.zeros(1, int),
+        fan,
+        1,
+        ["a"],
+        {},
+        Space.beam,
+        ConvexProbe(),
+        shape,
+    )
+    spec = GeneratorSpec(**{**BEAM, "depth": 2, "width": 0.05})  # type: ignore[arg-type]
+    drawn = {name: rng.random((1, *shape), np.float32) for name in ("illumination", "interfaces")}
+    drawn |= {name: rng.integers(0, 3, (1, *shape), np.uint8) for name in ("segmentation", "target")}
+    list(fill_pairs(pairs, frozenset(drawn), lambda _, maps: {name: drawn[name] for name in maps}))
+    values = rng.uniform(-1, 1, (3, 3)).astype(np.float32)
+    settings = CropSettings(size=0, batch_size=1, flip=True, space=Space.beam)
+    crops = Crops(pairs, np.arange(1), frozenset(conditions(spec)), values, settings)
+    made = module(spec, replace(SETTINGS, crop=0, batch_size=1), monkeypatch)
+    mirrored = set()
+    for step in range(4):
+        given = crops[step]
+        mirror = not np.array_equal(given["segmentation"][0, 0], values[drawn["segmentation"][0], 0])
+        mirrored.add(mirror)
+        frames = {name: frame[0, :, ::-1] if mirror else frame[0] for name, frame in drawn.items()}
+        np.testing.assert_array_equal(given["segmentation"][0], values[frames["segmentation"]].transpose(2, 0, 1))
+        np.testing.assert_allclose(given["illumination"][0, 0], frames["illumination"], atol=0.51 / 255)
+        for name, axis in (("depth", 0), ("lateral", 1)):  # down and to the right also in a mirror
+            steps = np.diff(given[name][0, 0].numpy(), axis=axis)
+            np.testing.assert_allclose(steps, 2 / (shape[0] if axis == 0 else shape[1] - 1), rtol=1e-4)
+        with torch.no_grad():
+            image = made.generator(**{n: given[n] for n in conditions(spec)}, noise_seed=given["noise_seed"]).numpy()
+        made.training_step(given, step)
+        expected = np.abs(image[0, 0] - (frames["target"] / 127.5 - 1)).mean()
+        assert made.drain()["train/l1"] == pytest.approx(expected, rel=1e-5)
+    assert mirrored == {False, True}
 
 
 @contextmanager
