@@ -43,7 +43,7 @@ def test_components_name_levels_and_metrics_that_exist() -> None:
     allowed = keys()
     for component in components():
         setting = allowed[component.key]
-        for level in (component.on, component.off):
+        for level in (*component.levels_on, component.off):
             assert level in tuple(setting.kind) if isinstance(level, str) else setting.declared.holds(level)
         assert component.metric in METRICS
         assert component.band
@@ -52,7 +52,12 @@ def test_components_name_levels_and_metrics_that_exist() -> None:
 def test_the_page_of_the_networks_prints_the_components_as_their_files_are() -> None:
     page = (Path(__file__).parents[2] / "docs" / "networks.md").read_text()
     printed = page.split("| component | key |")[1].split("\n\n")[0].splitlines()[2:]
-    rows = {f"| {c.name} | `{c.key}` | {c.on} | {c.off} | `{c.metric}` | {c.band:g} |" for c in components()}
+
+    def levels(names: tuple[object, ...]) -> str:
+        return ", ".join(map(str, names)).replace(f", {names[-1]}", f" or {names[-1]}")
+
+    kept = ((c, f"{levels(c.levels_on)} | {c.off} | `{c.metric}` | {c.band:g}") for c in components())
+    rows = {f"| {c.name} | `{c.key}` | {values} |" for c, values in kept}
     assert len(printed) >= 6
     assert rows.issuperset(printed)
 
