@@ -32,7 +32,7 @@ def test_a_network_of_the_user_is_a_variant(tmp_path: Path, monkeypatch: pytest.
     assert known["target"] == "toy_networks.Toy"
     assert len(known["source"]) == 64
     # weights and biases of its two convolutions: S and A in
-    assert read_json(study / "Toy/seed0/result.json")["scalars"]["parameters_generator"] == 2 * 8 * 9 + 8 + 8 * 9 + 1
+    assert read_json(study / "Toy/seed0/result.json")["scalars"]["parameters_generator"] == 7 * 8 * 9 + 8 + 8 * 9 + 1
     assert set(pd.read_csv(study / "comparison/table.csv")["variant"]) >= {"Toy"}
 
     module.write_text(

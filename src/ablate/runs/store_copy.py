@@ -10,7 +10,6 @@ from filelock import FileLock, Timeout
 
 from ablate import tracking
 from ablate.dataset.pairs import FORMATS
-from ablate.metrics import choose_metrics
 from ablate.metrics.metric import FLOOR_PREFIX, FRAME_TIME, is_bound
 from ablate.networks.spec import GeneratorSpec
 from ablate.runs.data_set import DataSet
@@ -164,8 +163,6 @@ def _opened(settings: StudySettings, run: Run) -> StoredRun:
         "whether the code had uncommitted changes."
     )
     stored.parameters({"variant": label, **named_components(build(GeneratorSpec, of_run["model"])), **_sorted_by(run)})
-    with suppress(ValueError):  # a metric of the user's that is gone
-        stored.announce([f"test/{name}" for name, one in choose_metrics(settings.metrics).items() if one.of_image])
     for folder in (settings.results / "data").glob(f"*-{data}"):
         with suppress(OSError, ValueError, KeyError):  # pairs that are being made again
             pairs = DataSet(folder).pairs

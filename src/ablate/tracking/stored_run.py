@@ -5,10 +5,9 @@ Of a task such as `precision`, what the store shows is on disk first, and the st
 
 import json
 import logging
-import math
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -64,13 +63,6 @@ class StoredRun:
                 self._client.log_image(self.run_id, np.asarray(image), key=key, step=step)
             self._images.add(name)
 
-    def announce(self, keys: Sequence[str]) -> None:
-        """Log NaN for scores that are to come: MLflow lists metrics in the order in which they were first seen."""
-        known = self._client.get_run(self.run_id).data.metrics
-        new = [Metric(key, math.nan, 0, 0) for key in keys if key not in known]
-        if new:
-            self._client.log_batch(self.run_id, metrics=new)
-
     def scores(self, values: Mapping[str, float], time_ms: int | None = None, model: str | None = None) -> None:
         """Log one value for each name at step 0; NaN and infinite values are left out.
 
@@ -80,7 +72,7 @@ class StoredRun:
         id of a model they are that model's too, on the data set of the run.
         """
         run = self._client.get_run(self.run_id)
-        known = {key: value for key, value in run.data.metrics.items() if value == value}
+        known = run.data.metrics
         used = run.inputs.dataset_inputs if model else []
         new = {k: float(v) for k, v in values.items() if abs(float(v)) < 1e300 and known.get(k) != float(v)}
         logged_ms = time_ms or int(time.time() * 1000)

@@ -1,5 +1,7 @@
 """Full frames from a generator: the device, the arithmetic, and torch as it is, compiled, or OpenVINO from a file."""
 
+from __future__ import annotations
+
 import math
 import os
 import shutil
@@ -11,7 +13,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -22,7 +24,9 @@ from ablate.extras import installing
 from ablate.networks import Generator, Space, conditions, export_onnx
 from ablate.threads import in_parts, without_teams
 from ablate.training.settings import TrainingPrecision
-from ablate.ultrasound import ScanConverter
+
+if TYPE_CHECKING:
+    from ablate.ultrasound import ScanConverter  # only here: it is compiled, and images need none
 
 # Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
 OpenEngine = Callable[[Mapping[str, Tensor], Tensor], Tensor]
