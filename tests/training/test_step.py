@@ -112,7 +112,7 @@ def test_a_step_on_a_whole_frame_in_beam_space(tmp_path: Path, monkeypatch: pyte
     crops = Crops(pairs, np.arange(1), frozenset(conditions(spec)), values, settings)
     made = module(spec, replace(SETTINGS, crop=0, batch_size=1), monkeypatch)
     mirrored = set()
-    for step in range(4):
+    for step in range(8):
         given = crops[step]
         mirror = not np.array_equal(given["segmentation"][0, 0], values[drawn["segmentation"][0], 0])
         mirrored.add(mirror)
