@@ -48,5 +48,5 @@ def maps_read(
     read = {name: made[name]() for name in names if name in made}
     if {"depth", "lateral"} & set(names):
         places = position_maps(probe, None if space is Space.beam else image_shape, (rows, lines))
-        read |= {name: places[name] for name in places.keys() & set(names)}
+        read |= {name: places[name] for name in names if name in places}
     return read
