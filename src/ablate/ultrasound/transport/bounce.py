@@ -42,7 +42,7 @@ RECEIVE_SIGMA_MM = 6.0
 FARTHEST_MM = 4 * RECEIVE_SIGMA_MM
 
 #: Sound that surfaces bend farther than this off its straight way has left its beam. It reached the place through a
-#: part of the aperture, at its own time, so its echo adds with a random phase. At 1.5 mm vertebrae lose their echoes.
+#: part of the aperture, at its own time, so its echo adds with a random phase.
 IN_BEAM_MM = 3.0
 
 #: Russian roulette takes a ray off its axis to be fainter by at most this, because it may come back to the axis.
