@@ -106,7 +106,9 @@ def test_a_row_is_the_mean_grey_level_of_its_samples(slab, gel, ahead) -> None:
     scene = Scene((slab(Tissue("t"), 20.0, 300.0),), gel, "s")
     settings = SimulatorSettings.low_quality(scanlines=16, axial_samples=500, samples_per_row=1, image_shape=(9, 9))
     fine = Simulator(scene, CONVEX, settings).beam_image(ahead).astype(float)
-    for each in (2, 3):
+    for each in (2, 5):
         rows = Simulator(scene, CONVEX, replace(settings, samples_per_row=each)).beam_image(ahead)
         means = [fine[first : first + each].mean(axis=0) for first in range(0, 500, each)]
         assert np.abs(rows - means).max() <= 1
+    with pytest.raises(ValueError, match="axial_samples=500: allowed are multiples of samples_per_row=3"):
+        replace(settings, samples_per_row=3)  # the last row would lie at another depth than the pixels take it from

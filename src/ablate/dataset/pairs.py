@@ -200,8 +200,8 @@ class Pairs:
     def read(self, name: str, frames: Sequence[int] | np.ndarray, space: Space = Space.image) -> np.ndarray:
         """Frames of one map, (k, H, W) or, in beam space, (k, rows, scanlines). Raises as `stored`.
 
-        Labels and grey levels are uint8. Attenuation and interfaces are float32 in [0, 1], and the maps of position,
-        `depth` and `lateral`, float32 in [-1, 1].
+        Labels and grey levels are uint8. Attenuation, interfaces and illumination are float32 in [0, 1], and the maps
+        of position, `depth` and `lateral`, float32 in [-1, 1].
         """
         if name in OF_POSITION:
             return np.broadcast_to(self.positions(space)[name], (len(frames), *self.shape_in(space))).copy()

@@ -140,6 +140,9 @@ class SimulatorSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.axial_samples > self.samples_per_row and self.axial_samples % self.samples_per_row:
+            allowed = f"multiples of samples_per_row={self.samples_per_row}"
+            raise ValueError(f"axial_samples={self.axial_samples}: allowed are {allowed}")
 
     @property
     def beam_shape(self) -> tuple[int, int]:
