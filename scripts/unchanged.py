@@ -76,7 +76,6 @@ ERRORS = [
     ["hydra/launcher=joblib"],
     ["-m", "hydra/launcher=slurm", "variant=sa2h,nsa2h"],
     ["evaluation.inception=nowhere.pt"],
-    ["tracking.register=a/b"],
     ["seed=-1"],
     ["task=compare"],
     ["task=preview", "frame=9999", "dataset.frames=12"],

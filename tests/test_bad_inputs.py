@@ -141,7 +141,6 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     ([f"study_name={300 * 'x'}"], r"study_name='x+\.\.\.x+': allowed are at most 200"),
     (["study_name=data"], r"study_name=data: the names artifacts, data, .* are taken"),
     (["tracking.experiment="], r"tracking\.experiment='': allowed are at most 200 letters"),
-    (["tracking.register=a/b"], r"tracking\.register=a/b: allowed are"),
     (["runs_dir=file/runs"], r"file/runs"),
     (["runs_dir=file", "task=plan"], r"file' is a file; allowed is a folder"),
     ([f"runs_dir={300 * 'x'}"], r"runs_dir='x+\.\.\.x+': File name too long"),

@@ -255,7 +255,7 @@ def _names(_: Path, place: Path) -> Attempt:
     from ablate.jobs.compose import jobs_of
     from ablate.jobs.preflight import check
 
-    keys = ("study_name", "variant", "reference", "metrics", "tracking.experiment", "tracking.register", "scene.folder")
+    keys = ("study_name", "variant", "reference", "metrics", "tracking.experiment", "scene.folder")
 
     def attempt(rng: random.Random) -> None:
         word = f"{rng.choice(keys)}={name(rng)}"

@@ -1,5 +1,6 @@
 """Compare the finished runs of a study: tables, figures and a report on disk and in the parent run."""
 
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -9,11 +10,10 @@ from typing import Any
 import pandas as pd
 from filelock import FileLock
 
-from ablate import analysis
+from ablate import analysis, tracking
 from ablate.analysis import FramePictures
 from ablate.comparison.frame_times import TIMES, frame_times, time_networks, timed_on, untimed
 from ablate.comparison.opened import Study
-from ablate.comparison.parent_run import describe_study, register_reference
 from ablate.comparison.reading import appendix, pictures, provenance, runtime_points, scored_frames
 from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Shown, shown_in
@@ -57,7 +57,8 @@ def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> s
         notes = write_comparison(study, settings.study)
         write_json(marker, {**made_from, "for_readers": notes})
     try:
-        tracked = within(_TRACKING_S, lambda: _track(settings, study, notes))
+        within(_TRACKING_S, lambda: _track(settings, study, notes))
+        tracked = ""
     except UNAVAILABLE as error:
         tracked = f"\nNote: not all is in MLflow yet ({reason(error)}); the same command logs the rest."
     warnings = "\n".join(f"Note: {c}" for c in (*usable.notes, *analysis.cautions(study.per_image, reference)))
@@ -183,8 +184,8 @@ def draw_figures(study: Study, frames: Sequence[FramePictures], folder: Path) ->
     return made
 
 
-def _track(settings: StudySettings, study: Study, notes: Sequence[str]) -> str:
-    """Bring the store up to date with the runs of a study and their comparison; returns lines for the screen."""
+def _track(settings: StudySettings, study: Study, notes: Sequence[str]) -> None:
+    """Bring the store up to date with the runs of a study and their comparison."""
     run, ids = copy_study(settings)
     runs, table = study.usable.runs, study.table
     files = [path for path in sorted((study.folder / COMPARISON).iterdir()) if path.is_file()]
@@ -197,12 +198,30 @@ def _track(settings: StudySettings, study: Study, notes: Sequence[str]) -> str:
             if (run_id := ids.get(f"{row['variant']}/seed{row['seed']}")) is not None:
                 StoredRun(run.store, run_id).scores({FRAME_TIME: row["value"]})
         headline = table[table["metric"].isin(shown_in(Shown.headline))]
-        describe_study(run, runs, ids, headline, notes)
+        _describe(run, runs, ids, headline, notes)
         run.tags({STATE: state})
     run.mark(Status.finished)
-    if settings.tracking.register:
-        return f"\nregistered     {register_reference(settings, runs, run.store, ids)}"
-    return ""
+
+
+def _describe(
+    run: StoredRun, runs: Sequence[Run], ids: Mapping[str, str], table: pd.DataFrame, cautions: Sequence[str]
+) -> None:
+    """Write the parent run's description (links, a `comparison_table` in Markdown, cautions) and the table's means.
+
+    `ids` are those of the stored runs, by name.
+    """
+    first: dict[str, str] = {}
+    for one in sorted(runs, key=lambda r: r.seed):
+        if one.name in ids:
+            first.setdefault(one.label, ids[one.name])
+    report = tracking.artifact_page(run.store, run.run_id, "report.html")
+    compared = tracking.comparison_page(run.store, list(first.values()))
+    links = f"[The report]({report}) · [the variants side by side]({compared})"
+    rows = analysis.to_markdown(table).splitlines()  # MLflow's pages show no space between the columns of a table
+    spaced = [row if set(row) <= set("|-: ") else row.replace(" |", "\u00a0\u00a0|") for row in rows]
+    run.describe("\n\n".join([links, "\n".join(spaced), *cautions]))
+    means = table[["metric", "variant", "mean"]].dropna().itertuples(index=False)
+    run.scores({re.sub(r"[^\w/. -]", "_", f"test/{metric}/{variant}"): float(mean) for metric, variant, mean in means})
 
 
 def _verdicts_in_words(verdicts: Path) -> str:

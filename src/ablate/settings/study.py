@@ -149,9 +149,6 @@ class TrackingSettings(Checked):
         None, "MLflow's store; null is the SQLite file `mlflow.db` in `runs_dir`.", incidental=True
     )
     experiment: str = setting("ablate", "MLflow's experiment.", incidental=True)
-    register: str | None = setting(
-        None, "Model in MLflow's registry that the reference variant's generator becomes a version of.", incidental=True
-    )
     provenance: Provenance = setting(Provenance.full, "What a run stores of what it was made with.", incidental=True)
     system_metrics: bool = setting(
         False, "Whether processor, memory, disk, network and GPU are logged through each training.", incidental=True
@@ -164,8 +161,6 @@ class TrackingSettings(Checked):
         if not re.fullmatch(r"[\w/]([\w.+@/ -]*[\w.+@-])?", self.experiment) or len(self.experiment) > LONGEST_NAME:
             allowed = f"at most {LONGEST_NAME} letters, digits, blanks and _.+-@/, the first a letter, a digit, _ or /"
             raise ValueError(f"experiment={shown(self.experiment)}: allowed are {allowed}")
-        if self.register is not None and not re.fullmatch(r"\w[\w.+ -]*", self.register):
-            raise ValueError(f"register={self.register}: allowed are letters, digits, blanks and _.+-")
 
 
 @dataclass(frozen=True)
