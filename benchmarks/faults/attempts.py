@@ -215,7 +215,7 @@ def _read_study(job: "Job") -> None:
     """What `task=plan` and `task=compare` read of a study, without figures and without MLflow."""
     from ablate.analysis import cautions, comparison_table
     from ablate.comparison.compare import stored_pictures
-    from ablate.comparison.reading import answers, appendix, provenance, scored_frames
+    from ablate.comparison.reading import answers, provenance, scored_frames
     from ablate.comparison.usable_runs import usable_runs
     from ablate.jobs.preflight import check
     from ablate.tasks.plan import show_progress
@@ -227,7 +227,7 @@ def _read_study(job: "Job") -> None:
         per_image, scalars = scored_frames(usable.runs)
         answers(usable.all, comparison_table(per_image, scalars), job.settings.reference)
         stored_pictures(usable.runs, job.settings.reference)
-        provenance(usable.all), appendix(usable.all), cautions(per_image, job.settings.reference)
+        provenance(usable.all), cautions(per_image, job.settings.reference)
 
 
 def _scene_caches(_: Path, place: Path) -> Attempt:

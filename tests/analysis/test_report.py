@@ -54,16 +54,15 @@ def test_report_folds_what_is_secondary(study, tmp_path):
     paired = paired_table(both, resamples=50)
     shown = {"boxplots": "Box plots", "boxplot_psnr": "One box plot"}
     figures = [(picture(tmp_path, name), text) for name, text in shown.items()]
-    more = {"Uncommitted changes: sa2h/seed0": "-a <b>\n+c"}
     tables = both, comparison_table(both), paired
-    path = write_report(tmp_path / "report.html", "folded", *tables, figures=figures, appendix=more)
+    path = write_report(tmp_path / "report.html", "folded", *tables, figures=figures)
     page = re.sub(r"base64,[^\"]*", "", path.read_text("utf-8"))
     folded = re.findall(r"<details><summary>(.*?)</summary>(.*?)</details>", page, re.S)
     titles = [title for title, _ in folded]
-    assert titles == ["All other metrics", "All other metrics", "More figures", "Uncommitted changes: sa2h/seed0"]
+    assert titles == ["All other metrics", "All other metrics", "More figures"]
     shown = re.sub(r"<details>.*?</details>", "", page, flags=re.S)
     for text in ("PSNR (dB)", "Box plots", "3 variants, 3 trained of each, 24 test frames of 8 probe sites."):
         assert text in shown
-    for text in ("pχ² in fan", "One box plot", "-a &lt;b&gt;\n+c"):
+    for text in ("pχ² in fan", "One box plot"):
         assert text not in shown
         assert any(text in content for _, content in folded)

@@ -17,7 +17,7 @@ from ablate.analysis import RESIMULATION, find_design
 from ablate.comparison.compare import compare_study, write_comparison
 from ablate.comparison.frame_times import TIMES, network_of
 from ablate.comparison.opened import Study
-from ablate.comparison.reading import appendix, pictures, scored_frames
+from ablate.comparison.reading import pictures, scored_frames
 from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Metric, choose_metrics, metric_of, registry
 from ablate.runs.run import runs_of
@@ -402,7 +402,7 @@ def test_a_metric_that_a_result_names_is_not_imported(study: Path, monkeypatch: 
     assert metric_of("brightness").label == "Brightness error"
 
 
-@pytest.mark.parametrize("name", ["pictures.npz", "provenance/made_with.json", "provenance/uncommitted.diff"])
+@pytest.mark.parametrize("name", ["pictures.npz", "provenance/made_with.json"])
 def test_a_damaged_file_beside_the_scores_stops_nothing(study: Path, name: str) -> None:
     path = study / "sa2h" / "seed0" / name
     path.parent.mkdir(exist_ok=True)
@@ -410,7 +410,6 @@ def test_a_damaged_file_beside_the_scores_stops_nothing(study: Path, name: str) 
     runs = usable_runs(study).runs
     assert len(runs) == len(VARIANTS) * 3
     assert pictures(runs) == []
-    assert "Packages" not in appendix(runs)
 
 
 @pytest.mark.parametrize("damage", ["", "{}", '{"hash": "sa2h0"}', '{"hash": "sa2h0", "semantic": 3}'])
@@ -433,10 +432,3 @@ def test_a_metric_that_is_no_name_draws_no_figure_elsewhere(study: Path) -> None
     table.replace({"metric": {"mae": "x/../../../stolen"}}).to_parquet(path)
     why = "unreadable (ValueError: per_image.parquet): start it again"
     assert left_aside(study) == f"1 run left aside, {why}: nsa2h/seed0."
-
-
-def test_an_uncommitted_change_that_is_not_utf_8_is_in_the_report(study: Path) -> None:
-    for folder in study.glob("*/seed*"):
-        (folder / "provenance").mkdir()
-        (folder / "provenance" / "uncommitted.diff").write_bytes(b"+gr\xf6sser\n")
-    assert "+gr\ufffdsser\n" in appendix(usable_runs(study).runs).values()

@@ -1,14 +1,13 @@
-"""Poses of the user's own, and sweeps between two of them, against SciPy's rotations."""
+"""Poses of the user's own, against SciPy's rotations."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
 from nibabel.affines import from_matvec
-from scipy.linalg import expm, logm
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
-from ablate.dataset.own_poses import Sweep, read_poses, sweep
+from ablate.dataset.own_poses import read_poses
 
 ROW = "x,y,z,qw,qx,qy,qz\n0,0,0,1,0,0,0\n"
 
@@ -63,46 +62,3 @@ def test_a_file_that_is_absent_or_of_another_kind_is_named(tmp_path: Path) -> No
         read_poses(tmp_path / "p.npy")
     with pytest.raises(ValueError, match=r"allowed are \.npy and \.csv"):
         read_poses(tmp_path / "p.mat")
-
-
-@pytest.mark.parametrize("kind", list(Sweep))
-def test_a_sweep_goes_from_the_first_to_the_last(kind: Sweep) -> None:
-    first, last = poses(2, 3)
-    if kind is Sweep.rotation:
-        last = first @ from_matvec(Rotation.from_euler("z", 70, degrees=True).as_matrix(), [0, 0, 0])
-    swept = sweep(first, last, kind, 9)
-    assert swept[[0, -1]] == pytest.approx(np.stack([first, last]), abs=1e-9)
-    assert swept[:, :3, :3] @ swept[:, :3, :3].transpose(0, 2, 1) == pytest.approx(
-        np.tile(np.eye(3), (9, 1, 1)), abs=1e-9
-    )
-
-
-def test_a_linear_sweep_is_straight_and_turns_evenly() -> None:
-    first, last = poses(2, 4)
-    swept = sweep(first, last, Sweep.linear, 5)
-    parts = np.linspace(0, 1, 5)
-    assert swept[:, :3, 3] == pytest.approx(first[:3, 3] + parts[:, None] * (last - first)[:3, 3])
-    turned = Slerp([0, 1], Rotation.from_matrix([first[:3, :3], last[:3, :3]]))(parts).as_matrix()
-    assert swept[:, :3, :3] == pytest.approx(turned, abs=1e-9)
-
-
-def test_a_fan_is_the_motion_of_constant_twist() -> None:
-    first, last = poses(2, 5)
-    twist = np.real(logm(last @ np.linalg.inv(first)))
-    expected = np.stack([expm(part * twist) @ first for part in np.linspace(0, 1, 6)])
-    assert sweep(first, last, Sweep.fan, 6) == pytest.approx(expected, abs=1e-6)
-
-
-def test_a_half_turn_is_swept() -> None:
-    last = from_matvec(Rotation.from_euler("y", 180, degrees=True).as_matrix(), [0, 0, 20])
-    middle = sweep(np.eye(4), last, Sweep.fan, 3)[1]
-    assert abs(middle[0, 3]) == pytest.approx(10)
-    assert middle[2, 3] == pytest.approx(10)
-
-
-def test_a_sweep_that_the_poses_do_not_make_is_refused() -> None:
-    shifted = from_matvec(np.eye(3), [0, 0, 5])
-    with pytest.raises(ValueError, match=r"dataset\.sweep=fan: the two poses do not differ by an angle"):
-        sweep(np.eye(4), shifted, Sweep.fan, 3)
-    with pytest.raises(ValueError, match=r"dataset\.sweep=rotation: .* differ by 5 mm and 0 degrees"):
-        sweep(np.eye(4), shifted, Sweep.rotation, 3)

@@ -14,14 +14,12 @@ from ablate.settings.study import ConfigurationError
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A scene without probe sites, and two poses above it, which differ by 20 mm along x."""
+    """A scene without probe sites, and eleven poses above it, 2 mm apart along x."""
     trimesh.creation.icosphere(2, radius=60).export(tmp_path / "body.obj")
     (tmp_path / "scene.yaml").write_text("structures: [{mesh: body.obj, tissue: liver}]\n")
-    first = np.diag([1.0, -1.0, -1.0, 1.0])
-    first[2, 3] = 58
-    last = first.copy()
-    last[0, 3] = 20
-    np.save(tmp_path / "poses.npy", np.stack([first, last]))
+    poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (11, 1, 1))
+    poses[:, 2, 3], poses[:, 0, 3] = 58, np.linspace(0, 20, 11)
+    np.save(tmp_path / "poses.npy", poses)
     return tmp_path
 
 
@@ -30,8 +28,8 @@ def arguments(folder: Path, *more: str) -> list[str]:
     return ["preset=tiny", "scene=folder", f"scene.folder={folder}", f"runs_dir={folder / 'runs'}", own, *more]
 
 
-def test_a_sweep_has_as_many_frames_as_asked_for_and_needs_no_sites(folder: Path) -> None:
-    jobs = jobs_of(arguments(folder, "dataset.sweep=linear", "dataset.frames=11"))
+def test_all_poses_are_frames_and_need_no_sites(folder: Path) -> None:
+    jobs = jobs_of(arguments(folder, "dataset.frames=11"))
     check(jobs)
     layout = lay_out(jobs[0].settings, *build_scene(jobs[0].settings))
     assert sorted(layout.poses[:, 0, 3]) == pytest.approx(np.linspace(0, 20, 11))
@@ -51,5 +49,6 @@ def test_poses_decide_and_where_they_lie_does_not(folder: Path) -> None:
 
 
 def test_a_preset_asks_for_no_more_frames_than_there_are_poses(folder: Path) -> None:
+    np.save(folder / "poses.npy", np.load(folder / "poses.npy")[:2])
     with pytest.raises(ConfigurationError, match=r"^training\.batch_size=3: more than the 1 training frames"):
         check(jobs_of([*arguments(folder), "training.batch_size=3"]))

@@ -6,7 +6,6 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from mlflow import MlflowClient
 from mlflow.entities import Run
@@ -91,4 +90,3 @@ def test_the_studys_page_links_to_report_and_comparison(stopped_once: Job) -> No
     report = (stopped_once.settings.study_dir / "comparison" / "report.html").read_text("utf-8")
     assert study.data.tags.get("git_commit", "") in report  # there is none outside a checkout
     assert study.data.tags["hardware"] in report
-    assert f"numpy {np.__version__}" in report

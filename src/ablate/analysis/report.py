@@ -184,7 +184,6 @@ def write_report(
     left_out: Sequence[str] = (),
     provenance: Mapping[str, object] | None = None,
     reference: str = REFERENCE,
-    appendix: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
     verdicts: pd.DataFrame | None = None,
     components: Sequence[Component] = (),
@@ -202,8 +201,8 @@ def write_report(
     left_out, notes : sequence of str
         What the simulator or the networks did not compute, and why; what else a reader must know before the numbers:
         runs left aside, images that are missing.
-    provenance, appendix : mapping, optional
-        Commit, data hash, hardware and the like, shown as a list; longer texts by title, folded at the end.
+    provenance : mapping, optional
+        Commit, data hash, hardware and the like, shown as a list.
     components : sequence of Component
         Those of `verdicts`, for their labels.
     """
@@ -233,7 +232,6 @@ def write_report(
         more_figures=shown["folded"],
         left_out=left_out,
         provenance=provenance,
-        appendix=appendix or {},
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, text.lstrip() + "\n")

@@ -14,7 +14,7 @@ from ablate import analysis, tracking
 from ablate.analysis import FramePictures
 from ablate.comparison.frame_times import TIMES, frame_times, time_networks, timed_on, untimed
 from ablate.comparison.opened import Study
-from ablate.comparison.reading import appendix, pictures, provenance, runtime_points, scored_frames
+from ablate.comparison.reading import pictures, provenance, runtime_points, scored_frames
 from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
@@ -121,7 +121,6 @@ def write_comparison(study: Study, title: str) -> list[str]:
         left_out=_left_out(usable.runs),
         provenance=provenance(usable.all),
         reference=reference,
-        appendix=appendix(usable.all),
         notes=notes,
     )
     analysis.wide_table(study.table).to_csv(partial / "table.csv", index=False)

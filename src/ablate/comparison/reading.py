@@ -109,26 +109,9 @@ def _stored_pictures(run: Run) -> dict[int, np.ndarray]:
 
 def provenance(runs: Sequence[Run]) -> dict[str, str]:
     """Data sets, code and hardware of a study; where its runs differ, each value names its runs."""
-    data = ", ".join(dict.fromkeys(f"{run.data} (pixels {run.result['pixels']})" for run in runs))
-    return {"data": data, **{k: v for k, v in _made_with(runs).items() if k in ABOUT_CODE}}
-
-
-def appendix(runs: Sequence[Run]) -> dict[str, str]:
-    """Texts by title: the package versions of the runs, and the uncommitted changes of their code."""
-    packages = {k: v for k, v in _made_with(runs).items() if k not in ABOUT_CODE}
-    texts = {"Packages": "\n".join(f"{k} {v}" for k, v in packages.items())} if packages else {}
-    names: dict[str, list[str]] = {}
-    for run in runs:
-        diff = "\n".join(path.read_text("utf-8", "replace") for path in run.uncommitted if path.is_file())
-        names.setdefault(diff, []).append(run.name)
-    return {**texts, **{f"Uncommitted changes: {', '.join(whose)}": diff for diff, whose in names.items() if diff}}
-
-
-def _made_with(runs: Sequence[Run]) -> dict[str, str]:
-    """What the runs recorded in `made_with.json`, by key; where they differ, each value names its runs."""
+    texts = {"data": ", ".join(dict.fromkeys(f"{run.data} (pixels {run.result['pixels']})" for run in runs))}
     recorded = {run.name: run.made_with for run in runs if run.made_with}
-    texts = {}
-    for key in dict.fromkeys(key for about in recorded.values() for key in about):
+    for key in (key for key in ABOUT_CODE if any(key in about for about in recorded.values())):
         names: dict[str, list[str]] = {}
         for name, about in recorded.items():
             names.setdefault(str(about.get(key, "")), []).append(name)

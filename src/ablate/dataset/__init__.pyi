@@ -14,9 +14,7 @@ from .export_formats import write_contact_sheet as write_contact_sheet
 from .filling import fill_pairs as fill_pairs
 from .filling import remove_damaged as remove_damaged
 from .frame_maps import maps_read as maps_read
-from .own_poses import Sweep as Sweep
 from .own_poses import read_poses as read_poses
-from .own_poses import sweep as sweep
 from .pairs import DERIVED as DERIVED
 from .pairs import PAIRS_VERSION as PAIRS_VERSION
 from .pairs import DamagedShardError as DamagedShardError

@@ -1,10 +1,11 @@
 """The maps that a generator reads, of one simulated frame, in the space that the generator works in."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from ablate.networks.spec import Space
+from ablate.dataset.crops import OF_POSITION
+from ablate.networks.spec import OF_SURFACES, Space
 from ablate.ultrasound import (
     Beam,
     Probe,
@@ -27,26 +28,17 @@ def maps_read(
     Given are S and A of the image and the frame in beam space, of this probe and time gain. `low` is not made.
     """
     segmentation, attenuation, beam = maps
-    image_shape = segmentation.shape[0], segmentation.shape[1]
-    rows, lines = beam.segmentation.shape
-    if space is Space.beam:
-        made: dict[str, Callable[[], np.ndarray]] = {
-            "segmentation": lambda: beam.segmentation,
-            "attenuation": lambda: beam.attenuation,
-            "compensated": lambda: compensated_beam(beam.attenuation, probe, tgc),
-            "interfaces": lambda: beam.interfaces,
-            "illumination": lambda: beam.illumination,
-        }
-    else:
-        made = {
-            "segmentation": lambda: segmentation,
-            "attenuation": lambda: attenuation,
-            "compensated": lambda: compensated_attenuation(attenuation, probe, tgc),
-            "interfaces": lambda: scan_converter(probe, (rows, lines), image_shape).to_image(beam.interfaces),
-            "illumination": lambda: scan_converter(probe, (rows, lines), image_shape).to_image(beam.illumination),
-        }
-    read = {name: made[name]() for name in names if name in made}
-    if {"depth", "lateral"} & set(names):
-        places = position_maps(probe, None if space is Space.beam else image_shape, (rows, lines))
-        read |= {name: places[name] for name in names if name in places}
-    return read
+    image_shape, beam_shape = segmentation.shape[:2], beam.segmentation.shape[:2]
+    in_beam = space is Space.beam
+    if in_beam:
+        segmentation, attenuation = beam.segmentation, beam.attenuation
+    read = {"segmentation": segmentation, "attenuation": attenuation}
+    if "compensated" in names:
+        compensate = compensated_beam if in_beam else compensated_attenuation
+        read["compensated"] = compensate(attenuation, probe, tgc)
+    for name in OF_SURFACES & set(names):
+        echo = getattr(beam, name)
+        read[name] = echo if in_beam else scan_converter(probe, beam_shape, image_shape).to_image(echo)
+    if OF_POSITION & set(names):
+        read |= position_maps(probe, None if in_beam else image_shape, beam_shape)
+    return {name: read[name] for name in names if name in read}

@@ -1,8 +1,7 @@
-"""Probe poses of the user's own: read from a file, or swept between two of them."""
+"""Probe poses of the user's own, read from a file."""
 
 import csv
 import math
-from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
@@ -11,19 +10,6 @@ from ablate.setting import shown
 from ablate.ultrasound.probe import check_pose
 
 COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
-_SAME_MM, _SAME_RAD = 1e-3, 1e-4
-
-
-class Sweep(StrEnum):
-    """How the probe moves from the first pose to the second.
-
-    `linear`: the middle of the face on a straight line, turned evenly. `fan`: about the one fixed axis that takes the
-    first pose to the second. `rotation`: about the probe's own z.
-    """
-
-    linear = "linear"
-    fan = "fan"
-    rotation = "rotation"
 
 
 def read_poses(path: Path, key: str = "dataset.poses") -> tuple[np.ndarray, np.ndarray]:
@@ -57,40 +43,6 @@ def read_poses(path: Path, key: str = "dataset.poses") -> tuple[np.ndarray, np.n
         except ValueError as error:
             raise ValueError(f"{where}: pose {i}: {error}") from None
     return poses.astype(np.float64), sites
-
-
-def sweep(first: np.ndarray, last: np.ndarray, kind: Sweep, count: int) -> np.ndarray:
-    """Poses, (count, 4, 4), at equal steps from the first to the last, both (4, 4) and among them.
-
-    A ValueError when a fan has no angle, or a rotation does anything but turn about the probe's z.
-    """
-    from scipy.spatial.transform import Rotation  # not for the settings, which name a sweep
-
-    turn = last[:3, :3] @ first[:3, :3].T
-    turn_vector = Rotation.from_matrix(turn).as_rotvec()
-    angle = float(np.linalg.norm(turn_vector))
-    moved = last[:3, 3] - first[:3, 3]
-    if kind is Sweep.rotation:
-        tilted = math.acos(np.clip(first[:3, 2] @ last[:3, 2], -1, 1))
-        if np.linalg.norm(moved) > _SAME_MM or tilted > _SAME_RAD:
-            raise ValueError(
-                "dataset.sweep=rotation: the two poses must have one place and one z, but differ by "
-                f"{np.linalg.norm(moved):.3g} mm and {math.degrees(tilted):.3g} degrees"
-            )
-    if kind is not Sweep.linear and angle < _SAME_RAD:
-        raise ValueError(f"dataset.sweep={kind}: the two poses do not differ by an angle; allowed is linear")
-    poses = np.tile(first, (count, 1, 1))
-    for pose, part in zip(poses, np.linspace(0, 1, count), strict=True):
-        partial = Rotation.from_rotvec(part * turn_vector).as_matrix()
-        pose[:3, :3] = partial @ first[:3, :3]
-        if kind is Sweep.linear:
-            pose[:3, 3] = first[:3, 3] + part * moved
-        else:  # about the axis of the screw that takes the first to the last (Chasles)
-            axis, shift = turn_vector / angle, last[:3, 3] - turn @ first[:3, 3]
-            along = axis * (axis @ shift)
-            centre = (shift - along + np.cross(axis, shift) / math.tan(angle / 2)) / 2
-            pose[:3, 3] = centre + partial @ (first[:3, 3] - centre) + part * along
-    return poses
 
 
 def _of_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:

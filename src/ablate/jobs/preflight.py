@@ -3,14 +3,12 @@
 import os
 import tempfile
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 
 import torch
 
 from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
-from ablate.dataset import OF_POSITION, Part, resample_grid
-from ablate.extras import installing
+from ablate.dataset import OF_POSITION, Part, read_poses, resample_grid
 from ablate.jobs.compose import variant_model
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Attenuation, Family, Position, Space, check_custom, conditions
@@ -40,8 +38,6 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
         seen = _check_pairs(job) if job.settings.scene.kind is SceneKind.pairs else _check_scene(job.settings)
         _check_training(job, seen, {other.label for other in jobs})
         _check_metrics(job.settings)
-    if jobs[0].settings.task is Task.study and jobs[0].settings.tracking.system_metrics and find_spec("psutil") is None:
-        raise ConfigurationError(f"tracking.system_metrics=true needs the package psutil: {installing('system')}")
     if odd := set(str(jobs[0].settings.results)) & {"?", "%"}:  # they mean something else in the address of a database
         raise ConfigurationError(f"runs_dir={jobs[0].settings.results}: allowed is a path without {' and '.join(odd)}")
     starts = jobs[0].settings.task in (Task.study, Task.simulate)
@@ -108,11 +104,8 @@ def _check_scene(s: StudySettings) -> int:
     if of_render or s.task is Task.view:  # the grid and its frames do not matter
         return _training_frames(s, s.dataset.frames)
     if s.dataset.poses:
-        from ablate.runs.simulated import own_poses  # here, because it needs Embree and numba
-
         with refusing():
-            poses, _ = own_poses(s)
-        offered = len(poses)
+            offered = len(read_poses(Path(s.dataset.poses))[0])
     else:
         assert sites is not None
         grid = resample_grid(sites, s.dataset.grid)

@@ -6,7 +6,9 @@ probe than the paper's `${fan_shape:}`, whose pulse is no finer than the frame c
 """
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -53,21 +55,17 @@ def crop(rows: int) -> int:
 
 def register_resolvers() -> None:
     """Make the names that conf/ uses between `${` and `}` known to OmegaConf."""
-    OmegaConf.register_new_resolver("levels", lambda n, *, _root_: levels(int(n), _rows(_root_)), replace=True)
-    OmegaConf.register_new_resolver("crop", _crop, replace=True)
-    OmegaConf.register_new_resolver("png_shape", _png_shape, replace=True)
-    OmegaConf.register_new_resolver("fan_shape", _fan_shape, replace=True)
-    OmegaConf.register_new_resolver("two_pixels", _two_pixels, replace=True)
-
-
-def _crop(*, _root_: DictConfig) -> int:
-    """The side of a crop of an image; in beam space 0, whole frames."""
-    return 0 if str(_root_.model.space) == Space.beam else crop(_rows(_root_))
-
-
-def _fan_shape(*, _root_: DictConfig) -> list[int]:
-    """An image of the probe's fan with square pixels and the rows that the preset has."""
-    return list(square_pixels(_probe(_root_), _preset_rows(str(_root_.preset))))
+    resolvers: dict[str, Callable[..., Any]] = {
+        "levels": lambda at_paper, *, _root_: levels(int(at_paper), _rows(_root_)),
+        # the side of a crop of an image; in beam space 0, whole frames
+        "crop": lambda *, _root_: 0 if str(_root_.model.space) == Space.beam else crop(_rows(_root_)),
+        "png_shape": _png_shape,
+        # an image of the probe's fan with square pixels and the rows that the preset has
+        "fan_shape": lambda *, _root_: list(square_pixels(_probe(_root_), _preset_rows(str(_root_.preset)))),
+        "two_pixels": _two_pixels,
+    }
+    for name, resolver in resolvers.items():
+        OmegaConf.register_new_resolver(name, resolver, replace=True)
 
 
 def _two_pixels(length_mm: float, *, _root_: DictConfig) -> float:

@@ -60,11 +60,6 @@ class Run:
         return sorted(p for p in (self.folder / "provenance").glob("*") if ".partial" not in p.suffixes)
 
     @property
-    def uncommitted(self) -> list[Path]:
-        """The uncommitted changes of the code that it was made with."""
-        return sorted((self.folder / "provenance").glob("uncommitted*.diff"))
-
-    @property
     def scores_file(self) -> Path:
         """Every metric of every frame, as Parquet."""
         return self.folder / "per_image.parquet"
@@ -131,7 +126,7 @@ class Run:
     @cached_property
     def settings(self) -> StudySettings:
         """The settings that it was started with, at the place where it lies now."""
-        return replace(build(StudySettings, self.spec["settings"]), runs_dir=str(self.folder.parents[2]))
+        return replace(build(StudySettings, self.spec["settings"], stored=True), runs_dir=str(self.folder.parents[2]))
 
     @cached_property
     def scores(self) -> pd.DataFrame:
@@ -206,7 +201,7 @@ class Run:
         """A digest that changes with whatever a comparison reads."""
         made_with = self.folder / "provenance" / "made_with.json"
         own = [self.folder / name for name in ("spec.json", "result.json", "per_image.parquet", "pictures.npz")]
-        return digest_of_files([*own, made_with, *self.uncommitted])
+        return digest_of_files([*own, made_with])
 
     def lock(self, timeout: float = -1) -> FileLock:
         """Held by the process that trains the run."""

@@ -4,29 +4,32 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
 
 from ablate import anatomy, dataset
 from ablate.anatomy import ANATOMY_VERSION, LABELS_VERSION, Scene, SiteGrid
-from ablate.dataset import Dropped, Part, Placement, Recipe
+from ablate.dataset import Dropped, Pairs, Part, Placement, Recipe
 from ablate.networks import Space
 from ablate.setting import identity, plain
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest_of_files
-from ablate.ultrasound import SIMULATOR_VERSION, fan_mask, with_patient_gain
+from ablate.ultrasound import SIMULATOR_VERSION, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.media import plan_scene
+
+if TYPE_CHECKING:
+    from ablate.runs.job import Job  # which asks this module for its identity
 
 
 def about_simulated(settings: StudySettings) -> dict[str, Any]:
     """What every pair of the data set is made from, JSON-ready."""
     chosen = identity(settings.dataset)
     if settings.dataset.poses:  # what they are counts, not where they lie
-        poses, sites = own_poses(settings)
+        poses, sites = dataset.read_poses(Path(settings.dataset.poses))
         chosen["poses"] = hashlib.sha256(poses.tobytes() + sites.tobytes()).hexdigest()[:16]
     scene: dict[str, Any] = {"kind": settings.scene.kind.name, "version": ANATOMY_VERSION}
     if settings.scene.kind is SceneKind.fetal:
@@ -55,22 +58,6 @@ def build_scene(settings: StudySettings) -> tuple[Scene, SiteGrid]:
     return loaded, anatomy.load_sites(folder)
 
 
-def own_poses(settings: StudySettings) -> tuple[np.ndarray, np.ndarray]:
-    """The user's poses, (n, 4, 4), and their sites, (n,): those of `dataset.poses`, or the sweep between its two.
-
-    A ValueError or FileNotFoundError when the file or the sweep is not as it should be.
-    """
-    chosen = settings.dataset
-    poses, sites = dataset.read_poses(Path(chosen.poses or ""))
-    if chosen.sweep is None:
-        return poses, sites
-    if len(poses) != 2:
-        raise ValueError(
-            f"dataset.poses={chosen.poses}: a sweep needs 2 poses, the first and the last, not {len(poses)}"
-        )
-    return dataset.sweep(poses[0], poses[1], chosen.sweep, chosen.frames), np.arange(chosen.frames)
-
-
 @dataclass(frozen=True)
 class Layout:
     """The frames of a data set before any is simulated."""
@@ -88,7 +75,7 @@ def lay_out(settings: StudySettings, scene: Scene, grid: SiteGrid) -> Layout:
     """
     chosen = settings.dataset
     if chosen.poses:
-        placement = Placement(*own_poses(settings), dict.fromkeys(Dropped, 0))
+        placement = Placement(*dataset.read_poses(Path(chosen.poses)), dict.fromkeys(Dropped, 0))
     else:
         resampled = dataset.resample_grid(grid, chosen.grid)
         placement = dataset.place_probe(scene, resampled, chosen.press_mm, settings.probe)
@@ -105,6 +92,21 @@ def training_poses(settings: StudySettings, scene: Scene, grid: SiteGrid, poses:
         return poses
     layout = lay_out(settings, scene, grid)
     return layout.poses[layout.split == Part.train]
+
+
+def frames_of(job: Job, scene: Scene, grid: SiteGrid) -> Layout | Pairs:
+    """The frames of a job's data set, as they are made or, where none are, as they will be."""
+    return job.data.pairs if job.data.exists else lay_out(job.settings, scene, grid)
+
+
+def simulator_of(job: Job, scene: Scene, grid: SiteGrid, poses: np.ndarray) -> SimulatorSettings:
+    """The simulator's settings with the time gain of the job's data set; without probe sites, that of these poses."""
+    settings = job.settings
+    if settings.simulator.tgc is TimeGain.fixed or settings.simulator.time_gain_db is not None:
+        return settings.simulator
+    if job.data.exists:
+        return replace(settings.simulator, time_gain_db=job.data.time_gain_db)
+    return with_patient_gain(scene, settings.probe, settings.simulator, training_poses(settings, scene, grid, poses))
 
 
 def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], about: Mapping[str, object]) -> None:

@@ -6,7 +6,7 @@ What a run was made with is written at each start, as a stopped run may go on wi
 import logging
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 
@@ -58,8 +58,7 @@ def _run(job: Job) -> None:
     data = prepare_data(job, maps_needed([job.settings.model]))
     write_provenance(job)
     run, log = job.run, LocalLog(job.folder)  # curves, images and states as the training goes on
-    watch = tracking.system_metrics(job.folder, log) if job.settings.tracking.system_metrics else nullcontext()
-    with copying(job.settings, run, log), watch:
+    with copying(job.settings, run, log):
         clock, started = time.perf_counter(), _now()
         for file in (run.scores_file, run.pictures_file, run.folder / "result.json"):
             remove_partial(file)

@@ -27,31 +27,34 @@ NOT_OF_CUSTOM = frozenset({"model.concat", "model.upsampling", "model.depth", "m
 _TABLE_II = ("lsa2h", "nsa2h", "sa2h-att", "sa2h-concat", "sa2h-conv", "sa2h-noise", "sa2h", "sa2h-depth")
 
 
-def build(cls: type[T], values: dict[str, Any], prefix: str = "") -> T:
+def build(cls: type[T], values: dict[str, Any], prefix: str = "", stored: bool = False) -> T:
     """A frozen dataclass from plain values: dicts become dataclasses, lists tuples, strings enums.
 
-    What is not allowed is a ValueError that begins with the dotted key, `prefix` included.
+    What is not allowed is a ValueError that begins with the dotted key, `prefix` included. Of `stored` values, keys
+    that no setting has any more are left out: what decides a result is in the identity beside them.
     """
     hints = get_type_hints(cls)
     unknown = sorted(values.keys() - hints.keys())
-    if unknown:
+    if stored:
+        values = {name: value for name, value in values.items() if name in hints}
+    elif unknown:
         raise ValueError(f"unknown key '{prefix}{unknown[0]}'; allowed: {', '.join(sorted(hints))}")
     for name, value in values.items():
         if isinstance(value, int) and abs(value) >= 2**63:  # neither torch nor NumPy takes it
             raise ValueError(f"{prefix}{name}={shown(value)}: allowed are whole numbers below 2^63")
-    groups = {k: _group(hints[k], v, f"{prefix}{k}.") for k, v in values.items() if is_group(hints[k])}
+    groups = {k: _group(hints[k], v, f"{prefix}{k}.", stored) for k, v in values.items() if is_group(hints[k])}
     try:
         return cls(**{**values, **groups})
     except ValueError as error:
         raise ValueError(f"{prefix}{error}") from error
 
 
-def _group(hint: Any, values: Any, prefix: str) -> Any:
+def _group(hint: Any, values: Any, prefix: str, stored: bool) -> Any:
     """A group of settings; the probe is of the kind that its values name."""
     if not isinstance(values, dict):
         return values
     if hint != Probe:
-        return build(hint, values, prefix)
+        return build(hint, values, prefix, stored)
     try:
         return probe_from(values)
     except ValueError as error:

@@ -16,7 +16,6 @@ from typing import Any
 from ablate.anatomy.scene import FEWEST_TRIANGLES
 from ablate.anatomy.site_grid import MOST_POSES
 from ablate.dataset.encoding import Encoding
-from ablate.dataset.own_poses import Sweep
 from ablate.dataset.split import SplitBy
 from ablate.evaluation.settings import EvaluationSettings
 from ablate.networks.spec import GeneratorSpec
@@ -105,17 +104,12 @@ class DatasetSettings(Checked):
     workers: int = setting(0, "Processes that simulate; 0 is one a core.", least=0, incidental=True)
     # Of poses, what they are decides, not the file's name: see `runs.simulated`.
     poses: str | None = setting(None, "File of your own poses instead of the scene's grid.", incidental=True)
-    sweep: Sweep | None = setting(
-        None, "How the probe moves between the first and the last pose, which `poses` holds.", incidental=True
-    )
     format: ExportFormat = setting(ExportFormat.png, "What `task=export` writes.", incidental=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.grid is not None and math.prod(self.grid) > MOST_POSES:
             raise ValueError(f"grid={list(self.grid)}: allowed are at most {MOST_POSES} poses in all")
-        if self.sweep is not None and self.poses is None:
-            raise ValueError(f"sweep={self.sweep}: needs dataset.poses, a file of the first and the last pose")
         if self.validation + self.test >= 1:
             raise ValueError(f"validation={self.validation}: allowed is below 1 - dataset.test = {1 - self.test:g}")
 
@@ -150,9 +144,6 @@ class TrackingSettings(Checked):
     )
     experiment: str = setting("ablate", "MLflow's experiment.", incidental=True)
     provenance: Provenance = setting(Provenance.full, "What a run stores of what it was made with.", incidental=True)
-    system_metrics: bool = setting(
-        False, "Whether processor, memory, disk, network and GPU are logged through each training.", incidental=True
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -2,9 +2,11 @@
 
 import json
 from collections.abc import Sequence
+from importlib.resources import files
 from importlib.util import find_spec
 
 import numpy as np
+from jinja2 import Template
 
 from ablate.dataset import Part
 from ablate.dataset.export_formats import write_dicom, write_nnunet, write_png
@@ -47,27 +49,9 @@ def export(jobs: Sequence[Job]) -> int:
 def _card(settings: StudySettings, data: DataSet) -> str:
     """A data card in Markdown."""
     pairs, about = data.pairs, data.about
-    labels = "".join(f", {i} is {name}" for i, name in enumerate(pairs.tissues, start=1))
-    simulated = "By ablate, a Monte-Carlo ray-tracing simulator of ultrasound"
-    origin = "Imported by ablate from images made elsewhere" if settings.scene.kind is SceneKind.pairs else simulated
     parts = ", ".join(f"{int((pairs.split == part).sum())} for {part.name}" for part in Part)
     made = {key: about[key] for key in ("scene", "probe", "simulator", "simulator_version", "dataset") if key in about}
-    return f"""# Simulated ultrasound frames: {settings.scene_name}
-
-**What.** {len(pairs)} frames of {pairs.shape[0]} x {pairs.shape[1]} px ({parts}) at {len(np.unique(pairs.sites))} probe
-sites, as `{settings.dataset.format}`. Labels: 0 is outside the fan{labels}. Frames of one
-site look alike, so keep them on one side of a split.
-
-**How made.** {origin}, as data set `{pairs.folder.name}`:
-
-```json
-{json.dumps(made, indent=2)}
-```
-
-**Licence.** ablate is under Apache-2.0 and makes no claim to what it writes. Frames of a scene folder, or of pairs made
-elsewhere, follow the licence of the anatomy or the images in it.
-
-**Citation.** The program, with the name of the data set above; its CITATION.cff names the paper that it repeats.
-
-**Not for** diagnosis, or as evidence of how a device performs on patients.
-"""
+    card = Template(files("ablate.tasks").joinpath("card.md.jinja").read_text("utf-8"), keep_trailing_newline=True)
+    about_frames = {"parts": parts, "sites": len(np.unique(pairs.sites)), "made": json.dumps(made, indent=2)}
+    imported = settings.scene.kind is SceneKind.pairs
+    return card.render(settings=settings, pairs=pairs, imported=imported, **about_frames)

@@ -3,7 +3,6 @@ from .local_log import LocalLog as LocalLog
 from .local_log import Status as Status
 from .local_log import logged_images as logged_images
 from .local_log import read_log as read_log
-from .local_log import system_metrics as system_metrics
 from .local_log import within as within
 from .provenance import environment as environment
 from .provenance import git_state as git_state

@@ -1,15 +1,15 @@
 """What a training logs, in the folder of its run: metrics as lines of JSON, images as PNG. The store has a copy.
 
-The copy is made in a thread of its own, as is the watch on a busy machine: a store that is silent holds nothing up.
+The copy is made in a thread of its own: a store that is silent holds nothing up.
 """
 
 import json
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
@@ -25,8 +25,6 @@ _FILE = "log.jsonl"
 _LOG = logging.getLogger(__name__)
 _EVERY_S = 5.0
 _WAIT_S = 5.0
-_SAMPLED_EVERY_S = 10.0  # as MLflow itself does
-_GROUP = "system/"  # MLflow shows these on a page of their own
 
 
 class Status(StrEnum):
@@ -176,34 +174,3 @@ def within(seconds: float, work: Callable[[], T]) -> T:
 def _say(message: str) -> None:
     """Log a message that this process has not logged before: each job of a sweep would repeat it."""
     _LOG.warning("%s", message)
-
-
-@contextmanager
-def system_metrics(folder: Path, log: LocalLog, every_s: float = _SAMPLED_EVERY_S) -> Iterator[None]:
-    """Log how busy the machine is to the log of a run, in `folder`, for as long as the body runs.
-
-    The step counts samples. A resumed run goes on counting.
-    """
-    lines, _ = read_log(folder)
-    taken = max((point.step for point in points(lines) if point.key.startswith(_GROUP)), default=-1) + 1
-    from mlflow.system_metrics.metrics import cpu_monitor, disk_monitor, gpu_monitor, network_monitor
-
-    monitors: list[Any] = [cpu_monitor.CPUMonitor(), disk_monitor.DiskMonitor(), network_monitor.NetworkMonitor()]
-    with suppress(ImportError, RuntimeError):  # no NVIDIA GPU, or not its package
-        monitors.append(gpu_monitor.GPUMonitor())
-
-    def sample() -> None:
-        nonlocal taken
-        values: dict[str, float] = {}
-        for monitor in monitors:
-            monitor.collect_metrics()
-            values |= monitor.aggregate_metrics()
-            monitor.clear_metrics()
-        log.metrics({f"{_GROUP}{name}": value for name, value in values.items()}, taken)
-        taken += 1
-
-    background = Background(sample, every_s)
-    try:
-        yield
-    finally:
-        background.close()

@@ -191,13 +191,8 @@ def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
         renderer = Renderer(load_generator(run.checkpoint), values_of(trained_on, levels), *frames, made={})
     unknown = tuple(tissue.name for tissue in tissues if tissue.name not in renderer.values)
     width = len(renderer.values[OUTSIDE])
-    known = [
-        renderer.values.get(tissue.name, _widened(value, width)) for tissue, value in zip(tissues, own[1:], strict=True)
-    ]
+    if own.shape[1] != width:  # the encodings of both scenes have another number of channels
+        own = np.zeros((len(own), width))
+    known = [renderer.values.get(t.name, value) for t, value in zip(tissues, own[1:].tolist(), strict=True)]
     values = np.array([renderer.values[OUTSIDE], *known], np.float32)
     return Trained(renderer, FastGenerator(renderer.generator), values, unknown)
-
-
-def _widened(values: np.ndarray, width: int) -> tuple[float, ...]:
-    """Values of an unknown tissue where the encodings of both scenes have another number of channels."""
-    return tuple(values.tolist()) if len(values) == width else (0.0,) * width

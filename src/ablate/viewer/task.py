@@ -27,7 +27,7 @@ from ablate.ultrasound import TimeGain
 from ablate.viewer.engine import Engine
 from ablate.viewer.generators import pickable
 from ablate.viewer.hand import Hand
-from ablate.viewer.page.operate_tabs import add_hands, add_learn_tab, add_move_tab, add_row, add_scan_tab
+from ablate.viewer.page.operate_tabs import add_hands, add_move_tab, add_row, add_scan_tab
 from ablate.viewer.page.page import Page
 from ablate.viewer.page.result_tabs import add_compare_tab, add_keep_tab
 from ablate.viewer.session import Session, State
@@ -105,7 +105,7 @@ class Viewer:
         add_row(page)
         tabs = gui.add_tab_group()
         contents: dict[str, Callable[[Page], None]] = {"Move": add_move_tab, "Scan": add_scan_tab}
-        contents |= {"Compare": partial(add_compare_tab, runs=runs), "Keep": add_keep_tab, "Learn": add_learn_tab}
+        contents |= {"Compare": partial(add_compare_tab, runs=runs), "Keep": add_keep_tab}
         for name, add_content in contents.items():
             with tabs.add_tab(name):
                 add_content(page)

@@ -100,10 +100,6 @@ class Uterus:
         """Thickness of the placenta on the wall in this direction, mm, without its grooves."""
         return THICKNESS_MM * np.maximum(1.0 - self.opening(x, y, z) ** 3, 0.0)
 
-    def outer_face(self) -> sdf.Field:
-        """Outer face of the wall, whose thickness varies."""
-        return sdf.rippled(sdf.shrunk(self.cavity(), -UTERUS_WALL_MM), self.seed + 1, 0.8, 45.0)
-
     def _egg(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         """A superellipsoid, fuller at its ends than an ellipsoid."""
         parts = [(np.abs(p - c) / r) for p, c, r in zip((x, y, z), self.center, self.radii, strict=True)]
@@ -115,7 +111,8 @@ class Uterus:
 
 def mother(scale: float, uterus: Uterus) -> list[Part]:
     """Everything but placenta, cord and fetus, outermost first."""
-    solid, seed, outer = solids_in(BODY_BOX, scale), uterus.seed, uterus.outer_face()
+    solid, seed, cavity = solids_in(BODY_BOX, scale), uterus.seed, uterus.cavity()
+    outer = sdf.rippled(sdf.shrunk(cavity, -UTERUS_WALL_MM), seed + 1, 0.8, 45.0)  # face of the wall
     shape = sdf.ellipsoid((3.0, -70.0, -104.0), (38.0, 20.0, 22.0))  # a half-filled bladder, moulded to the uterus
     beside = sdf.outside(sdf.shrunk(outer, -5.5))
     bladder = sdf.rippled(sdf.intersection([shape, beside], 5.0), seed + 6, 0.6, 40.0)
@@ -131,7 +128,7 @@ def mother(scale: float, uterus: Uterus) -> list[Part]:
         solid(outer, "uterine_wall", 2.4, "uterus"),
         solid(sdf.shrunk(bladder, -3.0), "muscle", 1.8, "bladder wall", 8.0),
         solid(bladder, "urine", 1.8, "bladder", 8.0),
-        solid(uterus.cavity(), "amniotic_fluid", 2.2, "amniotic cavity"),
+        solid(cavity, "amniotic_fluid", 2.2, "amniotic cavity"),
     ]
 
 

@@ -1,13 +1,11 @@
-"""What the operator does: the row above the tabs, the tabs Move, Scan and Learn, the keys, and the probe by hand."""
+"""What the operator does: the row above the tabs, the tabs Move and Scan, the keys, and the probe by hand."""
 
-import random
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ablate.ultrasound import Display
 from ablate.viewer.page.page import Bounds, Page
@@ -35,12 +33,6 @@ _HINTS = (
     "R reset, 1 to 9 planes.</div>"
 )
 _TGC_SLIDERS = 5
-_FOUND_MM, _FOUND_DEG = 15.0, 12.0
-_TURNED_ROUND = Rotation.from_euler("Z", 180, degrees=True)
-_RULES = (
-    "Find a plane with the probe, then let it be judged. The score falls with the distance of the probe's face and "
-    "with the angle to the plane; found is what is within 15 mm and 12 degrees."
-)
 
 
 def add_row(page: Page) -> None:
@@ -150,48 +142,3 @@ def add_scan_tab(page: Page) -> None:
             page.add_slider(label, (-20.0, 20.0, 1.0), partial(level, number), partial(set_level, number))
     moving = gui.add_dropdown("Moving", tuple(map(str, Moving)), hint="what is rendered while the probe moves")
     moving.on_update(page.does(lambda _: session.show(moving=Moving(moving.value))))
-
-
-def miss(pose: np.ndarray, wanted: np.ndarray) -> tuple[float, float]:
-    """How far a pose is from the wanted one, (4, 4) each: distance of the face's middle, mm, and angle, degrees.
-
-    A probe that is turned round by 180 degrees shows the same plane, mirrored.
-    """
-    left = Rotation.from_matrix(wanted[:3, :3]).inv() * Rotation.from_matrix(pose[:3, :3])
-    angle = min(left.magnitude(), (_TURNED_ROUND * left).magnitude())
-    return float(np.linalg.norm(pose[:3, 3] - wanted[:3, 3])), float(np.rad2deg(angle))
-
-
-def points(distance_mm: float, angle_deg: float) -> int:
-    """100 for the exact pose, 50 where distance and angle are at the limits of what is found, down to 0."""
-    return round(100 * 0.5 ** ((distance_mm / _FOUND_MM + angle_deg / _FOUND_DEG) / 2))
-
-
-def add_learn_tab(page: Page) -> None:
-    """Add the quiz: buttons to ask for a plane, to judge the probe, and to show the plane."""
-    session, given, left, wanted = page.session, list[int](), list[str](), ""
-    answer = page.server.gui.add_markdown(_RULES)
-
-    def ask() -> None:
-        nonlocal wanted
-        if not left:  # each plane is asked for once before any comes again
-            left.extend(random.sample(list(session.presets), len(session.presets)))
-        wanted = left.pop()
-        answer.content = f"Find: **{wanted}**"
-
-    def pose() -> np.ndarray:
-        if not wanted:
-            raise ValueError("no plane has been asked for yet")
-        return session.presets[wanted]
-
-    def judge() -> None:
-        distance, angle = miss(session.state.pose, pose())
-        given.append(points(distance, angle))
-        verdict = "found" if distance <= _FOUND_MM and angle <= _FOUND_DEG else "not yet"
-        how = f"{distance:.0f} mm and {angle:.0f} degrees away"
-        mean = f"Mean of {len(given)}: {sum(given) / len(given):.0f}."
-        answer.content = f"**{wanted}**: {verdict}, {how}: **{given[-1]} of 100** points. {mean}"
-
-    page.add_button("Ask for a plane", ask)
-    page.add_button("Judge the probe", judge)
-    page.add_button("Show the plane", lambda: session.to_pose(pose()))
