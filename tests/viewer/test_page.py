@@ -52,7 +52,7 @@ def viewer(arguments: list[str]) -> Iterator[Viewer]:
 @pytest.fixture
 def client(viewer: Viewer) -> Iterator[Client]:
     with Client(viewer.page.settings.viewer.port) as made:
-        made.until(lambda: "Judge the probe" in made.labels and made.captions())
+        made.until(lambda: "Cine: play" in made.labels and made.captions())
         viewer.session.reset()
         settle(made, viewer)
         yield made

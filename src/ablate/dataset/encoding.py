@@ -134,11 +134,6 @@ def decode_attenuation(stored: np.ndarray, out: np.ndarray | None = None) -> np.
     return np.divide(stored, ATTENUATION_SCALE, out=out, dtype=np.float32)
 
 
-def encode_labels(labels: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values of labels, (..., H, W) uint8, as channels, (..., channels, H, W) float32."""
-    return np.ascontiguousarray(np.moveaxis(values[labels], -1, -3))
-
-
 def network_inputs(maps: Mapping[str, np.ndarray], values: np.ndarray, mask: np.ndarray) -> dict[str, Tensor]:
     """Convert maps, (k, H, W) each, to what the networks read, (k, 1, H, W) float32 each.
 
@@ -149,7 +144,7 @@ def network_inputs(maps: Mapping[str, np.ndarray], values: np.ndarray, mask: np.
     import torch
 
     read = {name: value[:, None] for name, value in maps.items()}
-    read["segmentation"] = encode_labels(maps["segmentation"], values)
+    read["segmentation"] = np.ascontiguousarray(np.moveaxis(values[maps["segmentation"]], -1, -3))
     if "low" in maps:
         read["low"] = np.where(mask, encode_grey_levels(maps["low"]), np.float32(-1))[:, None]
     return {name: torch.from_numpy(value) for name, value in read.items()}

@@ -55,12 +55,14 @@ class Skin:
         return (hits.structure >= 0).reshape(len(poses), _LINES).mean(axis=1) >= _LEAST_SHARE
 
     def contact(
-        self, middle: np.ndarray, outward: np.ndarray, axis: np.ndarray
+        self, height_mm: float, angle: float, axis: np.ndarray, front: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Skin point and inward normal, from nine parallel rays around a site; None where the middle one misses.
 
-        `middle` lies on the body's axis, mm; the unit vector `outward` points from there to the site, `axis` along it.
+        The site is at a height along the body's `axis` and an angle about it, rad, from its `front`, both unit vectors.
         """
+        middle = self.centre + axis * (height_mm - self.centre @ axis)
+        outward = np.cos(angle) * front + np.sin(angle) * np.cross(axis, front)
         across = np.cross(outward, axis)
         offsets = [(u, v) for v in (-_PATCH_MM, 0.0, _PATCH_MM) for u in (-_PATCH_MM, 0.0, _PATCH_MM)]
         starts = np.array([middle + across * u + axis * v for u, v in offsets])
@@ -166,14 +168,11 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
     axis = _unit(np.asarray(grid.axis, float))
     front = np.asarray(grid.front, float)
     front = _unit(front - axis * (front @ axis))
-    side = np.cross(axis, front)
     turns = [(tilt, roll) for tilt in grid.tilts_deg for roll in grid.rolls_deg]
     placed: list[tuple[np.ndarray, np.ndarray, int]] = []  # pose, approach, site
     places = [(height, angle) for height in grid.heights_mm for angle in np.deg2rad(grid.angles_deg)]
     for site, (height, angle) in enumerate(places):
-        middle = skin.centre + axis * (height - skin.centre @ axis)
-        contact = skin.contact(middle, np.cos(angle) * front + np.sin(angle) * side, axis)
-        if contact is not None:
+        if (contact := skin.contact(height, angle, axis, front)) is not None:
             point, inward = contact
             placed += [(_pose(point, inward, axis, tilt, roll), inward, site) for tilt, roll in turns]
     dropped = dict.fromkeys(Dropped, 0)

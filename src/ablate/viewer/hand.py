@@ -95,9 +95,7 @@ class Hand:
         return float(point @ self.axis), float(np.rad2deg(np.arctan2(off @ self._side, off @ self.front)))
 
     def _contact(self, height_mm: float, angle_deg: float) -> tuple[np.ndarray, np.ndarray] | None:
-        centre, angle = self._skin.centre, np.deg2rad(angle_deg)
-        middle = centre + self.axis * (height_mm - centre @ self.axis)
-        return self._skin.contact(middle, np.cos(angle) * self.front + np.sin(angle) * self._side, self.axis)
+        return self._skin.contact(height_mm, np.deg2rad(angle_deg), self.axis, self.front)
 
     def _frame(self, inward: np.ndarray) -> np.ndarray:
         """Axes of a probe that is not turned, as columns: x across the body, z into it."""
