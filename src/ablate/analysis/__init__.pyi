@@ -18,9 +18,7 @@ from .scored import REFERENCE as REFERENCE
 from .scored import RESIMULATION as RESIMULATION
 from .scored import ordered_metrics as ordered_metrics
 from .scored import ordered_variants as ordered_variants
-from .statistics.component_claims import ComponentClaim as ComponentClaim
 from .statistics.component_claims import Verdict as Verdict
-from .statistics.component_claims import component_claim as component_claim
 from .statistics.component_claims import seed_claims as seed_claims
 from .statistics.designs import Design as Design
 from .statistics.designs import effects_table as effects_table

@@ -1,7 +1,5 @@
 """Whether a component matters: judged on trainings, not on frames."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -23,64 +21,26 @@ class Verdict(StrEnum):
     differs = "differs"
 
 
-@dataclass(frozen=True)
-class ComponentClaim:
-    """Whether a component matters, judged on seeds rather than frames.
-
-    `shift`, `lower`, `upper` are the difference of the seeds' means (variant minus reference) and its Welch interval;
-    they and `p` are None when nothing can be claimed.
-    """
-
-    verdict: Verdict
-    seeds: int
-    shift: float | None = None
-    lower: float | None = None
-    upper: float | None = None
-    p: float | None = None
-
-
-def component_claim(values: Sequence[float] | np.ndarray, reference: Sequence[float] | np.ndarray) -> ComponentClaim:
-    """Judge a component by Welch's test on one mean a seed: `differs` where the 95 % interval excludes 0.
-
-    It is `not_claimable` where no seed changes anything. Frames cannot answer this: two trainings of one network differ
-    on them with p down to 1e-12.
-
-    Parameters
-    ----------
-    values, reference : (k,) and (l,) float
-        Test mean of each seed, with and without the change. At least three on either side must be finite.
-
-    Examples
-    --------
-    >>> from ablate.analysis import component_claim
-    >>> print(component_claim([18.1, 18.3, 18.2], [17.0, 17.3, 17.1]).verdict)
-    differs
-    >>> print(component_claim([18.1, 18.3], [17.0, 17.3]).verdict)
-    not claimable
-    """
-    sides = [np.asarray(side, dtype=np.float64) for side in (values, reference)]
-    a, b = (side[np.isfinite(side)] for side in sides)
-    seeds = min(len(a), len(b))
-    if seeds < FEWEST_SEEDS or (np.ptp(a) == 0 and np.ptp(b) == 0):
-        return ComponentClaim(Verdict.not_claimable, seeds)
+def welch(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float, float]:
+    """Difference of the means of two samples, (k,) and (l,), its 95 % interval by Welch's test, and the p-value."""
     shift = float(a.mean() - b.mean())
     unit = max(np.ptp(a), np.ptp(b))  # squares of smaller numbers may vanish
     terms = np.array([np.var((side - side.mean()) / unit, ddof=1) / len(side) for side in (a, b)])
     error = float(unit * np.sqrt(terms.sum()))
     dof = float(terms.sum() ** 2 / np.sum(terms**2 / (np.array([len(a), len(b)]) - 1)))
-    p = float(2 * stats.t.sf(abs(shift) / error, dof))
     reach = float(stats.t.ppf((1 + LEVEL) / 2, dof)) * error
-    verdict = Verdict.differs if p < 1 - LEVEL else Verdict.no_difference_found
-    return ComponentClaim(verdict, seeds, shift, shift - reach, shift + reach, p)
+    return shift, shift - reach, shift + reach, float(2 * stats.t.sf(abs(shift) / error, dof))
 
 
 def seed_claims(
     per_image: pd.DataFrame, scalars: pd.DataFrame | None = None, reference: str = REFERENCE
 ) -> pd.DataFrame:
-    """Which components may be said to matter: `component_claim` on the seeds' means, and Holm's correction.
+    """Which components may be said to matter: Welch's test on one mean a seed, and Holm's correction.
 
-    Where each row is judged alone, most studies of eight variants hold a false claim (docs/statistics.md); so `differs`
-    is said only after Holm's correction over all rows, and `suggested` of a row that differs when taken alone.
+    Frames cannot answer this: two trainings of one network differ on them with p down to 1e-12. A row is
+    `not_claimable` where either side has fewer than three seeds, or no seed changes anything. Where
+    each row is judged alone, most studies of eight variants hold a false claim (docs/statistics.md); so `differs` is
+    said only after Holm's correction over all rows, and `suggested` of a row that differs when taken alone.
 
     Parameters
     ----------
@@ -101,10 +61,14 @@ def seed_claims(
         variants = ordered_variants(list(of_metric.index.get_level_values("variant")), reference)
         for variant in variants if reference in variants else ():
             if variant != reference:
-                claim = component_claim(of_metric.loc[variant].to_numpy(), of_metric.loc[reference].to_numpy())
-                rows.append({"variant": variant, "metric": metric, **vars(claim)})
-    table = pd.DataFrame(rows, columns=["variant", "metric", "verdict", "seeds", "shift", "lower", "upper", "p"])
+                a, b = (of_metric.loc[name].to_numpy() for name in (variant, reference))
+                seeds = min(len(a), len(b))
+                told = seeds >= FEWEST_SEEDS and max(np.ptp(a), np.ptp(b)) > 0
+                rows.append((variant, metric, seeds, *(welch(a, b) if told else [None] * 4)))
+    table = pd.DataFrame(rows, columns=["variant", "metric", "seeds", "shift", "lower", "upper", "p"])
     table["p_holm"] = where_known(holm, table["p"])
-    weak = (table["verdict"] == Verdict.differs) & (table["p_holm"].astype(float) >= 1 - LEVEL)
-    table.loc[weak, "verdict"] = Verdict.suggested
+    alone, corrected = (table[name].astype(float) for name in ("p", "p_holm"))
+    known = [corrected < 1 - LEVEL, alone < 1 - LEVEL, alone.notna()]
+    verdicts = [Verdict.differs, Verdict.suggested, Verdict.no_difference_found]
+    table.insert(2, "verdict", np.select(known, verdicts, Verdict.not_claimable))
     return table
