@@ -2,7 +2,6 @@
 
 import json
 import os
-import runpy
 import shutil
 import signal
 import subprocess
@@ -188,20 +187,6 @@ def test_a_job_that_fails_is_said_and_the_others_are_compared(
     (experiment,) = [e for e in client.search_experiments() if e.name == "ablate"]
     states = {r.info.run_name: r.info.status for r in client.search_runs([experiment.experiment_id])}
     assert states == {"tiny-fetal": "FAILED", "sa2h/seed0": "FINISHED", "sa2h-att/seed0": "FAILED"}
-
-
-def test_the_notebook_reads_the_study(
-    finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    notebook = str(Path(__file__).parents[2] / "notebooks" / "table2.py")
-    monkeypatch.setenv("ABLATE_STUDY", str(finished / "tiny-fetal"))
-    runpy.run_path(notebook)
-    printed = capsys.readouterr().out
-    assert "re-simulation" in printed
-    assert r"\toprule" in printed
-    monkeypatch.setenv("ABLATE_STUDY", str(finished / "nowhere"))
-    with pytest.raises(SystemExit, match="make sweep"):  # a message is exit code 1
-        runpy.run_path(notebook)
 
 
 def wait_for(condition: Callable[[], object], process: subprocess.Popen[bytes]) -> None:
