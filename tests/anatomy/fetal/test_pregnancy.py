@@ -39,7 +39,9 @@ def test_pregnancies_differ() -> None:
     assert np.ptp([p.uterus.fat_mm for p in pregnancies]) > 4.0
     assert backs[:, 0].min() < -0.5 < 0.5 < backs[:, 0].max()  # back to her right and left
     assert placentas[:, 1].min() < -0.5 < 0.5 < placentas[:, 1].max()  # in front and behind
-    assert len({p.limbs for p in pregnancies}) == len(pregnancies)
+    assert len({p.limbs for p in pregnancies}) == len({p.size for p in pregnancies}) == len(pregnancies)
+    assert pregnancies[0].size == 1.0, "the textbook case"
+    assert all(0.85 < p.size < 1.11 for p in pregnancies)
 
 
 def test_lie_points_head_and_back_where_asked() -> None:
