@@ -10,7 +10,6 @@ from types import ModuleType
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 
 import ablate
 from ablate.analysis import RESIMULATION, find_design
@@ -25,7 +24,7 @@ from ablate.settings.conf import components
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import digest
 from support.finished_runs import WHOLE, timed
-from support.studies import study_group
+from support.studies import Unrendered, study_group
 
 MODEL = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
 MODEL |= {"noise": "inject", "depth": 4, "extra_input": "none", "width": 0.25}
@@ -81,14 +80,7 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    def save(_: Figure, stem: Path) -> list[Path]:
-        paths = [stem.with_suffix(".png"), stem.with_suffix(".pdf")]
-        for path in paths:
-            path.write_bytes(b"")
-        return paths
-
-    for module in ("panel_figures", "forest_figure", "image_figures", "runtime_figure"):
-        monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", save)
+    monkeypatch.setattr("ablate.analysis.figures.style.Figure", Unrendered)
 
 
 @pytest.fixture

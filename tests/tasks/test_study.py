@@ -21,7 +21,7 @@ from ablate.runs.train import run_job
 from ablate.settings.study import StudySettings
 from ablate.tasks import run_task as tasks
 from ablate.tracking import default_uri
-from support.studies import SWEEP, TINY, TinyStudy, here, run
+from support.studies import SWEEP, TINY, TinyStudy, Unrendered, run
 
 
 def sweep(runs: Path, *more: str) -> list[Job]:
@@ -129,7 +129,7 @@ def test_a_killed_scoring_loses_no_result(finished: Path, monkeypatch: pytest.Mo
         with pytest.raises(SystemExit):
             run_job(job)
     assert before[str(per_image)] == per_image.stat().st_mtime
-    assert tasks.study(sweep(finished), Launch(here)) == 0
+    assert run(*SWEEP, f"runs_dir={finished}") == 0
     assert json.loads(result.read_text())["scalars"].keys() == whole["scalars"].keys()
 
 
@@ -167,6 +167,7 @@ def test_compare_rebuilds_from_disk_and_plan_tells_what_is_there(
 def test_a_job_that_fails_is_said_and_the_others_are_compared(
     runs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr("ablate.analysis.figures.style.Figure", Unrendered)
     jobs = sweep(runs, "training.steps=2")
 
     def broken(*_: object, **__: object) -> None:
