@@ -37,8 +37,8 @@ from ablate.networks import conditions, draws_noise
 from ablate.settings.study import StudySettings
 from ablate.tracking import hardware
 from ablate.training import Reconstruction, TrainingPrecision, chosen_device, chosen_precision, train
-from support.plain_gan import PlainGAN
-from support.training_parts import COMPILED, PARTS, TRIED
+from plain_training import PlainGAN
+from training_parts import COMPILED, PARTS, TRIED
 from yardstick import ABOUT, Yardstick
 
 Times = list[list[float]]

@@ -61,76 +61,41 @@ def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     return call
 
 
-SITES = {
-    "axis": [0, 0, 1],
-    "front": [0, -1, 0],
-    "heights": {"range": [-10, 10], "count": 8},
-    "angles": {"range": [-20, 20], "count": 8},
-    "tilts": [0],
-    "rolls": [0],
-}
-SCENE = {
-    "unit": "mm",
-    "background": "coupling_gel",
-    "structures": [{"mesh": "body.obj", "tissue": "soft_tissue"}],
-    "sites": SITES,
-}
-
-
 def scene_folder(folder: Path, **changes: object) -> None:
-    """A folder with good and bad meshes, and a scene.yaml with some keys changed."""
+    """A folder with a good and a bad mesh, and a scene.yaml with some keys changed."""
     folder.mkdir()
-    body = trimesh.creation.icosphere(3, radius=60)
-    body.export(folder / "body.obj")
-    wave = np.sin(2 * np.arctan2(body.triangles_center[:, 1], body.triangles_center[:, 0]))
-    torn = body.faces[body.triangles_center[:, 2] < 12.0 * wave]
-    trimesh.Trimesh(body.vertices, torn, process=False).export(folder / "torn.obj")
+    trimesh.creation.icosphere(3, radius=60).export(folder / "body.obj")
     (folder / "garbage.ply").write_bytes(b"not a mesh")
-    (folder / "nan.obj").write_text("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n")
-    (folder / "empty.obj").write_text("")
-    (folder / "scene.yaml").write_text(yaml.safe_dump({**SCENE, **changes}))
+    sites = {"axis": [0, 0, 1], "heights": [-10, 10], "angles": [-20, 20]}
+    scene = {"structures": [{"mesh": "body.obj", "tissue": "soft_tissue"}], "sites": sites}
+    (folder / "scene.yaml").write_text(yaml.safe_dump(scene | changes))
 
 
 # Each with the words of the answer, as a regular expression.
 COMMAND_LINES: list[tuple[list[str], str]] = [
     # What is not there.
     (["variant=sa3h"], r"variant=sa3h: allowed are custom, lsa2h, nsa2h, sa2h, "),
-    (["preset=huge"], r"preset=huge: allowed are laptop, paper, quick"),
-    (["scene=mars"], r"scene=mars: allowed are fetal, folder, pairs"),
     (["+study=everything"], r"study=everything: allowed are add_one_in, answer"),
-    (["varian=sa2h"], r"unknown key 'varian'; did you mean 'variant'\?"),
     (["trainin.steps=3"], r"unknown key 'trainin.*did you mean 'training'"),
     (["training.stepz=3"], r"unknown key 'training.stepz'; did you mean 'steps'\? allowed in training: "),
     (["+colour=blue"], r"unknown key 'colour'"),
-    (["task=dream"], r"task=dream: .*study, simulate, describe, plan, compare"),
-    (["model.depth=${level:4}"], r"model.depth: Unsupported interpolation type level"),
     (["reference=sa9h"], r"reference=sa9h: allowed are .*sa2h"),
-    (["metrics=[beauty]"], r"beauty"),
-    (["metrics=[psnr,fid]"], r"metrics=fid: needs evaluation.inception="),
+    (["model.depth=${level:4}"], r"model.depth: Unsupported interpolation type level"),
     (["metrics=fid"], r"metrics=fid: name one that every image has too"),
-    (["evaluation.inception=nowhere.pt"], r"nowhere\.pt"),
+    (["metrics=[psnr,fid]"], r"metrics=fid: needs evaluation.inception="),
     # Text in place of a name, or a name in place of text.
     (["variant=[1,2]"], r"variant=\[1,2\]: allowed are .*sa2h"),
-    (["variant="], r"variant"),
     (["variant=[sa2h"], r"."),
     # Out of range, or not together.
-    (["seed=-1"], r"seed=-1: allowed are whole numbers from 0"),
     (["seed=99999999999999999999"], r"seed=99999999999999999999: allowed are whole numbers below 2\^63"),
-    (["simulator.image_shape=[]"], r"image_shape"),
     (["simulator.image_shape=[99999,1]"], r"simulator\.image_shape=\[99999, 1\]: .* 2 whole numbers from 1 to 16384"),
     (["training.crop=4096"], r"training\.crop=4096: at most 384, which covers a frame of 384 x 128"),
     (["simulator.scanlines=24"], r"training\.crop=0: whole frames are 384 x 24; allowed are at least 32 x 32"),
-    (["variant=sa2h-gan", "training.l1_weight=0"], r"l1_weight=0 with loss=none"),
-    (["training.batch_size=1000"], r"training\.batch_size=1000: more than the \d+ training frames"),
     (["dataset.grid=[1,2]"], r"dataset\.grid=\[1, 2\]: allowed are 4 whole numbers from 1, or null"),
-    (["model.noise_start=0.1", "model.noise=none"], r"noise_start=0.1 with noise=none: allowed is 0"),
     (["probe=matrix"], r"probe=matrix: allowed are c5-2v, convex, l11-5v, linear, p4-2v, phased"),
     (["probe=linear", "probe.radius_mm=50"], r"probe\.radius_mm=50\.0: a linear probe has width_mm, depth_mm"),
-    (["probe=linear", "probe.width=50"], r"unknown key 'probe\.width'; did you mean 'width_mm'\? allowed in probe: "),
-    (["probe=l11-5v", "probe.depth_mm=0"], r"probe\.depth_mm=0\.0: allowed are numbers from 1e-06 to 1000000"),
     # Jobs.
     (["variant=sa2h,nsa2h"], r"asks for several jobs: add -m"),
-    (["-m", "training.threads=1,2"], r"share the place .*study_name"),
     (["hydra/launcher=joblib"], r"hydra/launcher=joblib starts the jobs of a sweep: add -m"),
     (["-m", "hydra/sweeper=mine", "seed=0,1"], r"hydra/sweeper=mine"),
     (["-m", "seed=range(3,0)"], r"seed=range\(3,0\): a sweep without a job"),
@@ -138,10 +103,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     # Names and folders.
     (["study_name=.."], r"study_name='\.\.': allowed are at most 200 letters, digits, blanks and _\.\+-"),
     (['study_name="o\'neill"'], r"study_name=.*neill.*: allowed are"),
-    ([f"study_name={300 * 'x'}"], r"study_name='x+\.\.\.x+': allowed are at most 200"),
     (["study_name=data"], r"study_name=data: the names artifacts, data, .* are taken"),
-    (["tracking.experiment="], r"tracking\.experiment='': allowed are at most 200 letters"),
-    (["runs_dir=file/runs"], r"file/runs"),
     (["runs_dir=file", "task=plan"], r"file' is a file; allowed is a folder"),
     ([f"runs_dir={300 * 'x'}"], r"runs_dir='x+\.\.\.x+': File name too long"),
     (["study_name=été"], r"study_name: Hydra cannot read the value 'été'; give it in quotes: \"study_name='\.\.\.'\""),
@@ -152,16 +114,10 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["dataset.poses=archive.npy"], r"dataset\.poses=archive\.npy: is an archive \(\.npz\), allowed is one array"),
     (["dataset.poses=semicolons.csv"], r"no column x; the columns are 'x;y;z', and x, .* are needed, with commas"),
     (["dataset.poses=site.csv"], r"row 0: allowed are numbers, and whole ones as site, not '.*9999"),
-    (["task=render", "plane=Head"], r"plane=Head: allowed are head, abdomen"),
-    (["task=render", "frame=-1"], r"frame=-1: allowed are 0 to"),
-    (["task=render", "pose=archive.npy"], r"pose=archive\.npy: is an archive"),
     (["runs_dir='100%/runs'"], r"100%/runs: allowed is a path without %"),
     (["runs_dir='what?/runs'", "task=compare"], r"what\?/runs: allowed is a path without \?"),
-    (["task=compare"], r"runs/quick-fetal holds no finished run to compare"),
     # Scenes and pairs.
     (["scene=folder"], r"scene\.folder"),
-    (["scene=folder", "scene.folder=nowhere"], r"nowhere"),
-    (["scene=pairs"], r"scene\.folder"),
     (["scene=pairs", "scene.folder=empty"], r"empty"),
     (["task=preview", "scene=pairs", "scene.folder=empty"], r"task=preview: pairs made elsewhere have no scene"),
 ]
@@ -206,15 +162,9 @@ def test_a_variant_file_that_cannot_be_read(
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"structures": [{"mesh": "body.obj", "tissue": "unobtainium"}]}, "unobtainium"),
-        ({"structures": [{"mesh": "absent.obj", "tissue": "liver"}]}, "absent.obj"),
-        ({"structures": [{"mesh": "empty.obj", "tissue": "liver"}]}, "empty.obj"),
-        ({"structures": [{"mesh": "torn.obj", "tissue": "liver"}]}, "torn.obj: cannot be closed: a hole of 1"),
         ({"structures": [{"mesh": "garbage.ply", "tissue": "liver"}]}, "garbage.ply: not readable as a mesh"),
-        ({"structures": [{"mesh": "nan.obj", "tissue": "liver"}]}, "nan.obj: has vertices that are not finite"),
         ({"unit": "m"}, "scene.yaml: unit: m makes the scene's largest extent 1.2e+05 mm"),
         ({"sites": {"heights": {"range": [500, 600], "count": 4}, "tilts": [-5, 0, 5]}}, "12 the direction misses"),
-        ({"sites": {"heights": {"range": [0, 1]}}}, "sites.heights.count"),
         ({"sites": None}, "no `sites`"),
     ],
 )

@@ -21,12 +21,6 @@ def test_every_key_has_a_row() -> None:
     assert not [key for key in keys() if f"| `{key}` |" not in settings_page.page()]
 
 
-def test_values_are_written_as_the_command_line_takes_them() -> None:
-    assert [settings_page.written(value) for value in (None, True, (1, 2), 2e-4, 70.0, "all")] == [
-        *("null", "true", "[1,2]", "0.0002", "70", "all")
-    ]
-
-
 def test_every_mark_of_the_page_is_filled() -> None:
     text = (ROOT / "docs" / "numerics.md").read_text()
     marks = re.findall(r"<!-- table: (.+?) -->", text)

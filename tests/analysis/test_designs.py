@@ -183,17 +183,6 @@ def test_intervals_need_three_trainings_a_side():
     assert (once["dof"] == 16).all()
 
 
-def test_known_effects_are_recovered():
-    rows = [(i, j, k, 10 - 2 * i + 0.5 * j + 3 * i * k) for i, j, k in itertools.product((0, 1), repeat=3)]
-    runs = pd.DataFrame(rows, columns=["att", "conv", "noise", "value"])
-    table = factorial_effects(runs, ["att", "conv", "noise"]).set_index("effect")
-    # With the interaction 3 i k, the effect of att averaged over noise is -2 + 1.5.
-    assert table["estimate"].to_dict() == pytest.approx(
-        {"att": -0.5, "conv": 0.5, "noise": 1.5, "att:conv": 0, "att:noise": 1.5, "conv:noise": 0}, abs=1e-12
-    )
-    assert (table["dof"] == 1).all()
-
-
 def test_saturated_designs_have_no_interval_and_bad_ones_are_refused():
     runs = pd.DataFrame({"a": [0, 0, 1, 1], "b": [0, 1, 0, 1], "value": [1.0, 2.0, 3.0, 5.0]})
     table = factorial_effects(runs, ["a", "b"])

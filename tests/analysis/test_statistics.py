@@ -59,12 +59,7 @@ def test_sites_are_judged_by_one_mean_each_and_by_expanded_percentiles():
 @pytest.mark.parametrize("value", [0.0, 2.0, -1e-12, 1e12])
 def test_a_constant_difference_is_its_own_interval(value):
     result = paired_difference(np.full(12, value), np.zeros(12), np.arange(12) // 2)
-    assert (result.shift, result.lower, result.upper, result.effect) == (
-        value,
-        value,
-        value,
-        np.sign(value),
-    )
+    assert (result.shift, result.lower, result.upper, result.effect) == (value, value, value, np.sign(value))
     assert (result.p, result.p_sites) == (1, 1) if value == 0 else (result.p < 0.01, result.p_sites > 0.01)
 
 

@@ -37,8 +37,6 @@ def answered(jobs: Sequence[Job]) -> tuple[Answers, tuple[Run, ...]]:
         ("training.reconstruction=crps,l1", ["sa2h", "sa2h.reconstruction-l1"]),
         ("training.learning_rate=1e-3,1e-4", ["sa2h", "sa2h.learning_rate-0.0001"]),
         ("dataset.frames=12,10", ["sa2h", "sa2h.frames-10"]),
-        ("simulator.rays=2,3", ["sa2h", "sa2h.rays-3"]),
-        ("crops.flip=true,false", ["sa2h", "sa2h.flip-False"]),
     ],
 )
 def test_a_key_that_nobody_declared_has_effects_and_no_verdict(tmp_path: Path, word: str, labels: list[str]) -> None:

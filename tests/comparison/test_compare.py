@@ -10,7 +10,6 @@ from types import ModuleType
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 
 import ablate
 from ablate.analysis import RESIMULATION, find_design
@@ -25,7 +24,7 @@ from ablate.settings.conf import components
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import digest
 from support.finished_runs import WHOLE, timed
-from support.studies import study_group
+from support.studies import Unrendered, study_group
 
 MODEL = {"family": "local", "attenuation": "integral", "concat": "every_level", "upsampling": "texture"}
 MODEL |= {"noise": "inject", "depth": 4, "extra_input": "none", "width": 0.25}
@@ -81,14 +80,7 @@ def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    def save(_: Figure, stem: Path) -> list[Path]:
-        paths = [stem.with_suffix(".png"), stem.with_suffix(".pdf")]
-        for path in paths:
-            path.write_bytes(b"")
-        return paths
-
-    for module in ("panel_figures", "forest_figure", "image_figures", "runtime_figure"):
-        monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", save)
+    monkeypatch.setattr("ablate.analysis.figures.style.Figure", Unrendered)
 
 
 @pytest.fixture
@@ -108,11 +100,6 @@ def compared(study: Path, reference: str = "sa2h") -> tuple[Path, str, str]:
     usable = usable_runs(study, reference)
     notes = write_comparison(Study(study, usable, reference, *scored_frames(usable.runs)), "a study")
     return study / "comparison", (study / "comparison" / "report.html").read_text(), "\n".join(notes)
-
-
-def left_aside(study: Path) -> str:
-    """What is said of the runs that take no part."""
-    return "\n".join(usable_runs(study).notes)
 
 
 def change(folder: Path, **values: object) -> None:
@@ -257,45 +244,59 @@ def test_runs_of_different_data_sets(study: Path) -> None:
     assert "nsa2h (2)" in notes, "which leaves it too few seeds"
 
 
-def test_half_finished_runs(study: Path) -> None:
-    (study / "nsa2h" / "seed2" / "result.json").unlink()
-    (study / "sa2h-conv" / "seed0" / "result.json").unlink()
-    assert left_aside(study) == "2 runs not finished: nsa2h/seed2, sa2h-conv/seed0."
+def change_spec(run: Path, **model: object) -> None:
+    """Other values of the model in a spec.json, which its hash does not know of."""
+    spec = json.loads((run / "spec.json").read_text())
+    spec["semantic"]["model"] |= model
+    (run / "spec.json").write_text(json.dumps(spec))
 
 
-def test_runs_that_cannot_be_read(study: Path) -> None:
-    (study / "nsa2h" / "seed0" / "per_image.parquet").write_bytes(b"not parquet")
-    (study / "nsa2h" / "seed1" / "per_image.parquet").unlink()
-    (study / "nsa2h" / "seed2" / "result.json").write_text("{")
-    change(study / "sa2h-conv" / "seed0", hash="another")
-    (study / "sa2h-conv" / "seed1" / "spec.json").write_text("[]")
-    notes = left_aside(study)
-    assert "1 run left aside, unreadable (ArrowInvalid: per_image.parquet): start it again: nsa2h/seed0." in notes
-    assert "1 run left aside, unreadable (FileNotFoundError: per_image.parquet): start it again: nsa2h/seed1." in notes
-    assert "with a result of another configuration: sa2h-conv/seed0." in notes
-    assert "sa2h-conv/seed1" in notes
-    assert {run.label for run in usable_runs(study).runs} == {"sa2h", "sa2h-att", "sa2h-conv"}
+def replace_in_scores(run: Path, **words: dict[str, str]) -> None:
+    """Other words in the columns of a per_image.parquet."""
+    table = pd.read_parquet(run / "per_image.parquet")
+    table.replace(words).to_parquet(run / "per_image.parquet")
 
 
-def test_a_run_made_by_an_earlier_version_is_left_aside_in_words(study: Path) -> None:
-    path = write_run(study, "sa2h-att", 5) / "per_image.parquet"
-    table = pd.read_parquet(path)
-    table.replace({"source": {"resimulation": "floor"}}).to_parquet(path)
-    (note,) = usable_runs(study).notes
-    assert note.startswith("1 run left aside, with a per_image.parquet that cannot be used (source floor)")
+AGAIN = "unreadable ({}: per_image.parquet): start it again"
+ANOTHER, SPEC = "with a result of another configuration", "with a spec.json that is damaged, or not what its hash says"
+UNUSABLE: dict[str, tuple[Callable[[Path], object], str]] = {
+    "scores are not Parquet": (
+        lambda run: (run / "per_image.parquet").write_bytes(b"no"),
+        AGAIN.format("ArrowInvalid"),
+    ),
+    "scores are missing": (lambda run: (run / "per_image.parquet").unlink(), AGAIN.format("FileNotFoundError")),
+    "a metric that is no name": (
+        lambda run: replace_in_scores(run, metric={"mae": "x/../../../stolen"}),
+        AGAIN.format("ValueError"),
+    ),
+    "scores of an earlier version": (
+        lambda run: replace_in_scores(run, source={"resimulation": "floor"}),
+        "with a per_image.parquet that cannot be used (source floor): start it again",
+    ),
+    "another version of the metrics": (
+        lambda run: change(run, metrics_version=METRICS_VERSION - 1),
+        f"scored by version {METRICS_VERSION - 1} of the metrics, not {METRICS_VERSION}: start it again",
+    ),
+    "a damaged result": (lambda run: (run / "result.json").write_text("{"), "without a usable hash, label, "),
+    "a result of another hash": (lambda run: change(run, hash="another"), ANOTHER),
+    "a result of another label": (lambda run: change(run, label="other"), ANOTHER),
+    "an empty spec": (lambda run: (run / "spec.json").write_text(""), SPEC),
+    "a spec without a hash": (lambda run: (run / "spec.json").write_text("{}"), SPEC),
+    "a spec that is no mapping": (lambda run: (run / "spec.json").write_text('{"hash": "sa2h0", "semantic": 3}'), SPEC),
+    "a spec that is not what its hash says": (lambda run: change_spec(run, depth={"a": 3}), SPEC),
+}
 
 
-def test_a_run_that_another_version_of_the_metrics_scored_is_left_aside_in_words(study: Path) -> None:
-    change(study / "sa2h-att" / "seed1", metrics_version=METRICS_VERSION - 1)
+@pytest.mark.parametrize("damage", UNUSABLE)
+def test_a_run_that_cannot_be_used_is_left_aside_in_words(study: Path, damage: str) -> None:
+    harm, why = UNUSABLE[damage]
+    harm(study / "nsa2h" / "seed0")
+    (study / "sa2h-conv" / "seed1" / "result.json").unlink()
     usable = usable_runs(study)
-    assert "sa2h-att/seed1" not in {run.name for run in usable.runs}
-    why = f"scored by version {METRICS_VERSION - 1} of the metrics, not {METRICS_VERSION}: start it again"
-    assert usable.notes == (f"1 run left aside, {why}: sa2h-att/seed1.",)
-
-
-def test_a_result_with_the_label_of_another_variant_leaves_its_run_aside(study: Path) -> None:
-    change(study / "nsa2h" / "seed0", label="other")
-    assert left_aside(study) == "1 run left aside, with a result of another configuration: nsa2h/seed0."
+    aside, unfinished = usable.notes
+    assert (aside[: len(why) + 18], aside[-13:]) == (f"1 run left aside, {why}", " nsa2h/seed0.")
+    assert unfinished == "1 run not finished: sa2h-conv/seed1."
+    assert len(usable.runs) == len(VARIANTS) * 3 - 2
 
 
 @pytest.mark.usefixtures("figures")
@@ -410,25 +411,3 @@ def test_a_damaged_file_beside_the_scores_stops_nothing(study: Path, name: str) 
     runs = usable_runs(study).runs
     assert len(runs) == len(VARIANTS) * 3
     assert pictures(runs) == []
-
-
-@pytest.mark.parametrize("damage", ["", "{}", '{"hash": "sa2h0"}', '{"hash": "sa2h0", "semantic": 3}'])
-def test_a_damaged_spec_leaves_its_run_aside(study: Path, damage: str) -> None:
-    (study / "sa2h" / "seed0" / "spec.json").write_text(damage)
-    assert "1 run left aside" in left_aside(study)
-
-
-def test_a_spec_that_is_not_what_its_hash_says_leaves_its_run_aside(study: Path) -> None:
-    path = study / "sa2h" / "seed0" / "spec.json"
-    spec = json.loads(path.read_text())
-    spec["semantic"]["model"]["depth"] = {"a": 3}  # which the search for a design cannot compare
-    path.write_text(json.dumps(spec))
-    assert "1 run left aside, with a spec.json that is damaged, or not what its hash says: sa2h" in left_aside(study)
-
-
-def test_a_metric_that_is_no_name_draws_no_figure_elsewhere(study: Path) -> None:
-    path = study / "nsa2h" / "seed0" / "per_image.parquet"
-    table = pd.read_parquet(path)
-    table.replace({"metric": {"mae": "x/../../../stolen"}}).to_parquet(path)
-    why = "unreadable (ValueError: per_image.parquet): start it again"
-    assert left_aside(study) == f"1 run left aside, {why}: nsa2h/seed0."

@@ -39,8 +39,6 @@ def test_npy_and_csv_hold_the_same_poses(tmp_path: Path) -> None:
         (np.stack([np.eye(4), np.diag([1.0, 1, -1, 1])]), "pose 1: pose must be rigid: .* a mirror image"),
         (np.full((1, 4, 4), np.nan), "pose 0: pose must be finite"),
         (np.eye(4), r"must hold poses of shape \(n, 4, 4\), not float64 of \(4, 4\)"),
-        (np.zeros((0, 4, 4)), "must hold poses of shape"),
-        (np.array([["a"]]), "must hold poses of shape"),
         ("", "no column x; the columns are '', and x, y, z"),
         ("x,y,z,qw,qx,qy,qz\n", "no row below the names of the columns"),
         ("x,y,z,qw,qx,qy\n0,0,0,1,0,0\n", "no column qz"),

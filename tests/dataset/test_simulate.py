@@ -1,4 +1,4 @@
-"""Pairs by the real path: what the simulator renders, in one process or several, and no more of it than is missing."""
+"""Pairs by the real path: what the simulator renders, and no more of it than is missing."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -50,15 +50,6 @@ def test_resimulation_has_other_scatterers_and_other_paths(pairs: Pairs, recipe:
         assert (stored != pairs.stored("target", i)).mean() > 0.3
         assert (stored != other_paths.render(pose, seed=recipe.seed).image).mean() > 0.3, "other scatterers"
         assert (stored != same_paths.render(pose, seed=again).image).any(), "other paths"
-
-
-def test_two_processes_make_the_same_set_as_one(
-    pairs: Pairs, recipe: Recipe, blank: Blank, contents: Contents, tmp_path: Path
-) -> None:
-    assert simulate_pairs(recipe, pairs, MAPS, 1) == 7
-    two = blank(tmp_path / "two", 7, 3)
-    assert simulate_pairs(recipe, two, MAPS, 2) == 7
-    assert contents(two.folder) == contents(pairs.folder)
 
 
 def test_only_what_is_missing_is_rendered(

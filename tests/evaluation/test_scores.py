@@ -117,14 +117,6 @@ def test_values_are_those_of_each_frame_alone_however_many_threads(runs: Path, d
     assert scores.scalars["fd_speckle_lower"] < scores.scalars["fd_speckle"] < scores.scalars["fd_speckle_upper"]
 
 
-def test_where_torch_has_one_thread_frames_are_scored_in_it(
-    runs: Path, data: Data, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("ablate.threads.ThreadPoolExecutor", None)
-    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
-    assert scored(data, job(runs), resimulation_images(data.pairs)).scalars["psnr"] > 0
-
-
 def test_tissue_is_all_but_fluid_and_gas() -> None:
     table = load_tissues()
     labels = tissue_labels(tuple(table.values()))

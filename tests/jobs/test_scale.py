@@ -44,11 +44,6 @@ def test_any_frame_keeps_the_papers_share_within_the_rounding() -> None:
     assert share == pytest.approx(paper, rel=0.1)
 
 
-def test_a_users_own_frame_size_is_to_scale() -> None:
-    (job,) = jobs_of(["simulator.image_shape=[300,416]", "variant=lsa2h", "model.space=image"])
-    assert (job.settings.model.depth, job.settings.training.crop) == (6, 128)
-
-
 def test_images_made_elsewhere_are_to_the_scale_of_their_own_pixels(tmp_path: Path) -> None:
     for name in ("segmentation", "image"):
         (tmp_path / name).mkdir()

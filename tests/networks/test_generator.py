@@ -14,15 +14,13 @@ from ablate.networks import (
     GeneratorSpec,
     Norm,
     PatchDiscriminator,
-    conditions,
     discriminator_channels,
     gaussian_field,
     inputs,
     receptive_field,
 )
 from ablate.networks.generator import _GOLDEN, _mix
-from ablate.networks.spec import fed_channels
-from support.variants import BEAM, ONEHOT, OUTSIDE, VARIANTS, maps_of
+from support.variants import BEAM, OUTSIDE, VARIANTS, maps_of
 
 
 def make(seed: int = 0, **changes: object) -> Generator:
@@ -98,28 +96,6 @@ def test_padding_is_a_larger_frame_with_nothing_beside_the_fan(variant: str) -> 
     assert torch.equal(generator(**given), whole[..., :21, :30])
 
 
-@pytest.mark.parametrize("changes", [{}, BEAM, ONEHOT])
-def test_coarse_maps_are_means_over_areas_and_of_an_order_of_labels_its_pixel(changes: dict) -> None:
-    generator = make(**changes).double()
-    labels, fed = generator.spec.labels, fed_channels(generator.spec)
-    given = {name: value.double() for name, value in maps(labels=labels).items() if name != "noise_seed"}
-    drawn = torch.randint(labels, (2, 24, 32), generator=torch.Generator().manual_seed(0))
-    if generator.embedding is not None:
-        given["segmentation"] = F.one_hot(drawn, labels).permute(0, 3, 1, 2).double()
-    seen: list[list[Tensor]] = []
-    generator.network.register_forward_pre_hook(lambda _, args: seen.append(args[1]))
-    generator(**given)
-    whole = torch.cat([given[name] for name in conditions(generator.spec)], 1)
-    for level, coarse in enumerate(seen[0]):
-        expected = F.avg_pool2d(whole, 2**level)
-        if labels == 1:
-            expected[:, :1] = whole[:, :1, :: 2**level, :: 2**level]
-        if generator.embedding is not None:  # the embedding of the shares that the labels have of a cell
-            shares, weight = expected[:, :labels], generator.embedding.weight[:, :, 0, 0]
-            expected = torch.cat((torch.einsum("nlhw,el->nehw", shares, weight), expected[:, labels:]), 1)
-        torch.testing.assert_close(coarse, expected[:, :fed], rtol=1e-12, atol=1e-12)
-
-
 @pytest.mark.parametrize("norm", Norm)
 def test_only_a_fixed_norm_renders_a_tile_as_it_renders_the_frame(norm: Norm) -> None:
     generator = make(**{**BEAM, "depth": 2, "norm": norm}).double()
@@ -135,14 +111,6 @@ def test_only_a_fixed_norm_renders_a_tile_as_it_renders_the_frame(norm: Norm) ->
     difference = float((whole - part)[..., inner, inner].abs().max())
     assert difference < 1e-12 if norm is Norm.fixed else difference > 1e-3
     assert float(part[..., inner, inner].std()) > 0.01
-
-
-def test_the_compensated_map_takes_the_place_of_the_integral_one() -> None:
-    """The same weights on the same numbers give the same image, whichever scale they are said to have."""
-    for changes in ({"noise_start": 0.5}, VARIANTS["lsa2h"]):
-        given = maps()
-        swapped = {**given, "attenuation": given["compensated"], "compensated": given["attenuation"]}
-        assert torch.equal(make(**changes)(**swapped), make(**changes, attenuation="compensated")(**given))
 
 
 def test_a_missing_or_misshapen_map_is_refused_by_name() -> None:

@@ -18,13 +18,9 @@ OPERATIONS = {"resized": "avg_pool2d", "drawn": "cos", "injected": "addcmul", "p
 #: Variant, and how often each of these runs.
 VARIANTS: dict[str, tuple[dict[str, Any], dict[str, int]]] = {
     "sa2h": ({}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
-    "sa2h-compensated": ({"attenuation": "compensated"}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
     "sa2h-att": ({"attenuation": "none"}, {"drawn": DEPTH, "injected": DEPTH}),
     "sa2h-concat": ({"concat": "input"}, {"drawn": DEPTH, "injected": DEPTH}),
-    "sa2h-conv": ({"upsampling": "transposed"}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
-    "resize": ({"upsampling": "resize"}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
     "sa2h-noise": ({"noise": "input"}, {"resized": DEPTH, "drawn": 1}),
-    "no noise": ({"noise": "none"}, {"resized": DEPTH}),
     "nothing": ({"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "none"}, {}),
     "lsa2h": ({**UNET, "extra_input": "low"}, {}),
     "nsa2h": ({**UNET, "extra_input": "noise"}, {"drawn": 1}),

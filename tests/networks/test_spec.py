@@ -2,13 +2,8 @@
 
 import pytest
 
-from ablate.networks import GeneratorSpec, Noise, conditions, draws_noise, inputs
+from ablate.networks import GeneratorSpec, conditions, draws_noise, inputs
 from support.variants import UNET
-
-
-def test_plain_strings_become_enums_and_equal_specs_compare_equal() -> None:
-    assert GeneratorSpec(noise="input").noise is Noise.input  # type: ignore[arg-type]
-    assert GeneratorSpec(noise="inject") == GeneratorSpec()  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

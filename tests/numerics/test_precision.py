@@ -278,14 +278,6 @@ def test_how_far_a_reference_moves_an_error(metric: str, error: float, other: fl
     assert bench.relative_change(metric, error, other) == pytest.approx(moved)
 
 
-def test_bf16_only_where_it_is_multiplied(monkeypatch: pytest.MonkeyPatch) -> None:
-    (job,) = jobs_of(TINY)
-    monkeypatch.setattr(generated, "chosen_precision", lambda *_: TrainingPrecision.fp32)
-    chosen, notes = generated.executions(job.settings)
-    assert chosen == [(TrainingPrecision.fp32, Engine.eager)]
-    assert "bf16: cpu here does not multiply it" in notes
-
-
 def test_the_best_within_a_budget_and_of_equal_ones_the_fastest() -> None:
     points = [
         *(("simulator, rays", n, 30.0 + n, 1 / n) for n in (1, 4, 16)),

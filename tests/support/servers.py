@@ -5,7 +5,6 @@ import pwd
 import secrets
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psycopg2
+
+from support.viewed_body import free_port
 
 _SCHEME = "postgresql+psycopg2"  # SQLAlchemy 2.1 takes another driver where none is named
 _UP_S = 300.0  # beside other work MLflow's server takes a minute
@@ -117,12 +118,6 @@ def answers(url: str) -> bool:
     with suppress(OSError), urllib.request.urlopen(url, timeout=5) as page:
         return bool(page.status == 200)
     return False
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 def why_no_postgres() -> str:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import runpy
 import shutil
 import signal
 import subprocess
@@ -22,7 +21,7 @@ from ablate.runs.train import run_job
 from ablate.settings.study import StudySettings
 from ablate.tasks import run_task as tasks
 from ablate.tracking import default_uri
-from support.studies import SWEEP, TINY, TinyStudy, here, run
+from support.studies import SWEEP, TINY, TinyStudy, Unrendered, run
 
 
 def sweep(runs: Path, *more: str) -> list[Job]:
@@ -130,7 +129,7 @@ def test_a_killed_scoring_loses_no_result(finished: Path, monkeypatch: pytest.Mo
         with pytest.raises(SystemExit):
             run_job(job)
     assert before[str(per_image)] == per_image.stat().st_mtime
-    assert tasks.study(sweep(finished), Launch(here)) == 0
+    assert run(*SWEEP, f"runs_dir={finished}") == 0
     assert json.loads(result.read_text())["scalars"].keys() == whole["scalars"].keys()
 
 
@@ -168,6 +167,7 @@ def test_compare_rebuilds_from_disk_and_plan_tells_what_is_there(
 def test_a_job_that_fails_is_said_and_the_others_are_compared(
     runs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr("ablate.analysis.figures.style.Figure", Unrendered)
     jobs = sweep(runs, "training.steps=2")
 
     def broken(*_: object, **__: object) -> None:
@@ -188,20 +188,6 @@ def test_a_job_that_fails_is_said_and_the_others_are_compared(
     (experiment,) = [e for e in client.search_experiments() if e.name == "ablate"]
     states = {r.info.run_name: r.info.status for r in client.search_runs([experiment.experiment_id])}
     assert states == {"tiny-fetal": "FAILED", "sa2h/seed0": "FINISHED", "sa2h-att/seed0": "FAILED"}
-
-
-def test_the_notebook_reads_the_study(
-    finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    notebook = str(Path(__file__).parents[2] / "notebooks" / "table2.py")
-    monkeypatch.setenv("ABLATE_STUDY", str(finished / "tiny-fetal"))
-    runpy.run_path(notebook)
-    printed = capsys.readouterr().out
-    assert "re-simulation" in printed
-    assert r"\toprule" in printed
-    monkeypatch.setenv("ABLATE_STUDY", str(finished / "nowhere"))
-    with pytest.raises(SystemExit, match="make sweep"):  # a message is exit code 1
-        runpy.run_path(notebook)
 
 
 def wait_for(condition: Callable[[], object], process: subprocess.Popen[bytes]) -> None:

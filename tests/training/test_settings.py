@@ -11,13 +11,6 @@ from ablate.training import Schedule, TrainingPrecision, TrainingSettings, chose
 from support.tiny_training import SETTINGS, loader
 
 
-def test_the_defaults_are_the_papers() -> None:
-    chosen = TrainingSettings()
-    assert (chosen.learning_rate, chosen.beta1, chosen.beta2) == (2e-4, 0.5, 0.999)
-    assert (chosen.batch_size, chosen.crop, chosen.l1_weight, chosen.ema_decay) == (4, 512, 100.0, 0.0)
-    assert (chosen.loss, chosen.reconstruction, chosen.schedule) == ("nonsaturating", "l1", "constant")
-
-
 def test_the_learning_rate_falls_linearly_to_0_over_the_second_half() -> None:
     constant = TrainingSettings(steps=10)
     linear = replace(constant, schedule=Schedule.linear)

@@ -90,19 +90,8 @@ def test_a_step_on_a_whole_frame_in_beam_space(tmp_path: Path, monkeypatch: pyte
     """Without a crop the batch is a frame as it was simulated, mirrored or not, and the error is that of all of it."""
     rng, shape = np.random.default_rng(0), (36, 33)
     fan = np.tril(np.ones((40, 50), bool))
-    pairs = create_pairs(
-        tmp_path,
-        np.zeros((1, 4, 4)),
-        np.arange(1),
-        np.zeros(1, int),
-        fan,
-        1,
-        ["a"],
-        {},
-        Space.beam,
-        ConvexProbe(),
-        shape,
-    )
+    placed, of_beam = (np.zeros((1, 4, 4)), np.arange(1), np.zeros(1, int), fan), (Space.beam, ConvexProbe(), shape)
+    pairs = create_pairs(tmp_path, *placed, 1, ["a"], {}, *of_beam)
     spec = GeneratorSpec(**{**BEAM, "depth": 2, "width": 0.05})  # type: ignore[arg-type]
     drawn = {name: rng.random((1, *shape), np.float32) for name in ("illumination", "interfaces")}
     drawn |= {name: rng.integers(0, 3, (1, *shape), np.uint8) for name in ("segmentation", "target")}

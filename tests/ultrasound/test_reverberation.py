@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from ablate.anatomy import Scene, Tissue
-from ablate.ultrasound.transport.bounce import SHARED_FROM_GROWTH
 from ablate.ultrasound.transport.rays import MAX_ROWS
 from support.traced_rays import follow
 
@@ -91,18 +90,6 @@ def test_echoes_of_many_reflections_keep_their_mean(gel, slab, probe, one_line) 
     assert (error < 0.15 * truth).all()
 
 
-def test_surfaces_share_reflected_rays(gel, slab, probe, one_line) -> None:
-    """In 200 faces of R_p = 0.1 the amplitudes of all paths would grow by 1 + |R_p| - R at each."""
-    pair = [Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 1.5 * 1.1 / 0.9), ("b", 1.5))]
-    scene = Scene(tuple(slab(pair[i % 2], 20.0 + 0.5 * i, 400.0) for i in range(200)), gel, "s")
-    settings = replace(one_line, rays=200)
-    echoes, _ = follow(scene, probe, settings, -10.0)  # else each ray is split at each face
-    deep = echoes.clutter & (echoes.depth_mm > 110)
-    a_face = echoes.amplitude[deep].sum(dtype=float) / settings.rays / (2 * (probe.depth_mm - 110))
-    direct = 10.0  # 1 / |R_p|: what all of 1 - R, (1 - R)^2, ... send back together
-    assert 0 < a_face < 0.1 * 5 / 4 * SHARED_FROM_GROWTH * direct
-
-
 def test_draws_beyond_the_table_are_new_ones(gel, slab, probe, one_line) -> None:
     """Off 52 mm and 20 mm, twice; at the 192nd and the 256th interface at random, and not the same rays at both."""
     tissues = [Tissue(name, 1540, z, 0.0, roughness=0.0) for name, z in (("a", 4.5), ("b", 4.51), ("c", 13.53))]
@@ -116,15 +103,6 @@ def test_draws_beyond_the_table_are_new_ones(gel, slab, probe, one_line) -> None
         means.append(echoes.amplitude[again].sum(dtype=float) / settings.rays)
     assert abs(np.mean(means) - 0.75 * 0.5**5) < 4 * np.std(means, ddof=1) / np.sqrt(10)
     assert np.std(means, ddof=1) < 0.1 * np.mean(means)
-
-
-def test_a_closed_cavity_ends(gel, slab, probe, one_line) -> None:
-    gas = Tissue("gas", 330, 4e-4, 0.0, roughness=0.0)
-    scene = Scene((slab(gas, -400.0, 300.0), slab(gel, -5.0, 5.0)), gel, "s")
-    echoes, nodes = follow(scene, probe, replace(one_line, rays=256))
-    assert np.isfinite(echoes.amplitude).all()
-    assert len(echoes.depth_mm) < 256 * 15  # eight reflections, then half of the rays at each
-    assert np.isfinite(nodes.amplitude).all()
 
 
 def test_roulette_is_unbiased(gel, slab, probe, one_line) -> None:

@@ -108,13 +108,6 @@ def test_a_preset_is_gone_to_and_forgotten_at_the_next_step(client: Client, view
     client.until(lambda: "plane" in client.values[client.labels["Plane"]]["value"])
 
 
-def test_off_the_body_is_said(client: Client, viewer: Viewer) -> None:
-    pose = viewer.session.state.pose
-    viewer.session.move(height_mm=1000.0)
-    client.until(lambda: "off the body" in client.texts())
-    np.testing.assert_array_equal(viewer.session.state.pose, pose)
-
-
 def test_nonsense_closes_its_connection_and_the_viewer_lives_on(viewer: Viewer) -> None:
     with Client(viewer.page.settings.viewer.port) as odd:
         odd.until(lambda: odd.labels)

@@ -58,13 +58,6 @@ def test_fl(built, mesh_of, seed: int) -> None:
         assert apart.max() == pytest.approx(39.0 * draw_pregnancy(seed).size, rel=0.03)
 
 
-def test_sizes_differ_and_the_first_is_the_table() -> None:
-    sizes = [draw_pregnancy(seed).size for seed in range(6)]
-    assert sizes[0] == 1.0
-    assert len(set(sizes)) == len(sizes)
-    assert all(0.85 < size < 1.11 for size in sizes)
-
-
 def pieces(mesh: trimesh.Trimesh) -> list[np.ndarray]:
     """Vertices of each connected piece."""
     label = trimesh.graph.connected_component_labels(mesh.edges, node_count=len(mesh.vertices))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ablate.anatomy.fetal import shapes as sdf
-from ablate.anatomy.fetal.shapes import frames, rod, spindle, tube
+from ablate.anatomy.fetal.shapes import frames, spindle, tube
 from ablate.anatomy.meshes.repair import odd_edges
 
 BOX = ((-40.0, -40.0, -40.0), (40.0, 40.0, 40.0))
@@ -116,10 +116,3 @@ def test_frames_are_orthonormal_and_do_not_twist() -> None:
 def test_spindle_is_an_ellipsoid() -> None:
     mesh = spindle((0, 0, -6), (0, 0, 6), (2.0, 3.0), 64, up=(1, 0, 0))
     assert mesh.volume == pytest.approx(4 / 3 * math.pi * 6 * 2 * 3, rel=0.01)
-
-
-def test_rod_is_as_long_as_asked() -> None:
-    mesh = rod((0, 0, 0), (39, 0, 0), 2.0, 16, bow_mm=1.0)
-    assert mesh.extents[0] == pytest.approx(39.0, abs=0.1)
-    assert len(odd_edges(mesh.faces)) == 0
-    assert mesh.volume > 0

@@ -1,5 +1,5 @@
 """What makes a training step fast, each part switched off or, of what was tried and left, on: `--parts` of
-`benchmark_training.py` runs a training in a process that has called one of these.
+`training.py` runs a training in a process that has called one of these.
 """
 
 import os
