@@ -29,7 +29,7 @@ ECHO_DB, LIGHT_DB = (-60.0, 20.0), (-48.0, 24.0)
 _LINES_OF_A_PART = 32
 _LINES_BESIDE = 15  # scanlines whose pencils cross those ways to a point that matter most
 _MOST_MORE_DB = 40.0  # of an echo whose own pencil hardly reaches it
-_COSINES = 65  # of incidence, at which the share that is received is tabulated
+_COSINES = 129  # of incidence, at which the share that is received is tabulated, and between which it is linear
 _LOBE = 256  # normals of a rough surface
 _MEAN_DEPTH = math.sqrt(2 / math.pi)  # of a surface's echo, in units of its thickness: the mean of a half normal
 
@@ -170,8 +170,11 @@ def _follow(
                 if row < rows:
                     at_row = min(max(int(row), 0), rows - 1)
                     beside, part = min(at_row + 1, rows - 1), min(max(row - at_row, 0.0), 1.0)
-                    echo = weight * abs(pressure) * 10 ** (-loss_db / 20)
-                    echo *= received[surface, int(cos_i * (cosines - 1) + 0.5)]
+                    place = cos_i * (cosines - 1)
+                    first = min(int(place), cosines - 2)
+                    share, next_share = received[surface, first], received[surface, first + 1]
+                    share += (place - first) * (next_share - share)
+                    echo = weight * abs(pressure) * share * 10 ** (-loss_db / 20)
                     amplitude[number, at_row] += (1 - part) * echo
                     amplitude[number, beside] += part * echo
                 weight *= 1 - pressure * pressure
