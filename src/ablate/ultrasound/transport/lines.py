@@ -169,14 +169,14 @@ def passed(
 
 
 @stage(Stage.illumination)
-def mean_level_db(nodes: Nodes, rays: int, beam: torch.Tensor) -> np.ndarray:
+def mean_level_db(amplitude: np.ndarray, rays: int, beam: torch.Tensor) -> np.ndarray:
     """Level in dB of the mean over rays and, as the beam overlaps, over scanlines, (groups, nodes) float64.
 
-    `rays` of each group were accumulated.
+    `amplitude`, (groups, nodes), is the sum over the `rays` of each group.
     """
-    groups, count = nodes.amplitude.shape
+    groups, count = amplitude.shape
     lines = beam.shape[-1]
-    mean = torch.from_numpy(nodes.amplitude / rays).reshape(-1, lines, count)
+    mean = torch.from_numpy(amplitude / rays).reshape(-1, lines, count)
     parts = np.array_split(np.arange(count), len(beam))
     overlapping = torch.cat([kernel @ mean[..., part] for kernel, part in zip(beam, parts, strict=True)], dim=-1)
     level = 20 * torch.log10(overlapping.reshape(groups, count)).numpy()
