@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from ablate.anatomy import Scene, Tissue
+from ablate.ultrasound.transport.lines import clutter_lines
 from ablate.ultrasound.transport.rays import MAX_ROWS
 from support.traced_rays import follow
 
@@ -117,3 +119,12 @@ def test_roulette_is_unbiased(gel, slab, probe, one_line) -> None:
         means.append((echoes.amplitude[late].sum() / settings.rays, late.sum()))
     assert means[1][1] < means[0][1]
     assert means[1][0] == pytest.approx(means[0][0], rel=0.1)
+
+
+def test_one_heavy_path_is_no_haze() -> None:
+    """What all lines bring back keeps its sum; the same sum on two lines is a band of few paths, and is left out."""
+    even, few = np.full((256, 50), 0.01), np.zeros((256, 50))
+    few[128:130] = [[2.0], [0.56]]
+    haze, band = (clutter_lines(lines, 200, torch.float64) for lines in (even, few))
+    np.testing.assert_allclose(haze[100:156, 60:140], 0.0025, rtol=0.01)
+    assert band.max() == 0

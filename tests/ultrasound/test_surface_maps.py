@@ -42,23 +42,23 @@ def test_a_flat_interface_returns_what_it_reflects_less_both_ways(pencil, apart,
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
-@pytest.mark.parametrize("cosine", [62 / 64, 58 / 64])
+@pytest.mark.parametrize("cosine", [62 / 64, 58.25 / 64])
 @pytest.mark.parametrize("roughness", [0.0, 0.03])
 def test_a_tilted_face_returns_less(pencil, apart, slab, roughness, cosine, axis) -> None:
-    """R_p by Snell and Fresnel, and E[cos^n 2i] of normals about the face's own; in the image plane and out of it."""
+    """E[R_p cos^n 2i] by Snell and Fresnel, of normals about the face's own; in the image plane and out of it."""
     pose, scene = np.eye(4), Scene((slab(replace(HARD, roughness=roughness), 40.0, 200.0),), BODY, "s")
     pose[:3, :3] = Rotation.from_euler(axis, np.arccos(cosine)).as_matrix()
     beam = Simulator(scene, pencil, apart).beam_maps(pose)
-    cos_t = np.sqrt(1 - (1600 / 1540) ** 2 * (1 - cosine**2))
-    reflected = (2.0 * cosine - 1.5 * cos_t) / (2.0 * cosine + 1.5 * cos_t)
     random = np.random.default_rng(0)
     tilt = np.arccos(random.random(200_000) ** (roughness / (1 + roughness)))
     azimuth = random.uniform(0, 2 * np.pi, len(tilt))
     cos_i = cosine * np.cos(tilt) + np.sqrt(1 - cosine**2) * np.sin(tilt) * np.cos(azimuth)
-    received = (np.maximum(2 * cos_i**2 - 1, 0) ** 4).mean()
-    expected = 20 * np.log10(reflected * received) - 2 * 0.5 * 3 * (40 / cosine) / 10
+    cos_t = np.sqrt(1 - (1600 / 1540) ** 2 * (1 - cos_i**2))
+    reflected = (2.0 * cos_i - 1.5 * cos_t) / (2.0 * cos_i + 1.5 * cos_t)
+    received = (reflected * np.maximum(2 * cos_i**2 - 1, 0) ** 4).mean()
+    expected = 20 * np.log10(received) - 2 * 0.5 * 3 * (40 / cosine) / 10
     amplitude = np.where(beam.interfaces > 0, 10 ** (echo_db(beam.interfaces) / 20), 0)  # shared by two rows
-    np.testing.assert_allclose(20 * np.log10(amplitude.sum(axis=0)), expected, atol=0.15)
+    np.testing.assert_allclose(20 * np.log10(amplitude.sum(axis=0)), expected, atol=0.15 if roughness == 0 else 0.35)
     middle_mm = (np.arange(512) + 0.5) @ amplitude * ROW_MM / amplitude.sum(axis=0)
     np.testing.assert_allclose(middle_mm, 40 / cosine, atol=0.02)
 

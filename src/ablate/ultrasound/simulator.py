@@ -109,7 +109,7 @@ class Simulator:
         self._beam = torch.from_numpy(lateral_kernels(probe, settings, widen=math.sqrt(2)))
         self._aperture = Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
-        self._surface_maps = SurfaceMaps(self._geometry, self._plan, self._aperture, probe, settings)
+        self._surface_maps = SurfaceMaps(self._geometry, self._plan, (self._beam, self._aperture), probe, settings)
         self._labels: tuple[bytes, np.ndarray] | None = None  # of a pose: S of the pixels
         self._maps: dict[bytes, Beam] = {}  # of the last pose
         self._prepared: tuple[bytes, Prepared] | None = None
@@ -246,7 +246,7 @@ class Simulator:
             warnings.warn(words, stacklevel=3)
         nodes = lines.empty_nodes(labels, plan.media.anechoic, probe.depth_mm)
         echoes = trace(Paths(self._geometry, view, self._draws, bundle, nodes))
-        level_db = lines.mean_level_db(nodes, settings.rays, self._beam)
+        level_db = lines.mean_level_db(nodes.amplitude, settings.rays, self._beam)
         gain_db, level_db = self._aperture.gain_and_level_db(level_db)
         weights = layer_weights(probe, settings)[1]
         surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, weights, settings.rays, probe.depth_mm)

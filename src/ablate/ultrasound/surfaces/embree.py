@@ -5,7 +5,6 @@ one ray at a time, saves the arrays in between, and the way through Python at ev
 """
 
 import ctypes
-import math
 import os
 import weakref
 from collections.abc import Sequence
@@ -28,8 +27,7 @@ _FLOATS = 24  # of RTCRayHit, which is aligned to 16 bytes
 _TFAR, _MASK, _NORMAL, _TRIANGLE, _STRUCTURE, _INSTANCE = 8, 9, 12, 17, 18, 19  # places in it
 _NONE = np.uint32(0xFFFFFFFF)
 _MET, _FIRST = 4, 5  # behind a query's context: how many surfaces a line has met, and where they begin
-_OF_ONE = 3  # numbers that are noted of a surface: distance, structure, cosine of incidence
-_DIRECTION = 4  # place in RTCRay
+_OF_ONE = 2  # numbers that are noted of a surface: distance and structure
 _ROOM = 4096  # surfaces of a line, to begin with
 _POINTER, _WORD, _SIZE = ctypes.c_void_p, ctypes.c_uint, ctypes.c_size_t
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
@@ -118,10 +116,7 @@ def _keep(given: Any) -> None:
     valid, context, ray, hit = given[0], given[2], given[3], given[4]
     place = _FIRST + _OF_ONE * int(context[_MET])
     if place < _FIRST + _OF_ONE * int(context[_MET - 1]):
-        along = ray[_DIRECTION] * hit[0] + ray[_DIRECTION + 1] * hit[1] + ray[_DIRECTION + 2] * hit[2]
-        squared = hit[0] * hit[0] + hit[1] * hit[1] + hit[2] * hit[2]
         context[place], context[place + 1] = ray[_TFAR], hit[_STRUCTURE - _NORMAL]
-        context[place + 2] = abs(along) / math.sqrt(max(squared, types.float32(1e-30)))
     context[_MET] += types.float32(1)
     valid[0] = 0.0
 
@@ -159,21 +154,17 @@ def all_of(
 
 
 @compiled
-def surfaces_of(line: Line, met: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distances, float32 in mm, structures, int32, and cosines of incidence that `all_of` found, sorted.
-
-    They lie in `line`.
-    """
+def surfaces_of(line: Line, met: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distances, float32 in mm, and structures, int32, that `all_of` found, sorted; they lie in `line`."""
     found = line[1][_FIRST : _FIRST + _OF_ONE * met].reshape(met, _OF_ONE)
-    distances, structures, cosines = found[:, 0], found.view(np.int32)[:, 1], found[:, 2]
+    distances, structures = found[:, 0], found.view(np.int32)[:, 1]
     for last in range(1, met):
-        distance, structure, cosine, place = distances[last], structures[last], cosines[last], last
+        distance, structure, place = distances[last], structures[last], last
         while place > 0 and (distances[place - 1], structures[place - 1]) > (distance, structure):
             distances[place], structures[place] = distances[place - 1], structures[place - 1]
-            cosines[place] = cosines[place - 1]
             place -= 1
-        distances[place], structures[place], cosines[place] = distance, structure, cosine
-    return distances, structures, cosines
+        distances[place], structures[place] = distance, structure
+    return distances, structures
 
 
 class Hits(NamedTuple):

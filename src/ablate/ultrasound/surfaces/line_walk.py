@@ -119,7 +119,7 @@ def _follow(
     asked, line = asked_ray(), asked_line(keep)
     for row in range(begin, end):
         met, line = all_of(address, asked, line, at(origins, row), at(directions, row), lengths_mm[row])
-        distances, structures, _ = surfaces_of(line, met)
+        distances, structures = surfaces_of(line, met)
         last, displayed, filled = -before_mm[row], 0.0, 0
         for number in range(met + 1):
             here, distance, reached, ahead = owner(inside[row]), last, displayed, samples

@@ -42,7 +42,8 @@ RECEIVE_SIGMA_MM = 6.0
 FARTHEST_MM = 4 * RECEIVE_SIGMA_MM
 
 #: Sound that surfaces bend farther than this off its straight way has left its beam. It reached the place through a
-#: part of the aperture, at its own time, so its echo adds with a random phase.
+#: part of the aperture, at its own time, so its echo adds with a random phase, and falls off as a Gaussian of this
+#: standard deviation (assumed).
 IN_BEAM_MM = 3.0
 
 #: Russian roulette takes a ray off its axis to be fainter by at most this, because it may come back to the axis.
@@ -50,6 +51,7 @@ MOST_ASIDE_DB = 20.0
 
 _NEPER_PER_DB = math.log(10) / 20
 _ASIDE_DB = 0.5 / RECEIVE_SIGMA_MM**2 / _NEPER_PER_DB  # a square millimetre
+_BENT_DB = 0.5 / IN_BEAM_MM**2 / _NEPER_PER_DB
 
 
 class Scattering(NamedTuple):
@@ -194,10 +196,11 @@ def connect(
     """
     to_element = element[0] - point[0], element[1] - point[1], element[2] - point[2]
     distance_mm = max(math.sqrt(dot(to_element, to_element)), 1e-6)
-    ways = 2.0 if ray.reflections == 0 else 1 + distance_mm / max(ray.path_mm, 1e-6)
+    direct = ray.reflections == 0
+    ways = 2.0 if direct else 1 + distance_mm / max(ray.path_mm, 1e-6)
     two_way_db = ray.loss_db * ways + 2 * thickness_mm * medium.loss_db_mm
-    sharp = ray.reflections == 0 and aside_mm2 < IN_BEAM_MM**2
-    aside_db = 0.0 if sharp else aside_mm2 * _ASIDE_DB
+    sharp = direct and aside_mm2 < IN_BEAM_MM**2
+    aside_db = 0.0 if sharp else aside_mm2 * (_BENT_DB if direct else _ASIDE_DB)
     return Connection(to_element, distance_mm, ray.displayed_mm * ways / 2, two_way_db, aside_db, sharp)
 
 
@@ -205,8 +208,8 @@ def connect(
 def aside(point: Vector, start: Vector, direction: Vector) -> float:
     """Squared distance of a point from a straight line, mm^2."""
     way = point[0] - start[0], point[1] - start[1], point[2] - start[2]
-    ahead = dot(way, direction)
-    return max(dot(way, way) - ahead * ahead, 0.0)
+    off = along(way, direction, -dot(way, direction))
+    return dot(off, off)
 
 
 @compiled

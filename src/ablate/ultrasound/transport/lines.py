@@ -21,6 +21,8 @@ _CLUTTER_MM = 2.0
 _CLUTTER_CELLS_PER_SIGMA = 2.0
 #: Lines are dealt to so many sets, and the power of these echoes is estimated from products of different sets.
 _CLUTTER_SETS = 4
+#: So many variances of the sum are taken from its power: one heavy path is no haze. It vanishes with many rays.
+_CLUTTER_VARIANCES = 2.0
 
 
 #: An echo received from a surface.
@@ -94,7 +96,7 @@ def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype) -
     The sum is kept. The result is (scanlines, samples), or (0, samples) where there are no such echoes. The power of
     the sum is estimated without bias, from products x_i x_j of different lines' shares i != j in it (a U-statistic;
     Hoeffding 1948). The square of the sum would hold x_i^2 as well, whose mean is too large by the variance: bright
-    bands of one heavy path in dark fluid.
+    bands of one heavy path in dark fluid. A multiple of that variance is subtracted, so that such a path is left out.
     """
     if not reverberation.any():
         return torch.empty((0, samples), dtype=dtype).numpy()
@@ -107,8 +109,9 @@ def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype) -
     if len(spread) == 1:
         total = spread[0]
     else:
-        of_pairs = spread.sum(dim=0).square() - spread.square().sum(dim=0)
-        total = (of_pairs.clamp(min=0) / (1 - share.square().sum(dim=0))[:, None]).sqrt()
+        square = spread.sum(dim=0).square()
+        power = (square - spread.square().sum(dim=0)) / (1 - share.square().sum(dim=0))[:, None]
+        total = (power - _CLUTTER_VARIANCES * (square - power).clamp(min=0)).clamp(min=0).sqrt()
     coarse = (total * (cells / samples)).to(dtype)
     return F.interpolate(coarse[None], size=samples, mode="linear", align_corners=False)[0].numpy()
 
@@ -166,14 +169,14 @@ def passed(
 
 
 @stage(Stage.illumination)
-def mean_level_db(nodes: Nodes, rays: int, beam: torch.Tensor) -> np.ndarray:
+def mean_level_db(amplitude: np.ndarray, rays: int, beam: torch.Tensor) -> np.ndarray:
     """Level in dB of the mean over rays and, as the beam overlaps, over scanlines, (groups, nodes) float64.
 
-    `rays` of each group were accumulated.
+    `amplitude`, (groups, nodes), is the sum over the `rays` of each group.
     """
-    groups, count = nodes.amplitude.shape
+    groups, count = amplitude.shape
     lines = beam.shape[-1]
-    mean = torch.from_numpy(nodes.amplitude / rays).reshape(-1, lines, count)
+    mean = torch.from_numpy(amplitude / rays).reshape(-1, lines, count)
     parts = np.array_split(np.arange(count), len(beam))
     overlapping = torch.cat([kernel @ mean[..., part] for kernel, part in zip(beam, parts, strict=True)], dim=-1)
     level = 20 * torch.log10(overlapping.reshape(groups, count)).numpy()

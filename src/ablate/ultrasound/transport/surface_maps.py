@@ -1,178 +1,193 @@
 """Two maps that need no ray drawn: what surfaces return by themselves, and how much sound reaches each point.
 
 Segmentation and attenuation do not say how a surface is tilted out of the image plane, and that decides whether a rib
-is white or black; nor what surfaces keep from the tissue behind them, as gas does, which attenuates little. Both are
-known from the crossings of straight scanlines with the meshes. Echoes of reflected rays are not in these maps.
+is white or black; nor what surfaces keep from the tissue behind them, as gas does, which attenuates little. Both follow
+from one ray a scanline and layer, which surfaces refract about their own normals. Bone bends it away or reflects all of
+it, so a straight line would put its shadow in the wrong place. Echoes of reflected rays are not in these maps.
 """
 
 import math
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
+import torch
 from scipy.ndimage import maximum_filter1d
+from scipy.special import xlogy
 
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import Arrays, compiled
-from ablate.ultrasound.media import RenderPlan
+from ablate.ultrasound.media import Media, RenderPlan
 from ablate.ultrasound.probe import layer_offsets_mm, sample_depths_mm, scanlines_in_plane, to_world
 from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
-from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line, asked_ray, at, surfaces_of
-from ablate.ultrasound.surfaces.line_walk import again, highest
+from ablate.ultrasound.surfaces.embree import Geometry, asked_ray, at, closest_of
+from ablate.ultrasound.surfaces.line_walk import inside_at, next_step, owner, toggle
 from ablate.ultrasound.time_gain import time_gain_db
+from ablate.ultrasound.transport import bounce
 from ablate.ultrasound.transport.aperture import Aperture
-from ablate.ultrasound.transport.bounce import pressure_reflection, transmission_cosine
+from ablate.ultrasound.transport.lines import NODES, mean_level_db
 
 #: Levels that are 0 and 1 in the maps, dB: of an echo about white; of sound about tissue whose loss the gain makes up.
 ECHO_DB, LIGHT_DB = (-60.0, 20.0), (-48.0, 24.0)
 _LINES_OF_A_PART = 32
 _LINES_BESIDE = 15  # scanlines whose pencils cross those ways to a point that matter most
 _MOST_MORE_DB = 40.0  # of an echo whose own pencil hardly reaches it
-_COSINES = 65  # of incidence, at which the share that is received is tabulated
-_LOBE = 256  # normals of a rough surface
+_NORMALS = 8  # of a rough surface, over which its echo and what it lets through are averaged
 _MEAN_DEPTH = math.sqrt(2 / math.pi)  # of a surface's echo, in units of its thickness: the mean of a half normal
-
-
-class _Tables(NamedTuple):
-    """Of tissues, (tissues,) float64 unless said otherwise."""
-
-    speed_m_s: np.ndarray
-    impedance_mrayl: np.ndarray
-    loss_db_mm: np.ndarray
-    depth_mm: np.ndarray  # of the echo behind a surface, which is rough
-    received: np.ndarray  # (tissues, _COSINES): share of a surface's echo that its element receives, by incidence
-    differs: np.ndarray  # (tissues, tissues) bool
 
 
 class SurfaceMaps:
     """Makes the maps of a geometry, for one probe and one set of settings."""
 
     def __init__(
-        self, geometry: Geometry, plan: RenderPlan, aperture: Aperture, probe: Probe, settings: SimulatorSettings
+        self,
+        geometry: Geometry,
+        plan: RenderPlan,
+        seen: tuple[torch.Tensor, Aperture],
+        probe: Probe,
+        settings: SimulatorSettings,
     ) -> None:
-        self._geometry, self._owners, self._aperture = geometry, plan.tissue_of_owner, aperture
+        self._geometry, self._plan, (self._beam, self._aperture) = geometry, plan, seen
         self._shape = settings.beam_shape
-        self._spacing_mm = probe.depth_mm / settings.axial_samples * settings.samples_per_row
+        self._depth_mm = probe.depth_mm
         self._lines = scanlines_in_plane(probe, settings.scanlines, layer_offsets_mm(settings))
         gain_db = time_gain_db(sample_depths_mm(probe, self._shape[0]), probe, settings.time_gain)
         self._gain_db, self._white_db = gain_db[:, None], 20 * math.log10(settings.reference_level)
-        media = plan.media
-        self._tables = _Tables(
-            media.speed_m_s.astype(float),
-            media.impedance_mrayl.astype(float),
-            media.loss_db_mm.astype(float),
-            _MEAN_DEPTH * media.thickness_mm.astype(float),
-            np.array([_received(*pair) for pair in zip(media.specularity, media.lobe_exponent, strict=True)]),
-            media.differs,
-        )
+        nodes = min(self._shape[0], NODES)
+        places = (np.arange(self._shape[0]) + 0.5) * (nodes / self._shape[0]) - 0.5
+        between = [np.interp(places, np.arange(nodes), of_node) for of_node in np.eye(nodes)]
+        self._to_rows = np.array(between, np.float32)  # values at nodes to the middles of rows
+        self._normals = _lattice()
 
     @stage(Stage.surface_maps)
     def __call__(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Interfaces and illumination, (rows, scanlines) float32 in [0, 1] each; `pose` leads to the geometry's world.
 
-        A surface between tissues 1 and 2 returns w R_p E[max(0, cos 2i)^n] 10^(-2 alpha f d / 20) of the amplitude,
-        where w is the product of 1 - R_p^2 of the surfaces before it, and the mean is over the normals i of a rough
-        surface (docs/simulator.md, sections 5 and 6). Without the factors of the surface itself it is the illumination.
-        The aperture is that of the image. Powers of the layers are averaged, and the time gain is added.
+        A surface between tissues 1 and 2 returns w E[R_p max(0, cos)^n] 10^(-2 alpha f d / 20) of the amplitude, cos
+        between what it reflects and the way to the element, where w is the product of E[1 - R_p^2] of the surfaces
+        before it. Means are over the normals of a rough surface (docs/simulator.md, sections 5 and 6). Without the
+        factors of the surface itself it is the illumination.
+        The beam and the aperture are those of the image. Powers of the layers are averaged, and the time gain is added.
         """
         starts, directions = to_world(pose, self._lines[0]), self._lines[1] @ pose[:3, :3].T
         layers, count = starts.shape[:2]
         starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
-        back, ahead = self._geometry.through(starts, directions)
-        origins = (starts - back[:, None] * directions).astype(np.float32)
-        lines = origins, directions.astype(np.float32), (back + ahead).astype(np.float32), back
-        made = np.zeros((len(starts), self._shape[0])), np.zeros((len(starts), self._shape[0]))
-        words = max(1, -(-self._geometry.structures // 32))
-        asked = self._geometry.address, KEEP, self._geometry.step_mm, words
-        follow = partial(_follow, asked, lines, self._owners, self._tables, self._spacing_mm, made)
+        lines = starts, directions, inside_at(self._geometry, starts, directions)
+        made = np.zeros((len(starts), self._shape[0]), np.float32), np.zeros((len(starts), len(self._to_rows)))
+        geometry, tables = (
+            (self._geometry.address, self._geometry.step_mm),
+            (self._plan.tissue_of_owner, self._normals),
+        )
+        follow = partial(_follow, geometry, lines, self._plan.media, tables, self._depth_mm, made)
         in_parts(follow, len(starts), _LINES_OF_A_PART)
-        pencils_db = made[1].reshape(layers, count, -1)
-        _, level_db = self._aperture.gain_and_level_db(made[1])
+        mean_db = mean_level_db(made[1], 1, self._beam)
+        _, level_db = self._aperture.gain_and_level_db(mean_db)
+        pencils_db, level_db = (each.astype(np.float32).reshape(layers, count, -1) for each in (mean_db, level_db))
         # The mean over elements is no more than what the best of them brings, which interpolation in depth forgets.
         best_db = maximum_filter1d(pencils_db, _LINES_BESIDE, axis=1, mode="nearest")
-        level_db = np.minimum(level_db.reshape(pencils_db.shape), best_db)
-        more_db = np.clip(level_db - pencils_db, None, _MOST_MORE_DB)
-        by_layer = np.stack([made[0].reshape(pencils_db.shape) * 10 ** (more_db / 20), 10 ** (level_db / 20)])
-        echo, light = (10 * np.log10(np.maximum(np.square(by_layer).mean(axis=1), 1e-30))).transpose(0, 2, 1)
-        return self._shown(echo - self._white_db, ECHO_DB), self._shown(light, LIGHT_DB)
+        level_db = np.minimum(level_db, best_db)
+        more_db = np.minimum(level_db - pencils_db, _MOST_MORE_DB) @ self._to_rows
+        echo_power = np.square(made[0].reshape(more_db.shape) * 10 ** (more_db / 20)).mean(axis=0)
+        light_power = (10 ** (level_db / 10)).mean(axis=0)
+        echo_db, light_db = (10 * np.log10(np.maximum(power, 1e-30)) for power in (echo_power, light_power))
+        return self._shown(echo_db - self._white_db, ECHO_DB), self._shown(light_db @ self._to_rows, LIGHT_DB)
 
     def _shown(self, level_db: np.ndarray, ends_db: tuple[float, float]) -> np.ndarray:
-        shares = (level_db + self._gain_db - ends_db[0]) / (ends_db[1] - ends_db[0])
+        shares = (level_db.T + self._gain_db - ends_db[0]) / (ends_db[1] - ends_db[0])
         return np.clip(shares, 0, 1).astype(np.float32)
 
 
-def _received(specularity: float, lobe_exponent: float) -> np.ndarray:
-    """E[max(0, cos 2i)^n] over the normals of a power-cosine lobe, by the cosine of incidence of the mesh, (cosines,).
+def _lattice() -> np.ndarray:
+    """What `bounce.sample_scattering` takes as drawn, (_NORMALS, 3): tilts of equal weight, each in four directions.
 
-    The normals are a lattice of the golden ratio, so the mean is the same every time.
+    The logarithm of a tilt is its mean over one of equal parts of (0, 1), so the mean squared tilt is that of all.
     """
-    index = np.arange(_LOBE)
-    cos_tilt = ((index + 0.5) / _LOBE) ** lobe_exponent
-    azimuth = 2 * math.pi * ((index * (math.sqrt(5) - 1) / 2) % 1)
-    cos_i = np.linspace(0, 1, _COSINES)[:, None]
-    sin_i, sin_tilt = np.sqrt(1 - cos_i**2), np.sqrt(1 - cos_tilt**2)
-    towards = 2 * (cos_i * cos_tilt + sin_i * sin_tilt * np.cos(azimuth)) ** 2 - 1
-    share: np.ndarray = np.where(towards > 0, np.maximum(towards, 1e-12) ** specularity, 0.0).mean(axis=1)
-    return share
+    tilts = _NORMALS // 4
+    ends, turn = np.linspace(0, 1, tilts + 1), np.arange(tilts)[:, None] / tilts
+    azimuth = (math.pi / 2 * (np.arange(4) + turn)).ravel()
+    log_u = np.repeat(tilts * np.diff(xlogy(ends, ends) - ends), 4)
+    return np.stack([log_u, np.cos(azimuth), np.sin(azimuth)], axis=-1)
 
 
 @compiled
 def _follow(
-    geometry: tuple[int, int, float, int],
+    geometry: tuple[int, float],
     lines: Arrays,
-    tissue_of_owner: np.ndarray,
-    tables: _Tables,
-    spacing_mm: float,
+    media: Media,
+    tables: Arrays,
+    depth_mm: float,
     made: Arrays,
     begin: int,
     end: int,
 ) -> None:
-    """Fill rows of some lines: the amplitudes of their surfaces, and the level of the sound, dB, (lines, rows)."""
-    address, keep, least_mm, words = geometry
-    amplitude, level_db = made
-    origins, directions, lengths_mm, before_mm = lines
-    speed, impedance, loss_db_mm, behind_mm, received, differs = tables
-    rows, cosines = amplitude.shape[1], received.shape[1]
-    asked, line, inside = asked_ray(), asked_line(keep), np.zeros(words, np.uint32)
+    """Fill rows of some lines: the amplitudes of their surfaces, (lines, rows), and of the sound, (lines, nodes).
+
+    Lines are where they start, their directions, and the structures that they start inside of.
+    """
+    (address, least_mm), (tissue_of_owner, normals), (amplitude, sound) = geometry, tables, made
+    starts, directions, sets = lines
+    rows, nodes, asked = amplitude.shape[1], sound.shape[1], asked_ray()
+    row_mm, node_mm = depth_mm / rows, depth_mm / nodes
     for number in range(begin, end):
-        met, line = all_of(address, asked, line, at(origins, number), at(directions, number), lengths_mm[number])
-        distances, structures, incidence = surfaces_of(line, met)
-        inside[:] = 0
-        here, reached, loss_db, weight, filled = tissue_of_owner[0], 0.0, 0.0, 1.0, 0
-        for k in range(met + 1):
-            distance = math.inf
-            if k < met:
-                if again(distances, structures, k, least_mm):
-                    continue
-                distance = distances[k] - before_mm[number]
-            passed_db = 20 * math.log10(max(weight, 1e-15)) - loss_db
-            while filled < rows and (filled + 0.5) * spacing_mm < distance:
-                level_db[number, filled] = passed_db - 2 * loss_db_mm[here] * ((filled + 0.5) * spacing_mm - reached)
-                filled += 1
-            if k == met:
+        inside, start, straight = sets[number].copy(), at(starts, number), at(directions, number)
+        origin, direction, here = start, straight, tissue_of_owner[owner(inside)]
+        displayed, loss_db, weight, step_mm, filled = 0.0, 0.0, 1.0, 0.0, 0
+        structure = triangle = np.int32(-1)
+        while displayed < depth_mm and weight > 0:
+            stretch, loss_db_mm = float(media.stretch[here]), float(media.loss_db_mm[here])
+            hit = closest_of(address, asked, origin, direction, (depth_mm - displayed) / stretch)
+            length_mm = hit.distance_mm + step_mm if hit.structure >= 0 else math.inf
+            bent = bounce.aside(origin, start, straight) > bounce.IN_BEAM_MM**2
+            heard = not (
+                media.anechoic[here] and bent
+            )  # see `tracing`: the gel around a body does not light its inside
+            to_mm = min(displayed + length_mm * stretch, depth_mm)
+            ahead_db = loss_db_mm * ((filled + 0.5) * node_mm - displayed) / stretch
+            level = weight * 10 ** (-(loss_db + ahead_db) / 10) if heard else 0.0
+            factor = 10 ** (-loss_db_mm * node_mm / stretch / 10)
+            while filled < nodes and (filled + 0.5) * node_mm < to_mm:
+                sound[number, filled] = level
+                level, filled = level * factor, filled + 1
+            if hit.structure < 0:
                 break
-            structure = structures[k]
-            inside[structure >> 5] ^= np.uint32(1) << np.uint32(structure & 31)
-            owned_by = 0
-            for word in range(words):
-                if inside[word]:
-                    owned_by = 32 * word + highest(inside[word])
-            beyond = tissue_of_owner[owned_by]
-            loss_db += 2 * loss_db_mm[here] * max(distance - reached, 0.0)
-            reached = max(distance, 0.0)
-            if distance > 0 and differs[here, beyond]:
-                surface = tissue_of_owner[structure + 1]
-                cos_i = min(float(incidence[k]), 1.0)
-                cos_t = transmission_cosine(cos_i, speed[here], speed[beyond])
-                pressure = pressure_reflection(impedance[here], impedance[beyond], cos_i, cos_t)
-                row = (distance + behind_mm[surface]) / spacing_mm - 0.5
-                if row < rows:
+            fresh = hit.structure != structure or hit.triangle != triangle  # a plane is met only once
+            if fresh:
+                toggle(inside, hit.structure)
+            beyond = tissue_of_owner[owner(inside)]
+            point = bounce.along(origin, direction, hit.distance_mm)
+            displayed, loss_db = displayed + length_mm * stretch, loss_db + length_mm * loss_db_mm
+            step_mm = next_step(step_mm, fresh and hit.distance_mm > step_mm, least_mm)
+            structure, triangle = hit.structure, hit.triangle
+            if media.differs[here, beyond]:
+                speeds = float(media.speed_m_s[here]), float(media.speed_m_s[beyond])
+                impedances = float(media.impedance_mrayl[here]), float(media.impedance_mrayl[beyond])
+                faces = bounce.Interface(speeds[0], speeds[1], impedances[0], impedances[1], media.refracts)
+                surface = tissue_of_owner[hit.structure + 1]
+                exponent, specularity = float(media.lobe_exponent[surface]), float(media.specularity[surface])
+                to_element = start[0] - point[0], start[1] - point[1], start[2] - point[2]
+                distance_mm = max(math.sqrt(bounce.dot(to_element, to_element)), 1e-6)
+                returned, passed, onward = 0.0, 0.0, (0.0, 0.0, 0.0)
+                count = len(normals) if exponent > 0 else 1
+                for k in range(count):
+                    drawn = normals[k, 0], normals[k, 1], normals[k, 2]
+                    scattering = bounce.sample_scattering(direction, hit.normal, faces, exponent, drawn, media.rough)
+                    towards = bounce.dot(scattering.reflected, to_element) / distance_mm
+                    if specularity == 0:
+                        returned += abs(scattering.pressure)
+                    elif towards > 0:
+                        returned += abs(scattering.pressure) * math.exp(specularity * math.log(towards))
+                    through = 1 - scattering.pressure * scattering.pressure
+                    passed += through
+                    onward = bounce.along(onward, scattering.transmitted, through)
+                row = (displayed + _MEAN_DEPTH * media.thickness_mm[surface] * stretch) / row_mm - 0.5
+                if row < rows and bounce.aside(point, start, straight) < bounce.IN_BEAM_MM**2:
                     at_row = min(max(int(row), 0), rows - 1)
                     beside, part = min(at_row + 1, rows - 1), min(max(row - at_row, 0.0), 1.0)
-                    echo = weight * abs(pressure) * 10 ** (-loss_db / 20)
-                    echo *= received[surface, int(cos_i * (cosines - 1) + 0.5)]
+                    echo = weight * returned / count * 10 ** (-loss_db / 10)
                     amplitude[number, at_row] += (1 - part) * echo
                     amplitude[number, beside] += part * echo
-                weight *= 1 - pressure * pressure
-            here = beyond
+                weight *= passed / count
+                length = math.sqrt(bounce.dot(onward, onward))
+                if length > 0:
+                    direction = onward[0] / length, onward[1] / length, onward[2] / length
+            origin, here = bounce.along(point, direction, step_mm), beyond
