@@ -156,8 +156,8 @@ def all_of(
 @compiled
 def surfaces_of(line: Line, met: int) -> tuple[np.ndarray, np.ndarray]:
     """Distances, float32 in mm, and structures, int32, that `all_of` found, sorted; they lie in `line`."""
-    found = line[1][_FIRST : _FIRST + _OF_ONE * met].reshape(met, _OF_ONE)
-    distances, structures = found[:, 0], found.view(np.int32)[:, 1]
+    noted = line[1][_FIRST : _FIRST + _OF_ONE * met].reshape(met, _OF_ONE)
+    distances, structures = noted[:, 0], noted.view(np.int32)[:, 1]
     for last in range(1, met):
         distance, structure, place = distances[last], structures[last], last
         while place > 0 and (distances[place - 1], structures[place - 1]) > (distance, structure):
