@@ -14,6 +14,7 @@ from torch import Tensor
 from ablate.networks import Generator, GeneratorSpec, conditions, export_onnx
 from ablate.networks.layers import convolutions
 from ablate.training.inference import openvino_core
+from ablate.ultrasound import ConvexProbe, ScanConverter
 from support.variants import BEAM, ONEHOT, UNET
 
 onnx = pytest.importorskip("onnx")
@@ -98,6 +99,19 @@ def test_the_file_computes_what_the_network_computes(name: str, tmp_path: Path) 
     has_means = generator.spec.concat == "every_level" and len(maps) > 1
     assert ("AveragePool" in operations) is has_means
     assert ("Mul" in operations) is (generator.spec.noise == "inject")
+
+
+def test_the_file_may_contain_the_scan_conversion(tmp_path: Path) -> None:
+    """As the simulator's own scan converter does it; a network's output in [-1, 1] is no grey level yet."""
+    generator, path, converter = drawn("beam"), tmp_path / "model.onnx", ScanConverter(ConvexProbe(), SIZE, (40, 55))
+    export_onnx(generator, path, *SIZE, converter.places)
+    maps, fields = inputs_of(generator)
+    with torch.no_grad():
+        expected = converter.to_image(generator.render(maps, fields)[0, 0].numpy())
+    runtime = openvino_core().compile_model(path, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    image = runtime({name: value.numpy() for name, value in {**maps, **fields}.items()})[0][0, 0]
+    np.testing.assert_allclose(image[converter.mask], expected[converter.mask], rtol=0, atol=2e-5)
+    assert (image[~converter.mask] == -1).all()
 
 
 @pytest.mark.parametrize("package", ["onnx", "onnxscript"])

@@ -6,8 +6,10 @@ import warnings
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from ablate.extras import installing
 from ablate.networks.generator import Generator
@@ -17,13 +19,14 @@ from ablate.storage import written_whole
 OPSET = 18
 
 
-def export_onnx(generator: Generator, path: Path, height: int, width: int) -> None:
+def export_onnx(generator: Generator, path: Path, height: int, width: int, places: np.ndarray | None = None) -> None:
     """Write a generator as one ONNX file for frames of one size, batch 1, float32.
 
     The inputs are named. First come the maps of `conditions(generator.spec)`, (1, 1, H, W) each but for the channels of
     the segmentation. The noise fields of `generator.noise_sizes(height, width)` follow: standard normal numbers, for
     example of `generator.draw_noise`, or zeros to switch the noise off. The output `image` is (1, 1, H, W) in [-1, 1],
-    not masked, in the space that the generator works in. The metadata hold the specification as JSON under `spec`.
+    not masked, in the space that the generator works in; with `places` the file also contains the scan conversion, and
+    the output is the image, -1 outside the fan. The metadata hold the specification as JSON under `spec`.
 
     Parameters
     ----------
@@ -31,6 +34,8 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int) -> No
         Replaced when the new file is whole.
     height, width : int
         Size of a frame, px. Any size is allowed, because the file contains the padding.
+    places : (image height, image width, 2) float32, optional
+        Where the pixels of the image lie in the frame, `ScanConverter.places`.
 
     Raises
     ------
@@ -48,7 +53,7 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int) -> No
     except ImportError as error:
         raise ImportError(f"export needs the package {error.name}: {installing('export')}") from error
     device = next(generator.parameters()).device
-    frame = _Frame(generator, height, width)
+    frame = _Frame(generator, height, width, places).to(device)
     channels = [generator.spec.labels] + [1] * (len(frame.maps) - 1)  # the segmentation is the first of the maps
     shapes = [(n, height, width) for n in channels] + [(1, *size) for size in frame.sizes.values()]
     arguments = tuple(torch.zeros(1, *shape, device=device) for shape in shapes)
@@ -70,13 +75,21 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int) -> No
 class _Frame(nn.Module):
     """The generator as a function of tensors: first its maps, then its noise fields."""
 
-    def __init__(self, generator: Generator, height: int, width: int) -> None:
+    places: Tensor | None
+    fan: Tensor
+
+    def __init__(self, generator: Generator, height: int, width: int, places: np.ndarray | None) -> None:
         super().__init__()
+        self.register_buffer("places", None if places is None else torch.from_numpy(np.nan_to_num(places))[None])
+        self.register_buffer("fan", None if places is None else torch.from_numpy(~np.isnan(places[..., 0])).float())
         self.training = False  # of this frame alone: no layer of a generator has a mode
         self.generator = generator
         self.maps, self.sizes = conditions(generator.spec), generator.noise_sizes(height, width)
 
     def forward(self, *tensors: Tensor) -> Tensor:
-        """Render (1, 1, H, W)."""
+        """Render (1, 1, H, W), of the frame or of the image."""
         given = dict(zip(self.maps, tensors, strict=False))
-        return self.generator.render(given, dict(zip(self.sizes, tensors[len(self.maps) :], strict=True)))
+        frame = self.generator.render(given, dict(zip(self.sizes, tensors[len(self.maps) :], strict=True)))
+        if self.places is None:
+            return frame
+        return self.fan * (F.grid_sample(frame, self.places, padding_mode="border", align_corners=True) + 1) - 1

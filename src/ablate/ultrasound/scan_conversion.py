@@ -84,6 +84,19 @@ class ScanConverter:
         in_parts(fill, len(self._runs), _RUNS_OF_A_PART)
         return image
 
+    @property
+    def places(self) -> np.ndarray:
+        """Where each pixel lies among the scanlines and the rows, (H, W, 2) float32, NaN outside the fan.
+
+        -1 and 1 are the first and the last of them, as `torch.nn.functional.grid_sample` takes it.
+        """
+        (first, across, along), (rows, lines) = self._places, self.beam_shape
+        row, line = np.divmod(first, lines)
+        places = np.full((*self.mask.shape, 2), np.nan, np.float32)
+        for axis, value, count in ((0, line + across, lines), (1, row + along, rows)):
+            places[self.mask, axis] = 2 * value / max(count - 1, 1) - 1
+        return places
+
     def to_beam(self, image: np.ndarray) -> np.ndarray:
         """Bilinear interpolation of an image, (H, W), at the samples of the scanlines, (rows, scanlines).
 
