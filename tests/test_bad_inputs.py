@@ -103,7 +103,6 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     # Names and folders.
     (["study_name=.."], r"study_name='\.\.': allowed are at most 200 letters, digits, blanks and _\.\+-"),
     (['study_name="o\'neill"'], r"study_name=.*neill.*: allowed are"),
-    (["study_name=data"], r"study_name=data: the names artifacts, data, .* are taken"),
     (["runs_dir=file", "task=plan"], r"file' is a file; allowed is a folder"),
     ([f"runs_dir={300 * 'x'}"], r"runs_dir='x+\.\.\.x+': File name too long"),
     (["study_name=été"], r"study_name: Hydra cannot read the value 'été'; give it in quotes: \"study_name='\.\.\.'\""),

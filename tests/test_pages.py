@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from ablate.settings.conf import keys
 from support.scripts import ROOT, script
 
 settings_page, page = script("scripts/settings_page.py"), script("scripts/numerics.py")
@@ -15,10 +14,6 @@ settings_page, page = script("scripts/settings_page.py"), script("scripts/numeri
 
 def test_the_page_is_what_the_script_prints() -> None:
     assert (ROOT / "docs" / "settings.md").read_text("utf-8") == settings_page.page()
-
-
-def test_every_key_has_a_row() -> None:
-    assert not [key for key in keys() if f"| `{key}` |" not in settings_page.page()]
 
 
 def test_every_mark_of_the_page_is_filled() -> None:

@@ -77,14 +77,6 @@ def test_infinite_pairs_are_dropped_and_one_cluster_has_no_interval():
     assert (result.lower, result.upper, result.clusters) == (-math.inf, math.inf, 1)
 
 
-def test_clusters_widen_the_interval():
-    rng = np.random.default_rng(1)
-    sites = np.repeat(np.arange(10), 12)
-    d = rng.normal(size=10)[sites] + 0.1 * rng.normal(size=120)
-    frames, grouped = (paired_difference(d, np.zeros(120), clusters=c) for c in (None, sites))
-    assert grouped.upper - grouped.lower > 2 * (frames.upper - frames.lower)
-
-
 @pytest.mark.parametrize(
     ("value", "base", "clusters", "message"),
     [

@@ -77,10 +77,6 @@ def test_order_places_an_unknown_tissue_by_its_scatter_power() -> None:
     assert echogenicity_order([t["blood"], anechoic]) == (1, 0)
 
 
-def test_numpy_numbers_are_numbers() -> None:
-    assert Tissue("t", speed_m_s=np.float32(1500)).speed_m_s == 1500  # type: ignore[arg-type]
-
-
 def test_kind_follows_from_impedance_and_scatterers() -> None:
     kinds = {name: tissue.kind for name, tissue in load_tissues().items()}
     assert {name for name, kind in kinds.items() if kind is TissueKind.fluid} == {*FLUIDS, "blood"}

@@ -12,7 +12,7 @@ from ablate.jobs.compose import cells, jobs_of
 from ablate.networks import Family
 from ablate.runs.job import Job, not_shared
 from ablate.settings.conf import variant_names
-from ablate.settings.study import ConfigurationError, SceneKind, SceneSettings, StudySettings, Task
+from ablate.settings.study import ConfigurationError, SceneKind, SceneSettings, StudySettings
 from support.studies import study_group
 
 
@@ -21,11 +21,6 @@ def test_a_sweep_is_the_product_of_its_values() -> None:
     assert [job.name for job in jobs] == ["sa2h/seed0", "sa2h/seed1", "nsa2h/seed0", "nsa2h/seed1"]
     assert jobs[1].settings.training.seed == 1
     assert jobs[0].folder.parts[-3:] == ("quick-fetal", "sa2h", "seed0")
-
-
-def test_a_single_job_is_the_default_study() -> None:
-    (job,) = jobs_of([])
-    assert (job.settings.task, job.label, job.settings.preset) == (Task.study, "sa2h", "quick")
 
 
 @pytest.mark.parametrize(

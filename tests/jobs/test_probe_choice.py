@@ -11,7 +11,7 @@ from ablate.runs.simulated import about_simulated
 from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import StudySettings
-from ablate.ultrasound import ConvexProbe, LinearProbe, PhasedProbe, SimulatorSettings
+from ablate.ultrasound import ConvexProbe, LinearProbe, SimulatorSettings
 from ablate.ultrasound.probe import pixel_size_mm
 
 OTHERS = ("linear", "phased", "c5-2v", "l11-5v", "p4-2v")
@@ -53,11 +53,6 @@ def test_settings_are_read_back_from_json(probe: str) -> None:
     s = composed(f"probe={probe}")
     assert build(StudySettings, plain(s)) == s
     assert about_simulated(s) != about_simulated(replace(s, probe=replace(s.probe, depth_mm=41.0)))
-
-
-@pytest.mark.parametrize("probe", ["linear", "phased"])
-def test_the_library_has_the_same_defaults(probe: str) -> None:
-    assert composed(f"probe={probe}").probe == {"linear": LinearProbe(), "phased": PhasedProbe()}[probe]
 
 
 @pytest.mark.parametrize(("probe", "active"), [("C5-2v", 0.5), ("P4-2v", 1.0), ("L11-5v", None)])

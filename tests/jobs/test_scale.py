@@ -56,11 +56,6 @@ def test_images_made_elsewhere_are_to_the_scale_of_their_own_pixels(tmp_path: Pa
     assert nowhere.settings.simulator.image_shape[0] == PAPER_ROWS
 
 
-def test_numbers_on_the_command_line_are_levels_and_pixels() -> None:
-    (job,) = jobs_of(["model.depth=3", "training.crop=96"])
-    assert (job.settings.model.depth, job.settings.training.crop, job.label) == (3, 96, "sa2h.depth-3")
-
-
 def test_each_job_of_a_sweep_over_presets_is_to_its_own_scale() -> None:
     jobs = jobs_of(["-m", "preset=tiny,paper", "model.depth=${levels:4},${levels:8}"])
     assert [(job.settings.preset, job.settings.model.depth, job.label) for job in jobs] == [
@@ -86,7 +81,3 @@ def test_frames_beyond_what_networks_allow_get_the_nearest(rows: int) -> None:
     assert crop(rows) >= 32
     assert paper_levels(levels(LOCAL, rows), rows) == LOCAL
     assert paper_levels(levels(UNET, rows), rows) == UNET
-
-
-def test_no_network_of_the_papers_frame_is_as_deep_as_eight_levels_of_a_small_one() -> None:
-    assert [paper_levels(depth, 256) for depth in (1, 3, 5, 6, 7, 8)] == [3, 5, 7, 8, None, None]

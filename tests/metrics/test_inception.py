@@ -92,11 +92,6 @@ def test_no_network_says_so(monkeypatch, tmp_path):
         inception_file("download")
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match="no Inception weights"):
-        inception_file(str(tmp_path / "absent.pt"))
-
-
 def test_four_crops_of_the_centre(pinned):
     images = np.random.default_rng(0).integers(0, 256, (3, 600, 700)).astype(np.uint8)
     features = load_inception(inception_file(str(pinned)), batch=5)(images)

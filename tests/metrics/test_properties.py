@@ -12,10 +12,8 @@ from ablate.metrics import (
     evaluate_image,
     frechet_distance,
     kernel_distance,
-    mae,
     mae_smooth,
     patch_chi2,
-    psnr,
     rms,
     shadow_contrast,
 )
@@ -44,26 +42,12 @@ def feature_sets(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
 
 @PROPERTY
 @given(pairs())
-def test_range_symmetry_and_identity(images: tuple[np.ndarray, np.ndarray]) -> None:
+def test_chi_square_has_a_range_and_is_symmetric(images: tuple[np.ndarray, np.ndarray]) -> None:
     a, b = images
-    assert psnr(a, b) >= 0
-    assert 0 <= mae(a, b) <= 255
     chi2 = patch_chi2(a, b)
     np.testing.assert_array_equal(chi2, patch_chi2(b, a))
     assert ((chi2 >= 0) & (chi2 <= 1)).all()
     assert not patch_chi2(a, a).any()
-
-
-@PROPERTY
-@given(pairs(), st.permutations(range(4)))
-def test_pixelwise_scores_know_no_places(images: tuple[np.ndarray, np.ndarray], order: list[int]) -> None:
-    a, b = images
-    places = np.random.default_rng(order).permutation(a.size)
-    c, d = (image.ravel()[places].reshape(image.shape) for image in (a, b))
-    assert psnr(a, b) == psnr(c, d)
-    assert mae(a, b) == mae(c, d)
-    for turned in (np.flipud, np.fliplr):
-        assert psnr(turned(a), turned(b)) == psnr(a, b)
 
 
 @PROPERTY

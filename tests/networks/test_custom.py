@@ -1,7 +1,6 @@
 """A user's network in place of the generator: it renders what its class renders, and what is wrong is named."""
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -92,8 +91,3 @@ def test_what_is_wrong_with_a_class_is_named(name: str, message: str) -> None:
     with pytest.raises(ValueError, match=f"^target=networks_of_a_user.{name}: {message}"):
         check_custom(spec(name), 32)
     check_custom(spec("Sum"), 32)
-
-
-def test_a_target_without_a_module_is_refused() -> None:
-    with pytest.raises(ValueError, match="target=Toy: names no module; allowed is the path of a class"):
-        check_custom(replace(spec("Sum"), target="Toy"), 32)

@@ -171,11 +171,6 @@ def test_bf16_stays_in_bf16_and_close(variant: str) -> None:
     assert (image.float() - reference).abs().mean() < 0.05
 
 
-def test_noise_magnitude_is_the_mean_weight() -> None:
-    assert float(make(noise_start=-0.3).noise_magnitude()) == pytest.approx(0.3)  # type: ignore[arg-type]
-    assert make(noise="none").noise_magnitude() is None
-
-
 def test_initial_weights_are_pix2pixs() -> None:
     layer = make(width=1).network.down[1].refine
     assert float(layer.weight.detach().std()) == pytest.approx(0.02, rel=0.02)

@@ -64,13 +64,6 @@ def test_a_volume_of_labels_decides(folder: Path) -> None:
     assert hash_of(folder) != before
 
 
-def test_the_compensated_attenuation_is_made_from_the_stored_one() -> None:
-    compensated = GeneratorSpec(attenuation="compensated")  # type: ignore[arg-type]
-    assert maps_needed([compensated]) == maps_needed([GeneratorSpec()])
-    jobs = jobs_of(["-m", "variant=sa2h,sa2h-compensated"])
-    assert len({job.data.folder for job in jobs}) == 1
-
-
 def test_the_low_quality_image_is_made_for_those_who_read_it() -> None:
     unet = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise": "none", "depth": 8}
     assert "low" not in maps_needed([GeneratorSpec()])

@@ -34,6 +34,7 @@ def test_where_and_how_a_job_runs_does_not_count(tmp_path: Path, plain_hash: str
     incidental = ["training.device=cpu", "frame=3", "training.checkpoint_every=7", "simulator.plan=full"]
     incidental += ["dataset.workers=5", "tracking.experiment=other", "study_name=other", "evaluation.pictures=9"]
     incidental += ["evaluation.inception=some/file", "metrics=paper", "simulator.device=cuda", "crops.workers=3"]
+    incidental += ["dataset.format=dicom"]
     assert job(tmp_path, *incidental).hash == plain_hash
 
 

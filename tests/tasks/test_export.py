@@ -103,11 +103,6 @@ def test_dicom_is_valid_and_calibrated(
     assert corners == (inside[:, 0].min(), inside[:, 1].min(), inside[:, 0].max())
 
 
-def test_the_format_does_not_decide_the_data_set(arguments: list[str]) -> None:
-    plain, dicom = (jobs_of([*arguments, *more])[0].data for more in ([], ["dataset.format=dicom"]))
-    assert plain == dicom
-
-
 def test_what_cannot_be_exported_is_one_line(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pydicom", None)
     with pytest.raises(ConfigurationError, match=r"dataset\.format=dicom: needs the package pydicom"):

@@ -133,11 +133,6 @@ def test_the_mean_in_the_fan_is_that_of_a_plain_loop_over_the_batch() -> None:
     assert float(mean_in_fan(values, mask)) == pytest.approx(np.mean(inside), rel=1e-12)
 
 
-def test_two_draws_that_are_alike_are_scored_by_their_absolute_error() -> None:
-    image, target = uniform(2, 1, 8, 8), uniform(2, 1, 8, 8, seed=1)
-    torch.testing.assert_close(crps_of_two_draws(image, image, target), (image - target).abs(), rtol=0, atol=0)
-
-
 @pytest.mark.parametrize(("mean", "sd", "target"), [(0.0, 1.0, 0.0), (0.3, 0.5, -0.4), (-1.0, 0.2, 0.5)])
 def test_the_expectation_for_gaussian_draws_is_the_closed_form(mean: float, sd: float, target: float) -> None:
     """Gneiting and Raftery 2007, equation 21 for a normal distribution: their page 367."""

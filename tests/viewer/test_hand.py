@@ -49,12 +49,6 @@ def test_tilt_turns_the_image_plane_about_the_probes_x(hand: Hand) -> None:
     assert tilted[:3, 2] @ straight[:3, 2] == pytest.approx(np.cos(np.deg2rad(20)))
 
 
-def test_a_face_over_the_edge_is_off_the_body(hand: Hand) -> None:
-    pose, words = place(hand, Hold(98, 0, roll_deg=90))
-    assert words.startswith("off the body")
-    assert hand.judge(pose).startswith("off the body")
-
-
 def test_a_face_in_bone_is_said() -> None:
     bone = Tissue("bone", impedance_mrayl=6.0)
     scene = Scene((Structure(trimesh.creation.cylinder(radius=100, height=200, sections=180), bone),), Tissue("g"), "b")
