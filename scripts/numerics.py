@@ -20,7 +20,6 @@ from ablate.numerics.precision.task import tables, verdict
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "numerics.md"
-FIGURES = ("precision", "precision_order")
 PARTS = ("fetal", "paper", "patient", "scaling")
 # Name on the page: the heading's first words in the summary.
 TABLES = {
@@ -36,9 +35,8 @@ def measure(arguments: list[str], runs: Path, suffix: str) -> dict[str, str]:
     """Run the task, copy its figures and points here; returns what belongs on the page."""
     subprocess.run([sys.executable, "-m", "ablate", "task=precision", f"runs_dir={runs}", *arguments], check=True)
     made = runs / "precision"
-    for name in FIGURES:
-        shutil.copy(made / f"{name}.png", DOCS / f"{name}{suffix}.png")
-    shutil.copy(made / "precision.csv", DOCS / f"precision{suffix}.csv")
+    for kind in ("png", "csv"):
+        shutil.copy(made / f"precision.{kind}", DOCS / f"precision{suffix}.{kind}")
     points = pd.read_csv(made / "precision.csv", dtype={"setting": str})
     details = pd.read_csv(made / "details.csv", dtype={"setting": str})
     shown = tables(points, details)

@@ -1,16 +1,11 @@
 """Orders and Pareto fronts, against what they were made from."""
 
-from pathlib import Path
-
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from matplotlib.figure import Figure
 
-from ablate.analysis import observed_order, order_figure, pareto_front
-from ablate.analysis.figures import runtime_figure
+from ablate.analysis import observed_order, pareto_front
 
 N = np.array([1, 2, 4, 8, 16, 32, 64, 128])
 
@@ -56,23 +51,3 @@ def test_pareto_front_against_brute_force() -> None:
         front = pareto_front(ms, error)
         assert {(ms[k], error[k]) for k in front} == expected
         assert len(front) == len(expected)
-
-
-def test_lines_of_all_errors_start_at_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[Figure] = []
-    monkeypatch.setattr(runtime_figure, "save_figure", lambda figure, _: drawn.append(figure))
-    rays = [(str(n), metric, 30 + np.log2(n) if metric == "psnr" else 2 / n) for n in N for metric in ("mae", "psnr")]
-    grids = [
-        ("simulator, layers", setting, metric, value)
-        for metric in ("mae_smooth", "pchi2")
-        for setting, value in (("other scatterers", 2.0), ("1", 5.0), ("3", 2.5))
-    ]
-    of_rays = pd.DataFrame(rays, columns=["setting", "metric", "error"])
-    convergence = pd.DataFrame(grids, columns=["series", "setting", "quantity", "value"])
-    order_figure(of_rays, convergence, {"simulator, layers": 3}, tmp_path / "order")
-    drawn[0].draw_without_rendering()
-    left, right = drawn[0].axes
-    assert [line.get_ydata()[0] for line in left.lines] == [1, 1, 1]
-    assert left.lines[0].get_label().endswith("p = 1.00")
-    np.testing.assert_allclose(right.lines[0].get_xdata(), [1 / 3, 1])
-    np.testing.assert_allclose(right.lines[0].get_ydata(), [2.5, 1.25])

@@ -100,8 +100,7 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     whole = network[network["setting"] == "width 0.05, fp32, eager, seed 0"]["ms"].iloc[0]
     assert paid.sum() == pytest.approx(whole), "all maps are paid for"
     assert {"reference", "convergence", "limit", "stage"} == set(details["table"])
-    for figure in ("precision", "precision_order"):
-        assert (trained / "precision" / f"{figure}.png").exists()
+    assert (trained / "precision" / "precision.png").exists()
 
     client = MlflowClient(default_uri(trained))
     (recorded,) = client.search_runs(["1"], "attributes.run_name = 'precision'")
@@ -109,7 +108,7 @@ def test_simulator_and_runs_are_measured(trained: Path) -> None:
     assert recorded.data.tags["scene"] == "fetal"
     assert recorded.data.metrics["order/envelope_rms"] > 0
     kept = {a.path for a in client.list_artifacts(recorded.info.run_id)}
-    assert kept >= {"precision.csv", "details.csv", "summary.txt", "precision.png", "precision_order.png", "vector"}
+    assert kept >= {"precision.csv", "details.csv", "summary.txt", "precision.png", "vector"}
 
 
 def test_errors_are_to_the_reference_on_the_test_frames(trained: Path) -> None:

@@ -9,7 +9,6 @@ from .figures.panel_figures import boxplot_panels as boxplot_panels
 from .figures.panel_figures import seed_plot as seed_plot
 from .figures.preview_figure import preview_figure as preview_figure
 from .figures.runtime_figure import error_vs_runtime as error_vs_runtime
-from .figures.runtime_figure import order_figure as order_figure
 from .report import caption as caption
 from .report import cautions as cautions
 from .report import listed as listed

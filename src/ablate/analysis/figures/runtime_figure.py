@@ -1,4 +1,4 @@
-"""Work against precision: error against time, of networks and of the simulator beside them, and how its errors fall."""
+"""Work against precision: error against time, of networks and of the simulator beside them."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,12 +9,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from ablate.analysis.components import Component
 from ablate.analysis.figures.style import (
-    COLOURS,
-    FLOOR_COLOUR,
     PAGE_IN,
     colour_of,
     house_style,
@@ -24,7 +22,7 @@ from ablate.analysis.figures.style import (
     save_figure,
     shown_name,
 )
-from ablate.analysis.statistics.work_precision import observed_order, pareto_front
+from ablate.analysis.statistics.work_precision import pareto_front
 from ablate.metrics import Direction, metric_of
 from ablate.metrics.metric import BOUNDS
 
@@ -43,7 +41,6 @@ SIMULATOR: dict[str, tuple[str, str, str, float]] = {
 _LABELLED = ("simulator, rays", "simulator, layers", "simulator, scanlines")
 _RUN_MARKERS = ("D", "P", "X", "*", "h", "<", ">", "d", "p", "8")
 _ENGINE_FILL = {"eager": "none", "compiled": "left", "exported": "full"}
-_LEVEL = "other scatterers"  # the row of a grid that is the level of re-simulation
 _LOGARITHMIC_FROM = 5.0  # ratio of the largest error to the smallest
 
 
@@ -133,7 +130,7 @@ def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None,
     decibels = metric_of(metric).better is Direction.higher  # PSNR is a logarithm already
     if not decibels and len(positive) and positive.max() > _LOGARITHMIC_FROM * positive.min():
         axes.set_yscale("log")
-        plain_numbers(axes.yaxis)
+        _plain_numbers(axes.yaxis)
     fair = points[points["series"].isin([*runs, OTHER_SPECKLE])]
     fair = points if fair.empty else fair
     ms, error = (fair[name].to_numpy(dtype=np.float64) for name in ("ms", "error"))
@@ -145,78 +142,11 @@ def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None,
     for (name, anchor), line in zip(PAPER_ANCHORS_MS.items(), (":", "-."), strict=True):
         axes.axvline(anchor, color="#999999", ls=line, lw=0.9, label=f"paper, {name}: {anchor:.0f} ms, unknown GPU")
     axes.set(xscale="log", xlabel="median time, ms/frame", ylabel=metric_of(metric).title)
-    plain_numbers(axes.xaxis)
+    _plain_numbers(axes.xaxis)
 
 
-def plain_numbers(axis: Axis, subs: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
-    """Write a logarithmic axis in plain decimal numbers, at `subs` of every decade."""
-    axis.set_major_locator(LogLocator(subs=subs))
+def _plain_numbers(axis: Axis) -> None:
+    """Write a logarithmic axis in plain decimal numbers."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FormatStrFormatter("%g"))
     axis.set_minor_formatter(NullFormatter())
-
-
-def order_figure(points: pd.DataFrame, grids: pd.DataFrame, base: dict[str, int], stem: Path) -> list[Path]:
-    """Draw how errors fall: with rays, beside n^(-1/2), and with each grid, beside another draw of the speckle.
-
-    The files are a PNG and a PDF at `stem`, a path without suffix.
-
-    Parameters
-    ----------
-    points : DataFrame
-        Of the series `simulator, rays`: columns setting, metric, error.
-    grids : DataFrame
-        Columns series, setting (`other scatterers` for the level), quantity (the metric), value.
-    base : dict of str to int
-        The data set's value by series.
-    """
-    with house_style():
-        figure = new_figure(PAGE_IN, 2.9)
-        left, right = figure.subplots(1, 2)
-        _rays_panel(left, points)
-        _grids_panel(right, grids, base)
-        for axes in (left, right):
-            axes.set_xscale("log", base=2)
-            axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
-            axes.xaxis.set_minor_locator(NullLocator())
-            axes.legend(frameon=False, fontsize=6.5)
-        return save_figure(figure, stem)
-
-
-def _rays_panel(axes: Axes, points: pd.DataFrame) -> None:
-    """Draw errors relative to that of one ray, so that all lines start at 1."""
-    styles = zip(("o", "s", "^", "v", "D"), ("-", "--", "-.", ":", "-"), COLOURS, strict=False)
-    for metric, (marker, line, colour) in zip(dict.fromkeys(points["metric"]), styles, strict=False):
-        drawn = points[points["metric"] == metric]
-        rays, error = drawn["setting"].astype(int).to_numpy(), drawn["error"].to_numpy(float)
-        fit = observed_order(rays, error, metric)
-        if metric == "psnr":
-            error = 10 ** (-error / 20)
-        if fit is None or not error[0] > 0:
-            continue
-        name = "RMS error of the image" if metric == "psnr" else metric_of(metric).label
-        label = f"{name}: p = {fit.order:.2f}"
-        axes.loglog(rays, error / error[0], marker=marker, ls=line, ms=3.5, lw=0.8, color=colour, label=label)
-    rays = np.array([1.0, float(points["setting"].astype(int).max())])
-    axes.loglog(rays, rays**-0.5, color="#BBBBBB", lw=3, zorder=0, label="$n^{-1/2}$")
-    plain_numbers(axes.yaxis)
-    axes.set(xlabel="rays of a scanline and layer, n", ylabel="error over that of one ray")
-
-
-def _grids_panel(axes: Axes, table: pd.DataFrame, base: dict[str, int]) -> None:
-    """Draw patch chi-square and smooth MAE relative to those of other scatterers on the finest grid."""
-    for k, name in enumerate(dict.fromkeys(table["series"])):
-        marker = SIMULATOR[name][1]
-        for metric, line in (("mae_smooth", "-"), ("pchi2", ":")):
-            errors = table[(table["series"] == name) & (table["quantity"] == metric)].set_index("setting")["value"]
-            if _LEVEL not in errors.index or not errors[_LEVEL] > 0:
-                continue
-            level = errors.pop(_LEVEL)
-            values = np.array([int(v) for v in errors.index]) / base[name]
-            label = f"{name.removeprefix('simulator, ')}, {metric_of(metric).label}"
-            style: dict[str, Any] = {"marker": marker, "ls": line, "ms": 3.5, "lw": 0.8, "color": COLOURS[k]}
-            axes.loglog(values, errors.to_numpy(float) / level, label=label, **style)
-    axes.axhline(1.0, color=FLOOR_COLOUR, ls="--", lw=0.9)
-    where: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "xytext": (0, -8), "textcoords": "offset points"}
-    axes.annotate("another draw of the speckle", (0.02, 1.0), fontsize=6.5, color=FLOOR_COLOUR, **where)
-    plain_numbers(axes.yaxis, (1.0, 1.5, 2.0, 3.0, 5.0))
-    axes.set(xlabel="number over the data set's", ylabel="error to a finer grid over re-simulation")

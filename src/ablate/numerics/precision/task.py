@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import torch
 
-from ablate.analysis import RESIMULATION, error_vs_runtime, observed_order, order_figure
+from ablate.analysis import RESIMULATION, error_vs_runtime, observed_order
 from ablate.metrics import metric_of
 from ablate.numerics.precision.bench import (
     OTHER_SERIES,
@@ -16,9 +16,7 @@ from ablate.numerics.precision.bench import (
     REFERENCE_RAYS,
     Bench,
     bench_of,
-    ladders,
     measure_simulator,
-    series_name,
 )
 from ablate.numerics.precision.generated import comparable_runs, executions, measure_generators, schedule_of
 from ablate.runs.job import Job
@@ -82,16 +80,13 @@ def _about(settings: StudySettings, bench: Bench, counts: str, lacking: Sequence
 def _report(
     folder: Path, bench: Bench, about: list[str], errors: pd.DataFrame, more: pd.DataFrame, record: TaskRecord
 ) -> list[Path]:
-    """Write and print the tables, draw the figures, record both, and return the paths of the files except PDFs."""
+    """Write and print the tables, draw the figure, record both, and return the paths of the files except PDFs."""
     files = {"precision": errors, "details": more}
     for name, table in files.items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
     usual = errors[(errors["series"] == OTHER_SERIES) & (errors["setting"] == f"rays {bench.simulator.rays}")]
     level = dict(zip(usual["metric"], usual["error"], strict=True))
     figures = error_vs_runtime(errors, folder / "precision", level, hardware())
-    base = {series_name(name): getattr(bench.simulator, name) for name in ladders(bench.simulator)}
-    of_rays, grids = errors[errors["series"] == RAYS_SERIES], more[more["table"] == "convergence"]
-    figures += order_figure(of_rays, grids, base, folder / "precision_order")
     shown = tables(errors, more)
     head = [verdict(more), f"{RESIMULATION}: " + ", ".join(f"{name} {value:.3g}" for name, value in level.items())]
     print("\n".join([*head, "", as_text(shown), ""]))
