@@ -155,31 +155,28 @@ def draw_figures(study: Study, frames: Sequence[FramePictures], folder: Path) ->
 
     runs = analysis.improvements(means, design, components)
     pairs = analysis.interactions(means, design, components)
-    paths = analysis.forest_figure(answers.verdicts, runs, pairs, components, folder / "verdicts")
-    add(paths, "verdicts", design=design)
+    drawn = analysis.forest_figure(answers.verdicts, runs, pairs, components, folder / "verdicts")
+    add(drawn, "verdicts", design=design)
     page = analysis.frames_a_page(len(frames[0].predictions)) if frames else 1
     for k, start in enumerate(range(0, len(frames), page)):
-        paths = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}", components)
-        add(paths, "qualitative")
-    boxes = [name for name in shown_in(Shown.headline) if name in set(per_image["metric"])]
-    drawn = analysis.boxplot_panels(per_image, boxes, folder / "boxplots", reference, study.paired, components)
-    add(drawn, "boxplots", boxes)
+        drawn = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}", components)
+        add(drawn, "qualitative")
+    scored = analysis.ordered_metrics(list(per_image["metric"]))
+    headline = [name for name in shown_in(Shown.headline) if name in scored]
+    for stem, metrics in {"boxplots": headline, **{f"boxplot_{name}": [name] for name in scored}}.items():
+        drawn = analysis.boxplot_panels(per_image, metrics, folder / stem, reference, study.paired, components)
+        add(drawn, "boxplots", metrics)
     panels = shown_in(Shown.panels)
-    paths = analysis.seed_plot(per_image, study.scalars, panels, folder / "seeds", reference, components)
-    add(paths, "seeds", panels)
+    drawn = analysis.seed_plot(per_image, study.scalars, panels, folder / "seeds", reference, components)
+    add(drawn, "seeds", panels)
     for k, frame in enumerate(frames):
-        paths = analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}", components)
-        add(paths, "pchi2_maps", frame=frame.name)
+        drawn = analysis.chi2_maps_figure(frame, folder / f"pchi2_maps_{k}", components)
+        add(drawn, "pchi2_maps", frame=frame.name)
     points, floors = runtime_points(study.table)
     if len(points):
-        paths = analysis.error_vs_runtime(
-            points, folder / "error_vs_runtime", floors, timed_on(study.usable.all), components=components
-        )
-        add(paths, "error_vs_runtime", list(dict.fromkeys(points["metric"])))
-    for metric in analysis.ordered_metrics(list(per_image["metric"])):
-        stem = folder / f"boxplot_{metric}"
-        paths = analysis.boxplot_panels(per_image, [metric], stem, reference, study.paired, components)
-        add(paths, "boxplots", [metric])
+        machine = timed_on(study.usable.all)
+        drawn = analysis.error_vs_runtime(points, folder / "error_vs_runtime", floors, machine, components)
+        add(drawn, "error_vs_runtime", list(dict.fromkeys(points["metric"])))
     return made
 
 

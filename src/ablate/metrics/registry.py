@@ -43,10 +43,7 @@ def evaluate_image(pair: Pair, metrics: Iterable[Metric] = METRICS.values()) -> 
     Metrics that the frame offers nothing for (no shadow in it, no tissue mask, no draws) are left out. `psnr` may be
     inf, of identical images. No other metric of the package is NaN or infinite, but one of the user's may be.
 
-    Raises
-    ------
-    ValueError
-        When a metric writes to an array of the pair; the message names the metric.
+    What a metric raises, such as a ValueError where it writes to an array of the pair, has a note that names it.
     """
     values = {}
     for metric in metrics:
@@ -56,10 +53,6 @@ def evaluate_image(pair: Pair, metrics: Iterable[Metric] = METRICS.values()) -> 
             if value is not None:
                 values[metric.name] = float(value)
         except Exception as error:
-            if isinstance(error, ValueError) and "read-only" in str(error):
-                raise ValueError(
-                    f"the metric {metric.name} writes to an array of its pair ({error}); it may write to a copy"
-                ) from error
             error.add_note(f"by the metric {metric.name}")
             raise
     return values

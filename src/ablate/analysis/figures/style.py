@@ -28,22 +28,12 @@ HINTS = {Direction.higher: "better →", Direction.lower: "← better", Directio
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#999999", "#F0E442")
 FLOOR_COLOUR = "#444444"
 
-FONT_PT = 8.0
-RULES: dict[str, Any] = {
-    **dict.fromkeys(("axes.titlesize", "axes.labelsize", "xtick.labelsize", "ytick.labelsize"), "medium"),
-    "legend.fontsize": "medium",
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "pdf.fonttype": 42,  # editable text
-    "svg.fonttype": "none",
-}
+_RULES: Any = mpl.rc_params_from_file(Path(__file__).with_name("house.mplstyle"), use_default_template=False)
 
 
 def house_style(width_in: float = PAGE_IN) -> AbstractContextManager[None]:
     """The rules that a figure and its artists are made under; the type of a figure wider than a page is larger."""
-    settings: Any = RULES | {"font.size": FONT_PT * max(width_in / PAGE_IN, 1.0)}
-    return mpl.rc_context(settings)
+    return mpl.rc_context({**_RULES, "font.size": _RULES["font.size"] * max(width_in / PAGE_IN, 1.0)})
 
 
 def new_figure(width_in: float, height_in: float, pad_in: float = 0.04) -> Figure:
