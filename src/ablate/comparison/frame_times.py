@@ -153,13 +153,11 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
         ).to(device)
         for network, run in runs.items()
     }
-    specs = {network: generator.spec for network, generator in generators.items()}
-    read = {network: conditions(spec) for network, spec in specs.items()}
+    read: dict[Space, set[str]] = {}  # the maps of each space that at least one network reads
+    for generator in generators.values():
+        read.setdefault(generator.spec.space, set()).update(conditions(generator.spec))
+    make = {space: _map_maker(settings[first], data, names, space) for space, names in read.items()}
     rounds = max(settings[first].evaluation.timed_frames, _FEWEST_ROUNDS)
-    spaces = dict.fromkeys(spec.space for spec in specs.values())
-    needed = {space: {n for k, names in read.items() for n in names if specs[k].space is space} for space in spaces}
-    make = {space: _map_maker(settings[first], data, names, space) for space, names in needed.items()}
-    masks = {space: data.pairs.mask(space) for space in spaces}
     frames = equally_spaced(data.pairs.frames(Part.test), rounds)
     rows: list[tuple[str, int, str, float]] = []
     turns = list(runs)
@@ -168,17 +166,16 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
             frame = int(frames[number % len(frames)])
             made = {space: of_space(frame, number) for space, of_space in make.items()}
             for network in turns:
-                space = specs[network].space
-                (maps, map_ms), mask = made[space], masks[space]
-                converter = data.pairs.converter if space is Space.beam else None
-                given = {name: maps[name][None] for name in read[network]}
+                spec, precision = generators[network].spec, settings[network].training.precision
+                (maps, map_ms), mask = made[spec.space], data.pairs.mask(spec.space)
+                converter = data.pairs.converter if spec.space is Space.beam else None
+                given = {name: maps[name][None] for name in conditions(spec)}
                 seed = torch.from_numpy(dataset.noise_seeds(np.array([frame]), number))
                 start = time.perf_counter()
                 inputs = dataset.network_inputs(given, values[network], mask)
-                precision = settings[network].training.precision
                 fan = torch.from_numpy(mask)
                 generate(generators[network], inputs, fan, seed, precision, converter)  # waits for a GPU
-                parts = {name: map_ms[name] for name in read[network] if name in map_ms}
+                parts = {name: map_ms[name] for name in given if name in map_ms}
                 parts[NETWORK] = 1e3 * (time.perf_counter() - start)
                 rows += [(network, number, name, ms) for name, ms in parts.items()]
                 bar.update()

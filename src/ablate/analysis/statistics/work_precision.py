@@ -30,12 +30,10 @@ def observed_order(n: np.ndarray, error: np.ndarray, metric: str = "") -> Order 
     x, y = np.log(n[usable]), np.log(error[usable])
     if len(np.unique(x)) < 2:
         return None
-    centred = x - x.mean()
-    spread = float(centred @ centred)
-    slope = float(centred @ y) / spread
-    residual = y - y.mean() - slope * centred  # scipy's linregress, from 1 - r^2, loses digits where the fit is exact
-    free = len(x) - 2
-    return Order(-slope, float(np.sqrt(residual @ residual / free / spread)) if free else float("nan"))
+    line, covariance = np.polyfit(x, y, 1, cov="unscaled")
+    residual, free = y - np.polyval(line, x), len(x) - 2
+    error_of_slope = float(np.sqrt(residual @ residual / free * covariance[0, 0])) if free else float("nan")
+    return Order(-float(line[0]), error_of_slope)
 
 
 def pareto_front(
