@@ -41,7 +41,8 @@ print(caption("verdicts", reference=study.reference, design=answers.design))
 # perfect renderer would still gain. A dot is one training.
 
 # %%
-tables = answers.verdicts, improvements(answers.means, answers.design), interactions(answers.means, answers.design)
+of_study = answers.means, answers.design, answers.components
+tables = answers.verdicts, improvements(*of_study), interactions(*of_study)
 drawn = forest_figure(*tables, Path(mkdtemp()) / "verdicts")
 display(Image(drawn[0], width=900)) if drawn else print("No run goes without a component: there is nothing to judge.")
 
