@@ -58,21 +58,13 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
     """
     begins = range(0, rows, part)
     threads = min(_own.get() or torch.get_num_threads(), len(begins))
-    results: dict[int, Result] = {}
-    left = iter(begins)
     inference = torch.is_inference_mode_enabled()  # torch keeps it by thread
 
-    def take_parts() -> None:
+    def do(begin: int) -> Result:
         with torch.inference_mode(inference):
-            for begin in left:
-                results[begin] = work(begin, min(begin + part, rows))
+            return work(begin, min(begin + part, rows))
 
     if threads <= 1:  # without memory the start of a thread never returns (CPython 3.11): none that is not needed
-        take_parts()
-    else:
-        with ThreadPoolExecutor(threads - 1) as pool:
-            others = [pool.submit(take_parts) for _ in range(threads - 1)]
-            take_parts()
-            for other in others:
-                other.result()
-    return [results[begin] for begin in begins]
+        return [do(begin) for begin in begins]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(do, begins))
