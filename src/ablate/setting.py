@@ -5,9 +5,9 @@ Names and addresses, which several rooms share, have checks of their own.
 """
 
 import dataclasses
-import math
 import re
 import reprlib
+import sys
 import types
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
@@ -175,7 +175,7 @@ def _checked(one: Setting, value: Any) -> Any:
 
 def _is_number(value: object, kind: type) -> bool:
     """Whether a value is a finite number of the kind `int` or `float`; a float without decimals is a whole number."""
-    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, Real) or not abs(value) <= sys.float_info.max:  # type: ignore[operator]
         return False
     return kind is not int or isinstance(value, Integral) or float(value).is_integer()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -193,11 +192,7 @@ def _tissues(content: Any, path: Path) -> dict[str, Tissue]:
     if not isinstance(content, Mapping):
         raise values.refusal(f"{path}: tissues", content, "mappings of names to their values")
     for name, entry in content.items():
-        where = f"{path}: tissues.{name}"
-        changes: dict[str, Any] = {}
-        for key, value in values.mapping(entry or {}, where, TISSUE_KEYS).items():
-            check = partial(values.numbers, count=3) if key == "texture_mm" else values.number
-            changes[key] = check(value, f"{where}.{key}")
+        changes = values.mapping(entry or {}, f"{path}: tissues.{name}", TISSUE_KEYS)
         try:
             tissues[name] = replace(tissues[name], **changes) if name in tissues else Tissue(name, **changes)
         except ValueError as error:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from jinja2 import Template
 
 from ablate.anatomy.meshes.check import BODY_MM
 from ablate.anatomy.meshes.repair import load_mesh
@@ -51,29 +52,16 @@ def proposed_scene(folder: Path) -> str:
     # the largest unit that makes the scene no larger than a body, preferring mm
     fits = [unit for unit, factor in UNITS_MM.items() if 10 * BODY_MM[0] <= extent * factor <= BODY_MM[1]]
     unit = fits[0] if fits else "mm"
-    lines = [
-        "# A proposal: check what the comments call guessed.",
-        f"unit: {unit}   # guessed: the largest extent is {extent:.4g}, which is {extent * UNITS_MM[unit]:.4g} mm",
-        "background: coupling_gel   # guessed",
-        "structures:   # where they overlap, the later one owns the place: large before small, soft before hard",
-    ]
     tissues, table = {name: tissue_of_name(name) for name in meshes}, load_tissues()
+    structures = []
     for name in sorted(meshes, key=lambda n: (_ORDER.index(table[tissues[n][0]].kind), -np.prod(meshes[n].extents))):
-        tissue, reason = tissues[name]
         quoted = name if re.fullmatch(r"[A-Za-z][\w.-]*", name, re.ASCII) else json.dumps(name, ensure_ascii=False)
-        lines.append(f"  - {{mesh: {quoted}, tissue: {tissue}}}   # guessed: {reason}")
-    lines += [f"  # left out: {error}" for error in unusable.values()]
-    lower, upper = bounds[0, 2] + 0.2 * np.ptp(bounds[:, 2]), bounds[1, 2] - 0.2 * np.ptp(bounds[:, 2])
-    lines += [
-        "sites:   # guessed: z is the long axis, and -y the front",
-        "  axis: [0, 0, 1]",
-        "  front: [0, -1, 0]",
-        f"  heights: {{range: [{lower:.6g}, {upper:.6g}], count: 6}}",
-        "  angles: {range: [-60, 60], count: 9}",
-        "  tilts: [-15, 0, 15]",
-        "  rolls: [0, 90]",
-    ]
-    return "\n".join(lines)
+        structures.append((quoted, *tissues[name]))
+    (lower, upper), margin = bounds[:, 2], 0.2 * np.ptp(bounds[:, 2])
+    heights = {"lower": lower + margin, "upper": upper - margin}
+    about = {"unit": unit, "extent": extent, "extent_mm": extent * UNITS_MM[unit], "unusable": unusable.values()}
+    template = Template(files("ablate.anatomy").joinpath("scene.yaml.jinja").read_text("utf-8"))
+    return template.render(structures=structures, **about, **heights)
 
 
 def tissue_of_name(name: str) -> tuple[str, str]:

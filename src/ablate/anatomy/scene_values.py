@@ -4,8 +4,8 @@
 """
 
 import difflib
-import math
 import os
+import sys
 from collections.abc import Collection, Hashable, Mapping
 from pathlib import Path
 from typing import Any
@@ -97,9 +97,6 @@ def numbers(value: Any, where: str, count: int | None = None) -> tuple[float, ..
 
 def number(value: Any, where: str) -> float:
     """The value as a float, if it is a number and finite."""
-    try:
-        if not isinstance(value, bool) and isinstance(value, (int, float)) and math.isfinite(value):
-            return float(value)
-    except OverflowError:  # an integer beyond the range of floats
-        pass
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max:
+        return float(value)
     raise refusal(where, value, "finite numbers")

@@ -74,15 +74,9 @@ def write_nnunet(pairs: Pairs, folder: Path) -> None:
         for kind, name, suffix in (("images", "target", "_0000"), ("labels", "segmentation", "")):
             (folder / f"{kind}{end}").mkdir(parents=True, exist_ok=True)
             write_image(folder / f"{kind}{end}" / f"{_name(frame)}{suffix}.png", pairs.stored(name, frame))
-    write_json(
-        folder / "dataset.json",
-        {
-            "channel_names": {"0": "ultrasound"},
-            "labels": {"background": 0} | {name: i for i, name in enumerate(pairs.tissues, start=1)},
-            "numTraining": int((pairs.split != Part.test).sum()),
-            "file_ending": ".png",
-        },
-    )
+    labels = {name: i for i, name in enumerate(("background", *pairs.tissues))}
+    about = {"channel_names": {"0": "ultrasound"}, "labels": labels, "file_ending": ".png"}
+    write_json(folder / "dataset.json", about | {"numTraining": int((pairs.split != Part.test).sum())})
     train, validation = ([_name(int(i)) for i in pairs.frames(part)] for part in (Part.train, Part.validation))
     write_text(folder / "splits_final.json", json.dumps([{"train": train, "val": validation}], indent=2))
 
@@ -93,8 +87,8 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: tuple[float, float]) -> No
     UIDs are numbers from the name of the data set, which has its hash, and the frame: they stay the same.
     """
     import pydicom
-    from pydicom.dataset import Dataset, FileMetaDataset
-    from pydicom.uid import ExplicitVRLittleEndian, UltrasoundImageStorage, generate_uid
+    from pydicom.dataset import Dataset
+    from pydicom.uid import UltrasoundImageStorage, generate_uid
 
     known_by = pairs.folder.name  # has the hash of the data set
     inside = np.argwhere(pairs.mask())
@@ -114,10 +108,6 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: tuple[float, float]) -> No
         data.PatientOrientation = []
         data.ImageType = ["DERIVED", "PRIMARY"]
         data.DerivationDescription = "Simulated, no patient"
-        data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
-        data.Rows, data.Columns = pairs.shape
-        data.BitsAllocated = data.BitsStored = 8
-        data.HighBit, data.PixelRepresentation = 7, 0
         region = Dataset()
         region.RegionSpatialFormat, region.RegionDataType, region.RegionFlags = 1, 1, 0  # 2-D, tissue
         (top, left), (bottom, right) = inside.min(axis=0).tolist(), inside.max(axis=0).tolist()
@@ -126,10 +116,7 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: tuple[float, float]) -> No
         region.PhysicalUnitsXDirection = region.PhysicalUnitsYDirection = 3  # cm
         region.PhysicalDeltaX, region.PhysicalDeltaY = pixel_mm[1] / 10, pixel_mm[0] / 10
         data.SequenceOfUltrasoundRegions = [region]
-        pixels = pairs.stored("target", frame).tobytes()
-        data.PixelData = pixels + bytes(len(pixels) % 2)  # of even length (PS3.5, 8.1.1)
-        data.file_meta = FileMetaDataset()  # its SOP UIDs are copied from the data when they are written
-        data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+        data.set_pixel_data(pairs.stored("target", frame), "MONOCHROME2", 8, generate_instance_uid=False)
         pydicom.dcmwrite(folder / f"{_name(frame)}.dcm", data, enforce_file_format=True)
 
 

@@ -6,22 +6,14 @@ import numpy as np
 
 from ablate.dataset.crops import OF_POSITION
 from ablate.networks.spec import OF_SURFACES, Space
-from ablate.ultrasound import (
-    Beam,
-    Probe,
-    compensated_attenuation,
-    compensated_beam,
-    position_maps,
-    scan_converter,
-)
+from ablate.ultrasound import Beam, Probe, compensated_attenuation, compensated_beam, position_maps, scan_converter
+
+#: S and A of an image, and the frame in beam space.
+FrameMaps = tuple[np.ndarray, np.ndarray, Beam]
 
 
 def maps_read(
-    names: Sequence[str],
-    space: Space,
-    maps: tuple[np.ndarray, np.ndarray, Beam],
-    probe: Probe,
-    tgc: float | Sequence[float],
+    names: Sequence[str], space: Space, maps: FrameMaps, probe: Probe, tgc: float | Sequence[float]
 ) -> dict[str, np.ndarray]:
     """The maps of these names in one space, (H, W) or (rows, scanlines) each, from those of one simulated frame.
 

@@ -6,7 +6,6 @@ together and which part they are in, `fan.yaml` is the geometry of the fan, as a
 """
 
 import csv
-import difflib
 import hashlib
 import struct
 from collections.abc import Mapping, Sequence
@@ -19,6 +18,7 @@ import numpy as np
 from skimage.io import imread
 
 from ablate.anatomy import Tissue, load_tissues
+from ablate.anatomy.scene_values import one_of
 from ablate.dataset.fan_file import read_fan_file
 from ablate.dataset.filling import fill_all, fill_pairs
 from ablate.dataset.pairs import Pairs
@@ -137,11 +137,10 @@ def read_fan(checked: PngFolder) -> tuple[np.ndarray, int]:
     mask = _decoded(paths[0], checked.shape) > 0
     for path in paths:
         labels = _decoded(path, checked.shape)
-        largest = int(labels.max())
-        if largest > allowed:
+        highest = max(highest, int(labels.max()))
+        if highest > allowed:
             why = "" if checked.tissues is None else f", those that {checked.folder / 'labels.csv'} names"
-            raise ValueError(f"{path}: has label {largest}; allowed are 0, outside the fan, to {allowed}{why}")
-        highest = max(highest, largest)
+            raise ValueError(f"{path}: has label {highest}; allowed are 0, outside the fan, to {allowed}{why}")
         if differs := int(np.count_nonzero((labels > 0) != mask)):
             raise ValueError(
                 f"{path}: its fan, the pixels that are not 0, differs at {differs} of {labels.size} pixels from "
@@ -227,8 +226,7 @@ def _frames(path: Path, names: tuple[str, ...]) -> tuple[tuple[str, ...], np.nda
             raise ValueError(f"{where}: frame '{name}' is listed twice")
         if not row["site"]:
             raise ValueError(f"{where}: no site; any word will do")
-        if row.get("part", "train") not in Part.__members__:
-            raise ValueError(f"{where}: part '{row['part']}' is not one of {allowed}")
+        one_of(row.get("part", "train"), Part.__members__, f"{where}: part")
         rows[name] = row
     if missing := [name for name in names if name not in rows]:
         raise ValueError(f"{path}: {len(missing)} frames are not listed, the first is '{missing[0]}'")
@@ -250,12 +248,7 @@ def _tissues(path: Path) -> tuple[Tissue, ...] | None:
     for where, row in _table(path, ("label", "tissue")):
         if not row["label"].isdecimal() or not 1 <= int(row["label"]) <= MOST_LABELS:
             raise ValueError(f"{where}: label '{row['label']}'; allowed are 1 to {MOST_LABELS}")
-        if row["tissue"] not in known:
-            hint = "".join(f"did you mean '{name}'? " for name in difflib.get_close_matches(row["tissue"], known, n=1))
-            raise ValueError(
-                f"{where}: unknown tissue '{row['tissue']}'; {hint}known: {', '.join(known)} "
-                "(take the one that is most alike: it decides the order of the labels and what is fluid)"
-            )
+        one_of(row["tissue"], known, f"{where}: tissue")
         if int(row["label"]) in tissues:
             raise ValueError(f"{where}: label {row['label']} is listed twice")
         tissues[int(row["label"])] = known[row["tissue"]]

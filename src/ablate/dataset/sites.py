@@ -174,7 +174,7 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
     for site, (height, angle) in enumerate(places):
         if (contact := skin.contact(height, angle, axis, front)) is not None:
             point, inward = contact
-            placed += [(_pose(point, inward, axis, tilt, roll), inward, site) for tilt, roll in turns]
+            placed += [(turned_pose(point, inward, axis, tilt, roll), inward, site) for tilt, roll in turns]
     dropped = dict.fromkeys(Dropped, 0)
     dropped[Dropped.no_skin] = len(places) * len(turns) - len(placed)
     poses, sites, kept = np.empty((0, 4, 4)), np.empty(0, np.int64), np.ones(len(placed), bool)
@@ -212,7 +212,9 @@ def _region(scene: Scene, grid: SiteGrid) -> Skin | None:
     return Skin(replace(scene, structures=chosen))
 
 
-def _pose(point: np.ndarray, inward: np.ndarray, axis: np.ndarray, tilt: float, roll: float) -> np.ndarray:
+def turned_pose(
+    point: np.ndarray, inward: np.ndarray, axis: np.ndarray, tilt: float = 0.0, roll: float = 0.0
+) -> np.ndarray:
     """Face's middle at `point`, z along `inward`, rolled about z (0: x = z cross axis), then tilted about y."""
     x = _unit(np.cross(inward, axis))
     y = np.cross(inward, x)
@@ -220,9 +222,7 @@ def _pose(point: np.ndarray, inward: np.ndarray, axis: np.ndarray, tilt: float, 
     x, y = c * x + s * y, c * y - s * x
     c, s = np.cos(np.deg2rad(tilt)), np.sin(np.deg2rad(tilt))
     x, z = c * x - s * inward, c * inward + s * x
-    pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = x, y, z, point
-    return pose
+    return np.vstack([np.column_stack([x, y, z, point]), [0.0, 0.0, 0.0, 1.0]])
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

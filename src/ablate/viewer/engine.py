@@ -13,7 +13,6 @@ from ablate.anatomy import Scene
 from ablate.networks.spec import OF_SURFACES, Space
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.probe import pixel_polar
-from ablate.ultrasound.settings import Sliders
 from ablate.viewer.generators import open_generator
 from ablate.viewer.session import Moving, Quality, State, Views
 
@@ -36,7 +35,8 @@ class Engine:
 
     def __init__(self, scene: Scene, training_poses: np.ndarray) -> None:
         self.scene = scene
-        self._time_gain = lru_cache(_KEPT_SIMULATORS)(partial(self._new_time_gain, training_poses))
+        patient = partial(with_patient_gain, settings=SimulatorSettings(tgc=TimeGain.patient), poses=training_poses)
+        self._patient_gain = lru_cache(_KEPT_SIMULATORS)(lambda probe: patient(scene, probe, beside=self._first))
         self._first: Simulator | None = None
         self._simulator = lru_cache(_KEPT_SIMULATORS)(self._new_simulator)
         self._generator = lru_cache(_KEPT_GENERATORS)(lambda folder: open_generator(folder, scene.tissues))
@@ -59,10 +59,8 @@ class Engine:
             name = f"generated {number}"
             try:
                 trained = self._generator(folder)
-                maps, of_low = (
-                    (segmentation, attenuation, full.beam_maps(state.pose, bool(OF_SURFACES & set(trained.reads)))),
-                    None,
-                )
+                beam = full.beam_maps(state.pose, bool(OF_SURFACES & set(trained.reads)))
+                maps, of_low = (segmentation, attenuation, beam), None
                 if "low" in trained.reads:
                     simulate = partial(_quietly, self._simulator(probe, low), replace(state, display=None))
                     frame = self._once("low", (*place, state.seed), simulate)[0]
@@ -90,13 +88,9 @@ class Engine:
             self._made[name] = key, work(), 1e3 * (time.perf_counter() - begun)
         return self._made[name][1:]
 
-    def _new_time_gain(self, poses: np.ndarray, probe: Probe) -> Sliders | None:
-        patient = SimulatorSettings(tgc=TimeGain.patient)
-        return with_patient_gain(self.scene, probe, patient, poses, beside=self._first).time_gain_db
-
     def _new_simulator(self, probe: Probe, settings: SimulatorSettings) -> Simulator:
         if settings.tgc is TimeGain.patient and settings.time_gain_db is None:
-            settings = replace(settings, time_gain_db=self._time_gain(probe))
+            settings = replace(settings, time_gain_db=self._patient_gain(probe).time_gain_db)
         simulator = Simulator(self.scene, probe, settings, beside=self._first)
         self._first = self._first or simulator
         return simulator

@@ -19,6 +19,7 @@ from torch import Tensor
 from ablate import pretrained
 from ablate.anatomy import Tissue
 from ablate.dataset import decode_grey_levels, label_values, maps_read, network_inputs
+from ablate.dataset.frame_maps import FrameMaps
 from ablate.dataset.processes import interrupts_blocked, work_for_parent
 from ablate.networks import Generator, Space, conditions, export_onnx
 from ablate.pretrained import OUTSIDE, Renderer, values_of
@@ -26,7 +27,7 @@ from ablate.runs.run import Run
 from ablate.runs.run import State as RunState
 from ablate.settings.study import StudySettings
 from ablate.training import Engine, OpenEngine, TrainingPrecision, generate, load_generator, missing_for, open_exported
-from ablate.ultrasound import Beam, Probe, scan_converter
+from ablate.ultrasound import Probe, scan_converter
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.viewer.session import State
 
@@ -131,14 +132,7 @@ class Trained:
     def space(self) -> Space:
         return self.renderer.generator.spec.space
 
-    def render(
-        self,
-        maps: tuple[np.ndarray, np.ndarray, Beam],
-        low: np.ndarray | None,
-        mask: np.ndarray,
-        probe: Probe,
-        seed: int,
-    ) -> np.ndarray:
+    def render(self, maps: FrameMaps, low: np.ndarray | None, mask: np.ndarray, probe: Probe, seed: int) -> np.ndarray:
         """Render (H, W) uint8 from S and A, (H, W) each, the maps in beam space, and L in the space of the generator.
 
         `mask`, (H, W) bool, is the fan.

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from trimesh import unitize
 
 from ablate.anatomy import Scene, bounds_mm
-from ablate.dataset.sites import Skin, press
+from ablate.dataset.sites import Skin, press, turned_pose
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_points, to_world
 
@@ -52,14 +52,12 @@ class Hand:
 
         Returns the pose, (4, 4) float64, mm, and what is wrong with it; empty if the face lies on the skin.
         """
-        contact = self._contact(hold.height_mm, hold.angle_deg)
+        contact = self._skin.contact(hold.height_mm, np.deg2rad(hold.angle_deg), self.axis, self.front)
         if contact is None:
             return None
         point, inward = contact
-        turned = Rotation.from_euler("ZYX", (hold.roll_deg, hold.rock_deg, hold.tilt_deg), degrees=True)
-        pose = np.eye(4)
-        pose[:3, :3] = self._frame(inward) @ turned.as_matrix()
-        pose[:3, 3] = point
+        pose = turned_pose(point, inward, self.axis, hold.rock_deg, hold.roll_deg)
+        pose[:3, :3] @= Rotation.from_euler("X", hold.tilt_deg, degrees=True).as_matrix()
         poses, on_body, hard = press(self._skin, self._probe, pose[None], inward[None], self._press_mm)
         return poses[0], _words(bool(on_body[0]), bool(hard[0]))
 
@@ -77,11 +75,11 @@ class Hand:
         aim = target.copy()
         for _ in range(_SEARCHES):
             height, angle = self.site_of(aim)
-            contact = self._contact(height, angle)
+            contact = self._skin.contact(height, np.deg2rad(angle), self.axis, self.front)
             if contact is None:
                 return Hold(height, angle)
             inward = contact[1]
-            turn = Rotation.from_matrix(self._frame(inward).T @ pose[:3, :3])
+            turn = Rotation.from_matrix(turned_pose(*contact, self.axis)[:3, :3].T @ pose[:3, :3])
             hold = Hold(height, angle, *turn.as_euler("ZYX", degrees=True).tolist())
             held = self.place(hold)
             assert held is not None
@@ -93,14 +91,6 @@ class Hand:
         """Height along the axis, mm, and angle about it, degrees, of a point."""
         off = point - self._skin.centre
         return float(point @ self.axis), float(np.rad2deg(np.arctan2(off @ self._side, off @ self.front)))
-
-    def _contact(self, height_mm: float, angle_deg: float) -> tuple[np.ndarray, np.ndarray] | None:
-        return self._skin.contact(height_mm, np.deg2rad(angle_deg), self.axis, self.front)
-
-    def _frame(self, inward: np.ndarray) -> np.ndarray:
-        """Axes of a probe that is not turned, as columns: x across the body, z into it."""
-        x = unitize(np.cross(inward, self.axis))
-        return np.stack([x, np.cross(inward, x), inward], axis=1)
 
 
 def _words(on_body: bool, hard: bool) -> str:

@@ -24,6 +24,7 @@ DEEPEST_MM = 115.0  # of what is looked at, under the skin
 MOST_OBLIQUE_DEG = 35.0  # between the beam and the skin's normal
 _ANGLES_DEG = np.arange(-72.0, 73.0, 3.0)  # about the mother's long axis, 0 in front
 _HEIGHTS_MM = np.arange(-105.0, 106.0, 5.0)
+Direction = np.ndarray | None  # a unit vector (3,)
 
 
 def fetal_abdomen(triangles: int = 675_000, seed: int = 0, cache_dir: str | Path | None = None) -> Scene:
@@ -55,8 +56,6 @@ def fetal_abdomen(triangles: int = 675_000, seed: int = 0, cache_dir: str | Path
     """
     if triangles < FEWEST_TRIANGLES:
         raise ValueError(f"fetal_abdomen: triangles must be at least {FEWEST_TRIANGLES}, not {triangles}")
-    if seed < 0:
-        raise ValueError(f"fetal_abdomen: seed must be at least 0, not {seed}")
     parameters = {"triangles": triangles, "seed": seed, "version": ANATOMY_VERSION}
     return cached_scene(cache_dir, lambda: _build(triangles, seed), **parameters)
 
@@ -138,11 +137,7 @@ def abdomen_plane(pregnancy: Pregnancy) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _pose(
-    press_mm: float,
-    point: np.ndarray,
-    normal: np.ndarray | None = None,
-    line: np.ndarray | None = None,
-    beam: np.ndarray | None = None,
+    press_mm: float, point: np.ndarray, normal: Direction = None, line: Direction = None, beam: Direction = None
 ) -> tuple[float, np.ndarray]:
     """How badly the best pose on the skin fits, and that pose, to see a point in a plane.
 
@@ -170,10 +165,8 @@ def _pose(
     x = np.cross(y, z)
     if x @ (1.0, 0.0, -1.0) < 0.0:  # her left or her feet belong on the right of the image
         x, y = -x, -y
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([x, y, z], axis=1)
-    pose[:3, 3] = skin[best] + press_mm * z
-    return float(cost[best]), pose
+    pose = np.column_stack([x, y, z, skin[best] + press_mm * z])
+    return float(cost[best]), np.vstack([pose, [0.0, 0.0, 0.0, 1.0]])
 
 
 def _skin() -> tuple[np.ndarray, np.ndarray]:

@@ -132,33 +132,27 @@ class Checks:
         self.add(quantity, error, moved_by + products**1.5 * FLOAT32, why)
 
 
-@dataclass(frozen=True)
-class Case:
-    """A stiff or extreme input; `measure` adds its errors, and the docstring of `measure` says what is tried."""
-
-    name: str
-    measure: Callable[..., None]
-    arguments: tuple[object, ...] = ()
-
-    def run(self, device: str) -> list[Check]:
-        """Run the case on a device, in one thread, as its arrays are too small for several.
-
-        An exception is an error, too, and ends it; so is an overflow, of which NumPy only warns.
-        """
-        checks = Checks(device)
-        try:
-            with torch_threads(1), warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # about scenes of metres and probes in bone
-                warnings.simplefilter("error", RuntimeWarning)
-                self.measure(checks, *self.arguments)
-        except Exception as error:
-            why = "A case raises no exception."
-            checks.added.append(Check("", f"{type(error).__name__}: {error}", float("nan"), 0, why))
-        return checks.added
-
-
+#: A stiff or extreme input: a function that adds its errors, and whose docstring says what is tried, and its arguments.
+Case = tuple[Callable[..., None], tuple[object, ...]]
 #: Every case by its name; the modules of cases fill it.
 CASES: dict[str, Case] = {}
+
+
+def run(case: Case, device: str) -> list[Check]:
+    """Run a case on a device, in one thread, as its arrays are too small for several.
+
+    An exception is an error, too, and ends it; so is an overflow, of which NumPy only warns.
+    """
+    checks, (measure, arguments) = Checks(device), case
+    try:
+        with torch_threads(1), warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # about scenes of metres and probes in bone
+            warnings.simplefilter("error", RuntimeWarning)
+            measure(checks, *arguments)
+    except Exception as error:
+        why = "A case raises no exception."
+        checks.added.append(Check("", f"{type(error).__name__}: {error}", float("nan"), 0, why))
+    return checks.added
 
 
 def case(name: str, *arguments: object) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -166,7 +160,7 @@ def case(name: str, *arguments: object) -> Callable[[Callable[..., None]], Calla
 
     def declare(measure: Callable[..., None]) -> Callable[..., None]:
         assert name not in CASES
-        CASES[name] = Case(name, measure, arguments)
+        CASES[name] = measure, arguments
         return measure
 
     return declare

@@ -2,14 +2,16 @@
 
 import sys
 from collections.abc import Sequence
-from inspect import cleandoc
+from importlib.resources import files
+from inspect import getdoc
 from pathlib import Path
 
 import pandas as pd
+from jinja2 import Template
 from tqdm import tqdm
 
 from ablate.numerics.stability import extremes, metrics, networks, shapes, sound  # noqa: F401 (their cases)
-from ablate.numerics.stability.checks import CASES
+from ablate.numerics.stability.checks import CASES, run
 from ablate.runs.job import Job
 from ablate.runs.store_copy import open_store
 from ablate.storage import write_text
@@ -27,10 +29,10 @@ def stability(jobs: Sequence[Job]) -> int:
     with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
         record.tags |= {"hardware": hardware(), **code}
         rows, device = [], str(chosen_device(settings.training.device))
-        with tqdm(CASES.values(), unit="case", desc="stability") as bar:
-            for case in bar:
-                bar.set_postfix_str(case.name)
-                rows += [{"case": case.name, **vars(c), "holds": c.holds} for c in case.run(device)]
+        with tqdm(CASES.items(), unit="case", desc="stability") as bar:
+            for name, case in bar:
+                bar.set_postfix_str(name)
+                rows += [{"case": name, **vars(c), "holds": c.holds} for c in run(case, device)]
         table = pd.DataFrame(rows, columns=[*COLUMNS, "why"])
         files = _written(table, folder)
         fallen = list(table.loc[~table["holds"], "case"].unique())
@@ -50,14 +52,11 @@ def _written(table: pd.DataFrame, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     csv, pages = folder / "stability.csv", folder / "stability.md"
     write_text(csv, table[COLUMNS].to_csv(index=False))
-    text = ["# Numerical stability on stiff and extreme cases"]
-    head = [*COLUMNS[1:], "why"]
-    for name, rows in table.groupby("case", sort=False):
-        cells = rows[head].map(lambda cell: f"{cell:.3g}" if isinstance(cell, float) else str(cell).replace("|", r"\|"))
-        lines = [head, ["---"] * len(head), *cells.to_numpy().tolist()]
-        tried = cleandoc(CASES[str(name)].measure.__doc__ or "")
-        text += [f"## {name}", tried, "\n".join(f"| {' | '.join(line)} |" for line in lines)]
-    write_text(pages, "\n\n".join(text) + "\n")
+    head, names = [*COLUMNS[1:], "why"], dict.fromkeys(table["case"])
+    cells = table[head].map(lambda cell: f"{cell:.3g}" if isinstance(cell, float) else str(cell).replace("|", r"\|"))
+    cases = [(name, getdoc(CASES[name][0]), cells[table["case"] == name].to_numpy()) for name in names]
+    page = Template(files("ablate.numerics.stability").joinpath("stability.md.jinja").read_text("utf-8"))
+    write_text(pages, page.render(cases=cases, head=head) + "\n")
     return [csv, pages]
 
 

@@ -127,15 +127,13 @@ def add_scan_tab(page: Page) -> None:
     def set_level(number: int, level: float) -> None:
         show(tgc_db=(*levels()[:number], level, *levels()[number + 1 :]))
 
-    def dynamic_range() -> float:
-        return display().dynamic_range_db or session.state.simulator.dynamic_range_db
-
     probe, simulator = (lambda: session.state.probe), (lambda: session.state.simulator)
     _add_slider(page, "Depth (mm)", (40, 240, 5), "depth_mm", probe, session.scan)
     _add_slider(page, "Frequency (MHz)", (1.0, 12.0, 0.5), "frequency_mhz", probe, session.scan)
     _add_slider(page, "Rays", (1, 64, 1), "rays", simulator, session.simulate)
     _add_slider(page, "Gain (dB)", (-30.0, 30.0, 1.0), "gain_db", display, show)
-    page.add_slider("Dynamic range (dB)", (20.0, 100.0, 5.0), dynamic_range, lambda db: show(dynamic_range_db=db))
+    of_display, range_db = (lambda: display().dynamic_range_db or simulator().dynamic_range_db), (20.0, 100.0, 5.0)
+    page.add_slider("Dynamic range (dB)", range_db, of_display, lambda db: show(dynamic_range_db=db))
     with gui.add_folder("Time gain (dB), by depth", expand_by_default=False):
         for number in range(_TGC_SLIDERS):
             label = f"at {round(100 * number / (_TGC_SLIDERS - 1))} %"
