@@ -9,7 +9,6 @@ import trimesh
 from matplotlib.image import imread
 from PIL import Image, ImageSequence
 
-from ablate.analysis.figures import body_view
 from ablate.dataset import open_pairs
 from ablate.settings.conf import build
 from ablate.settings.study import ConfigurationError
@@ -124,11 +123,6 @@ def scene(request: pytest.FixtureRequest, tmp_path: Path) -> list[str]:
     sites = {"heights": [-15, 0, 15], "angles": [-40, -10, 10, 40, 180], "axis": [0, 0, 1], "region": ["organ.obj"]}
     folder = ball_folder(tmp_path / "ball", sites, organ=trimesh.creation.icosphere(3, radius=20))
     return ["scene=folder", f"scene.folder={folder}", "dataset.grid=null"]
-
-
-@pytest.fixture(autouse=True)
-def few_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(body_view, "_COLUMNS_PX", 150)
 
 
 def test_a_frame_is_shown_before_and_after_it_is_simulated(

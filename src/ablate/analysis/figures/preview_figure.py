@@ -8,9 +8,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import MultipleLocator
 
-from ablate.analysis.figures.body_view import MARK, Axes3D, draw_body, seen_direction, tick_mm
+from ablate.analysis.figures.body_view import MARK, Axes3D, draw_body
 from ablate.analysis.figures.scene_parts import Colour, tissue_colours
 from ablate.analysis.figures.style import PAGE_IN, PNG_DPI, house_style
 from ablate.anatomy import Scene, SiteGrid
@@ -41,7 +40,7 @@ def preview_figure(
     colours = tissue_colours(scene.tissues)
     with house_style(), rc_context({"grid.color": "#dddddd", "grid.linewidth": 0.5}):
         figure = Figure(figsize=(PAGE_IN, _HEIGHT * PAGE_IN))
-        space = figure.add_axes((-0.01, 0.02, 0.6, 0.6 / _HEIGHT), projection="3d", proj_type="ortho")
+        space = figure.add_axes((0.03, 0.0, 0.58, 0.58 / _HEIGHT), projection="3d", proj_type="ortho")
         draw_body(space, scene, probe, pose, image, segmentation > 0, grid.axis)
         _draw_compass(figure, space, grid)
         upper, lower = (figure.add_axes((0.69, bottom, 0.3, 0.355)) for bottom in (0.61, 0.205))
@@ -69,18 +68,17 @@ def _draw_image(axes: Axes, probe: Probe, image: np.ndarray, title: str) -> None
     axes.plot(-0.42 * width, top + 0.07 * height, "o", color=MARK, ms=4)
     axes.set_title(title, loc="right", pad=2)
     axes.set_ylabel("depth (mm)")
-    for each in (axes.xaxis, axes.yaxis):
-        each.set_major_locator(MultipleLocator(tick_mm(min(height, width))))
+    axes.locator_params(nbins=4)
 
 
 def _draw_compass(figure: Figure, space: Axes3D, grid: SiteGrid) -> None:
     """Arrows along the scene's axis and to its front, as the 3-D view sees them."""
-    axes = figure.add_axes((0.025, 0.74, 0.11, 0.11 / _HEIGHT))
+    axes = figure.add_axes((0.015, 0.765, 0.11, 0.11 / _HEIGHT))
     axes.set(xlim=(-1.6, 1.6), ylim=(-1.6, 1.6), aspect="equal")
     axes.set_axis_off()
+    turn = space.get_proj()[:2, :3]
     for name, vector in (("axis", grid.axis), ("front", grid.front)):
-        seen = seen_direction(space, vector)
-        length = max(float(np.linalg.norm(seen)), 1e-6)
+        seen = turn @ vector / np.linalg.norm(vector) / np.linalg.norm(turn[0])
         axes.annotate("", tuple(seen), (0, 0), arrowprops={"arrowstyle": "->", "lw": 1.0, "shrinkA": 0, "shrinkB": 0})
-        across, up = seen * (length + 0.4) / length
+        across, up = seen * (1 + 0.4 / max(float(np.linalg.norm(seen)), 1e-6))
         axes.text(across, up, name, ha="center", va="center")

@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from ablate.analysis.figures.scene_parts import Colour, first_column_mark, probe_body, probe_face
+from ablate.analysis.figures.scene_parts import Colour, first_column_mark, probe_body
 from ablate.anatomy import Scene, TissueKind, bounds_mm
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import fan_of, fan_outline
@@ -19,7 +19,7 @@ _TRIANGLES = 60_000  # of all structures together: a browser without a graphics 
 _FEWEST = 200  # of one structure
 _LARGE = 0.03  # of the scene's bounds: what fills more of them surrounds the rest
 _ENVELOPE = 0.12  # opacity of what surrounds the rest; organs and bones are opaque
-_HOUSING, _FACE, _MARK, _OUTLINE = (69, 77, 92), (204, 212, 222), (44, 160, 44), (255, 176, 0)
+_HOUSING, _MARK, _OUTLINE = (69, 77, 92), (44, 160, 44), (255, 176, 0)
 #: Turns viser's plane of an image, whose rows run along y, to that of the fan, where they run along z.
 _UPRIGHT = Rotation.from_euler("X", 90, degrees=True).as_quat(scalar_first=True)
 _NO_SHADOW = {"cast_shadow": False, "receive_shadow": False}
@@ -92,7 +92,6 @@ class Body:
         self._probe = probe
         scene, own = self._scene, np.eye(4)
         housing = _add(scene, "/probe/housing", probe_body(probe, own), color=_HOUSING)
-        _add(scene, "/probe/face", probe_face(probe, own), color=_FACE)
         _add(scene, "/probe/mark", first_column_mark(probe, own), color=_MARK)
         outline = fan_outline(probe) / _UNIT_MM
         points = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
