@@ -48,7 +48,7 @@ def serve(preset: str, frames: int, many: int) -> None:
         poses = simulated.lay_out(settings, scene, grid).poses
         simulator = settings.simulator
         with suppress(ImportError):  # earlier checkouts have one time gain for all scenes
-            from ablate.runs.simulated import simulator_of
+            from ablate.runs.prepare import simulator_of
 
             simulator = simulator_of(job, scene, grid, poses)
         poses = poses[np.linspace(0, len(poses) - 1, min(frames, len(poses))).astype(int)]

@@ -24,8 +24,8 @@ from ablate.dataset.pairs import FORMATS
 from ablate.jobs.compose import jobs_of
 from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job
-from ablate.runs.prepare import prepare_data
-from ablate.runs.simulated import build_scene, simulator_of
+from ablate.runs.prepare import prepare_data, simulator_of
+from ablate.runs.simulated import build_scene
 from ablate.settings.study import DatasetSettings
 from ablate.tracking import hardware
 from ablate.ultrasound import Simulator

@@ -15,7 +15,8 @@ from PIL import Image
 pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultrasound[view]'")
 
 from ablate.jobs.compose import jobs_of
-from ablate.runs.simulated import build_scene, simulator_of
+from ablate.runs.prepare import simulator_of
+from ablate.runs.simulated import build_scene
 from ablate.settings.study import ConfigurationError, Task
 from ablate.ultrasound import Simulator
 from ablate.viewer.task import Viewer, check_server

@@ -1,4 +1,3 @@
-from .crops import OF_POSITION as OF_POSITION
 from .crops import CropLoader as CropLoader
 from .crops import Crops as Crops
 from .crops import CropSettings as CropSettings

@@ -12,13 +12,10 @@ import numpy as np
 import torch
 
 from ablate.dataset.encoding import decode_attenuation, encode_grey_levels
-from ablate.networks.spec import OF_SURFACES, Space
+from ablate.networks.spec import OF_POSITION, OF_SURFACES, Space
 
 if TYPE_CHECKING:
     from ablate.dataset.pairs import Pairs  # only here: frames that are read otherwise need no Zarr
-
-#: The maps of position, which follow from the probe alone and are the same in all frames.
-OF_POSITION = frozenset({"depth", "lateral"})
 
 _TRIES = 50
 _AHEAD = 2  # batches a worker prepares before the first of them is taken

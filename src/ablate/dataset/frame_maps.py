@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ablate.dataset.crops import OF_POSITION
-from ablate.networks.spec import OF_SURFACES, Space
+from ablate.networks.spec import OF_POSITION, OF_SURFACES, Space
 from ablate.ultrasound import Beam, Probe, compensated_attenuation, compensated_beam, position_maps, scan_converter
 
 #: S and A of an image, and the frame in beam space.

@@ -16,10 +16,9 @@ import zarr
 from filelock import FileLock
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from ablate.dataset.crops import OF_POSITION
 from ablate.dataset.encoding import ATTENUATION_SCALE, decode_attenuation
 from ablate.dataset.split import Part
-from ablate.networks.spec import OF_SURFACES, Space
+from ablate.networks.spec import OF_POSITION, OF_SURFACES, Space
 from ablate.setting import plain
 from ablate.storage import write_json
 from ablate.ultrasound import Probe, compensated_attenuation, compensated_beam, position_maps

@@ -8,11 +8,11 @@ from pathlib import Path
 import torch
 
 from ablate.anatomy import SiteGrid, fetal_sites, validate_scene_folder
-from ablate.dataset import OF_POSITION, Part, read_poses, resample_grid
+from ablate.dataset import Part, read_poses, resample_grid
 from ablate.jobs.compose import variant_model
 from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file, needs_inception
 from ablate.networks import Attenuation, Family, Position, Space, check_custom, conditions
-from ablate.networks.spec import OF_SURFACES
+from ablate.networks.spec import OF_POSITION, OF_SURFACES
 from ablate.runs.data_set import checked_folder
 from ablate.runs.job import Job
 from ablate.runs.place import check_place

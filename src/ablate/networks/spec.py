@@ -179,6 +179,8 @@ _OF_ATTENUATION = {
 }
 #: Maps of the surfaces on each scanline, which the simulator makes and nobody can derive from S and A.
 OF_SURFACES = frozenset({"interfaces", "illumination"})
+#: Maps of position, which follow from the probe alone and are the same in all frames.
+OF_POSITION = frozenset(_OF_POSITION[Position.beam])
 
 
 def conditions(spec: GeneratorSpec) -> tuple[str, ...]:

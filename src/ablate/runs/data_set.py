@@ -18,10 +18,11 @@ from tqdm import tqdm
 
 from ablate import dataset
 from ablate.anatomy import Tissue
-from ablate.dataset import DERIVED, OF_POSITION, PAIRS_VERSION, Pairs, Part, PngFolder, SplitBy, open_pairs
+from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, Part, PngFolder, SplitBy, open_pairs
 from ablate.evaluation import describes_fan
 from ablate.metrics import speckle_features
 from ablate.networks import GeneratorSpec, Space, conditions
+from ablate.networks.spec import OF_POSITION
 from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import SceneKind, StudySettings

@@ -1,28 +1,23 @@
 """Pairs simulated from a scene as the data set of a study: its hash, its frames, and how they are made."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
 from ablate import anatomy, dataset
 from ablate.anatomy import ANATOMY_VERSION, LABELS_VERSION, Scene, SiteGrid
-from ablate.dataset import Dropped, Pairs, Part, Placement, Recipe
+from ablate.dataset import Dropped, Part, Placement, Recipe
 from ablate.networks import Space
 from ablate.setting import identity, plain
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest_of_files
-from ablate.ultrasound import SIMULATOR_VERSION, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
+from ablate.ultrasound import SIMULATOR_VERSION, fan_mask, with_patient_gain
 from ablate.ultrasound.media import plan_scene
-
-if TYPE_CHECKING:
-    from ablate.runs.job import Job  # which asks this module for its identity
 
 
 def about_simulated(settings: StudySettings) -> dict[str, Any]:
@@ -92,21 +87,6 @@ def training_poses(settings: StudySettings, scene: Scene, grid: SiteGrid, poses:
         return poses
     layout = lay_out(settings, scene, grid)
     return layout.poses[layout.split == Part.train]
-
-
-def frames_of(job: Job, scene: Scene, grid: SiteGrid) -> Layout | Pairs:
-    """The frames of a job's data set, as they are made or, where none are, as they will be."""
-    return job.data.pairs if job.data.exists else lay_out(job.settings, scene, grid)
-
-
-def simulator_of(job: Job, scene: Scene, grid: SiteGrid, poses: np.ndarray) -> SimulatorSettings:
-    """The simulator's settings with the time gain of the job's data set; without probe sites, that of these poses."""
-    settings = job.settings
-    if settings.simulator.tgc is TimeGain.fixed or settings.simulator.time_gain_db is not None:
-        return settings.simulator
-    if job.data.exists:
-        return replace(settings.simulator, time_gain_db=job.data.time_gain_db)
-    return with_patient_gain(scene, settings.probe, settings.simulator, training_poses(settings, scene, grid, poses))
 
 
 def simulate_data(settings: StudySettings, folder: Path, maps: frozenset[str], about: Mapping[str, object]) -> None:

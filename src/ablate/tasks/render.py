@@ -13,7 +13,8 @@ from ablate.analysis import preview_figure
 from ablate.anatomy import Scene, fetal_planes
 from ablate.dataset import Pairs, Part, read_poses
 from ablate.runs.job import Job
-from ablate.runs.simulated import build_scene, frames_of, simulator_of
+from ablate.runs.prepare import frames_of, simulator_of
+from ablate.runs.simulated import build_scene
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
 from ablate.storage import read_json, write_image, write_json, written_whole

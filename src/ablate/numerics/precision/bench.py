@@ -14,7 +14,8 @@ from ablate.dataset import Part, equally_spaced
 from ablate.dataset.simulate import nudged
 from ablate.metrics import METRICS, Pair, evaluate_image
 from ablate.runs.job import Job
-from ablate.runs.simulated import build_scene, frames_of, simulator_of
+from ablate.runs.prepare import frames_of, simulator_of
+from ablate.runs.simulated import build_scene
 from ablate.ultrasound import Probe, Simulator, SimulatorPrecision, SimulatorSettings, fan_mask
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.ultrasound.stages import Stage, stage_times
