@@ -1,11 +1,13 @@
 """What pictures of a scene share: a colour for each tissue, by what it is to ultrasound, and the probe as meshes."""
 
 from collections.abc import Sequence
+from importlib.resources import files
 from itertools import pairwise
+from zlib import crc32
 
 import numpy as np
 import trimesh
-from matplotlib.colors import hsv_to_rgb
+from matplotlib.colors import hsv_to_rgb, to_rgb
 
 from ablate.anatomy import Tissue, TissueKind
 from ablate.ultrasound import Probe
@@ -16,10 +18,7 @@ Colour = tuple[float, float, float]
 BACKGROUND: Colour = (0.88, 0.90, 0.92)
 BONE: Colour = (0.95, 0.90, 0.76)
 GAS: Colour = (0.50, 0.55, 0.62)
-BLOOD: Colour = (0.75, 0.10, 0.15)
-_GOLDEN = 0.618034
 _SATURATIONS, _VALUES = (0.35, 0.60, 0.48), (0.93, 0.72)
-_BLOOD_POWER = 0.02  # what scatters less is red: blood, and the thalamus, which is not a fluid
 _HALF_WIDTH_MM = 7.0  # of the probe
 _BODY_MM = ((1.0, 14.0), (0.5, 36.0), (0.42, 85.0))  # share of the face's width, and how far behind its edges
 
@@ -27,29 +26,27 @@ _BODY_MM = ((1.0, 14.0), (0.5, 36.0), (0.42, 85.0))  # share of the face's width
 def tissue_colours(tissues: Sequence[Tissue]) -> list[Colour]:
     """A colour in [0, 1]^3 a tissue, for all of `Scene.tissues`, of which the first is the background.
 
-    The background is pale, bone ivory, gas grey, blood red; clear fluids are blue and all others warm.
+    The table beside this file has those of the built-in tissues. Of others, the background is pale, bone ivory, gas
+    grey, clear fluids blue and the rest warm. All but the background's follow from the tissue alone.
     """
-    colours: list[Colour] = []
-    fluids = others = 0
-    colour: Colour | np.ndarray
+    table = files("ablate.analysis.figures").joinpath("tissue_colours.csv").read_text("utf-8").split()
+    of_name, colours = dict(row.split(",") for row in table), list[Colour]()
+    colour: str | Colour
     for i, tissue in enumerate(tissues):
-        if tissue.kind is TissueKind.bone:
+        number = crc32(tissue.name.encode())
+        if tissue.name in of_name:
+            colour = of_name[tissue.name]
+        elif tissue.kind is TissueKind.bone:
             colour = BONE
         elif tissue.kind is TissueKind.gas:
             colour = GAS
         elif i == 0:
             colour = BACKGROUND
         elif tissue.scatter_power == 0:
-            colour = hsv_to_rgb((0.52 + 0.045 * (fluids % 4), 0.5, 0.9))
-            fluids += 1
-        elif tissue.scatter_power < _BLOOD_POWER:
-            colour = BLOOD
-        else:
-            hue = (0.9 + 0.24 * (others * _GOLDEN % 1)) % 1  # from pink over red to yellow
-            colour = hsv_to_rgb((hue, _SATURATIONS[others % 3], _VALUES[others % 2]))
-            others += 1
-        red, green, blue = map(float, colour)
-        colours.append((red, green, blue))
+            colour = tuple(hsv_to_rgb((0.52 + 0.045 * (number % 4), 0.5, 0.9)))
+        else:  # from pink over red to yellow
+            colour = tuple(hsv_to_rgb(((90 + number % 25) / 100 % 1, _SATURATIONS[number % 3], _VALUES[number % 2])))
+        colours.append(to_rgb(colour))
     return colours
 
 
