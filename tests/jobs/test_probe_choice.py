@@ -52,6 +52,10 @@ def test_what_is_asked_for_wins() -> None:
 def test_settings_are_read_back_from_json(probe: str) -> None:
     s = composed(f"probe={probe}")
     assert build(StudySettings, plain(s)) == s
+    of_earlier = plain(s) | {"tracking": plain(s.tracking) | {"gone": None}}  # a key that no setting has any more
+    assert build(StudySettings, of_earlier, stored=True) == s
+    with pytest.raises(ValueError, match=r"tracking\.gone"):
+        build(StudySettings, of_earlier)
     assert about_simulated(s) != about_simulated(replace(s, probe=replace(s.probe, depth_mm=41.0)))
 
 

@@ -167,9 +167,8 @@ class SignalChain:
         a hash of the pose, so that frames share no pattern.
         """
         if self._noise is None or self._noise[0] != seed:
-            numbers = np.array(
-                [(self.settings.path_seed + _KEY) % 2**64, int(seed) % 2**64], np.uint64
-            )  # a list: float64
+            keys = (self.settings.path_seed + _KEY) % 2**64, int(seed) % 2**64  # Python's numbers: no overflow
+            numbers = np.array(keys, np.uint64)  # as a list they would become float64
             generator, axial = np.random.Generator(np.random.Philox(key=numbers)), self.spread.axial
             shape = (2, self.settings.scanlines, self.settings.axial_samples)
             white = torch.from_numpy(generator.standard_normal(shape, np.float32)).to(axial)

@@ -63,21 +63,19 @@ class SurfaceMaps:
     def __call__(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Interfaces and illumination, (rows, scanlines) float32 in [0, 1] each; `pose` leads to the geometry's world.
 
-        A surface between tissues 1 and 2 returns w E[R_p max(0, cos)^n] 10^(-2 alpha f d / 20) of the amplitude, cos
-        between what it reflects and the way to the element, where w is the product of E[1 - R_p^2] of the surfaces
-        before it. Means are over the normals of a rough surface (docs/simulator.md, sections 5 and 6). Without the
-        factors of the surface itself it is the illumination.
-        The beam and the aperture are those of the image. Powers of the layers are averaged, and the time gain is added.
+        A surface returns the share w E[R_p max(0, cos g)^n] 10^(-2 alpha f d / 20) of the amplitude. The angle g lies
+        between the reflected direction and the way back to the element, and w is the product of E[1 - R_p^2] over the
+        surfaces before. The mean E is over the normals of a rough surface (docs/simulator.md, sections 5 and 6). The
+        illumination is w 10^(-2 alpha f d / 20), without the factors of a surface. The beam and the aperture are those
+        of the image. Powers of the layers are averaged, and the time gain is added.
         """
         starts, directions = to_world(pose, self._lines[0]), self._lines[1] @ pose[:3, :3].T
         layers, count = starts.shape[:2]
         starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
         lines = starts, directions, inside_at(self._geometry, starts, directions)
         made = np.zeros((len(starts), self._shape[0]), np.float32), np.zeros((len(starts), len(self._to_rows)))
-        geometry, tables = (
-            (self._geometry.address, self._geometry.step_mm),
-            (self._plan.tissue_of_owner, self._normals),
-        )
+        geometry = self._geometry.address, self._geometry.step_mm
+        tables = self._plan.tissue_of_owner, self._normals
         follow = partial(_follow, geometry, lines, self._plan.media, tables, self._depth_mm, made)
         in_parts(follow, len(starts), _LINES_OF_A_PART)
         mean_db = mean_level_db(made[1], 1, self._beam)
@@ -138,9 +136,8 @@ def _follow(
             hit = closest_of(address, asked, origin, direction, (depth_mm - displayed) / stretch)
             length_mm = hit.distance_mm + step_mm if hit.structure >= 0 else math.inf
             bent = bounce.aside(origin, start, straight) > bounce.IN_BEAM_MM**2
-            heard = not (
-                media.anechoic[here] and bent
-            )  # see `tracing`: the gel around a body does not light its inside
+            # The gel around a body does not light its inside, see `tracing`.
+            heard = not (media.anechoic[here] and bent)
             to_mm = min(displayed + length_mm * stretch, depth_mm)
             ahead_db = loss_db_mm * ((filled + 0.5) * node_mm - displayed) / stretch
             level = weight * 10 ** (-(loss_db + ahead_db) / 10) if heard else 0.0
