@@ -167,9 +167,8 @@ def _run(
         run = _run_of(client, ids.get(key := digest([store.uri, known_by])))
         if run is None:
             matches = client.search_runs([store.experiment_id], query, ViewType.ALL)
-            run = min(
-                matches, key=lambda run: run.info.lifecycle_stage, default=None
-            )  # active ones before deleted ones
+            # Active ones come before deleted ones.
+            run = min(matches, key=lambda run: run.info.lifecycle_stage, default=None)
         run = run or client.create_run(store.experiment_id, start_ms, {**tags, **known_by}, run_name=name)
         if run.info.lifecycle_stage == "deleted":
             raise RunDeletedError(name, run.info.run_id)
