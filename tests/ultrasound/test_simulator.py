@@ -199,8 +199,8 @@ def test_every_stage_is_timed_and_the_frame_is_the_same(scene, probe, small) -> 
         whole = 1e3 * (time.perf_counter() - start)
     assert np.array_equal(unobserved.image, timed.image)
     counts = {name: len(taken[name]) for name in Stage}
-    twice = {Stage.scan_conversion: 2, Stage.illumination: 2, Stage.aperture: 2}  # of A, of the maps of surfaces, too
-    assert counts == dict.fromkeys(Stage, 1) | twice
+    of_maps = (Stage.illumination, Stage.aperture, Stage.probe_rays, Stage.tracing, Stage.surface_echoes, Stage.clutter)
+    assert counts == dict.fromkeys(Stage, 1) | dict.fromkeys((Stage.scan_conversion, *of_maps), 2)
     total = sum(sum(times) for times in taken.values())
     assert 0 < total <= whole
     simulator.render(moved)

@@ -9,6 +9,7 @@ from scipy.stats import halfnorm
 
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import Simulator
+from ablate.ultrasound.imaging.point_spread import axial_kernel
 from support.fans import KINDS, LINEAR
 
 BODY = Tissue("body", 1540, 1.5, 0.5, 0.6, 0.0, 1.0, roughness=0.0)
@@ -86,3 +87,16 @@ def test_where_nothing_is_in_the_way_only_the_gain_is_seen(gel, probe, ahead) ->
     gain_db = 2 * 0.4 * 3 * (np.arange(1536) + 0.5) * (probe.depth_mm / 1536) / 10
     np.testing.assert_allclose(light_db(beam.illumination), np.minimum(gain_db, 24)[:, None] * np.ones(192), atol=1e-3)
     assert beam.interfaces.max() == 0
+
+
+def test_haze_is_what_two_plates_reflect_to_one_another(pencil, apart, slab, gel, ahead) -> None:
+    """(1 - R_a^2) R_b^2 R_a, once more as deep as their gap; over its depths the amplitude adds up to that."""
+    plates = [replace(gel, name=name, impedance_mrayl=z) for name, z in (("a", 4.5), ("b", 1.5))]
+    scene = Scene((slab(plates[0], 40.0, 400.0), slab(plates[1], 70.0, 400.0)), gel, "s")
+    settings = replace(apart, reference_level=3e-3)  # so that hardly a ray is too faint to be followed
+    echo = echo_db(Simulator(scene, pencil, settings).beam_maps(ahead).interfaces)
+    around = slice(round(88 / ROW_MM), round(112 / ROW_MM))  # 100 mm, and six standard deviations of the spreading
+    amplitude = 3e-3 / 0.1 * 10 ** (echo[around] / 20)
+    total = amplitude.mean(axis=1).sum() * settings.samples_per_row / axial_kernel(pencil, settings).sum()
+    assert total == pytest.approx((1 - 0.5**2) * 0.5**3, rel=0.2)  # one ray a scanline, every second one reflected
+    assert echo[round(85 / ROW_MM)].max() == -80

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ablate.ultrasound import ScanConverter
 
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
-PAIRS_VERSION = 5
+PAIRS_VERSION = 6
 # How each map is stored: NumPy's name of the type, Blosc's of the shuffle. Labels repeat as whole bytes; other values
 # pack better with bits, or bytes, of like place together.
 FORMATS = {

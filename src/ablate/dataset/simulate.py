@@ -25,7 +25,8 @@ from ablate.ultrasound import Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
 
 _NUDGE_MM = 1e-3
-_WITHOUT_ECHOES = frozenset({"segmentation", "attenuation"}) | OF_SURFACES  # maps that need no ray
+_OF_LABELS = (Stage.pixel_labels, Stage.attenuation_labels, Stage.attenuation_sum, Stage.scan_conversion)
+_WITHOUT_IMAGE = frozenset({"segmentation", "attenuation"}) | OF_SURFACES  # maps without an image
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,9 @@ def frame_simulator(recipe: Recipe, pairs: Pairs) -> MakeFrames:
         for k, frame in enumerate(frames):
             pose = pairs.poses[frame]
             made: dict[str, np.ndarray] = {}
-            if maps & _WITHOUT_ECHOES:
+            if maps & _WITHOUT_IMAGE:
                 beam = simulator(of_target).beam_maps(pose, bool(maps & OF_SURFACES))
-                made = {name: getattr(beam, name) for name in _WITHOUT_ECHOES & maps}
+                made = {name: getattr(beam, name) for name in _WITHOUT_IMAGE & maps}
             if "target" in maps:
                 made["target"] = simulator(of_target).beam_image(pose, seed=recipe.seed)
             if "resimulation" in maps and pairs.split[frame] != Part.train:
@@ -153,7 +154,7 @@ def timed_maps(
             ms = 1e3 * (time.perf_counter() - start)
         own = {
             "segmentation": taken[Stage.pixel_labels if space is Space.image else Stage.attenuation_labels],
-            "interfaces": taken[Stage.surface_maps] + taken[Stage.aperture],
+            "interfaces": [ms for each in Stage if each not in _OF_LABELS for ms in taken[each]],
         }
         times = {name: sum(own[name]) for name in own if name in names}
         rest = next((name for name in ("attenuation", "compensated", "illumination") if name in names), "")

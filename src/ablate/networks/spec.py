@@ -36,7 +36,7 @@ class Position(StrEnum):
 
 
 class Interfaces(StrEnum):
-    """Whether the interface map is an input: the echo that each surface on a scanline returns by itself."""
+    """Whether the interface map is an input: what surfaces return, also by way of one another."""
 
     none = "none"
     echo = "echo"

@@ -171,7 +171,7 @@ class Beam:
     attenuation : (rows, scanlines) float32 in [0, 1]
         The integral attenuation map.
     interfaces : (rows, scanlines) float32 in [0, 1]
-        What the surfaces on each scanline return by themselves: -60 to 20 dB about white; empty where not asked for.
+        What surfaces return, also by way of one another: -60 to 20 dB about white; empty where not asked for.
     illumination : (rows, scanlines) float32 in [0, 1]
         How much sound reaches each point, there and back, with the gain: -48 to 24 dB; empty where not asked for.
     image : (rows, scanlines) uint8

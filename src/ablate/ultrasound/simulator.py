@@ -20,13 +20,8 @@ from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.surfaces.slices import contact_warning, plane_labels, scanline_labels, segment
 from ablate.ultrasound.transport import lines
 from ablate.ultrasound.transport.aperture import Aperture
-from ablate.ultrasound.transport.rays import Draws, View, at_pose, probe_rays
 from ablate.ultrasound.transport.surface_maps import SurfaceMaps
-from ablate.ultrasound.transport.tracing import Paths, trace
-
-#: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
-#: rays in 3 layers, spread over its surroundings, an echo of this level is 61 dB under white.
-_ROULETTE_DB = 24.0
+from ablate.ultrasound.transport.tracing import Tracer
 
 
 class Simulator:
@@ -103,8 +98,7 @@ class Simulator:
             self._geometry: Geometry = beside._geometry.reaching(extent)
         else:
             self._geometry = Geometry(self._plan.structures, bounds, self._origin_mm, extent)
-        self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
-        self._rays = probe_rays(probe, settings, self._draws)
+        self._tracer = Tracer(self._geometry, self._plan, probe, settings)
         # one way of two equal Gaussians is wider than both by sqrt(2)
         self._beam = torch.from_numpy(lateral_kernels(probe, settings, widen=math.sqrt(2)))
         self._aperture = Aperture(probe, settings)
@@ -225,27 +219,14 @@ class Simulator:
             return self._prepared[1]
         probe, settings, plan = self.probe, self.settings, self._plan
         local = self._local(pose)
-        bundle = at_pose(self._geometry, self._rays, local)
-        largest_gain_db = 20 * math.log10(float(self._chain.gain[-1]))
-        view = View(
-            media=plan.media,
-            tissue_of_owner=plan.tissue_of_owner,
-            elements=bundle.starts,
-            axes=bundle.directions,
-            rays=settings.rays,
-            path_seed=self._draws.seed,
-            depth_mm=probe.depth_mm,
-            roulette_db=_ROULETTE_DB + 20 * math.log10(settings.reference_level) - largest_gain_db,
-            gain_db_mm=largest_gain_db / probe.depth_mm,
-            step_mm=self._geometry.step_mm,
-        )
+        bundle = self._tracer.at(local)
         labels, ranges = scanline_labels(self._geometry, plan, (bundle.starts, bundle.directions), probe, settings)
         words = contact_warning(labels, self.scene.tissues, probe)
         if words is not None and words not in self._warned:  # once a simulator, however many frames it renders
             self._warned.add(words)
             warnings.warn(words, stacklevel=3)
         nodes = lines.empty_nodes(labels, plan.media.anechoic, probe.depth_mm)
-        echoes = trace(Paths(self._geometry, view, self._draws, bundle, nodes))
+        echoes = self._tracer(bundle, nodes)
         level_db = lines.mean_level_db(nodes.amplitude, settings.rays, self._beam)
         gain_db, level_db = self._aperture.gain_and_level_db(level_db)
         weights = layer_weights(probe, settings)[1]

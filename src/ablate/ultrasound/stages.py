@@ -22,7 +22,7 @@ class Stage(StrEnum):
     pixel_labels = "labels of the pixels"
     attenuation_labels = "attenuation, its labels"
     attenuation_sum = "attenuation, its sum"
-    surface_maps = "interfaces and illumination"
+    surface_maps = "maps of surfaces"
     probe_rays = "rays at the probe"
     tracing = "rays, to the last echo"
     scanline_labels = "labels of the scanlines"

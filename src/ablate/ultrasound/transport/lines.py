@@ -90,19 +90,20 @@ def _add_echoes(echoes: np.ndarray, gain_db: np.ndarray, places: Vector, weights
 
 
 @stage(Stage.clutter)
-def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype) -> np.ndarray:
+def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype, sets: int = _CLUTTER_SETS) -> np.ndarray:
     """Spread echoes of rays that have left their beam, few and out of focus, along and across the scanlines.
 
     The sum is kept. The result is (scanlines, samples), or (0, samples) where there are no such echoes. The power of
     the sum is estimated without bias, from products x_i x_j of different lines' shares i != j in it (a U-statistic;
     Hoeffding 1948). The square of the sum would hold x_i^2 as well, whose mean is too large by the variance: bright
     bands of one heavy path in dark fluid. A multiple of that variance is subtracted, so that such a path is left out.
+    With one of `sets` it is the sum itself, which needs few rays.
     """
     if not reverberation.any():
         return torch.empty((0, samples), dtype=dtype).numpy()
     lines, cells = reverberation.shape
     across, along = _spreading(lines, _CLUTTER_LINES), _spreading(cells, _CLUTTER_CELLS_PER_SIGMA)
-    dealt = torch.arange(lines) % _CLUTTER_SETS == torch.arange(min(_CLUTTER_SETS, lines))[:, None]
+    dealt = torch.arange(lines) % sets == torch.arange(min(sets, lines))[:, None]
     by_set = across * dealt[:, None, :]
     spread = by_set @ (torch.from_numpy(reverberation) @ along.T)
     share = by_set.sum(dim=-1) / across.sum(dim=-1)

@@ -1,12 +1,14 @@
-"""Two maps that need no ray drawn: what surfaces return by themselves, and how much sound reaches each point.
+"""Two maps of surfaces: what they return, and how much sound reaches each point.
 
 Segmentation and attenuation do not say how a surface is tilted out of the image plane, and that decides whether a rib
 is white or black; nor what surfaces keep from the tissue behind them, as gas does, which attenuates little. Both follow
 from one ray a scanline and layer, which surfaces refract about their own normals. Bone bends it away or reflects all of
-it, so a straight line would put its shadow in the wrong place. Echoes of reflected rays are not in these maps.
+it, so a straight line would put its shadow in the wrong place. What surfaces reflect to one another fills fluid with
+haze. It is spread over many scanlines, so one traced ray on each of them is enough.
 """
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,6 +18,7 @@ from scipy.special import xlogy
 
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import Arrays, compiled
+from ablate.ultrasound.imaging.point_spread import axial_kernel, layer_weights
 from ablate.ultrasound.media import Media, RenderPlan
 from ablate.ultrasound.probe import layer_offsets_mm, sample_depths_mm, scanlines_in_plane, to_world
 from ablate.ultrasound.settings import Probe, SimulatorSettings
@@ -25,7 +28,8 @@ from ablate.ultrasound.surfaces.line_walk import inside_at, next_step, owner, to
 from ablate.ultrasound.time_gain import time_gain_db
 from ablate.ultrasound.transport import bounce
 from ablate.ultrasound.transport.aperture import Aperture
-from ablate.ultrasound.transport.lines import NODES, mean_level_db
+from ablate.ultrasound.transport.lines import NODES, Nodes, clutter_lines, echo_lines, mean_level_db
+from ablate.ultrasound.transport.tracing import Tracer
 
 #: Levels that are 0 and 1 in the maps, dB: of an echo about white; of sound about tissue whose loss the gain makes up.
 ECHO_DB, LIGHT_DB = (-60.0, 20.0), (-48.0, 24.0)
@@ -33,6 +37,7 @@ _LINES_OF_A_PART = 32
 _LINES_BESIDE = 15  # scanlines whose pencils cross those ways to a point that matter most
 _MOST_MORE_DB = 40.0  # of an echo whose own pencil hardly reaches it
 _NORMALS = 8  # of a rough surface, over which its echo and what it lets through are averaged
+_PATH_SEED = 2**63  # of the rays for haze, the same for every frame: other paths than those of an image
 _MEAN_DEPTH = math.sqrt(2 / math.pi)  # of a surface's echo, in units of its thickness: the mean of a half normal
 
 
@@ -58,6 +63,10 @@ class SurfaceMaps:
         between = [np.interp(places, np.arange(nodes), of_node) for of_node in np.eye(nodes)]
         self._to_rows = np.array(between, np.float32)  # values at nodes to the middles of rows
         self._normals = _lattice()
+        self._tracer = Tracer(geometry, plan, probe, replace(settings, rays=1, path_seed=_PATH_SEED))
+        self._weights = layer_weights(probe, settings)[1]
+        # of the amplitude of a row to that of its samples, which the pulse adds up
+        self._haze = self._shape[0] / settings.axial_samples * axial_kernel(probe, settings).sum()
 
     @stage(Stage.surface_maps)
     def __call__(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,7 +76,8 @@ class SurfaceMaps:
         between the reflected direction and the way back to the element, and w is the product of E[1 - R_p^2] over the
         surfaces before. The mean E is over the normals of a rough surface (docs/simulator.md, sections 5 and 6). The
         illumination is w 10^(-2 alpha f d / 20), without the factors of a surface. The beam and the aperture are those
-        of the image. Powers of the layers are averaged, and the time gain is added.
+        of the image. Powers of the layers are averaged, and the time gain is added. Interfaces also have the power of
+        reverberation, as one ray of each scanline and layer brings it back.
         """
         starts, directions = to_world(pose, self._lines[0]), self._lines[1] @ pose[:3, :3].T
         layers, count = starts.shape[:2]
@@ -86,9 +96,21 @@ class SurfaceMaps:
         level_db = np.minimum(level_db, best_db)
         more_db = np.minimum(level_db - pencils_db, _MOST_MORE_DB) @ self._to_rows
         echo_power = np.square(made[0].reshape(more_db.shape) * 10 ** (more_db / 20)).mean(axis=0)
+        echo_power += np.square(self._reverberation(pose))
         light_power = (10 ** (level_db / 10)).mean(axis=0)
         echo_db, light_db = (10 * np.log10(np.maximum(power, 1e-30)) for power in (echo_power, light_power))
         return self._shown(echo_db - self._white_db, ECHO_DB), self._shown(light_db @ self._to_rows, LIGHT_DB)
+
+    def _reverberation(self, pose: np.ndarray) -> np.ndarray:
+        """Amplitudes of what surfaces reflect to one another, (scanlines, rows)."""
+        bundle = self._tracer.at(pose)
+        groups = len(bundle.starts)
+        nodes = Nodes(0.0, 1.0, np.empty((groups, 0), bool), np.empty((groups, 0)))  # no light is asked for
+        echoes = self._tracer(bundle, nodes)
+        late = echoes[echoes["clutter"]]
+        _, reverberation = echo_lines(late, np.empty((groups, 0)), nodes, self._weights, 1, self._depth_mm)
+        haze = clutter_lines(reverberation, self._shape[0], torch.float64, sets=1)
+        return self._haze * haze if len(haze) else np.zeros(self._shape[::-1])
 
     def _shown(self, level_db: np.ndarray, ends_db: tuple[float, float]) -> np.ndarray:
         shares = (level_db.T + self._gain_db - ends_db[0]) / (ends_db[1] - ends_db[0])

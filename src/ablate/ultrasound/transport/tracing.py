@@ -22,10 +22,13 @@ import numpy as np
 
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import Arrays, compiled
-from ablate.ultrasound.media import Medium
+from ablate.ultrasound.media import Medium, RenderPlan
+from ablate.ultrasound.probe import sample_depths_mm
+from ablate.ultrasound.settings import Probe, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage
 from ablate.ultrasound.surfaces.embree import Asked, Geometry, asked_ray, at, closest_of
 from ablate.ultrasound.surfaces.line_walk import highest, next_step
+from ablate.ultrasound.time_gain import time_gain_db
 from ablate.ultrasound.transport import bounce
 from ablate.ultrasound.transport.lines import ECHO, Nodes, passed
 from ablate.ultrasound.transport.rays import (
@@ -40,11 +43,17 @@ from ablate.ultrasound.transport.rays import (
     Bundle,
     Draws,
     View,
+    at_pose,
+    probe_rays,
     start_rays,
     unstratified,
 )
 
 _GROUPS_OF_A_PART = 96
+
+#: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
+#: rays in 3 layers, spread over its surroundings, an echo of this level is 61 dB under white.
+_ROULETTE_DB = 24.0
 
 
 class Paths(NamedTuple):
@@ -55,6 +64,37 @@ class Paths(NamedTuple):
     draws: Draws
     bundle: Bundle
     nodes: Nodes
+
+
+class Tracer:
+    """Traces the rays of frames of a geometry, for one probe and one set of settings."""
+
+    def __init__(self, geometry: Geometry, plan: RenderPlan, probe: Probe, settings: SimulatorSettings) -> None:
+        self._geometry, self._plan, self._settings, self._depth_mm = geometry, plan, settings, probe.depth_mm
+        self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
+        self._rays = probe_rays(probe, settings, self._draws)
+        last_mm = sample_depths_mm(probe, settings.axial_samples)[-1:]
+        self._largest_gain_db = float(time_gain_db(last_mm, probe, settings.time_gain)[0])
+
+    def at(self, pose: np.ndarray) -> Bundle:
+        """The rays at a pose, which leads to the geometry's world."""
+        return at_pose(self._geometry, self._rays, pose)
+
+    def __call__(self, bundle: Bundle, nodes: Nodes) -> np.ndarray:
+        """The echoes, (n,) ECHO, of rays at a pose; what insonifies the scanlines is added to `nodes`."""
+        view = View(
+            media=self._plan.media,
+            tissue_of_owner=self._plan.tissue_of_owner,
+            elements=bundle.starts,
+            axes=bundle.directions,
+            rays=self._settings.rays,
+            path_seed=self._draws.seed,
+            depth_mm=self._depth_mm,
+            roulette_db=_ROULETTE_DB + 20 * math.log10(self._settings.reference_level) - self._largest_gain_db,
+            gain_db_mm=self._largest_gain_db / self._depth_mm,
+            step_mm=self._geometry.step_mm,
+        )
+        return trace(Paths(self._geometry, view, self._draws, bundle, nodes))
 
 
 @stage(Stage.tracing)
