@@ -19,15 +19,15 @@ def _norm_by_torch(features: Tensor) -> Tensor:
     return features if single else F.group_norm(features, features.shape[1])
 
 
-def without_own_gradient() -> None:
-    """Instance norm is torch's group norm, with torch's gradient."""
+def without_own_norm() -> None:
+    """Instance norm is torch's group norm."""
     families.instance_norm = _norm_by_torch
 
 
 def without_channels_last() -> None:
     """Maps are laid out channel by channel, and instance norm is what is fastest there."""
     torch.channels_last = torch.contiguous_format
-    without_own_gradient()
+    without_own_norm()
 
 
 def without_sums() -> None:
@@ -35,27 +35,6 @@ def without_sums() -> None:
     joint, transposed = layers.JointConvolution.forward, layers.JointTransposedConvolution.forward
     layers.JointConvolution.forward = lambda self, x, maps=None: joint(self, layers.joined(x, maps))
     layers.JointTransposedConvolution.forward = lambda self, x, maps=None: transposed(self, layers.joined(x, maps))
-
-
-def without_late_bias() -> None:
-    """Transposed convolutions add their own bias."""
-
-    def forward(self: layers.JointTransposedConvolution, features: Tensor, maps: Tensor | None = None) -> Tensor:
-        options = self.stride, self.padding, self.output_padding
-        if maps is None:
-            return F.conv_transpose2d(features, self.weight, self.bias, *options)
-        own, of_maps = self.weight.split((features.shape[1], maps.shape[1]))
-        result = F.conv_transpose2d(features, own, self.bias, *options)
-        return result + F.conv_transpose2d(maps, of_maps, None, *options)
-
-    layers.JointTransposedConvolution.forward = forward
-
-
-def without_taps() -> None:
-    """The output convolution is torch's."""
-    layers.OneChannelConvolution.forward = lambda self, x, maps=None: F.conv2d(
-        layers.joined(x, maps), self.weight, self.bias, padding=self.padding
-    )
 
 
 def without_kept_memory() -> None:
@@ -113,10 +92,8 @@ def with_compilation() -> None:
 
 PARTS: dict[str, Callable[[], None]] = {
     "channels-last maps": without_channels_last,
-    "own gradient of instance norm": without_own_gradient,
+    "own instance norm": without_own_norm,
     "sums of convolutions": without_sums,
-    "bias after transposed convolution": without_late_bias,
-    "taps of the output convolution": without_taps,
     "kept memory": without_kept_memory,
 }
 TRIED: dict[str, Callable[[], None]] = {

@@ -24,7 +24,6 @@ VARIANTS = {
     "sa2h": {"noise_start": 0.5},
     "sa2h-att": {"attenuation": "none", "depth": 1},
     "concat and conv": {"concat": "input", "upsampling": "transposed", "noise": "input"},
-    "resize": {"upsampling": "resize", "attenuation": "compensated", "noise_start": 0.5},
     "lsa2h": {**UNET, "extra_input": "low"},
     "beam": BEAM,
     "onehot": {**ONEHOT, "noise_start": 0.5},

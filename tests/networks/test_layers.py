@@ -8,8 +8,6 @@ from torch.nn import functional as F
 from ablate.networks.layers import (
     JointConvolution,
     JointTransposedConvolution,
-    OneChannelConvolution,
-    ResizedConvolution,
     instance_norm,
 )
 
@@ -40,8 +38,6 @@ LAYERS = {
     "joint, stride 2": (JointConvolution, (6, 3, 2, 1), nn.Conv2d, (6, 3, 2, 1)),
     "transposed 4x4": (JointTransposedConvolution, (6, 4, 2, 1), nn.ConvTranspose2d, (6, 4, 2, 1)),
     "transposed 3x3": (JointTransposedConvolution, (6, 3, 2, 1, 1), nn.ConvTranspose2d, (6, 3, 2, 1, 1)),
-    "resized": (ResizedConvolution, (6,), nn.Conv2d, (6, 3, 1, 1)),
-    "one channel": (OneChannelConvolution, (3,), nn.Conv2d, (1, 3, 1, 1)),
 }
 
 
@@ -54,9 +50,8 @@ def test_layers_are_torchs_on_the_concatenation(name: str, size: tuple[int, int]
     layer, reference = kind(4 + maps, *own).double(), plain(4 + maps, *of_plain).double()
     reference.load_state_dict(layer.state_dict())
     features = torch.randn(2, 4, *size, dtype=torch.float64, requires_grad=True)
-    enlarged = F.interpolate(features, scale_factor=2, mode="nearest") if kind is ResizedConvolution else features
-    beside = [torch.randn(2, maps, *enlarged.shape[-2:], dtype=torch.float64)] if maps else []
-    expected, result = reference(torch.cat((enlarged, *beside), 1)), layer(features, *beside)
+    beside = [torch.randn(2, maps, *size, dtype=torch.float64)] if maps else []
+    expected, result = reference(torch.cat((features, *beside), 1)), layer(features, *beside)
     torch.testing.assert_close(result, expected, rtol=1e-12, atol=1e-12)
     ours = gradients(result, [features, *layer.parameters()])
     torchs = gradients(expected, [features, *reference.parameters()])

@@ -11,7 +11,6 @@ TABLE = {
     "sa2h": ({}, 14_450_964, 14.5),
     "sa2h-att": ({"attenuation": "none"}, 14_415_947, 14.4),
     "sa2h-compensated": ({"attenuation": "compensated"}, 14_450_964, 14.5),  # not of the paper: the cost of its SA2H
-    "sa2h-resize": ({"upsampling": "resize"}, 14_450_964, 14.5),  # nor this
     "sa2h-concat": ({"concat": "input"}, 14_384_130, 14.4),
     "sa2h-conv": ({"upsampling": "transposed"}, 16_164_308, 16.2),
     "sa2h-noise": ({"noise": "input"}, 14_450_388, 14.5),

@@ -9,7 +9,7 @@ from support.variants import UNET, VARIANTS, maps_of
 
 # Without noise, which the plain networks draw from torch's generator.
 NOISELESS = {name: changes for name, changes in VARIANTS.items() if "noise" not in name and name != "nsa2h"}
-NOISELESS |= {"unet": UNET, "depth": {"depth": 5}, "resize without maps": {"upsampling": "resize", "concat": "input"}}
+NOISELESS |= {"unet": UNET, "depth": {"depth": 5}}
 
 
 QUIET = {"noise": "none", "noise_start": 0.0}

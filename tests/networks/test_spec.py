@@ -14,7 +14,7 @@ from support.variants import UNET
         ({**UNET, "depth": 1}, "depth=1 with family=unet: allowed are 2 to 8"),
         ({**UNET, "concat": "every_level"}, "allowed is concat=input"),
         ({**UNET, "upsampling": "texture"}, "allowed is upsampling=transposed"),
-        ({**UNET, "upsampling": "resize"}, "upsampling=resize with family=unet: allowed is upsampling=transposed"),
+        ({**UNET, "upsampling": "texture"}, "upsampling=texture with family=unet: allowed is upsampling=transposed"),
         ({**UNET, "noise": "inject"}, "noise=inject with family=unet"),
         ({**UNET, "family": "custom"}, "target=None with family=custom: allowed is the path of a class"),
         ({"target": "a.B"}, r"target=a\.B with family=local: allowed is null"),

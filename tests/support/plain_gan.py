@@ -55,10 +55,6 @@ class PlainUpBlock(nn.Module):
         if spec.upsampling is Upsampling.texture:
             self.grow = nn.ConvTranspose2d(channels_in + maps, channels_out, 3, stride=2, padding=1, output_padding=1)
             self.refine = nn.Conv2d(channels_out + maps, channels_out, 3, padding=1)
-        elif spec.upsampling is Upsampling.resize:
-            self.enlarge = nn.Upsample(scale_factor=2, mode="nearest")
-            self.grow = nn.Conv2d(channels_in + maps, channels_out, 3, padding=1)
-            self.refine = nn.Conv2d(channels_out + maps, channels_out, 3, padding=1)
         else:
             self.grow = nn.ConvTranspose2d(channels_in + maps, channels_out, 4, stride=2, padding=1)
         self.norm = norm_of(spec, channels_out)
@@ -66,8 +62,7 @@ class PlainUpBlock(nn.Module):
             self.noise_weight = nn.Parameter(torch.full((2 * channels_out, 1, 1), float(spec.noise_start)))
 
     def forward(self, features: Tensor, skip: Tensor, coarse: list[Tensor], fine: list[Tensor]) -> Tensor:
-        read = [self.enlarge(features), *fine] if hasattr(self, "enlarge") else [features, *coarse]
-        features = self.norm(F.relu(self.grow(torch.cat(read, 1))))
+        features = self.norm(F.relu(self.grow(torch.cat([features, *coarse], 1))))
         if hasattr(self, "refine"):
             features = self.norm(F.relu(self.refine(torch.cat([features, *fine], 1))))
         features = torch.cat([features, skip], 1)

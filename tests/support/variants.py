@@ -21,7 +21,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "compensated-unet": {**UNET, "attenuation": "compensated", "extra_input": "low"},
     "concat": {"concat": "input"},
     "conv": {"upsampling": "transposed"},
-    "resize": {"upsampling": "resize"},
     "noise-input": {"noise": "input"},
     "noise-none": {"noise": "none"},
     "low": {"extra_input": "low"},

@@ -18,7 +18,6 @@ CASES: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     "without a discriminator": ({"attenuation": "none"}, {"loss": "none", "schedule": "linear"}),
     "minimax": ({"attenuation": "compensated", "noise": "input", "noise_start": 0.0}, {"loss": "minimax"}),
     "transposed": ({"upsampling": "transposed", "concat": "input"}, {}),
-    "resize": ({"upsampling": "resize"}, {}),
     "in beam space": ({**BEAM, "labels": 1}, {"reconstruction": "crps"}),
     "U-Net": ({**UNET, "depth": 5, "noise_start": 0.0, "extra_input": "noise"}, {}),
 }
@@ -31,7 +30,6 @@ PINNED: dict[str, tuple[float | None, ...]] = {
     "without a discriminator": (None, None, None, None, 0.659891214, None, 60.2594872, 60.2557392),
     "minimax": (1.36753919, -0.0649581629, -0.114152677, -0.617488235, 0.826136331, None, 66.6520976, 66.6468942),
     "transposed": (1.3860212, 0.0585004473, 0.0370847931, 0.699763815, 0.593975308, None, 59.8347232, 59.8221752),
-    "resize": (1.34508491, 0.140050173, 0.0294577281, 0.704687019, 0.52925083, None, 68.1128086, 68.1042346),
     "in beam space": (1.3913437, -0.0062513785, -0.01161030, 0.7158948, 0.6501933, 0.6458659, 107.28675, 107.27379),
     "U-Net": (1.38512063, -0.000801612002, -0.026178934, 0.728834887, 0.713690709, None, 683.226259, 683.201252),
 }

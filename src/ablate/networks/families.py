@@ -16,8 +16,6 @@ from torch.nn.parameter import UninitializedParameter
 from ablate.networks.layers import (
     JointConvolution,
     JointTransposedConvolution,
-    OneChannelConvolution,
-    ResizedConvolution,
     draw_initial_weights,
     instance_norm,
     laid_out,
@@ -65,13 +63,9 @@ class UpBlock(nn.Module):
     def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
         super().__init__()
         self.normalised = normalisation(spec)
-        self.grow: ResizedConvolution | JointTransposedConvolution
-        if spec.upsampling is Upsampling.resize:
-            self.grow = ResizedConvolution(channels_in + maps, channels_out)
-        else:
-            kernel, output_padding = (3, 1) if spec.upsampling is Upsampling.texture else (4, 0)
-            self.grow = JointTransposedConvolution(channels_in + maps, channels_out, kernel, 2, 1, output_padding)
-        has_two = spec.upsampling is not Upsampling.transposed
+        has_two = spec.upsampling is Upsampling.texture
+        kernel, output_padding = (3, 1) if has_two else (4, 0)
+        self.grow = JointTransposedConvolution(channels_in + maps, channels_out, kernel, 2, 1, output_padding)
         self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1) if has_two else None
         weight = torch.full((2 * channels_out, 1, 1), float(spec.noise_start))
         self.noise_weight = nn.Parameter(weight) if spec.noise is Noise.inject else None
@@ -80,8 +74,7 @@ class UpBlock(nn.Module):
         self, features: Tensor, skip: Tensor, coarse_maps: Tensor | None, fine_maps: Tensor | None, noise: Tensor | None
     ) -> Tensor:
         """Double the size of (N, C, H, W), append the channels of `skip`, and add `noise` (N, 1, 2H, 2W)."""
-        maps = fine_maps if isinstance(self.grow, ResizedConvolution) else coarse_maps
-        features = self.normalised(F.relu(self.grow(features, maps)))
+        features = self.normalised(F.relu(self.grow(features, coarse_maps)))
         if self.refine is not None:
             features = self.normalised(F.relu(self.refine(features, fine_maps)))
         features = torch.cat((features, skip), dim=1)
@@ -105,7 +98,7 @@ class LocalNetwork(nn.Module):
         self.up = nn.ModuleList(UpBlock(2 * coarse, fine, maps, spec) for coarse, fine in coarse_to_fine)
         refines = spec.grain is Grain.refine
         self.grain = JointConvolution(2 * widths[0] + maps, widths[0], 3, padding=1) if refines else None
-        self.output = OneChannelConvolution((1 if refines else 2) * widths[0] + maps, 3)
+        self.output = JointConvolution((1 if refines else 2) * widths[0] + maps, 1, 3, padding=1)
 
     def forward(self, stacked: Tensor, maps: Sequence[Tensor | None], noise: Sequence[Tensor | None]) -> Tensor:
         """Render the input channels, (N, inputs, H, W) with H and W multiples of 2^depth, to (N, 1, H, W) in [-1, 1].

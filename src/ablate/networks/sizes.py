@@ -5,7 +5,7 @@ from torch import nn
 
 from ablate.networks.families import CustomNetwork, LocalNetwork, PatchDiscriminator, UNetwork, discriminator_channels
 from ablate.networks.generator import Generator
-from ablate.networks.layers import Convolution, ResizedConvolution, convolutions
+from ablate.networks.layers import Convolution, convolutions
 from ablate.networks.spec import GeneratorSpec, fed_channels
 
 Interval = tuple[int, int]
@@ -78,8 +78,6 @@ def _pixels_reached(network: LocalNetwork | UNetwork, pixel: int, feeds_maps: bo
             if feeds_maps:  # a position of the map of this level was resized from these pixels
                 step = 2**level
                 reached.append((interval[0] * step, interval[1] * step + (step - 1) * has_means))
-            if isinstance(layer, ResizedConvolution):
-                interval, level = (interval[0] // 2, interval[1] // 2), level + 1
         return interval
 
     names = ("stem", "bottleneck", "grain", "output")  # the U-Net has none of them

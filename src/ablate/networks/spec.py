@@ -81,14 +81,10 @@ class Concat(StrEnum):
 
 
 class Upsampling(StrEnum):
-    """The up block: a transposed 3x3 and a stride-1 3x3 convolution, or one transposed 4x4 convolution.
-
-    `resize` is `texture` with nearest neighbour and a stride-1 3x3 convolution in place of the transposed one.
-    """
+    """The up block: a transposed 3x3 and a stride-1 3x3 convolution, or one transposed 4x4 convolution."""
 
     texture = "texture"
     transposed = "transposed"
-    resize = "resize"
 
 
 class Noise(StrEnum):
