@@ -31,9 +31,8 @@ class BrokenLoader(CropLoader):
 def test_a_job_that_diverges_is_stopped(tiny_study: TinyStudy, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(tiny_study.runs / "data", runs / "data")
     monkeypatch.setattr("ablate.runs.train.CropLoader", BrokenLoader)
-    (job,) = jobs_of([*TINY, *TIMES, f"runs_dir={runs}"])
-    # The training frames are an epoch of two or three steps, so that losses are looked at after each.
-    with pytest.raises(DivergenceError, match=r"at step 12: train/loss_d is nan.*the last good checkpoint is kept"):
+    (job,) = jobs_of([*TINY, *TIMES, f"runs_dir={runs}", "training.log_every=1"])
+    with pytest.raises(DivergenceError, match=r"at step 10: train/loss_d is nan.*the last good checkpoint is kept"):
         run_job(job)
     assert not job.run.result
     assert read_checkpoint(job.run.checkpoint)["steps_done"] == 8

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from ablate.networks import Generator
 from ablate.training import LAST, AdversarialLoss, DivergenceError, Reconstruction, read_checkpoint, train
-from ablate.training.reporting import DivergenceGuard
 from support.tiny_training import SETTINGS, SPEC, batch, loader
 
 
@@ -44,13 +43,6 @@ def test_without_a_discriminator_its_values_are_left_out(tmp_path: Path, caplog:
     assert re.fullmatch(
         r"step 8 of 8: [\d.]+ images/s, L1 [\d.]+, CRPS [\d.]+, noise weight [\d.]+", caplog.messages[-1]
     )
-
-
-def test_without_a_discriminator_a_loss_that_is_not_finite_still_stops() -> None:
-    guard = DivergenceGuard(log_every=50)
-    guard.check({"train/l1": 0.1}, 50)
-    with pytest.raises(DivergenceError, match="at step 100: train/l1 is nan"):
-        guard.check({"train/l1": math.nan}, 100)
 
 
 def test_validation_is_called_with_the_generator_to_evaluate_from_the_start(tmp_path: Path) -> None:
@@ -88,37 +80,6 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_last_good_checkpoint(tmp_
     checkpoint = read_checkpoint(tmp_path / LAST)
     assert checkpoint["steps_done"] == 3
     assert all(value.isfinite().all() for value in checkpoint["state_dict"].values())
-
-
-def losses(loss: float, logit: float) -> dict[str, float]:
-    return {"train/loss_d": loss, "train/logit_real": logit, "train/logit_fake": -logit}
-
-
-WON, GUESSING, WELL = losses(0.0, 30.0), losses(2 * math.log(2), 0.0), losses(0.7, 1.0)
-
-
-@pytest.mark.parametrize(("dead", "message"), [(WON, "has won"), (GUESSING, "is guessing")])
-def test_a_dead_discriminator_is_noticed_once_it_stays_dead(dead: dict[str, float], message: str) -> None:
-    guard = DivergenceGuard(log_every=50, epoch=240)
-    for step, metrics in enumerate((dead, WELL, dead, dead), start=1):
-        guard.check(metrics, 50 * step)
-    with pytest.raises(DivergenceError, match=f"at step 250: the discriminator {message}.* for 150 steps"):
-        guard.check(dead, 250)
-
-
-def test_a_loss_that_passes_that_of_guessing_is_no_death() -> None:
-    guard = DivergenceGuard(log_every=50, epoch=100)
-    for step in range(50, 1000, 50):
-        guard.check(losses(2 * math.log(2), 0.5), step)
-
-
-@pytest.mark.parametrize("log_every", [1, 7, 50, 1000])
-@pytest.mark.parametrize("epoch", [2, 3, 20, 101, 1500, 10**6])
-def test_a_death_is_noticed_within_an_epoch(log_every: int, epoch: int) -> None:
-    guard = DivergenceGuard(log_every, epoch)
-    for death in range(3 * guard.interval):
-        first_bad = death // guard.interval + 2 if death % guard.interval else death // guard.interval + 1
-        assert (first_bad + guard.patience - 1) * guard.interval - death <= epoch
 
 
 @pytest.mark.parametrize(("start", "rate", "warnings"), [(0.0, 2.5e-3, 1), (0.1, 2.5e-3, 0), (0.0, 2e-4, 0)])

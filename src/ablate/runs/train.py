@@ -153,7 +153,6 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
         run.folder,
         sink=log.metrics,
         validation=_validation(s, data, values, log),
-        epoch=len(pairs.frames(Part.train)) // s.training.batch_size,
     )
     costs = {"train/resumed_at": float(trained.resumed_at)}
     if trained.resumed_at == 0:

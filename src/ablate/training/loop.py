@@ -22,7 +22,7 @@ from ablate.setting import plain
 from ablate.storage import remove_partial, written_whole
 from ablate.training.inference import chosen_device, chosen_precision
 from ablate.training.module import PairGAN
-from ablate.training.reporting import DivergenceError, DivergenceGuard, MetricSink, Report, Validation
+from ablate.training.reporting import DivergenceError, MetricSink, Report, Validation
 from ablate.training.settings import TRAINING_VERSION, Schedule, TrainingPrecision, TrainingSettings
 
 # Called with the first step and the one after the last; gives one batch a step, a function of the step alone.
@@ -53,7 +53,6 @@ def train(
     run_dir: Path,
     sink: MetricSink = lambda *_: None,
     validation: Validation | None = None,
-    epoch: int | None = None,
 ) -> TrainedGenerator:
     """Train a generator, or finish its training.
 
@@ -104,7 +103,7 @@ def train(
         # written.
         callbacks = [
             LambdaCallback(on_train_start=lambda *_: interruption.take_over()),
-            Report(sink, DivergenceGuard(settings.log_every, epoch), validation),
+            Report(sink, validation),
             LastCheckpoint(run_dir, settings.checkpoint_every, interruption),
         ]
         try:

@@ -31,66 +31,29 @@ _SHOWN = {
 }
 # Mean weight under which injected noise no longer shows in an image.
 DYING_NOISE = 0.02
-# A discriminator that cannot tell real from fake has logits of 0 and the loss 2 ln 2. One that always can has the
-# loss 0; in minimax form its gradient then vanishes too.
-_GUESSING = 2 * math.log(2)
-_LOSS_TOLERANCE, _LOGIT_TOLERANCE = 1e-6, 1e-2
-_PATIENCE = 1000
 
 
 class DivergenceError(RuntimeError):
     """Training has failed; the message says how and when."""
 
 
-class DivergenceGuard:
-    """Look at the mean losses of intervals short enough to notice within an epoch that training has failed.
-
-    `interval` is the number of steps between two checks: `log_every`, but at most half an epoch. Training is given up
-    after `patience` checks in a row that find the discriminator dead. These are about 1000 steps, but at most an epoch
-    from the step at which it died.
-    """
-
-    def __init__(self, log_every: int, epoch: int | None = None) -> None:
-        self.interval = log_every if epoch is None else max(1, min(log_every, epoch // 2))
-        within = _PATIENCE if epoch is None else min(_PATIENCE, epoch - self.interval)
-        self.patience = max(1, within // self.interval)
-        self._dead = 0
-
-    def check(self, metrics: Mapping[str, float], step: int) -> None:
-        """Raise DivergenceError if training has failed, judged by the means of `PairGAN.drain` over the interval.
-
-        It has failed where a loss is not finite, or where the discriminator has guessed or known everything, to within
-        1e-6 of its loss, for `patience` intervals. Without a discriminator, losses are only checked to be finite.
-        """
-        for name, value in metrics.items():
-            if not math.isfinite(value):
-                raise _failure(step, f"{name} is {value}")
-        if "train/loss_d" not in metrics:
-            return
-        loss = metrics["train/loss_d"]
-        has_won = loss < _LOSS_TOLERANCE
-        logits = max(abs(metrics["train/logit_real"]), abs(metrics["train/logit_fake"]))
-        is_guessing = abs(loss - _GUESSING) < _LOSS_TOLERANCE and logits < _LOGIT_TOLERANCE
-        self._dead = self._dead + 1 if has_won or is_guessing else 0
-        if self._dead >= self.patience:
-            what = "has won, its loss is 0" if has_won else "is guessing, its loss is 2 ln 2"
-            raise _failure(step, f"the discriminator {what} for {self._dead * self.interval} steps")
-
-
-def _failure(step: int, what: str) -> DivergenceError:
-    advice = "the last good checkpoint is kept; a lower training.learning_rate or another seed may help"
-    return DivergenceError(f"training has failed at step {step}: {what}; {advice}")
+def check_finite(metrics: Mapping[str, float], step: int) -> None:
+    """Raise DivergenceError where a mean loss since the last report is not finite."""
+    for name, value in metrics.items():
+        if not math.isfinite(value):
+            advice = "the last good checkpoint is kept; a lower training.learning_rate or another seed may help"
+            raise DivergenceError(f"training has failed at step {step}: {name} is {value}; {advice}")
 
 
 class Report(Callback):
-    """Send metrics every `guard.interval` steps, check them, and show progress; validate the generator to evaluate.
+    """Send metrics every `log_every` steps, check them, and show progress; validate the generator to evaluate.
 
     The x axis is images seen, so that runs of different batch sizes compare. On a terminal there is a bar;
     elsewhere a line about every tenth of the run.
     """
 
-    def __init__(self, sink: MetricSink, guard: DivergenceGuard, validation: Validation | None = None) -> None:
-        self.sink, self.guard, self.validation = sink, guard, validation
+    def __init__(self, sink: MetricSink, validation: Validation | None = None) -> None:
+        self.sink, self.validation = sink, validation
 
     def on_train_start(self, _trainer: Trainer, module: PairGAN) -> None:  # type: ignore[override]
         """Open the bar, start the clock, and validate the untrained network, where curves begin."""
@@ -105,7 +68,7 @@ class Report(Callback):
         """Report and validate if it is time."""
         self._steps_timed += 1
         self._bar.update()
-        if module.steps_done % self.guard.interval == 0 or module.steps_done == module.settings.steps:
+        if module.steps_done % module.settings.log_every == 0 or module.steps_done == module.settings.steps:
             self._report(module)
         self._validate(module)
 
@@ -115,7 +78,7 @@ class Report(Callback):
 
     def _report(self, module: PairGAN) -> None:
         step, settings, metrics = module.steps_done, module.settings, module.drain()
-        self.guard.check(metrics, step)
+        check_finite(metrics, step)
         now = time.perf_counter()
         metrics["train/images_per_second"] = self._steps_timed * settings.batch_size / (now - self._since)
         self._since, self._steps_timed = now, 0
@@ -132,7 +95,7 @@ class Report(Callback):
         self.sink(metrics, step * settings.batch_size)
         text = ", ".join(shown.format(metrics[name]) for name, shown in _SHOWN.items() if name in metrics)
         self._bar.set_postfix_str(text)
-        is_tenth = step * _LINES // settings.steps > (step - self.guard.interval) * _LINES // settings.steps
+        is_tenth = step * _LINES // settings.steps > (step - settings.log_every) * _LINES // settings.steps
         if self._bar.disable and (is_tenth or step == settings.steps):
             _LOG.info("step %d of %d: %s", step, settings.steps, text)
 
