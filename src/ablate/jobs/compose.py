@@ -28,9 +28,10 @@ CONFIG = "config"
 VERSION_BASE = "1.3"
 _CELLS = "cells"
 _MULTIRUN = ("-m", "--multirun")
-# The width is a size of the whole study, like the number of steps; seeds and variants have places of their own.
-_IN_NO_LABEL = frozenset({"model.width", "model.target", "seed", "training.seed"})
+# Seeds and variants have places of their own.
+_IN_NO_LABEL = frozenset({"model.target", "seed", "training.seed"})
 _LIKE_A_COMPONENT = ("training.loss",)
+_SIZE = "model.width"  # of all networks of a study alike, unless it is swept
 
 
 def composed(overrides: Sequence[str]) -> DictConfig:
@@ -84,7 +85,7 @@ def changed_keys(
     a swept probe is named, and presets and scenes are where they share the name of a study.
     """
     deciding = {key for key, one in keys().items() if not one.declared.incidental} - _IN_NO_LABEL
-    wanted = {*named, *_LIKE_A_COMPONENT, *(key for key in deciding if key.startswith("model."))}
+    wanted = {*named, *_LIKE_A_COMPONENT, *(key for key in deciding - {_SIZE} if key.startswith("model."))}
     groups = {"probe"} if made.study_name is None else {"probe", "preset", "scene"}
     changed = {o.key_or_group: o.value() for o in overrides if o.key_or_group in groups & set(named)}
 
