@@ -69,7 +69,7 @@ def test_frames_and_curves_go_on_where_a_job_was_stopped(stopped_once: Job) -> N
 
 def test_a_run_has_the_parameters_that_people_sort_by_and_the_study_those_that_are_shared(stopped_once: Job) -> None:
     _, study, child = runs_of(stopped_once)
-    components = {"family": "local", "att": "illumination", "concat": "yes", "conv": "texture", "noise": "inject"}
+    components = {"family": "local", "att": "illumination", "concat": "yes", "conv": "yes", "noise": "inject"}
     sizes = {"preset": "tiny", "dataset.frames": "10", "training.steps": "4", "training.batch_size": "1"}
     others = {"variant": "sa2h", "seed": "0", "training.precision": "fp32", "scene.anatomy_seed": "0"}
     assert child.data.params.items() >= (components | sizes | others).items()
