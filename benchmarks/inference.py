@@ -1,4 +1,4 @@
-"""Milliseconds and memory of a generated frame: eager, compiled and exported, in fp32 and bf16, at several widths.
+"""Milliseconds and memory of a generated frame: eager and exported, in fp32 and bf16, at several widths.
 
 make bench-inference
 make bench-inference ARGS="--variant lsa2h --widths 0.25 --size 250 346"
@@ -175,7 +175,7 @@ def table(arguments: argparse.Namespace, folder: Path) -> None:
         if device.type == "cuda"
         else f"{before:.2f} GiB of it Python, torch and this project"
     )
-    print(f"\nPeak: {where}. Ready: until the first frame, compiling included, exporting not.")
+    print(f"\nPeak: {where}. Ready: until the first frame, without exporting.")
     print(ABOUT)
 
 

@@ -43,7 +43,7 @@ def run(*arguments: str) -> int:
 
 @pytest.fixture(scope="module", autouse=True)
 def _small() -> Iterator[None]:
-    """Few rays and tables of scatterers made once; eager only, because compiling takes a minute."""
+    """Few rays and tables of scatterers made once; eager only, because exporting takes long."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scatterers, "scatterer_tables", cache(scatterers.scatterer_tables))
         patch.setattr(bench, "RAYS", (1, 2, 4))
@@ -76,7 +76,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory, _small: None) -> Path:
 def test_simulator_and_runs_are_measured(trained: Path) -> None:
     printed = (trained / "printed.txt").read_text()
     assert "1 trained runs; 1 left out, they learned from other data; 1 left out, without a checkpoint" in printed
-    assert "left out, engine compiled: needs what a test has not." in printed
+    assert "left out, engine exported: needs what a test has not." in printed
     assert "With half of its" in printed
     points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})
     assert list(points.columns) == ["series", "setting", "ms", "metric", "error"]
@@ -253,7 +253,7 @@ def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
     rows = [
         ("limit", f"{label}, against fp32 eager", f"width 0.25, {way}, seed 2", metric, value)
         for label, scale in (("sa2h", 1.0), ("nsa2h", 2.0))
-        for way, error in (("bf16, eager", 0.3), ("fp32, compiled", 0.1))
+        for way, error in (("bf16, eager", 0.3), ("fp32, exported", 0.1))
         for metric, value in (("mae", scale * error), ("psnr", 60 / scale))
     ]
     shown = module._worst(pd.DataFrame([kept, *rows], columns=["table", "series", "setting", "quantity", "value"]))
@@ -261,7 +261,7 @@ def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:
     worst = shown[1:].pivot(index="setting", columns="quantity", values="value")
     assert worst.to_dict("index") == {
         "bf16, eager": {"mae": 0.6, "psnr": 30.0},
-        "fp32, compiled": {"mae": 0.2, "psnr": 30.0},
+        "fp32, exported": {"mae": 0.2, "psnr": 30.0},
     }
     assert set(shown[1:]["series"]) == {"trained runs against fp32 eager, worst of 2"}
 

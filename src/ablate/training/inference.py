@@ -1,13 +1,10 @@
-"""Full frames from a generator: the device, the arithmetic, and torch as it is, compiled, or OpenVINO from a file."""
+"""Full frames from a generator: the device, the arithmetic, and torch as it is, or OpenVINO from a file."""
 
 from __future__ import annotations
 
 import math
-import os
-import shutil
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from copy import deepcopy
 from enum import StrEnum
 from functools import cache
 from importlib.util import find_spec
@@ -30,11 +27,6 @@ if TYPE_CHECKING:
 
 # Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
 OpenEngine = Callable[[Mapping[str, Tensor], Tensor], Tensor]
-# On a CPU torch 2.13 tiles loops over fewer channels than a vector holds wrongly, and the image is another.
-_COMPILER: dict[str, dict[str, Any]] = {
-    "cpu": {"options": {"cpp.enable_tiling_heuristics": False}},
-    "cuda": {"mode": "reduce-overhead"},
-}
 # Frames of at most so many pixels are rendered side by side. Larger ones would take too much memory, and a team of
 # threads has enough to do with each of them.
 _SMALL_FRAME_PX = 1 << 18
@@ -77,26 +69,20 @@ def autocast(precision: TrainingPrecision, device: torch.device) -> AbstractCont
 
 
 class Engine(StrEnum):
-    """`eager`: torch; `compiled`: `torch.compile`; `exported`: OpenVINO, on a CPU, from the ONNX file."""
+    """`eager`: torch; `exported`: OpenVINO, on a CPU, from the ONNX file."""
 
     eager = "eager"
-    compiled = "compiled"
     exported = "exported"
 
 
 def missing_for(engine: Engine, device: torch.device) -> str | None:
     """Say in a few words what this machine lacks to run an engine on a device; None if nothing."""
-    if engine is Engine.exported:
-        if device.type != "cpu":
-            return "a CPU: on a GPU, take the exported file to TensorRT or ONNX Runtime"
-        lacking = [name for name in ("onnx", "onnxscript", "openvino") if find_spec(name) is None]
-        return f"the package {lacking[0]}: {installing('export')}" if lacking else None
-    if engine is Engine.compiled:
-        if device.type != "cpu":
-            return None if find_spec("triton") else "the package triton, which writes torch's compiled GPU code"
-        compiler = os.environ.get("CXX", "g++")
-        return None if shutil.which(compiler) else f"a C++ compiler ({compiler}), which torch.compile calls"
-    return None
+    if engine is Engine.eager:
+        return None
+    if device.type != "cpu":
+        return "a CPU: on a GPU, take the exported file to TensorRT or ONNX Runtime"
+    lacking = [name for name in ("onnx", "onnxscript", "openvino") if find_spec(name) is None]
+    return f"the package {lacking[0]}: {installing('export')}" if lacking else None
 
 
 def open_engine(
@@ -108,9 +94,8 @@ def open_engine(
 ) -> OpenEngine:
     """Make a function that renders one frame of `height` x `width` px, on the generator's device.
 
-    Maps beyond `conditions(generator.spec)` are not read. Compiling and exporting take their time here or at the first
-    frame. A compiled generator on a GPU replays a CUDA graph: an image is overwritten by the next one. Where the
-    machine lacks what the engine needs, it is a RuntimeError.
+    Maps beyond `conditions(generator.spec)` are not read. Exporting takes its time here. Where the machine lacks what
+    the engine needs, it is a RuntimeError.
     """
     device = next(generator.parameters()).device
     lacking = missing_for(engine, device)
@@ -121,10 +106,6 @@ def open_engine(
             path = Path(folder) / "model.onnx"
             export_onnx(generator, path, height, width)
             return open_exported(generator, path, precision)
-    if engine is Engine.compiled:
-        generator = deepcopy(generator)
-        torch.compiler.reset()  # else the eighth network of a process is not compiled any more, without a word
-        generator.network.compile(dynamic=False, **_COMPILER[device.type])
     names = conditions(generator.spec)
 
     @torch.inference_mode()

@@ -40,7 +40,7 @@ SIMULATOR: dict[str, tuple[str, str, str, float]] = {
 # Of these the first and the last setting is written beside its point.
 _LABELLED = ("simulator, rays", "simulator, layers", "simulator, scanlines")
 _RUN_MARKERS = ("D", "P", "X", "*", "h", "<", ">", "d", "p", "8")
-_ENGINE_FILL = {"eager": "none", "compiled": "left", "exported": "full"}
+_ENGINE_FILL = {"eager": "none", "exported": "full"}
 _LOGARITHMIC_FROM = 5.0  # ratio of the largest error to the smallest
 
 
@@ -101,9 +101,7 @@ def error_vs_runtime(
 
 
 def _marker(colour: str, marker: str, engine: str) -> dict[str, Any]:
-    fill = _ENGINE_FILL[engine]
-    style: dict[str, Any] = {"marker": marker, "color": colour, "ms": 5, "mew": 0.8, "fillstyle": fill}
-    return style | ({"markerfacecoloralt": "white"} if fill == "left" else {})
+    return {"marker": marker, "color": colour, "ms": 5, "mew": 0.8, "fillstyle": _ENGINE_FILL[engine]}
 
 
 def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None, runs: Mapping[str, str]) -> None:

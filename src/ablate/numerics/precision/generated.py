@@ -70,8 +70,8 @@ def executions(settings: StudySettings) -> tuple[list[Execution], tuple[str, ...
 def schedule_of(runs: list[Run], settings: StudySettings) -> Planned:
     """List each run with each precision and engine that is measured of it.
 
-    Every run is executed in eager mode in all precisions. Compiling and exporting take up to a minute each, so only the
-    first run of each network is compiled and exported: the time of a network does not depend on its weights.
+    Every run is executed in eager mode in all precisions. Exporting takes up to a minute, so only the
+    first run of each network is exported: the time of a network does not depend on its weights.
     """
     every, _ = executions(settings)
     eager = [execution for execution in every if Engine.eager in execution]
