@@ -58,11 +58,11 @@ def test_at_depth_8_a_crop_of_256_ends_in_one_pixel_that_is_not_normalised() -> 
     grown: list[Tensor] = []
     generator.network.up[0].register_forward_pre_hook(lambda _, args: grown.append(args[0]))
     generator(**given)
-    (features, raw), (joined,) = seen[0], grown
+    (features, raw), ((bottom, skipped),) = seen[0], grown
     assert raw.shape[-2:] == (1, 1)
     # Normalising one pixel would leave zero: the activation is passed on as it is.
-    torch.testing.assert_close(joined, torch.cat((F.leaky_relu(raw, 0.2), features), 1), rtol=0, atol=0)
-    assert joined.abs().min() > 0
+    torch.testing.assert_close((bottom, skipped), (F.leaky_relu(raw, 0.2), features), rtol=0, atol=0)
+    assert bottom.abs().min() > 0
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -148,12 +148,31 @@ def test_injected_noise_is_the_weight_times_one_field_a_level() -> None:
     with torch.no_grad():
         block.noise_weight.copy_(torch.linspace(-1, 1, block.noise_weight.numel())[:, None, None])
     seen: list[Tensor] = []
-    generator.network.output.register_forward_pre_hook(lambda _, args: seen.append(args[0]))
+    generator.network.output.register_forward_pre_hook(lambda _, args: seen.append(torch.cat(args[:2], dim=1)))
     generator(**given)
     generator(**{**given, "noise_seed": None})
     difference = seen[0] - seen[1]
     expected = block.noise_weight * gaussian_field(given["noise_seed"], 0, 24, 32)
     torch.testing.assert_close(difference, expected, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("variant", ["sa2h", "nsa2h"])
+def test_several_draws_of_one_sample_are_its_renderings_one_by_one(variant: str) -> None:
+    noisy = {"noise_start": 0.1} if variant == "sa2h" else {}
+    generator = make(**VARIANTS[variant], **noisy)
+    given, other, calls = maps(labels=generator.spec.labels), torch.tensor([7, 8]), 0
+    apart = torch.cat([generator(**{**given, "noise_seed": seeds}) for seeds in (given["noise_seed"], other)])
+    first = generator.network.stem if variant == "sa2h" else generator.network.down[0]
+
+    def count(*_: object) -> None:
+        nonlocal calls
+        calls += 1
+
+    first.register_forward_hook(count)
+    together = generator(**{**given, "noise_seed": torch.cat((given["noise_seed"], other))})
+    torch.testing.assert_close(together, apart, rtol=0, atol=1e-5)
+    assert calls == 1
+    assert not torch.allclose(together[:2], together[2:])
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

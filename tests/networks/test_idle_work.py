@@ -13,18 +13,19 @@ from support.variants import BEAM, UNET, maps_of
 DEPTH = 3
 SIZE = (16, 24)
 
-# Operations by what they are for: area means of maps, noise fields drawn (one cosine each), noise injected.
+# Operations by what they are for: area means of maps, noise fields drawn (one cosine each), noise injected
+# (into features and into those of the skip connection).
 OPERATIONS = {"resized": "avg_pool2d", "drawn": "cos", "injected": "addcmul", "padded": "constant_pad_nd"}
 #: Variant, and how often each of these runs.
 VARIANTS: dict[str, tuple[dict[str, Any], dict[str, int]]] = {
-    "sa2h": ({}, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
-    "sa2h-att": ({"attenuation": "none"}, {"drawn": DEPTH, "injected": DEPTH}),
-    "sa2h-concat": ({"concat": "input"}, {"drawn": DEPTH, "injected": DEPTH}),
+    "sa2h": ({}, {"resized": DEPTH, "drawn": DEPTH, "injected": 2 * DEPTH}),
+    "sa2h-att": ({"attenuation": "none"}, {"drawn": DEPTH, "injected": 2 * DEPTH}),
+    "sa2h-concat": ({"concat": "input"}, {"drawn": DEPTH, "injected": 2 * DEPTH}),
     "sa2h-noise": ({"noise": "input"}, {"resized": DEPTH, "drawn": 1}),
     "nothing": ({"attenuation": "none", "concat": "input", "upsampling": "transposed", "noise": "none"}, {}),
     "lsa2h": ({**UNET, "extra_input": "low"}, {}),
     "nsa2h": ({**UNET, "extra_input": "noise"}, {"drawn": 1}),
-    "beam": (BEAM, {"resized": DEPTH, "drawn": DEPTH, "injected": DEPTH}),
+    "beam": (BEAM, {"resized": DEPTH, "drawn": DEPTH, "injected": 2 * DEPTH}),
 }
 
 

@@ -68,7 +68,7 @@ def test_one_fake_serves_both_networks_and_another_draw_is_rendered_where_draws_
     made = module(spec, replace(SETTINGS, loss=loss, reconstruction=Reconstruction.crps), monkeypatch)
     fakes: list[Tensor] = []
     judged: list[Tensor] = []
-    made.generator.register_forward_hook(lambda _, __, result: fakes.append(result.detach()))
+    made.generator.register_forward_hook(lambda _, __, result: fakes.extend(result.detach().split(SETTINGS.batch_size)))
     if made.discriminator is not None:
         made.discriminator.register_forward_pre_hook(lambda _, args: judged.append(args[1]))
     given = batch(0)

@@ -71,16 +71,21 @@ class UpBlock(nn.Module):
         self.noise_weight = nn.Parameter(weight) if spec.noise is Noise.inject else None
 
     def forward(
-        self, features: Tensor, skip: Tensor, coarse_maps: Tensor | None, fine_maps: Tensor | None, noise: Tensor | None
-    ) -> Tensor:
-        """Double the size of (N, C, H, W), append the channels of `skip`, and add `noise` (N, 1, 2H, 2W)."""
-        features = self.normalised(F.relu(self.grow(features, coarse_maps)))
+        self,
+        features: Sequence[Tensor],
+        skip: Tensor,
+        coarse_maps: Tensor | None,
+        fine_maps: Tensor | None,
+        noise: Tensor | None,
+    ) -> tuple[Tensor, Tensor]:
+        """Double the size of features (N, C, H, W); they and `skip` are returned, with `noise` (N, 1, 2H, 2W)."""
+        grown = self.normalised(F.relu(self.grow(*features, coarse_maps)))
         if self.refine is not None:
-            features = self.normalised(F.relu(self.refine(features, fine_maps)))
-        features = torch.cat((features, skip), dim=1)
+            grown = self.normalised(F.relu(self.refine(grown, fine_maps)))
         if self.noise_weight is None or noise is None:
-            return features
-        return torch.addcmul(features, noise.to(features.dtype), self.noise_weight.to(features.dtype))
+            return grown, skip
+        noise, (of_grown, of_skip) = noise.to(grown.dtype), self.noise_weight.to(grown.dtype).chunk(2)
+        return torch.addcmul(grown, noise, of_grown), torch.addcmul(skip, noise, of_skip)
 
 
 class LocalNetwork(nn.Module):
@@ -101,10 +106,11 @@ class LocalNetwork(nn.Module):
         self.output = JointConvolution((1 if refines else 2) * widths[0] + maps, 1, 3, padding=1)
 
     def forward(self, stacked: Tensor, maps: Sequence[Tensor | None], noise: Sequence[Tensor | None]) -> Tensor:
-        """Render the input channels, (N, inputs, H, W) with H and W multiples of 2^depth, to (N, 1, H, W) in [-1, 1].
+        """Render the input channels, (N, inputs, H, W) with H and W multiples of 2^depth, to (k N, 1, H, W) in [-1, 1].
 
         The convolutions of each level, except the stem, read its maps, depth + 1 of (N, K, H / 2^level, W / 2^level).
-        Its noise, depth of (N, 1, H / 2^level, W / 2^level), is injected.
+        Its noise, depth of (k N, 1, H / 2^level, W / 2^level), is injected; what comes before the noise is computed
+        once for all k.
         """
         features = self.normalised(F.leaky_relu(self.stem(stacked), LEAK))
         skips = []
@@ -112,12 +118,23 @@ class LocalNetwork(nn.Module):
             skips.append(features)
             features = block(features, maps[level], maps[level + 1])
         bottom = self.normalised(F.leaky_relu(self.bottleneck(features, maps[-1]), LEAK))
-        features = torch.cat((bottom, features), dim=1)
+        if noise[0] is None or len(noise[0]) == len(stacked):
+            return self._decoded((bottom, features), skips, maps, noise)
+        draws = zip(*(field.split(len(stacked)) for field in noise if field is not None), strict=True)
+        return torch.cat([self._decoded((bottom, features), skips, maps, fields) for fields in draws])
+
+    def _decoded(
+        self,
+        features: tuple[Tensor, Tensor],
+        skips: Sequence[Tensor],
+        maps: Sequence[Tensor | None],
+        noise: Sequence[Tensor | None],
+    ) -> Tensor:
         for level, block in zip(reversed(range(len(skips))), self.up, strict=True):
             features = block(features, skips[level], maps[level + 1], maps[level], noise[level])
         if self.grain is not None:
-            features = F.leaky_relu(self.grain(features, maps[0]), LEAK)
-        return torch.tanh(self.output(features, maps[0]))
+            return torch.tanh(self.output(F.leaky_relu(self.grain(*features, maps[0]), LEAK), maps[0]))
+        return torch.tanh(self.output(*features, maps[0]))
 
 
 def normalisation(spec: GeneratorSpec) -> Callable[[Tensor], Tensor]:

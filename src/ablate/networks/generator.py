@@ -67,15 +67,16 @@ class Generator(nn.Module):
         attenuation, low : (N, 1, H, W) float, optional
             Integral attenuation map in [0, 1], 0 outside the fan, and low-quality image in [-1, 1]; each is ignored by
             a variant without it.
-        noise_seed : (N,) int64, optional
-            One seed for all noise of each sample; None switches noise off (fields of zero).
+        noise_seed : (k N,) int64, optional
+            One seed for all noise of each rendering; the first N are one of each sample, the next N another. None
+            switches noise off (fields of zero), and k is 1.
         **others : (N, 1, H, W) float, optional
             The other maps of `conditions(spec)`, by name: `compensated` in place of `attenuation`, `interfaces` in
             [0, 1], and `depth` and `lateral` in [-1, 1].
 
         Returns
         -------
-        (N, 1, H, W) float in [-1, 1]
+        (k N, 1, H, W) float in [-1, 1]
             Not masked: the caller applies the fan.
 
         Raises
@@ -89,10 +90,12 @@ class Generator(nn.Module):
         return self.render(given, self.draw_noise(noise_seed.to(segmentation.device), *segmentation.shape[-2:]))
 
     def render(self, given: Mapping[str, Tensor | None], noise: Mapping[str, Tensor]) -> Tensor:
-        """Render as `forward`, with noise fields (N, 1, h, w) of `noise_sizes(H, W)`; an empty mapping is no noise."""
+        """Render as `forward`, with fields (k N, 1, h, w) of `noise_sizes(H, W)`; an empty mapping is no noise."""
         maps = stacked = self._padded(given)
         if "noise" in inputs(self.spec):
             channel = noise["noise"].to(maps.dtype) if noise else torch.zeros_like(maps[:, :1])
+            if len(channel) > len(maps):
+                maps = maps.repeat(len(channel) // len(maps), 1, 1, 1)
             stacked = torch.cat((maps, channel), dim=1)
         injected = [noise.get(f"noise_{level}") for level in range(self.spec.depth)]
         image: Tensor = self.network(stacked, self._pyramid(maps), injected)

@@ -1,5 +1,7 @@
 """Layers that the networks share: convolutions, instance norm, initial weights, and a list of the layers."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -9,32 +11,38 @@ Convolution = nn.Conv2d | nn.ConvTranspose2d
 
 
 class JointConvolution(nn.Conv2d):
-    """Convolution of features and maps together: the sum of the convolutions of both.
+    """Convolution of several tensors together: the sum of the convolutions of each.
 
     Without a concatenation, nothing is copied, and channel counts remain multiples of the processor's vectors. An
     exported network contains the ordinary convolution.
     """
 
-    def forward(self, features: Tensor, maps: Tensor | None = None) -> Tensor:
-        """Convolve (N, C, H, W) and, if not None, (N, K, H, W)."""
-        if maps is None or torch.compiler.is_exporting():
-            return super().forward(joined(features, maps))
-        of_features, of_maps = self.weight.split((features.shape[1], maps.shape[1]), dim=1)
-        result = F.conv2d(features, of_features, None, self.stride, self.padding)
-        return result + F.conv2d(maps, of_maps, self.bias, self.stride, self.padding)
+    def forward(self, *parts: Tensor | None) -> Tensor:
+        """Convolve those of the (N, C, H, W) that are not None."""
+        given = [part for part in parts if part is not None]
+        if len(given) == 1 or torch.compiler.is_exporting():
+            return super().forward(joined(given))
+        weights = self.weight.split([part.shape[1] for part in given], dim=1)
+        result = F.conv2d(given[-1], weights[-1], self.bias, self.stride, self.padding)
+        for part, weight in zip(given[:-1], weights, strict=False):
+            result = result + F.conv2d(part, weight, None, self.stride, self.padding)
+        return result
 
 
 class JointTransposedConvolution(nn.ConvTranspose2d):
     """The transposed `JointConvolution`."""
 
-    def forward(self, features: Tensor, maps: Tensor | None = None) -> Tensor:  # type: ignore[override]
-        """Convolve (N, C, H, W) and, if not None, (N, K, H, W)."""
-        if maps is None or torch.compiler.is_exporting():
-            return super().forward(joined(features, maps))
-        of_features, of_maps = self.weight.split((features.shape[1], maps.shape[1]))
+    def forward(self, *parts: Tensor | None) -> Tensor:  # type: ignore[override]
+        """Convolve those of the (N, C, H, W) that are not None."""
+        given = [part for part in parts if part is not None]
+        if len(given) == 1 or torch.compiler.is_exporting():
+            return super().forward(joined(given))
+        weights = self.weight.split([part.shape[1] for part in given])
         steps = self.stride, self.padding, self.output_padding
-        result = F.conv_transpose2d(features, of_features, None, *steps)  # type: ignore[arg-type]
-        return result + F.conv_transpose2d(maps, of_maps, self.bias, *steps)  # type: ignore[arg-type]
+        result = F.conv_transpose2d(given[-1], weights[-1], self.bias, *steps)  # type: ignore[arg-type]
+        for part, weight in zip(given[:-1], weights, strict=False):
+            result = result + F.conv_transpose2d(part, weight, None, *steps)  # type: ignore[arg-type]
+        return result
 
 
 def laid_out(maps: Tensor) -> Tensor:
@@ -46,9 +54,9 @@ def laid_out(maps: Tensor) -> Tensor:
     return maps.contiguous(memory_format=torch.channels_last) if maps.device.type == "cpu" else maps
 
 
-def joined(features: Tensor, maps: Tensor | None) -> Tensor:
-    """Append the channels of `maps` (N, K, H, W), if not None, to those of `features` (N, C, H, W)."""
-    return features if maps is None else torch.cat((features, maps), dim=1)
+def joined(parts: Sequence[Tensor]) -> Tensor:
+    """Append the channels of tensors (N, C, H, W)."""
+    return parts[0] if len(parts) == 1 else torch.cat(tuple(parts), dim=1)
 
 
 def instance_norm(features: Tensor) -> Tensor:

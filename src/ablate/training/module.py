@@ -89,8 +89,11 @@ class PairGAN(LightningModule):
             group["lr"] = self.settings.learning_rate_at(self.steps_done)
         maps = {name: batch[name] for name in conditions(self.spec)}
         mask, image = batch["mask"].float(), batch["target"]
-        rendered = self.generator(**maps, noise_seed=batch["noise_seed"])
-        fake = _in_fan(rendered, mask)
+        seeds = batch["noise_seed"]
+        if self.settings.reconstruction is Reconstruction.crps and draws_noise(self.spec):
+            seeds = torch.cat((seeds, second_seeds(seeds)))
+        rendered = self.generator(**maps, noise_seed=seeds)
+        fake, *second = (_in_fan(draw, mask) for draw in rendered.split(len(image)))
         losses: dict[str, Tensor] = {}
         if (judge := self.discriminator) is not None:
             stacked = torch.cat([maps[name].to(rendered.dtype) for name in maps], dim=1)
@@ -106,9 +109,8 @@ class PairGAN(LightningModule):
             losses["train/loss_g"] = -F.softplus(logits).mean() if is_minimax else F.softplus(-logits).mean()
 
         losses["train/l1"] = error = mean_in_fan((fake - image).abs(), mask)
-        if self.settings.reconstruction is Reconstruction.crps and draws_noise(self.spec):
-            second = _in_fan(self.generator(**maps, noise_seed=second_seeds(batch["noise_seed"])), mask)
-            losses["train/crps"] = error = mean_in_fan(crps_of_two_draws(fake, second, image), mask)
+        for other in second:
+            losses["train/crps"] = error = mean_in_fan(crps_of_two_draws(fake, other, image), mask)
         optimizer_g.zero_grad()
         self.manual_backward(losses.get("train/loss_g", 0) + self.settings.l1_weight * error)
         optimizer_g.step()
