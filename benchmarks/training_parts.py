@@ -31,10 +31,14 @@ def without_channels_last() -> None:
 
 
 def without_sums() -> None:
-    """Maps are appended to the channels of features."""
+    """Features, those of the skip connection and maps are appended to one another."""
     joint, transposed = layers.JointConvolution.forward, layers.JointTransposedConvolution.forward
-    layers.JointConvolution.forward = lambda self, x, maps=None: joint(self, layers.joined(x, maps))
-    layers.JointTransposedConvolution.forward = lambda self, x, maps=None: transposed(self, layers.joined(x, maps))
+    layers.JointConvolution.forward = lambda self, *parts: joint(self, _joined(parts))
+    layers.JointTransposedConvolution.forward = lambda self, *parts: transposed(self, _joined(parts))
+
+
+def _joined(parts: tuple[Tensor | None, ...]) -> Tensor:
+    return layers.joined([part for part in parts if part is not None])
 
 
 def without_kept_memory() -> None:
