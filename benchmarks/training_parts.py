@@ -41,11 +41,6 @@ def _joined(parts: tuple[Tensor | None, ...]) -> Tensor:
     return layers.joined([part for part in parts if part is not None])
 
 
-def without_kept_memory() -> None:
-    """The C library gives freed memory back to the system."""
-    loop.keep_freed_memory = lambda: None
-
-
 def with_noise_as_product() -> None:
     """Injected noise is added by a matrix product of one column."""
 
@@ -98,7 +93,6 @@ PARTS: dict[str, Callable[[], None]] = {
     "channels-last maps": without_channels_last,
     "own instance norm": without_own_norm,
     "sums of convolutions": without_sums,
-    "kept memory": without_kept_memory,
 }
 TRIED: dict[str, Callable[[], None]] = {
     "noise as a matrix product": with_noise_as_product,

@@ -1,9 +1,7 @@
 """Train one network to its last step, from the start or from its last checkpoint."""
 
-import ctypes
 import logging
 import signal
-import sys
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -31,9 +29,6 @@ LAST = "last.ckpt"
 # Settings that may differ between a run and its continuation: they say how long is trained, and where. Another device
 # or number of threads adds numbers in another order, so weights differ by rounding.
 _FREE = frozenset({"steps", "device", "threads", "checkpoint_every", "validate_every", "log_every"})
-# Parameters of mallopt(3) in glibc, and the largest values that it takes.
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-_LARGEST_TRIM, _LARGEST_MMAP = 2**31 - 1, 32 * 2**20
 _TRAINER_PRECISION = {TrainingPrecision.fp32: "32-true", TrainingPrecision.bf16: "bf16-mixed"}
 
 
@@ -90,7 +85,6 @@ def train(
         torch.set_num_threads(settings.threads)
     device = chosen_device(settings.device)
     settings = replace(settings, precision=chosen_precision(settings.precision, device))
-    keep_freed_memory()
     module = PairGAN(spec, settings)
     run_dir.mkdir(parents=True, exist_ok=True)
     checkpoint = run_dir / LAST
@@ -144,19 +138,6 @@ def _fit(
             enable_model_summary=False,
         )
         trainer.fit(module, batches)
-
-
-def keep_freed_memory() -> None:
-    """Take large blocks from the heap and never give its end back, for the rest of the process.
-
-    A step frees and asks again for the same hundreds of megabytes. By default glibc returns them to the system and
-    gets them back page by page, each one zeroed: a tenth of a step's time. Does nothing where the C library is
-    another.
-    """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    if mallopt is not None:
-        mallopt(_MMAP_THRESHOLD, _LARGEST_MMAP)
-        mallopt(_TRIM_THRESHOLD, _LARGEST_TRIM)
 
 
 class LastCheckpoint(Callback):
