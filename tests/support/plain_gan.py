@@ -15,21 +15,11 @@ from ablate.networks import (
     GeneratorSpec,
     Grain,
     Noise,
-    Norm,
     Upsampling,
     conditions,
     inputs,
 )
 from ablate.networks.spec import scaled
-
-
-class PixelNorm(nn.Module):
-    def forward(self, features: Tensor) -> Tensor:
-        return features / (features.square().mean(1, keepdim=True) + 1e-5).sqrt()
-
-
-def norm_of(spec: GeneratorSpec, channels: int) -> nn.Module:
-    return PixelNorm() if spec.norm is Norm.fixed else nn.InstanceNorm2d(channels)
 
 
 def channels_of(names: tuple[str, ...], spec: GeneratorSpec) -> int:
@@ -38,11 +28,11 @@ def channels_of(names: tuple[str, ...], spec: GeneratorSpec) -> int:
 
 
 class PlainDownBlock(nn.Module):
-    def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
+    def __init__(self, channels_in: int, channels_out: int, maps: int) -> None:
         super().__init__()
         self.shrink = nn.Conv2d(channels_in + maps, channels_out, 3, stride=2, padding=1)
         self.refine = nn.Conv2d(channels_out + maps, channels_out, 3, padding=1)
-        self.norm = norm_of(spec, channels_out)
+        self.norm = nn.InstanceNorm2d(channels_out)
 
     def forward(self, features: Tensor, fine: list[Tensor], coarse: list[Tensor]) -> Tensor:
         features = self.norm(F.leaky_relu(self.shrink(torch.cat([features, *fine], 1)), 0.2))
@@ -57,7 +47,7 @@ class PlainUpBlock(nn.Module):
             self.refine = nn.Conv2d(channels_out + maps, channels_out, 3, padding=1)
         else:
             self.grow = nn.ConvTranspose2d(channels_in + maps, channels_out, 4, stride=2, padding=1)
-        self.norm = norm_of(spec, channels_out)
+        self.norm = nn.InstanceNorm2d(channels_out)
         if spec.noise is Noise.inject:
             self.noise_weight = nn.Parameter(torch.full((2 * channels_out, 1, 1), float(spec.noise_start)))
 
@@ -86,8 +76,8 @@ class PlainLocal(nn.Module):
         if spec.embedding:
             self.embedding = nn.Conv2d(spec.labels, spec.embedding, 1, bias=False)
         self.stem = nn.Conv2d(channels_of(inputs(spec), spec), widths[0], 3, padding=1)
-        self.norms = nn.ModuleList(norm_of(spec, count) for count in (widths[0], widths[-1]))
-        self.down = nn.ModuleList(PlainDownBlock(fine, coarse, self.fed, spec) for fine, coarse in pairwise(widths))
+        self.norms = nn.ModuleList(nn.InstanceNorm2d(count) for count in (widths[0], widths[-1]))
+        self.down = nn.ModuleList(PlainDownBlock(fine, coarse, self.fed) for fine, coarse in pairwise(widths))
         self.bottleneck = nn.Conv2d(widths[-1] + self.fed, widths[-1], 3, padding=1)
         ups = list(pairwise([widths[-1], *reversed(widths[:-1])]))
         self.up = nn.ModuleList(PlainUpBlock(2 * coarse, fine, self.fed, spec) for coarse, fine in ups)
@@ -134,7 +124,6 @@ class PlainUNet(nn.Module):
         widths = [scaled((64, 128, 256, 512)[min(level, 3)], spec.width) for level in range(spec.depth)]
         channels = [channels_of(inputs(spec), spec), *widths]
         self.down = nn.ModuleList(nn.Conv2d(a, b, 4, stride=2, padding=1) for a, b in pairwise(channels))
-        self.norm = PixelNorm() if spec.norm is Norm.fixed else F.instance_norm
         out = [*reversed(widths[:-1]), 1]
         into = [widths[-1], *(2 * width for width in out[:-1])]
         self.up = nn.ModuleList(
@@ -147,14 +136,14 @@ class PlainUNet(nn.Module):
         skips = []
         for layer in self.down[1:-1]:
             skips.append(features)
-            features = self.norm(layer(F.leaky_relu(features, 0.2)))
+            features = F.instance_norm(layer(F.leaky_relu(features, 0.2)))
         skips.append(features)
         features = self.down[-1](F.leaky_relu(features, 0.2))
         for index, layer in enumerate(self.up):
             features = F.relu(features if index == 0 else torch.cat([skips.pop(), features], 1))
             features = layer(features)
             if index < len(self.up) - 1:
-                features = self.norm(features)
+                features = F.instance_norm(features)
         return torch.tanh(features)
 
 

@@ -11,7 +11,7 @@ UNET = {"family": "unet", "concat": "input", "upsampling": "transposed", "noise"
 #: The representation of the presets: four more maps, three values a label, and a convolution after the finest noise.
 BEAM = {
     **{"space": "beam", "labels": 3, "attenuation": "illumination", "interfaces": "echo", "position": "beam"},
-    **{"grain": "refine", "norm": "fixed", "noise_start": 0.5},
+    **{"grain": "refine", "noise_start": 0.5},
 }
 ONEHOT = {"labels": 6, "embedding": 2, "position": "depth"}
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -28,7 +28,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "nsa2h": {**UNET, "extra_input": "noise"},
     "beam": BEAM,
     "onehot": ONEHOT,
-    "beam-unet": {**UNET, "labels": 3, "attenuation": "illumination", "position": "beam", "norm": "fixed"},
+    "beam-unet": {**UNET, "labels": 3, "attenuation": "illumination", "position": "beam"},
 }
 #: Every map that some generator reads, and what it is outside the fan.
 OUTSIDE = {"segmentation": -1.0, "low": -1.0, "depth": 0.0, "lateral": 0.0, "interfaces": 0.0}

@@ -17,7 +17,6 @@ from .spec import GeneratorSpec as GeneratorSpec
 from .spec import Grain as Grain
 from .spec import Interfaces as Interfaces
 from .spec import Noise as Noise
-from .spec import Norm as Norm
 from .spec import Position as Position
 from .spec import Space as Space
 from .spec import Upsampling as Upsampling

@@ -4,7 +4,7 @@ The local network has few levels, maps at every convolution and noise at every r
 which LSA2H and NSA2H are, and the PatchGAN. A class of the user's is named by a dotted path.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import cast
 
@@ -19,13 +19,11 @@ from ablate.networks.layers import (
     draw_initial_weights,
     instance_norm,
     laid_out,
-    pixel_norm,
 )
 from ablate.networks.spec import (
     GeneratorSpec,
     Grain,
     Noise,
-    Norm,
     Upsampling,
     conditions,
     fed_channels,
@@ -45,16 +43,15 @@ SMALLEST = 32
 class DownBlock(nn.Module):
     """A convolution 3x3 of stride 2 and one of stride 1; both also read the maps."""
 
-    def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
+    def __init__(self, channels_in: int, channels_out: int, maps: int) -> None:
         super().__init__()
-        self.normalised = normalisation(spec)
         self.shrink = JointConvolution(channels_in + maps, channels_out, 3, stride=2, padding=1)
         self.refine = JointConvolution(channels_out + maps, channels_out, 3, padding=1)
 
     def forward(self, features: Tensor, fine_maps: Tensor | None, coarse_maps: Tensor | None) -> Tensor:
         """Halve (N, C, H, W); `fine_maps` has its resolution, `coarse_maps` half of it."""
-        features = self.normalised(F.leaky_relu(self.shrink(features, fine_maps), LEAK))
-        return self.normalised(F.leaky_relu(self.refine(features, coarse_maps), LEAK))
+        features = instance_norm(F.leaky_relu(self.shrink(features, fine_maps), LEAK))
+        return instance_norm(F.leaky_relu(self.refine(features, coarse_maps), LEAK))
 
 
 class UpBlock(nn.Module):
@@ -62,7 +59,6 @@ class UpBlock(nn.Module):
 
     def __init__(self, channels_in: int, channels_out: int, maps: int, spec: GeneratorSpec) -> None:
         super().__init__()
-        self.normalised = normalisation(spec)
         has_two = spec.upsampling is Upsampling.texture
         kernel, output_padding = (3, 1) if has_two else (4, 0)
         self.grow = JointTransposedConvolution(channels_in + maps, channels_out, kernel, 2, 1, output_padding)
@@ -79,9 +75,9 @@ class UpBlock(nn.Module):
         noise: Tensor | None,
     ) -> tuple[Tensor, Tensor]:
         """Double the size of features (N, C, H, W); they and `skip` are returned, with `noise` (N, 1, 2H, 2W)."""
-        grown = self.normalised(F.relu(self.grow(*features, coarse_maps)))
+        grown = instance_norm(F.relu(self.grow(*features, coarse_maps)))
         if self.refine is not None:
-            grown = self.normalised(F.relu(self.refine(grown, fine_maps)))
+            grown = instance_norm(F.relu(self.refine(grown, fine_maps)))
         if self.noise_weight is None or noise is None:
             return grown, skip
         noise, (of_grown, of_skip) = noise.to(grown.dtype), self.noise_weight.to(grown.dtype).chunk(2)
@@ -95,9 +91,9 @@ class LocalNetwork(nn.Module):
         super().__init__()
         channels = (LOCAL_WIDTHS + LOCAL_WIDTHS[-1:] * spec.depth)[: spec.depth + 1]
         widths = [scaled(count, spec.width) for count in channels]
-        maps, self.normalised = fed_channels(spec), normalisation(spec)
+        maps = fed_channels(spec)
         self.stem = nn.Conv2d(input_channels(spec), widths[0], 3, padding=1)
-        self.down = nn.ModuleList(DownBlock(fine, coarse, maps, spec) for fine, coarse in pairwise(widths))
+        self.down = nn.ModuleList(DownBlock(fine, coarse, maps) for fine, coarse in pairwise(widths))
         self.bottleneck = JointConvolution(widths[-1] + maps, widths[-1], 3, padding=1)
         coarse_to_fine = pairwise(reversed(widths))
         self.up = nn.ModuleList(UpBlock(2 * coarse, fine, maps, spec) for coarse, fine in coarse_to_fine)
@@ -112,12 +108,12 @@ class LocalNetwork(nn.Module):
         Its noise, depth of (k N, 1, H / 2^level, W / 2^level), is injected; what comes before the noise is computed
         once for all k.
         """
-        features = self.normalised(F.leaky_relu(self.stem(stacked), LEAK))
+        features = instance_norm(F.leaky_relu(self.stem(stacked), LEAK))
         skips = []
         for level, block in enumerate(self.down):
             skips.append(features)
             features = block(features, maps[level], maps[level + 1])
-        bottom = self.normalised(F.leaky_relu(self.bottleneck(features, maps[-1]), LEAK))
+        bottom = instance_norm(F.leaky_relu(self.bottleneck(features, maps[-1]), LEAK))
         if noise[0] is None or len(noise[0]) == len(stacked):
             return self._decoded((bottom, features), skips, maps, noise)
         draws = zip(*(field.split(len(stacked)) for field in noise if field is not None), strict=True)
@@ -137,11 +133,6 @@ class LocalNetwork(nn.Module):
         return torch.tanh(self.output(*features, maps[0]))
 
 
-def normalisation(spec: GeneratorSpec) -> Callable[[Tensor], Tensor]:
-    """Return the function that normalises features."""
-    return instance_norm if spec.norm is Norm.instance else pixel_norm
-
-
 class UNetwork(nn.Module):
     """`depth` convolutions 4x4 of stride 2, as many transposed ones, and skip connections between them.
 
@@ -152,7 +143,6 @@ class UNetwork(nn.Module):
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
         widths = [scaled(UNET_WIDTHS[min(level, len(UNET_WIDTHS) - 1)], spec.width) for level in range(spec.depth)]
-        self.normalised = normalisation(spec)
         shrink = pairwise((input_channels(spec), *widths))
         self.down = nn.ModuleList(nn.Conv2d(a, b, 4, stride=2, padding=1) for a, b in shrink)
         out = (*reversed(widths[:-1]), 1)
@@ -163,11 +153,11 @@ class UNetwork(nn.Module):
         """Render (N, inputs, H, W) in [-1, 1] to (N, 1, H, W); H and W are multiples of 2^depth."""
         skips = [self.down[0](stacked)]
         for layer in self.down[1:-1]:
-            skips.append(self.normalised(layer(F.leaky_relu(skips[-1], LEAK))))
+            skips.append(instance_norm(layer(F.leaky_relu(skips[-1], LEAK))))
         features = self.down[-1](F.leaky_relu(skips[-1], LEAK))
-        features = self.normalised(self.up[0](F.relu(features)))
+        features = instance_norm(self.up[0](F.relu(features)))
         for layer in self.up[1:-1]:
-            features = self.normalised(layer(F.relu(torch.cat((skips.pop(), features), dim=1))))
+            features = instance_norm(layer(F.relu(torch.cat((skips.pop(), features), dim=1))))
         return torch.tanh(self.up[-1](F.relu(torch.cat((skips.pop(), features), dim=1))))
 
 

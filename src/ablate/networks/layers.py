@@ -79,11 +79,6 @@ def instance_norm(features: Tensor) -> Tensor:
     return result.reshape(batch, height, width, channels).permute(0, 3, 1, 2)
 
 
-def pixel_norm(features: Tensor) -> Tensor:
-    """Divide each pixel's features by their root mean square over the channels; no other pixel counts."""
-    return F.rms_norm(features.permute(0, 2, 3, 1), features.shape[1:2], eps=EPSILON).permute(0, 3, 1, 2)
-
-
 def draw_initial_weights(network: nn.Module) -> None:
     """Draw every convolution's weights from N(0, 0.02^2) and set its bias to zero, as pix2pix does."""
     for layer in convolutions(network):

@@ -42,17 +42,6 @@ class Interfaces(StrEnum):
     echo = "echo"
 
 
-class Norm(StrEnum):
-    """How features are normalised: over the pixels of a channel, or `fixed`, over the channels of a pixel.
-
-    `instance` sees the statistics of the crop or frame; `fixed` is the same in every crop (Karras et al., "Progressive
-    growing of GANs", ICLR 2018, section 4.2).
-    """
-
-    instance = "instance"
-    fixed = "fixed"
-
-
 class Grain(StrEnum):
     """What follows the finest noise: the output convolution alone, or a refining 3x3 convolution before it."""
 
@@ -117,7 +106,6 @@ class GeneratorSpec(Checked):
     space: Space = setting(Space.image, "Where the network works: on the image or in beam space.")
     position: Position = setting(Position.none, "Which maps of position are inputs.")
     interfaces: Interfaces = setting(Interfaces.none, "Whether the interface map is an input.")
-    norm: Norm = setting(Norm.instance, "How features are normalised.")
     grain: Grain = setting(Grain.output, "What follows the finest noise.")
     attenuation: Attenuation = setting(Attenuation.integral, "Which attenuation map is an input.")
     concat: Concat = setting(Concat.every_level, "Which convolutions read segmentation and attenuation.")
