@@ -57,13 +57,9 @@ def timed_on(runs: Sequence[Run]) -> str:
 
     It is empty where there are no times.
     """
-    times, networks = read_times(_study_dir(runs)), {network_of(run.spec["semantic"]) for run in runs}
+    times, networks = read_times(runs[0].folder.parents[1]), {network_of(run.spec["semantic"]) for run in runs}
     counts = times[times["network"].isin(networks)].groupby("machine", sort=False)["network"].nunique()
     return "" if counts.empty else str(counts.index[counts == counts.max()][-1])
-
-
-def _study_dir(runs: Sequence[Run]) -> Path:
-    return runs[0].folder.parents[1]
 
 
 def _quartiles(times: pd.DataFrame) -> pd.DataFrame:
@@ -80,7 +76,7 @@ def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
     """
     rows: list[tuple[object, ...]] = []
     if machine := timed_on(runs):
-        timed = _quartiles(read_times(_study_dir(runs)))[["ms", *BOUNDS]].loc[machine]
+        timed = _quartiles(read_times(runs[0].folder.parents[1]))[["ms", *BOUNDS]].loc[machine]
         networks = [(run, network_of(run.spec["semantic"])) for run in runs]
         kept = [(run, timed.loc[network]) for run, network in networks if network in timed.index]
         rows = [(run.label, run.seed, run.data, FRAME_TIME, *times) for run, times in kept]
@@ -88,18 +84,11 @@ def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
 
 
 def untimed(runs: Sequence[Run]) -> list[str]:
-    """Sentences about the variants that have no time beside the others'."""
-    times, shown = read_times(_study_dir(runs)), timed_on(runs)
-    missing: dict[str, list[str]] = {}
-    for variant, network in {run.label: network_of(run.spec["semantic"]) for run in runs}.items():
-        machines = times["machine"][times["network"] == network].unique().tolist()
-        if shown and shown not in machines:
-            missing.setdefault(machines[-1] if machines else "", []).append(variant)
-    return [
-        f"Times are those of {shown}; none from there: {', '.join(names)} "
-        f"({f'timed on {machine}, see {TIMES}' if machine else 'not timed'})."
-        for machine, names in missing.items()
-    ]
+    """A sentence about the variants that have no time beside the others'; none where all have one."""
+    times, shown = read_times(runs[0].folder.parents[1]), timed_on(runs)
+    timed = set(times["network"][times["machine"] == shown])
+    missing = dict.fromkeys(run.label for run in runs if network_of(run.spec["semantic"]) not in timed)
+    return [f"Times are those of {shown}; none from there: {', '.join(missing)}."] if shown and missing else []
 
 
 def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:

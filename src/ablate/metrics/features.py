@@ -5,8 +5,6 @@ The features of the Inception network of 2015 are the only ones whose Frechet di
 
 import hashlib
 import os
-import shutil
-import urllib.request
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -14,12 +12,10 @@ from pathlib import Path
 import numpy as np
 from filelock import FileLock
 from scipy.fft import rfft2
-from tqdm import tqdm
 
 from ablate.metrics.distances import frechet_distance, kernel_distance
 from ablate.metrics.metric import Direction, FeatureKind, Group, Metric, Resimulation, SetDistance, Shown
 from ablate.metrics.patches import as_patches, patches_inside, value_counts
-from ablate.storage import written_whole
 
 PATCH = 48
 QUANTILES = (0.05, 0.25, 0.50, 0.75, 0.95)
@@ -191,17 +187,15 @@ def inception_file(where: str) -> Path:
 
 
 def _download(path: Path) -> None:
-    with written_whole(path) as partial:
-        try:
-            with urllib.request.urlopen(INCEPTION_URL, timeout=60) as response, partial.open("wb") as file:
-                size = int(response.headers.get("Content-Length") or 0) or None
-                bar = tqdm.wrapattr(response, "read", total=size, desc=path.name, unit_scale=True, disable=None)
-                with bar as stream:
-                    shutil.copyfileobj(stream, file)
-        except OSError as error:
-            why = f"{INCEPTION_URL} cannot be downloaded: {error}; give the path of the file"
-            raise ConnectionError(why) from error
-        _check_digest(partial)
+    from torch.hub import download_url_to_file  # only here, as in `load_inception`
+
+    try:
+        download_url_to_file(INCEPTION_URL, str(path), INCEPTION_SHA256)
+    except OSError as error:
+        why = f"{INCEPTION_URL} cannot be downloaded: {error}; give the path of the file"
+        raise ConnectionError(why) from error
+    except RuntimeError as error:
+        raise ValueError(f"{INCEPTION_URL} has another SHA-256: {error}") from error
 
 
 def _check_digest(path: Path) -> None:

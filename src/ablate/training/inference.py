@@ -98,8 +98,7 @@ def open_engine(
     the engine needs, it is a RuntimeError.
     """
     device = next(generator.parameters()).device
-    lacking = missing_for(engine, device)
-    if lacking is not None:
+    if (lacking := missing_for(engine, device)) is not None:
         raise RuntimeError(f"engine={engine}: needs {lacking}")
     if engine is Engine.exported:
         with TemporaryDirectory() as folder:

@@ -82,8 +82,7 @@ class Report(Callback):
         now = time.perf_counter()
         metrics["train/images_per_second"] = self._steps_timed * settings.batch_size / (now - self._since)
         self._since, self._steps_timed = now, 0
-        magnitude = module.generator.noise_magnitude()
-        if magnitude is not None:
+        if (magnitude := module.generator.noise_magnitude()) is not None:
             metrics["train/noise_weight"] = weight = float(magnitude)
             could_have_grown = step * settings.learning_rate >= DYING_NOISE  # Adam's steps are no longer than its rate
             if step == settings.steps and could_have_grown and weight < DYING_NOISE:
@@ -100,8 +99,7 @@ class Report(Callback):
             _LOG.info("step %d of %d: %s", step, settings.steps, text)
 
     def _validate(self, module: PairGAN) -> None:
-        every = module.settings.validate_every
-        if self.validation is not None and every and module.steps_done % every == 0:
+        if self.validation and (every := module.settings.validate_every) and module.steps_done % every == 0:
             images_seen = module.steps_done * module.settings.batch_size
             with torch.no_grad():
                 metrics = dict(self.validation(module.evaluated, images_seen))
