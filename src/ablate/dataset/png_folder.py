@@ -6,7 +6,6 @@ together and which part they are in, `fan.yaml` is the geometry of the fan, as a
 """
 
 import csv
-import hashlib
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from ablate.dataset.fan_file import read_fan_file
 from ablate.dataset.filling import fill_all, fill_pairs
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.split import Part
+from ablate.storage import digest, digest_of_files
 from ablate.ultrasound import Probe
 
 #: Folder of each map of a data set.
@@ -181,21 +181,18 @@ def _decoded(path: Path, shape: tuple[int, int]) -> np.ndarray:
 
 
 def content_digest(checked: PngFolder) -> str:
-    """SHA-256, hexadecimal, of all that becomes part of a data set: names and bytes of the files."""
+    """Digest of all that becomes part of a data set: its maps, names and bytes of the files."""
     files = [checked.files[name][frame] for name in sorted(checked.maps) for frame in checked.names]
     tables = [checked.folder / name for name in _TABLES if (checked.folder / name).exists()]
     stats = ((path, path.stat()) for path in (*files, *tables))
-    return _digest(checked.folder, tuple((path, stat.st_size, stat.st_mtime_ns) for path, stat in stats))
+    read = _digest(tuple((path, stat.st_size, stat.st_mtime_ns) for path, stat in stats))
+    return digest([sorted(checked.maps), read])
 
 
 @lru_cache(maxsize=8)
-def _digest(folder: Path, stats: tuple[tuple[Path, int, int], ...]) -> str:
+def _digest(stats: tuple[tuple[Path, int, int], ...]) -> str:
     """Read once a process for as long as no file changes."""
-    digest = hashlib.sha256()
-    for path, _, _ in stats:
-        digest.update(path.relative_to(folder).as_posix().encode())
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()
+    return digest_of_files(path for path, _, _ in stats)
 
 
 def _header(path: Path) -> tuple[tuple[int, int], int, int]:
