@@ -91,7 +91,7 @@ def spec_of(arguments: argparse.Namespace, width: float) -> GeneratorSpec:
     given = [f"preset={arguments.preset}", f"variant={arguments.variant}", "simulator.image_shape=[1000,1386]"]
     settings = jobs_of(given)[0].settings
     values = label_values(tuple(load_tissues().values()), settings.encoding)
-    return replace(fitted(settings.model, settings.encoding, values), width=width)
+    return replace(fitted(settings.model, values), width=width)
 
 
 def drawn_generator(spec: GeneratorSpec) -> Generator:

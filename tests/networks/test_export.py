@@ -15,7 +15,7 @@ from ablate.networks import Generator, GeneratorSpec, conditions, export_onnx
 from ablate.networks.layers import convolutions
 from ablate.training.inference import openvino_core
 from ablate.ultrasound import ConvexProbe, ScanConverter
-from support.variants import BEAM, ONEHOT, UNET
+from support.variants import BEAM, UNET
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("openvino")
@@ -26,7 +26,6 @@ VARIANTS = {
     "concat and conv": {"concat": "input", "upsampling": "transposed", "noise": "input"},
     "lsa2h": {**UNET, "extra_input": "low"},
     "beam": BEAM,
-    "onehot": {**ONEHOT, "noise_start": 0.5},
 }
 SIZE = (13, 30)
 

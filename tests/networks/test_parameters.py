@@ -41,8 +41,6 @@ def test_a_refined_grain_costs_its_convolution_and_every_map_alike() -> None:
     one_map = whole - count_generator(GeneratorSpec(attenuation="none"))  # type: ignore[arg-type]
     for changes, maps in (({"interfaces": "echo"}, 1), ({"position": "beam"}, 2), ({"labels": 3}, 2)):
         assert count_generator(GeneratorSpec(**changes)) == whole + maps * one_map  # type: ignore[arg-type]
-    embedded = count_generator(GeneratorSpec(labels=30, embedding=4))
-    assert embedded == whole + 3 * one_map + 30 * 4
 
 
 def test_the_narrowest_network_keeps_four_channels() -> None:

@@ -36,7 +36,6 @@ def make_linear(network: nn.Module) -> None:
         {"depth": 2, "grain": "refine"},
         {"depth": 2, "grain": "refine", "position": "beam"},
         {"depth": 2, "labels": 3, "attenuation": "none"},
-        {"depth": 2, "labels": 5, "embedding": 2, "attenuation": "none"},
         {"depth": 2, "extra_input": "low"},
         {"depth": 3, "concat": "input"},
         {"depth": 3, "upsampling": "transposed"},

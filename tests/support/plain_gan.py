@@ -24,7 +24,7 @@ from ablate.networks.spec import scaled
 
 def channels_of(names: tuple[str, ...], spec: GeneratorSpec) -> int:
     """Channels of these maps as the generator's convolutions read them."""
-    return sum((spec.embedding or spec.labels) if name == "segmentation" else 1 for name in names)
+    return sum(spec.labels if name == "segmentation" else 1 for name in names)
 
 
 class PlainDownBlock(nn.Module):
@@ -73,8 +73,6 @@ class PlainLocal(nn.Module):
         self.fed = 0
         if spec.concat is Concat.every_level:
             self.fed = channels_of(tuple(name for name in conditions(spec) if name != "low"), spec)
-        if spec.embedding:
-            self.embedding = nn.Conv2d(spec.labels, spec.embedding, 1, bias=False)
         self.stem = nn.Conv2d(channels_of(inputs(spec), spec), widths[0], 3, padding=1)
         self.norms = nn.ModuleList(nn.InstanceNorm2d(count) for count in (widths[0], widths[-1]))
         self.down = nn.ModuleList(PlainDownBlock(fine, coarse, self.fed) for fine, coarse in pairwise(widths))
@@ -88,9 +86,6 @@ class PlainLocal(nn.Module):
 
     def forward(self, stacked: Tensor) -> Tensor:
         """Render the stacked conditions, (N, conditions, H, W); H and W are multiples of 2^depth."""
-        if self.spec.embedding:
-            labels, others = stacked[:, : self.spec.labels], stacked[:, self.spec.labels :]
-            stacked = torch.cat([self.embedding(labels), others], 1)
         maps = [self.resized(stacked, level) for level in range(self.spec.depth + 1)]
         features = self.norms[0](F.leaky_relu(self.stem(with_noise(stacked, self.spec)), 0.2))
         skips = []

@@ -13,7 +13,6 @@ BEAM = {
     **{"space": "beam", "labels": 3, "attenuation": "illumination", "interfaces": "echo", "position": "beam"},
     **{"grain": "refine", "noise_start": 0.5},
 }
-ONEHOT = {"labels": 6, "embedding": 2, "position": "depth"}
 VARIANTS: dict[str, dict[str, Any]] = {
     "sa2h": {},
     "att": {"attenuation": "none"},
@@ -27,7 +26,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "lsa2h": {**UNET, "extra_input": "low"},
     "nsa2h": {**UNET, "extra_input": "noise"},
     "beam": BEAM,
-    "onehot": ONEHOT,
     "beam-unet": {**UNET, "labels": 3, "attenuation": "illumination", "position": "beam"},
 }
 #: Every map that some generator reads, and what it is outside the fan.

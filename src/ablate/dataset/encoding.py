@@ -32,18 +32,14 @@ class Encoding(StrEnum):
     """How labels become what the networks read.
 
     `echogenicity`: one number, from dark to bright by the built-in tissue table; `arbitrary`: one number, by an order
-    drawn with the run's seed; `properties`: three numbers from the tissue table; `onehot`: a channel a label, of which
-    the network learns an embedding.
+    drawn with the run's seed; `properties`: three numbers from the tissue table.
     """
 
     echogenicity = "echogenicity"
     arbitrary = "arbitrary"
     properties = "properties"
-    onehot = "onehot"
 
 
-#: Maps that one-hot labels are embedded in.
-_EMBEDDED = 4
 #: Middle and half range of the properties: level of the scatterers in dB, and impedance in MRayl.
 _LEVEL_DB, _IMPEDANCE_MRAYL = (-20.0, 20.0), (1.6, 0.2)
 
@@ -56,8 +52,6 @@ def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -
     impedance and whether a tissue is bone, -1 outside.
     """
     n = len(tissues)
-    if encoding is Encoding.onehot:
-        return np.eye(n + 1, dtype=np.float32)
     if encoding is Encoding.properties:
         of_tissues = [
             (
@@ -75,9 +69,9 @@ def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -
     return np.concatenate([[-1.0], -1 + 2 * (rank + 1) / n]).astype(np.float32)[:, None]
 
 
-def fitted(spec: GeneratorSpec, encoding: Encoding, values: np.ndarray) -> GeneratorSpec:
+def fitted(spec: GeneratorSpec, values: np.ndarray) -> GeneratorSpec:
     """The specification for labels with these `values` of `label_values`."""
-    return replace(spec, labels=values.shape[1], embedding=_EMBEDDED if encoding is Encoding.onehot else 0)
+    return replace(spec, labels=values.shape[1])
 
 
 def encode_grey_levels(levels: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:

@@ -69,8 +69,8 @@ def _variants(jobs: Sequence[Job]) -> list[tuple[str, StudySettings]]:
 
 
 def _row(settings: StudySettings) -> dict[str, object]:
-    tissues = tuple(load_tissues().values())  # a scene of other tissues has another number of one-hot labels
-    spec = fitted(settings.model, settings.encoding, label_values(tissues, settings.encoding))
+    tissues = tuple(load_tissues().values())
+    spec = fitted(settings.model, label_values(tissues, settings.encoding))
     rows = settings.simulator.image_shape[0]
     at_paper = paper_levels(spec.depth, rows)
     row: dict[str, object] = {

@@ -39,16 +39,12 @@ class Generator(nn.Module):
     def __init__(self, spec: GeneratorSpec) -> None:
         super().__init__()
         self.spec = spec
-        # Of one-hot labels: the same few maps at every level, so the means at coarse levels are those of the labels.
-        self.embedding = nn.Conv2d(spec.labels, spec.embedding, 1, bias=False) if spec.embedding else None
         self.network: LocalNetwork | UNetwork | CustomNetwork
         if spec.family is Family.custom:
             self.network = CustomNetwork(spec)
             return
         self.network = LocalNetwork(spec) if spec.family is Family.local else UNetwork(spec)
         draw_initial_weights(self)
-        if self.embedding is not None:
-            nn.init.normal_(self.embedding.weight)
 
     def forward(
         self,
@@ -145,12 +141,7 @@ class Generator(nn.Module):
         unit = 2**self.spec.depth
         padding = (0, -width % unit, 0, -height % unit)
         if any(padding):
-            labels = stack[0]
             stack = [F.pad(x, padding, value=OUTSIDE.get(name, 0.0)) for x, name in zip(stack, names, strict=True)]
-            if self.embedding is not None:  # one-hot: the first channel says that a pixel is outside
-                stack[0] = torch.cat((F.pad(labels[:, :1], padding, value=1.0), F.pad(labels[:, 1:], padding)), dim=1)
-        if self.embedding is not None:
-            stack[0] = self.embedding(stack[0])
         stacked = laid_out(torch.cat(stack, dim=1))
         kind = stacked.device.type
         return stacked.to(torch.get_autocast_dtype(kind)) if torch.is_autocast_enabled(kind) else stacked

@@ -53,7 +53,7 @@ def receptive_field(spec: GeneratorSpec) -> int | None:
         return None
     period = 2**spec.depth
     fed = fed_channels(spec)
-    has_means = fed > 1 or spec.embedding > 0  # else the order of the labels alone, of which one pixel is taken
+    has_means = fed > 1  # else the order of the labels alone, of which one pixel is taken
     extents = (_pixels_reached(network, period * 64 + phase, fed > 0, has_means) for phase in range(period))
     return max(last - first + 1 for first, last in extents)
 

@@ -123,9 +123,6 @@ class GeneratorSpec(Checked):
     labels: int = setting(
         1, "Channels of the encoded segmentation, which follow from `encoding`; do not set it.", least=1, most=255
     )
-    embedding: int = setting(
-        0, "Maps that a one-hot segmentation is embedded in, which follow from `encoding`; do not set it.", least=0
-    )
     target: str | None = setting(
         None, "With `family=custom`, the dotted path of the network's class, as `my_package.MyGenerator`."
     )
@@ -185,12 +182,7 @@ def conditions(spec: GeneratorSpec) -> tuple[str, ...]:
 def fed_channels(spec: GeneratorSpec) -> int:
     """Count the channels that every convolution reads, the first ones of all; 0 where the maps enter only once."""
     without_low = len(conditions(spec)) - (spec.extra_input is ExtraInput.low)
-    return 0 if spec.concat is Concat.input else segmentation_channels(spec) + without_low - 1
-
-
-def segmentation_channels(spec: GeneratorSpec) -> int:
-    """Count the channels of the segmentation in the network: those of its embedding where there is one."""
-    return spec.embedding or spec.labels
+    return 0 if spec.concat is Concat.input else spec.labels + without_low - 1
 
 
 def inputs(spec: GeneratorSpec) -> tuple[str, ...]:
@@ -201,7 +193,7 @@ def inputs(spec: GeneratorSpec) -> tuple[str, ...]:
 
 def input_channels(spec: GeneratorSpec) -> int:
     """Count the channels of the network's first convolution."""
-    return segmentation_channels(spec) + len(inputs(spec)) - 1
+    return spec.labels + len(inputs(spec)) - 1
 
 
 def draws_noise(spec: GeneratorSpec) -> bool:
