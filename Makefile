@@ -21,7 +21,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 6 to 13 minutes on two cores
+sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 6 to 18 minutes on two cores
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h
 
 answer: $(STAMP) ## which components earn their keep: 32 runs of a factorial in two anatomies and the runs beside it, kept in docs/results; resumable
