@@ -19,7 +19,7 @@ from ablate.ultrasound import Display, Simulator
 from ablate.ultrasound.probe import pixel_polar
 from ablate.ultrasound.surfaces import embree
 from ablate.viewer.engine import Engine, coarse
-from ablate.viewer.generators import FastGenerator, pickable
+from ablate.viewer.generators import FastGenerator, first_fitting, pickable
 from ablate.viewer.session import Quality, State
 from support.viewed_body import BODY, STATE
 
@@ -130,6 +130,7 @@ def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not
     assert "not trained on gel" in views.notes["generated 0"]
     assert "trained with pixels of 0.61 mm" in views.notes["generated 0"]
     assert "MHz" not in views.notes["generated 0"]
+    assert first_fitting(picked, BODY.tissues, STATE) == ()
 
 
 def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
@@ -137,7 +138,11 @@ def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
     renderer, table = ablate.load("sa2h"), load_tissues()
     fluid, tissue = (table[name] for name in [name for name in renderer.values if name][:2])
     known = Scene((Structure(trimesh.creation.cylinder(radius=100, height=200), tissue),), fluid, "known")
-    (picked,) = pickable(Path("nowhere")).values()
+    (picked,) = (offered := pickable(Path("nowhere"))).values()
+    at_its_size = replace(STATE, simulator=replace(STATE.simulator, image_shape=renderer.image_shape))
+    assert first_fitting(offered, known.tissues, at_its_size) == (picked,)
+    deeper = replace(at_its_size, probe=replace(STATE.probe, depth_mm=170.0))
+    assert first_fitting(offered, known.tissues, deeper) == ()
     views = Engine(known, STATE.pose[None]).render(replace(STATE, runs=(picked,), seed=3), Quality.coarse)
     frame = Simulator(known, STATE.probe, STATE.simulator).render(STATE.pose)
     np.testing.assert_array_equal(views.generated[0], renderer.render(frame, known.tissues, seed=3))

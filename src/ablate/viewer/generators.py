@@ -4,6 +4,7 @@ import logging
 import pickle
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.context import SpawnProcess
@@ -38,12 +39,13 @@ _KEPT = 3  # sizes: an open file takes some hundred MB of memory
 
 
 def pickable(folder: Path) -> dict[str, Path]:
-    """What `open_generator` opens, by name: the runs of a folder, then those of the package.
+    """What `open_generator` opens, by name: the runs of a folder, of SA2H first, then those of the package.
 
     A run is named by its study, variant and seed; the folder may be a run, a study or a folder of studies.
     """
     folders = sorted({path.resolve() for path in (folder, *folder.glob("*/seed*"), *folder.glob("*/*/seed*"))})
     runs = [run for run in map(Run, folders) if run.state is RunState.finished and run.checkpoint.exists()]
+    runs.sort(key=lambda run: run.label != StudySettings.reference)
     named = {f"{run.folder.parents[1].name}: {run.name}": run.folder for run in runs}
     return named | {f"comes with ablate: {name}": _SHIPPED / name for name in pretrained.NAMES}
 
@@ -161,6 +163,15 @@ class Trained:
         if self.unknown:
             reservations.append(f"not trained on {', '.join(name.replace('_', ' ') for name in self.unknown)}")
         return "; ".join(reservations)
+
+
+def first_fitting(offered: Mapping[str, Path], tissues: Sequence[Tissue], state: State) -> tuple[Path, ...]:
+    """The first generator that was trained with the probe, the pixels and the tissues of a state; or nothing."""
+    for picked in offered.values():
+        with suppress(OSError, ValueError, KeyError):
+            if not open_generator(picked, tissues).reservation(state):
+                return (picked,)
+    return ()
 
 
 def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:

@@ -183,7 +183,8 @@ def _generated(views: Views, number: int, name: str) -> _Tile:
     if image is None:
         words = views.notes.get(key, "this generator has not rendered yet")
         return f"generated: {name}", "", textwrap.fill(words, _LINE)
-    return f"generated: {name}", f"{views.ms[key]:.0f} ms", framed(image, views.mask, views.state.probe)
+    note = textwrap.shorten(views.notes.get(key, f"{views.ms[key]:.0f} ms"), _LINE, placeholder=" ...")
+    return f"generated: {name}", note, framed(image, views.mask, views.state.probe)
 
 
 def _mosaic(tiles: Sequence[tuple[str, str, np.ndarray]]) -> np.ndarray:

@@ -25,7 +25,7 @@ from ablate.runs.simulated import build_scene, training_poses
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
 from ablate.ultrasound import TimeGain
 from ablate.viewer.engine import Engine
-from ablate.viewer.generators import pickable
+from ablate.viewer.generators import first_fitting, pickable
 from ablate.viewer.hand import Hand
 from ablate.viewer.page.operate_tabs import add_hands, add_move_tab, add_row, add_scan_tab
 from ablate.viewer.page.page import Page
@@ -75,12 +75,12 @@ class Viewer:
         if settings.runs is not None and not folder.is_dir():
             allowed = "allowed is a run, a study or a folder of studies"
             raise ConfigurationError(f"runs={settings.runs}: no such folder; {allowed}")
-        picked = tuple(pickable(folder).values())[:1]
         hand = Hand(scene, grid.axis, grid.front, settings.dataset.press_mm, settings.probe)
         named = np.array(list(poses.values()))
         patient = settings.simulator.tgc is TimeGain.patient
         self.worker = Worker(Engine(scene, training_poses(settings, scene, grid, named) if patient else named).render)
-        start = State(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed, runs=picked)
+        start = State(np.eye(4), settings.probe, settings.simulator, seed=settings.dataset.seed)
+        start = replace(start, runs=first_fitting(pickable(folder), scene.tissues, start))
         self.session = Session(hand, start, poses, self.worker.submit)
         if settings.pose:
             self.session.to_pose(np.asarray(read_poses(Path(settings.pose), "pose")[0][0]))
