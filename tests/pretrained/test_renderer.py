@@ -13,6 +13,7 @@ from ablate.jobs.compose import jobs_of
 from ablate.metrics import psnr
 from ablate.networks import Generator, GeneratorSpec
 from ablate.pretrained import NAMES, OUTSIDE, Renderer, load, save
+from ablate.setting import plain
 from ablate.ultrasound import Beam, ConvexProbe, Frame, ScanConverter, Simulator, compensated_attenuation, fan_mask
 
 SHAPE, SEED = (64, 88), 5
@@ -104,6 +105,12 @@ def test_what_cannot_be_loaded_or_rendered_is_named(frame: Frame, tmp_path: Path
         load(tmp_path / "damaged.pt")
     with pytest.raises(ValueError, match="tissue 'lung': the generator was trained on soft_tissue, bone, blood"):
         made().render(frame, [*TISSUES[:2], load_tissues()["lung"]])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_shipped_generator_names_all_keys_of_a_network_and_no_other(name: str) -> None:
+    content = torch.load(Path(ablate.__file__).parent / "pretrained" / f"{name}.pt", weights_only=True)
+    assert content["spec"] == plain(load(name).generator.spec)
 
 
 @pytest.mark.slow
