@@ -33,12 +33,12 @@ def without_channels_last() -> None:
 def without_sums() -> None:
     """Features, those of the skip connection and maps are appended to one another."""
     joint, transposed = layers.JointConvolution.forward, layers.JointTransposedConvolution.forward
-    layers.JointConvolution.forward = lambda self, *parts: joint(self, _joined(parts))
-    layers.JointTransposedConvolution.forward = lambda self, *parts: transposed(self, _joined(parts))
 
+    def joined(parts: tuple[Tensor | None, ...]) -> Tensor:
+        return torch.cat([part for part in parts if part is not None], dim=1)
 
-def _joined(parts: tuple[Tensor | None, ...]) -> Tensor:
-    return layers.joined([part for part in parts if part is not None])
+    layers.JointConvolution.forward = lambda self, *parts: joint(self, joined(parts))
+    layers.JointTransposedConvolution.forward = lambda self, *parts: transposed(self, joined(parts))
 
 
 def with_noise_as_product() -> None:

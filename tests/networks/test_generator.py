@@ -91,6 +91,11 @@ def test_padding_is_a_larger_frame_with_nothing_beside_the_fan(variant: str) -> 
     assert torch.equal(generator(**given), whole[..., :21, :30])
 
 
+def test_seeds_that_are_no_multiple_of_the_samples_are_refused() -> None:
+    with pytest.raises(ValueError, match="noise_seed: 3 for 2 samples, allowed is a multiple"):
+        make()(**{**maps(), "noise_seed": torch.arange(3)})
+
+
 def test_a_missing_or_misshapen_map_is_refused_by_name() -> None:
     given = maps()
     with pytest.raises(ValueError, match="attenuation: missing, this generator reads segmentation, attenu"):

@@ -52,12 +52,16 @@ def read_times(study_dir: Path) -> pd.DataFrame:
         return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in _KEPT.items()})
 
 
+def _times_of(runs: Sequence[Run]) -> pd.DataFrame:
+    return read_times(runs[0].folder.parents[1])
+
+
 def timed_on(runs: Sequence[Run]) -> str:
     """The one machine whose times are compared: on which most networks of these runs were timed, of several the last.
 
     It is empty where there are no times.
     """
-    times, networks = read_times(runs[0].folder.parents[1]), {network_of(run.spec["semantic"]) for run in runs}
+    times, networks = _times_of(runs), {network_of(run.spec["semantic"]) for run in runs}
     counts = times[times["network"].isin(networks)].groupby("machine", sort=False)["network"].nunique()
     return "" if counts.empty else str(counts.index[counts == counts.max()][-1])
 
@@ -76,7 +80,7 @@ def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
     """
     rows: list[tuple[object, ...]] = []
     if machine := timed_on(runs):
-        timed = _quartiles(read_times(runs[0].folder.parents[1]))[["ms", *BOUNDS]].loc[machine]
+        timed = _quartiles(_times_of(runs))[["ms", *BOUNDS]].loc[machine]
         networks = [(run, network_of(run.spec["semantic"])) for run in runs]
         kept = [(run, timed.loc[network]) for run, network in networks if network in timed.index]
         rows = [(run.label, run.seed, run.data, FRAME_TIME, *times) for run, times in kept]
@@ -85,7 +89,7 @@ def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
 
 def untimed(runs: Sequence[Run]) -> list[str]:
     """A sentence about the variants that have no time beside the others'; none where all have one."""
-    times, shown = read_times(runs[0].folder.parents[1]), timed_on(runs)
+    times, shown = _times_of(runs), timed_on(runs)
     timed = set(times["network"][times["machine"] == shown])
     missing = dict.fromkeys(run.label for run in runs if network_of(run.spec["semantic"]) not in timed)
     return [f"Times are those of {shown}; none from there: {', '.join(missing)}."] if shown and missing else []

@@ -69,8 +69,7 @@ def _variants(jobs: Sequence[Job]) -> list[tuple[str, StudySettings]]:
 
 
 def _row(settings: StudySettings) -> dict[str, object]:
-    tissues = tuple(load_tissues().values())
-    spec = fitted(settings.model, label_values(tissues, settings.encoding))
+    spec = fitted(settings.model, label_values(tuple(load_tissues().values()), settings.encoding))
     rows = settings.simulator.image_shape[0]
     at_paper = paper_levels(spec.depth, rows)
     row: dict[str, object] = {

@@ -78,11 +78,13 @@ class Generator(nn.Module):
         Raises
         ------
         ValueError
-            If a map that the variant reads is missing or has another shape.
+            If a map that the variant reads is missing or has another shape, or the seeds are not k for each sample.
         """
         given = {"segmentation": segmentation, "attenuation": attenuation, "low": low, **others}
         if noise_seed is None:
             return self.render(given, {})
+        if len(noise_seed) % len(segmentation):
+            raise ValueError(f"noise_seed: {len(noise_seed)} for {len(segmentation)} samples, allowed is a multiple")
         return self.render(given, self.draw_noise(noise_seed.to(segmentation.device), *segmentation.shape[-2:]))
 
     def render(self, given: Mapping[str, Tensor | None], noise: Mapping[str, Tensor]) -> Tensor:

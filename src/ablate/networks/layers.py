@@ -1,7 +1,5 @@
 """Layers that the networks share: convolutions, instance norm, initial weights, and a list of the layers."""
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -20,8 +18,8 @@ class JointConvolution(nn.Conv2d):
     def forward(self, *parts: Tensor | None) -> Tensor:
         """Convolve those of the (N, C, H, W) that are not None."""
         given = [part for part in parts if part is not None]
-        if len(given) == 1 or torch.compiler.is_exporting():
-            return super().forward(joined(given))
+        if torch.compiler.is_exporting():
+            return super().forward(torch.cat(given, dim=1) if len(given) > 1 else given[0])
         weights = self.weight.split([part.shape[1] for part in given], dim=1)
         result = F.conv2d(given[-1], weights[-1], self.bias, self.stride, self.padding)
         for part, weight in zip(given[:-1], weights, strict=False):
@@ -35,8 +33,8 @@ class JointTransposedConvolution(nn.ConvTranspose2d):
     def forward(self, *parts: Tensor | None) -> Tensor:  # type: ignore[override]
         """Convolve those of the (N, C, H, W) that are not None."""
         given = [part for part in parts if part is not None]
-        if len(given) == 1 or torch.compiler.is_exporting():
-            return super().forward(joined(given))
+        if torch.compiler.is_exporting():
+            return super().forward(torch.cat(given, dim=1) if len(given) > 1 else given[0])
         weights = self.weight.split([part.shape[1] for part in given])
         steps = self.stride, self.padding, self.output_padding
         result = F.conv_transpose2d(given[-1], weights[-1], self.bias, *steps)  # type: ignore[arg-type]
@@ -52,11 +50,6 @@ def laid_out(maps: Tensor) -> Tensor:
     channel, torch's default, so another format would be undone after every convolution.
     """
     return maps.contiguous(memory_format=torch.channels_last) if maps.device.type == "cpu" else maps
-
-
-def joined(parts: Sequence[Tensor]) -> Tensor:
-    """Append the channels of tensors (N, C, H, W)."""
-    return parts[0] if len(parts) == 1 else torch.cat(tuple(parts), dim=1)
 
 
 def instance_norm(features: Tensor) -> Tensor:

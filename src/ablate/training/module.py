@@ -109,8 +109,8 @@ class PairGAN(LightningModule):
             losses["train/loss_g"] = -F.softplus(logits).mean() if is_minimax else F.softplus(-logits).mean()
 
         losses["train/l1"] = error = mean_in_fan((fake - image).abs(), mask)
-        for other in second:
-            losses["train/crps"] = error = mean_in_fan(crps_of_two_draws(fake, other, image), mask)
+        if second:
+            losses["train/crps"] = error = mean_in_fan(crps_of_two_draws(fake, second[0], image), mask)
         optimizer_g.zero_grad()
         self.manual_backward(losses.get("train/loss_g", 0) + self.settings.l1_weight * error)
         optimizer_g.step()

@@ -27,7 +27,7 @@ _PAPER = (16, 18, 22)
 _COLUMNS = 2
 _BAR_PX, _GAP_PX = 30, 6
 _INK, _DIM = (235, 238, 242), (140, 150, 160)
-_LINE = 42  # characters
+_LINE, _NOTE = 42, 30  # characters
 GOOD, BAD, DIM = "#2f9e44", "#e8590c", "#868e96"
 _LEAST_SHARE = 0.002  # of the fan, or a tissue is not named
 # Title and note of an image, and its picture or the words in its place.
@@ -183,8 +183,9 @@ def _generated(views: Views, number: int, name: str) -> _Tile:
     if image is None:
         words = views.notes.get(key, "this generator has not rendered yet")
         return f"generated: {name}", "", textwrap.fill(words, _LINE)
-    note = textwrap.shorten(views.notes.get(key, f"{views.ms[key]:.0f} ms"), _LINE, placeholder=" ...")
-    return f"generated: {name}", note, framed(image, views.mask, views.state.probe)
+    note = views.notes.get(key, f"{views.ms[key]:.0f} ms").partition(";")[0]  # the caption has all of it
+    short = textwrap.shorten(note, _NOTE, placeholder=" ...")
+    return f"generated: {name}", short, framed(image, views.mask, views.state.probe)
 
 
 def _mosaic(tiles: Sequence[tuple[str, str, np.ndarray]]) -> np.ndarray:
