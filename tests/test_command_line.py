@@ -146,7 +146,8 @@ def test_a_signal_that_ends_the_program_is_said_and_what_is_open_is_closed(
         try:
             if dropped:
                 _Dying(number)
-                time.sleep(10)
+                for _ in range(100):
+                    time.sleep(0.1)
             os.kill(os.getpid(), number)
         finally:
             closed.append(number)
@@ -179,7 +180,7 @@ def test_a_module_of_the_folder_is_found_whichever_way_the_program_starts(tmp_pa
     """The console script has its own folder first among those that Python searches, and not the current one."""
     (tmp_path / "own_metrics.py").write_text("def bias(pair):\n    return 0.0\n")
     script = "import sys; sys.path[0] = '/nowhere'; from ablate.__main__ import main; main()"
-    words = ["task=plan", "metrics=[psnr,own_metrics.bias]", f"runs_dir={tmp_path}"]
+    words = ["preset=tiny", "task=plan", "metrics=[psnr,own_metrics.bias]", f"runs_dir={tmp_path}"]
     for start in (["-c", script], ["-m", "ablate"]):
         command = [sys.executable, *start, *words]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

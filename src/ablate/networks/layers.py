@@ -75,6 +75,8 @@ def instance_norm(features: Tensor) -> Tensor:
 def draw_initial_weights(network: nn.Module) -> None:
     """Draw every convolution's weights from N(0, 0.02^2) and set its bias to zero, as pix2pix does."""
     for layer in convolutions(network):
+        if layer.weight.is_meta:  # has a size and no values; torch would load its compiler to draw none
+            continue
         nn.init.normal_(layer.weight, 0.0, 0.02)
         if layer.bias is not None:
             nn.init.zeros_(layer.bias)

@@ -105,13 +105,11 @@ def _add_up(steps: np.ndarray, lost: np.ndarray, elements: Arrays, gain: np.ndar
     From the losses on each step of each pencil, (layers, steps, 3 lines), and their sums.
     """
     (ways, weights, exists), (_, depths, lines) = elements, gain.shape
-    way = np.empty(lines, np.float32)
-    amplitude, weight = np.empty((2, lines))
     for row in range(begin, end):
         layer, depth = row // depths, row % depths
-        amplitude[:], weight[:] = 0.0, 0.0
+        amplitude, weight = np.zeros(lines), np.zeros(lines)
         for element in range(len(weights)):
-            way[:] = lost[layer, depth]
+            way = lost[layer, depth].copy()
             for step in range(depth + 1):
                 first = lines + ways[depth, element, step]
                 crossed = steps[layer, step, first : first + lines]

@@ -150,9 +150,7 @@ def _grown(rows: np.ndarray, count: int) -> np.ndarray:
     """The same rows, with at least `count` of them and then twice as many; those added are not initialised."""
     if len(rows) >= count:
         return rows
-    more = np.empty((2 * count, *rows.shape[1:]), rows.dtype)
-    more[: len(rows)] = rows
-    return more
+    return np.concatenate((rows, np.empty((2 * count - len(rows), *rows.shape[1:]), rows.dtype)))
 
 
 @compiled
