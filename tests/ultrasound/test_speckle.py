@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
@@ -104,6 +105,15 @@ def test_texture_keeps_the_mean_power(probe, small, ahead) -> None:
         for tissue in (plain, textured)
     ]
     assert 10 * np.log10(power[1] / power[0]) == pytest.approx(0, abs=0.5)
+
+
+def test_another_seed_has_another_texture(probe, small, ahead) -> None:
+    """Nothing of it is in the maps of a frame: a re-simulation that kept it would know more than a network can."""
+    tissue = replace(TEXTURED, texture_contrast_db=6.0, texture_mm=(3.0, 3.0, 3.0))
+    simulator = Simulator(Scene((), tissue, "s"), probe, replace(small, tgc_db_cm_mhz=0.5))
+    levels = [np.log(simulator.render(ahead, seed).envelope[100:900]) for seed in (0, 1, 2, 2**70)]
+    slow = [gaussian_filter(level - level.mean(axis=1, keepdims=True), (24, 2)) for level in levels]
+    assert max(abs(correlation(slow[0], other)) for other in slow[1:]) < 0.3
 
 
 @pytest.mark.parametrize("layers", [1, 3])

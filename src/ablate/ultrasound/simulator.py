@@ -233,7 +233,7 @@ class Simulator:
         surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, weights, settings.rays, probe.depth_mm)
         clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.dtype)
         scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
-        self._prepared = pose.tobytes(), self._chain.prepare(scanlines, level_db, surfaces, clutter)
+        self._prepared = pose.tobytes(), Prepared(scanlines, level_db, surfaces, clutter)
         return self._prepared[1]
 
     def _local(self, pose: np.ndarray) -> np.ndarray:

@@ -12,7 +12,6 @@ from ablate.anatomy import Tissue
 from ablate.threads import in_parts
 from ablate.ultrasound.compiled import Arrays, compiled
 from ablate.ultrasound.imaging.point_spread import LINES_OF_A_PART, along_lines, blur, point_spread
-from ablate.ultrasound.imaging.scatterers import Samples
 from ablate.ultrasound.imaging.speckle import Lines, Speckle
 from ablate.ultrasound.probe import sample_depths_mm
 from ablate.ultrasound.scan_conversion import ScanConverter
@@ -96,7 +95,9 @@ def _received(
         for row in range(4):  # both parts of the amplifier's noise, then of that of reverberation
             first = (shift[1] + (row // 2) * (samples // 2)) % samples
             given = noise[row % 2, (line + shift[0] + (row // 2) * (lines // 2)) % lines]
-            shifted[row, : samples - first], shifted[row, samples - first :] = given[first:], given[:first]
+            for sample in range(samples):
+                from_sample = sample + first
+                shifted[row, sample] = given[from_sample if from_sample < samples else from_sample - samples]
         real, imaginary = signal[0, line], signal[1, line]
         if len(clutter):
             for sample in range(samples):
@@ -132,11 +133,12 @@ def means_of_rows(lines: np.ndarray, settings: SimulatorSettings) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Prepared:
-    """What rays bring back, for images with any number of seeds."""
+    """What rays bring back, for images with any number of seeds; echoes are amplitudes at the receiver."""
 
-    insonified: Samples
+    lines: Lines  # of `Speckle.insonify`, with
+    level_db: np.ndarray  # (groups, nodes)
     surfaces: np.ndarray  # (scanlines, samples)
-    clutter: np.ndarray  # (scanlines, samples), or (0, samples) where there is none
+    clutter: np.ndarray  # reverberation, (scanlines, samples), or (0, samples) where there is none
 
 
 class SignalChain:
@@ -152,13 +154,6 @@ class SignalChain:
         gain_db = np.minimum(time_gain_db(self._depth_mm, probe, settings.time_gain), _LARGEST_GAIN_DB)
         self.gain = 10 ** (gain_db / 20)  # of the samples, two-way
         self._noise: tuple[int, np.ndarray] | None = None
-
-    def prepare(self, lines: Lines, level_db: np.ndarray, surfaces: np.ndarray, clutter: np.ndarray) -> Prepared:
-        """What does not depend on the scatterers' seed: `lines` and `level_db` are those of `Speckle.insonify`.
-
-        `surfaces` and `clutter`, (scanlines, samples), are amplitudes at the receiver: echoes, and reverberation.
-        """
-        return Prepared(self.speckle.insonify(lines, level_db), surfaces, clutter * self.spread.axial.sum().item())
 
     def noise(self, pose: np.ndarray, seed: int) -> tuple[np.ndarray, tuple[int, int]]:
         """Complex Gaussian noise of unit mean power with the pulse's bandwidth, (2, scanlines, samples).
@@ -194,8 +189,9 @@ class SignalChain:
         if prepared is None:
             signal, clutter = np.zeros_like(noise), noise[0, :0]
         else:
-            echoes = self.speckle(prepared.insonified, seed), prepared.surfaces
-            signal, clutter = blur(*echoes, self.spread), prepared.clutter
+            scatterers = self.speckle.insonify(prepared.lines, prepared.level_db, seed)
+            signal = blur(self.speckle(scatterers, seed), prepared.surfaces, self.spread)
+            clutter = prepared.clutter * self.spread.axial.sum().item()
         envelope, grey = np.empty((2, *noise.shape[1:]), noise.dtype)
 
         def shown(begin: int, end: int) -> None:

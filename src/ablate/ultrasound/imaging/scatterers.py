@@ -130,6 +130,12 @@ def texture_volume() -> np.ndarray:
     return np.pad(smooth, (0, 1), mode="wrap").astype(np.float32)
 
 
+def texture_start(seed: int) -> np.ndarray:
+    """Where in the volume the texture of a scatterers' seed begins, (3,), in lengths of the texture."""
+    generator = np.random.Generator(np.random.Philox(key=[_TEXTURE_SEED, int(mix_seed(seed))]))
+    return generator.random(3) * (_TEXTURE_SIDE / _VOXELS_PER_LENGTH)
+
+
 @compiled
 def texture_db(volume: np.ndarray, x: float, y: float, z: float, contrast: float) -> float:
     """Gain in dB of the scatterers' amplitude at a point, in lengths of the texture, of unit mean power over a tissue.
@@ -157,7 +163,7 @@ def _turned(lengths: float) -> float:
 
 
 class Samples(NamedTuple):
-    """Everything about the samples of a pose that does not depend on the scatterers' seed."""
+    """What a sample of a pose needs to know of its scatterer."""
 
     starts: np.ndarray  # (layers, scanlines, 3) float32, mm from the anchor along the world's axes
     directions: np.ndarray  # (layers, scanlines, 3) float32
@@ -173,10 +179,10 @@ def insonify(amplitude: np.ndarray, node_db: np.ndarray, lines: Arrays, textures
 
     The level is taken to coarse samples, with the texture added there, and interpolated between them. `lines` are
     starts, directions, ranges in mm and tissues, (groups, samples); `textures` are (tissues, 4), three inverse lengths
-    and the contrast, the volume, and the coarse samples' numbers.
+    and the contrast, the volume, where in it the texture begins, (3,) lengths, and the coarse samples' numbers.
     """
     starts, directions, ranges_mm, tissues = lines
-    of_tissue, volume, coarse = textures
+    of_tissue, volume, begins_at, coarse = textures
     samples, nodes, places = amplitude.shape[1], node_db.shape[1], len(coarse)
     level, first, factor = np.empty((3, places + 1))
     begins = np.empty(places + 1, np.int64)
@@ -190,9 +196,9 @@ def insonify(amplitude: np.ndarray, node_db: np.ndarray, lines: Arrays, textures
             tissue = tissues[row, coarse[place]]
             if of_tissue[tissue, 3] != 0:
                 r = ranges_mm[row, coarse[place]]
-                x = (starts[row, 0] + directions[row, 0] * r) * of_tissue[tissue, 0]
-                y = (starts[row, 1] + directions[row, 1] * r) * of_tissue[tissue, 1]
-                z = (starts[row, 2] + directions[row, 2] * r) * of_tissue[tissue, 2]
+                x = (starts[row, 0] + directions[row, 0] * r) * of_tissue[tissue, 0] + begins_at[0]
+                y = (starts[row, 1] + directions[row, 1] * r) * of_tissue[tissue, 1] + begins_at[1]
+                z = (starts[row, 2] + directions[row, 2] * r) * of_tissue[tissue, 2] + begins_at[2]
                 decibels += texture_db(volume, x, y, z, of_tissue[tissue, 3])
             level[place] = decibels * (math.log(10) / 20)
         level[places] = level[places - 1]

@@ -38,8 +38,8 @@ class Speckle:
         self._weights_db = 20 * np.log10(np.maximum(layer_weights(probe, settings)[0], 1e-15))
 
     @stage(Stage.scatterer_level)
-    def insonify(self, lines: Lines, level_db: np.ndarray) -> scatterers.Samples:
-        """Prepare the scatterers of a pose.
+    def insonify(self, lines: Lines, level_db: np.ndarray, seed: int) -> scatterers.Samples:
+        """Prepare the scatterers of a pose; `seed` is theirs, and decides the texture.
 
         For groups = layers * scanlines, the lines are starts and directions, (groups, 3) float64 in world coordinates,
         mm, labels (groups, samples) of the tissues, and ranges, mm, (samples,) or (groups, samples). `level_db`,
@@ -65,7 +65,7 @@ class Speckle:
         coarse = np.rint(np.linspace(0, shape[2] - 1, places)).astype(int)[: shape[2]]
         amplitude = np.empty(labels.shape, self._dtype)
         of_lines = starts.astype(np.float32), directions.astype(np.float32), ranges, labels
-        texture = self._textures, scatterers.texture_volume(), coarse
+        texture = self._textures, scatterers.texture_volume(), scatterers.texture_start(seed), coarse
         fill = partial(scatterers.insonify, amplitude, node_db, of_lines, texture)
         in_parts(fill, len(labels), LINES_OF_A_PART)
 
