@@ -68,8 +68,8 @@ def told(work: Work, job: Job) -> None:
     try:
         work(job)
     except Exception as error:
-        is_the_systems = isinstance(error, OSError) and error.errno is not None  # such as a full disk
-        if isinstance(error, ConfigurationError) or is_the_systems:
+        is_ours = type(error).__module__.startswith("ablate.")  # says what to do, as when a training diverges
+        if is_ours or (isinstance(error, OSError) and error.errno is not None):  # or the system's, such as a full disk
             print(f"{job.name}: {error}", file=sys.stderr)
         else:
             traceback.print_exc()

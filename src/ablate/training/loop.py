@@ -157,7 +157,8 @@ class LastCheckpoint(Callback):
         if is_due or step == module.settings.steps or trainer.should_stop:
             norms = torch._foreach_norm([parameter.detach() for parameter in module.parameters()])
             if not torch.stack([norm.float() for norm in norms]).isfinite().all():
-                raise DivergenceError(f"step {step}: weights are not finite, {self.path} holds the last good ones")
+                kept = f", {self.path} holds the last good ones" if self.path.exists() else ""
+                raise DivergenceError(f"step {step}: weights are not finite{kept}")
             remove_partial(self.path)  # one process trains a run
             with written_whole(self.path) as partial:
                 torch.save(module.checkpoint(), partial)
