@@ -45,7 +45,7 @@ def test_a_study_on_pairs_made_elsewhere_needs_neither_numba_nor_embree_nor_what
             values = random.integers(1, 4 if name == "segmentation" else 256, fan.shape)
             imsave(folder / name / f"site{k}_0.png", (values * fan).astype(np.uint8), check_contrast=False)
     where = ("scene=pairs", f"scene.folder={folder}", f"runs_dir={tmp_path / 'runs'}")
-    done = ablate(SIMULATOR, "preset=tiny", *where, "training.steps=2", "training.validate_every=0")
+    done = ablate(SIMULATOR, "preset=tiny", *where, "training.steps=2", "training.validate_every=0", "metrics=psnr")
     assert done.returncode == 0, done.stderr
     study = tmp_path / "runs" / "tiny-mine"
     assert '"test/psnr"' in (study / "sa2h" / "seed0" / "result.json").read_text()

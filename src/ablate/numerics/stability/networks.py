@@ -16,16 +16,15 @@ from ablate.settings.conf import variant_names
 from ablate.training import AdversarialLoss, PairGAN, TrainingSettings
 
 WIDTH = 0.125  # rounding errors depend on the depth of a network more than on its width
-SIDE = 256  # px; eight levels of stride 2 leave one pixel of it
 SETTINGS = TrainingSettings(batch_size=2, device="cpu")
 SPEC = GeneratorSpec(depth=2, width=0.1, noise_start=0.1)
 ADVERSARIAL = (AdversarialLoss.nonsaturating, AdversarialLoss.minimax)
 STEPS = 8
-SMALL_SIDE = 64
 
 
-def maps_of(device: str, seed: int = 0, side: int = SIDE) -> dict[str, Tensor]:
-    """Draw float32 maps of random blocks in a fan that fills half of the crop."""
+def maps_of(device: str, seed: int = 0, levels: int = 6) -> dict[str, Tensor]:
+    """Draw float32 maps of random blocks in a fan that fills half of the crop, of which `levels` leave a pixel."""
+    side = 1 << max(levels, 6)
     random = torch.Generator().manual_seed(seed)
     blocks = torch.randint(0, 7, (2, 1, 8, 8), generator=random).float() / 3 - 1
     segmentation = blocks.repeat_interleave(side // 8, 2).repeat_interleave(side // 8, 3)
@@ -114,7 +113,7 @@ def _variant(checks: Checks, name: str) -> None:
     """Image, loss and gradients of a training step, at an eighth of the paper's width."""
     spec = variant_model(name)
     noise_start = 0.1 if spec.noise is Noise.inject else 0.0
-    _compared(checks, replace(spec, width=WIDTH, noise_start=noise_start), maps_of(checks.device))
+    _compared(checks, replace(spec, width=WIDTH, noise_start=noise_start), maps_of(checks.device, levels=spec.depth))
 
 
 for _name in variant_names():  # each file of conf/variant
@@ -144,11 +143,12 @@ def _constant_maps(checks: Checks) -> None:
     """Constant maps: one tissue everywhere, and no fan with shadow everywhere."""
     constants = ("all one tissue", 1.0, 1.0), ("all outside, in shadow", -1.0, 0.0)
     for (label, segmentation, attenuation), name in product(constants, ("sa2h", "lsa2h")):
-        maps = maps_of(checks.device)
+        spec = replace(variant_model(name), width=WIDTH)
+        maps = maps_of(checks.device, levels=spec.depth)
         maps["segmentation"].fill_(segmentation)
         maps["attenuation"].fill_(attenuation)
         checks.label = f"{label}, {name}"
-        _compared(checks, replace(variant_model(name), width=WIDTH), maps)
+        _compared(checks, spec, maps)
 
 
 def _steps(
@@ -165,7 +165,7 @@ def _steps(
         module = Stepped(SPEC, settings, checks.device, checks.dtype)
         before, losses = module.weights(), []
         for k in range(STEPS):
-            losses.append(list(module.step(maps or maps_of(checks.device, k, SMALL_SIDE), k).values()))
+            losses.append(list(module.step(maps or maps_of(checks.device, k), k).values()))
             if k == 0:
                 first[checks.dtype] = np.array(losses[0]), np.concatenate([g.ravel() for g in gradients_of(module)])
         checks.finite(np.array(losses), what="losses")
@@ -198,7 +198,7 @@ def _lambda(checks: Checks, weight: float) -> None:
 @case("a crop entirely outside the fan")
 def _outside(checks: Checks) -> None:
     """A crop outside the fan: its images are black, and the generator's weights do not change."""
-    maps = maps_of(checks.device, side=SMALL_SIDE)
+    maps = maps_of(checks.device)
     for name, value in (("mask", 0.0), ("target", -1.0), ("segmentation", -1.0), ("attenuation", 0.0)):
         maps[name].fill_(value)
     _steps(checks, SETTINGS, maps, alike=True)
@@ -220,7 +220,7 @@ def _saturated(checks: Checks) -> None:
                 module = Stepped(SPEC, replace(SETTINGS, loss=loss, l1_weight=0.0), checks.device, checks.dtype)
                 assert module.discriminator is not None
                 torch.nn.init.constant_(module.discriminator.last.bias, logit)  # type: ignore[arg-type]
-                losses = module.step(maps_of(checks.device, side=SMALL_SIDE), 0)
+                losses = module.step(maps_of(checks.device), 0)
                 right_g = max(-logit, 0.0) if loss is AdversarialLoss.nonsaturating else -max(logit, 0.0)
                 checks.label = f"{loss.value}, logits {logit:g}"
                 checks.finite(*gradients_of(module), module.weights(), what="gradients and weights")
