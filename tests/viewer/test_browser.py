@@ -114,6 +114,25 @@ def test_a_key_moves_the_probe_and_changes_the_image(browser: Any, viewer: Viewe
     until(lambda: np.array_equal(viewer.session.state.pose, viewer.session.presets["head"]))
 
 
+def test_every_box_shows_what_holds_after_typing(browser: Any, viewer: Viewer) -> None:
+    """On the way to 80 stands an 8, which is below the least depth: the box once stayed at what that was made of."""
+    boxes = "return [...document.querySelectorAll('input.mantine-NumberInput-input')].filter(i => i.offsetParent)"
+    for tab, least in (("Scan", 5), ("Move", 5)):
+        browser.find_element("xpath", f"//*[@role='tab'][normalize-space()='{tab}']").click()
+        until(lambda least=least: len(browser.execute_script(boxes)) >= least)
+        for box in browser.execute_script(boxes):
+            typed = str(round(float(box.get_attribute("value"))) - 1)
+            browser.execute_script("arguments[0].focus(); arguments[0].select()", box)
+            for character in typed:
+                box.send_keys(character)
+                time.sleep(0.1)
+            box.send_keys("\t")
+            settle(viewer)
+            viewer.page.refresh()  # shows what holds, where that is something else
+            time.sleep(0.5)
+            assert float(box.get_attribute("value")) == float(typed), tab
+
+
 def test_a_second_tab_sees_the_same_probe_and_closing_frees_the_worker(browser: Any, viewer: Viewer) -> None:
     first = browser.current_window_handle
     browser.switch_to.new_window("tab")

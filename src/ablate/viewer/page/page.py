@@ -63,15 +63,14 @@ class Page:
     ) -> None:
         """Add a slider with bounds (lowest, highest, step); it shows what `read` gives, and moving it calls `write`."""
         lowest, highest, step = bounds
-        whole = all(isinstance(value, int) for value in bounds)
+        digits = None if all(isinstance(value, int) for value in bounds) else len(f"{step:g}".partition(".")[2])
 
         def shown() -> float:
-            value = min(max(read(), lowest), highest)
-            return round(value) if whole else round(value / step) * step  # as many digits as a step has
+            return round(min(max(read(), lowest), highest), digits)
 
-        limits = {"min": lowest, "max": highest, "step": step, "hint": hint or None}
-        slider = self.server.gui.add_slider(label, **limits, initial_value=shown())
-        slider.on_update(self.does(lambda _: write(round(slider.value) if whole else slider.value)))
+        slider = self.server.gui.add_slider(label, lowest, highest, step, shown(), hint=hint or None)
+        # Whoever types 80 types an 8 before, which may be too small and is not what he means.
+        slider.on_update(self.does(lambda _: lowest <= slider.value <= highest and write(round(slider.value, digits))))
         self.keep_equal(slider, shown)
 
     def add_button(self, label: str, work: Callable[[], object]) -> None:
