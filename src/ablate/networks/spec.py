@@ -119,7 +119,7 @@ class GeneratorSpec(Checked):
     )
     extra_input: ExtraInput = setting(ExtraInput.none, "A further input channel of the U-Nets.")
     width: float = setting(1.0, "Multiplier of every channel count; 1 is the paper's.", above=0)
-    noise_start: float = setting(0.0, "Initial weight of injected noise in every channel; the paper starts at zero.")
+    noise_start: float = setting(0.0, "Initial weight of injected noise; the paper's is zero.", least=-1000, most=1000)
     labels: int = setting(
         1, "Channels of the encoded segmentation, which follow from `encoding`; do not set it.", least=1, most=255
     )

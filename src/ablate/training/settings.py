@@ -53,11 +53,13 @@ class TrainingSettings(Checked):
     )
     batch_size: int = setting(4, "Crops of a step.", least=1)
     crop: int = setting(512, "Side of the square crops; 0 takes whole frames.", least=0, most=2**14, unit="px")
-    learning_rate: float = setting(2e-4, "Learning rate of Adam, for both networks.", above=0)
+    learning_rate: float = setting(2e-4, "Learning rate of Adam, for both networks.", above=0, most=1000)
     schedule: Schedule = setting(Schedule.constant, "How the learning rate falls.")
     beta1: float = setting(0.5, "Decay of Adam's average of gradients.", least=0, below=1)
     beta2: float = setting(0.999, "Decay of Adam's average of squared gradients.", least=0, below=1)
-    l1_weight: float = setting(100.0, "Lambda, the weight of `reconstruction`, an error of images in [-1, 1].", least=0)
+    l1_weight: float = setting(
+        100.0, "Lambda, the weight of `reconstruction` of images in [-1, 1].", least=0, most=1e12
+    )
     reconstruction: Reconstruction = setting(Reconstruction.l1, "The error of an image in the fan.")
     loss: AdversarialLoss = setting(
         AdversarialLoss.nonsaturating,
