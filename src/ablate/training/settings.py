@@ -57,9 +57,7 @@ class TrainingSettings(Checked):
     schedule: Schedule = setting(Schedule.constant, "How the learning rate falls.")
     beta1: float = setting(0.5, "Decay of Adam's average of gradients.", least=0, below=1)
     beta2: float = setting(0.999, "Decay of Adam's average of squared gradients.", least=0, below=1)
-    l1_weight: float = setting(
-        100.0, "Lambda, the weight of `reconstruction` of images in [-1, 1].", least=0, most=1e12
-    )
+    l1_weight: float = setting(100.0, "Lambda: weight of `reconstruction` of images in [-1, 1].", least=0, most=1e12)
     reconstruction: Reconstruction = setting(Reconstruction.l1, "The error of an image in the fan.")
     loss: AdversarialLoss = setting(
         AdversarialLoss.nonsaturating,
