@@ -15,11 +15,13 @@ import pytest
 import torch
 from omegaconf import DictConfig
 
-from ablate.jobs.launch import VISIBLE, Launch, devices_to_share, least_busy
+from ablate.jobs.compose import jobs_of
+from ablate.jobs.launch import VISIBLE, Launch, devices_to_share, least_busy, start_here
 from ablate.runs.job import Job
 from ablate.settings.study import ConfigurationError
 from ablate.tasks import command
 from ablate.tasks.command import execute
+from ablate.training import DivergenceError
 
 Work = Callable[[Job], object]
 
@@ -80,6 +82,22 @@ def test_a_process_that_is_killed_takes_no_other_with_it(
     assert notes(tmp_path).keys() == {"1", "2"}
     (told,) = capsys.readouterr().err.splitlines()
     assert told.startswith("sa2h/seed0: its process was ended by SIGKILL")
+
+
+def test_a_training_that_diverges_is_one_line_and_a_fault_of_the_code_is_shown_where_it_happened(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (job,) = jobs_of(["preset=tiny"])
+
+    def raises(error: Exception) -> str:
+        def work(_: Job) -> None:
+            raise error
+
+        start_here([job], work)
+        return capsys.readouterr().err
+
+    assert raises(DivergenceError("step 2: weights are not finite")) == "sa2h/seed0: step 2: weights are not finite\n"
+    assert raises(RuntimeError("no such kernel")).startswith("Traceback")
 
 
 @pytest.fixture

@@ -69,7 +69,7 @@ class Page:
             return round(min(max(read(), lowest), highest), digits)
 
         slider = self.server.gui.add_slider(label, lowest, highest, step, shown(), hint=hint or None)
-        # Whoever types 80 types an 8 before, which may be too small and is not what he means.
+        # The 8 of a typed 80 may be out of range and is not meant; when the box is left, the browser clamps its number.
         slider.on_update(self.does(lambda _: lowest <= slider.value <= highest and write(round(slider.value, digits))))
         self.keep_equal(slider, shown)
 
