@@ -281,9 +281,8 @@ def check_custom(spec: GeneratorSpec, side: int) -> None:
     except ValueError:
         raise
     except (Exception, SystemExit) as error:  # whatever the user's class does
-        raise ValueError(
-            f"target={spec.target}: two images of {side} x {side} px fail: {in_one_line(error)}"
-        ) from error
+        fail = f"two images of {side} x {side} px fail: {in_one_line(error)}"
+        raise ValueError(f"target={spec.target}: {fail}") from error
     if wrong:
         raise ValueError(f"target={spec.target}: returns {wrong}, allowed are float32 numbers in [-1, 1]")
 

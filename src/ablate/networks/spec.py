@@ -133,12 +133,9 @@ class GeneratorSpec(Checked):
             raise ValueError(f"depth={self.depth} with family=unet: allowed are 2 to {DEPTHS[-1]}")
         if self.family is not Family.local:
             family = f"with family={self.family}"
-            if self.concat is not Concat.input:
-                raise ValueError(f"concat={self.concat} {family}: allowed is concat=input")
-            if self.upsampling is not Upsampling.transposed:
-                raise ValueError(f"upsampling={self.upsampling} {family}: allowed is upsampling=transposed")
-            if self.grain is not Grain.output:
-                raise ValueError(f"grain={self.grain} {family}: allowed is grain=output")
+            for name, allowed in _OF_OTHERS.items():
+                if (value := getattr(self, name)) != allowed:
+                    raise ValueError(f"{name}={value} {family}: allowed is {name}={allowed}")
             if self.noise is Noise.inject:
                 raise ValueError(f"noise=inject {family}: allowed are noise=none, noise=input")
         if (self.family is Family.custom) != (self.target is not None):
@@ -152,6 +149,8 @@ class GeneratorSpec(Checked):
             )
 
 
+# What a U-Net and a custom network have in place of the local network's components.
+_OF_OTHERS = {"concat": "input", "upsampling": "transposed", "grain": "output"}
 _OF_POSITION = {Position.none: (), Position.depth: ("depth",), Position.beam: ("depth", "lateral")}
 _OF_ATTENUATION = {
     Attenuation.integral: ("attenuation",),

@@ -93,7 +93,7 @@ class Renderer:
             raise ValueError(f"tissue {unknown[0]!r}: the generator was trained on {trained_on}")
         values = np.asarray([self.values[OUTSIDE], *(self.values[tissue.name] for tissue in tissues)], np.float32)
         space, converter, mask = self.generator.spec.space, None, frame.mask
-        beam = frame.beam or _nothing_of(frame)
+        beam = frame.beam or Beam(frame.segmentation, frame.attenuation)  # which a generator of images does not read
         if space is Space.beam:
             if frame.beam is None:
                 raise ValueError("the frame has no maps in beam space, which this generator reads: frame.beam is None")
@@ -106,11 +106,6 @@ class Renderer:
         noise_seed = torch.tensor([seed], dtype=torch.int64)
         fan = torch.from_numpy(mask)
         return generate(self.generator, inputs, fan, noise_seed, precision, converter)[0]
-
-
-def _nothing_of(frame: Frame) -> Beam:
-    """Of a frame without beam space, which a generator of images does not read."""
-    return Beam(frame.segmentation, frame.attenuation)
 
 
 def values_of(tissues: Sequence[Tissue], values: np.ndarray) -> dict[str, tuple[float, ...]]:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ablate.setting import check_settings, setting, shown
+from ablate.setting import Checked, check_settings, setting, shown
 
 #: Part of every data set's identity: raise it when the same settings give another image.
 SIMULATOR_VERSION = 8
@@ -221,20 +221,13 @@ class ProbeKind(StrEnum):
     phased = "phased"
 
 
-class _CheckedProbe:
-    """A probe: a value that is not finite or outside its range is a ValueError that names it."""
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-
 _span_mm = partial(setting, least=1e-6, most=1e6, unit="mm")
 _depth_mm = partial(_span_mm, about="Imaging depth from the face.")
 _frequency = partial(setting, about="Frequency that attenuation is computed at.", least=1e-6, most=1e3, unit="MHz")
 
 
 @dataclass(frozen=True)
-class ConvexProbe(_CheckedProbe):
+class ConvexProbe(Checked):
     """A curved array; with these defaults the fan's bounding box is 217.96 x 157.23 mm."""
 
     kind: ClassVar[ProbeKind] = ProbeKind.convex
@@ -245,7 +238,7 @@ class ConvexProbe(_CheckedProbe):
 
 
 @dataclass(frozen=True)
-class LinearProbe(_CheckedProbe):
+class LinearProbe(Checked):
     """A flat array whose scanlines are parallel; its image is a rectangle as wide as the array.
 
     The active aperture opens with depth, at a constant f-number, so the beam is as wide at all depths (Szabo,
@@ -259,7 +252,7 @@ class LinearProbe(_CheckedProbe):
 
 
 @dataclass(frozen=True)
-class PhasedProbe(_CheckedProbe):
+class PhasedProbe(Checked):
     """A small flat array whose scanlines all leave the middle of its face, steered to either side: a sector.
 
     The beam's width grows with depth and, because the aperture is seen from aside, as 1 / cos of the steering angle
