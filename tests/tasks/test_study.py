@@ -18,7 +18,7 @@ from ablate.jobs.compose import jobs_of
 from ablate.jobs.launch import Launch
 from ablate.runs.job import Job
 from ablate.runs.train import run_job
-from ablate.settings.study import StudySettings
+from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.tasks import run_task as tasks
 from ablate.tracking import default_uri
 from support.studies import SWEEP, TINY, TinyStudy, Unrendered, run
@@ -131,6 +131,21 @@ def test_a_killed_scoring_loses_no_result(finished: Path, monkeypatch: pytest.Mo
     assert before[str(per_image)] == per_image.stat().st_mtime
     assert run(*SWEEP, f"runs_dir={finished}") == 0
     assert json.loads(result.read_text())["scalars"].keys() == whole["scalars"].keys()
+
+
+def test_one_word_scores_finished_runs_again_and_trains_none(finished: Path) -> None:
+    jobs = sweep(finished, "evaluation.again=true")
+    result, checkpoint = jobs[0].folder / "result.json", jobs[0].run.checkpoint
+    whole, trained = json.loads(result.read_text()), checkpoint.read_bytes()
+    wrong = {**whole["scalars"], "test/mae": 0.0}
+    result.write_text(json.dumps(whole | {"scalars": wrong}))
+    assert tasks.study(jobs, Launch(lambda waiting, work: [work(job) for job in waiting] and None)) == 0
+    assert json.loads(result.read_text())["scalars"]["test/mae"] == pytest.approx(whole["scalars"]["test/mae"])
+    assert checkpoint.read_bytes() == trained
+    checkpoint.rename(checkpoint.with_suffix(".away"))
+    with pytest.raises(ConfigurationError, match=r"evaluation\.again=true: .*last\.ckpt is missing"):
+        tasks.study(jobs, Launch(lambda *_: None))
+    checkpoint.with_suffix(".away").rename(checkpoint)
 
 
 def test_the_studys_run_is_closed_where_the_comparison_is_kept(finished: Path) -> None:

@@ -16,6 +16,7 @@ class EvaluationSettings(Checked):
     timed_frames: int = setting(
         20, "Rounds in which a comparison times a frame.", least=1, most=100_000, incidental=True
     )
+    again: bool = setting(False, "Score finished runs again, from their checkpoints.", incidental=True)
     inception: str | None = setting(
         None, "Path of the network of FID, or `download`; without it there is no FID.", incidental=True
     )

@@ -69,6 +69,15 @@ def finished_run(job: Job) -> Run | None:
     return None if lacks_inception and needs_inception(choose_metrics(asked)) else run
 
 
+def forget_scores(job: Job) -> None:
+    """Let a finished run be scored again, as one of an earlier version of the metrics is; its files stay until then."""
+    run = finished_run(job)
+    if run is not None and not run.checkpoint.exists():
+        raise ConfigurationError(f"evaluation.again=true: {run.checkpoint} is missing, nothing can be rendered")
+    if run is not None:
+        write_json(run.folder / "result.json", {**run.result, "metrics_version": 0})
+
+
 def names_of(asked: str | Iterable[str]) -> set[str]:
     """Names of metrics, and paths of a user's own, behind names and sets; nothing is imported."""
     entries = [asked] if isinstance(asked, str) else asked

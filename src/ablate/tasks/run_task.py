@@ -12,7 +12,7 @@ from ablate.jobs.launch import Launch
 from ablate.jobs.preflight import check
 from ablate.runs.data_set import maps_needed
 from ablate.runs.job import Job
-from ablate.runs.place import claim_place, finished_run
+from ablate.runs.place import claim_place, finished_run, forget_scores
 from ablate.runs.prepare import offered, prepare_data
 from ablate.settings.study import SceneKind, StudySettings, Task, refusing
 
@@ -52,6 +52,9 @@ def study(jobs: Sequence[Job], launch: Launch) -> int:
     """
     from ablate.runs.train import run_job
 
+    for job in jobs:
+        if job.settings.evaluation.again:
+            forget_scores(job)
     if waiting := [job for job in jobs if finished_run(job) is None]:
         if not launch.elsewhere:
             _simulate_for(waiting)  # so that a mesh that cannot be used is refused before anything is tracked
