@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from ablate.dataset import Pairs, Part, open_pairs
+from ablate.dataset.export_formats import write_nnunet
 from ablate.jobs.compose import jobs_of
 from ablate.settings.study import ConfigurationError
 from support.scene_folders import ball_folder
@@ -74,6 +75,27 @@ def test_nnunet_finds_what_its_description_promises(arguments: list[str], capsys
     frame = int(pairs.frames(Part.test)[0])
     held = np.array(Image.open(raw / "labelsTs" / f"frame{frame:05d}.png"))
     assert np.array_equal(held, pairs.stored("segmentation", frame))
+
+
+def test_nnunet_counts_the_classes_that_occur(tmp_path: Path) -> None:
+    stored = {"segmentation": np.uint8([[0, 1], [4, 4]]), "target": np.uint8([[0, 9], [9, 9]])}
+
+    class OfThreeTissues:
+        tissues, split = ("gel", "bone", "gas", "liver"), np.array([Part.train])
+
+        def __len__(self) -> int:
+            return 1
+
+        def stored(self, name: str, _: int) -> np.ndarray:
+            return stored[name]
+
+        def frames(self, part: Part) -> np.ndarray:
+            return np.flatnonzero(self.split == part)
+
+    write_nnunet(OfThreeTissues(), tmp_path)  # type: ignore[arg-type]
+    described = json.loads((tmp_path / "dataset.json").read_text())
+    assert described["labels"] == {"background": 0, "gel": 1, "liver": 2}
+    assert np.array(Image.open(tmp_path / "labelsTr" / "frame00000.png")).tolist() == [[0, 1], [2, 2]]
 
 
 def test_dicom_is_valid_and_calibrated(

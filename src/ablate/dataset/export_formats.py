@@ -66,15 +66,17 @@ def write_png(pairs: Pairs, folder: Path) -> None:
 def write_nnunet(pairs: Pairs, folder: Path) -> None:
     """Images and segmentations: test frames in imagesTs and labelsTs, all others in imagesTr and labelsTr.
 
-    `splits_final.json` holds one fold, the validation frames of the study; nnU-Net reads it in its folder of
-    preprocessed data.
+    Classes are those that occur, numbered one after another, as nnU-Net wants them. `splits_final.json` holds one fold,
+    the validation frames of the study; nnU-Net reads it in its folder of preprocessed data.
     """
+    occurring = sorted(set().union({0}, *(np.unique(pairs.stored("segmentation", k)) for k in range(len(pairs)))))
     for frame in range(len(pairs)):
         end = "Ts" if pairs.split[frame] == Part.test else "Tr"
-        for kind, name, suffix in (("images", "target", "_0000"), ("labels", "segmentation", "")):
+        classes = np.searchsorted(occurring, pairs.stored("segmentation", frame)).astype(np.uint8)
+        for kind, image, suffix in (("images", pairs.stored("target", frame), "_0000"), ("labels", classes, "")):
             (folder / f"{kind}{end}").mkdir(parents=True, exist_ok=True)
-            write_image(folder / f"{kind}{end}" / f"{_name(frame)}{suffix}.png", pairs.stored(name, frame))
-    labels = {name: i for i, name in enumerate(("background", *pairs.tissues))}
+            write_image(folder / f"{kind}{end}" / f"{_name(frame)}{suffix}.png", image)
+    labels = {("background", *pairs.tissues)[label]: i for i, label in enumerate(occurring)}
     about = {"channel_names": {"0": "ultrasound"}, "labels": labels, "file_ending": ".png"}
     write_json(folder / "dataset.json", about | {"numTraining": int((pairs.split != Part.test).sum())})
     train, validation = ([_name(int(i)) for i in pairs.frames(part)] for part in (Part.train, Part.validation))

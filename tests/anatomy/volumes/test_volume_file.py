@@ -36,9 +36,12 @@ def test_nifti_and_nrrd_have_the_affine_that_they_were_written_with(tmp_path: Pa
         assert volume.spacing_mm == pytest.approx(nibabel.affines.voxel_sizes(affine), rel=1e-5)
 
 
-def test_a_volume_is_read_in_slabs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("series", [(), (1,), (1, 1)])
+def test_a_volume_or_a_series_of_one_is_read_in_slabs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, series: tuple[int, ...]
+) -> None:
     monkeypatch.setattr("ablate.anatomy.volumes.label_map._SLAB_VOXELS", 60)
-    nibabel.save(nibabel.Nifti1Image(values(), np.eye(4)), tmp_path / "a.nii.gz")
+    nibabel.save(nibabel.Nifti1Image(values().reshape(5, 6, 7, *series), np.eye(4)), tmp_path / "a.nii.gz")
     parts = list(slabs(check_volume(tmp_path / "a.nii.gz", "labels.file")))
     assert [part.shape for _, part in parts] == [(5, 6, 2)] * 3 + [(5, 6, 1)]
     assert np.array_equal(np.concatenate([part for _, part in parts], axis=2), values())

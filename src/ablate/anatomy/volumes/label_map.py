@@ -95,7 +95,7 @@ def slabs(volume: VolumeFile) -> Iterator[tuple[slice, np.ndarray]]:
             values = nibabel.load(volume.path, keep_file_open=True).dataobj  # type: ignore[attr-defined]
         for start in range(0, volume.shape[2], step):
             part = slice(start, min(start + step, volume.shape[2]))
-            yield part, np.asanyarray(values[:, :, part])
+            yield part, np.asanyarray(values[:, :, part]).reshape(*volume.shape[:2], -1)
     except Exception as error:  # every reader raises its own
         raise ValueError(f"{volume.path}: not readable to its end: {' '.join(str(error).split())}") from None
 
@@ -104,11 +104,11 @@ def _nifti_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None]:
     import nibabel
 
     image: Any = nibabel.load(path)
-    unit = image.header.get_xyzt_units()[0]
-    if unit not in ("mm", "unknown"):
+    if (unit := image.header.get_xyzt_units()[0]) not in ("mm", "unknown"):
         raise ValueError(f"its unit is {unit}; allowed is mm")
     is_known = image.header["sform_code"] > 0 or image.header["qform_code"] > 0
-    return tuple(image.shape), np.asarray(image.affine, np.float64) if is_known else None
+    shape = image.shape[:3] if set(image.shape[3:]) == {1} else image.shape  # a series of one volume
+    return tuple(shape), np.asarray(image.affine, np.float64) if is_known else None
 
 
 def _nrrd_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None]:
