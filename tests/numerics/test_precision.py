@@ -159,6 +159,14 @@ def test_inputs_are_the_maps_of_the_pairs(trained: Path) -> None:
     assert set(paid) == {"segmentation", "compensated"}
 
 
+def test_the_time_of_a_simulated_frame_is_that_of_the_image_alone(trained: Path) -> None:
+    """Of no map, nor of a map's surfaces, which other readers of the frame pay."""
+    chosen = bench_of(jobs_of([f"runs_dir={trained}", *TINY])[0])
+    stages = bench.time_stages(chosen, chosen.simulator)
+    assert {"rays, to the last echo", "grey levels"} <= stages.keys()
+    assert not {name for name in stages if "maps" in name or "labels of the pixels" in name or "attenuation" in name}
+
+
 def test_an_engine_that_fails_costs_its_points_alone(
     trained: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

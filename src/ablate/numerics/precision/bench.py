@@ -133,8 +133,8 @@ def render_all(
 
     The speed of a machine changes over seconds. Therefore the settings take turns, a few poses each, in an order that
     is reversed every time. Only the first seed is timed; the others reuse its rays. Each pose is new to the simulator,
-    and the first rendering of a turn is not counted. The time excludes segmentation and attenuation, which an image
-    does not need, and the noise of the receiver, which is kept over a series of frames.
+    and the first rendering of a turn is not counted. The time excludes all maps, which an image does not need,
+    and the noise of the receiver, which is kept over a series of frames.
     """
     simulators = [Simulator(bench.scene, bench.probe, settings, poses=bench.poses) for settings in several]
     rows: list[list[list[tuple[np.ndarray, np.ndarray]]]] = [[] for _ in several]
@@ -145,11 +145,10 @@ def render_all(
             simulator = simulators[k]
             simulator.render(nudged(bench.poses[begin]), seeds[0])
             for pose in bench.poses[begin : begin + _TURN]:
-                simulator.maps(pose)
                 start = time.perf_counter()
-                first = simulator.render(pose, seeds[0])
+                simulator.image(pose, seeds[0])
                 times[k].append(1e3 * (time.perf_counter() - start))
-                shown = first, *(simulator.render(pose, seed) for seed in seeds[1:])
+                shown = [simulator.render(pose, seed) for seed in seeds]
                 rows[k].append([(f.image, f.envelope) for f in shown])  # the maps of all settings would take gigabytes
                 if len(seeds) > 1:
                     simulator.render(pose, seeds[0])  # a simulator keeps the noise of its last seed
@@ -164,10 +163,9 @@ def time_stages(bench: Bench, settings: SimulatorSettings) -> dict[str, float]:
     simulator.render(nudged(bench.poses[0]), bench.seed)
     whole, each = [], []
     for pose in shown_progress(bench.poses, f"stages of {settings.rays} rays"):
-        simulator.maps(pose)
         with stage_times() as taken:
             start = time.perf_counter()
-            simulator.render(pose, bench.seed)
+            simulator.image(pose, bench.seed)
             whole.append(1e3 * (time.perf_counter() - start))
         each.append([sum(taken[name]) for name in Stage])
     columns = zip(Stage, zip(*each, strict=True), strict=True)
