@@ -2,6 +2,7 @@
 
 import io
 import math
+import resource
 import sys
 import warnings
 from collections.abc import Callable
@@ -112,6 +113,7 @@ def test_a_study_finishes_or_is_refused_in_one_line(
     outcome: Callable[..., tuple[int, str, Path]], changes: tuple[str, ...]
 ) -> None:
     code, printed, study = outcome(*changes)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 4 << 20, "more than 4 GiB"
     if code == 0:
         assert list(study.glob("*/seed*/result.json"))
         return

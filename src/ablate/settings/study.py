@@ -100,7 +100,7 @@ class DatasetSettings(Checked):
     test: float = setting(0.1, "Share of the sites or frames that test.", above=0, below=1)
     seed: int = setting(0, "Seed of scatterers, chosen frames and split.", least=0)
     press_mm: float = setting(8.0, "How far the probe is pressed in.", least=0, most=1000, unit="mm")
-    shard: int = setting(16, "Frames a file.", least=1, incidental=True)
+    shard: int = setting(16, "Frames a file.", least=1, most=10_000, incidental=True)
     workers: int = setting(0, "Processes that simulate; 0 is one a core.", least=0, incidental=True)
     # Of poses, what they are decides, not the file's name: see `runs.simulated`.
     poses: str | None = setting(None, "File of your own poses instead of the scene's grid.", incidental=True)
