@@ -4,6 +4,7 @@ python -m ablate +study=representation
 python scripts/representation.py [folder of the study]
 """
 
+import math
 import sys
 
 import pandas as pd
@@ -22,7 +23,7 @@ def shares(study: "ablate.comparison.opened.Study") -> pd.DataFrame:
         scalars = run.result["scalars"]
         row = {metric_of(name).label: scalars[f"val/{name}"] / scalars[f"val/floor_{name}"] for name in SHOWN}
         row["FD speckle"] = scalars["val/fd_speckle"]
-        rows[run.name] = row | {"minutes": scalars["train/seconds"] / 60}
+        rows[run.name] = row | {"minutes": scalars.get("train/seconds", math.nan) / 60}  # of a run without a break
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("run")
 
 
