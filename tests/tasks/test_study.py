@@ -133,19 +133,26 @@ def test_a_killed_scoring_loses_no_result(finished: Path, monkeypatch: pytest.Mo
     assert json.loads(result.read_text())["scalars"].keys() == whole["scalars"].keys()
 
 
-def test_one_word_scores_finished_runs_again_and_trains_none(finished: Path) -> None:
-    jobs = sweep(finished, "evaluation.again=true")
-    result, checkpoint = jobs[0].folder / "result.json", jobs[0].run.checkpoint
-    whole, trained = json.loads(result.read_text()), checkpoint.read_bytes()
+def test_one_word_scores_a_finished_run_again_and_trains_none(finished: Path) -> None:
+    jobs = sweep(finished, "evaluation.again=true")[:1]
+    folder, again = (
+        jobs[0].folder,
+        Launch(lambda waiting, work: [work(job) for job in waiting] and None, compares=False),
+    )
+    before = {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    whole = json.loads((folder / "result.json").read_text())
     wrong = {**whole["scalars"], "test/mae": 0.0}
-    result.write_text(json.dumps(whole | {"scalars": wrong}))
-    assert tasks.study(jobs, Launch(lambda waiting, work: [work(job) for job in waiting] and None)) == 0
-    assert json.loads(result.read_text())["scalars"]["test/mae"] == pytest.approx(whole["scalars"]["test/mae"])
-    assert checkpoint.read_bytes() == trained
-    checkpoint.rename(checkpoint.with_suffix(".away"))
+    (folder / "result.json").write_text(json.dumps(whole | {"scalars": wrong}))
+    assert tasks.study(jobs, again) == 0
+    scored = json.loads((folder / "result.json").read_text())["scalars"]
+    assert scored["test/mae"] == pytest.approx(whole["scalars"]["test/mae"])
+    checkpoint = jobs[0].run.checkpoint
+    assert checkpoint.read_bytes() == before[checkpoint]
+    checkpoint.unlink()
     with pytest.raises(ConfigurationError, match=r"evaluation\.again=true: .*last\.ckpt is missing"):
-        tasks.study(jobs, Launch(lambda *_: None))
-    checkpoint.with_suffix(".away").rename(checkpoint)
+        tasks.study(jobs, again)
+    for path, content in before.items():
+        path.write_bytes(content)
 
 
 def test_the_studys_run_is_closed_where_the_comparison_is_kept(finished: Path) -> None:
