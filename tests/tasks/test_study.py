@@ -139,7 +139,7 @@ def test_one_word_scores_a_finished_run_again_and_trains_none(finished: Path) ->
         jobs[0].folder,
         Launch(lambda waiting, work: [work(job) for job in waiting] and None, compares=False),
     )
-    before = {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     whole = json.loads((folder / "result.json").read_text())
     wrong = {**whole["scalars"], "test/mae": 0.0}
     (folder / "result.json").write_text(json.dumps(whole | {"scalars": wrong}))
@@ -153,6 +153,7 @@ def test_one_word_scores_a_finished_run_again_and_trains_none(finished: Path) ->
         tasks.study(jobs, again)
     for path, content in before.items():
         path.write_bytes(content)
+    assert run(*SWEEP, f"runs_dir={finished}") == 0, "and the store has its copy of it again"
 
 
 def test_the_studys_run_is_closed_where_the_comparison_is_kept(finished: Path) -> None:
