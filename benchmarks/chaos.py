@@ -155,7 +155,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if asked.keep:
         from ablate.tracking import hardware
 
-        about = f"The last call: seed {asked.seed}, {asked.minutes:g} minutes, on {hardware()}."
+        minutes = sum(row.seconds for row in rows) / 60
+        about = f"The last call: seed {asked.seed}, {minutes:.0f} minutes, on {hardware()}."
         write_page(made, f"{about} Rows of other faults are of earlier calls.")
     return int(any(row.wrong for row in rows))
 

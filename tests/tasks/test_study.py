@@ -135,10 +135,8 @@ def test_a_killed_scoring_loses_no_result(finished: Path, monkeypatch: pytest.Mo
 
 def test_one_word_scores_a_finished_run_again_and_trains_none(finished: Path) -> None:
     jobs = sweep(finished, "evaluation.again=true")[:1]
-    folder, again = (
-        jobs[0].folder,
-        Launch(lambda waiting, work: [work(job) for job in waiting] and None, compares=False),
-    )
+    folder = jobs[0].folder
+    again = Launch(lambda waiting, work: [work(job) for job in waiting] and None, compares=False)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     whole = json.loads((folder / "result.json").read_text())
     wrong = {**whole["scalars"], "test/mae": 0.0}

@@ -69,12 +69,13 @@ def finished_run(job: Job) -> Run | None:
     return None if lacks_inception and needs_inception(choose_metrics(asked)) else run
 
 
-def forget_scores(job: Job) -> None:
-    """Let a finished run be scored again, as one of an earlier version of the metrics is; its files stay until then."""
-    run = finished_run(job)
-    if run is not None and not run.checkpoint.exists():
-        raise ConfigurationError(f"evaluation.again=true: {run.checkpoint} is missing, nothing can be rendered")
-    if run is not None:
+def forget_scores(jobs: Iterable[Job]) -> None:
+    """Let finished runs be scored again, as those of an earlier version of the metrics are; files stay until then."""
+    runs = [run for job in jobs if job.settings.evaluation.again and (run := finished_run(job)) is not None]
+    for run in runs:
+        if not run.checkpoint.exists():
+            raise ConfigurationError(f"evaluation.again=true: {run.checkpoint} is missing, nothing can be rendered")
+    for run in runs:
         write_json(run.folder / "result.json", {**run.result, "metrics_version": 0})
 
 

@@ -52,9 +52,7 @@ def study(jobs: Sequence[Job], launch: Launch) -> int:
     """
     from ablate.runs.train import run_job
 
-    for job in jobs:
-        if job.settings.evaluation.again:
-            forget_scores(job)
+    forget_scores(jobs)
     if waiting := [job for job in jobs if finished_run(job) is None]:
         if not launch.elsewhere:
             _simulate_for(waiting)  # so that a mesh that cannot be used is refused before anything is tracked
