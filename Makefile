@@ -7,6 +7,8 @@ JOBS ?= 2
 PYTEST = OMP_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist worksteal
 STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
+# Images of containers often set it; each process would compile all libraries anew, 4 to 20 seconds of it.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help sweep quick test-random answer docs notebooks test test-all check lint ui precision bench-simulator bench-bands bench-dataset bench-metrics bench-scaling bench-inference bench-training bench-start bench-viewer view chaos

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import time
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 torch.set_num_threads(1)
+gc.set_threshold(100_000, 50, 100)  # a tenth of the tests' time goes into looking for garbage otherwise
 _STARTED = time.monotonic()
 
 

@@ -180,12 +180,12 @@ def test_a_module_of_the_folder_is_found_whichever_way_the_program_starts(tmp_pa
     """The console script has its own folder first among those that Python searches, and not the current one."""
     (tmp_path / "own_metrics.py").write_text("def bias(pair):\n    return 0.0\n")
     script = "import sys; sys.path[0] = '/nowhere'; from ablate.__main__ import main; main()"
-    words = ["preset=tiny", "task=plan", "metrics=[psnr,own_metrics.bias]", f"runs_dir={tmp_path}"]
+    words = ["preset=tiny", "task=plan", "metrics=[own_metrics.bias,own_metrics.variance]", f"runs_dir={tmp_path}"]
     for start in (["-c", script], ["-m", "ablate"]):
         command = [sys.executable, *start, *words]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        assert "1 job is left" in done.stdout
+        assert (done.returncode, done.stdout) == (2, "")
+        assert "metrics=own_metrics.variance: AttributeError: module 'own_metrics' has no attribute" in done.stderr
 
 
 def test_the_extra_of_a_launcher_that_is_not_installed_is_named() -> None:

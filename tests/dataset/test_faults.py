@@ -45,7 +45,7 @@ def test_killed_again_and_again_the_set_is_that_of_one_go(
     running = [start(), start()]
     compared: set[Path] = set()
     for kill in range(KILLS):
-        wanted = 15 * kill + rng.randrange(20)  # of the 120 and more that will be
+        wanted = 8 * kill + rng.randrange(10)  # of the 160 that will be
         while len(shards(pairs)) < wanted:
             assert any(process.is_alive() for process in running)
             time.sleep(0.01)

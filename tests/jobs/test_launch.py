@@ -8,12 +8,10 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
-from omegaconf import DictConfig
 
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.launch import VISIBLE, Launch, devices_to_share, least_busy, start_here
@@ -156,20 +154,25 @@ def test_no_process_at_all_is_refused(launched: Callable[..., int]) -> None:
         launched(print, "-m", "seed=0,1", "hydra.launcher.n_jobs=0")
 
 
+RECORDER = '''
+from functools import partial
+
+
 class Recorder:
     """A callback of Hydra's that writes down what it is told."""
 
-    def __init__(self, path: str) -> None:
-        self.path = Path(path)
+    def __init__(self, path):
+        self.path = path
 
-    def __getattr__(self, name: str) -> object:
+    def __getattr__(self, name):
         if not name.startswith("on_"):
             raise AttributeError(name)
-        return partial(self._note, name)
+        return partial(self.note, name)
 
-    def _note(self, name: str, config: DictConfig | None = None, **_: object) -> None:
-        with self.path.open("a") as stream:
-            stream.write(f"{name} {config.seed if config is not None else ''}\n")
+    def note(self, name, config=None, **_):
+        with open(self.path, "a") as stream:
+            print(name, config.seed if config is not None else "", file=stream)
+'''
 
 
 def test_callbacks_and_the_folder_of_a_sweep_are_those_that_are_asked_for(
@@ -177,11 +180,12 @@ def test_callbacks_and_the_folder_of_a_sweep_are_those_that_are_asked_for(
 ) -> None:
     told = tmp_path / "told"
     where = [f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.sweep.subdir=${variant}"]
-    callback = f"+hydra.callbacks.note={{_target_:test_launch.Recorder,path:{told}}}"
+    callback = f"+hydra.callbacks.note={{_target_:recorder.Recorder,path:{told}}}"
+    (tmp_path / "recorder.py").write_text(RECORDER)
     with pytest.MonkeyPatch.context() as patch:
-        path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+        path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
         patch.setenv("PYTHONPATH", path)
-        patch.syspath_prepend(str(Path(__file__).parent))
+        patch.syspath_prepend(str(tmp_path))
         launched(leave_a_note(tmp_path), "-m", "seed=4,5", "hydra.launcher.n_jobs=1", *where, callback)
     lines = [line for line in told.read_text().splitlines() if not line.startswith("on_compose_config")]
     of_jobs = [f"on_job_{when} {seed}" for seed in (4, 5) for when in ("start", "end")]

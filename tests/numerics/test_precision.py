@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Iterator
 from contextlib import redirect_stdout
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,6 @@ from ablate.storage import digest
 from ablate.tracking import default_uri
 from ablate.training import Engine, TrainingPrecision, generate, load_generator, open_engine
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings, scan_converter
-from ablate.ultrasound.imaging import scatterers
 from support.studies import run as run_command
 
 TINY = ("preset=tiny", "training.steps=2", "evaluation.pictures=1")
@@ -43,9 +41,8 @@ def run(*arguments: str) -> int:
 
 @pytest.fixture(scope="module", autouse=True)
 def _small() -> Iterator[None]:
-    """Few rays and tables of scatterers made once; eager only, because exporting takes long."""
+    """Few rays; eager only, because exporting takes long."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scatterers, "scatterer_tables", cache(scatterers.scatterer_tables))
         patch.setattr(bench, "RAYS", (1, 2, 4))
         patch.setattr(bench, "REFERENCE_RAYS", 32)
         patch.setattr(bench, "LAYERS", (1, 2))

@@ -43,9 +43,13 @@ class Unrendered(Figure):
 def run(*arguments: str) -> int:
     """What `python -m ablate` with these arguments does, and its exit code; a refusal is raised.
 
-    The jobs run in this process, one after another, and what stops one is raised. Figures are not rendered.
+    The jobs run in this process, one after another, and what stops one is raised. Figures are not rendered, and the
+    contact sheet of a data set is not drawn.
     """
-    with mock.patch("ablate.analysis.figures.style.Figure", Unrendered):
+    with (
+        mock.patch("ablate.analysis.figures.style.Figure", Unrendered),
+        mock.patch("ablate.runs.prepare.write_contact_sheet", lambda _, path: path.write_bytes(b"")),
+    ):
         return run_task(jobs_of(arguments), Launch(here))
 
 

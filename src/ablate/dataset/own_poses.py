@@ -29,7 +29,8 @@ def read_poses(path: Path, key: str = "dataset.poses") -> tuple[np.ndarray, np.n
         poses, sites = _of_csv(path, where)
     else:
         try:
-            poses = np.load(path, allow_pickle=False)
+            with path.open("rb") as stream:
+                poses = np.load(stream, allow_pickle=False)
         except (ValueError, OSError, EOFError) as error:
             raise ValueError(f"{where}: not readable as .npy: {' '.join(str(error).split())}") from None
         if not isinstance(poses, np.ndarray):

@@ -8,7 +8,7 @@ cells: with one each, three layers of some ten cells would not be fully develope
 import math
 import zlib
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -33,28 +33,30 @@ _LAST_BITS = np.uint32(TABLE_SIZE - 1)
 
 
 def scatterer_tables(tissues: Sequence[Tissue]) -> np.ndarray:
-    """Complex scatterer strengths that the hash chooses from, one row a tissue, (tissues, TABLE_SIZE) complex64.
+    """Complex scatterer strengths that the hash chooses from, one row a tissue, (tissues, TABLE_SIZE) complex64."""
+    return np.stack([_table(tissue) for tissue in tissues])
+
+
+@lru_cache(maxsize=256)
+def _table(tissue: Tissue) -> np.ndarray:
+    """Scatterer strengths of a tissue, (TABLE_SIZE,) complex64.
 
     s = [u <= density] (mean + sd n), Burger et al. 2013, eq. 15, less its expectation (a band-pass pulse does not
     see it), with a random phase; summed over `DRAWS_PER_SAMPLE` and scaled so that the mean square is
     `Tissue.scatter_power`. Seeded by the tissue's name, so that a tissue more in a scene changes no other's speckle.
     """
-    tables = np.zeros((len(tissues), TABLE_SIZE), np.complex64)
-    for tissue, table in zip(tissues, tables, strict=True):
-        if tissue.scatter_power <= 0:
-            continue
-        generator = np.random.Generator(np.random.Philox(key=[_TABLE_SEED, zlib.crc32(tissue.name.encode())]))
-        shape = (DRAWS_PER_SAMPLE, TABLE_SIZE)
-        here = generator.random(shape, np.float32) <= tissue.scatterer_density
-        n = generator.standard_normal(shape, np.float32)
-        strength = here * (tissue.scatterer_sd * n)
-        strength += (here - tissue.scatterer_density) * tissue.scatterer_mean  # a large mean cancels before it is added
-        phase = generator.random(shape, np.float32) * np.float32(2 * math.pi)
-        total = (strength * np.exp(1j * phase)).sum(axis=0)
-        power = np.mean(np.abs(total) ** 2)
-        if power > 0:  # the table of a very sparse tissue may hold no scatterer
-            table[:] = total * math.sqrt(tissue.scatter_power / power)
-    return tables
+    if tissue.scatter_power <= 0:
+        return np.zeros(TABLE_SIZE, np.complex64)
+    generator = np.random.Generator(np.random.Philox(key=[_TABLE_SEED, zlib.crc32(tissue.name.encode())]))
+    shape = (DRAWS_PER_SAMPLE, TABLE_SIZE)
+    here = generator.random(shape, np.float32) <= tissue.scatterer_density
+    n = generator.standard_normal(shape, np.float32)
+    strength = here * (tissue.scatterer_sd * n)
+    strength += (here - tissue.scatterer_density) * tissue.scatterer_mean  # a large mean cancels before it is added
+    phase = generator.random(shape, np.float32) * np.float32(2 * math.pi)
+    total = (strength * np.exp(1j * phase)).sum(axis=0)
+    power = np.mean(np.abs(total) ** 2)  # 0 where the table of a very sparse tissue holds no scatterer
+    return (total * math.sqrt(tissue.scatter_power / power) if power > 0 else 0 * total).astype(np.complex64)
 
 
 def mix_seed(seed: int) -> np.uint32:
@@ -94,9 +96,9 @@ def shared_cell_gain_across(steps_mm: np.ndarray, sigma: np.ndarray, pitch_mm: f
     """
     gain = np.ones(steps_mm.shape[:2])
     near = (np.abs(steps_mm) < pitch_mm).all(axis=-1)
-    apart, width = np.abs(steps_mm[near]) / pitch_mm, np.broadcast_to(sigma, gain.shape)[near]
+    apart, width = np.abs(steps_mm[near]).T.copy() / pitch_mm, np.broadcast_to(sigma, gain.shape)[near]
     for lag in range(1, len(steps_mm)):
-        shared = np.maximum(0, 1 - lag * apart).prod(axis=-1)
+        shared = np.maximum(0, 1 - lag * apart).prod(axis=0)
         if not shared.any():
             break
         gain[near] += 2 * shared * np.exp(-((lag / (2 * width)) ** 2))
