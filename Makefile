@@ -7,7 +7,7 @@ JOBS ?= 2
 PYTEST = OMP_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist worksteal
 STAMP := $(VENV)/.installed
 export MLFLOW_DISABLE_TELEMETRY := true
-# Images of containers often set it; each process would compile all libraries anew, 4 to 20 seconds of it.
+# Images of containers often set it; each process would then compile all libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
