@@ -103,7 +103,7 @@ def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
     everything = set().union(*files.values())
     for name, by_name in files.items():
         if not by_name:
-            raise FileNotFoundError(f"{folder / FOLDERS[name]}: no PNG in it")
+            raise FileNotFoundError(f"{folder / FOLDERS[name]}: no PNG in it; JPEG is not read, as it changes labels")
         if missing := sorted(everything - by_name.keys()):
             partner = next(there[missing[0]] for there in files.values() if missing[0] in there)
             more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""

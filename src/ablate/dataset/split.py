@@ -76,7 +76,7 @@ def split_frames(
     if n_validation + n_test >= len(units):
         raise ValueError(
             f"dataset.split={by}: {len(units)} {by}s cannot be split into train, validation and test; "
-            "ask for more frames or sites"
+            "ask for more frames or sites" + (", or for dataset.split=frame" if by is SplitBy.site else "")
         )
     order = np.random.default_rng([seed, Drawn.split]).permutation(units)
     part = np.full(len(member), Part.train, np.uint8)

@@ -143,7 +143,7 @@ def speckle_features(images: np.ndarray, mask: np.ndarray | None = None) -> np.n
     """
     inside = patches_inside(np.ones(images.shape[1:], bool) if mask is None else mask, PATCH)
     if not inside.any():
-        raise ValueError(f"no patch of {PATCH} x {PATCH} px lies wholly inside the mask")
+        raise ValueError(f"no patch of {PATCH} x {PATCH} px lies wholly inside the mask; FD speckle needs a larger one")
     rows = [np.zeros((0, len(FEATURE_NAMES)))]
     for image in images:
         flat, patterns = (as_patches(x, PATCH)[inside] for x in (image, _local_binary_patterns(image)))
