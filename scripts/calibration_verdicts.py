@@ -1,6 +1,7 @@
-"""Do verdicts keep their word? Simulated studies in the design of `+study=answer`: false verdicts and power.
+"""Do verdicts keep their word? Simulated studies in the design of a file of conf/study: false verdicts and power.
 
-python scripts/calibration_verdicts.py    # the tables of docs/statistics.md, in ten minutes
+python scripts/calibration_verdicts.py                       # the tables of docs/statistics.md, in ten minutes
+python scripts/calibration_verdicts.py --study full_model    # those of docs/study2.md
 """
 
 import argparse
@@ -21,16 +22,18 @@ EFFECTS = (0.5, 1.0, 1.5, 2.0, 3.0)
 BANDS = (0.5, 1.0, 1.5, 2.0)
 
 
-def answer_runs() -> tuple[pd.DataFrame, Design]:
-    """The runs of the study without a value, as `run_means` gives them, and their design.
+def runs_of(study: str) -> tuple[pd.DataFrame, Design]:
+    """The runs of a study without a value, as `run_means` gives them, and their design.
 
     Returns
     -------
     DataFrame
-        One row a primary metric of a run; value is 0. SA2H has the two seeds more that stand beside the study.
+        One row a primary metric of a run; value is 0. SA2H of `answer` has the two seeds more that stand beside it.
     Design
     """
-    jobs = [*jobs_of(["+study=answer"]), *jobs_of(["-m", "+study=answer_beside", "variant=sa2h", "seed=1,2"])]
+    jobs = jobs_of([f"+study={study}"])
+    if study == "answer":
+        jobs += jobs_of(["-m", "+study=answer_beside", "variant=sa2h", "seed=1,2"])
     made = {job.label: levels_of(job.semantic) for job in jobs}
     design = find_design(made, [component.key for component in components()])
     assert design is not None
@@ -49,7 +52,7 @@ def verdicts(runs: pd.DataFrame, design: Design, effects: Mapping[str, float], b
     Parameters
     ----------
     runs, design
-        What `answer_runs` gives.
+        What `runs_of` gives.
     effects : mapping of str to float
         By component, by how much it improves its metric: less is better in all primary metrics.
     band : float
@@ -86,20 +89,20 @@ def shares(
     return {name: count / repetitions for name, count in counts.items()}
 
 
-def report(repetitions: int) -> Iterator[str]:
-    """The tables in Markdown, line by line."""
+def report(repetitions: int, name: str) -> Iterator[str]:
+    """The tables of a study in Markdown, line by line."""
     yield f"{repetitions} simulated studies a number; effects and bands in standard deviations of a run.\n"
     yield f"| improvement by one component (band 0.5) | {' | '.join(f'{size:g}' for size in (0.0, *EFFECTS))} |"
     yield f"| --- |{' --- |' * (1 + len(EFFECTS))}"
-    study = answer_runs()
+    study = runs_of(name)
     found = [shares(*study, {"att": size}, 0.5, repetitions) for size in (0.0, *EFFECTS)]
     for word in Answer:
         yield f"| `{word}` | {' | '.join(f'{rates[word]:.2f}' for rates in found)} |"
     yield f"\n| band, where no component improves anything | {' | '.join(f'{band:g}' for band in BANDS)} |"
     yield f"| --- |{' --- |' * len(BANDS)}"
     none = [found[0], *(shares(*study, {}, band, repetitions) for band in BANDS[1:])]
-    for name, row in (("`does_not`, one component", "does_not"), ("`earns`, at least one component", "any_earns")):
-        yield f"| {name} | {' | '.join(f'{rates[row]:.3f}' for rates in none)} |"
+    for label, row in (("`does_not`, one component", "does_not"), ("`earns`, at least one component", "any_earns")):
+        yield f"| {label} | {' | '.join(f'{rates[row]:.3f}' for rates in none)} |"
     at_band = shares(*study, dict.fromkeys(NAMES, 1.0), 1.0, repetitions)
     yield (
         "\nWhere every component improves its metric by exactly the band, a share of "
@@ -111,7 +114,9 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repetitions", type=int, default=500)
-    for line in report(parser.parse_args().repetitions):
+    parser.add_argument("--study", default="answer", help="a file of conf/study")
+    arguments = parser.parse_args()
+    for line in report(arguments.repetitions, arguments.study):
         print(line, flush=True)
 
 
