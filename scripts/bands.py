@@ -6,6 +6,7 @@ python scripts/bands.py    # docs/bands.png
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,9 +58,10 @@ def changes(pair: Pair) -> dict[str, Change]:
     field = gaussian_filter(np.random.default_rng(0).standard_normal(image.shape), SMOOTH_PX)
     texture = image - gaussian_filter(image, SMOOTH_PX)
     stripes = (-1.0) ** np.arange(image.shape[1])
+    dither = np.random.default_rng(1).random(image.shape)  # so that less than a grey level changes some of the pixels
 
     def added(what: np.ndarray) -> Change:
-        return lambda much: np.where(pair.mask, np.clip(np.rint(image + much * what), 0, 255), 0).astype(np.uint8)
+        return lambda much: np.where(pair.mask, np.clip(image + much * what + dither, 0, 255), 0).astype(np.uint8)
 
     return {
         "shadow_contrast": added(shadow),
@@ -72,17 +74,21 @@ def changes(pair: Pair) -> dict[str, Change]:
 
 
 def by_band(pair: Pair, metric: Metric, change: Change, band: float) -> np.ndarray:
-    """The frame with so much of a change that the metric is the band."""
-    assert metric.of_image is not None
+    """The frame with so much of a change that the metric is the band, within 1 %; a ValueError where none is."""
 
     def above(much: float) -> float:
-        maps = vars(pair) | {"prediction": change(much)}
-        return float(metric.of_image(Pair(**maps)) or 0.0) - band  # type: ignore[misc]
+        value = metric.of_image(replace(pair, prediction=change(much))) if metric.of_image else None
+        if value is None:
+            raise ValueError(f"{metric.name} is not known of this frame")
+        return float(value) - band
 
     end = 1 / 64
     while above(end) < 0:
         end *= 2
-    return change(brentq(above, 0.0, end, xtol=1e-4))
+    much = brentq(above, 0.0, end, xtol=1e-6)
+    if abs(above(much)) > 0.01 * band:
+        raise ValueError(f"{metric.name} is {above(much) + band:.3g}, not the band of {band:g}")
+    return change(much)
 
 
 def main() -> None:

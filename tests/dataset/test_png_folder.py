@@ -166,6 +166,13 @@ def test_what_does_not_fit_is_named_in_one_line(
         validate_png_folder(folder / "nowhere")
 
 
+def test_a_folder_of_jpegs_is_refused_with_the_reason(folder: Path) -> None:
+    for path in (folder / "image").iterdir():
+        path.rename(path.with_suffix(".jpg"))
+    with pytest.raises(FileNotFoundError, match=r"image: no PNG in it; JPEG is not read, as it changes labels"):
+        validate_png_folder(folder)
+
+
 def test_with_their_fan_pairs_are_read_in_beam_space(tmp_path: Path) -> None:
     """A wave along x and z, at the places of the samples as the radius, the angles and the depths give them."""
     (tmp_path / "fan.yaml").write_text("kind: convex\nradius_mm: 50\nfov_deg: 60\ndepth_mm: 120\n")

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from skimage.io import imread
+from skimage.transform import resize
 
-from ablate.dataset import Pairs, Part, Recipe, simulate_pairs
+from ablate.dataset import Pairs, Part, Recipe, simulate_pairs, write_contact_sheet
 from ablate.dataset.split import resimulation_seed
 from ablate.networks import Space
 from ablate.ultrasound import Display, Simulator
@@ -75,3 +77,18 @@ def test_only_what_is_missing_is_rendered(
     simulate_pairs(recipe, pairs, MAPS | {"low"}, 1)
     assert rendered == [(1, recipe.seed)] * 7
     assert before.items() <= contents(pairs.folder).items()
+
+
+def test_the_contact_sheet_shows_frames_of_each_part_above_their_segmentations(pairs: Pairs, recipe: Recipe) -> None:
+    simulate_pairs(recipe, pairs, MAPS, 1)
+    write_contact_sheet(pairs, pairs.folder / "sheet.png")
+    sheet = imread(pairs.folder / "sheet.png")
+    rows, columns = 2 * len(Part), 8
+    height, width = ((sheet.shape[k] - 4) // n - 4 for k, n in enumerate((rows, columns)))
+    assert sheet.shape == (rows * (height + 4) + 4, columns * (width + 4) + 4, 3)
+    for k, part in enumerate(Part):
+        first = pairs.frames(part)[0]
+        image, below = (sheet[4 + row * (height + 4) :][:height, 4 : 4 + width] for row in (2 * k, 2 * k + 1))
+        shown = resize(pairs.stored("target", first), (height, width), preserve_range=True, anti_aliasing=True)
+        np.testing.assert_allclose(image, np.repeat(shown[..., None], 3, axis=2), atol=1.01)
+        assert (np.ptp(below.astype(int), axis=2) > 0).any(), "labels have colours"

@@ -56,7 +56,7 @@ def _table(tissue: Tissue) -> np.ndarray:
     phase = generator.random(shape, np.float32) * np.float32(2 * math.pi)
     total = (strength * np.exp(1j * phase)).sum(axis=0)
     power = np.mean(np.abs(total) ** 2)  # 0 where the table of a very sparse tissue holds no scatterer
-    return (total * math.sqrt(tissue.scatter_power / power) if power > 0 else 0 * total).astype(np.complex64)
+    return (total * math.sqrt(tissue.scatter_power / power) if power > 0 else total).astype(np.complex64)
 
 
 def mix_seed(seed: int) -> np.uint32:
