@@ -26,11 +26,11 @@ $(STAMP): pyproject.toml constraints.txt
 sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 6 to 18 minutes on two cores
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h
 
-answer: $(STAMP) ## which components earn their keep: 32 runs of a factorial in two anatomies and the runs beside it, kept in docs/results; resumable
+answer: $(STAMP) ## which components earn their keep: 52 trainings in two anatomies and nine beside them, kept in docs/results; resumable
 	$(BIN)/python scripts/results.py restore
-	$(BIN)/python -m ablate +study=answer
-	$(BIN)/python -m ablate +study=answer_beside
-	$(BIN)/python scripts/results.py keep runs/answer
+	$(BIN)/python -m ablate +study=full_model
+	$(BIN)/python -m ablate +study=full_model_beside
+	$(BIN)/python scripts/results.py keep runs/full_model
 	$(BIN)/python scripts/results.py table
 
 notebooks: $(STAMP) ## run the notebooks on the studies in runs/ and keep them with their figures, as notebooks/*.ipynb

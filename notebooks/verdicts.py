@@ -11,8 +11,8 @@
 # %% [markdown]
 # # Which parts earn their keep?
 #
-# This notebook reads the study that `make answer` left in `runs/answer`, or the copy that is kept in
-# `docs/results/answer`. The environment variable `ABLATE_STUDY` can name another study. Nothing is trained.
+# This notebook reads the study that `make answer` left in `runs/full_model`, or the copy that is kept in
+# `docs/results/full_model`. The environment variable `ABLATE_STUDY` can name another study. Nothing is trained.
 #
 # Each component is judged on one metric, which was named before the runs were scored. The page `docs/statistics.md`
 # has the rule.
@@ -37,8 +37,8 @@ print(caption("verdicts", reference=study.reference, design=answers.design))
 # %% [markdown]
 # ## The picture
 #
-# A row is a component. Its unit is the distance from SA2H to re-simulation in the component's own metric: what a
-# perfect renderer would still gain. A dot is one training.
+# A row is a component. Its unit is the improvement of the component's own metric that is too small to matter. A dot is
+# one training.
 
 # %%
 of_study = answers.means, answers.design, answers.components

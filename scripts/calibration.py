@@ -1,7 +1,7 @@
 """Does the statistics keep its word? Simulated studies, judged by the project's own functions: false claims and power.
 
 python scripts/calibration.py                             # the tables of docs/statistics.md
-python scripts/calibration.py --study runs/answer         # the random effects of a study of yours, and their tables
+python scripts/calibration.py --study runs/full_model         # the random effects of a study of yours, and their tables
 """
 
 import argparse

@@ -1,7 +1,6 @@
 """Do verdicts keep their word? Simulated studies in the design of a file of conf/study: false verdicts and power.
 
-python scripts/calibration_verdicts.py                       # the tables of docs/statistics.md, in ten minutes
-python scripts/calibration_verdicts.py --study full_model    # those of docs/study2.md
+python scripts/calibration_verdicts.py --repetitions 100    # the tables of docs/study.md
 """
 
 import argparse
@@ -28,12 +27,10 @@ def runs_of(study: str) -> tuple[pd.DataFrame, Design]:
     Returns
     -------
     DataFrame
-        One row a primary metric of a run; value is 0. SA2H of `answer` has the two seeds more that stand beside it.
+        One row a primary metric of a run; value is 0.
     Design
     """
     jobs = jobs_of([f"+study={study}"])
-    if study == "answer":
-        jobs += jobs_of(["-m", "+study=answer_beside", "variant=sa2h", "seed=1,2"])
     made = {job.label: levels_of(job.semantic) for job in jobs}
     design = find_design(made, [component.key for component in components()])
     assert design is not None
@@ -114,7 +111,7 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repetitions", type=int, default=500)
-    parser.add_argument("--study", default="answer", help="a file of conf/study")
+    parser.add_argument("--study", default="full_model", help="a file of conf/study")
     arguments = parser.parse_args()
     for line in report(arguments.repetitions, arguments.study):
         print(line, flush=True)

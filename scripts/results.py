@@ -1,12 +1,12 @@
 """Results that are kept in the repository: small copies of finished runs, and the tables and figures made from them.
 
-python scripts/results.py keep runs/answer    # copy what is finished into docs/results/answer
+python scripts/results.py keep runs/full_model    # copy what is finished into docs/results/full_model
 python scripts/results.py restore             # put it back into runs/: the same sweep goes on where it stopped
 python scripts/results.py table               # write the tables of docs/results.md and its figures
 
 `keep` adds what has finished since, on whichever machine. A run is kept with its configuration, its scalars, its values
-a frame and what it was made with; not with its weights. Times a frame are kept, too. Of the variants with a name of
-their own the first training keeps one picture. Prose in docs/results.md stays as it is: only what stands between the
+a frame and what it was made with; not with its weights. Times a frame are kept, too. Of each variant on the data of the
+reference the first training keeps one picture. Prose in docs/results.md stays as it is: only what stands between the
 two markers is written.
 """
 
@@ -26,7 +26,7 @@ from ablate.comparison.reading import pictures
 from ablate.comparison.usable_runs import usable_runs
 from ablate.runs.run import Run, State
 from ablate.storage import write_json
-from results_page import FRAME, PICTURES, named, write_page
+from results_page import FRAME, PICTURES, PLANS, write_page
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 KEPT, PAGE = DOCS / "results", DOCS / "results.md"
@@ -39,7 +39,7 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
     Parameters
     ----------
     study : Path
-        As `runs/answer`.
+        As `runs/full_model`.
     kept : Path
         Folder of kept studies.
 
@@ -55,7 +55,7 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
     """
     usable = usable_runs(study)
     if not usable.runs:
-        raise ValueError(f"{study} holds no finished run; allowed is the folder of a study, as runs/answer")
+        raise ValueError(f"{study} holds no finished run; allowed is the folder of a study, as runs/full_model")
     target = kept / study.resolve().name
     said = list(usable.notes)
     for run in usable.all:
@@ -68,10 +68,12 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
             if before.get("metrics_version") == run.result["metrics_version"]:
                 continue
         folder.mkdir(parents=True, exist_ok=True)
-        own = {"runs_dir": "runs", "tracking": {**run.spec["settings"].get("tracking", {}), "uri": None}}
-        write_json(folder / "spec.json", {**run.spec, "settings": {**run.spec["settings"], **own}})
+        settings = run.spec["settings"]
+        scene = {name: Path(v).name if name == "folder" and v else v for name, v in settings["scene"].items()}
+        own = {"runs_dir": "runs", "tracking": {**settings.get("tracking", {}), "uri": None}, "scene": scene}
+        write_json(folder / "spec.json", {**run.spec, "settings": {**settings, **own}})
         pack(run.folder / VALUES, folder / VALUES)
-        if run.seed == 0 and named([run]) and (run.folder / PICTURES).exists():
+        if run.seed == 0 and target.name in PLANS and run in usable.runs and (run.folder / PICTURES).exists():
             with np.load(run.folder / PICTURES) as shown:
                 np.savez_compressed(folder / PICTURES, frames=shown["frames"][:1], images=shown["images"][:1])
         if (run.folder / MADE_WITH).exists():
@@ -81,8 +83,8 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
         said.append(f"kept {run.name}")
     if (study / TIMES).exists():
         shutil.copyfile(study / TIMES, target / TIMES)
-    if not (target / FRAME).exists():
-        said += keep_frame(named(usable.runs), target / FRAME)
+    if target.name in PLANS and not (target / FRAME).exists():
+        said += keep_frame(usable.runs, target / FRAME)
     return said
 
 

@@ -1,8 +1,8 @@
 """What docs/results.md says of the kept studies: verdicts, tables and figures; scripts/results.py calls it."""
 
+import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,66 +11,39 @@ import numpy as np
 import pandas as pd
 from PIL import Image
 
+import ablate
 from ablate.analysis import (
     REFERENCE,
     RESIMULATION,
-    Design,
+    Answer,
     FramePictures,
-    Spread,
     caption,
-    comparison_table,
     forest_figure,
     improvements,
     interactions,
     ordered_variants,
     qualitative_figure,
-    resimulation_note,
-    seed_claims,
-    to_markdown,
 )
-from ablate.comparison.reading import Answers, answers, provenance, scored_frames
-from ablate.comparison.usable_runs import UsableRuns, usable_runs
+from ablate.analysis.figures.style import shown_name
+from ablate.analysis.statistics.verdicts import ALPHA
+from ablate.analysis.tables import NOTHING, head
+from ablate.comparison.opened import Study
+from ablate.comparison.reading import provenance
 from ablate.jobs.compose import jobs_of
-from ablate.metrics import METRICS, Group, Shown, shown_in
-from ablate.networks import Noise
+from ablate.metrics import metric_of
+from ablate.metrics.metric import FRAME_TIME
 from ablate.runs.run import Run
-from results_tables import claim_rows, effect_rows, interaction_rows, paper_rows, shortfalls, verdict_rows
+from ablate.settings.conf import components
 
 BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by scripts/results.py: end -->"
 FRAME, PICTURES = "frame.npz", "pictures.npz"
 # By study, the file of conf/study that lists the runs of its design, and the one that lists those beside it.
-PLANS = {"answer": ("answer", "answer_beside")}
-BESIDE = [*shown_in(Shown.headline), *(name for name, m in METRICS.items() if m.group is Group.mechanism)]
-JUDGED_AGAINST_BARS = (REFERENCE, "sa2h-compensated")
-
-
-@dataclass(frozen=True, eq=False)
-class Numbers:
-    """A kept study, read once: its runs, and the tables of `ablate.analysis` that its page shows."""
-
-    usable: UsableRuns
-    per_image: pd.DataFrame  # as `scored_frames` gives it, of all anatomies
-    beside: pd.DataFrame  # `comparison_table` of the named variants, on the anatomy of the reference
-    claims: pd.DataFrame  # `seed_claims` of the same
-    answers: Answers
-
-
-def numbers_of(study: Path) -> Numbers:
-    """Read a kept study. Raises ValueError where no run of it can be used."""
-    usable = usable_runs(study)
-    if not usable.runs:
-        raise ValueError(" ".join([f"{study} holds no run that can be shown.", *usable.notes]))
-    per_image, scalars = scored_frames(usable.all)
-    here = str(usable.runs[0].result["data"])
-    shown = {RESIMULATION, *(run.label for run in named(usable.runs))}
-    of = [rows[(rows["data"] == here) & rows["variant"].isin(shown)] for rows in (per_image, scalars)]
-    beside = comparison_table(*of)
-    return Numbers(usable, per_image, beside, seed_claims(*of), answers(usable.all, beside))
-
-
-def named(runs: Sequence[Run]) -> list[Run]:
-    """The runs of variants that have a name of their own, as sa2h-gan; cells of a factorial have none."""
-    return [run for run in runs if "." not in run.label]
+# Only these studies are shown and keep pictures.
+PLANS = {"full_model": ("full_model", "full_model_beside")}
+# What SA2H of preset=quick is to reach, as a share of re-simulation's own score; of FD speckle the value itself.
+BARS = {"mae_smooth": 1.7, "pchi2_tissue": 2.0, "shadow_contrast": 2.2, "thin_contrast": 2.0, "crps": 1.3}
+BARS |= {"noise_sd": 1.08, "fd_speckle": 0.8}
+NAMES = {component.key: component.name for component in components()}
 
 
 @cache
@@ -79,59 +52,79 @@ def planned_runs(group: str) -> frozenset[str]:
     return frozenset(job.name for job in jobs_of([f"+study={group}"]))
 
 
-def finished_of(study: str, runs: Sequence[Run]) -> tuple[list[tuple[int, int]], str]:
-    """How many runs of each part of a study's plan are finished, of how many, and a sentence that says so."""
+def finished_of(study: str, runs: Sequence[Run]) -> tuple[bool, str]:
+    """Whether runs of a study's design are missing, and a sentence that says how many runs are finished."""
     done = {run.name for run in runs}
-    if study not in PLANS:
-        return [], f"{len(done)} runs are finished."
-    planned = [planned_runs(part) for part in PLANS[study]]
-    counts = [(len(part & done), len(part)) for part in planned]
-    (design, of_design), together = counts[0], frozenset.union(*planned)
+    parts = [planned_runs(part) for part in PLANS[study]]
+    design, together = parts[0], frozenset.union(*parts)
     said = f"{len(together & done)} of {len(together)} runs are finished"
-    return counts, said + (f": {design} of the {of_design} runs of the design." if design < of_design else ".")
+    if design <= done:
+        return False, f"{said}."
+    return True, f"{said}: {len(design & done)} of the {len(design)} runs of the design."
 
 
-def study_lines(study: Path) -> Iterator[str]:
+def study_lines(folder: Path) -> Iterator[str]:
     """The page of a kept study, paragraph by paragraph; figures and `verdicts.csv` are written into its folder."""
-    found = numbers_of(study)
-    runs, design = found.usable.all, found.answers.design
-    counts, said = finished_of(study.name, runs)
-    preliminary = bool(counts) and counts[0][0] < counts[0][1]
-    yield f"## {study.name}"
+    try:
+        study = ablate.open_study(folder)
+    except FileNotFoundError as error:
+        raise ValueError(str(error)) from error
+    runs, answers = study.usable.all, study.answers
+    preliminary, said = finished_of(folder.name, runs)
+    yield f"## {folder.name}"
     yield said + (" **All verdicts are preliminary.**" if preliminary else "")
-    yield about(runs, found.per_image)
-    found.answers.verdicts.to_csv(study / "verdicts.csv", index=False)
-    drawn = {
-        path.stem: f"![{path.stem}]({study.parent.name}/{study.name}/{path.name})" for path in figures(study, found)
-    }
+    yield about(runs, study.per_image)
+    answers.verdicts.to_csv(folder / "verdicts.csv", index=False)
+    drawn = {path.stem: f"![{path.stem}](results/{folder.name}/{path.name})" for path in figures(folder, study)}
     if "verdicts" in drawn:
-        yield f"{drawn['verdicts']}\n\n*{caption('verdicts', design=design)}*"
-        yield from verdict_lines(study.name, found, preliminary)
+        yield f"{drawn['verdicts']}\n\n*{caption('verdicts', design=answers.design)}*"
+        yield verdict_rows(answers.verdicts, preliminary)
+        yield (
+            "An effect is the mean of the runs with a component minus the mean of those without it. The arrow says "
+            "which values are better. p (zero) tests the hypothesis that the effect is zero, and p (band) the "
+            "hypothesis that the improvement is at least as large as the band. Both are corrected over the components "
+            "(Holm). A difference in time within the spread of the timing is shown as 0. "
+            f"The error has {answers.verdicts['dof'].max()} degrees of freedom. "
+            f"[verdicts.csv](results/{folder.name}/verdicts.csv) has all columns."
+        )
+    yield "### How far from re-simulation"
+    yield shares(runs, study.table)
+    yield (
+        "Scores on test frames as a share of re-simulation's own score, mean over the runs of a network; of FD speckle "
+        "the score itself. 1 is a perfect renderer that draws its own speckle. The time is that of a frame with the "
+        "maps that the network reads. The bars were set for SA2H of `preset=quick` before this study."
+    )
     if "qualitative" in drawn:
         yield "### Pictures"
         yield (
             f"{drawn['qualitative']}\n\n*A test frame of an unseen probe site. The target has its segmentation in the "
             "left corner and the logarithm of its attenuation map in the right corner. Each network is the first "
-            "training of its variant: sa2h-att has no attenuation map, sa2h-compensated the compensated one, sa2h-gan "
-            "was trained without a discriminator. Re-simulation is the same frame with other scatterers and ray paths.*"
+            "training of its variant. Re-simulation is the same frame with other scatterers and ray paths.*"
         )
-    yield from beside_lines(found)
-    if design is not None:
-        yield from design_lines(found, design)
+    if len(answers.effects) and answers.design is not None:
+        yield "### All effects"
+        yield effect_rows(answers.effects, answers.design.factors)
+        yield (
+            "Exploratory. Mean with a component minus mean without it. Bold: the false discovery rate over all "
+            f"{len(answers.effects)} effects of the table is below 5 %."
+        )
 
 
 def about(runs: Sequence[Run], per_image: pd.DataFrame) -> str:
     """Size, data, code and machines of a study, in a paragraph."""
     s = runs[0].spec["settings"]
     rows, columns = s["simulator"]["image_shape"]
-    tested = per_image[per_image["variant"] != RESIMULATION].groupby("data")
-    sets = ", ".join(f"`{name}` ({of['frame'].nunique()} of {of['site'].nunique()} sites)" for name, of in tested)
+    sets = ", ".join(f"`{name}`" for name in dict.fromkeys(run.data for run in runs))
+    tested = per_image[per_image["variant"] != RESIMULATION]
     made = {run.name: provenance([run]) for run in runs}
     commits = Counter(of.get("git_commit", "")[:7] for of in made.values())
     machines = Counter(of.get("hardware", "") for of in made.values())
+    started, scored = (min(str(run.result[name]) for run in runs) for name in ("started", "first_scored"))
     said = [
         f"Frames of {rows} x {columns} pixels, networks of {s['model']['width']:g} times the paper's width, "
-        f"{s['training']['steps']:,} training steps. Test frames: {sets}.",
+        f"{s['training']['steps']:,} training steps. Data: {sets}; in the first {tested['frame'].nunique()} test "
+        f"frames of {tested['site'].nunique()} sites.",
+        f"The first run was started at {started}, and the first test frame was scored at {scored}.",
         f"Commits: {', '.join(filter(None, commits))}." if any(commits) else "",
         f"Machines: {'; '.join(f'{name} ({n} runs)' for name, n in machines.items())}." if any(machines) else "",
         "Times a frame on different machines cannot be compared." if len(machines) > 1 else "",
@@ -139,122 +132,121 @@ def about(runs: Sequence[Run], per_image: pd.DataFrame) -> str:
     return " ".join(filter(None, said))
 
 
-def verdict_lines(study: str, found: Numbers, preliminary: bool) -> Iterator[str]:
-    """The verdicts as a table, and why where nothing can be said."""
-    yield verdict_rows(found.answers.verdicts, preliminary)
-    dof = found.answers.verdicts["dof"].max()
-    yield (
-        "An effect is the mean of the runs with a component minus the mean of those without it, averaged over all "
-        "other components, or where all others are on. The arrow says which values are better. p (zero) tests "
-        "the hypothesis that the effect is zero, and p (band) the hypothesis that the improvement is at least as large "
-        "as the band. Both are corrected over the components (Holm). Times and weights are averaged in the same way; a "
-        "difference in time within the spread of the timing is shown as 0. "
-        f"{'' if pd.isna(dof) else f'The error has {dof} degrees of freedom. '}"
-        f"[verdicts.csv](results/{study}/verdicts.csv) has all columns."
-    )
-    unknown = found.answers.verdicts[found.answers.verdicts["p_holm"].isna()]
-    yield "\n".join(f"- {row['component']}: {row['why']}." for row in unknown.to_dict("records"))
+def network_of(label: str) -> str:
+    """What a network is called: its label without the anatomy; of another variant than the reference its name alone."""
+    variant, *changes = re.sub(r"\.anatomy_seed-\d+", "", label).split(".")
+    return ".".join([variant, *changes]) if variant == REFERENCE else variant
 
 
-def beside_lines(found: Numbers) -> Iterator[str]:
-    """Named variants with re-simulation, the full model against its bars, and whether noise is alive."""
-    shown = found.beside[found.beside["metric"].isin((*BESIDE, "ms_per_frame"))]
-    yield "### The runs beside the design"
-    yield (
-        "Mean ± standard deviation of the trainings' means. The best network is bold.\n\n"
-        f"{to_markdown(shown, Spread.seeds)}"
-    )
-    yield resimulation_note(list(dict.fromkeys(shown["metric"])))
-    claims = found.claims[found.claims["metric"].isin(BESIDE)]
-    if claims["p"].notna().any():
-        yield claim_rows(claims)
-        yield (
-            f"Difference of the trainings' mean from {REFERENCE} (Welch's test). **Bold**: p is below 5 % after Holm's "
-            "correction over all variants and metrics. *Italic*: suggested, p is below 5 % only without it."
-        )
-    if table := shortfalls(found.beside, JUDGED_AGAINST_BARS):
-        yield "### How far from re-simulation"
-        yield table
-    rows = found.per_image[found.per_image["metric"] == "noise_sd"]
-    injecting = {run.name for run in found.usable.all if run.spec["semantic"]["model"]["noise"] == Noise.inject}
-    means = rows.groupby(["variant", "seed", "data"])["value"].mean().reset_index()
-    levels = means[means["variant"] == RESIMULATION].set_index("data")["value"]
-    means = means[(means["variant"] + "/seed" + means["seed"].astype(str)).isin(injecting)]
-    if len(means) and set(means["data"]) <= set(levels.index):
-        shares = means["value"] / means["data"].map(levels)
-        yield (
-            f"{len(means)} runs inject noise. Their standard deviation over draws (`noise_sd`) is "
-            f"{means['value'].min():.1f} to {means['value'].max():.1f} grey levels, {shares.min():.2f} to "
-            f"{shares.max():.2f} times that of re-simulation on the same anatomy."
-        )
+def shares(runs: Sequence[Run], table: pd.DataFrame) -> str:
+    """A row a network: its scores over those of re-simulation on the same frames, and its time a frame."""
+    rows = []
+    for run in runs:
+        scalars = run.result["scalars"]
+        row = {name: scalars[f"test/{name}"] / scalars[f"test/floor_{name}"] for name in list(BARS)[:-1]}
+        rows.append({"network": network_of(run.label), **row, "fd_speckle": scalars["test/fd_speckle"]})
+    of = pd.DataFrame(rows).groupby("network")
+    ms = table[table["metric"] == FRAME_TIME].set_index("variant")["mean"]
+    order = ordered_variants(list(of.groups))
+    cells = [
+        [
+            shown_name(name, components()),
+            str(len(of.get_group(name))),
+            *(f"{of.get_group(name)[metric].mean():.2f}" for metric in BARS),
+            f"{ms[name]:.0f}" if name in ms else NOTHING,
+        ]
+        for name in order
+    ]
+    bars = [f"{bar:g}" if name != "noise_sd" else "0.92 to 1.08" for name, bar in BARS.items()]
+    titles = [metric_of(name).label for name in BARS]
+    cells.insert(0, ["*bar*", NOTHING, *(f"*{bar}*" for bar in bars), NOTHING])
+    return pipe_table(("network", "runs", *titles, "ms a frame"), cells)
 
 
-def design_lines(found: Numbers, design: Design) -> Iterator[str]:
-    """The paper's differences, the interactions on primary metrics, and all effects."""
-    if table := paper_rows(found.answers.paper):
-        yield "### The differences that the paper reports"
-        yield table
-        yield (
-            "Mean with a component minus mean without it. The paper's are those of its Table II, one training each at "
-            'its own size. If the paper\'s difference lies outside our 95 % interval, the column "excluded" says '
-            "whether our effect is smaller (less here) or larger (more here). It names both intervals if they disagree."
-        )
-    if table := interaction_rows(
-        interactions(found.answers.means, design, found.answers.components), found.answers.verdicts
-    ):
-        yield "### Interactions"
-        yield table
-        yield (
-            "Half of the difference between the improvement of a component (row) with and without another component "
-            "(column), in the unit of the metric of the row. Positive values mean that the component helps more with "
-            "the other one. Bold: the false discovery rate is below 5 %."
-        )
-    effects = found.answers.effects
-    if len(effects):
-        yield "### All effects"
-        yield effect_rows(effects, design.factors)
-        yield (
-            "Exploratory. Mean with a component minus mean without it. Bold, and named in the last column: the false "
-            f"discovery rate over all {len(effects)} effects and interactions of the table is below 5 %."
-        )
-
-
-def figures(study: Path, found: Numbers) -> list[Path]:
+def figures(folder: Path, study: Study) -> list[Path]:
     """Draw the verdicts and the kept frame as PNG into the folder of the study; PDF is for `task=compare`."""
-    kept = []
-    with TemporaryDirectory() as folder:
-        tables = (
-            found.answers.verdicts,
-            improvements(found.answers.means, found.answers.design, found.answers.components),
-            interactions(found.answers.means, found.answers.design, found.answers.components),
-        )
-        made = forest_figure(*tables, found.answers.components, Path(folder) / "verdicts")
-        if frame := kept_frame(study, named(found.usable.runs)):
-            made += qualitative_figure([frame], Path(folder) / "qualitative", found.answers.components)
+    kept, answers = [], study.answers
+    of_study = answers.means, answers.design, answers.components
+    with TemporaryDirectory() as scratch:
+        tables = answers.verdicts, improvements(*of_study), interactions(*of_study)
+        made = forest_figure(*tables, answers.components, Path(scratch) / "verdicts")
+        if frame := kept_frame(folder, study.usable.runs):
+            made += qualitative_figure([frame], Path(scratch) / "qualitative", answers.components)
         for path in made:
             if path.suffix == ".png":
-                kept.append(study / path.name)
+                kept.append(folder / path.name)
                 with Image.open(path) as image:  # 256 colours: a third of the size
                     image.convert("RGB").quantize(256).save(kept[-1], optimize=True)
     return kept
 
 
-def kept_frame(study: Path, runs: Sequence[Run]) -> FramePictures | None:
+def kept_frame(folder: Path, runs: Sequence[Run]) -> FramePictures | None:
     """The kept frame with what the first training of each variant made of it; None where it was not kept."""
-    if not (study / FRAME).exists():
+    if not (folder / FRAME).exists():
         return None
-    with np.load(study / FRAME) as file:
+    with np.load(folder / FRAME) as file:
         maps = dict(file)
     number = int(maps["number"])
     predictions = {RESIMULATION: maps["resimulation"]} if "resimulation" in maps else {}
     order = ordered_variants([run.label for run in runs])
     for run in sorted(runs, key=lambda run: (order.index(run.label), run.seed)):
-        if run.label not in predictions and (run.folder / PICTURES).exists():
+        if (name := network_of(run.label)) not in predictions and (run.folder / PICTURES).exists():
             with np.load(run.folder / PICTURES) as file:
                 if number in file["frames"]:
-                    predictions[run.label] = file["images"][file["frames"].tolist().index(number)]
-    name, of = f"frame {number}", (maps["mask"], maps["segmentation"], maps.get("attenuation"))
-    return FramePictures(name, maps["target"], predictions, *of)
+                    predictions[name] = file["images"][file["frames"].tolist().index(number)]
+    of = maps["mask"], maps["segmentation"], maps.get("attenuation")
+    return FramePictures(f"frame {number}", maps["target"], predictions, *of)
+
+
+def verdict_rows(verdicts: pd.DataFrame, preliminary: bool) -> str:
+    """What `verdict_table` gives, a row a component that some run goes without."""
+    rows = []
+    for row in verdicts[verdicts["effect"].notna()].to_dict("records"):
+        decimals = metric_of(row["metric"]).decimals
+        effect = signed(row["effect"], decimals)
+        if pd.notna(row["lower"]):
+            effect += f" [{signed(row['lower'], decimals)}, {signed(row['upper'], decimals)}]"
+        word = f"**{Answer(row['verdict']).replace('_', ' ')}**" + (" (preliminary)" if preliminary else "")
+        left = signed(row["distance"], decimals)
+        chances = (probability(row[name]) for name in ("p_holm", "p_band_holm"))
+        costs = signed(row["ms_per_frame"], 1), signed(row["parameters"] / 1000, 0)
+        rows.append([row["component"], head(row["metric"]), word, effect, f"{row['band']:g}", left, *chances, *costs])
+    left = f"left from {REFERENCE} to re-simulation"
+    titles = ("effect [95 %]", "band", left, "p (zero)", "p (band)", "ms a frame", "parameters (1000)")
+    return pipe_table(("component", "metric", "verdict", *titles), rows, 3)
+
+
+def effect_rows(effects: pd.DataFrame, factors: Sequence[str]) -> str:
+    """What `effects_table` gives, with the component minus without it; a row a metric and a column a component."""
+    rows = []
+    for metric, of in effects.groupby("metric", sort=False):
+        decimals, found = metric_of(str(metric)).decimals, of.set_index("effect")
+        cells = []
+        for factor in factors:
+            text = signed(-found.at[factor, "estimate"], decimals) if factor in found.index else NOTHING
+            claimed = factor in found.index and found.at[factor, "q"] < ALPHA
+            cells.append(f"**{text}**" if claimed else text)
+        rows.append([head(str(metric)), *cells])
+    return pipe_table(("metric", *(NAMES.get(factor, factor) for factor in factors)), rows)
+
+
+def pipe_table(head_cells: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> str:
+    """A pipe table; the first `words` columns hold words, the others numbers."""
+    under = ["---"] * words + ["---:"] * (len(head_cells) - words)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head_cells, under, *rows))
+
+
+def signed(value: float, decimals: int) -> str:
+    """A number with its sign; a dash where it is missing, and no sign where it is printed as zero."""
+    if pd.isna(value):
+        return NOTHING
+    text = f"{value:+,.{decimals}f}"
+    return text.replace("-", "−") if text.strip("+-0.,") else text[1:]
+
+
+def probability(p: float) -> str:
+    """Three decimals; what is smaller is said to be smaller."""
+    return NOTHING if pd.isna(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def write_page(kept: Path, page: Path) -> None:
@@ -262,9 +254,9 @@ def write_page(kept: Path, page: Path) -> None:
 
     `kept` is the folder of kept studies. Raises ValueError when nothing is kept.
     """
-    studies = sorted({path.parents[2] for path in kept.glob("*/*/seed*/result.json")})
+    studies = [kept / name for name in PLANS if any((kept / name).glob("*/seed*/result.json"))]
     if not studies:
-        raise ValueError(f"{kept} holds no study; `python scripts/results.py keep runs/answer` copies one")
+        raise ValueError(f"{kept} holds no study; `python scripts/results.py keep runs/full_model` copies one")
     text = page.read_text() if page.exists() else f"# Results\n\n{BEGIN}\n{END}\n"
     before, _, rest = text.partition(BEGIN)
     _, ended, after = rest.partition(END)

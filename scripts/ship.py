@@ -1,6 +1,6 @@
 """Copy a trained generator into the package, where `ablate.load(name)` finds it.
 
-python scripts/ship.py runs/answer/sa2h/seed0 sa2h
+python scripts/ship.py runs/full_model/sa2h/seed0 sa2h
 """
 
 import argparse

@@ -108,7 +108,7 @@ def verdicts_of(**more):
     return pd.DataFrame([first | more, second, third])
 
 
-def test_the_forest_is_in_units_of_what_is_missing_and_says_the_verdict(figures, tmp_path):
+def test_the_forest_is_in_units_of_the_band_and_says_the_verdict(figures, tmp_path):
     dots = [("att", True, 6.5), ("att", True, 5.5), ("att", False, -0.3), ("conv", True, 9.0)]
     runs = pd.DataFrame(dots, columns=["component", "on", "improvement"])
     rows = [("att", "depth", 3.0, 0.01), ("depth", "att", -6.0, 0.2), ("conv", "att", 9.0, 0.01)]
@@ -118,17 +118,16 @@ def test_the_forest_is_in_units_of_what_is_missing_and_says_the_verdict(figures,
     drawn = {}
     for line in forest.lines:
         drawn.setdefault(line.get_label(), []).append(list(line.get_xdata()))
-    # Of att 30 grey levels are missing; of depth less than a band, so ten bands are the unit.
-    assert [x for (x,) in drawn["effect, 95 % interval"]] == pytest.approx([20, -100 / 30])
-    assert drawn["run with it"][0] == pytest.approx([100 * 6.5 / 30, 100 * 5.5 / 30])
-    assert drawn["run without it"][0] == pytest.approx([-1.0])
-    bands = [collection.get_paths()[0].get_extents() for collection in forest.collections]
-    assert [(band.x0, band.x1) for band in bands] == [(-10, 10), (-10, 10)]
+    assert [x for (x,) in drawn["effect, 95 % interval"]] == pytest.approx([2, -1 / 3])
+    assert drawn["run with it"][0] == pytest.approx([6.5 / 3, 5.5 / 3])
+    assert drawn["run without it"][0] == pytest.approx([-0.1])
+    (band,) = forest.patches
+    assert (band.get_x(), band.get_width()) == (-1, 2)
     assert forest.get_yticklabels()[0].get_text() == "attenuation map\nShadow contrast"
     words = [text.get_text() for text in beside.texts]
     assert words[3:] == ["earns", "+1.3", "−2k", "does not", "+1.3", "−2k"]
-    assert [text.get_text() for text in table.texts] == ["+10 %*", "−20 %"]
-    assert table.images[0].get_array().filled(0).tolist() == pytest.approx(np.array([[0, 10], [-20, 0]]))
+    assert [text.get_text() for text in table.texts] == ["+1.0*", "−2.0"]
+    assert table.images[0].get_array().filled(0).tolist() == pytest.approx(np.array([[0, 1], [-2, 0]]))
     assert legend_of(figures["verdicts"])[0] == "too small to matter"
 
 

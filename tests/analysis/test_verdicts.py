@@ -1,4 +1,4 @@
-"""Verdicts on synthetic runs in the design of `+study=answer`: what was put in comes out, and chance does not."""
+"""Verdicts on synthetic runs in half of a factorial of six: what was put in comes out, and chance does not."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -200,6 +200,20 @@ def test_dots_are_the_runs_without_what_other_components_and_anatomies_add(cells
         expected = np.where(chosen["on"], -sizes.get(name, 0.0), 0.0)
         assert chosen["improvement"].to_numpy() == pytest.approx(expected, abs=1e-9)
         assert chosen["on"].sum() == 18
+
+
+def test_where_one_component_at_a_time_is_off_the_dots_are_the_runs_that_its_effect_compares() -> None:
+    runs = {"sa2h": FULL, "sa2h.att": without("att"), "sa2h.depth": without("depth")}
+    design = find_design(runs, tuple(FULL))
+    assert design is not None
+    values = {"sa2h": [1.0, 2.0], "sa2h.att": [7.0, 8.0], "sa2h.depth": [40.0, 50.0]}
+    rows = [(label, k, "0", v) for label, of in values.items() for k, v in enumerate(of)]
+    means = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric=METRIC["att"])
+    dots = analysis.improvements(means.join(design.cells, on="variant"), design, COMPONENTS).set_index("variant")
+    assert dots["component"].unique().tolist() == ["att"]
+    assert dots.loc["sa2h", "improvement"].tolist() == pytest.approx([6.5, 5.5]), "7.5 is the mean without it"
+    assert dots.loc["sa2h.att", "improvement"].tolist() == pytest.approx([0.5, -0.5])
+    assert "sa2h.depth" not in dots.index
 
 
 def test_the_papers_effects_are_excluded_where_the_interval_excludes_them(cells: pd.DataFrame, design: Design) -> None:

@@ -359,7 +359,6 @@ def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: 
     [
         ("factorial_half", "half of the factorial of 5 components (16 of 32 cells)"),
         ("add_one_in", "one change at a time around"),
-        ("answer", "half of the factorial of 6 components (32 of 64 cells)"),
         ("encoding", "6 of the 8 cells of 3 components"),
         ("full_model", "one change at a time around sa2h (24 cells)"),
     ],

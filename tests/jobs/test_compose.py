@@ -1,17 +1,20 @@
 """The command line: what it stands for, and how it is refused."""
 
 import math
+from collections import Counter
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ablate.analysis import find_design
+from ablate.comparison.usable_runs import levels_of
 from ablate.dataset import Encoding
 from ablate.jobs.compose import cells, jobs_of
 from ablate.networks import Family
 from ablate.runs.job import Job, not_shared
-from ablate.settings.conf import variant_names
+from ablate.settings.conf import components, variant_names
 from ablate.settings.study import ConfigurationError, SceneKind, SceneSettings, StudySettings
 from support.studies import study_group
 
@@ -82,59 +85,30 @@ def test_add_one_in_starts_from_nothing() -> None:
     assert {job.settings.model.family for job in others} == {Family.local}
 
 
-@pytest.fixture(scope="module")
-def answer() -> list[Job]:
-    return study_group("answer")
+def test_the_study_has_each_network_equally_often_in_both_anatomies() -> None:
+    jobs = study_group("full_model")
+    assert len(jobs) == len({job.folder for job in jobs}) == 52
+    assert jobs[0].label == "sa2h"
+    runs = Counter((job.label.replace(".anatomy_seed-4", ""), job.settings.scene.anatomy_seed) for job in jobs)
+    assert {anatomy for _, anatomy in runs} == {3, 4}
+    assert all(count == (4 if label == "sa2h" else 2) for (label, _), count in runs.items())
+    assert len(runs) == 2 * (1 + len(components())), "each component is switched off alone"
+    assert not [d for job in jobs for d in not_shared(jobs[0].semantic, job.semantic, dict(job.changed))]
+    orders = {job.settings.label_seed for job in jobs if job.settings.encoding is Encoding.arbitrary}
+    assert len(orders) == 2, "an order of the labels for each seed"
 
 
-def signs_of(jobs: list[Job]) -> dict[str, np.ndarray]:
-    """By component of the answer's design, 1 where a job goes without it and -1 where not."""
-    names = [*OFF, "encoding"]
-    full = jobs[0].settings.model
-    gone = [[getattr(job.settings.model, name) != getattr(full, name) for name in OFF] for job in jobs]
-    rows = [[*levels, job.settings.encoding is Encoding.arbitrary] for levels, job in zip(gone, jobs, strict=True)]
-    return dict(zip(names, 2 * np.array(rows, float).T - 1, strict=True))
-
-
-def product_of(signs: dict[str, np.ndarray], effect: tuple[str, ...]) -> np.ndarray:
-    return np.prod([signs[name] for name in effect], axis=0)
-
-
-def test_the_answer_has_two_blocks_of_16_runs_that_differ_in_components_alone(answer: list[Job]) -> None:
-    assert len(answer) == len({job.folder for job in answer}) == 32
-    assert answer[0].label == "sa2h"
-    assert [job.settings.seed for job in answer] == list(range(32))
-    assert [sum(job.settings.scene.anatomy_seed == k for job in answer) for k in (0, 1)] == [16, 16]
-    levels = {name: {getattr(job.settings.model, name) for job in answer} for name in OFF}
-    assert all(OFF[name] in values for name, values in levels.items() if name != "depth")
-    assert all(len(values) == 2 for values in levels.values())
-    assert not [d for job in answer for d in not_shared(answer[0].semantic, job.semantic, dict(job.changed))]
-
-
-def test_the_answer_has_resolution_six_and_its_blocks_hide_no_main_effect_and_no_interaction_of_two(
-    answer: list[Job],
-) -> None:
-    signs = signs_of(answer)
-    np.testing.assert_array_equal(product_of(signs, tuple(signs)), np.ones(32))  # I = ABCDEF
-    effects = [e for size in (1, 2) for e in combinations(signs, size)]
-    block = np.array([2.0 * job.settings.scene.anatomy_seed - 1 for job in answer])
-    columns = np.column_stack([np.ones(32), *(product_of(signs, e) for e in effects), block])
-    assert columns.shape[1] == 1 + 6 + 15 + 1
-    np.testing.assert_array_equal(columns.T @ columns, 32 * np.eye(23))
-    hidden = [e for e in combinations(signs, 3) if abs(product_of(signs, e) @ block) == 32]
-    assert hidden == [("attenuation", "concat", "noise"), ("upsampling", "depth", "encoding")]
-
-
-def test_the_answer_and_the_runs_beside_it_are_one_study(answer: list[Job]) -> None:
-    beside = study_group("answer_beside")
-    assert {job.settings.study_dir for job in (*answer, *beside)} == {answer[0].settings.study_dir}
-    assert {job.settings.scene.anatomy_seed for job in beside} == {0}
-    assert not [d for job in beside for d in not_shared(answer[0].semantic, job.semantic, dict(job.changed))]
-    common = {job.folder for job in answer} & {job.folder for job in beside}
-    assert common == {answer[0].folder}
-    assert {job.settings for job in beside if job.folder in common} == {answer[0].settings}
-    for label in {job.label for job in beside}:
-        assert [job.settings.seed for job in beside if job.label == label] == [0, 1, 2]
+def test_the_study_and_the_runs_beside_it_are_one_study() -> None:
+    jobs, beside = study_group("full_model"), study_group("full_model_beside")
+    assert {job.settings.study_dir for job in beside} == {jobs[0].settings.study_dir}
+    assert not [d for job in beside for d in not_shared(jobs[0].semantic, job.semantic, dict(job.changed))]
+    assert not {job.folder for job in jobs} & {job.folder for job in beside}
+    of_both = {job.label: levels_of(job.semantic) for job in (*jobs, *beside)}
+    factors = [*(component.key for component in components()), *dict(beside[3].changed)]
+    design = find_design(of_both, factors)
+    assert design is not None
+    assert set(design.cells.index) == {job.label for job in jobs}, "those beside it take no part"
+    assert len(design.factors) == len(components())
 
 
 def test_cells_of_a_study_take_more_keys() -> None:

@@ -18,7 +18,7 @@ from ablate.settings.study import StudySettings
 from ablate.storage import read_json
 
 SWEEP = ("runs/quick-fetal",)  # where `make sweep` leaves its study
-ANSWER = ("runs/answer", "docs/results/answer")  # where `make answer` leaves its study, and where it is kept
+ANSWER = ("runs/full_model", "docs/results/full_model")  # where `make answer` leaves its study, and where it is kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -184,7 +184,7 @@ class StudySettings(Checked):
     training: TrainingSettings = TrainingSettings()
     metrics: Any = setting("all", "A name or a list of names; see docs/metrics.md.", incidental=True)
     objective: str | None = setting(
-        None, "Score that a sweeper minimises or maximises, such as `val/psnr_fan`; see docs/study.md.", incidental=True
+        None, "Score that a sweeper minimises or maximises, as `val/psnr_fan`; see docs/own_study.md.", incidental=True
     )
     evaluation: EvaluationSettings = EvaluationSettings()
     tracking: TrackingSettings = TrackingSettings()

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.ticker import PercentFormatter
 
 from ablate.analysis.components import Component
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, one_legend, save_figure
@@ -17,6 +16,7 @@ from ablate.analysis.statistics.verdicts import ALPHA, Answer
 from ablate.metrics import Direction, metric_of
 
 ROW_IN, HEAD_IN, CELL_IN = 0.42, 0.9, 0.27
+TICKS = (-100, -30, -10, -3, -1, 0, 1, 3, 10, 30, 100)  # bands
 FAINT = 0.3  # opacity of an interaction that may be chance
 BAND_COLOUR, RUN_COLOUR = "#DDDDDD", "#0072B2"
 COLOURS = {Answer.earns: "#007A55", Answer.does_not: "#B04A00", Answer.undecided: "#555555"}
@@ -24,7 +24,7 @@ MAP_NOTE = """Half of the difference between
 a component's improvement (row)
 with and without another
 component (column),
-in the unit of (a).
+in the unit above.
 
 * and strong colour: false
 discovery rate < 5 %"""
@@ -36,9 +36,8 @@ def forest_figure(
 ) -> list[Path]:
     """Draw the verdicts: a row a component, and below them how components change each other's effects.
 
-    Improvements are shares of the distance from the reference to re-simulation in the component's primary metric, or of
-    ten bands where that distance is smaller than a band or not known. Components without an effect are left out. The
-    files are a PNG and a PDF at `stem`, a path without suffix; none without an effect.
+    The unit of an improvement is the band of its component. Components without an effect are left out. The files are a
+    PNG and a PDF at `stem`, a path without suffix; none without an effect.
 
     Parameters
     ----------
@@ -48,18 +47,16 @@ def forest_figure(
     shown = verdicts[verdicts["effect"].notna()].reset_index(drop=True)
     if shown.empty:
         return []
-    unit = shown["distance"].where(shown["distance"] > shown["band"], 10 * shown["band"])
-    units = dict(zip(shown["component"], unit, strict=True))
     labels = {name: name for name in shown["component"]} | {c.name: c.label for c in components}
     rows = [HEAD_IN + ROW_IN * len(shown), *([1.0 + CELL_IN * len(shown)] if len(pairs) else [])]
     with house_style():
         figure = new_figure(PAGE_IN, sum(rows))
         grid = figure.add_gridspec(len(rows), 2, height_ratios=rows, width_ratios=[2.0, 1])
         forest = figure.add_subplot(grid[0, 0])
-        _draw_forest(forest, shown, runs, units, labels)
+        _draw_forest(forest, shown, runs, labels)
         _write_beside(figure.add_subplot(grid[0, 1], sharey=forest), shown)
         if len(pairs):
-            _draw_map(figure.add_subplot(grid[1, 0]), shown, pairs, units, labels)
+            _draw_map(figure.add_subplot(grid[1, 0]), shown, pairs, labels)
             beside = figure.add_subplot(grid[1, 1])
             beside.set_axis_off()
             beside.text(0.03, 0.5, MAP_NOTE, va="center", color="#444444", transform=beside.transAxes, linespacing=1.4)
@@ -67,20 +64,18 @@ def forest_figure(
         return save_figure(figure, stem)
 
 
-def _draw_forest(
-    axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, units: Mapping[str, float], labels: Mapping[str, str]
-) -> None:
+def _draw_forest(axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, labels: Mapping[str, str]) -> None:
     places = np.arange(len(shown), 0, -1)
+    axes.set_xscale("symlog", linthresh=1, linscale=0.8)  # linear within the band
+    axes.margins(x=0.06)
+    axes.axvspan(-1, 1, color=BAND_COLOUR, lw=0, zorder=0, label="too small to matter")
     axes.axvline(0, color="black", lw=0.8, zorder=1)
     for place, row in zip(places, shown.to_dict("records"), strict=True):
         name, metric = row["component"], metric_of(row["metric"])
-        scale = (1 if metric.better is Direction.higher else -1) * 100 / units[name]
-        reach = abs(scale) * row["band"]
-        label = "too small to matter"
-        axes.fill_between([-reach, reach], place - 0.44, place + 0.44, color=BAND_COLOUR, lw=0, zorder=0, label=label)
+        scale = (1 if metric.better is Direction.higher else -1) / row["band"]
         dots = runs[runs["component"] == name]
         for on, fill, label in ((True, RUN_COLOUR, "run with it"), (False, "white", "run without it")):
-            values = 100 * dots.loc[dots["on"] == on, "improvement"] / units[name]
+            values = dots.loc[dots["on"] == on, "improvement"] / row["band"]
             heights = np.full(len(values), place + (0.24 if on else -0.24))
             axes.plot(values, heights, "o", ms=3.2, mfc=fill, mec=RUN_COLOUR, mew=0.7, label=label, zorder=2)
         if pd.notna(row["lower"]):
@@ -92,9 +87,10 @@ def _draw_forest(
     axes.set_yticks(places, [f"{labels[name]}\n{metric_of(metric).label}" for name, metric in names])
     axes.set_ylim(0.5, len(shown) + 0.5)
     axes.tick_params(axis="y", length=0)
-    axes.xaxis.set_major_formatter(PercentFormatter(decimals=0))
-    axes.set_xlabel("improvement / distance from the full model to the re-simulation")
-    axes.set_title("(a) effect of each component on its own metric", loc="left")
+    ticks = [tick for tick in TICKS if axes.get_xlim()[0] <= tick <= axes.get_xlim()[1]]
+    axes.set_xticks(ticks, [f"{tick:g}".replace("-", "−") for tick in ticks])
+    axes.set_xlabel("improvement / what is too small to matter")
+    axes.set_title("effect of each component on its own metric", loc="left")
 
 
 def _write_beside(axes: Axes, shown: pd.DataFrame) -> None:
@@ -119,25 +115,24 @@ def _signed(value: float, decimals: int, unit: str = "") -> str:
     return f"{text}{unit}" if text.strip("+−0.") else "0"
 
 
-def _draw_map(
-    axes: Axes, shown: pd.DataFrame, pairs: pd.DataFrame, units: Mapping[str, float], labels: Mapping[str, str]
-) -> None:
+def _draw_map(axes: Axes, shown: pd.DataFrame, pairs: pd.DataFrame, labels: Mapping[str, str]) -> None:
     names = list(shown["component"])
+    bands = dict(zip(names, shown["band"], strict=True))
     shown_pairs = pairs[pairs["component"].isin(names) & pairs["other"].isin(names)]
     share = np.full((len(names), len(names)), np.nan)
     strength = np.full(share.shape, FAINT)
     for row in shown_pairs.to_dict("records"):
         place = names.index(row["component"]), names.index(row["other"])
-        share[place] = 100 * row["improvement"] / units[row["component"]]
+        share[place] = row["improvement"] / bands[row["component"]]
         star = "*" if row["q"] < ALPHA else ""
         strength[place] = 1.0 if star else FAINT
-        axes.text(*place[::-1], f"{_signed(share[place], 0, ' %')}{star}", ha="center", va="center")
-    most = max(float(np.nanmax(np.abs(share), initial=0.0)), 10.0)
+        axes.text(*place[::-1], f"{_signed(share[place], 1)}{star}", ha="center", va="center")
+    most = max(float(np.nanmax(np.abs(share), initial=0.0)), 1.0)
     axes.imshow(share, cmap=_MAP, vmin=-most, vmax=most, aspect="auto", alpha=strength)
     axes.set_xticks(range(len(names)), ["\n".join(wrap(labels[name], 11)) for name in names])
     axes.set_yticks(range(len(names)), [labels[name] for name in names])
     axes.tick_params(length=0)
     axes.tick_params(axis="x", labelsize="small")
     axes.xaxis.tick_top()
-    axes.set_title("(b) interactions", loc="left")
+    axes.set_title("interactions", loc="left")
     axes.spines[:].set_visible(False)

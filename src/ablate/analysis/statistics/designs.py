@@ -83,6 +83,7 @@ def find_design(
         return None
     kept = [label for label, run in alike.items() if all(run.get(f) in pair for f, pair in levels.items())]
     kept.sort(key=lambda label: label != reference)
+    levels = {f: pair for f, pair in levels.items() if len({alike[label][f] for label in kept}) == 2}
     cells = pd.DataFrame(
         {f: pd.Categorical([alike[label][f] for label in kept], pair) for f, pair in levels.items()}, index=kept
     )

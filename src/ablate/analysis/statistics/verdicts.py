@@ -117,7 +117,7 @@ def improvements(means: pd.DataFrame, design: Design | None, components: Sequenc
     DataFrame
         Columns component, variant, seed, on (whether the run has the component), improvement (over the mean of the runs
         without it, in units of the metric): residuals of the model of main effects and blocks, plus the effect for the
-        runs that have the component.
+        runs that have the component. Where no run goes without two, those without another one tell nothing: left out.
     """
     tables = []
     for component, model in _judged(means, design, components, interactions=False):
@@ -126,7 +126,9 @@ def improvements(means: pd.DataFrame, design: Design | None, components: Sequenc
         on = runs[component.key].cat.codes.to_numpy() == 1
         effect, _ = model.contrast(_of_component(component, model))
         improvement = _sign(component) * (model.residuals + effect * on)
-        tables.append(runs[["variant", "seed"]].assign(component=component.name, on=on, improvement=improvement))
+        table = runs[["variant", "seed"]].assign(component=component.name, on=on, improvement=improvement)
+        lacking = runs[design.factors].apply(lambda levels: levels.cat.codes == 0).sum(axis=1)
+        tables.append(table if lacking.max() > 1 else table[(lacking == 0) | ~on])
     names = ["component", "variant", "seed", "on", "improvement"]
     return pd.concat(tables, ignore_index=True)[names] if tables else pd.DataFrame(columns=names)
 

@@ -1,0 +1,104 @@
+"""The verdicts of the second study, recomputed from its kept files: no code of `ablate` decides anything here.
+
+python scripts/recompute_verdicts.py                         # verdicts, and which of them hang on a single run
+python scripts/recompute_verdicts.py docs/results/patient    # beside them the same effects in another body
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import yaml
+from scipy.stats import t as student
+
+ROOT = Path(__file__).resolve().parents[1]
+COMPONENTS = {path.stem: yaml.safe_load(path.read_text()) for path in (ROOT / "conf" / "component").glob("*.yaml")}
+FULL = "full model"
+NETWORKS = {  # by what a label says after sa2h and its anatomy
+    **{"attenuation-none": "att", "interfaces-none": "interfaces", "position-none": "position", "space-image": "space"},
+    **{"concat-input": "concat", "upsampling-transposed": "conv", "noise-input": "noise", "grain-output": "grain"},
+    **{"depth-6": "depth", "encoding-arbitrary": "encoding", "loss-none": "loss", "": FULL},
+}
+
+
+def values(study: Path) -> pd.DataFrame:
+    """A row a run of the design: its name, network, anatomy, and its mean over test frames of every metric."""
+    rows = []
+    for file in sorted(study.glob("*/seed*/result.json")):
+        variant, *changes = json.loads(file.read_text())["label"].split(".")
+        anatomy = next((part for part in changes if part.startswith("anatomy_seed")), "")
+        network = NETWORKS.get(".".join(part for part in changes if part != anatomy))
+        if variant != "sa2h" or network is None:
+            continue  # beside the design
+        frames = pd.read_parquet(file.parent / "per_image.parquet").query("source == 'model' and split == 'test'")
+        means = frames[np.isfinite(frames["value"])].groupby("metric")["value"].mean()
+        means["nyquist_excess"] = abs(means["nyquist_excess"])  # it is best at 0
+        rows.append({"run": "/".join(file.parts[-3:-1]), "network": network, "anatomy": anatomy, **means})
+    return pd.DataFrame(rows)
+
+
+def effect(runs: pd.DataFrame, name: str) -> tuple[float, float, float, int]:
+    """Least squares of value = network + anatomy + error: what a component changes, its error, a run's sd, and dof."""
+    y = runs[COMPONENTS[name]["metric"]].to_numpy(float)
+    networks = sorted(set(runs["network"]))
+    x = [runs["network"] == network for network in networks]
+    x = np.stack([*x, *(runs["anatomy"] == one for one in sorted(set(runs["anatomy"]))[1:])], axis=1).astype(float)
+    contrast = np.zeros(x.shape[1])
+    contrast[[networks.index(FULL), networks.index(name)]] = 1, -1
+    inverse = np.linalg.inv(x.T @ x)
+    solution, dof = inverse @ x.T @ y, len(y) - x.shape[1]
+    sd = np.sqrt(np.sum((y - x @ solution) ** 2) / dof)
+    return contrast @ solution, sd * np.sqrt(contrast @ inverse @ contrast), sd, dof
+
+
+def holm(p: pd.Series) -> pd.Series:
+    """Holm (1979): the k-th smallest of m is multiplied by m - k + 1, and none is below the one before."""
+    ordered = p.sort_values()
+    return (ordered * np.arange(len(p), 0, -1)).cummax().clip(upper=1).reindex(p.index)
+
+
+def verdicts(runs: pd.DataFrame) -> pd.DataFrame:
+    """A row a component, by the rule of docs/study.md; less is better in all primary metrics."""
+    rows = {}
+    for name in sorted(set(runs["network"]) - {FULL}):
+        metric, band = COMPONENTS[name]["metric"], COMPONENTS[name]["band"]
+        change, error, _, dof = effect(runs, name)
+        half = student.ppf(0.975, dof) * error
+        p = 2 * student.sf(abs(change) / error, dof), student.cdf((-change - band) / error, dof)
+        rows[name] = metric, change, change - half, change + half, band, *p, dof
+    names = ["metric", "effect", "lower", "upper", "band", "p_zero", "p_band", "dof"]
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=names)
+    table["p_zero"], table["p_band"] = holm(table["p_zero"]), holm(table["p_band"])
+    earns = (table["p_zero"] < 0.05) & (table["effect"] < 0)
+    return table.assign(verdict=np.select([table["p_band"] < 0.05, earns], ["does_not", "earns"], "undecided"))
+
+
+def main() -> None:
+    """Print the verdicts, those that change without a single run, and the effects in other bodies."""
+    runs = values(ROOT / "docs" / "results" / "full_model")
+    table = verdicts(runs)
+    print(f"{len(runs)} runs\n{table.to_string(float_format='{:.4f}'.format)}\n")
+    changed = 0
+    for k, run in enumerate(runs["run"]):
+        without = verdicts(runs.drop(index=k))["verdict"]
+        for name in table.index[without != table["verdict"]]:
+            changed += 1
+            print(f"without {run}: {name} {without[name]}")
+    print(f"Leaving out one run at a time changes {changed} of {len(table) * len(runs)} verdicts.")
+    for body in map(Path, sys.argv[1:]):
+        print(f"\n{body.name}: effect, its 95 % interval, and the effect in the study")
+        there = values(body)
+        for name in sorted(set(there["network"]) - {FULL}):
+            own = there[there["network"].isin([FULL, name])].groupby("network")[COMPONENTS[name]["metric"]]
+            of_study, error, sd, dof = effect(runs, name)
+            here, share = own.mean()[FULL] - own.mean()[name], np.sqrt((1 / own.count()).sum())
+            t = student.ppf(0.975, dof)
+            differs = abs(here - of_study) > t * np.hypot(sd * share, error)
+            ends = f"[{here - t * sd * share:.4f}, {here + t * sd * share:.4f}]"
+            print(f"{name:11}{here:9.4f} {ends:20}{of_study:9.4f} {'differs' if differs else 'no difference found'}")
+
+
+if __name__ == "__main__":
+    main()
