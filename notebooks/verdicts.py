@@ -75,16 +75,6 @@ pairs = tables[2]
 pairs[pairs["q"] < 0.05].set_index(["component", "other"]).round(4)
 
 # %% [markdown]
-# ## The paper's effects
-#
-# The paper ablates four components, one at a time, and reports PSNR, MAE and patch chi-square. The column `paper` is
-# its SA2H minus its SA2H without the component. The column `effect` is the same of these runs, where all other
-# components are on. An effect of the paper is excluded if it lies outside the 95 % interval.
-
-# %%
-answers.paper.set_index(["component", "metric"]).round(3)
-
-# %% [markdown]
 # ## Everything else
 #
 # Effects on all other metrics are exploratory. These have a false discovery rate below 5 %. They are effects of the

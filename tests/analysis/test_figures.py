@@ -101,9 +101,9 @@ NOTHING = pd.DataFrame(columns=["component", "other", "improvement", "q", "on"])
 def verdicts_of(**more):
     """Verdicts of two components whose metrics are better where they are smaller; the second is without an effect."""
     first = {"component": "att", "metric": "shadow_contrast", "effect": -6.0, "lower": -8.0, "upper": -4.0, "band": 3.0}
-    first |= {"verdict": "earns", "distance": 30.0, "ms_per_frame": 1.26, "parameters": -2400.0}
+    first |= {"verdict": "earns", "least": 3.9, "most": 7.5, "ms_per_frame": 1.26, "parameters": -2400.0}
     second = dict.fromkeys(first, np.nan) | {"component": "conv", "metric": "nyquist_excess", "verdict": "undecided"}
-    third = first | {"component": "depth", "metric": "mae_smooth", "distance": 0.5, "effect": 1.0}
+    third = first | {"component": "depth", "metric": "mae_smooth", "effect": 1.0}
     third["verdict"] = "does_not"
     return pd.DataFrame([first | more, second, third])
 
@@ -121,6 +121,7 @@ def test_the_forest_is_in_units_of_the_band_and_says_the_verdict(figures, tmp_pa
     assert [x for (x,) in drawn["effect, 95 % interval"]] == pytest.approx([2, -1 / 3])
     assert drawn["run with it"][0] == pytest.approx([6.5 / 3, 5.5 / 3])
     assert drawn["run without it"][0] == pytest.approx([-0.1])
+    assert drawn["with Holm's correction"][0] == pytest.approx([1.3, 2.5])
     (band,) = forest.patches
     assert (band.get_x(), band.get_width()) == (-1, 2)
     assert forest.get_yticklabels()[0].get_text() == "attenuation map\nShadow contrast"
@@ -132,7 +133,9 @@ def test_the_forest_is_in_units_of_the_band_and_says_the_verdict(figures, tmp_pa
 
 
 def test_a_forest_of_one_run_a_side_has_no_interval_and_none_without_an_effect(figures, tmp_path):
-    alone = verdicts_of(lower=np.nan, upper=np.nan, ms_per_frame=np.nan, verdict="undecided").iloc[:2]
+    alone = verdicts_of(
+        lower=np.nan, upper=np.nan, least=np.nan, most=np.nan, ms_per_frame=np.nan, verdict="undecided"
+    ).iloc[:2]
     assert analysis.forest_figure(alone, NOTHING, NOTHING, COMPONENTS, tmp_path / "verdicts")
     forest, beside = figures["verdicts"].axes
     assert not [line for line in forest.lines if line.get_linewidth() > 2]

@@ -120,7 +120,7 @@ def test_a_whole_study_gives_every_table_and_figure(study: Path) -> None:
     folder, report, notes = compared(study)
     names = {path.name for path in folder.iterdir()}
     assert names >= {"report.html", "table.csv", "table.tex", "paired.csv", "claims.csv", "effects.csv"}
-    assert names >= {"verdicts.csv", "runs.csv", "paper.csv"}
+    assert names >= {"verdicts.csv", "runs.csv"}
     figures = {"verdicts", "boxplots", "seeds", "error_vs_runtime", *(f"boxplot_{m}" for m in METRICS)}
     assert names >= {f"{name}.{kind}" for name in figures for kind in ("png", "pdf")}
     assert not (study / "comparison.partial").exists()

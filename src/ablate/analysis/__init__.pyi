@@ -31,7 +31,6 @@ from .statistics.paired import paired_table as paired_table
 from .statistics.verdicts import Answer as Answer
 from .statistics.verdicts import improvements as improvements
 from .statistics.verdicts import interactions as interactions
-from .statistics.verdicts import paper_effects as paper_effects
 from .statistics.verdicts import verdict_table as verdict_table
 from .statistics.work_precision import observed_order as observed_order
 from .statistics.work_precision import pareto_front as pareto_front

@@ -127,8 +127,8 @@ def write_comparison(study: Study, title: str) -> list[str]:
     of_the_paper = study.table[study.table["metric"].isin(shown_in(Shown.table))]
     (partial / "table.tex").write_text(analysis.to_latex(of_the_paper, reference), "utf-8")
     tables = {"paired": study.paired, "claims": claims, "verdicts": judged.verdicts, "runs": judged.runs}
-    more = {"effects": judged.effects, "paper": judged.paper}
-    for name, content in (tables | {name: made for name, made in more.items() if len(made)}).items():
+    more = {"effects": judged.effects} if len(judged.effects) else {}
+    for name, content in (tables | more).items():
         content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
     partial.rename(folder)

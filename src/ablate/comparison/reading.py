@@ -133,8 +133,6 @@ class Answers:
     runs : DataFrame
         One row a run of the study: variant, seed, data, its components, its mean of every metric, and the quartiles of
         its time a frame.
-    paper : DataFrame
-        The paper's effects beside those of the study.
     components : tuple of Component
         What was judged: the declared components, and keys that somebody swept.
     """
@@ -144,7 +142,6 @@ class Answers:
     effects: pd.DataFrame
     verdicts: pd.DataFrame
     runs: pd.DataFrame
-    paper: pd.DataFrame
     components: tuple[Component, ...]
 
 
@@ -171,7 +168,6 @@ def answers(runs: Sequence[Run], table: pd.DataFrame, reference: str = REFERENCE
             means, design, judged, analysis.distances_to_resimulation(table, reference), spreads=spreads
         ),
         _wide(per_image, scalars, levels, factors),
-        analysis.paper_effects(means, design, judged),
         judged,
     )
 

@@ -60,7 +60,7 @@ def forest_figure(
             beside = figure.add_subplot(grid[1, 1])
             beside.set_axis_off()
             beside.text(0.03, 0.5, MAP_NOTE, va="center", color="#444444", transform=beside.transAxes, linespacing=1.4)
-        one_legend(figure, [forest], 5)
+        one_legend(figure, [forest], 3)
         return save_figure(figure, stem)
 
 
@@ -78,6 +78,8 @@ def _draw_forest(axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, labels: Ma
             values = dots.loc[dots["on"] == on, "improvement"] / row["band"]
             heights = np.full(len(values), place + (0.24 if on else -0.24))
             axes.plot(values, heights, "o", ms=3.2, mfc=fill, mec=RUN_COLOUR, mew=0.7, label=label, zorder=2)
+        ends = [row["least"] / row["band"], row["most"] / row["band"]]
+        axes.plot(ends, [place] * 2, "k|-", lw=0.8, ms=5, label="with Holm's correction", zorder=3)
         if pd.notna(row["lower"]):
             ends = [scale * row["lower"], scale * row["upper"]]
             axes.plot(ends, [place] * 2, color="black", lw=2.2, solid_capstyle="butt", zorder=3)
