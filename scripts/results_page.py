@@ -207,12 +207,10 @@ def verdict_rows(verdicts: pd.DataFrame, preliminary: bool) -> str:
         if pd.notna(row["lower"]):
             effect += f" [{signed(row['lower'], decimals)}, {signed(row['upper'], decimals)}]"
         word = f"**{Answer(row['verdict']).replace('_', ' ')}**" + (" (preliminary)" if preliminary else "")
-        left = signed(row["distance"], decimals)
         chances = (probability(row[name]) for name in ("p_holm", "p_band_holm"))
         costs = signed(row["ms_per_frame"], 1), signed(row["parameters"] / 1000, 0)
-        rows.append([row["component"], head(row["metric"]), word, effect, f"{row['band']:g}", left, *chances, *costs])
-    left = f"left from {REFERENCE} to re-simulation"
-    titles = ("effect [95 %]", "band", left, "p (zero)", "p (band)", "ms a frame", "parameters (1000)")
+        rows.append([row["component"], head(row["metric"]), word, effect, f"{row['band']:g}", *chances, *costs])
+    titles = ("effect [95 %]", "band", "p (zero)", "p (band)", "ms a frame", "parameters (1000)")
     return pipe_table(("component", "metric", "verdict", *titles), rows, 3)
 
 

@@ -213,7 +213,7 @@ def _run_files(*names: str) -> Callable[[Path, Path], Attempt]:
 
 def _read_study(job: "Job") -> None:
     """What `task=plan` and `task=compare` read of a study, without figures and without MLflow."""
-    from ablate.analysis import cautions, comparison_table
+    from ablate.analysis import cautions
     from ablate.comparison.compare import stored_pictures
     from ablate.comparison.reading import answers, provenance, scored_frames
     from ablate.comparison.usable_runs import usable_runs
@@ -224,8 +224,8 @@ def _read_study(job: "Job") -> None:
     show_progress([job])
     usable = usable_runs(job.settings.study_dir, job.settings.reference)
     if usable.runs:
-        per_image, scalars = scored_frames(usable.runs)
-        answers(usable.all, comparison_table(per_image, scalars), job.settings.reference)
+        per_image, _ = scored_frames(usable.runs)
+        answers(usable.all, job.settings.reference)
         stored_pictures(usable.runs, job.settings.reference)
         provenance(usable.all), cautions(per_image, job.settings.reference)
 

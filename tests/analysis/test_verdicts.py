@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from ablate import analysis
-from ablate.analysis import RESIMULATION, Answer, Design, distances_to_resimulation, find_design
+from ablate.analysis import Answer, Design, find_design
 from ablate.analysis.statistics.verdicts import VERDICT_COLUMNS, answer
 from support.components import COMPONENTS, FULL, without
 
@@ -182,12 +182,12 @@ def test_three_seeds_of_two_variants_are_the_t_test() -> None:
     values = {"sa2h": [3.0, 3.4, 2.9], "sa2h-att": [9.0, 9.9, 9.2]}
     rows = [(v, s, "", value) for v, scores in values.items() for s, value in enumerate(scores)]
     runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric=METRIC["att"])
-    table = verdict_table(runs.join(pair.cells, on="variant"), pair, distances={METRIC["att"]: 12.0})
+    table = verdict_table(runs.join(pair.cells, on="variant"), pair)
     row = table.set_index("component").loc["att"]
     expected = stats.ttest_ind(values["sa2h"], values["sa2h-att"])
     assert row["p_holm"] == pytest.approx(expected.pvalue)
     assert (row["lower"], row["upper"]) == pytest.approx(tuple(expected.confidence_interval()))
-    assert (row["effect"], row["distance"]) == (pytest.approx(3.1 - 28.1 / 3), 12.0)
+    assert row["effect"] == pytest.approx(3.1 - 28.1 / 3)
     assert (row["verdict"], row["better"]) == ("earns", "lower")
 
 
@@ -228,11 +228,3 @@ def test_where_one_component_at_a_time_is_off_the_dots_are_the_runs_that_its_eff
     assert dots.loc["sa2h", "improvement"].tolist() == pytest.approx([6.5, 5.5]), "7.5 is the mean without it"
     assert dots.loc["sa2h.att", "improvement"].tolist() == pytest.approx([0.5, -0.5])
     assert "sa2h.depth" not in dots.index
-
-
-def test_distances_are_counted_in_the_direction_that_is_worse() -> None:
-    rows = [("psnr", "sa2h", 19.0), ("psnr", RESIMULATION, 22.0), ("mae", "sa2h", 9.0), ("mae", RESIMULATION, 4.0)]
-    rows += [("parameters", "sa2h", 9.0), ("parameters", RESIMULATION, 4.0), ("fid", "sa2h", 1.0)]
-    table = pd.DataFrame(rows, columns=["metric", "variant", "mean"])
-    assert distances_to_resimulation(table) == {"psnr": 3.0, "mae": 5.0}
-    assert distances_to_resimulation(table, "nsa2h") == {}

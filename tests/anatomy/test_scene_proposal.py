@@ -53,7 +53,8 @@ def test_a_mesh_that_cannot_be_used_is_named_in_a_comment(tmp_path: Path) -> Non
 
 
 def test_a_folder_without_meshes_is_refused_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"scene\.folder: .* has no scene\.yaml and no mesh; \.obj, \.stl"):
+    none = r"scene\.folder: .* has no scene\.yaml, no mesh and no volume; \.obj, \.stl"
+    with pytest.raises(FileNotFoundError, match=none):
         proposed_scene(tmp_path)
     (tmp_path / "empty.obj").write_text("")
     with pytest.raises(ValueError, match=r"scene\.folder: .*empty\.obj"):

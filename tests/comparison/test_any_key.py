@@ -6,8 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from ablate import analysis
-from ablate.comparison.reading import Answers, answers, scored_frames
+from ablate.comparison.reading import Answers, answers
 from ablate.comparison.usable_runs import check_pixels, usable_runs
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
@@ -27,8 +26,7 @@ def answered(jobs: Sequence[Job]) -> tuple[Answers, tuple[Run, ...]]:
         metrics = dict.fromkeys(("psnr", "mae", "shadow_contrast", "crps"), value)
         finish(job, metrics, data=job.data.name)
     usable = usable_runs(jobs[0].settings.study_dir)
-    per_image, scalars = scored_frames(usable.runs)
-    return answers(usable.all, analysis.comparison_table(per_image, scalars)), usable.all
+    return answers(usable.all), usable.all
 
 
 @pytest.mark.parametrize(

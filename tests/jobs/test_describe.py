@@ -81,9 +81,10 @@ def test_a_variant_without_a_discriminator_has_no_parameters_of_one(arguments: l
 
 def test_a_folder_without_scene_yaml_gets_a_proposal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     jobs = jobs_of(["task=describe", f"scene.folder={tmp_path}"])
-    with pytest.raises(ConfigurationError, match=r"has no scene\.yaml and no mesh"):
+    with pytest.raises(ConfigurationError, match=r"has no scene\.yaml, no mesh and no volume"):
         describe(jobs)
     trimesh.creation.icosphere(1, radius=60).export(tmp_path / "liver.ply")
+    (tmp_path / "scene.yaml").touch()  # as a shell does for `> scene.yaml`, before the command runs
     assert describe(jobs) == 0
     (tmp_path / "scene.yaml").write_text(capsys.readouterr().out)
     assert validate_scene_folder(tmp_path).meshes[0][1].name == "liver"

@@ -34,10 +34,7 @@ from .statistics.verdicts import interactions as interactions
 from .statistics.verdicts import verdict_table as verdict_table
 from .statistics.work_precision import observed_order as observed_order
 from .statistics.work_precision import pareto_front as pareto_front
-from .tables import Spread as Spread
 from .tables import comparison_table as comparison_table
-from .tables import distances_to_resimulation as distances_to_resimulation
-from .tables import resimulation_note as resimulation_note
 from .tables import to_latex as to_latex
 from .tables import to_markdown as to_markdown
 from .tables import to_text as to_text

@@ -1,7 +1,6 @@
 """The comparison table: mean and spread of every metric of every variant; in print, and as the paper's Table II."""
 
 import re
-from enum import StrEnum
 from itertools import product
 from typing import Any
 
@@ -94,17 +93,6 @@ def comparison_table(
     return table.sort_values(["variant", "metric"], key=lambda names: names.map(order.index), ignore_index=True)
 
 
-def distances_to_resimulation(table: pd.DataFrame, reference: str = REFERENCE) -> dict[str, float]:
-    """By metric, how much worse the reference is than re-simulation, in units of the metric: what there is to gain.
-
-    `table` is what `comparison_table` gives. Metrics that one of the two lacks, or that do not judge, are left out.
-    """
-    means = table.pivot(index="metric", columns="variant", values="mean").reindex(columns=[reference, RESIMULATION])
-    rows = zip(map(str, means.index), means.to_numpy(), strict=True)
-    badness = {m: [metric_of(m).badness(float(value)) for value in row] for m, row in rows}
-    return {m: float(here - there) for m, (here, there) in badness.items() if np.isfinite(here - there)}
-
-
 def wide_table(table: pd.DataFrame) -> pd.DataFrame:
     """A `comparison_table` with one row a variant, for `table.csv`.
 
@@ -120,25 +108,16 @@ def wide_table(table: pd.DataFrame) -> pd.DataFrame:
     return wide.rename_axis("variant").reset_index().dropna(axis="columns", how="all")
 
 
-class Spread(StrEnum):
-    """What stands behind the ± of a cell."""
+def cell_texts(table: pd.DataFrame) -> tuple[list[str], list[str], dict[tuple[str, str], tuple[str, str, bool]]]:
+    """Variants, metrics, and (mean, sd, best) as text by variant and metric, in the order of a `comparison_table`.
 
-    frames = "sd"  # standard deviation over test frames, as the paper prints it
-    seeds = "seed_sd"  # standard deviation of the means of the seeds: how far another training would be off
-
-
-def cell_texts(
-    table: pd.DataFrame, spread: Spread = Spread.frames
-) -> tuple[list[str], list[str], dict[tuple[str, str], tuple[str, str, bool]]]:
-    """Variants, metrics, and (mean, spread, best) as text by variant and metric, in the order of a `comparison_table`.
-
-    The spread is empty where there is none.
+    The standard deviation over test frames, which the paper prints, is empty where there is none.
     """
     variants, metrics = (list(dict.fromkeys(table[name])) for name in ("variant", "metric"))
     cells = dict.fromkeys(product(variants, metrics), (NOTHING, "", False))
     for row in table.to_dict("records"):
         decimals = metric_of(row["metric"]).decimals
-        sd = "" if pd.isna(row[spread.value]) else f"{row[spread.value]:.{decimals}f}"
+        sd = "" if pd.isna(row["sd"]) else f"{row['sd']:.{decimals}f}"
         mean = NOTHING if pd.isna(row["mean"]) else f"{row['mean']:.{decimals}f}"
         if row["metric"] == "parameters":
             mean, sd = f"{row['mean'] / 1e6:.3g}M", ""
@@ -183,9 +162,9 @@ def to_text(table: pd.DataFrame) -> str:
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], *note]) + "\n"
 
 
-def to_markdown(table: pd.DataFrame, spread: Spread = Spread.frames) -> str:
+def to_markdown(table: pd.DataFrame) -> str:
     """A `comparison_table` as a pipe table, with the number of seeds; the best network of a column is in bold."""
-    variants, metrics, cells = cell_texts(table, spread)
+    variants, metrics, cells = cell_texts(table)
     seeds = table.groupby("variant")["seeds"].max()
     lines = [["variant", "seeds", *map(head, metrics)]]
     lines.append(["---", *["---:"] * (len(metrics) + 1)])

@@ -1,4 +1,4 @@
-"""A scene.yaml proposed for a folder of meshes that has none: tissues from the names of files, the rest from sizes."""
+"""A scene.yaml proposed for a folder of meshes or volumes that has none: tissues from names, the rest from sizes."""
 
 import csv
 import json
@@ -16,6 +16,8 @@ from ablate.anatomy.meshes.repair import load_mesh
 from ablate.anatomy.scene import bounds_mm
 from ablate.anatomy.scene_folder import MESH_SUFFIXES, UNITS_MM
 from ablate.anatomy.tissue import TissueKind, load_tissues
+from ablate.anatomy.volumes.label_map import SUFFIXES
+from ablate.anatomy.volumes.labels_proposal import proposed_labels
 
 _UNKNOWN = "soft_tissue"
 _MISLEADING = {"skin", "lung"}  # a closed skin is the whole body, and the lung of the table is a fetus's
@@ -29,15 +31,18 @@ def proposed_scene(folder: Path) -> str:
     Raises
     ------
     FileNotFoundError
-        When the folder is missing or has no mesh.
+        When the folder is missing or has neither a mesh nor a volume.
     ValueError
-        When no mesh can be used; the message is that of the first.
+        When no mesh can be used; the message is that of the first. When a volume cannot be used or none holds labels.
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"scene.folder: {folder} is not a folder")
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
-    if not paths:
-        raise FileNotFoundError(f"scene.folder: {folder} has no scene.yaml and no mesh; {', '.join(MESH_SUFFIXES)}")
+    volumes = sorted(path for path in folder.iterdir() if path.name.lower().endswith(SUFFIXES))
+    if not paths and not volumes:
+        allowed = ", ".join((*MESH_SUFFIXES, *SUFFIXES))
+        raise FileNotFoundError(f"scene.folder: {folder} has no scene.yaml, no mesh and no volume; {allowed}")
+    labels = proposed_labels(volumes, tissue_of_name) if volumes else None
     meshes: dict[str, trimesh.Trimesh] = {}
     unusable: dict[str, str] = {}
     for path in paths:
@@ -45,23 +50,26 @@ def proposed_scene(folder: Path) -> str:
             meshes[path.name] = load_mesh(path)
         except ValueError as error:
             unusable[path.name] = str(error)
-    if not meshes:
+    if not meshes and not labels:
         raise ValueError(f"scene.folder: {next(iter(unusable.values()))}")
-    bounds = bounds_mm(meshes.values())
+    bounds = bounds_mm(meshes.values()) if meshes else np.zeros((2, 3))
     extent = float(np.ptp(bounds, axis=0).max())
     # the largest unit that makes the scene no larger than a body, preferring mm
     fits = [unit for unit, factor in UNITS_MM.items() if 10 * BODY_MM[0] <= extent * factor <= BODY_MM[1]]
     unit = fits[0] if fits else "mm"
     tissues, table = {name: tissue_of_name(name) for name in meshes}, load_tissues()
-    structures = []
-    for name in sorted(meshes, key=lambda n: (_ORDER.index(table[tissues[n][0]].kind), -np.prod(meshes[n].extents))):
-        quoted = name if re.fullmatch(r"[A-Za-z][\w.-]*", name, re.ASCII) else json.dumps(name, ensure_ascii=False)
-        structures.append((quoted, *tissues[name]))
-    (lower, upper), margin = bounds[:, 2], 0.2 * np.ptp(bounds[:, 2])
-    heights = {"lower": lower + margin, "upper": upper - margin}
+    order = sorted(meshes, key=lambda n: (_ORDER.index(table[tissues[n][0]].kind), -np.prod(meshes[n].extents)))
+    structures = [(_quoted(name), *tissues[name]) for name in order]
+    lower, upper = np.array(labels["z_mm"]) / UNITS_MM[unit] if labels else bounds[:, 2]
+    heights = {"lower": lower + 0.2 * (upper - lower), "upper": upper - 0.2 * (upper - lower)}
     about = {"unit": unit, "extent": extent, "extent_mm": extent * UNITS_MM[unit], "unusable": unusable.values()}
     template = Template(files("ablate.anatomy").joinpath("scene.yaml.jinja").read_text("utf-8"))
-    return template.render(structures=structures, **about, **heights)
+    return template.render(structures=structures, labels=labels, quoted=_quoted, **about, **heights)
+
+
+def _quoted(name: str) -> str:
+    """A file's name as YAML reads it."""
+    return name if re.fullmatch(r"[A-Za-z][\w.-]*", name, re.ASCII) else json.dumps(name, ensure_ascii=False)
 
 
 def tissue_of_name(name: str) -> tuple[str, str]:

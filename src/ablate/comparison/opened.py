@@ -63,7 +63,7 @@ class Study:
     @cached_property
     def answers(self) -> Answers:
         """The design of the study, and what it says of each component."""
-        return answers(self.usable.all, self.table, self.reference)
+        return answers(self.usable.all, self.reference)
 
     @property
     def runs(self) -> pd.DataFrame:

@@ -145,11 +145,8 @@ class Answers:
     components: tuple[Component, ...]
 
 
-def answers(runs: Sequence[Run], table: pd.DataFrame, reference: str = REFERENCE) -> Answers:
-    """Find the design of runs, which may show several anatomies, and judge its components.
-
-    `table` is the `comparison_table` that tells the distance from the reference to re-simulation.
-    """
+def answers(runs: Sequence[Run], reference: str = REFERENCE) -> Answers:
+    """Find the design of runs, which may show several anatomies, and judge its components."""
     levels = {run.label: levels_of(run.spec["semantic"]) for run in runs}
     factors = factors_of(runs)
     judged = analysis.with_undeclared(components(), factors)
@@ -160,16 +157,9 @@ def answers(runs: Sequence[Run], table: pd.DataFrame, reference: str = REFERENCE
     means = analysis.run_means(frames, values, design)
     times = scalars[scalars["metric"] == FRAME_TIME]  # their spread is half the distance of the quartiles
     spreads = {FRAME_TIME: float((times["upper"] - times["lower"]).mean() / 2)} if len(times) else {}
-    return Answers(
-        design,
-        means,
-        pd.DataFrame() if design is None else analysis.effects_table(means, design),
-        analysis.verdict_table(
-            means, design, judged, analysis.distances_to_resimulation(table, reference), spreads=spreads
-        ),
-        _wide(per_image, scalars, levels, factors),
-        judged,
-    )
+    effects = pd.DataFrame() if design is None else analysis.effects_table(means, design)
+    verdicts = analysis.verdict_table(means, design, judged, spreads)
+    return Answers(design, means, effects, verdicts, _wide(per_image, scalars, levels, factors), judged)
 
 
 def _wide(

@@ -138,10 +138,11 @@ def _studies(jobs: Sequence[Job]) -> list[StudySettings]:
 def describe(jobs: Sequence[Job]) -> int:
     """Print what the variants are and how large they are, in full, whatever the width of the terminal.
 
-    For a folder of meshes without a scene.yaml, print a proposal of one instead.
+    For a folder without a scene.yaml, or with the empty one that a shell makes for `> scene.yaml`, print a proposal.
     """
-    folder = jobs[0].settings.scene.folder
-    if folder and jobs[0].settings.scene.kind is not SceneKind.pairs and not (Path(folder) / "scene.yaml").exists():
+    folder, kind = jobs[0].settings.scene.folder, jobs[0].settings.scene.kind
+    there = Path(folder or "") / "scene.yaml"
+    if folder and kind is not SceneKind.pairs and not (there.exists() and there.stat().st_size):
         from ablate.anatomy import proposed_scene
 
         with refusing():

@@ -16,7 +16,6 @@ from ablate.analysis.statistics.verdicts import ALPHA, Answer
 from ablate.metrics import Direction, metric_of
 
 ROW_IN, HEAD_IN, CELL_IN = 0.42, 0.9, 0.27
-TICKS = (-100, -30, -10, -3, -1, 0, 1, 3, 10, 30, 100)  # bands
 FAINT = 0.3  # opacity of an interaction that may be chance
 BAND_COLOUR, RUN_COLOUR = "#DDDDDD", "#0072B2"
 COLOURS = {Answer.earns: "#007A55", Answer.does_not: "#B04A00", Answer.undecided: "#555555"}
@@ -89,8 +88,7 @@ def _draw_forest(axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, labels: Ma
     axes.set_yticks(places, [f"{labels[name]}\n{metric_of(metric).label}" for name, metric in names])
     axes.set_ylim(0.5, len(shown) + 0.5)
     axes.tick_params(axis="y", length=0)
-    ticks = [tick for tick in TICKS if axes.get_xlim()[0] <= tick <= axes.get_xlim()[1]]
-    axes.set_xticks(ticks, [f"{tick:g}".replace("-", "−") for tick in ticks])
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.set_xlabel("improvement / what is too small to matter")
     axes.set_title("effect of each component on its own metric", loc="left")
 

@@ -21,7 +21,7 @@ ALPHA = 0.05
 UNDECLARED = "no primary metric and band were declared for it before the runs"
 VERDICT_COLUMNS = (
     *("component", "metric", "effect", "lower", "upper", "band", "runs_a", "runs_b", "p_holm", "verdict"),
-    *("better", "p_band_holm", "dof", "distance", "full_effect", "full_lower", "full_upper", "least", "most"),
+    *("better", "p_band_holm", "dof", "full_effect", "full_lower", "full_upper", "least", "most"),
     *("ms_per_frame", "parameters", "why"),
 )
 
@@ -51,7 +51,6 @@ def verdict_table(
     means: pd.DataFrame,
     design: Design | None,
     components: Sequence[Component],
-    distances: Mapping[str, float] | None = None,
     spreads: Mapping[str, float] | None = None,
 ) -> pd.DataFrame:
     """Judge every component on its primary metric, from one mean a run.
@@ -67,8 +66,6 @@ def verdict_table(
         None where no two runs differ in a component.
     components : sequence of Component
         Factors of the design that none of them switches are judged like components without a metric: undecided.
-    distances : mapping of str to float, optional
-        By metric, what `distances_to_resimulation` gives.
     spreads : mapping of str to float, optional
         By cost, the spread of what was measured of a run: a component that adds no more adds none, 0.
 
@@ -78,7 +75,7 @@ def verdict_table(
         One row a component, columns component, metric, effect (mean of the runs with it minus mean of those without it,
         in units of the metric), lower, upper, band, runs_a (with it), runs_b (without it), p_holm (that the effect is
         zero), verdict; then better (which values of the metric are better), p_band_holm (that the improvement reaches
-        the band), dof (of the error), distance, full_effect, full_lower, full_upper (the effect where all other
+        the band), dof (of the error), full_effect, full_lower, full_upper (the effect where all other
         components are on, from the same model), least and most (the ends of the improvement with Holm's correction: the
         rule compares the first with zero and the second with the band), ms_per_frame and parameters (what the component
         adds), and why it is undecided. What the runs cannot tell is missing.
@@ -88,7 +85,6 @@ def verdict_table(
     rows = [_row(component, model_by, design, spreads or {}) for component in components]
     table = pd.DataFrame(rows, columns=[*VERDICT_COLUMNS, "improvement", "error", "p", "p_band"])
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in components]
-    table["distance"] = [(distances or {}).get(str(c.metric), np.nan) for c in components]
     for name in ("p", "p_band"):
         table[f"{name}_holm"] = where_known(holm, table[name])
     # Holm's test of a component at 5 % is a test at 5 % over this factor.
