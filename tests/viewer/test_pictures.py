@@ -5,6 +5,7 @@ import pytest
 
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.viewer.pictures import (
+    _mosaic,
     difference_picture,
     framed,
     label_at,
@@ -59,3 +60,14 @@ def test_a_cross_lies_where_the_label_of_its_point_is_read() -> None:
     picture = marked(np.zeros((*SHAPE, 3), np.uint8), [(x, z)], PROBE)
     yellow = np.argwhere(picture.any(axis=-1)).mean(axis=0)
     np.testing.assert_allclose(yellow, (row, column), atol=1.5)
+
+
+def test_narrow_images_stand_in_the_middle_of_cells_that_are_wider_than_high() -> None:
+    bright = np.full((400, 300, 3), 255, np.uint8)
+    picture = _mosaic([("a", "", bright)] * 4)
+    assert picture.shape[1] / picture.shape[0] > 1.1, "all four are seen at once"
+    columns = np.flatnonzero((picture[200] == 255).all(axis=-1))
+    assert len(columns) == 2 * 300
+    assert columns[0] == 100, "500 wide, half of the margin on either side"
+    wide = _mosaic([("a", "", np.full((400, 600, 3), 255, np.uint8))])
+    assert (wide[200, :600] == 255).all()

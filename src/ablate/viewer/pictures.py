@@ -189,7 +189,8 @@ def _generated(views: Views, number: int, name: str) -> _Tile:
 
 
 def _mosaic(tiles: Sequence[tuple[str, str, np.ndarray]]) -> np.ndarray:
-    height, width = tiles[0][2].shape[:2]
+    height, own = tiles[0][2].shape[:2]
+    width = max(own, height * 5 // 4)  # narrow images get margins: their titles fit, and S and A stay above the fold
     rows = -(-len(tiles) // _COLUMNS)
     cell_height, cell_width = height + _BAR_PX + _GAP_PX, width + _GAP_PX
     canvas = Image.new("RGB", (_COLUMNS * cell_width - _GAP_PX, rows * cell_height - _GAP_PX), _PAPER)
@@ -201,7 +202,7 @@ def _mosaic(tiles: Sequence[tuple[str, str, np.ndarray]]) -> np.ndarray:
             title = title[:-2].rstrip(" .") + "." if len(title) > 2 else ""
         draw.text((x + 4, y + _BAR_PX / 2), title, fill=_INK, font=font, anchor="lm")
         draw.text((x + width - 4, y + _BAR_PX / 2), note, fill=_DIM, font=font, anchor="rm")
-        canvas.paste(Image.fromarray(picture), (x, y + _BAR_PX))
+        canvas.paste(Image.fromarray(picture), (x + (width - own) // 2, y + _BAR_PX))
     return np.asarray(canvas)
 
 
