@@ -124,7 +124,7 @@ def test_the_forest_is_in_units_of_the_band_and_says_the_verdict(figures, tmp_pa
     assert drawn["with Holm's correction"][0] == pytest.approx([1.3, 2.5])
     (band,) = forest.patches
     assert (band.get_x(), band.get_width()) == (-1, 2)
-    assert forest.get_yticklabels()[0].get_text() == "attenuation map\nShadow contrast"
+    assert forest.get_yticklabels()[0].get_text() == "attenuation map\nShadow contrast error"
     words = [text.get_text() for text in beside.texts]
     assert words[3:] == ["earns", "+1.3", "−2k", "does not", "+1.3", "−2k"]
     assert [text.get_text() for text in table.texts] == ["+1.0*", "−2.0"]

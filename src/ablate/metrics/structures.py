@@ -69,7 +69,7 @@ def shadow_contrast(pair: Pair) -> float | None:
 
 
 SHADOW_CONTRAST = Metric(
-    *("shadow_contrast", "Shadow contrast", "grey levels", *MECHANISM, 1, Shown.drawn | Shown.report),
+    *("shadow_contrast", "Shadow contrast error", "grey levels", *MECHANISM, 1, Shown.drawn | Shown.report),
     of_image=shadow_contrast,
     place=50,
 )
@@ -174,5 +174,5 @@ def thin_contrast(pair: Pair) -> float | None:
 
 
 THIN_CONTRAST = Metric(
-    "thin_contrast", "Thin contrast", "grey levels", *MECHANISM, 1, Shown.drawn, of_image=thin_contrast, place=70
+    "thin_contrast", "Thin contrast error", "grey levels", *MECHANISM, 1, Shown.drawn, of_image=thin_contrast, place=70
 )

@@ -55,7 +55,7 @@ def octave_sd(pair: Pair) -> float | None:
     return float(np.abs(10.0 * np.log10((rendered + ROUNDING) / (right + ROUNDING))).mean())
 
 
-OCTAVE_SD = Metric("octave_sd", "Octave sd", "dB", *MECHANISM, 2, of_image=octave_sd, place=90)
+OCTAVE_SD = Metric("octave_sd", "Octave error", "dB", *MECHANISM, 2, of_image=octave_sd, place=90)
 
 
 def _mean_spectrum(image: np.ndarray, blocks: np.ndarray) -> np.ndarray:
