@@ -26,7 +26,6 @@ from IPython.display import Image, display
 from ablate.analysis import caption, forest_figure, improvements, interactions
 from ablate.comparison.opened import ANSWER, found_study
 from ablate.metrics import metric_of
-from ablate.settings.conf import components
 
 study = found_study(ANSWER, "make answer")
 answers = study.answers
@@ -43,7 +42,7 @@ print(caption("verdicts", reference=study.reference, design=answers.design))
 # %%
 of_study = answers.means, answers.design, answers.components
 tables = answers.verdicts, improvements(*of_study), interactions(*of_study)
-drawn = forest_figure(*tables, Path(mkdtemp()) / "verdicts")
+drawn = forest_figure(*tables, answers.components, Path(mkdtemp()) / "verdicts")
 display(Image(drawn[0], width=900)) if drawn else print("No run goes without a component: there is nothing to judge.")
 
 # %% [markdown]
@@ -93,7 +92,7 @@ if len(effects):
 # small to matter; or if there are too few runs.
 
 # %%
-open_questions = answers.verdicts[answers.verdicts["verdict"] == "undecided"]
-for row in open_questions.to_dict("records"):
-    label = next(component.label for component in components() if component.name == row["component"])
-    print(f"{label} ({metric_of(row['metric']).label}): {row['why']}")
+is_open = (answers.verdicts["verdict"] == "undecided") & answers.verdicts["metric"].notna()
+labels = {component.name: component.label for component in answers.components}
+for row in answers.verdicts[is_open].to_dict("records"):
+    print(f"{labels[row['component']]} ({metric_of(row['metric']).label}): {row['why']}")

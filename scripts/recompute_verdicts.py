@@ -34,7 +34,6 @@ def values(study: Path) -> pd.DataFrame:
             continue  # beside the design
         frames = pd.read_parquet(file.parent / "per_image.parquet").query("source == 'model' and split == 'test'")
         means = frames[np.isfinite(frames["value"])].groupby("metric")["value"].mean()
-        means["nyquist_excess"] = abs(means["nyquist_excess"])  # it is best at 0
         rows.append({"run": "/".join(file.parts[-3:-1]), "network": network, "anatomy": anatomy, **means})
     return pd.DataFrame(rows)
 

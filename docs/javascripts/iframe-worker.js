@@ -8,6 +8,9 @@ if (location.protocol === "file:") {
       frame.hidden = true;
       document.body.append(frame);
       const inner = frame.contentWindow;
+      inner.document.open(); // some browsers replace the first, empty document later
+      inner.document.write("<body></body>");
+      inner.document.close();
       const load = (source) =>
         new Promise((done, failed) => {
           const script = inner.document.createElement("script");

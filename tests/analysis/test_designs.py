@@ -169,6 +169,9 @@ def test_what_differs_otherwise_is_left_out():
     assert set(components) - set(design.cells.index) == {"nsa2h", "sa2h.noise-none"}
     assert find_design({}, FACTORS) is None
     assert find_design({k: components[k] for k in ("sa2h", "nsa2h")}, FACTORS) is None
+    pairs = {"sa2h": (1, 1), "b": (2, 2), "c": (2, 4), "d": (3, 3), "e": (4, 3)}
+    runs = {name: dict(zip("AB", levels, strict=True)) for name, levels in pairs.items()}
+    assert find_design(runs, "AB") is None, "no label has two levels of one factor and the reference's of the other"
 
 
 def test_intervals_need_three_trainings_a_side():

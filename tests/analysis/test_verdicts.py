@@ -205,6 +205,13 @@ def test_the_ends_of_an_improvement_tell_the_verdict(cells: pd.DataFrame, design
     assert {said.count(word) > 20 for word in Answer} == {True}
 
 
+def test_the_ends_are_known_where_runs_do_not_vary(cells: pd.DataFrame, design: Design) -> None:
+    """A probability of exactly 0 has no share of Holm's correction."""
+    table = verdict_table(means_of(cells, design, np.full(len(cells), 7.0)), design).set_index("component")
+    assert set(table["verdict"]) == {"does_not"}
+    assert table[["least", "most"]].to_numpy() == pytest.approx(0, abs=1e-6)
+
+
 def test_dots_are_the_runs_without_what_other_components_and_anatomies_add(cells: pd.DataFrame, design: Design) -> None:
     sizes = {"att": -3.0, "concat": 2.0, "depth": -5.0}
     dots = analysis.improvements(means_of(cells, design, response(cells, sizes, {})), design, COMPONENTS)

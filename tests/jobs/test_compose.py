@@ -104,7 +104,7 @@ def test_the_study_and_the_runs_beside_it_are_one_study() -> None:
     assert not [d for job in beside for d in not_shared(jobs[0].semantic, job.semantic, dict(job.changed))]
     assert not {job.folder for job in jobs} & {job.folder for job in beside}
     of_both = {job.label: levels_of(job.semantic) for job in (*jobs, *beside)}
-    factors = [*(component.key for component in components()), *dict(beside[3].changed)]
+    factors = [*(component.key for component in components()), *(key for job in beside for key in dict(job.changed))]
     design = find_design(of_both, factors)
     assert design is not None
     assert set(design.cells.index) == {job.label for job in jobs}, "those beside it take no part"

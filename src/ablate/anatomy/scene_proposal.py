@@ -26,14 +26,10 @@ _ORDER = (TissueKind.soft, TissueKind.fluid, TissueKind.gas, TissueKind.bone)
 
 
 def proposed_scene(folder: Path) -> str:
-    """A scene.yaml as text, whose comments say what was guessed and why; meshes that cannot be used are comments.
+    """A scene.yaml as text, whose comments say what was guessed and why; what cannot be used is in comments, too.
 
-    Raises
-    ------
-    FileNotFoundError
-        When the folder is missing or has neither a mesh nor a volume.
-    ValueError
-        When no mesh can be used; the message is that of the first. When a volume cannot be used or none holds labels.
+    A FileNotFoundError says that the folder is missing or has neither a mesh nor a volume, and a ValueError why nothing
+    in it can be used.
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"scene.folder: {folder} is not a folder")
@@ -42,9 +38,12 @@ def proposed_scene(folder: Path) -> str:
     if not paths and not volumes:
         allowed = ", ".join((*MESH_SUFFIXES, *SUFFIXES))
         raise FileNotFoundError(f"scene.folder: {folder} has no scene.yaml, no mesh and no volume; {allowed}")
-    labels = proposed_labels(volumes, tissue_of_name) if volumes else None
     meshes: dict[str, trimesh.Trimesh] = {}
     unusable: dict[str, str] = {}
+    try:
+        labels = proposed_labels(volumes, tissue_of_name) if volumes else None
+    except ValueError as error:
+        labels, unusable["volumes"] = None, str(error)
     for path in paths:
         try:
             meshes[path.name] = load_mesh(path)
@@ -57,7 +56,7 @@ def proposed_scene(folder: Path) -> str:
     # the largest unit that makes the scene no larger than a body, preferring mm
     fits = [unit for unit, factor in UNITS_MM.items() if 10 * BODY_MM[0] <= extent * factor <= BODY_MM[1]]
     unit = fits[0] if fits else "mm"
-    tissues, table = {name: tissue_of_name(name) for name in meshes}, load_tissues()
+    tissues, table = {name: tissue_of_name(Path(name).stem) for name in meshes}, load_tissues()
     order = sorted(meshes, key=lambda n: (_ORDER.index(table[tissues[n][0]].kind), -np.prod(meshes[n].extents)))
     structures = [(_quoted(name), *tissues[name]) for name in order]
     lower, upper = np.array(labels["z_mm"]) / UNITS_MM[unit] if labels else bounds[:, 2]
@@ -73,8 +72,8 @@ def _quoted(name: str) -> str:
 
 
 def tissue_of_name(name: str) -> tuple[str, str]:
-    """The tissue that the name of a file points to, and why."""
-    stem = re.sub(r"[^a-z]+", "_", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", Path(name).stem).lower()).strip("_")
+    """The tissue that the name of a structure points to, and why."""
+    stem = re.sub(r"[^a-z]+", "_", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower()).strip("_")
     known = load_tissues().keys() - _MISLEADING
     if stem in known:
         return stem, "its name is that of a tissue"

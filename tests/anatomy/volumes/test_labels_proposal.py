@@ -6,6 +6,7 @@ import nibabel
 import nrrd
 import numpy as np
 import pytest
+import trimesh
 from skimage.filters import threshold_otsu
 
 from ablate.anatomy import load_scene, load_sites, proposed_scene
@@ -96,6 +97,24 @@ def test_many_labels_without_names_are_those_of_totalsegmentator(tmp_path: Path)
     save(tmp_path, "all.nii", labels)
     assert "tissues: totalsegmentator   # guessed: 25 labels without names" in proposed(tmp_path)
     assert "spleen" in {s.mesh.metadata["name"] for s in load_scene(tmp_path).structures}
+
+
+def test_a_mask_and_an_image_with_gaps_beside_labels_do_not_mislead(tmp_path: Path) -> None:
+    values = image(organs(), -1000, 30)
+    values[0, 0] = np.nan
+    save(tmp_path, "ct.nii", values)
+    save(tmp_path, "mask.nii", (organs() > 0).astype(np.uint8))
+    save(tmp_path, "organs.nii", organs())
+    text = proposed(tmp_path)
+    assert "  file: organs.nii" in text
+    assert "body: {file: ct.nii, above: -300" in text
+
+
+def test_meshes_beside_a_volume_without_labels_are_still_proposed(tmp_path: Path) -> None:
+    save(tmp_path, "ct.nii", image(organs(), -1000, 30))
+    trimesh.creation.icosphere(1, radius=60).export(tmp_path / "liver.stl")
+    assert "  # left out: scene.folder: " in proposed(tmp_path)
+    assert [s.tissue.name for s in load_scene(tmp_path).structures] == ["liver"]
 
 
 @pytest.mark.parametrize("values", [image(organs(), 0, 99), np.zeros((9, 9, 9), np.uint8), -organs().astype(np.int16)])

@@ -77,11 +77,10 @@ def _draw_forest(axes: Axes, shown: pd.DataFrame, runs: pd.DataFrame, labels: Ma
             values = dots.loc[dots["on"] == on, "improvement"] / row["band"]
             heights = np.full(len(values), place + (0.24 if on else -0.24))
             axes.plot(values, heights, "o", ms=3.2, mfc=fill, mec=RUN_COLOUR, mew=0.7, label=label, zorder=2)
+        ends = [scale * row["lower"], scale * row["upper"]]
+        axes.plot(ends, [place] * 2, color="black", lw=2.2, solid_capstyle="butt", zorder=3)
         ends = [row["least"] / row["band"], row["most"] / row["band"]]
-        axes.plot(ends, [place] * 2, "k|-", lw=0.8, ms=5, label="with Holm's correction", zorder=3)
-        if pd.notna(row["lower"]):
-            ends = [scale * row["lower"], scale * row["upper"]]
-            axes.plot(ends, [place] * 2, color="black", lw=2.2, solid_capstyle="butt", zorder=3)
+        axes.plot(ends, [place] * 2, "k|-", lw=0.8, ms=6, label="with Holm's correction", zorder=3)
         style: dict[str, Any] = {"ms": 5.5, "mfc": "black", "mec": "white", "mew": 0.6}
         axes.plot([scale * row["effect"]], [place], "D", **style, label="effect, 95 % interval", zorder=4)
     names = zip(shown["component"], shown["metric"], strict=True)

@@ -79,11 +79,11 @@ def find_design(
         others = [run[factor] for run in alike.values() if run.get(factor, level) != level]
         if others:
             levels[factor] = [level, max(dict.fromkeys(others), key=others.count)]
-    if not levels:
-        return None
     kept = [label for label, run in alike.items() if all(run.get(f) in pair for f, pair in levels.items())]
     kept.sort(key=lambda label: label != reference)
     levels = {f: pair for f, pair in levels.items() if len({alike[label][f] for label in kept}) == 2}
+    if not levels:
+        return None
     cells = pd.DataFrame(
         {f: pd.Categorical([alike[label][f] for label in kept], pair) for f, pair in levels.items()}, index=kept
     )

@@ -76,8 +76,8 @@ def verdict_table(
         in units of the metric), lower, upper, band, runs_a (with it), runs_b (without it), p_holm (that the effect is
         zero), verdict; then better (which values of the metric are better), p_band_holm (that the improvement reaches
         the band), dof (of the error), full_effect, full_lower, full_upper (the effect where all other
-        components are on, from the same model), least and most (the ends of the improvement with Holm's correction: the
-        rule compares the first with zero and the second with the band), ms_per_frame and parameters (what the component
+        components are on, from the same model), least and most (what the rule compares with zero and with the band: the
+        ends of two tests with Holm's correction, not of an interval), ms_per_frame and parameters (what the component
         adds), and why it is undecided. What the runs cannot tell is missing.
     """
     components = with_undeclared(components, [] if design is None else design.factors)
@@ -87,8 +87,9 @@ def verdict_table(
     table["better"] = [None if c.metric is None else metric_of(c.metric).better.value for c in components]
     for name in ("p", "p_band"):
         table[f"{name}_holm"] = where_known(holm, table[name])
-    # Holm's test of a component at 5 % is a test at 5 % over this factor.
-    factor = {name: (table[f"{name}_holm"] / table[name]).astype(float) for name in ("p", "p_band")}
+    # Holm's test of a component at 5 % is a test at 5 % over this factor, at most the number of tests.
+    p = table[["p", "p_band", "p_holm", "p_band_holm"]].astype(float)
+    factor = {name: (p[f"{name}_holm"] / p[name]).where(p[name] > 0, p[name].count()) for name in ("p", "p_band")}
     dof, error = table["dof"].astype(float), table["error"]
     table["least"] = table["improvement"] - error * stats.t.isf(ALPHA / 2 / factor["p"], dof)
     table["most"] = table["improvement"] + error * stats.t.isf(ALPHA / factor["p_band"], dof)

@@ -25,15 +25,16 @@ def proposed_labels(paths: Sequence[Path], tissue_of_name: Callable[[str], tuple
     counts = {volume.path: count for volume in volumes if (count := _counts(volume))}
     if not counts:
         raise ValueError(f"scene.folder: {paths[0].parent} has no labels; allowed are up to {_MOST} whole numbers")
-    labels = min((v for v in volumes if v.path in counts), key=lambda v: len(counts[v.path]))
+    labels = max((v for v in volumes if v.path in counts), key=lambda v: len(counts[v.path]))
     count, names = counts[labels.path], _segment_names(labels.path)
-    tissues = [(n, *tissue_of_name(names.get(n, f"label {n}"))) for n in sorted(count) if n]
-    same = [v for v in volumes if v is not labels and v.shape == labels.shape and np.allclose(v.affine, labels.affine)]
+    tissues = [(n, *tissue_of_name(names.get(n, ""))) for n in sorted(count) if n]
+    images = (v for v in volumes if v.path not in counts and v.shape == labels.shape)
+    same = [image for image in images if np.allclose(image.affine, labels.affine, atol=1e-3)]
     body = None
     if same:
-        values = np.concatenate([part[::4, ::4].ravel() for _, part in slabs(same[0])])
+        values = np.concatenate([part[::4, ::4][np.isfinite(part[::4, ::4])] for _, part in slabs(same[0])])
         is_ct = values.min() < _AIR
-        body = same[0].path.name, _SKIN if is_ct else threshold_otsu(values), "a CT" if is_ct else "by Otsu's threshold"
+        body = same[0].path.name, *((_SKIN, "a CT") if is_ct else (threshold_otsu(values), "by Otsu's threshold"))
     corners = [labels.affine @ [*corner, 1] for corner in product(*((0, n - 1) for n in labels.shape))]
     return {
         "file": labels.path.name,
