@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import yaml
+from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -74,11 +75,26 @@ def verdicts(runs: pd.DataFrame) -> pd.DataFrame:
     return table.assign(verdict=np.select([table["p_band"] < 0.05, earns], ["does_not", "earns"], "undecided"))
 
 
+def lack_of_fit(runs: pd.DataFrame) -> dict[str, float]:
+    """By primary metric, the probability of what differs between the anatomies in effects, if it is chance (F test)."""
+    found = {}
+    for name in COMPONENTS:
+        if (metric := COMPONENTS[name]["metric"]) not in found:
+            _, _, sd, dof = effect(runs, name)
+            cells = runs.groupby(["network", "anatomy"])[metric]
+            pure, pure_dof = float(((runs[metric] - cells.transform("mean")) ** 2).sum()), len(runs) - cells.ngroups
+            ratio = ((sd**2 * dof - pure) / (dof - pure_dof)) / (pure / pure_dof)
+            found[metric] = float(fisher.sf(ratio, dof - pure_dof, pure_dof))
+    return found
+
+
 def main() -> None:
     """Print the verdicts, those that change without a single run, and the effects in other bodies."""
     runs = values(ROOT / "docs" / "results" / "full_model")
     table = verdicts(runs)
     print(f"{len(runs)} runs\n{table.to_string(float_format='{:.4f}'.format)}\n")
+    fit = ", ".join(f"{metric} {p:.3f}" for metric, p in lack_of_fit(runs).items())
+    print(f"Lack of fit, p of the difference between anatomies: {fit}\n")
     changed = 0
     for k, run in enumerate(runs["run"]):
         without = verdicts(runs.drop(index=k))["verdict"]
