@@ -57,8 +57,8 @@ columns = ["metric", "effect", "lower", "upper", "band", "runs_a", "runs_b", "p_
 answers.verdicts.set_index("component")[columns].round(4)
 
 # %% [markdown]
-# The same effects where all other components are on, as in SA2H. Their intervals are wider, because they hold the
-# interactions too.
+# The same effects where all other components are on, as in SA2H. In a factorial their intervals are wider, because they
+# hold the interactions too. Where one component at a time is off, they are the effects above.
 
 # %%
 answers.verdicts.set_index("component")[["metric", "full_effect", "full_lower", "full_upper"]].round(4)
