@@ -75,7 +75,7 @@ def scene_folder(folder: Path, **changes: object) -> None:
 COMMAND_LINES: list[tuple[list[str], str]] = [
     # What is not there.
     (["variant=sa3h"], r"variant=sa3h: allowed are custom, lsa2h, nsa2h, sa2h, "),
-    (["+study=everything"], r"study=everything: allowed are add_one_in, answer"),
+    (["+study=everything"], r"study=everything: allowed are add_one_in, encoding"),
     (["trainin.steps=3"], r"unknown key 'trainin.*did you mean 'training'"),
     (["training.stepz=3"], r"unknown key 'training.stepz'; did you mean 'steps'\? allowed in training: "),
     (["+colour=blue"], r"unknown key 'colour'"),
