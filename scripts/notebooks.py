@@ -24,6 +24,8 @@ def keep_with_outputs(source: Path) -> None:
     for number, cell in enumerate(notebook.cells):  # the same files from the same run
         cell["id"] = f"{source.stem}-{number}"
         cell["metadata"].pop("execution", None)
+        if "outputs" in cell:  # warnings name folders of this machine
+            cell["outputs"] = [output for output in cell["outputs"] if output.get("name") != "stderr"]
     notebook["metadata"].pop("jupytext", None)
     nbformat.write(notebook, source.with_suffix(".ipynb"))
 
