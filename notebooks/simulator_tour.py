@@ -16,12 +16,12 @@
 # renders this frame once at the paper's size and shows all steps. Nothing is trained.
 
 # %%
+import copy
 from types import SimpleNamespace
 from unittest.mock import patch
 
 import matplotlib.pyplot as plt
 import numpy as np
-import torch
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Patch
 from scipy.ndimage import maximum_filter1d
@@ -37,9 +37,13 @@ from ablate.ultrasound import Simulator, SimulatorSettings, fan_mask
 from ablate.ultrasound.imaging.point_spread import blur
 from ablate.ultrasound.probe import fan_of, sample_depths_mm, scanline_positions, scanlines_in_plane, to_world
 from ablate.ultrasound.stages import Stage, observe_stages
-from ablate.ultrasound.surfaces.embree import Geometry
+from ablate.ultrasound.surfaces.embree import Geometry, asked_ray
 from ablate.ultrasound.surfaces.line_walk import Samples
 from ablate.ultrasound.surfaces.slices import sample_lines
+from ablate.ultrasound.transport import tracing
+from ablate.ultrasound.transport.rays import MAX_ROWS
+from ablate.ultrasound.transport.tracing import _advance as advance
+from ablate.ultrasound.transport.tracing import _grown as grown
 
 study = found_study()
 run = study.usable.runs[0]  # scene, probe and simulator are the same for all
@@ -64,7 +68,7 @@ noted: dict[str, SimpleNamespace] = {}
 
 def note_stage(stage, function, arguments):
     result = function(*arguments)
-    kept = result.clone() if isinstance(result, torch.Tensor) else result  # later stages work in place
+    kept = copy.deepcopy(result) if isinstance(result, np.ndarray | tuple) else result  # later stages work in place
     noted[stage] = SimpleNamespace(arguments=arguments, result=kept)
     return result
 
@@ -80,7 +84,8 @@ names = [tissue.name.replace("_", " ") for tissue in scene.tissues]
 height, width = fan_of(probe).size_mm
 top = probe.depth_mm - height
 extent = (-width / 2, width / 2, probe.depth_mm, top)
-to_fan = noted[Stage.scan_conversion].arguments[0]  # from (scanlines, samples) to the image of the fan
+to_fan, beam = noted[Stage.scan_conversion].arguments  # from (rows, scanlines) to the image of the fan
+beam_rows = len(beam)
 angles, depths = scanline_positions(probe, settings.scanlines), sample_depths_mm(probe, settings.axial_samples)
 
 
@@ -97,8 +102,8 @@ def decibel(amplitude, floor_db=-80.0):
 
 def in_fan(lines, outside=np.nan):
     """Lines (scanlines, samples) as an image of the fan."""
-    values = np.ascontiguousarray(lines, dtype=np.float32)
-    return np.where(to_fan.mask, to_fan(torch.from_numpy(values)), outside)
+    rows = np.asarray(lines, np.float32).T.reshape(beam_rows, -1, len(lines)).mean(axis=1)  # some samples make a row
+    return np.where(to_fan.mask, to_fan.to_image(rows), outside)
 
 
 def tissues_of(axes, labels, columns=1, **where):
@@ -130,7 +135,7 @@ plt.show()
 
 # %%
 line = int(np.argmax([len(np.unique(labels)) for labels in noted[Stage.attenuation_labels].result]))
-labels = noted[Stage.pixel_labels].result
+labels = np.maximum(noted[Stage.pixel_labels].result, 1) - 1  # there 0 is outside the fan, and 1 the first tissue
 figure, axes = plt.subplots(figsize=(9, 5))
 show(axes, np.where(fan_mask(probe, labels.shape)[..., None], np.array(colours)[labels], 1.0), "Segmentation S")
 radius = probe.radius_mm + np.array([0, probe.depth_mm])
@@ -202,21 +207,28 @@ plt.show()
 # %%
 few = SimulatorSettings(scanlines=40, rays=6, layers=1, image_shape=(250, 347), path_seed=3)
 segments = []
-closest = Geometry.closest
-
-
-def noting_hits(geometry, origins, directions, reach_mm):
-    hits = closest(geometry, origins, directions, reach_mm)
-    ends = origins + np.minimum(hits.distance_mm, 200)[:, None] * directions
-    segments.append((origins.copy(), ends, hits.structure >= 0))
-    return hits
 
 
 def note_paths(stage, function, arguments):
-    if stage is not Stage.tracing:  # labels follow straight lines through the same geometry: only paths are wanted
+    if stage is not Stage.tracing:
         return function(*arguments)
-    # Without an address compiled code cannot ask Embree itself, and every bounce is asked for here.
-    with patch.object(Geometry, "address", 0), patch.object(Geometry, "closest", noting_hits):
+    (paths,) = arguments
+
+    def one_by_one(address, arrays, n, received, view, ways, table, rows, nodes):
+        """What `_bounces` does, with a note of where each ray begins and ends."""
+        rays, inside, echoes = arrays
+        while n and (rows >= MAX_ROWS or (rays["interfaces"][:n] < rows).all()):
+            origins, directions = (np.ascontiguousarray(rays[name][:n]) for name in ("origin", "direction"))
+            hits = paths.geometry.closest(origins, directions, np.ascontiguousarray(rays["reach_mm"][:n]))
+            ends = origins + np.minimum(hits.distance_mm, 200)[:, None] * directions
+            segments.append((origins, ends, hits.structure >= 0))
+            rays, inside, echoes = grown(rays, 2 * n), grown(inside, 2 * n), grown(echoes, received + n)
+            room = rays, inside, echoes[received:]
+            n, count = advance(address, asked_ray(), room, n, view, ways, table, nodes)
+            received += count
+        return (rays, inside, echoes), n, received
+
+    with patch.object(tracing, "_bounces", one_by_one):
         return function(*arguments)
 
 
@@ -245,7 +257,7 @@ plt.show()
 # lines with nothing between them.
 
 # %%
-surfaces = noted[Stage.surface_echoes].result
+surfaces = noted[Stage.point_spread].arguments[1]  # the echoes of all rays, before they are blurred
 figure, axes = plt.subplots(figsize=(8, 4.6))
 wider = maximum_filter1d(surfaces, 15, axis=1)  # or pixels would miss most of them
 reach = np.ceil(decibel(surfaces.max()) / 10) * 10
@@ -262,7 +274,7 @@ plt.show()
 # small square of scatterers.
 
 # %%
-strength = np.hypot(*noted[Stage.scatterers].result.numpy())
+strength = np.hypot(*np.asarray(noted[Stage.scatterers].result))
 middle, deep = settings.scanlines // 2, 0.45 * probe.depth_mm
 window = (slice(None), slice(int((deep - 6) / samples.spacing_mm), int((deep + 6) / samples.spacing_mm)))
 half_lines = max(2, round(6 / ((probe.radius_mm + deep) * (angles[1] - angles[0]))))
@@ -298,13 +310,13 @@ plt.show()
 
 # %%
 spread = noted[Stage.point_spread].arguments[2]
-points = torch.zeros(settings.scanlines, settings.axial_samples)
+points = np.zeros((settings.scanlines, settings.axial_samples), np.float32)
 at_mm = (20.0, settings.focus_mm, 130.0)
 for depth in at_mm:
     points[middle, int(depth / samples.spacing_mm)] = 1
-nothing = torch.zeros(2, *points.shape)
-spots = np.hypot(*blur(nothing, points, spread).numpy())
-signal = np.hypot(*noted[Stage.point_spread].result.numpy())
+nothing = np.zeros((2, *points.shape), np.float32)
+spots = np.hypot(*np.asarray(blur(nothing, points, spread)))
+signal = np.hypot(*np.asarray(noted[Stage.point_spread].result))
 figure, axes = plt.subplots(1, 4, figsize=(11, 3.6), width_ratios=(1, 1, 1, 1.7))
 for each, depth in zip(axes, at_mm, strict=False):
     reach_lines = max(2, round(4 / ((probe.radius_mm + depth) * (angles[1] - angles[0]))))
@@ -323,7 +335,8 @@ plt.show()
 # compensation amplifies deep echoes. Weak noise is added. The logarithm maps the result to 256 grey levels.
 
 # %%
-grey = noted[Stage.grey_levels].result.numpy()
+grey = beam.T  # a row is the mean of some samples
+row_depths = depths.reshape(len(grey[0]), -1).mean(axis=1)
 figure, axes = plt.subplots(1, 3, figsize=(11, 4.2), width_ratios=(1, 1.3, 1))
 polar = {"aspect": "auto", "extent": (0, settings.scanlines, probe.depth_mm, 0), "cmap": "gray"}
 axes[0].imshow(rendered.envelope, vmax=np.percentile(rendered.envelope, 99.8), **polar)
@@ -331,7 +344,7 @@ axes[0].set(title="Envelope", xlabel="scanline", ylabel="depth (mm)")
 level = decibel(rendered.envelope[:, busiest] / settings.reference_level, -140)
 axes[1].plot(depths, level, color="#999999", lw=0.5, label="envelope")
 shown_db = (grey[busiest] / 255 - 1) * settings.dynamic_range_db
-axes[1].plot(depths, shown_db, color="#0072b2", lw=0.5, label="with gain and noise, as displayed")
+axes[1].plot(row_depths, shown_db, color="#0072b2", lw=0.5, label="with gain and noise, as displayed")
 axes[1].axhline(settings.noise_floor_db, color="k", ls="--", lw=0.8, label="noise floor")
 axes[1].set(title=f"Scanline {busiest}", xlabel="depth (mm)", ylabel="dB under white", xlim=(0, probe.depth_mm))
 axes[1].set_ylim(-125, 10)
