@@ -64,11 +64,11 @@ def verdicts(runs: pd.DataFrame) -> pd.DataFrame:
     rows = {}
     for name in sorted(set(runs["network"]) - {FULL}):
         metric, band = COMPONENTS[name]["metric"], COMPONENTS[name]["band"]
-        change, error, _, dof = effect(runs, name)
+        change, error, sd, dof = effect(runs, name)
         half = student.ppf(0.975, dof) * error
         p = 2 * student.sf(abs(change) / error, dof), student.cdf((-change - band) / error, dof)
-        rows[name] = metric, change, change - half, change + half, band, *p, dof
-    names = ["metric", "effect", "lower", "upper", "band", "p_zero", "p_band", "dof"]
+        rows[name] = metric, change, change - half, change + half, band, *p, sd, dof
+    names = ["metric", "effect", "lower", "upper", "band", "p_zero", "p_band", "sd", "dof"]
     table = pd.DataFrame.from_dict(rows, orient="index", columns=names)
     table["p_zero"], table["p_band"] = holm(table["p_zero"]), holm(table["p_band"])
     earns = (table["p_zero"] < 0.05) & (table["effect"] < 0)
@@ -93,6 +93,13 @@ def main() -> None:
     runs = values(ROOT / "docs" / "results" / "full_model")
     table = verdicts(runs)
     print(f"{len(runs)} runs\n{table.to_string(float_format='{:.4f}'.format)}\n")
+    primary = [COMPONENTS[name]["metric"] for name in table.index]
+    means = runs.groupby("network")[list(dict.fromkeys(primary))].mean()
+    print(f"Means of both anatomies\n{means.to_string(float_format='{:.3f}'.format)}\n")
+    for anatomy, own in runs.groupby("anatomy"):
+        here = own.groupby("network")[list(means)].mean()
+        found = (f"{name} {here[m][FULL] - here[m][name]:.3f}" for name, m in zip(table.index, primary, strict=True))
+        print(f"Effects in {anatomy or 'the first anatomy'}: {', '.join(found)}")
     fit = ", ".join(f"{metric} {p:.3f}" for metric, p in lack_of_fit(runs).items())
     print(f"Lack of fit, p of the difference between anatomies: {fit}\n")
     changed = 0

@@ -43,7 +43,7 @@ def proposed_scene(folder: Path) -> str:
     try:
         labels = proposed_labels(volumes, tissue_of_name) if volumes else None
     except ValueError as error:
-        labels, unusable["volumes"] = None, str(error)
+        labels, unusable["volumes"] = None, str(error).removeprefix("scene.folder: ")
     for path in paths:
         try:
             meshes[path.name] = load_mesh(path)

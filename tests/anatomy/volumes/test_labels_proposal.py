@@ -113,7 +113,7 @@ def test_a_mask_and_an_image_with_gaps_beside_labels_do_not_mislead(tmp_path: Pa
 def test_meshes_beside_a_volume_without_labels_are_still_proposed(tmp_path: Path) -> None:
     save(tmp_path, "ct.nii", image(organs(), -1000, 30))
     trimesh.creation.icosphere(1, radius=60).export(tmp_path / "liver.stl")
-    assert "  # left out: scene.folder: " in proposed(tmp_path)
+    assert f"  # left out: {tmp_path} has no labels; " in proposed(tmp_path)
     assert [s.tissue.name for s in load_scene(tmp_path).structures] == ["liver"]
 
 

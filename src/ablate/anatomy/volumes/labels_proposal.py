@@ -59,8 +59,10 @@ def _counts(volume: VolumeFile) -> Counter[int]:
 
 def _segment_names(path: Path) -> dict[int, str]:
     """The names that 3D Slicer writes into an NRRD, by label."""
+    if path.suffix.lower() != ".nrrd":
+        return {}
     import nrrd
 
-    header = nrrd.read_header(str(path)) if path.suffix.lower() == ".nrrd" else {}
+    header = nrrd.read_header(str(path))
     ends = [key.removesuffix("LabelValue") for key in header if key.endswith("_LabelValue")]
     return {int(header[f"{end}LabelValue"]): str(header.get(f"{end}Name")) for end in ends}
