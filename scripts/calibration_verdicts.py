@@ -1,6 +1,7 @@
 """Do verdicts keep their word? Simulated studies in the design of a file of conf/study: false verdicts and power.
 
-python scripts/calibration_verdicts.py --repetitions 100    # the tables of docs/study.md
+python scripts/calibration_verdicts.py --repetitions 100                                      # the tables of docs/study.md
+python scripts/calibration_verdicts.py --repetitions 100 --study extension --component grain  # those of its extension
 """
 
 import argparse
@@ -68,39 +69,39 @@ def verdicts(runs: pd.DataFrame, design: Design, effects: Mapping[str, float], b
 
 
 def shares(
-    runs: pd.DataFrame, design: Design, effects: Mapping[str, float], band: float, repetitions: int
+    runs: pd.DataFrame, design: Design, component: str, effects: Mapping[str, float], band: float, repetitions: int
 ) -> dict[str, float]:
     """How often each verdict is given in simulated studies; arguments as for `verdicts`.
 
     Returns
     -------
     dict
-        `<answer>`: of the attenuation map; `any_<answer>`: of at least one component.
+        `<answer>`: of that component; `any_<answer>`: of at least one component.
     """
     counts = {f"{prefix}{word}": 0 for word in Answer for prefix in ("", "any_")}
     for k in trange(repetitions, desc=f"{effects}, band {band:g}", leave=False, mininterval=1.0, disable=None):
         said = verdicts(runs, design, effects, band, k)["verdict"]
         for word in Answer:
-            counts[word] += int(said["att"] == word)
+            counts[word] += int(said[component] == word)
             counts[f"any_{word}"] += int((said == word).any())
     return {name: count / repetitions for name, count in counts.items()}
 
 
-def report(repetitions: int, name: str) -> Iterator[str]:
-    """The tables of a study in Markdown, line by line."""
+def report(repetitions: int, name: str, component: str) -> Iterator[str]:
+    """The tables of a study in Markdown, line by line; power is that of one component."""
     yield f"{repetitions} simulated studies a number; effects and bands in standard deviations of a run.\n"
     yield f"| improvement by one component (band 0.5) | {' | '.join(f'{size:g}' for size in (0.0, *EFFECTS))} |"
     yield f"| --- |{' --- |' * (1 + len(EFFECTS))}"
     study = runs_of(name)
-    found = [shares(*study, {"att": size}, 0.5, repetitions) for size in (0.0, *EFFECTS)]
+    found = [shares(*study, component, {component: size}, 0.5, repetitions) for size in (0.0, *EFFECTS)]
     for word in Answer:
         yield f"| `{word}` | {' | '.join(f'{rates[word]:.2f}' for rates in found)} |"
     yield f"\n| band, where no component improves anything | {' | '.join(f'{band:g}' for band in BANDS)} |"
     yield f"| --- |{' --- |' * len(BANDS)}"
-    none = [found[0], *(shares(*study, {}, band, repetitions) for band in BANDS[1:])]
+    none = [found[0], *(shares(*study, component, {}, band, repetitions) for band in BANDS[1:])]
     for label, row in (("`does_not`, one component", "does_not"), ("`earns`, at least one component", "any_earns")):
         yield f"| {label} | {' | '.join(f'{rates[row]:.3f}' for rates in none)} |"
-    at_band = shares(*study, dict.fromkeys(NAMES, 1.0), 1.0, repetitions)
+    at_band = shares(*study, component, dict.fromkeys(NAMES, 1.0), 1.0, repetitions)
     yield (
         "\nWhere every component improves its metric by exactly the band, a share of "
         f"{at_band['any_does_not']:.3f} of the studies says `does_not` of at least one."
@@ -112,8 +113,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repetitions", type=int, default=500)
     parser.add_argument("--study", default="full_model", help="a file of conf/study")
+    parser.add_argument("--component", default="att", help="whose power is shown")
     arguments = parser.parse_args()
-    for line in report(arguments.repetitions, arguments.study):
+    for line in report(arguments.repetitions, arguments.study, arguments.component):
         print(line, flush=True)
 
 
