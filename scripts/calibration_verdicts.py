@@ -1,7 +1,7 @@
 """Do verdicts keep their word? Simulated studies in the design of a file of conf/study: false verdicts and power.
 
-python scripts/calibration_verdicts.py --repetitions 100                                      # the tables of docs/study.md
-python scripts/calibration_verdicts.py --repetitions 100 --study extension --component grain  # those of its extension
+python scripts/calibration_verdicts.py --repetitions 100                                # the tables of docs/study.md
+python scripts/calibration_verdicts.py --study extension --component grain --repetitions 100   # of its extension
 """
 
 import argparse
