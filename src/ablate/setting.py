@@ -24,31 +24,16 @@ _REPR.maxlevel = 2
 
 @dataclass(frozen=True)
 class Declaration:
-    """What is declared of a setting besides its type and default.
+    """What is declared of a setting besides its type and default."""
 
-    Attributes
-    ----------
-    about : str
-        One sentence.
-    least, most : float or None
-        The smallest and the largest number that is allowed.
-    above, below : float or None
-        Numbers that are no longer allowed themselves.
-    choices : tuple of str
-        The texts that are allowed; empty where any is. An enum declares its own.
-    unit : str
-    incidental : bool
-        Whether the setting decides no result: devices, threads, paths, how often something is reported.
-    """
-
-    about: str = ""
+    about: str = ""  # one sentence
     least: float | None = None
     most: float | None = None
-    above: float | None = None
-    below: float | None = None
-    choices: tuple[str, ...] = ()
+    above: float | None = None  # no longer allowed itself
+    below: float | None = None  # as above
+    choices: tuple[str, ...] = ()  # texts that are allowed; empty where any is, and for an enum, which has its own
     unit: str = ""
-    incidental: bool = False
+    incidental: bool = False  # decides no result: devices, threads, paths, how often something is reported
 
     def range(self) -> str:
         """The range in words, such as `from 0 and below 1`; empty where there is none."""

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import re
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import torch
 from ablate import tracking
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
-from ablate.runs.train import write_provenance
+from ablate.runs.train import log_into, write_provenance
 from ablate.storage import write_json
 from support.finished_runs import result_of
 
@@ -121,3 +122,21 @@ def test_minimal_provenance_has_no_changes_and_no_environment(job: Job, monkeypa
     assert files.keys() == {"config.json", "made_with.json", "starts.json"}
     assert not any("canary" in text for text in files.values())
     assert job.run.starts[-1]["git_commit"] == "aaa"
+
+
+@pytest.mark.parametrize(("verbose", "on_terminal"), [("quiet", "bad\n"), ("normal", "step 1 of 2\n bad\n")])
+def test_a_run_has_a_log_with_times_and_levels(
+    job: Job, verbose: str, on_terminal: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (job,) = jobs_of([f"runs_dir={job.settings.results}", f"verbose={verbose}"])
+    try:
+        log_into(job)
+        logging.getLogger("ablate.training").info("step 1 of 2")
+        logging.getLogger("ablate.training").warning("bad")
+        logging.getLogger("matplotlib").info("of a library")
+    finally:
+        logging.basicConfig(handlers=[], force=True)
+    assert capsys.readouterr().err.replace(f"{job.name}: ", " ").strip(" ") == on_terminal
+    first, second = (job.folder / "log.txt").read_text().splitlines()
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} INFO ablate.training: step 1 of 2", first)
+    assert second.endswith(" WARNING ablate.training: bad")

@@ -43,6 +43,18 @@ def test_a_hold_is_found_again_from_its_pose(hand: Hand, hold: Hold) -> None:
         assert getattr(found_again, name) == pytest.approx(getattr(hold, name), abs=0.5), name
 
 
+def test_the_axis_of_an_aimed_probe_goes_through_the_point_from_the_nearest_side(hand: Hand) -> None:
+    point = np.array([12.0, -9.0, 14.0])
+    pose = hand.aim(point, (-30.0, 0.0, 150.0))
+    assert pose is not None
+    x, y, z = (point - pose[:3, 3]) @ pose[:3, :3]
+    assert (x, y) == pytest.approx((0, 0), abs=0.01)
+    assert abs(hand.site_of(pose[:3, 3])[1]) < 20, "angle 0 is nearer to the front left than -30 or 150"
+    assert hand.judge(pose) == ""
+    others = [hand.aim(point, (angle,)) for angle in (-30.0, 150.0)]
+    assert all(((point - other[:3, 3]) @ other[:3, 2]) > z for other in others if other is not None)
+
+
 def test_tilt_turns_the_image_plane_about_the_probes_x(hand: Hand) -> None:
     straight, tilted = (place(hand, Hold(0, 0, tilt_deg=tilt))[0] for tilt in (0, 20))
     np.testing.assert_allclose(tilted[:3, 0], straight[:3, 0], atol=1e-9)

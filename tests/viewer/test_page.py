@@ -231,3 +231,14 @@ def test_with_the_last_page_closed_nothing_is_computed(viewer: Viewer) -> None:
 def test_what_cannot_be_started_is_refused_in_a_sentence(arguments: list[str], given: list[str], says: str) -> None:
     with pytest.raises((ConfigurationError, ValueError, OSError), match=says.replace(".", r"\.")):
         Viewer(jobs_of([*arguments, f"viewer.port={free_port()}", *given])[0].settings)
+
+
+def test_a_tissue_is_made_transparent_and_hidden(client: Client, viewer: Viewer) -> None:
+    (bone,) = viewer.page.body.tissues["bone"]
+    assert bone.opacity is None
+    client.set("bone", 0.4)
+    until(lambda: bone.opacity == 0.4)
+    client.set("bone", 0.0)
+    until(lambda: not bone.visible)
+    client.set("bone", 1.0)
+    until(lambda: bone.visible and bone.opacity is None)

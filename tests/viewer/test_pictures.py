@@ -55,9 +55,9 @@ def test_a_cross_lies_where_the_label_of_its_point_is_read() -> None:
     labels[row, column] = 7
     x = (column + 0.5) * 217.96 / SHAPE[1] - 217.96 / 2
     z = (row + 0.5) * 157.23 / SHAPE[0] - 7.23
-    assert label_at(labels, (x, z), PROBE) == 7
-    assert label_at(labels, (1e4, z), PROBE) == 0
-    picture = marked(np.zeros((*SHAPE, 3), np.uint8), [(x, z)], PROBE)
+    assert label_at(labels, np.array([x, z]), PROBE) == 7
+    assert label_at(labels, np.array([1e4, z]), PROBE) == 0
+    picture = marked(np.zeros((*SHAPE, 3), np.uint8), np.array([[x, z]]), PROBE)
     yellow = np.argwhere(picture.any(axis=-1)).mean(axis=0)
     np.testing.assert_allclose(yellow, (row, column), atol=1.5)
 

@@ -154,7 +154,7 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     frames = equally_spaced(data.pairs.frames(Part.test), rounds)
     rows: list[tuple[str, int, str, float]] = []
     turns = list(runs)
-    with tqdm(total=(rounds + 1) * len(runs), unit="frame", desc="time", mininterval=1.0, leave=False) as bar:
+    with tqdm(total=(rounds + 1) * len(runs), unit="frame", desc="time", leave=False, disable=None) as bar:
         for number in range(rounds + 1):
             frame = int(frames[number % len(frames)])
             made = {space: of_space(frame, number) for space, of_space in make.items()}

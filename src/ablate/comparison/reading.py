@@ -124,25 +124,16 @@ def provenance(runs: Sequence[Run]) -> dict[str, str]:
 class Answers:
     """The design of a study, and what follows from it; the tables are those of `ablate.analysis`.
 
-    Attributes
-    ----------
-    design : Design or None
-        None where no component varies; `effects` is then empty.
-    means : DataFrame
-        One row a metric of a run of the design.
-    runs : DataFrame
-        One row a run of the study: variant, seed, data, its components, its mean of every metric, and the quartiles of
-        its time a frame.
-    components : tuple of Component
-        What was judged: the declared components, and keys that somebody swept.
+    `runs` has one row a run of the study: variant, seed, data, its components, its mean of every metric, and the
+    quartiles of its time a frame.
     """
 
-    design: Design | None
-    means: pd.DataFrame
+    design: Design | None  # None where no component varies; `effects` is then empty
+    means: pd.DataFrame  # one row a metric of a run of the design
     effects: pd.DataFrame
     verdicts: pd.DataFrame
     runs: pd.DataFrame
-    components: tuple[Component, ...]
+    components: tuple[Component, ...]  # what was judged: the declared ones, and keys that somebody swept
 
 
 def answers(runs: Sequence[Run], reference: str = REFERENCE) -> Answers:

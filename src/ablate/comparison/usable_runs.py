@@ -21,19 +21,13 @@ _SEEDS = ("seed", "training.seed")
 class UsableRuns:
     """Finished runs of a study.
 
-    Attributes
-    ----------
-    runs : tuple of Run
-        On the same pairs, so that they can be compared frame by frame.
-    blocks : tuple of Run
-        On pairs that differ from these in the anatomy, or in a component. They take part in the effects of components.
-    notes : tuple of str
-        What was left aside, a sentence each; for the report.
+    `blocks` are on pairs that differ from those of `runs` in the anatomy, or in a component. They take part in the
+    effects of components.
     """
 
-    runs: tuple[Run, ...]
+    runs: tuple[Run, ...]  # on the same pairs, so that they can be compared frame by frame
     blocks: tuple[Run, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what was left aside, a sentence each; for the report
 
     @property
     def all(self) -> tuple[Run, ...]:

@@ -1,5 +1,6 @@
 """Fill a data set with shards; several processes can do so at the same time."""
 
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -18,7 +19,7 @@ from ablate.dataset.pairs import FORMATS, DamagedShardError, Pairs
 from ablate.networks.spec import OF_SURFACES
 from ablate.storage import remove_partial, written_whole
 
-_WAIT_S = 1.0
+_WAIT_S, _LINES = 1.0, 10
 #: Makes the wanted maps of some frames.
 MakeFrames = Callable[[np.ndarray, frozenset[str]], Mapping[str, np.ndarray]]
 
@@ -54,17 +55,21 @@ def fill_pairs(pairs: Pairs, maps: frozenset[str], make: MakeFrames) -> Iterator
 def fill_all(pairs: Pairs, maps: frozenset[str], what: str, fill: Callable[[], Iterator[int]]) -> int:
     """Call `fill`, such as `fill_pairs`, until nothing is missing, and return the number of frames that it made.
 
-    A bar called `what` grows by them. What other processes make meanwhile is waited for.
+    A bar called `what` grows by them; where there is no terminal, a line is written about every tenth. What other
+    processes make meanwhile is waited for.
     """
-    todo = sum(len(pairs.frames_of_shard(shard)) for shard in pairs.missing(maps))
-    with tqdm(total=todo, unit="frame", desc=what, mininterval=1.0) as bar:
+    todo, made = sum(len(pairs.frames_of_shard(shard)) for shard in pairs.missing(maps)), 0
+    with tqdm(total=todo, unit="frame", desc=what, mininterval=1.0, disable=None) as bar:
         while pairs.missing(maps):
-            before = bar.n
+            before = made
             for frames in fill():
                 bar.update(frames)
-            if bar.n == before:
+                made += frames
+                if bar.disable and made * _LINES // todo > (made - frames) * _LINES // todo:
+                    tqdm.write(f"{what}: {made} of {todo} frames", file=sys.stderr)
+            if made == before:
                 time.sleep(_WAIT_S)
-        return int(bar.n)
+    return made
 
 
 def frame_array(name: str, frames: int, shape: tuple[int, int], slots: int) -> dict[str, object]:
@@ -110,7 +115,7 @@ def remove_damaged(pairs: Pairs, maps: frozenset[str]) -> tuple[str, ...]:
     A shard that another process is making is left to it.
     """
     errors = []
-    for shard in tqdm(range(pairs.shards), unit="shard", desc="check", mininterval=1.0, leave=False):
+    for shard in tqdm(range(pairs.shards), unit="shard", desc="check", mininterval=1.0, leave=False, disable=None):
         with _claimed(pairs, shard) as mine:
             for name in sorted(maps) if mine else ():
                 try:

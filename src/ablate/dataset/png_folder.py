@@ -35,30 +35,16 @@ _COLOURS = {0: "grey", 2: "RGB", 3: "with a palette", 4: "grey with alpha", 6: "
 
 @dataclass(frozen=True, eq=False)
 class PngFolder:
-    """A folder that fits together.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the frames, sorted; file names without `.png`.
-    files : dict of str to dict of str to Path
-        By the map's name in a data set (of FOLDERS, those that are there) and by the frame's name.
-    shape : (H, W)
-    sites : tuple of str
-        Of each frame: frames of one site see almost the same, and stay on one side of a split.
-    parts : (n,) uint8 of `Part`, or None where the split is to be drawn
-    tissues : tuple of Tissue behind labels 1, 2, ..., or None where no file names them
-    probe : Probe with the geometry of the fan, or None where no file tells it
-    """
+    """A folder that fits together."""
 
     folder: Path
-    names: tuple[str, ...]
-    files: Mapping[str, Mapping[str, Path]]
+    names: tuple[str, ...]  # of the frames, sorted; file names without `.png`
+    files: Mapping[str, Mapping[str, Path]]  # by map in a data set (of FOLDERS, those that are there), and by frame
     shape: tuple[int, int]
-    sites: tuple[str, ...]
-    parts: np.ndarray | None
-    tissues: tuple[Tissue, ...] | None
-    probe: Probe | None
+    sites: tuple[str, ...]  # of each frame: those of one site see almost the same, and stay on one side of a split
+    parts: np.ndarray | None  # (n,) uint8 of `Part`; None where the split is to be drawn
+    tissues: tuple[Tissue, ...] | None  # behind labels 1, 2, ...; None where no file names them
+    probe: Probe | None  # with the geometry of the fan; None where no file tells it
 
     @property
     def beam_shape(self) -> tuple[int, int]:

@@ -36,21 +36,11 @@ Start = Callable[[Sequence[Numbered], Work], None]
 
 @dataclass(frozen=True)
 class Launch:
-    """What starts the jobs of a command line.
-
-    Attributes
-    ----------
-    start : callable
-        Takes jobs and the work to do for each; returns when all have ended, whether or not they succeeded.
-    elsewhere : bool
-        Whether the jobs run on the nodes of a cluster.
-    compares : bool
-        Whether the study is compared when they have ended; not where another launcher starts each job by itself.
-    """
+    """What starts the jobs of a command line; `start` returns when all have ended, whether or not they succeeded."""
 
     start: Callable[[Sequence[Job], Work], None]
-    elsewhere: bool = False
-    compares: bool = True
+    elsewhere: bool = False  # whether the jobs run on the nodes of a cluster
+    compares: bool = True  # the study, when they have ended; not where another launcher starts each job by itself
 
 
 def start_here(jobs: Sequence[Job], work: Work) -> None:

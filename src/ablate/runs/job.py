@@ -31,18 +31,11 @@ class Job:
     """One cell of a sweep.
 
     What reads files is imported where it is asked for: a command line is checked without it.
-
-    Attributes
-    ----------
-    label : str
-        The variant and what else was changed beside it, such as `sa2h.depth-8`.
-    changed : tuple of (str, object)
-        The dotted keys that were changed beside the variant, with their values.
     """
 
     settings: StudySettings
-    label: str
-    changed: tuple[tuple[str, Any], ...] = field(default=(), compare=False)
+    label: str  # the variant and what else was changed beside it, such as `sa2h.depth-8`
+    changed: tuple[tuple[str, Any], ...] = field(default=(), compare=False)  # dotted keys beside the variant, values
 
     def __post_init__(self) -> None:
         check_name("variant", self.label, {COMPARISON})

@@ -26,7 +26,7 @@ from ablate.runs.prepare import prepare_data
 from ablate.runs.run import Run
 from ablate.runs.store_copy import copying, log_samples
 from ablate.setting import plain
-from ablate.settings.study import Provenance, StudySettings
+from ablate.settings.study import Provenance, StudySettings, Verbosity
 from ablate.storage import digest, remove_partial, write_json, write_text, written_whole
 from ablate.tracking import LocalLog
 from ablate.training import TrainingPrecision, Validation, chosen_device, generate, read_checkpoint, train
@@ -52,9 +52,8 @@ def run_job(job: Job) -> None:
 
 
 def _run(job: Job) -> None:
-    logging.basicConfig(format=f"{job.name}: %(message)s", force=True)
-    logging.getLogger("ablate").setLevel(logging.INFO)
     claim_place(job)
+    log_into(job)
     data = prepare_data(job, maps_needed([job.settings.model]))
     write_provenance(job)
     run, log = job.run, LocalLog(job.folder)  # curves, images and states as the training goes on
@@ -82,6 +81,18 @@ def _run(job: Job) -> None:
             **{"inception": asked.evaluation.inception, "notes": list(notes), "scalars": scalars},
         }
         write_json(run.folder / "result.json", result)  # last of all, because a run that has it is finished
+
+
+def log_into(job: Job) -> None:
+    """Log on the terminal as `verbose` says, and in `log.txt` of the run with time and level."""
+    terminal, file = logging.StreamHandler(), logging.FileHandler(job.folder / "log.txt", encoding="utf-8")
+    file.handleError = lambda record: None  # type: ignore[method-assign]  # noqa: ARG005  # on a full disk
+    terminal.setFormatter(logging.Formatter(f"{job.name}: %(message)s"))
+    file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    terminal.setLevel(logging.WARNING if job.settings.verbose is Verbosity.quiet else logging.DEBUG)
+    everything = job.settings.verbose is Verbosity.debug
+    logging.basicConfig(handlers=[terminal, file], level=logging.INFO if everything else logging.WARNING, force=True)
+    logging.getLogger("ablate").setLevel(logging.INFO)
 
 
 def write_provenance(job: Job) -> None:

@@ -65,6 +65,14 @@ class SceneKind(StrEnum):
     pairs = "pairs"
 
 
+class Verbosity(StrEnum):
+    """What the terminal shows of a training; `debug`: also what libraries tell, there and in its `log.txt`."""
+
+    quiet = "quiet"
+    normal = "normal"
+    debug = "debug"
+
+
 class ExportFormat(StrEnum):
     """`png`: what `scene=pairs` reads; `nnunet`: the raw data of nnU-Net 2; `dicom`: one ultrasound image a frame."""
 
@@ -190,6 +198,9 @@ class StudySettings(Checked):
     tracking: TrackingSettings = TrackingSettings()
     study_name: str | None = setting(None, "Folder of the runs; null is <preset>-<scene name>.", incidental=True)
     runs_dir: str = setting("runs", "Folder of all results.", incidental=True)
+    verbose: Verbosity = setting(
+        Verbosity.normal, "What the terminal shows of a training: with `quiet`, warnings alone.", incidental=True
+    )
     frame: int = setting(0, "The frame that task=preview and task=render show.", incidental=True)
     pose: str | None = setting(
         None, "File of poses that task=render shows instead; task=view starts at the first.", incidental=True

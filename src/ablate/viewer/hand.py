@@ -1,6 +1,7 @@
 """How the probe is held: five degrees of freedom on the skin, and the pose that they give."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,7 +12,7 @@ from ablate.dataset.sites import Skin, press, turned_pose
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_points, to_world
 
-_SEARCHES = 6  # for the hold of a pose: each takes most of what is left of the distance
+_SEARCHES = 6  # for the hold of a pose, or that looks at a point: each takes most of what is left of the distance
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,23 @@ class Hand:
         pose[:3, :3] @= Rotation.from_euler("X", hold.tilt_deg, degrees=True).as_matrix()
         poses, on_body, hard = press(self._skin, self._probe, pose[None], inward[None], self._press_mm)
         return poses[0], _words(bool(on_body[0]), bool(hard[0]))
+
+    def aim(self, point: np.ndarray, angles_deg: Iterable[float]) -> np.ndarray | None:
+        """The pose whose beam axis goes through a point, from the nearest of some angles about the body.
+
+        At the height of the point; None where the face lies well on the skin at no angle.
+        """
+        found = []
+        for angle in angles_deg:
+            hold, away = Hold(self.site_of(point)[0], float(angle)), np.zeros(3)
+            for _ in range(_SEARCHES):
+                if (held := self.place(hold)) is not None:
+                    away = (point - held[0][:3, 3]) @ held[0][:3, :3]
+                    rock, tilt = np.rad2deg(np.arctan2(away[:2], away[2]))
+                    hold = replace(hold, rock_deg=hold.rock_deg + float(rock), tilt_deg=hold.tilt_deg - float(tilt))
+            if held is not None and not held[1] and away[2] > 0:
+                found.append((float(away[2]), held[0]))
+        return min(found, key=lambda one: one[0])[1] if found else None
 
     def judge(self, pose: np.ndarray) -> str:
         """Say what is wrong with the contact of a pose that was not pressed; empty if nothing is."""

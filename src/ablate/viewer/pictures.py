@@ -5,7 +5,7 @@ All images of one state are one picture, so that what stands side by side was se
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from html import escape
 
@@ -17,12 +17,13 @@ from ablate.analysis.figures.scene_parts import Colour
 from ablate.anatomy import Scene
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import fan_of, pixel_coordinates_mm, pixel_size_mm
+from ablate.viewer import calipers
 from ablate.viewer.session import Quality, Views
 
 _HEIGHT_PX = 384  # a picture has at least so many rows, for its letters, and at most twice as many
 _TICK_MM, _LABEL_MM = 10, 50
 _SCALE = (150, 160, 170)
-_MARK = (44, 160, 44)
+_MARK, _YELLOW = (44, 160, 44), "#ffd400"
 _PAPER = (16, 18, 22)
 _COLUMNS = 2
 _BAR_PX, _GAP_PX = 30, 6
@@ -81,27 +82,26 @@ def empty_picture(words: str, shape: tuple[int, int]) -> np.ndarray:
     return np.asarray(canvas)
 
 
-def marked(picture: np.ndarray, points: Sequence[tuple[float, float]], probe: Probe) -> np.ndarray:
-    """A picture with crosses at points of the image plane, x and z in mm, and lines between pairs of them."""
+def marked(picture: np.ndarray, points: np.ndarray, probe: Probe) -> np.ndarray:
+    """A picture with crosses at points of the image plane, x and z, (n, 2) mm, and what is measured between them."""
     canvas = Image.fromarray(picture)
-    draw = ImageDraw.Draw(canvas)
-    seen = [_pixel(point, (canvas.height, canvas.width), probe) for point in points]
-    for x, y in seen:
-        draw.line((x - 7, y, x + 7, y), fill="#ffd400", width=2)
-        draw.line((x, y - 7, x, y + 7), fill="#ffd400", width=2)
-    for start, end in zip(seen[::2], seen[1::2], strict=False):
-        draw.line((*start, *end), fill="#ffd400", width=1)
+    draw, shape = ImageDraw.Draw(canvas), (canvas.height, canvas.width)
+    for x, y in (_pixel(point, shape, probe) for point in points):
+        draw.line((x - 7, y, x + 7, y), fill=_YELLOW, width=2)
+        draw.line((x, y - 7, x, y + 7), fill=_YELLOW, width=2)
+    for line in calipers.lines(points):
+        draw.line([_pixel(point, shape, probe) for point in line], fill=_YELLOW, width=1)
     return np.asarray(canvas)
 
 
-def label_at(labels: np.ndarray, point: tuple[float, float], probe: Probe) -> int:
+def label_at(labels: np.ndarray, point: np.ndarray, probe: Probe) -> int:
     """Label of a point of the image plane, x and z in mm, in a segmentation, (H, W); 0 outside the picture."""
     column, row = _pixel(point, labels.shape, probe)
     inside = 0 <= row < labels.shape[0] and 0 <= column < labels.shape[1]
     return int(labels[int(row), int(column)]) if inside else 0
 
 
-def _pixel(point: tuple[float, float], shape: tuple[int, int], probe: Probe) -> tuple[float, float]:
+def _pixel(point: np.ndarray, shape: tuple[int, int], probe: Probe) -> tuple[float, float]:
     """Column and row, from the edges of an image of this shape, of a point, x and z in mm."""
     tall, wide = pixel_size_mm(probe, shape)
     return point[0] / wide + shape[1] / 2, (point[1] + fan_of(probe).sag_mm) / tall
@@ -139,16 +139,16 @@ def _font(height_px: int) -> ImageFont.FreeTypeFont:
     return font
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Layout:
     """What is shown beside the simulated image, the segmentation and the attenuation.
 
-    `names` are those of the state's runs; `points` are marked, x and z in mm of the image plane.
+    `names` are those of the state's runs; `points` are measured, (n, 3) mm in the world.
     """
 
     names: tuple[str, ...] = ()
     difference: bool = False
-    points: tuple[tuple[float, float], ...] = ()
+    points: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def screen(views: Views, colours: Sequence[Colour], layout: Layout) -> np.ndarray:
@@ -173,7 +173,8 @@ def screen(views: Views, colours: Sequence[Colour], layout: Layout) -> np.ndarra
             picture = difference_picture(first, views.target, mask, probe)
             tiles.append(("generated - simulated", "red: brighter, blue: darker", picture))
     pictures = [empty_picture(shown, mask.shape) if isinstance(shown, str) else shown for _, _, shown in tiles]
-    pictures = [marked(picture, layout.points, probe) for picture in pictures]
+    points = calipers.in_plane(layout.points, views.state.pose)
+    pictures = [marked(picture, points, probe) for picture in pictures]
     return _mosaic([(title, note, picture) for (title, note, _), picture in zip(tiles, pictures, strict=True)])
 
 
@@ -211,8 +212,8 @@ def caption(views: Views, scene: Scene, colours: Sequence[Colour]) -> str:
     state = views.state
     words = [f"{state.probe.depth_mm:g} mm deep", f"{state.probe.frequency_mhz:g} MHz", f"speckle {state.seed}"]
     if (hold := state.hold) is not None:
-        place = [f"height {hold.height_mm:.1f} mm", f"around {hold.angle_deg:.1f}°", f"turn {hold.roll_deg:.1f}°"]
-        words = [*place, f"rock {hold.rock_deg:.1f}°", f"tilt {hold.tilt_deg:.1f}°", *words]
+        place = [f"height {hold.height_mm:z.1f} mm", f"around {hold.angle_deg:z.1f}°", f"turn {hold.roll_deg:z.1f}°"]
+        words = [*place, f"rock {hold.rock_deg:z.1f}°", f"tilt {hold.tilt_deg:z.1f}°", *words]
     notes = "".join(line(note, BAD) for note in dict.fromkeys(views.notes.values()))
     return line(" · ".join([*words, views.quality.value]), DIM) + notes + _legend(views, scene, colours)
 
@@ -229,7 +230,7 @@ def _legend(views: Views, scene: Scene, colours: Sequence[Colour]) -> str:
     for index in np.argsort(-counts, kind="stable"):
         if counts[index] > _LEAST_SHARE * counts.sum():
             red, green, blue = (round(255 * c) for c in colours[index])
-            box = f'<span style="background:rgb({red},{green},{blue});padding:0 0.5em;border-radius:2px"></span>'
+            look = f"background:rgb({red},{green},{blue});padding:0 0.5em;margin-right:0.3em;border-radius:2px"
             name = escape(scene.tissues[index].name.replace("_", " "))
-            chips.append(f'<span style="white-space:nowrap;margin-right:0.9em">{box} {name}</span>')
+            chips.append(f'<span style="white-space:nowrap;margin-right:1em"><span style="{look}"></span>{name}</span>')
     return f'<div style="font-size:0.8em;line-height:1.6;padding:0.2em 1em">{" ".join(chips)}</div>'

@@ -33,63 +33,30 @@ class Moving(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Everything that decides what is seen.
+    """Everything that decides what is seen."""
 
-    Attributes
-    ----------
-    pose : (4, 4) float64
-        Probe to world, mm.
-    display : Display or None
-        None is the picture of the simulator's settings.
-    seed : int
-        Of the scatterers, and of a generator's noise.
-    runs : tuple of Path
-        Folders of finished runs, whose generators render the same frame.
-    hold : Hold or None
-        How the probe is held at this pose, where that is known.
-    """
-
-    pose: np.ndarray
+    pose: np.ndarray  # (4, 4) float64, probe to world, mm
     probe: Probe = ConvexProbe()
     simulator: SimulatorSettings = SimulatorSettings()
-    display: Display | None = Display()
-    seed: int = 0
-    runs: tuple[Path, ...] = ()
+    display: Display | None = Display()  # None is the picture of the simulator's settings
+    seed: int = 0  # of the scatterers, and of a generator's noise
+    runs: tuple[Path, ...] = ()  # folders of finished runs, whose generators render the same frame
     moving: Moving = Moving.both
-    hold: Hold | None = None
+    hold: Hold | None = None  # how the probe is held at this pose, where that is known
 
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """What is seen of a state; (H, W) is `state.simulator.image_shape`.
-
-    Attributes
-    ----------
-    state : State
-    target : (H, W) uint8 or None
-        The simulated B-mode image; None while the probe moves, where the generators render alone.
-    segmentation : (H, W) uint8
-    attenuation : (H, W) float32
-    mask : (H, W) bool
-        The fan.
-    generated : tuple of (H, W) uint8 or None
-        One a run of the state; None where it could not be rendered.
-    ms : mapping of str to float
-        What each took, milliseconds: `target`, `maps`, and `generated 0`, ...
-    notes : mapping of str to str
-        Sentences about what could not be shown or is shown with a reservation, by the same names.
-    at_s : float
-        When they were made, seconds of a monotonic clock.
-    """
+    """What is seen of a state; (H, W) is `state.simulator.image_shape`."""
 
     state: State
-    target: np.ndarray | None
-    segmentation: np.ndarray
-    attenuation: np.ndarray
-    mask: np.ndarray
-    generated: tuple[np.ndarray | None, ...]
-    ms: dict[str, float]
-    notes: dict[str, str]
+    target: np.ndarray | None  # (H, W) uint8; None while the probe moves, where the generators render alone
+    segmentation: np.ndarray  # (H, W) uint8
+    attenuation: np.ndarray  # (H, W) float32
+    mask: np.ndarray  # (H, W) bool, the fan
+    generated: tuple[np.ndarray | None, ...]  # (H, W) uint8, one a run; None where it could not be rendered
+    ms: dict[str, float]  # what each took: `target`, `maps`, and `generated 0`, ...
+    notes: dict[str, str]  # what could not be shown or is shown with a reservation, by the same names
     quality: Quality
     at_s: float = field(default_factory=time.monotonic)
 

@@ -70,12 +70,12 @@ class Viewer:
     def __init__(self, settings: StudySettings) -> None:
         check_server(settings.viewer.port)
         scene, grid = build_scene(settings)
-        poses = presets(settings, scene, grid)
+        hand = Hand(scene, grid.axis, grid.front, settings.dataset.press_mm, settings.probe)
+        poses = presets(settings, scene, grid, hand)
         folder = settings.results if settings.runs is None else Path(settings.runs)
         if settings.runs is not None and not folder.is_dir():
             allowed = "allowed is a run, a study or a folder of studies"
             raise ConfigurationError(f"runs={settings.runs}: no such folder; {allowed}")
-        hand = Hand(scene, grid.axis, grid.front, settings.dataset.press_mm, settings.probe)
         named = np.array(list(poses.values()))
         patient = settings.simulator.tgc is TimeGain.patient
         self.worker = Worker(Engine(scene, training_poses(settings, scene, grid, named) if patient else named).render)
@@ -131,11 +131,12 @@ class Viewer:
                 self.worker.resume()
 
 
-def presets(settings: StudySettings, scene: Scene, grid: SiteGrid) -> dict[str, np.ndarray]:
-    """Poses to start from, (4, 4) float64, mm, by name: standard planes of the built-in anatomy, or probe sites.
+def presets(settings: StudySettings, scene: Scene, grid: SiteGrid, hand: Hand) -> dict[str, np.ndarray]:
+    """Poses to start from, (4, 4) float64, mm, by name: standard planes of the built-in anatomy.
 
-    If a grid has many sites, they are evenly spaced ones. At a site the probe stands upright on the skin, and its plane
-    is the first of the grid's rolls. A scene without a structure, or without a usable probe site, is a ValueError.
+    Of other scenes: through the middle of each structure but the largest, by the structure's name, and probe sites. If
+    a grid has many sites, they are evenly spaced ones. At a site the probe stands upright on the skin, and its plane is
+    the first of the grid's rolls. A scene without a structure, or without a usable probe site, is a ValueError.
     """
     if settings.scene.kind is SceneKind.fetal:
         planes = fetal_planes(settings.scene.anatomy_seed, settings.dataset.press_mm)
@@ -143,6 +144,10 @@ def presets(settings: StudySettings, scene: Scene, grid: SiteGrid) -> dict[str, 
     upright = replace(grid, tilts_deg=(0.0,), rolls_deg=grid.rolls_deg[:1])
     placed = place_probe(scene, upright, settings.dataset.press_mm, settings.probe)
     named = {}
+    for structure in sorted(scene.structures, key=lambda s: -abs(s.mesh.volume))[1:_MOST_SITES]:
+        if (pose := hand.aim(structure.mesh.centroid, grid.angles_deg)) is not None:
+            name = str(structure.mesh.metadata.get("name", structure.tissue.name))
+            named[Path(name).stem.replace("_", " ")] = pose
     for i in equally_spaced(np.arange(len(placed.poses)), _MOST_SITES):
         height, angle = divmod(int(placed.sites[i]), len(grid.angles_deg))
         named[f"{grid.heights_mm[height]:.0f} mm, {grid.angles_deg[angle]:.0f} degrees"] = placed.poses[i]

@@ -25,27 +25,14 @@ INSET = 0.27  # of the picture's width and height: what fits beside a 70 degree 
 
 @dataclass(frozen=True, eq=False)
 class FramePictures:
-    """What was rendered of one test frame.
+    """What was rendered of one test frame; labels and shadows are each shown in a corner of the target."""
 
-    Attributes
-    ----------
-    name : str
-        Shown at the left of its row.
-    target : (H, W) uint8
-    predictions : dict of str to (H, W) uint8
-        By variant, in the order shown; the re-simulation goes first, under its own name.
-    mask : (H, W) bool
-        The fan.
-    segmentation, attenuation : (H, W) uint8 and (H, W) float in [0, 1], the latter optional
-        Labels and shadows, each shown in a corner of the target.
-    """
-
-    name: str
-    target: np.ndarray
-    predictions: dict[str, np.ndarray]
-    mask: np.ndarray
-    segmentation: np.ndarray
-    attenuation: np.ndarray | None = None
+    name: str  # at the left of its row
+    target: np.ndarray  # (H, W) uint8
+    predictions: dict[str, np.ndarray]  # (H, W) uint8 by variant, in the order shown, after the re-simulation
+    mask: np.ndarray  # (H, W) bool, the fan
+    segmentation: np.ndarray  # (H, W) uint8
+    attenuation: np.ndarray | None = None  # (H, W) float in [0, 1]
 
 
 def _picture(axes: Axes, image: np.ndarray, colours: str = "gray", **how: Any) -> AxesImage:

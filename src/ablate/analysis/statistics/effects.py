@@ -19,31 +19,17 @@ EFFECT_COLUMNS = ("effect", "estimate", "lower", "upper", "p", "dof", "aliases")
 class LinearModel:
     """Least squares of one value a run on the effects of two-level factors, with blocks.
 
-    Attributes
-    ----------
-    terms : tuple of tuple of str
-        Main effects `(a,)` and the interactions `(a, b)` that the runs can tell apart.
-    effects : (len(terms),) float
-        The mean at a factor's second level minus the mean at its first; of an interaction half the difference of one
-        factor's effect between the other's levels.
-    covariance : (len(terms), len(terms)) float
-        Of the effects, from the residuals of all runs together; NaN where `dof` is 0.
-    dof : int
-        Degrees of freedom of the error.
-    runs : (len(terms), 2) int
-        Runs on the first and on the second side of each effect.
-    aliases : dict
-        By term, what the runs cannot tell from it (text, empty where there is nothing).
-    residuals : (runs,) float
+    An effect is the mean at a factor's second level minus the mean at its first; of an interaction it is half the
+    difference of one factor's effect between the other's levels.
     """
 
-    terms: tuple[tuple[str, ...], ...]
-    effects: np.ndarray
-    covariance: np.ndarray
-    dof: int
-    runs: np.ndarray
-    aliases: dict[tuple[str, ...], str]
-    residuals: np.ndarray
+    terms: tuple[tuple[str, ...], ...]  # main effects `(a,)`, and interactions `(a, b)` that the runs can tell apart
+    effects: np.ndarray  # (terms,)
+    covariance: np.ndarray  # (terms, terms), from the residuals of all runs together; NaN where `dof` is 0
+    dof: int  # of the error
+    runs: np.ndarray  # (terms, 2), on the first and on the second side of each effect
+    aliases: dict[tuple[str, ...], str]  # what the runs cannot tell from a term; empty where there is nothing
+    residuals: np.ndarray  # (runs,)
 
     def contrast(self, weights: np.ndarray) -> tuple[float, float]:
         """A weighted sum of the effects and its standard error; `weights` is (len(terms),) float."""

@@ -123,7 +123,7 @@ def each(*first: object, values: Mapping[str, float]) -> list[Row]:
 
 def shown_progress(steps: Iterable[T], what: str) -> Iterable[T]:
     """Give each step in turn, and show how many are done of what is measured."""
-    return tqdm(steps, f"precision, {what.replace('_', ' ')}", unit="step", mininterval=1.0, leave=False)
+    return tqdm(steps, f"precision, {what.replace('_', ' ')}", unit="step", leave=False, disable=None)
 
 
 def render_all(

@@ -29,7 +29,7 @@ def stability(jobs: Sequence[Job]) -> int:
     with recorded_task(folder, settings.study, lambda: open_store(settings)) as record:
         record.tags |= {"hardware": hardware(), **code}
         rows, device = [], str(chosen_device(settings.training.device))
-        with tqdm(CASES.items(), unit="case", desc="stability") as bar:
+        with tqdm(CASES.items(), unit="case", desc="stability", disable=None) as bar:
             for name, case in bar:
                 bar.set_postfix_str(name)
                 rows += [{"case": name, **vars(c), "holds": c.holds} for c in run(case, device)]

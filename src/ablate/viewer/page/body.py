@@ -8,7 +8,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from ablate.analysis.figures.scene_parts import Colour, first_column_mark, probe_body
-from ablate.anatomy import Scene, TissueKind, bounds_mm
+from ablate.anatomy import Scene, bounds_mm
 from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import fan_of, fan_outline
 from ablate.viewer.pictures import on_fan
@@ -17,8 +17,8 @@ from ablate.viewer.session import Quality, State, Views
 _UNIT_MM = 100.0  # of the page's 3-D space, whose near and far planes suit metres
 _TRIANGLES = 60_000  # of all structures together: a browser without a graphics card draws them too
 _FEWEST = 200  # of one structure
-_LARGE = 0.03  # of the scene's bounds: what fills more of them surrounds the rest
-_ENVELOPE = 0.12  # opacity of what surrounds the rest; organs and bones are opaque
+_LARGE = 0.1  # of the scene's bounds: what fills more of them surrounds the rest
+_ENVELOPE = 0.12  # opacity of what surrounds the rest, at first
 _HOUSING, _MARK, _OUTLINE = (69, 77, 92), (44, 160, 44), (255, 176, 0)
 #: Turns viser's plane of an image, whose rows run along y, to that of the fan, where they run along z.
 _UPRIGHT = Rotation.from_euler("X", 90, degrees=True).as_quat(scalar_first=True)
@@ -35,6 +35,8 @@ class Body:
         Called with the phase of a drag of the probe and the point where the pointer is, mm.
     clicked : callable
         Called with origin and direction, mm, of the line of sight of a click on the fan.
+    tissues : dict of str to list
+        By a tissue's name, its meshes, which `see_through` makes more or less transparent.
     """
 
     grabbed: Callable[[str, np.ndarray], object]
@@ -45,12 +47,12 @@ class Body:
         self._scene, self._probe = server.scene, None
         bounds = bounds_mm(s.mesh for s in scene.structures)
         away = front + 0.55 * np.cross(axis, front) + 0.35 * axis
-        away *= 1.35 * float(np.linalg.norm(np.ptp(bounds, axis=0))) / np.linalg.norm(away)
+        away *= 1.7 * float(np.linalg.norm(np.ptp(bounds, axis=0))) / np.linalg.norm(away)
         self._front_view = bounds.mean(axis=0) + away, bounds.mean(axis=0), axis
         server.scene.configure_environment_map(None)  # costs seconds without a graphics card
         server.scene.configure_default_lights(cast_shadow=False)
         server.scene.add_light_ambient("/light", intensity=1.5)
-        _add_structures(server, scene, colours)
+        self.tissues = _add_structures(server, scene, colours)
         self._frame = server.scene.add_frame("/probe", show_axes=False)
         server.scene.set_up_direction(tuple(axis))
         camera = server.initial_camera
@@ -75,6 +77,16 @@ class Body:
 
     async def _click(self, event: Any) -> None:
         self.clicked(np.array(event.ray_origin) * _UNIT_MM, np.array(event.ray_direction))
+
+    def see_through(self, tissue: str, opacity: float) -> None:
+        """Set the opacity of a tissue's meshes in 3-D; 0 hides them."""
+        for mesh in self.tissues[tissue]:
+            mesh.visible, mesh.opacity = opacity > 0, opacity if opacity < 1 else None
+
+    def opacity_of(self, tissue: str) -> float:
+        """The opacity of a tissue's largest mesh in 3-D."""
+        opacity = self.tissues[tissue][0].opacity
+        return 1.0 if opacity is None else float(opacity)
 
     def face(self, client: Any, state: State) -> None:
         """Turn a browser's camera so that the fan is seen as the image is."""
@@ -112,8 +124,8 @@ def _look(client: Any, position: np.ndarray, look_at: np.ndarray, up: np.ndarray
         client.camera.up_direction = up
 
 
-def _add_structures(server: Any, scene: Scene, colours: Sequence[Colour]) -> None:
-    """Add all structures as meshes, one for each tissue and opacity, the largest first.
+def _add_structures(server: Any, scene: Scene, colours: Sequence[Colour]) -> dict[str, list[Any]]:
+    """Add all structures as meshes, one for each tissue and opacity, the largest first; returns them by tissue.
 
     Only their far walls are drawn, as of a body cut open, so that the fan and the organs inside are seen.
     """
@@ -122,14 +134,15 @@ def _add_structures(server: Any, scene: Scene, colours: Sequence[Colour]) -> Non
     parts: dict[tuple[int, float | None], list[trimesh.Trimesh]] = {}
     pairs = zip(scene.structures, scene.structure_tissues, strict=True)
     for structure, tissue in sorted(pairs, key=lambda pair: -pair[0].mesh.extents.prod()):
-        large = structure.mesh.extents.prod() > _LARGE * whole and structure.tissue.kind is not TissueKind.bone
-        opacity = _ENVELOPE if large else None
+        opacity = _ENVELOPE if abs(structure.mesh.volume) > _LARGE * whole else None
         mesh = fewer_triangles(structure.mesh, max(_FEWEST, int(share * len(structure.mesh.faces))))
         parts.setdefault((tissue, opacity), []).append(mesh)
+    added: dict[str, list[Any]] = {}
     for number, ((tissue, opacity), meshes) in enumerate(parts.items()):
-        colour = tuple(round(255 * c) for c in colours[tissue])
-        look = {"opacity": opacity, "side": "back"}
-        _add(server.scene, f"/body/{number}", trimesh.util.concatenate(meshes), color=colour, **look)
+        look = {"color": tuple(round(255 * c) for c in colours[tissue]), "opacity": opacity, "side": "back"}
+        made = _add(server.scene, f"/body/{number}", trimesh.util.concatenate(meshes), **look)
+        added.setdefault(scene.tissues[tissue].name, []).append(made)
+    return added
 
 
 def _add(scene: Any, name: str, mesh: trimesh.Trimesh, **look: Any) -> Any:

@@ -77,6 +77,10 @@ def add_move_tab(page: Page) -> None:
     looks = {"plane": lambda client: page.body.face(client, session.state), "body": page.body.face_body}
     look = gui.add_button_group("Look at", tuple(looks), hint="turns the 3-D view")
     look.on_click(page.does(lambda event: looks[look.value](event.client)))
+    with gui.add_folder("See through (1 is opaque, 0 hidden)", expand_by_default=False):
+        for name in page.body.tissues:
+            read, write = partial(page.body.opacity_of, name), partial(page.body.see_through, name)
+            page.add_slider(name.replace("_", " "), (0.0, 1.0, 0.1), read, write)
     gui.add_html(_HINTS)
 
 

@@ -1,6 +1,5 @@
 """What is done with what is seen: the tab Compare, with generators beside the simulator, and the tab Keep."""
 
-import math
 import threading
 import time
 from dataclasses import replace
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ablate.metrics import patch_chi2, psnr, rms
-from ablate.ultrasound.probe import fan_of
+from ablate.viewer.calipers import MOST_POINTS, in_plane, measured, on_plane
 from ablate.viewer.generators import is_shipped, pickable
 from ablate.viewer.page.page import Page
 from ablate.viewer.pictures import label_at
@@ -18,9 +17,11 @@ from ablate.viewer.records import LOOP_S, Sweep, command_line, next_folder, save
 from ablate.viewer.session import Views
 
 _NONE = "none"
-_MOST_POINTS = 2
 _TRAINS = "No trained run yet. `make sweep` trains three, and `python -m ablate variant=sa2h` trains one."
-_INVITES = "**Measure:** click the fan in the 3-D view for the tissue and its depth, and again for a distance."
+_INVITES = (
+    "**Measure:** click the fan in the 3-D view for the tissue and its depth; a second click gives a distance, a third "
+    "an angle, and a fourth the circumference of an ellipse. Look at the plane (tab Move) first."
+)
 _FEWEST_POSES = 3
 _LAST_S = 0.5  # the last frame of the cine loop stays for so long, and one at which the probe rested
 
@@ -75,43 +76,27 @@ def _distances(names: tuple[str, ...], views: Views) -> str:
 
 
 def _add_calipers(page: Page) -> None:
-    """Name the tissue and the depth of a click on the fan, and measure the distance between two."""
+    """Measure between clicks on the fan."""
     answer = page.server.gui.add_markdown(_INVITES)
 
     def click(origin: np.ndarray, direction: np.ndarray) -> None:
         if (views := page.shown) is not None:
-            point = on_plane(views.state.pose, origin, direction)
-            points = (*(page.layout.points if len(page.layout.points) < _MOST_POINTS else ()), point)
-            answer.content = _measured(page, views, points)
+            pose, probe, points = views.state.pose, views.state.probe, page.layout.points
+            if len(points) == MOST_POINTS or not len(in_plane(points, pose)):
+                points = np.empty((0, 3))
+            points = np.vstack([points, on_plane(pose, origin, direction)])
+            seen = in_plane(points, pose)
+            label = label_at(views.segmentation, seen[-1], probe)
+            tissue = page.scene.tissues[label - 1].name.replace("_", " ") if label else "outside the fan"
+            answer.content = measured(seen, tissue, probe)
             page.lay_out(points=points)
 
     def clear() -> None:
         answer.content = _INVITES
-        page.lay_out(points=())
+        page.lay_out(points=np.empty((0, 3)))
 
     page.body.clicked = page.tells(click)
     page.add_button("Clear the points", clear)
-
-
-def on_plane(pose: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> tuple[float, float]:
-    """Where a line of sight meets the image plane, x and z of the probe, mm; a ValueError where it runs along it."""
-    start, along = (origin - pose[:3, 3]) @ pose[:3, :3], direction @ pose[:3, :3]
-    if abs(along[1]) < 1e-6:
-        raise ValueError("the fan is seen edge on: turn the body, then click again")
-    x, _, z = start - along * (start[1] / along[1])
-    return float(x), float(z)
-
-
-def _measured(page: Page, views: Views, points: tuple[tuple[float, float], ...]) -> str:
-    sentences = []
-    for point in points:
-        label = label_at(views.segmentation, point, views.state.probe)
-        name = page.scene.tissues[label - 1].name.replace("_", " ") if label else "outside the fan"
-        depth_mm = float(fan_of(views.state.probe).polar(*map(np.asarray, point))[0])
-        sentences.append(f"**{name}**, {depth_mm:.0f} mm deep.")
-    if len(points) == _MOST_POINTS:
-        sentences.append(f"Between them **{math.dist(*points):.1f} mm**.")
-    return " ".join(sentences)
 
 
 def add_keep_tab(page: Page) -> None:
