@@ -1,4 +1,4 @@
-"""The verdicts of the second study, recomputed from its kept files: no code of `ablate` decides anything here.
+"""The verdicts of the study and its extension, recomputed from kept files: no code of `ablate` decides anything here.
 
 python scripts/recompute_verdicts.py                         # verdicts, and which of them hang on a single run
 python scripts/recompute_verdicts.py docs/results/patient    # beside them the same effects in another body
@@ -6,6 +6,7 @@ python scripts/recompute_verdicts.py docs/results/patient    # beside them the s
 
 import json
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -75,10 +76,10 @@ def verdicts(runs: pd.DataFrame) -> pd.DataFrame:
     return table.assign(verdict=np.select([table["p_band"] < 0.05, earns], ["does_not", "earns"], "undecided"))
 
 
-def lack_of_fit(runs: pd.DataFrame) -> dict[str, float]:
+def lack_of_fit(runs: pd.DataFrame, names: Iterable[str]) -> dict[str, float]:
     """By primary metric, the probability of what differs between the anatomies in effects, if it is chance (F test)."""
     found = {}
-    for name in COMPONENTS:
+    for name in names:
         if (metric := COMPONENTS[name]["metric"]) not in found:
             _, _, sd, dof = effect(runs, name)
             cells = runs.groupby(["network", "anatomy"])[metric]
@@ -88,11 +89,10 @@ def lack_of_fit(runs: pd.DataFrame) -> dict[str, float]:
     return found
 
 
-def main() -> None:
-    """Print the verdicts, those that change without a single run, and the effects in other bodies."""
-    runs = values(ROOT / "docs" / "results" / "full_model")
+def report(study: str, runs: pd.DataFrame) -> None:
+    """Print the verdicts of a study, and those that change without a single run."""
     table = verdicts(runs)
-    print(f"{len(runs)} runs\n{table.to_string(float_format='{:.4f}'.format)}\n")
+    print(f"\n{study}: {len(runs)} runs\n{table.to_string(float_format='{:.4f}'.format)}\n")
     primary = [COMPONENTS[name]["metric"] for name in table.index]
     means = runs.groupby("network")[list(dict.fromkeys(primary))].mean()
     print(f"Means of both anatomies\n{means.to_string(float_format='{:.3f}'.format)}\n")
@@ -100,7 +100,7 @@ def main() -> None:
         here = own.groupby("network")[list(means)].mean()
         found = (f"{name} {here[m][FULL] - here[m][name]:.3f}" for name, m in zip(table.index, primary, strict=True))
         print(f"Effects in {anatomy or 'the first anatomy'}: {', '.join(found)}")
-    fit = ", ".join(f"{metric} {p:.3f}" for metric, p in lack_of_fit(runs).items())
+    fit = ", ".join(f"{metric} {p:.3f}" for metric, p in lack_of_fit(runs, table.index).items())
     print(f"Lack of fit, p of the difference between anatomies: {fit}\n")
     changed = 0
     for k, run in enumerate(runs["run"]):
@@ -109,17 +109,25 @@ def main() -> None:
             changed += 1
             print(f"without {run}: {name} {without[name]}")
     print(f"Leaving out one run at a time changes {changed} of {len(table) * len(runs)} verdicts.")
+
+
+def main() -> None:
+    """Print what the study and its extension say, and the effects in other bodies."""
+    of_study, of_extension = (values(ROOT / "docs" / "results" / name) for name in ("full_model", "extension"))
+    report("study", of_study)
+    report("extension", of_extension)
+    runs = of_study
     for body in map(Path, sys.argv[1:]):
         print(f"\n{body.name}: effect, its 95 % interval, and the effect in the study")
         there = values(body)
         for name in sorted(set(there["network"]) - {FULL}):
             own = there[there["network"].isin([FULL, name])].groupby("network")[COMPONENTS[name]["metric"]]
-            of_study, error, sd, dof = effect(runs, name)
+            before, error, sd, dof = effect(runs, name)
             here, share = own.mean()[FULL] - own.mean()[name], np.sqrt((1 / own.count()).sum())
             t = student.ppf(0.975, dof)
-            differs = abs(here - of_study) > t * np.hypot(sd * share, error)
+            differs = abs(here - before) > t * np.hypot(sd * share, error)
             ends = f"[{here - t * sd * share:.4f}, {here + t * sd * share:.4f}]"
-            print(f"{name:11}{here:9.4f} {ends:20}{of_study:9.4f} {'differs' if differs else 'no difference found'}")
+            print(f"{name:11}{here:9.4f} {ends:20}{before:9.4f} {'differs' if differs else 'no difference found'}")
 
 
 if __name__ == "__main__":

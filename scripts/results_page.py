@@ -39,7 +39,8 @@ BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by s
 FRAME, PICTURES = "frame.npz", "pictures.npz"
 # By study, the file of conf/study that lists the runs of its design, and the one that lists those beside it.
 # Only these studies are shown and keep pictures.
-PLANS = {"full_model": ("full_model", "full_model_beside")}
+MAIN = "full_model"
+PLANS = {MAIN: (MAIN, "full_model_beside"), "extension": ("extension",)}
 # What SA2H of preset=quick is to reach, as a share of re-simulation's own score; of FD speckle the value itself.
 BARS = {"mae_smooth": 1.7, "pchi2_tissue": 2.0, "shadow_contrast": 2.2, "thin_contrast": 2.0, "crps": 1.3}
 BARS |= {"noise_sd": 1.08, "fd_speckle": 0.8}
@@ -87,6 +88,8 @@ def study_lines(folder: Path) -> Iterator[str]:
             f"The error has {answers.verdicts['dof'].max()} degrees of freedom. "
             f"[verdicts.csv](results/{folder.name}/verdicts.csv) has all columns."
         )
+    if folder.name != MAIN:
+        return
     yield "### How far from re-simulation"
     table = shares(study)
     yield share_rows(table)
