@@ -47,18 +47,12 @@ _SAME_FAN = 0.98  # of the pixels of two fans together lie in both
 class Scores:
     """Scores of the images of some frames.
 
-    Attributes
-    ----------
-    per_image : DataFrame
-        Columns frame, site, metric, value: infinite PSNR where an image equals its target, NaN or infinite where a
-        user's own metric failed. The scores of a run have the columns source (`model`, `resimulation`) and split too.
-    scalars : dict
-        Mean of each per-image metric over its finite values, and what only a set of images has (`fd_speckle`, ...);
-        `_lower` and `_upper` are the ends of a 95 % interval. The scores of a run have names such
-        as `test/psnr`, `test/floor_psnr` and `val/psnr`.
-    notes : tuple of str
-        Metrics that were asked for and not computed, and why. Of a run also what is wrong with the generator's output:
-        values that were clipped, and images that differ when they are rendered again.
+    `per_image` has columns frame, site, metric, value: infinite PSNR where an image equals its target, NaN or infinite
+    where a user's own metric failed. The scores of a run have the columns source (`model`, `resimulation`) and split
+    too. `scalars` are the mean of each per-image metric over its finite values, and what only a set of images has
+    (`fd_speckle`, ...); `_lower` and `_upper` are the ends of a 95 % interval. The scores of a run have names such as
+    `test/psnr`, `test/floor_psnr` and `val/psnr`. `notes` tell of metrics that were asked for and not computed. Of a
+    run they also tell of values that were clipped, and of images that differ when they are rendered again.
     """
 
     per_image: pd.DataFrame
@@ -108,21 +102,14 @@ class Scorer:
     """Scores images against the targets of a data set.
 
     Metrics that need what the data set does not hold are left out.
-
-    Attributes
-    ----------
-    tissues : tuple of Tissue
-        Behind the labels 1, 2, ... of the segmentation.
-    inception : callable, optional
-        From `load_inception`; without it there is no FID and no KID.
     """
 
     pairs: Pairs
-    tissues: tuple[Tissue, ...]
+    tissues: tuple[Tissue, ...]  # behind the labels 1, 2, ... of the segmentation
     probe: Probe
     settings: EvaluationSettings = EvaluationSettings()
     metrics: Mapping[str, Metric] = field(default_factory=choose_metrics)
-    inception: InceptionFeatures | None = None
+    inception: InceptionFeatures | None = None  # from `load_inception`; without it there is no FID and no KID
 
     @cached_property
     def _mask(self) -> np.ndarray:

@@ -151,34 +151,22 @@ class SetDistance:
 class Metric:
     """One metric. Everything that prints, draws, tests or logs it reads this entry.
 
-    A metric of the package is a constant of this type in the module of its function; `METRICS` finds it there.
-
-    Attributes
-    ----------
-    name, label : str
-        As it is logged, without `test/`, and as it is printed; the label is the name when left out.
-    decimals : int
-        Of a printed mean.
-    of_image : callable, optional
-        Value of a `Pair`, or None where the image offers nothing to measure.
-    of_draws : callable, optional
-        The same of a `Pair` with draws. Frames are rendered with more than one draw of noise only for such a metric.
-    place : float
-        Where it stands in tables and figures, which are in rising order.
+    A metric of the package is a constant of this type in the module of its function; `METRICS` finds it there. Frames
+    are rendered with more than one draw of noise only for a metric that has `of_draws`.
     """
 
-    name: str
-    label: str = ""
+    name: str  # as it is logged, without `test/`
+    label: str = ""  # as it is printed; the name when left out
     unit: str = ""
     better: Direction = Direction.none
     resimulation: Resimulation = Resimulation.none
     group: Group = Group.own
-    decimals: int = 3
+    decimals: int = 3  # of a printed mean
     shown: Shown = Shown.nowhere
-    of_image: ImageMetric | None = None
+    of_image: ImageMetric | None = None  # value of a `Pair`, or None where the image offers nothing to measure
     of_set: SetDistance | None = None
-    of_draws: ImageMetric | None = None
-    place: float = math.inf
+    of_draws: ImageMetric | None = None  # as `of_image`, of a `Pair` with draws
+    place: float = math.inf  # in tables and figures, which are in rising order
 
     def __post_init__(self) -> None:
         if not self.label:

@@ -21,34 +21,19 @@ LARGEST = 1e100  # of what is compared: sums and squares of such values stay fin
 class PairedDifference:
     """How a variant differs from the reference on the same frames.
 
-    Attributes
-    ----------
-    shift : float
-        Hodges-Lehmann median shift, variant minus reference.
-    lower, upper : float
-        Bootstrap interval of the shift over clusters; infinite when there is only one cluster.
-    p : float
-        Wilcoxon signed-rank over frames, two-sided; 1 when nothing differs. It takes frames for independent, so it
-        speaks of these frames and not of other sites.
-    p_sites : float
-        The same test on one mean a cluster: it speaks of sites like these. Below six clusters it cannot reach 5 %.
-    effect : float
-        Matched-pairs rank-biserial correlation, -1 to 1.
-    n, dropped : int
-        Pairs used, and pairs left out because one value was infinite (identical frames have an infinite PSNR).
-    clusters : int
-        Clusters (probe sites) resampled for the interval.
+    `p` takes frames for independent, so it speaks of these frames and not of other sites. `p_sites` is the same test on
+    one mean a cluster: it speaks of sites like these. Below six clusters it cannot reach 5 %.
     """
 
-    shift: float
-    lower: float
+    shift: float  # Hodges-Lehmann median shift, variant minus reference
+    lower: float  # bootstrap interval of the shift over clusters; infinite when there is only one
     upper: float
-    p: float
+    p: float  # Wilcoxon signed-rank over frames, two-sided; 1 when nothing differs
     p_sites: float
-    effect: float
-    n: int
-    dropped: int = 0
-    clusters: int = 0
+    effect: float  # matched-pairs rank-biserial correlation, -1 to 1
+    n: int  # pairs used
+    dropped: int = 0  # pairs left out because one value was infinite, as the PSNR of identical frames
+    clusters: int = 0  # probe sites, resampled for the interval
 
 
 def hodges_lehmann(differences: np.ndarray) -> float:

@@ -24,7 +24,7 @@ from ablate.ultrasound.transport.lines import NO_SOUND_DB
 
 _ELEMENTS = 24  # that stand for all that see a point
 _DEPTHS = 64
-_ROWS_OF_A_PART = 4
+_ROWS_OF_A_PART, _GROUPS_OF_A_PART = 4, 64
 _NEPER_PER_DB = math.log(10) / 20
 _ZONES = 1.25  # radii of the zone; shadows of rods are then those of waves (tests/ultrasound/test_aperture.py)
 _MOST_DB = 300.0  # that other elements add to what a pencil brings
@@ -72,30 +72,64 @@ class Aperture:
         """
         groups, nodes = level_db.shape
         at_depths = np.minimum((np.arange(_DEPTHS) + 1) * nodes // _DEPTHS, nodes - 1)
-        # A pencil that is louder farther on, because few of its rays came back into it, has blocked nothing before.
-        lost_db = np.minimum(-level_db / 2, _MOST_DB)  # one way
-        lost_db = np.minimum.accumulate(lost_db[:, ::-1], axis=1)[:, ::-1]
-        by_line = lost_db[:, at_depths].reshape(-1, self._lines, _DEPTHS)
-        at_depth = np.ascontiguousarray(by_line.transpose(0, 2, 1), np.float32)
+        lost_db = np.empty((groups, nodes))
+        at_depth = np.empty((groups // self._lines, _DEPTHS, self._lines), np.float32)
+        in_parts(partial(_add_losses, level_db, at_depths, lost_db, at_depth), groups, _GROUPS_OF_A_PART)
         gain = np.zeros_like(at_depth)
         steps = np.diff(at_depth, axis=1, prepend=np.float32(0))
         padded = np.pad(steps, ((0, 0), (0, 0), (self._lines, self._lines)), mode="edge")
         elements = self._ways, self._weights, self._exists
         in_parts(partial(_add_up, padded, at_depth, elements, gain), len(gain) * _DEPTHS, _ROWS_OF_A_PART)
-        by_group = gain.transpose(0, 2, 1).reshape(groups, _DEPTHS)
-        heard = np.where(lost_db[:, at_depths] < _MOST_DB, np.arange(_DEPTHS), 0)
-        held = np.take_along_axis(by_group, np.maximum.accumulate(heard, axis=1), axis=1)
-        gain_db = np.minimum(_between(held, nodes), 2 * lost_db)
-        of_others = _between(by_group, nodes) - 2 * lost_db
-        of_others = np.where(of_others > _SILENT_DB, of_others, NO_SOUND_DB)
-        return gain_db, np.where(level_db > NO_SOUND_DB, level_db + gain_db, of_others)
+        place = np.clip((np.arange(nodes) + 1) * (_DEPTHS / nodes) - 1, 0, _DEPTHS - 1)
+        below = np.minimum(place.astype(int), max(_DEPTHS - 2, 0))
+        between, levels = (at_depths, below, place - below), (level_db, lost_db)
+        result = np.empty((groups, nodes)), np.empty((groups, nodes))
+        in_parts(partial(_share, gain, between, levels, result), groups, _GROUPS_OF_A_PART)
+        return result
 
 
-def _between(by_depth: np.ndarray, nodes: int) -> np.ndarray:
-    """Values at the depths, (groups, depths), interpolated to the nodes, (groups, nodes)."""
-    place = np.clip((np.arange(nodes) + 1) * (_DEPTHS / nodes) - 1, 0, _DEPTHS - 1)
-    below = np.minimum(place.astype(int), max(_DEPTHS - 2, 0))
-    return by_depth[:, below] + (place - below) * (by_depth[:, below + 1] - by_depth[:, below])
+@compiled
+def _add_losses(
+    level_db: np.ndarray, at_depths: np.ndarray, lost_db: np.ndarray, at_depth: np.ndarray, begin: int, end: int
+) -> None:
+    """Fill the losses on the way to each node, one way, (groups, nodes), and to each depth, (layers, depths, lines).
+
+    A pencil that is louder farther on, because few of its rays came back into it, has blocked nothing before.
+    """
+    (_, nodes), (_, depths, lines) = level_db.shape, at_depth.shape
+    for group in range(begin, end):
+        least = _MOST_DB
+        for node in range(nodes - 1, -1, -1):
+            least = min(least, -level_db[group, node] / 2)
+            lost_db[group, node] = least
+        for depth in range(depths):
+            at_depth[group // lines, depth, group % lines] = lost_db[group, at_depths[depth]]
+
+
+@compiled
+def _share(gain: np.ndarray, between: Arrays, levels: Arrays, result: Arrays, begin: int, end: int) -> None:
+    """Fill gain and level at the nodes, (groups, nodes) each, from the gain at the depths, (layers, depths, lines).
+
+    At depths where a pencil is silent, the gain of the last depth that it reaches is held. `between` are the node at
+    each depth, and for each node the depth before it and its share of the way to the next one.
+    """
+    (at_depths, before, part), (level_db, lost_db), (gain_db, reached_db) = between, levels, result
+    _, depths, lines = gain.shape
+    held = np.empty(depths, np.float32)
+    for group in range(begin, end):
+        own, last = gain[group // lines, :, group % lines], 0
+        for depth in range(depths):
+            last = depth if lost_db[group, at_depths[depth]] < _MOST_DB else last
+            held[depth] = own[last]
+        for node in range(len(before)):
+            below, lost = before[node], 2 * lost_db[group, node]
+            more = min(held[below] + part[node] * (held[below + 1] - held[below]), lost)
+            others = own[below] + part[node] * (own[below + 1] - own[below]) - lost
+            gain_db[group, node] = more
+            if level_db[group, node] > NO_SOUND_DB:
+                reached_db[group, node] = level_db[group, node] + more
+            else:
+                reached_db[group, node] = others if others > _SILENT_DB else NO_SOUND_DB
 
 
 @compiled
