@@ -124,8 +124,20 @@ def test_dicom_is_valid_and_calibrated(
     corners = (region.RegionLocationMinY0, region.RegionLocationMinX0, region.RegionLocationMaxY1)
     assert corners == (inside[:, 0].min(), inside[:, 1].min(), inside[:, 0].max())
 
+    segmented = pydicom.dcmread(folder / "segmentation" / files[-1].name)
+    assert segmented.SOPClassUID.name == "Segmentation Storage"
+    assert segmented.ReferencedSeriesSequence[0].ReferencedInstanceSequence[0].ReferencedSOPInstanceUID in uids
+    assert [segment.SegmentLabel for segment in segmented.SegmentSequence] == list(pairs.tissues)
+    labels = np.zeros(pairs.shape, np.uint8)
+    for layer, of in zip(
+        np.atleast_3d(segmented.pixel_array.T).T, segmented.PerFrameFunctionalGroupsSequence, strict=True
+    ):
+        labels[layer > 0] = of.SegmentIdentificationSequence[0].ReferencedSegmentNumber
+    assert np.array_equal(labels, pairs.stored("segmentation", len(pairs) - 1))
+
 
 def test_what_cannot_be_exported_is_one_line(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pydicom", None)
-    with pytest.raises(ConfigurationError, match=r"dataset\.format=dicom: needs the package pydicom"):
-        run("task=export", "dataset.format=dicom", *arguments)
+    for task in ("export", "render"):
+        with pytest.raises(ConfigurationError, match=r"dataset\.format=dicom: needs the package pydicom"):
+            run(f"task={task}", "dataset.format=dicom", *arguments)

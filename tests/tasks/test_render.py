@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pydicom
 import pytest
 import trimesh
 from matplotlib.image import imread
@@ -74,8 +75,11 @@ def test_what_is_written_is_enough_to_make_the_frame_again(
 
 
 def test_several_poses_are_a_cine(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run("task=render", f"pose={tmp_path / 'slide.npy'}", *arguments)
+    run("task=render", f"pose={tmp_path / 'slide.npy'}", "dataset.format=dicom", *arguments)
     folder = Path(capsys.readouterr().out.strip())
+    held = pydicom.dcmread(folder / "cine.dcm")
+    assert (held.SOPClassUID.name, held.NumberOfFrames) == ("Ultrasound Multi-frame Image Storage", 5)
+    assert np.array_equal(held.pixel_array, [np.array(Image.open(folder / f"image_{i:04d}.png")) for i in range(5)])
     with Image.open(folder / "cine.gif") as cine:
         shown = [np.array(frame.convert("L")) for frame in ImageSequence.Iterator(cine)]
     assert len(shown) == 5

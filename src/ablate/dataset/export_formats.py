@@ -1,4 +1,4 @@
-"""Pairs written for others: an overview picture, PNGs that `scene=pairs` reads, the folder of nnU-Net, DICOM."""
+"""Pairs written for others: an overview picture, PNGs that `scene=pairs` reads, the folder of nnU-Net."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,6 @@ from ablate.dataset.pairs import Pairs
 from ablate.dataset.png_folder import FOLDERS
 from ablate.dataset.split import Part
 from ablate.storage import write_image, write_json, write_text
-from ablate.ultrasound import SIMULATOR_VERSION
 
 _THUMBNAIL_PX, _PER_PART = 320, 8
 # A colour a label, the same in every frame: hues a golden angle apart, outside the fan black.
@@ -81,45 +80,6 @@ def write_nnunet(pairs: Pairs, folder: Path) -> None:
     write_json(folder / "dataset.json", about | {"numTraining": int((pairs.split != Part.test).sum())})
     train, validation = ([_name(int(i)) for i in pairs.frames(part)] for part in (Part.train, Part.validation))
     write_text(folder / "splits_final.json", json.dumps([{"train": train, "val": validation}], indent=2))
-
-
-def write_dicom(pairs: Pairs, folder: Path, pixel_mm: tuple[float, float]) -> None:
-    """One DICOM file a frame, Ultrasound Image Storage, its region calibrated; `pixel_mm` is height and width.
-
-    UIDs are numbers from the name of the data set, which has its hash, and the frame: they stay the same.
-    """
-    import pydicom
-    from pydicom.dataset import Dataset
-    from pydicom.uid import UltrasoundImageStorage, generate_uid
-
-    known_by = pairs.folder.name  # has the hash of the data set
-    inside = np.argwhere(pairs.mask())
-    folder.mkdir(parents=True, exist_ok=True)
-    for frame in range(len(pairs)):
-        data = Dataset()
-        data.SOPClassUID = UltrasoundImageStorage
-        data.SOPInstanceUID = generate_uid(entropy_srcs=[known_by, str(frame)])
-        data.StudyInstanceUID = generate_uid(entropy_srcs=[known_by, "study"])
-        data.SeriesInstanceUID = generate_uid(entropy_srcs=[known_by, "series"])
-        data.PatientName, data.PatientID = "Simulated^Phantom", known_by[:64]
-        data.PatientBirthDate = data.PatientSex = data.StudyDate = data.StudyTime = data.StudyID = ""
-        data.AccessionNumber = data.ReferringPhysicianName = data.Laterality = ""
-        data.Modality, data.Manufacturer = "US", "ablate"
-        data.SeriesDescription, data.SoftwareVersions = known_by[:64], f"simulator {SIMULATOR_VERSION}"
-        data.SeriesNumber, data.InstanceNumber = 1, frame + 1
-        data.PatientOrientation = []
-        data.ImageType = ["DERIVED", "PRIMARY"]
-        data.DerivationDescription = "Simulated, no patient"
-        region = Dataset()
-        region.RegionSpatialFormat, region.RegionDataType, region.RegionFlags = 1, 1, 0  # 2-D, tissue
-        (top, left), (bottom, right) = inside.min(axis=0).tolist(), inside.max(axis=0).tolist()
-        region.RegionLocationMinX0, region.RegionLocationMinY0 = left, top
-        region.RegionLocationMaxX1, region.RegionLocationMaxY1 = right, bottom
-        region.PhysicalUnitsXDirection = region.PhysicalUnitsYDirection = 3  # cm
-        region.PhysicalDeltaX, region.PhysicalDeltaY = pixel_mm[1] / 10, pixel_mm[0] / 10
-        data.SequenceOfUltrasoundRegions = [region]
-        data.set_pixel_data(pairs.stored("target", frame), "MONOCHROME2", 8, generate_instance_uid=False)
-        pydicom.dcmwrite(folder / f"{_name(frame)}.dcm", data, enforce_file_format=True)
 
 
 def _name(frame: int) -> str:

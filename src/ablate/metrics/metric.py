@@ -151,22 +151,25 @@ class SetDistance:
 class Metric:
     """One metric. Everything that prints, draws, tests or logs it reads this entry.
 
-    A metric of the package is a constant of this type in the module of its function; `METRICS` finds it there. Frames
-    are rendered with more than one draw of noise only for a metric that has `of_draws`.
+    A metric of the package is a constant of this type in the module of its function; `METRICS` finds it there. It is
+    logged as `name`, with `test/` before it, and printed as `label`, or else as its name, with `decimals`. `of_image`
+    takes a `Pair` and gives a value, or None where the image offers nothing to measure. `of_draws` does so with one
+    that has draws; frames are rendered with more than one draw of noise only for such a metric. Tables and figures are
+    in rising order of `place`.
     """
 
-    name: str  # as it is logged, without `test/`
-    label: str = ""  # as it is printed; the name when left out
+    name: str
+    label: str = ""
     unit: str = ""
     better: Direction = Direction.none
     resimulation: Resimulation = Resimulation.none
     group: Group = Group.own
-    decimals: int = 3  # of a printed mean
+    decimals: int = 3
     shown: Shown = Shown.nowhere
-    of_image: ImageMetric | None = None  # value of a `Pair`, or None where the image offers nothing to measure
+    of_image: ImageMetric | None = None
     of_set: SetDistance | None = None
-    of_draws: ImageMetric | None = None  # as `of_image`, of a `Pair` with draws
-    place: float = math.inf  # in tables and figures, which are in rising order
+    of_draws: ImageMetric | None = None
+    place: float = math.inf
 
     def __post_init__(self) -> None:
         if not self.label:

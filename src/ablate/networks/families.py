@@ -197,24 +197,10 @@ class PatchDiscriminator(nn.Module):
         draw_initial_weights(self)
 
     def forward(self, maps: Tensor, image: Tensor) -> Tensor:
-        """Score patches.
+        """Score patches: logits, (N, 1, H / 8 - 2, W / 8 - 2), positive for real.
 
-        Parameters
-        ----------
-        maps : (N, C, H, W) float
-            The conditions.
-        image : (N, 1, H, W) float
-            Real or generated, black outside the fan.
-
-        Returns
-        -------
-        (N, 1, H / 8 - 2, W / 8 - 2) float
-            Logits, positive for real.
-
-        Raises
-        ------
-        ValueError
-            If the image is smaller than 32 x 32 pixels.
+        `maps`, (N, C, H, W), are the conditions. `image`, (N, 1, H, W), is real or generated, black outside the fan;
+        a ValueError if it is smaller than 32 x 32 pixels.
         """
         height, width = image.shape[-2:]
         if min(height, width) < SMALLEST:

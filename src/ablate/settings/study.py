@@ -74,7 +74,7 @@ class Verbosity(StrEnum):
 
 
 class ExportFormat(StrEnum):
-    """`png`: what `scene=pairs` reads; `nnunet`: the raw data of nnU-Net 2; `dicom`: one ultrasound image a frame."""
+    """`png`: what `scene=pairs` reads; `nnunet`: raw data of nnU-Net 2; `dicom`: ultrasound images and DICOM SEG."""
 
     png = "png"
     nnunet = "nnunet"
@@ -112,7 +112,9 @@ class DatasetSettings(Checked):
     workers: int = setting(0, "Processes that simulate; 0 is one a core.", least=0, incidental=True)
     # Of poses, what they are decides, not the file's name: see `runs.simulated`.
     poses: str | None = setting(None, "File of your own poses instead of the scene's grid.", incidental=True)
-    format: ExportFormat = setting(ExportFormat.png, "What `task=export` writes.", incidental=True)
+    format: ExportFormat = setting(
+        ExportFormat.png, "What `task=export` writes; with `dicom`, also a cine of `task=render`.", incidental=True
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -9,7 +9,7 @@ import numpy as np
 from jinja2 import Template
 
 from ablate.dataset import Part
-from ablate.dataset.export_formats import write_dicom, write_nnunet, write_png
+from ablate.dataset.export_formats import write_nnunet, write_png
 from ablate.extras import installing
 from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job
@@ -28,8 +28,7 @@ def export(jobs: Sequence[Job]) -> int:
         raise ConfigurationError(
             "dataset.format=dicom: pairs made elsewhere do not tell their mm; allowed: png, nnunet"
         )
-    if chosen is ExportFormat.dicom and not find_spec("pydicom"):
-        raise ConfigurationError(f"dataset.format=dicom: needs the package pydicom: {installing('dicom')}")
+    check_dicom(chosen)
     data = prepare_data(jobs[0], maps_needed(job.settings.model for job in jobs))
     pairs = data.pairs
     folder = settings.results / "export" / f"{data.name}-{chosen}"
@@ -40,10 +39,20 @@ def export(jobs: Sequence[Job]) -> int:
     elif chosen is ExportFormat.nnunet:
         write_nnunet(pairs, folder / f"Dataset001_{settings.scene_name.replace(' ', '_')}")
     else:
+        from ablate.dataset.dicom_files import write_dicom
+
         write_dicom(pairs, folder, pixel_size_mm(settings.probe, pairs.shape))
     write_text(folder / "README.md", _card(settings, data))
     print(folder)
     return 0
+
+
+def check_dicom(chosen: ExportFormat) -> None:
+    """Refuse `dicom` where its packages are not installed."""
+    missing = [name for name in ("pydicom", "highdicom") if not find_spec(name)]
+    if chosen is ExportFormat.dicom and missing:
+        needs = f"needs the package{'s' * (len(missing) > 1)} {' and '.join(missing)}: {installing('dicom')}"
+        raise ConfigurationError(f"dataset.format=dicom: {needs}")
 
 
 def _card(settings: StudySettings, data: DataSet) -> str:

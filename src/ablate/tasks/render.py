@@ -16,8 +16,9 @@ from ablate.runs.job import Job
 from ablate.runs.prepare import frames_of, simulator_of
 from ablate.runs.simulated import build_scene
 from ablate.setting import plain
-from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, refusing
+from ablate.settings.study import ConfigurationError, ExportFormat, SceneKind, StudySettings, refusing
 from ablate.storage import read_json, write_image, write_json, written_whole
+from ablate.tasks.export import check_dicom
 from ablate.ultrasound import SIMULATOR_VERSION, Frame, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import pixel_size_mm
 
@@ -29,6 +30,7 @@ _FRAME_MS = 50  # of a cine: 20 frames a second
 def render(jobs: Sequence[Job]) -> int:
     """Render the first job's `pose`, `plane` or `frame`, and print the folder of the files."""
     job, settings = jobs[0], jobs[0].settings
+    check_dicom(settings.dataset.format)
     named = _named_poses(job)  # before the anatomy is built
     scene, grid = build_scene(settings)
     if named is None:
@@ -51,6 +53,11 @@ def render(jobs: Sequence[Job]) -> int:
     if len(images) > 1:
         with written_whole(folder / "cine.gif") as partial:
             images[0].save(partial, save_all=True, append_images=images[1:], duration=_FRAME_MS, loop=0)
+        if settings.dataset.format is ExportFormat.dicom:
+            from ablate.dataset.dicom_files import write_cine
+
+            size = pixel_size_mm(settings.probe, chosen.image_shape)
+            write_cine(folder / "cine.dcm", np.stack([np.asarray(i) for i in images]), simulator.mask, size, _FRAME_MS)
     else:
         with written_whole(folder / "frame.npz") as partial:
             np.savez_compressed(partial, **{k: getattr(frame, k) for k in Frame.__annotations__}, pose=poses[0])

@@ -77,12 +77,9 @@ class PairGAN(LightningModule):
         return optimizers
 
     def training_step(self, batch: dict[str, Tensor], _: int) -> None:
-        """Train both networks on one batch.
+        """Train both networks on one batch, whose maps are (N, 1, h, w).
 
-        Parameters
-        ----------
-        batch : dict of (N, 1, h, w) float
-            The maps of `conditions(spec)`, `target` in [-1, 1] and `mask`; and `noise_seed`, (N,) int64.
+        They are those of `conditions(spec)`, `target` in [-1, 1] and `mask`; and there is `noise_seed`, (N,) int64.
         """
         optimizer_g, *others = optimizers = self._listed_optimizers()
         for group in (group for optimizer in optimizers for group in optimizer.param_groups):

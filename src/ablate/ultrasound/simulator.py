@@ -205,10 +205,7 @@ class Simulator:
     def scanline_tissues(self, pose: np.ndarray) -> np.ndarray:
         """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8: index in the scene's.
 
-        Raises
-        ------
-        ValueError
-            When the pose is not rigid.
+        Raises ValueError when the pose is not rigid.
         """
         local = self._local(check_pose(pose))
         return plane_labels(self._geometry, self._plan.tissue_of_owner, self.probe, self.settings, local)

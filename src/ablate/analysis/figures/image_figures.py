@@ -25,14 +25,19 @@ INSET = 0.27  # of the picture's width and height: what fits beside a 70 degree 
 
 @dataclass(frozen=True, eq=False)
 class FramePictures:
-    """What was rendered of one test frame; labels and shadows are each shown in a corner of the target."""
+    """What was rendered of one test frame; `name` stands at the left of its row.
 
-    name: str  # at the left of its row
-    target: np.ndarray  # (H, W) uint8
-    predictions: dict[str, np.ndarray]  # (H, W) uint8 by variant, in the order shown, after the re-simulation
-    mask: np.ndarray  # (H, W) bool, the fan
-    segmentation: np.ndarray  # (H, W) uint8
-    attenuation: np.ndarray | None = None  # (H, W) float in [0, 1]
+    All images are (H, W): `target` and `segmentation` uint8, `mask` bool, the fan, `attenuation` in [0, 1] or None, and
+    `predictions` uint8 by variant, in the order shown, after the re-simulation under its own name. Labels and shadows
+    are each shown in a corner of the target.
+    """
+
+    name: str
+    target: np.ndarray
+    predictions: dict[str, np.ndarray]
+    mask: np.ndarray
+    segmentation: np.ndarray
+    attenuation: np.ndarray | None = None
 
 
 def _picture(axes: Axes, image: np.ndarray, colours: str = "gray", **how: Any) -> AxesImage:

@@ -51,23 +51,12 @@ def fit_effects(runs: pd.DataFrame, factors: Sequence[str], interactions: bool =
     """Fit main effects, two-way interactions and blocks (Box, Hunter and Hunter 2005, chapters 5 and 6).
 
     Interactions that the runs cannot tell from other effects or from blocks are taken as zero, and named as aliases of
-    those effects. Higher interactions and seeds are the error.
+    those effects. Higher interactions and seeds are the error; so are two-way ones where `interactions` is False.
 
-    Parameters
-    ----------
-    runs : DataFrame
-        One row a run: a column for each factor, `value`, and perhaps `data`, the block of a run: blocks differ by a
-        constant. Seeds are further rows.
-    factors : sequence of str
-        Columns with two levels each, in the order of their categories or else of first appearance (the first level is
-        the baseline).
-    interactions : bool
-        Whether two-way interactions are terms; without them they are part of the error.
-
-    Raises
-    ------
-    ValueError
-        When a factor has not two levels, or the runs cannot tell the factors apart.
+    `runs` has one row a run: a column for each factor, `value`, and perhaps `data`, the run's block. Blocks differ by a
+    constant; seeds are further rows. The columns `factors` have two levels each, in the order of their categories or
+    else of first appearance; the first is the baseline. Raises ValueError when a factor has not two levels, or the runs
+    cannot tell the factors apart.
     """
     signs = _signs(runs, factors)
     blocks = np.empty((len(runs), 0))

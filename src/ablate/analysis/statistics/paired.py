@@ -21,19 +21,23 @@ LARGEST = 1e100  # of what is compared: sums and squares of such values stay fin
 class PairedDifference:
     """How a variant differs from the reference on the same frames.
 
-    `p` takes frames for independent, so it speaks of these frames and not of other sites. `p_sites` is the same test on
-    one mean a cluster: it speaks of sites like these. Below six clusters it cannot reach 5 %.
+    `shift` is Hodges' and Lehmann's median shift, variant minus reference; `lower` and `upper` are its bootstrap
+    interval over clusters (probe sites), infinite when there is only one. `p` is of Wilcoxon's signed-rank test over
+    frames, two-sided, and 1 when nothing differs. It takes frames for independent, so it speaks of these frames and not
+    of other sites. `p_sites` is the same test on one mean a cluster: it speaks of sites like these. Below six clusters
+    it cannot reach 5 %. `effect` is the matched-pairs rank-biserial correlation, -1 to 1. `n` pairs were used; others
+    were `dropped` because one value was infinite, as the PSNR of identical frames.
     """
 
-    shift: float  # Hodges-Lehmann median shift, variant minus reference
-    lower: float  # bootstrap interval of the shift over clusters; infinite when there is only one
+    shift: float
+    lower: float
     upper: float
-    p: float  # Wilcoxon signed-rank over frames, two-sided; 1 when nothing differs
+    p: float
     p_sites: float
-    effect: float  # matched-pairs rank-biserial correlation, -1 to 1
-    n: int  # pairs used
-    dropped: int = 0  # pairs left out because one value was infinite, as the PSNR of identical frames
-    clusters: int = 0  # probe sites, resampled for the interval
+    effect: float
+    n: int
+    dropped: int = 0
+    clusters: int = 0
 
 
 def hodges_lehmann(differences: np.ndarray) -> float:

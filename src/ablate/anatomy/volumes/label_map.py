@@ -52,11 +52,8 @@ class VolumeFile:
 def check_volume(path: Path, where: str) -> VolumeFile:
     """Read and check the header of a file; `where` stands in messages.
 
-    Raises
-    ------
-    ValueError
-        When the file is not readable, or the package that reads it is missing; when it is not one volume of 3 axes
-        with at most `MOST_VOXELS`, or its affine is missing, sheared or has voxels with sides beyond `VOXEL_MM`.
+    Raises ValueError when the file is not readable, or the package that reads it is missing; when it is not one volume
+    of 3 axes with at most `MOST_VOXELS`; or its affine is missing, sheared or has voxels with sides beyond `VOXEL_MM`.
     """
     try:
         shape, affine = _nrrd_header(path) if path.suffix.lower() == ".nrrd" else _nifti_header(path)
@@ -80,10 +77,7 @@ def check_volume(path: Path, where: str) -> VolumeFile:
 def slabs(volume: VolumeFile) -> Iterator[tuple[slice, np.ndarray]]:
     """Parts of a volume along its last axis, in order: which part, and its values, (x, y, part).
 
-    Raises
-    ------
-    ValueError
-        When the file cannot be read to its end.
+    Raises ValueError when the file cannot be read to its end.
     """
     step = max(1, _SLAB_VOXELS // math.prod(volume.shape[:2]))
     try:
@@ -204,10 +198,8 @@ class LabelMap:
 def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], where: str) -> LabelMap:
     """Check `{file, tissues, body}`, and the headers of the files that it names.
 
-    Raises
-    ------
-    FileNotFoundError, ValueError
-        When a file is missing or cannot be used, or a key or value is not as it should be; `where` names the key.
+    Raises FileNotFoundError or ValueError when a file is missing or cannot be used, or a key or value is not as it
+    should be; `where` names the key.
     """
     content = mapping(content, where, ("file", "tissues", "body"))
     volume = check_volume(file_named(content.get("file"), SUFFIXES, folder, f"{where}.file"), f"{where}.file")

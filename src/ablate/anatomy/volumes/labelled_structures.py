@@ -45,14 +45,8 @@ def label_surface(
     Its level is the one at which the volume that the structure owns is that of its voxels. What lies outside the
     volume counts as 0, so a structure that is cut by the volume's border is closed there.
 
-    Parameters
-    ----------
-    order : (x, y, z) uint8
-        Which structure each voxel belongs to, 1 and up in the order of the list, 0 for none.
-    box
-        Of all voxels of that number, as `scipy.ndimage.find_objects` gives it.
-    spacing_mm
-        Sides of a voxel.
+    `order`, (x, y, z) uint8, says which structure each voxel belongs to, 1 and up in the order of the list, 0 for none.
+    `box` is that of all voxels of the number, as `scipy.ndimage.find_objects` gives it.
     """
     blocks = _blocks(order, number, box, _margin(spacing_mm))
     level, voxels = 0.0, int((order[tuple(box)] == number).sum())
@@ -151,13 +145,8 @@ def labelled_structures(labels: LabelMap, where: str, cache_dir: Path | None = N
     """Closed surfaces in world mm, in the order of the labels; `mesh.metadata["name"]` is the name of the label.
 
     Labels that touch share no wall: the earlier one is continued under the later one. The surfaces are kept in
-    `cache_dir`, where it is given.
-
-    Raises
-    ------
-    ValueError
-        When a file cannot be read to its end, holds what is no label, or has a label without a tissue or a tissue
-        without a voxel; `where` stands before the key.
+    `cache_dir`, where it is given. Raises ValueError when a file cannot be read to its end, holds what is no label, or
+    has a label without a tissue or a tissue without a voxel; `where` stands before the key.
     """
     made_from = {
         "labels": [(label.number, label.name, label.tissue is None) for label in labels.labels],

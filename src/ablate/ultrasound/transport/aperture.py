@@ -60,15 +60,9 @@ class Aperture:
     def gain_and_level_db(self, level_db: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What all elements together bring more than the pencil of each scanline, both ways, and the level with it.
 
-        Parameters
-        ----------
-        level_db : (groups, nodes) float
-            Of the pencils, both ways, at equal distances from the first sample to the last.
-
-        Returns
-        -------
-        gain_db, level_db : (groups, nodes) float64
-            No level is above 0, where nothing is lost. Where a pencil is silent, the level is that of the other ways.
+        Given are the levels of the pencils, both ways, at equal distances from the first sample to the last. All are
+        (groups, nodes) float64. No level is above 0, where nothing is lost. Where a pencil is silent, the level is that
+        of the other ways.
         """
         groups, nodes = level_db.shape
         at_depths = np.minimum((np.arange(_DEPTHS) + 1) * nodes // _DEPTHS, nodes - 1)

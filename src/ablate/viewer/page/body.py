@@ -27,20 +27,12 @@ _FAN_ROWS = {Quality.coarse: 128, Quality.full: 256}
 
 
 class Body:
-    """The 3-D part of the page.
+    """The 3-D part of the page; `tissues` are the meshes of each tissue, by its name."""
 
-    Attributes
-    ----------
-    grabbed : callable
-        Called with the phase of a drag of the probe and the point where the pointer is, mm.
-    clicked : callable
-        Called with origin and direction, mm, of the line of sight of a click on the fan.
-    tissues : dict of str to list
-        By a tissue's name, its meshes, which `see_through` makes more or less transparent.
-    """
-
-    grabbed: Callable[[str, np.ndarray], object]
-    clicked: Callable[[np.ndarray, np.ndarray], object]
+    grabbed: Callable[[str, np.ndarray], object]  # called with the phase of a drag of the probe, and the point, mm
+    clicked: Callable[
+        [np.ndarray, np.ndarray], object
+    ]  # with origin, mm, and direction of the line of sight of a click
     _probe: Probe | None
 
     def __init__(self, server: Any, scene: Scene, colours: Sequence[Colour], axis: np.ndarray, front: np.ndarray):

@@ -22,30 +22,18 @@ _FIRST = "The first picture is on its way:\nthe simulator is being compiled,\nwh
 
 
 class Page:
-    """What all parts of the page share; it follows the session.
-
-    Attributes
-    ----------
-    folder : Path
-        Where frames and sweeps are kept.
-    sweep : Sweep or None
-        The sweep that is being recorded.
-    shown : Views or None
-        The frame on the page: the last one, or one of the cine loop.
-    refreshers, painters : list of callables
-        Called when a setting has changed, and with every frame that is shown.
-    """
+    """What all parts of the page share; it follows the session."""
 
     def __init__(self, server: Any, settings: StudySettings, scene: Scene, session: Session) -> None:
         self.server, self.settings, self.scene, self.session = server, settings, scene, session
-        self.folder = settings.results / "view"
+        self.folder = settings.results / "view"  # where frames and sweeps are kept
         self.colours = tissue_colours(scene.tissues)
         self.body = Body(server, scene, self.colours, session.hand.axis, session.hand.front)
         self.layout, self.loop = Layout(), CineLoop()
-        self.sweep: Sweep | None = None
-        self.shown: Views | None = None
-        self.refreshers: list[Callable[[], object]] = []
-        self.painters: list[Callable[[Views], object]] = []
+        self.sweep: Sweep | None = None  # that is being recorded
+        self.shown: Views | None = None  # the last frame, or one of the cine loop
+        self.refreshers: list[Callable[[], object]] = []  # called when a setting has changed
+        self.painters: list[Callable[[Views], object]] = []  # called with every frame that is shown
         self.lock, self._paper = threading.RLock(), threading.RLock()
         self._pencil = ThreadPoolExecutor(1, "pencil")
         self._drawing = self._pencil.submit(lambda: None)

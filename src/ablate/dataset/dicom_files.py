@@ -1,0 +1,96 @@
+"""Frames and segmentations as DICOM: ultrasound images, one a frame or a cine as one object, and DICOM SEG."""
+
+from pathlib import Path
+
+import numpy as np
+import pydicom
+from highdicom import AlgorithmIdentificationSequence
+from highdicom.seg import SegmentAlgorithmTypeValues, Segmentation, SegmentationTypeValues, SegmentDescription
+from highdicom.sr import CodedConcept
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.sr.codedict import codes
+from pydicom.uid import ExplicitVRLittleEndian, UltrasoundImageStorage, UltrasoundMultiFrameImageStorage, generate_uid
+
+from ablate.dataset.pairs import Pairs
+from ablate.ultrasound import SIMULATOR_VERSION
+
+Size = tuple[float, float]  # of a pixel: height and width, mm
+_VERSION, _FRAME_TIME = f"simulator {SIMULATOR_VERSION}", 0x00181063  # the tag of what tells frames of a cine apart
+
+
+def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size) -> None:
+    """A file a frame, and in `segmentation` its labels as DICOM SEG.
+
+    UIDs are numbers from the name of the data set, which has its hash, and the frame: they stay the same.
+    """
+    (folder / "segmentation").mkdir(parents=True, exist_ok=True)
+    segments = [_segment(number, name) for number, name in enumerate(pairs.tissues, start=1)]
+    for frame in range(len(pairs)):
+        name = f"frame{frame:05d}.dcm"
+        image = _ultrasound(pairs.folder.name, frame, pairs.stored("target", frame), pairs.mask(), pixel_mm)
+        pydicom.dcmwrite(folder / name, image, enforce_file_format=True)
+        Segmentation(
+            source_images=[image],
+            pixel_array=pairs.stored("segmentation", frame),
+            segmentation_type=SegmentationTypeValues.BINARY,
+            segment_descriptions=segments,
+            series_instance_uid=_uid(pairs.folder.name, "segmentations"),
+            series_number=2,
+            sop_instance_uid=_uid(pairs.folder.name, f"segmentation {frame}"),
+            instance_number=frame + 1,
+            manufacturer="ablate",
+            manufacturer_model_name="ablate",
+            software_versions=_VERSION,
+            device_serial_number="none",
+        ).save_as(folder / "segmentation" / name)
+
+
+def write_cine(path: Path, frames: np.ndarray, mask: np.ndarray, pixel_mm: Size, frame_ms: float) -> None:
+    """Images, (n, H, W) uint8, of one size and place as one multi-frame object; `mask`, (H, W) bool, is the fan."""
+    cine = _ultrasound(path.parent.name, 0, frames, mask, pixel_mm)
+    cine.SOPClassUID = UltrasoundMultiFrameImageStorage
+    cine.FrameTime, cine.FrameIncrementPointer = frame_ms, _FRAME_TIME
+    pydicom.dcmwrite(path, cine, enforce_file_format=True)
+
+
+def _ultrasound(known_by: str, number: int, pixels: np.ndarray, mask: np.ndarray, pixel_mm: Size) -> Dataset:
+    """An ultrasound image with its region calibrated; pixels are (H, W) or, of several frames, (n, H, W)."""
+    data, region, inside = Dataset(), Dataset(), np.argwhere(mask)
+    data.file_meta = FileMetaDataset()
+    data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    data.SOPClassUID, data.SOPInstanceUID = UltrasoundImageStorage, _uid(known_by, str(number))
+    data.StudyInstanceUID, data.SeriesInstanceUID = _uid(known_by, "study"), _uid(known_by, "series")
+    data.PatientName, data.PatientID = "Simulated^Phantom", known_by[:64]
+    data.PatientBirthDate = data.PatientSex = data.StudyDate = data.StudyTime = data.StudyID = ""
+    data.AccessionNumber = data.ReferringPhysicianName = data.Laterality = ""
+    data.Modality, data.Manufacturer = "US", "ablate"
+    data.SeriesDescription, data.SoftwareVersions = known_by[:64], _VERSION
+    data.SeriesNumber, data.InstanceNumber = 1, number + 1
+    data.PatientOrientation = []
+    data.ImageType = ["DERIVED", "PRIMARY"]
+    data.DerivationDescription = "Simulated, no patient"
+    region.RegionSpatialFormat, region.RegionDataType, region.RegionFlags = 1, 1, 0  # 2-D, tissue
+    (top, left), (bottom, right) = inside.min(axis=0).tolist(), inside.max(axis=0).tolist()
+    region.RegionLocationMinX0, region.RegionLocationMinY0 = left, top
+    region.RegionLocationMaxX1, region.RegionLocationMaxY1 = right, bottom
+    region.PhysicalUnitsXDirection = region.PhysicalUnitsYDirection = 3  # cm
+    region.PhysicalDeltaX, region.PhysicalDeltaY = pixel_mm[1] / 10, pixel_mm[0] / 10
+    data.SequenceOfUltrasoundRegions = [region]
+    data.set_pixel_data(pixels, "MONOCHROME2", 8, generate_instance_uid=False)
+    return data
+
+
+def _segment(number: int, tissue: str) -> SegmentDescription:
+    """A tissue as a segment, with a code of our own: its name."""
+    return SegmentDescription(
+        segment_number=number,
+        segment_label=tissue[:64],
+        segmented_property_category=codes.SCT.AnatomicalStructure,
+        segmented_property_type=CodedConcept(tissue[:16], "99ABLATE", tissue[:64]),
+        algorithm_type=SegmentAlgorithmTypeValues.AUTOMATIC,
+        algorithm_identification=AlgorithmIdentificationSequence("ablate", codes.DCM.ImageProcessing, _VERSION),
+    )
+
+
+def _uid(*known_by: str) -> str:
+    return str(generate_uid(entropy_srcs=list(known_by)))
