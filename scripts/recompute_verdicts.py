@@ -113,10 +113,10 @@ def report(study: str, runs: pd.DataFrame) -> None:
 
 def main() -> None:
     """Print what the study and its extension say, and the effects in other bodies."""
-    of_study, of_extension = (values(ROOT / "docs" / "results" / name) for name in ("full_model", "extension"))
-    report("study", of_study)
-    report("extension", of_extension)
-    runs = of_study
+    runs = values(ROOT / "docs" / "results" / "full_model")
+    report("study", runs)
+    if len(extension := values(ROOT / "docs" / "results" / "extension")):
+        report("extension", extension)
     for body in map(Path, sys.argv[1:]):
         print(f"\n{body.name}: effect, its 95 % interval, and the effect in the study")
         there = values(body)

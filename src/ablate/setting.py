@@ -29,8 +29,8 @@ class Declaration:
     about: str = ""  # one sentence
     least: float | None = None
     most: float | None = None
-    above: float | None = None  # no longer allowed itself
-    below: float | None = None  # as above
+    above: float | None = None  # this limit itself is not allowed
+    below: float | None = None  # nor is this one
     choices: tuple[str, ...] = ()  # texts that are allowed; empty where any is, and for an enum, which has its own
     unit: str = ""
     incidental: bool = False  # decides no result: devices, threads, paths, how often something is reported

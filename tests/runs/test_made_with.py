@@ -3,6 +3,7 @@
 import json
 import logging
 import re
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import torch
 from ablate import tracking
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
-from ablate.runs.train import log_into, write_provenance
+from ablate.runs.train import logged, write_provenance
 from ablate.storage import write_json
 from support.finished_runs import result_of
 
@@ -130,13 +131,19 @@ def test_a_run_has_a_log_with_times_and_levels(
 ) -> None:
     (job,) = jobs_of([f"runs_dir={job.settings.results}", f"verbose={verbose}"])
     try:
-        log_into(job)
-        logging.getLogger("ablate.training").info("step 1 of 2")
-        logging.getLogger("ablate.training").warning("bad")
-        logging.getLogger("matplotlib").info("of a library")
+        with suppress(KeyboardInterrupt), logged(job):
+            logging.getLogger("ablate.training").info("step 1 of 2")
+            logging.getLogger("ablate.training").info("step 2 of 2", extra={"in_bar": True})
+            logging.getLogger("ablate.training").warning("bad")
+            logging.getLogger("matplotlib").info("of a library")
+            raise KeyboardInterrupt("Ctrl-C\n of somebody")
+        logging.getLogger("ablate.comparison").warning("of no run")
     finally:
         logging.basicConfig(handlers=[], force=True)
-    assert capsys.readouterr().err.replace(f"{job.name}: ", " ").strip(" ") == on_terminal
-    first, second = (job.folder / "log.txt").read_text().splitlines()
+    printed = capsys.readouterr().err.replace(f"{job.name}: ", " ").strip(" ")
+    assert printed == f"{on_terminal} of no run\n", "a bar shows the second step, and what called tells of the end"
+    first, second, third, last = (job.folder / "log.txt").read_text().splitlines()
     assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} INFO ablate.training: step 1 of 2", first)
-    assert second.endswith(" WARNING ablate.training: bad")
+    assert second.endswith(" INFO ablate.training: step 2 of 2")
+    assert third.endswith(" WARNING ablate.training: bad")
+    assert last.endswith(" ERROR ablate.runs.train: stopped by KeyboardInterrupt: Ctrl-C of somebody")

@@ -105,3 +105,9 @@ def test_other_elements_hear_what_lies_behind_a_pencil_without_sound() -> None:
     assert filled[60:].min() > -12
     assert filled[-1] > -8
     assert filled[48] < filled[60] - 3  # a shadow of one scanline ends soon
+
+
+def test_pencils_that_are_no_whole_layers_are_refused() -> None:
+    """Compiled code would write beyond its arrays."""
+    with pytest.raises(ValueError, match="300 pencils, allowed are multiples of the 256 scanlines"):
+        Aperture(PROBE, SETTINGS).gain_and_level_db(np.zeros((300, 256)))

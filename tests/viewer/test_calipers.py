@@ -16,6 +16,10 @@ def test_the_circumference_is_the_length_of_the_outline() -> None:
     assert circumference(points) == pytest.approx(length, rel=2e-3)
     np.testing.assert_allclose(outline[0], points[1])
     assert np.min(np.linalg.norm(outline - points[2], axis=1)) < 1e-9
+    said = measured(points, "brain", ConvexProbe())
+    assert "Axes **100.0** and **76.0 mm**" in said
+    assert "not perpendicular" not in said
+    assert "not perpendicular" in measured(points + np.array([[0], [0], [12], [12]]), "brain", ConvexProbe())
     circle = np.array([[-5.0, 0.0], [5.0, 0.0], [0.0, -5.0], [0.0, 5.0]])
     assert circumference(circle) == pytest.approx(10 * np.pi)
 

@@ -242,3 +242,19 @@ def test_a_tissue_is_made_transparent_and_hidden(client: Client, viewer: Viewer)
     until(lambda: not bone.visible)
     client.set("bone", 1.0)
     until(lambda: bone.visible and bone.opacity is None)
+
+
+@pytest.mark.usefixtures("client")
+def test_a_click_on_a_frozen_picture_measures_what_it_shows(viewer: Viewer) -> None:
+    """The fan is drawn where the probe is held, so the line of sight meets it there, not where the frame was made."""
+    viewer.session.freeze(True)
+    shown = viewer.page.shown
+    assert shown is not None
+    viewer.session.nudge(height_mm=12.0, roll_deg=30.0)
+    viewer.page.body.hold(viewer.session.state)
+    held = viewer.session.state.pose
+    seen = held @ (5.0, 0.0, 40.0, 1.0)  # a point of the fan as it is drawn
+    viewer.page.body.clicked(seen[:3] + 200 * held[:3, 1] + 50 * held[:3, 0], -200 * held[:3, 1] - 50 * held[:3, 0])
+    point = np.linalg.inv(shown.state.pose) @ (*viewer.page.layout.points[0], 1.0)
+    np.testing.assert_allclose(point[:3], (5, 0, 40), atol=1e-6)
+    viewer.page.lay_out(points=np.empty((0, 3)))

@@ -45,12 +45,8 @@ class SceneFolder:
 def validate_scene_folder(folder: str | Path) -> SceneFolder:
     """Check a scene folder without reading its meshes, and of volumes only their headers.
 
-    Raises
-    ------
-    FileNotFoundError
-        When the folder, its `scene.yaml`, a mesh or a volume is missing.
-    ValueError
-        When a key, a unit, a tissue, a value or a volume is not as it should be; names file, key and what is allowed.
+    Raises FileNotFoundError when the folder, its `scene.yaml`, a mesh or a volume is missing. Raises ValueError, which
+    names file, key and what is allowed, when a key, a unit, a tissue, a value or a volume is not as it should be.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -149,12 +145,8 @@ def load_sites(folder: str | Path) -> SiteGrid:
 def mesh_files(path: Path) -> tuple[Path, ...]:
     """The files that a mesh is read from: its own and, for .gltf, those of the buffers that it names.
 
-    Materials and textures are not read.
-
-    Raises
-    ------
-    FileNotFoundError, ValueError
-        When a glTF is not readable, or a buffer is no file.
+    Materials and textures are not read. A FileNotFoundError or ValueError when a glTF is not readable, or a buffer is
+    no file.
     """
     if path.suffix.lower() != ".gltf":
         return (path,)

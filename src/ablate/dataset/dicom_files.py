@@ -38,9 +38,9 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size) -> None:
             series_number=2,
             sop_instance_uid=_uid(pairs.folder.name, f"segmentation {frame}"),
             instance_number=frame + 1,
+            software_versions=_VERSION,
             manufacturer="ablate",
             manufacturer_model_name="ablate",
-            software_versions=_VERSION,
             device_serial_number="none",
         ).save_as(folder / "segmentation" / name)
 
@@ -66,8 +66,7 @@ def _ultrasound(known_by: str, number: int, pixels: np.ndarray, mask: np.ndarray
     data.Modality, data.Manufacturer = "US", "ablate"
     data.SeriesDescription, data.SoftwareVersions = known_by[:64], _VERSION
     data.SeriesNumber, data.InstanceNumber = 1, number + 1
-    data.PatientOrientation = []
-    data.ImageType = ["DERIVED", "PRIMARY"]
+    data.PatientOrientation, data.ImageType = [], ["DERIVED", "PRIMARY"]
     data.DerivationDescription = "Simulated, no patient"
     region.RegionSpatialFormat, region.RegionDataType, region.RegionFlags = 1, 1, 0  # 2-D, tissue
     (top, left), (bottom, right) = inside.min(axis=0).tolist(), inside.max(axis=0).tolist()

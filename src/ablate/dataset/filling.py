@@ -65,6 +65,7 @@ def fill_all(pairs: Pairs, maps: frozenset[str], what: str, fill: Callable[[], I
             for frames in fill():
                 bar.update(frames)
                 made += frames
+                todo = max(todo, made)  # where a shard was found damaged meanwhile
                 if bar.disable and made * _LINES // todo > (made - frames) * _LINES // todo:
                     tqdm.write(f"{what}: {made} of {todo} frames", file=sys.stderr)
             if made == before:

@@ -54,31 +54,14 @@ class Generator(nn.Module):
         noise_seed: Tensor | None = None,
         **others: Tensor | None,
     ) -> Tensor:
-        """Render images.
+        """Render images, (k N, 1, H, W) in [-1, 1]; they are not masked: the caller applies the fan.
 
-        Parameters
-        ----------
-        segmentation : (N, labels, H, W) float in [-1, 1]
-            Encoded labels, -1 outside the fan.
-        attenuation, low : (N, 1, H, W) float, optional
-            Integral attenuation map in [0, 1], 0 outside the fan, and low-quality image in [-1, 1]; each is ignored by
-            a variant without it.
-        noise_seed : (k N,) int64, optional
-            One seed for all noise of each rendering; the first N are one of each sample, the next N another. None
-            switches noise off (fields of zero), and k is 1.
-        **others : (N, 1, H, W) float, optional
-            The other maps of `conditions(spec)`, by name: `compensated` in place of `attenuation`, `interfaces` in
-            [0, 1], and `depth` and `lateral` in [-1, 1].
-
-        Returns
-        -------
-        (k N, 1, H, W) float in [-1, 1]
-            Not masked: the caller applies the fan.
-
-        Raises
-        ------
-        ValueError
-            If a map that the variant reads is missing or has another shape, or the seeds are not k for each sample.
+        `segmentation`, (N, labels, H, W), holds encoded labels in [-1, 1], -1 outside the fan. All other maps of
+        `conditions(spec)` are (N, 1, H, W): `attenuation` in [0, 1], 0 outside the fan, or `compensated` in its place;
+        the image `low`, `depth` and `lateral` in [-1, 1]; `interfaces` in [0, 1]. Those that the variant does not read
+        are ignored. `noise_seed`, (k N,) int64, has one seed for all noise of each rendering; the first N are one of
+        each sample, the next N another. None switches noise off (fields of zero), and k is 1. Raises ValueError if a
+        map is missing or has another shape, or the seeds are not k for each sample.
         """
         given = {"segmentation": segmentation, "attenuation": attenuation, "low": low, **others}
         if noise_seed is None:

@@ -5,8 +5,8 @@ What a run was made with is written at each start, as a stopped run may go on wi
 
 import logging
 import time
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from typing import Any
 
@@ -48,13 +48,14 @@ def run_job(job: Job) -> None:
     job.folder.mkdir(parents=True, exist_ok=True)
     with job.run.lock():  # another process may be running the same job
         if finished_run(job) is None:
-            _run(job)
+            claim_place(job)
+            with logged(job):
+                _run(job)
 
 
 def _run(job: Job) -> None:
-    claim_place(job)
-    log_into(job)
     data = prepare_data(job, maps_needed([job.settings.model]))
+    _LOG.info("%d frames of %s", len(data.pairs), data.name)
     write_provenance(job)
     run, log = job.run, LocalLog(job.folder)  # curves, images and states as the training goes on
     with copying(job.settings, run, log):
@@ -81,18 +82,30 @@ def _run(job: Job) -> None:
             **{"inception": asked.evaluation.inception, "notes": list(notes), "scalars": scalars},
         }
         write_json(run.folder / "result.json", result)  # last of all, because a run that has it is finished
+        _LOG.info("scored by %s", ", ".join(asked.metrics))
 
 
-def log_into(job: Job) -> None:
-    """Log on the terminal as `verbose` says, and in `log.txt` of the run with time and level."""
+@contextmanager
+def logged(job: Job) -> Iterator[None]:
+    """Log what happens inside: on the terminal as `verbose` says, and in `log.txt` of the run with time and level."""
     terminal, file = logging.StreamHandler(), logging.FileHandler(job.folder / "log.txt", encoding="utf-8")
     file.handleError = lambda record: None  # type: ignore[method-assign]  # noqa: ARG005  # on a full disk
     terminal.setFormatter(logging.Formatter(f"{job.name}: %(message)s"))
     file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     terminal.setLevel(logging.WARNING if job.settings.verbose is Verbosity.quiet else logging.DEBUG)
-    everything = job.settings.verbose is Verbosity.debug
-    logging.basicConfig(handlers=[terminal, file], level=logging.INFO if everything else logging.WARNING, force=True)
+    terminal.addFilter(lambda record: not getattr(record, "in_bar", False))
+    of_all = logging.INFO if job.settings.verbose is Verbosity.debug else logging.WARNING
+    logging.basicConfig(handlers=[terminal, file], level=of_all, force=True)
     logging.getLogger("ablate").setLevel(logging.INFO)
+    try:
+        yield
+    except BaseException as error:  # told on the terminal by what called this
+        why = type(error).__name__, " ".join(str(error).split())
+        file.handle(_LOG.makeRecord(__name__, logging.ERROR, "", 0, "stopped by %s: %s", why, None))
+        raise
+    finally:
+        logging.getLogger().removeHandler(file)
+        file.close()
 
 
 def write_provenance(job: Job) -> None:

@@ -66,7 +66,7 @@ class SceneKind(StrEnum):
 
 
 class Verbosity(StrEnum):
-    """What the terminal shows of a training; `debug`: also what libraries tell, there and in its `log.txt`."""
+    """What the terminal shows of a run's log: warnings alone, all of it, or also what libraries tell."""
 
     quiet = "quiet"
     normal = "normal"
@@ -201,7 +201,7 @@ class StudySettings(Checked):
     study_name: str | None = setting(None, "Folder of the runs; null is <preset>-<scene name>.", incidental=True)
     runs_dir: str = setting("runs", "Folder of all results.", incidental=True)
     verbose: Verbosity = setting(
-        Verbosity.normal, "What the terminal shows of a training: with `quiet`, warnings alone.", incidental=True
+        Verbosity.normal, "What the terminal shows of the log of a run: with `quiet`, warnings alone.", incidental=True
     )
     frame: int = setting(0, "The frame that task=preview and task=render show.", incidental=True)
     pose: str | None = setting(

@@ -48,8 +48,8 @@ def check_finite(metrics: Mapping[str, float], step: int) -> None:
 class Report(Callback):
     """Send metrics every `log_every` steps, check them, and show progress; validate the generator to evaluate.
 
-    The x axis is images seen, so that runs of different batch sizes compare. On a terminal there is a bar;
-    elsewhere a line about every tenth of the run.
+    The x axis is images seen, so that runs of different batch sizes compare. On a terminal there is a bar; the log has
+    a line about every tenth of the run, marked `in_bar` where a bar shows the same.
     """
 
     def __init__(self, sink: MetricSink, validation: Validation | None = None) -> None:
@@ -95,8 +95,8 @@ class Report(Callback):
         text = ", ".join(shown.format(metrics[name]) for name, shown in _SHOWN.items() if name in metrics)
         self._bar.set_postfix_str(text)
         is_tenth = step * _LINES // settings.steps > (step - settings.log_every) * _LINES // settings.steps
-        if self._bar.disable and (is_tenth or step == settings.steps):
-            _LOG.info("step %d of %d: %s", step, settings.steps, text)
+        if is_tenth or step == settings.steps:
+            _LOG.info("step %d of %d: %s", step, settings.steps, text, extra={"in_bar": not self._bar.disable})
 
     def _validate(self, module: PairGAN) -> None:
         if self.validation and (every := module.settings.validate_every) and module.steps_done % every == 0:

@@ -163,10 +163,7 @@ class Simulator:
     def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Segmentation (H, W) uint8 and attenuation (H, W) float32 of a pose, without casting echo rays.
 
-        Raises
-        ------
-        ValueError
-            When the pose is not rigid.
+        Raises ValueError when the pose is not rigid.
         """
         pose = check_pose(pose)
         with without_teams():
@@ -179,10 +176,7 @@ class Simulator:
     def beam_maps(self, pose: np.ndarray, of_surfaces: bool = True) -> Beam:
         """Segmentation, attenuation and, if asked for, the maps of surfaces of a pose in beam space; without an image.
 
-        Raises
-        ------
-        ValueError
-            When the pose is not rigid.
+        Raises ValueError when the pose is not rigid.
         """
         pose = check_pose(pose)
         known, settings = self._maps.get(pose.tobytes()), self.settings

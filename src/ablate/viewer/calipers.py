@@ -1,4 +1,4 @@
-"""Measuring: one point names the tissue, two are a distance, three an angle, and four the diameters of an ellipse.
+"""Measuring: one point names the tissue, two are a distance, three an angle, and four the axes of an ellipse.
 
 Points are in the world, (n, 3) mm, so that they stay with the anatomy when the probe moves.
 """
@@ -13,6 +13,7 @@ from ablate.ultrasound.probe import fan_of
 
 MOST_POINTS = 4
 _IN_PLANE_MM = 1.0  # a point farther off the image plane is not on the image
+_SKEW = 0.17  # cosine of 80 degrees, and the share of an axis by which middles may differ
 _STEPS = 64  # of an ellipse's outline
 
 
@@ -41,7 +42,7 @@ def lines(points: np.ndarray) -> list[np.ndarray]:
 
 
 def measured(points: np.ndarray, tissue: str, probe: Probe) -> str:
-    """The last point's `tissue` and depth, and what its number allows, in Markdown; points are in the plane, mm."""
+    """The last point's `tissue` and depth, and what so many points measure, in Markdown; points are in the plane."""
     depth_mm = float(fan_of(probe).polar(*(np.asarray(place) for place in points[-1]))[0])
     said = f"**{tissue}**, {depth_mm:.0f} mm deep. "
     if len(points) == 2:
@@ -51,14 +52,19 @@ def measured(points: np.ndarray, tissue: str, probe: Probe) -> str:
         turn = abs(math.atan2(one[0] * other[1] - one[1] * other[0], float(one @ other)))
         said += f"Angle at the second point **{math.degrees(turn):.0f}°**."
     elif len(points) == MOST_POINTS:
-        said += f"Circumference **{circumference(points):.0f} mm** of the ellipse with these two diameters."
+        axes = math.dist(*points[:2]), math.dist(*points[2:])
+        along, across = points[1] - points[0], points[3] - points[2]
+        apart = math.dist(points[:2].mean(axis=0), points[2:].mean(axis=0))
+        said += f"Axes **{axes[0]:.1f}** and **{axes[1]:.1f} mm**, circumference **{circumference(points):.0f} mm**."
+        if abs(along @ across) > _SKEW * math.prod(axes) or apart > _SKEW * min(axes):
+            said += " The axes are not perpendicular, or do not cross in their middles: this is not their ellipse."
     return said
 
 
 def circumference(points: np.ndarray) -> float:
-    """Of the ellipse with the diameters from the first to the second and from the third to the fourth point, mm.
+    """Of the ellipse with the axes from the first to the second and from the third to the fourth point, mm.
 
-    It is 2 d E(1 - (e / d)^2) with the longer diameter d, the other one e, and the complete elliptic integral E.
+    It is 2 d E(1 - (e / d)^2) with the longer axis d, the other one e, and the complete elliptic integral E.
     """
     short, long = sorted((math.dist(*points[:2]), math.dist(*points[2:])))
     return float(2 * long * ellipe(1 - (short / max(long, 1e-9)) ** 2))

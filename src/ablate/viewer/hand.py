@@ -13,6 +13,7 @@ from ablate.ultrasound import Probe
 from ablate.ultrasound.probe import face_points, to_world
 
 _SEARCHES = 6  # for the hold of a pose, or that looks at a point: each takes most of what is left of the distance
+_MOST_TURNED_DEG = 45.0
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,10 @@ class Hand:
         return poses[0], _words(bool(on_body[0]), bool(hard[0]))
 
     def aim(self, point: np.ndarray, angles_deg: Iterable[float]) -> np.ndarray | None:
-        """The pose whose beam axis goes through a point, from the nearest of some angles about the body.
+        """The pose whose beam axis goes through a point at its height, from the nearest of some angles about the body.
 
-        At the height of the point; None where the face lies well on the skin at no angle.
+        None if at every angle a part of the face is off the skin or on bone or gas, the point is deeper than the image,
+        or the probe would be turned by more than `_MOST_TURNED_DEG`.
         """
         found = []
         for angle in angles_deg:
@@ -75,7 +77,9 @@ class Hand:
                     away = (point - held[0][:3, 3]) @ held[0][:3, :3]
                     rock, tilt = np.rad2deg(np.arctan2(away[:2], away[2]))
                     hold = replace(hold, rock_deg=hold.rock_deg + float(rock), tilt_deg=hold.tilt_deg - float(tilt))
-            if held is not None and not held[1] and away[2] > 0:
+            on_axis = np.hypot(*away[:2]) < 1 and 0 < away[2] < self._probe.depth_mm
+            turned = max(abs(hold.rock_deg), abs(hold.tilt_deg))
+            if held is not None and not held[1] and on_axis and turned <= _MOST_TURNED_DEG:
                 found.append((float(away[2]), held[0]))
         return min(found, key=lambda one: one[0])[1] if found else None
 

@@ -14,9 +14,8 @@ class Worker:
     """Computes views in a thread of its own.
 
     A new state is computed coarsely at once, and in full when no other has come for `rest_s` seconds. A state that is
-    replaced before its turn is never computed, and views in full of a state that has been replaced are dropped.
-
-    States may be submitted before it is started.
+    replaced before its turn is never computed, and views in full of a state that has been replaced are dropped. States
+    may be submitted before it is started.
     """
 
     def __init__(self, compute: Callable[[State, Quality], Views], rest_s: float = REST_S) -> None:

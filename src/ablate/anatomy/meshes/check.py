@@ -32,19 +32,11 @@ _FIRST = 256  # triangles, one of which nearly always has an area
 def check_scene(scene: Scene, depth_mm: float) -> None:
     """Refuse structures whose image would be wrong; warn of a size that points to a wrong unit.
 
-    `depth_mm` is the imaging depth of the probe.
-
-    Raises
-    ------
-    ValueError
-        Naming the structure by index and tissue: when it has no triangles or none with an area, a triangle names a
-        vertex that is not there, a vertex is not finite or beyond 1.8e18 mm, or the surface is not closed.
-
-    Warns
-    -----
-    UserWarning
-        When the scene's largest extent is not that of a body (`BODY_MM`, for a depth of 150 mm; a probe for what lies
-        near the skin, of 10 mm and more, may be put on a whole body all the same).
+    `depth_mm` is the imaging depth of the probe. Raises ValueError, naming the structure by index and tissue, when it
+    has no triangles or none with an area, a triangle names a vertex that is not there, a vertex is not finite or beyond
+    1.8e18 mm, or the surface is not closed. A UserWarning when the scene's largest extent is not that of a body
+    (`BODY_MM`, for a depth of 150 mm; a probe for what lies near the skin, of 10 mm and more, may be put on a whole
+    body all the same).
     """
     for number, structure in enumerate(scene.structures):
         vertices, faces = np.asarray(structure.mesh.vertices, np.float64), np.asarray(structure.mesh.faces)

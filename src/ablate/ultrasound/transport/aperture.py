@@ -65,6 +65,8 @@ class Aperture:
         of the other ways.
         """
         groups, nodes = level_db.shape
+        if groups % self._lines:  # compiled code checks no bounds
+            raise ValueError(f"{groups} pencils, allowed are multiples of the {self._lines} scanlines")
         at_depths = np.minimum((np.arange(_DEPTHS) + 1) * nodes // _DEPTHS, nodes - 1)
         lost_db = np.empty((groups, nodes))
         at_depth = np.empty((groups // self._lines, _DEPTHS, self._lines), np.float32)

@@ -17,8 +17,8 @@ from ablate.viewer.session import Quality, State, Views
 _UNIT_MM = 100.0  # of the page's 3-D space, whose near and far planes suit metres
 _TRIANGLES = 60_000  # of all structures together: a browser without a graphics card draws them too
 _FEWEST = 200  # of one structure
-_LARGE = 0.1  # of the scene's bounds: what fills more of them surrounds the rest
-_ENVELOPE = 0.12  # opacity of what surrounds the rest, at first
+_LARGE = 0.1  # of the box around the scene: what fills more of it surrounds the rest
+_ENVELOPE = 0.1  # opacity of what surrounds the rest, at first
 _HOUSING, _MARK, _OUTLINE = (69, 77, 92), (44, 160, 44), (255, 176, 0)
 #: Turns viser's plane of an image, whose rows run along y, to that of the fan, where they run along z.
 _UPRIGHT = Rotation.from_euler("X", 90, degrees=True).as_quat(scalar_first=True)

@@ -18,10 +18,7 @@ from ablate.viewer.session import Views
 
 _NONE = "none"
 _TRAINS = "No trained run yet. `make sweep` trains three, and `python -m ablate variant=sa2h` trains one."
-_INVITES = (
-    "**Measure:** click the fan in the 3-D view for the tissue and its depth; a second click gives a distance, a third "
-    "an angle, and a fourth the circumference of an ellipse. Look at the plane (tab Move) first."
-)
+_INVITES = "**Measure:** click the fan in the 3-D view: tissue, distance, angle, and with four clicks an ellipse."
 _FEWEST_POSES = 3
 _LAST_S = 0.5  # the last frame of the cine loop stays for so long, and one at which the probe rested
 
@@ -84,8 +81,9 @@ def _add_calipers(page: Page) -> None:
             pose, probe, points = views.state.pose, views.state.probe, page.layout.points
             if len(points) == MOST_POINTS or not len(in_plane(points, pose)):
                 points = np.empty((0, 3))
-            points = np.vstack([points, on_plane(pose, origin, direction)])
-            seen = in_plane(points, pose)
+            held = page.session.state.pose  # there the fan is drawn, also with a frozen frame of another place
+            point = pose @ np.linalg.inv(held) @ (*on_plane(held, origin, direction), 1)
+            seen = in_plane(points := np.vstack([points, point[:3]]), pose)
             label = label_at(views.segmentation, seen[-1], probe)
             tissue = page.scene.tissues[label - 1].name.replace("_", " ") if label else "outside the fan"
             answer.content = measured(seen, tissue, probe)
@@ -95,6 +93,11 @@ def _add_calipers(page: Page) -> None:
         answer.content = _INVITES
         page.lay_out(points=np.empty((0, 3)))
 
+    def follow(views: Views) -> None:
+        if len(page.layout.points) and not len(in_plane(page.layout.points, views.state.pose)):
+            answer.content = "The points are not on this plane."
+
+    page.painters.append(follow)
     page.body.clicked = page.tells(click)
     page.add_button("Clear the points", clear)
 
