@@ -1,6 +1,5 @@
 """What `task=plan` expects, against times written down here."""
 
-import math
 from pathlib import Path
 
 import pytest
@@ -8,7 +7,7 @@ import torch
 
 from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
-from ablate.tasks.plan import duration, progress, show_progress
+from ablate.tasks.plan import progress, show_progress
 from support.finished_runs import PARAMETERS
 from support.finished_runs import finish as write_finished
 
@@ -51,7 +50,3 @@ def test_a_damaged_checkpoint_is_named_and_stops_nothing(jobs: list[Job], capsys
     assert "last.ckpt: not a readable checkpoint" in printed.err
     assert printed.out.count(" unusable ") == 1
     assert printed.out.count(" missing ") == len(jobs) - 1
-
-
-def test_durations_are_read_at_a_glance() -> None:
-    assert [duration(s) for s in (4.2, 95, 3900, math.nan)] == ["4 s", "2 min", "1 h 05 min", "?"]

@@ -160,13 +160,6 @@ def test_a_frame_is_shown_before_and_after_it_is_simulated(
     assert set(about["poses"]["dropped"].values()) == {0}
 
 
-@pytest.mark.parametrize("frame", [12, -1])
-def test_a_frame_that_is_not_there_is_refused(tmp_path: Path, frame: int) -> None:
-    arguments = [f"runs_dir={tmp_path}", *TINY, "dataset.grid=[3,4,1,1]", "task=preview", f"frame={frame}"]
-    with pytest.raises(ConfigurationError, match=rf"^frame={frame}: allowed are 0 to 11$"):
-        run(*arguments)
-
-
 def test_dropped_poses_are_counted_told_and_kept_with_the_data(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

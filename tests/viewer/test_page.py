@@ -236,12 +236,9 @@ def test_what_cannot_be_started_is_refused_in_a_sentence(arguments: list[str], g
 def test_a_tissue_is_made_transparent_and_hidden(client: Client, viewer: Viewer) -> None:
     (bone,) = viewer.page.body.tissues["bone"]
     assert bone.opacity is None
-    client.set("bone", 0.4)
-    until(lambda: bone.opacity == 0.4)
-    client.set("bone", 0.0)
-    until(lambda: not bone.visible)
-    client.set("bone", 1.0)
-    until(lambda: bone.visible and bone.opacity is None)
+    for value, opacity in ((0.4, 0.4), (0.0, 0.0), (1.0, None)):
+        client.set("bone", value)
+        until(lambda shown=value > 0, opacity=opacity: (bone.visible, bone.opacity) == (shown, opacity))
 
 
 @pytest.mark.usefixtures("client")

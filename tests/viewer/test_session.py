@@ -48,14 +48,6 @@ def test_beyond_the_body_the_probe_stays_and_it_is_said(start: Start) -> None:
     assert told[-1] == ""
 
 
-def test_a_turn_keeps_the_place(start: Start) -> None:
-    session, asked = start()
-    turned = asked[-1].pose[:3, :3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
-    session.nudge(roll_deg=90.0)
-    np.testing.assert_allclose(asked[-1].pose[:3, :3], turned, atol=1e-9)
-    assert (session.hold.height_mm, session.hold.angle_deg) == pytest.approx((0, 0), abs=1)
-
-
 def test_a_frozen_picture_follows_nothing_until_it_is_released(start: Start) -> None:
     session, asked = start()
     session.freeze(True)
