@@ -26,11 +26,13 @@ $(STAMP): pyproject.toml constraints.txt
 sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 6 to 18 minutes on two cores
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h
 
-answer: $(STAMP) ## which components earn their keep: 52 trainings in two anatomies and nine beside them, kept in docs/results; resumable
+answer: $(STAMP) ## which components earn their keep: 52 trainings in two anatomies, nine beside them and 36 of the extension, kept in docs/results; resumable
 	$(BIN)/python scripts/results.py restore
 	$(BIN)/python -m ablate +study=full_model
 	$(BIN)/python -m ablate +study=full_model_beside
+	$(BIN)/python -m ablate +study=extension
 	$(BIN)/python scripts/results.py keep runs/full_model
+	$(BIN)/python scripts/results.py keep runs/extension
 	$(BIN)/python scripts/results.py table
 
 notebooks: $(STAMP) ## run the notebooks on the studies in runs/ and keep them with their figures, as notebooks/*.ipynb

@@ -26,7 +26,7 @@ from ablate.comparison.reading import pictures
 from ablate.comparison.usable_runs import usable_runs
 from ablate.runs.run import Run, State
 from ablate.storage import write_json
-from results_page import FRAME, PICTURES, PLANS, write_page
+from results_page import FRAME, MAIN, PICTURES, write_page
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 KEPT, PAGE = DOCS / "results", DOCS / "results.md"
@@ -73,7 +73,7 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
         own = {"runs_dir": "runs", "tracking": {**settings.get("tracking", {}), "uri": None}, "scene": scene}
         write_json(folder / "spec.json", {**run.spec, "settings": {**settings, **own}})
         pack(run.folder / VALUES, folder / VALUES)
-        if run.seed == 0 and target.name in PLANS and run in usable.runs and (run.folder / PICTURES).exists():
+        if run.seed == 0 and target.name == MAIN and run in usable.runs and (run.folder / PICTURES).exists():
             with np.load(run.folder / PICTURES) as shown:
                 np.savez_compressed(folder / PICTURES, frames=shown["frames"][:1], images=shown["images"][:1])
         if (run.folder / MADE_WITH).exists():
@@ -83,7 +83,7 @@ def keep(study: Path, kept: Path = KEPT) -> list[str]:
         said.append(f"kept {run.name}")
     if (study / TIMES).exists():
         shutil.copyfile(study / TIMES, target / TIMES)
-    if target.name in PLANS and not (target / FRAME).exists():
+    if target.name == MAIN and not (target / FRAME).exists():
         said += keep_frame(usable.runs, target / FRAME)
     return said
 

@@ -38,7 +38,7 @@ from ablate.settings.conf import components
 BEGIN, END = "<!-- written by scripts/results.py: begin -->", "<!-- written by scripts/results.py: end -->"
 FRAME, PICTURES = "frame.npz", "pictures.npz"
 # By study, the file of conf/study that lists the runs of its design, and the one that lists those beside it.
-# Only these studies are shown and keep pictures.
+# Only these studies are shown; the first one keeps pictures.
 MAIN = "full_model"
 PLANS = {MAIN: (MAIN, "full_model_beside"), "extension": ("extension",)}
 # What SA2H of preset=quick is to reach, as a share of re-simulation's own score; of FD speckle the value itself.
