@@ -82,7 +82,7 @@ def _run(job: Job) -> None:
             **{"inception": asked.evaluation.inception, "notes": list(notes), "scalars": scalars},
         }
         write_json(run.folder / "result.json", result)  # last of all, because a run that has it is finished
-        _LOG.info("scored by %s", ", ".join(asked.metrics))
+        _LOG.info("finished")
 
 
 @contextmanager
