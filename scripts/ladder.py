@@ -14,12 +14,7 @@ from scipy.stats import t as student
 from recompute_verdicts import holm
 
 KEPT = Path(__file__).resolve().parents[1] / "docs" / "results"
-STEPS = {
-    "study": "",
-    "images": "",
-    "L1": "reconstruction-l1",
-    "split": "split-frame",
-}  # in a label, from a step on
+STEPS = {"study": "", "images": "", "L1": "reconstruction-l1", "split": "split-frame"}  # said by labels from there on
 NETWORKS = {"": "full", "attenuation-none": "att", "concat-input": "concat"}
 #: What is read of each component; more is better of PSNR, and less of the others.
 READ = {"att": ("shadow_contrast", "psnr"), "concat": ("thin_contrast", "psnr")}
@@ -28,9 +23,7 @@ READ = {"att": ("shadow_contrast", "psnr"), "concat": ("thin_contrast", "psnr")}
 def values() -> pd.DataFrame:
     """A row a run in anatomy 3: step, network, and its mean over test frames of every metric."""
     rows = []
-    for file in sorted(
-        [*KEPT.glob("full_model/sa2h*/seed[01]/result.json"), *KEPT.glob("ladder/sa2h*/seed*/result.json")]
-    ):
+    for file in sorted((*KEPT.glob("full_model/sa2h*/seed[01]/result.json"), *KEPT.glob("ladder/*/seed*/result.json"))):
         changes = json.loads(file.read_text())["label"].split(".")[1:]
         step = "study" if file.parts[-4] == "full_model" else "images"
         step = next((name for name in ("split", "L1") if STEPS[name] in changes), step)
@@ -51,12 +44,11 @@ def effects(runs: pd.DataFrame) -> pd.DataFrame:
             dof = len(runs) - cells.ngroups
             sd = float(np.sqrt(((runs[metric] - cells.transform("mean")) ** 2).sum() / dof))
             mean, count = cells.mean(), cells.count()
-            for step in (name for name in STEPS if name in set(runs["step"])):
-                with_it, without = (step, "full"), (step, component)
-                half = student.ppf(0.975, dof) * sd * np.sqrt(1 / count[with_it] + 1 / count[without])
-                rows.append(
-                    (component, metric, step, mean[with_it], mean[without], mean[with_it] - mean[without], half)
-                )
+            for step in STEPS:
+                on, off = (step, "full"), (step, component)
+                if {on, off} <= set(mean.index):  # else not made yet
+                    half = student.ppf(0.975, dof) * sd * np.sqrt(1 / count[on] + 1 / count[off])
+                    rows.append((component, metric, step, mean[on], mean[off], mean[on] - mean[off], half))
     names = ["component", "metric", "step", "with", "without", "effect", "half"]
     return pd.DataFrame(rows, columns=names)
 
