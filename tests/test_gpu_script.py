@@ -15,9 +15,7 @@ from ablate.ultrasound import SimulatorSettings  # noqa: E402
 SMALL = SimulatorSettings(scanlines=24, axial_samples=256, rays=2, image_shape=(64, 89))
 
 
-def test_without_a_gpu_it_says_so_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_gpu_one_line_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     monkeypatch.setattr("sys.argv", ["gpu.py"])
     assert gpu.main() == 0

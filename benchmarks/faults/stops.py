@@ -30,6 +30,7 @@ def stop(how: str, bench: Bench, rng: random.Random, number: int) -> Round:
     finished = result_files(runs)
     others = [v for v in VARIANTS if v != victim and is_sudden and launcher == "processes"]
     wrong = [f"{v} did not finish" for v in others if f"{v}/seed0" not in finished]
+    wrong += [f"{launcher}: it hung"] * ("hung: it did not end" in ended.said)
     was_ended = is_sudden and ended.code < 0  # by the system; it could say nothing
     if len(finished) < len(VARIANTS) and not was_ended:
         if "the same command" not in ended.said:

@@ -77,7 +77,9 @@ def collected(bench: Bench, _: random.Random, number: int) -> Round:
     kind, uri = ("job", "study")[number % 2], f"sqlite:///{runs}/mlflow.db"
     with closing(sqlite3.connect(runs / "mlflow.db")) as connection, connection:
         of_kind = "SELECT run_uuid FROM tags WHERE key = 'kind' AND value = ? LIMIT 1"
-        connection.execute(f"UPDATE runs SET lifecycle_stage = 'deleted' WHERE run_uuid = ({of_kind})", [kind])
+        connection.execute(
+            f"UPDATE runs SET lifecycle_stage = 'deleted', deleted_time = 1 WHERE run_uuid = ({of_kind})", [kind]
+        )
     gone = [sys.executable, "-m", "mlflow", "gc", "--backend-store-uri", uri]
     done = subprocess.run(
         gone, capture_output=True, text=True, check=False, env={**os.environ, "MLFLOW_TRACKING_URI": uri}

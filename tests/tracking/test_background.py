@@ -1,5 +1,6 @@
 """What a server refuses is said in one line that names what to do, and said once."""
 
+import _thread
 import http.server
 import threading
 from collections.abc import Iterator
@@ -44,3 +45,10 @@ def test_a_server_that_takes_another_user_is_told_once_and_how_to_be_let_in(
 def test_any_other_reason_is_what_was_raised_in_one_line() -> None:
     assert reason(OSError("the disk\nis full")) == "OSError: the disk is full"
     assert len(reason(ValueError("x" * 5000))) < 250
+
+
+def test_a_thread_that_finds_no_memory_to_begin_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module, name in ((_thread, "start_new_thread"), (threading, "_start_new_thread")):
+        monkeypatch.setattr(module, name, lambda *_: None, raising=False)
+    monkeypatch.setattr(local_log, "_WAIT_S", 0.01)
+    assert not Background(lambda: None).close()

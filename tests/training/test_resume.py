@@ -94,9 +94,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 @pytest.mark.parametrize("fatal_step", [1, 3, 5, 7])
-def test_after_a_crash_at_any_step(
-    whole: Callable[[str], Path], tmp_path: Path, fatal_step: int, precision: str
-) -> None:
+def test_a_crash_at_any_step(whole: Callable[[str], Path], tmp_path: Path, fatal_step: int, precision: str) -> None:
     settings = replace(SETTINGS, precision=precision)
 
     with pytest.raises(OSError, match="disk gone"):
@@ -154,9 +152,7 @@ def test_after_a_process_was_killed_while_a_checkpoint_took_the_place_of_another
     assert [path.name for path in tmp_path.iterdir()] == [LAST]
 
 
-def test_moments_laid_out_otherwise_in_memory_are_the_same_moments(
-    whole: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_moments_laid_out_otherwise_are_the_same_moments(whole: Callable[[str], Path], tmp_path: Path) -> None:
     """Fused Adam reads weights and moments by their place in memory."""
     train(SPEC, replace(SETTINGS, steps=5), loader, tmp_path / "resumed")
     checkpoint = read_checkpoint(tmp_path / "resumed" / LAST)
@@ -246,9 +242,7 @@ def test_another_run_in_the_same_place_is_refused_with_the_difference(
         train(replace(SPEC, depth=3), SETTINGS, loader, tmp_path)
 
 
-def test_a_checkpoint_of_another_version_of_the_training_is_refused(
-    whole: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_a_checkpoint_of_another_version_is_refused(whole: Callable[[str], Path], tmp_path: Path) -> None:
     checkpoint = read_checkpoint(whole("fp32") / LAST)
     assert checkpoint.pop("training_version") == TRAINING_VERSION
     for version in ({}, {"training_version": 99}):

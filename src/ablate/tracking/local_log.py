@@ -3,12 +3,13 @@
 The copy is made in a thread of its own: a store that is silent holds nothing up.
 """
 
+import _thread
 import json
 import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from contextlib import suppress
 from enum import StrEnum
 from functools import cache
@@ -121,18 +122,13 @@ class Background:
         self._last: Callable[[], object] | None = None
         self._closed = threading.Event()
         self._failing = False
-        self._thread = threading.Thread(target=self._run, name="tracking", daemon=True)
-        self._thread.start()
+        self._ended = _in_thread(self._run)
 
-    def close(self, last: Callable[[], object] | None = None, wait_s: float = _WAIT_S) -> bool:
-        """Let the work end and do `last`; True if it has been done within five seconds, or within `wait_s`.
-
-        Otherwise the thread goes on for as long as the process does.
-        """
+    def close(self, last: Callable[[], object] | None = None) -> bool:
+        """Let the work end and do `last`; True if that is done within five seconds, else it goes on in its thread."""
         self._last = last
         self._closed.set()
-        self._thread.join(wait_s)
-        return not self._thread.is_alive() and not self._failing
+        return bool(wait([self._ended], _WAIT_S).done) and not self._failing
 
     def _run(self) -> None:
         while True:
@@ -155,6 +151,15 @@ class Background:
 
 def within(seconds: float, work: Callable[[], T]) -> T:
     """What `work` returns or raises; a TimeoutError where it takes longer, and then it goes on in its thread."""
+    outcome = _in_thread(work)
+    try:
+        return outcome.result(seconds)
+    except TimeoutError as error:
+        raise error if outcome.done() else TimeoutError(f"no end after {seconds:g} s") from None
+
+
+def _in_thread(work: Callable[[], T]) -> "Future[T]":
+    """Begin work beside the program, which does not wait for it when it ends."""
     outcome: Future[T] = Future()
 
     def run() -> None:
@@ -163,11 +168,8 @@ def within(seconds: float, work: Callable[[], T]) -> T:
         except BaseException as error:
             outcome.set_exception(error)
 
-    threading.Thread(target=run, name="tracking", daemon=True).start()
-    try:
-        return outcome.result(seconds)
-    except TimeoutError as error:
-        raise error if outcome.done() else TimeoutError(f"no end after {seconds:g} s") from None
+    _thread.start_new_thread(run, ())  # `Thread.start` may wait for ever where there is no memory: CPython 140746
+    return outcome
 
 
 @cache

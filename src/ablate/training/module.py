@@ -90,7 +90,7 @@ class PairGAN(LightningModule):
         if self.settings.reconstruction is Reconstruction.crps and draws_noise(self.spec):
             seeds = torch.cat((seeds, second_seeds(seeds)))
         rendered = self.generator(**maps, noise_seed=seeds)
-        fake, *second = (_in_fan(draw, mask) for draw in rendered.split(len(image)))
+        fake, *second = (mask * (draw.float() + 1) - 1 for draw in rendered.split(len(image)))  # black outside the fan
         losses: dict[str, Tensor] = {}
         if (judge := self.discriminator) is not None:
             stacked = torch.cat([maps[name].to(rendered.dtype) for name in maps], dim=1)
@@ -152,11 +152,6 @@ class PairGAN(LightningModule):
         """The optimisers, the generator's first; Lightning gives a single one without a list around it."""
         optimizers = self.optimizers()
         return optimizers if isinstance(optimizers, Sequence) else [optimizers]
-
-
-def _in_fan(rendered: Tensor, mask: Tensor) -> Tensor:
-    """Set what lies outside the fan to black, in float32."""
-    return mask * (rendered.float() + 1) - 1
 
 
 def _lay_out_like_weights(optimizer: Adam) -> None:
