@@ -63,7 +63,7 @@ def test_random_effects_are_estimated_from_a_study(tmp_path):
 @pytest.mark.slow
 def test_verdicts_find_an_effect_of_three_standard_deviations_and_invent_none():
     answer = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "calibration_verdicts.py"))
-    study, repetitions = answer["runs_of"]("full_model"), 100
+    study, repetitions = (*answer["runs_of"]("full_model"), "att"), 100
     assert answer["shares"](*study, {"att": 3.0}, 0.5, repetitions)["earns"] > 0.9
     allowed = stats.binom.ppf(0.999, repetitions, 0.05) / repetitions
     assert answer["shares"](*study, {}, 0.5, repetitions)["any_earns"] <= allowed

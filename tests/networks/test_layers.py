@@ -19,9 +19,7 @@ def gradients(result: Tensor, wanted: list[Tensor]) -> tuple[Tensor, ...]:
 
 @pytest.mark.parametrize("shape", [(2, 3, 40, 30), (2, 5, 31, 31), (1, 1, 1, 2), (2, 2, 64, 1), (1, 16, 64, 48)])
 @pytest.mark.parametrize("memory_format", [torch.channels_last, torch.contiguous_format])
-def test_instance_norm_is_torchs_in_value_and_gradient(
-    shape: tuple[int, ...], memory_format: torch.memory_format
-) -> None:
+def test_instance_norm_is_that_of_torch(shape: tuple[int, ...], memory_format: torch.memory_format) -> None:
     random = torch.Generator().manual_seed(0)
     features = torch.randn(shape, generator=random, dtype=torch.float64) * 3 + 5
     features = features.to(memory_format=memory_format).requires_grad_()

@@ -41,9 +41,7 @@ def exported(arguments: list[str], form: str, capsys: pytest.CaptureFixture[str]
     return folder, open_pairs(source.parent)
 
 
-def test_pngs_are_read_back_bit_for_bit(
-    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_pngs_come_back_bit_for_bit(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, pairs = exported(arguments, "png", capsys)
     where = ["scene=pairs", f"scene.folder={folder}", f"runs_dir={tmp_path}", "preset=tiny"]
     assert run("task=simulate", *where) == 0

@@ -17,20 +17,23 @@ import pytest
 from mlflow import MlflowClient
 from mlflow.data.schema import TensorDatasetSchema
 from mlflow.exceptions import MlflowException
+from mlflow.store.tracking.sqlalchemy_store import SqlAlchemyStore
 
 from ablate.tracking import Status, StoredRun, child_run, default_uri, open_store, parent_run
 from ablate.tracking import store as store_module
+
+TAGS = {"variant": "sa2h", "study": "study"}
 
 
 def test_opening_twice_gives_the_same_runs(runs: Path) -> None:
     first = open_store(runs, None, "ablate")
     parent = parent_run(first, "quick-fetal")
-    child = child_run(first, parent, "sa2h/seed0", "abc", {"variant": "sa2h"})
+    child = child_run(first, parent, "sa2h/seed0", "abc", TAGS)
     second = open_store(runs, None, "ablate")
     assert second == first
     assert parent_run(second, "quick-fetal") == parent
-    assert child_run(second, parent, "sa2h/seed0", "abc", {"variant": "sa2h"}) == child
-    assert child_run(second, parent, "sa2h/seed1", "abd", {"variant": "sa2h"}) != child
+    assert child_run(second, parent, "sa2h/seed0", "abc", TAGS) == child
+    assert child_run(second, parent, "sa2h/seed1", "abd", TAGS) != child
     assert parent_run(second, "other") != parent
 
 
@@ -48,7 +51,7 @@ def test_what_somebody_edits_or_deletes_in_mlflow_is_found_again_and_left_so(run
     def ids() -> tuple[str, str]:
         store = open_store(runs, None, "ablate")
         parent = parent_run(store, "study")
-        return parent, child_run(store, parent, "sa2h/seed0", "abc", {"variant": "sa2h"})
+        return parent, child_run(store, parent, "sa2h/seed0", "abc", TAGS)
 
     made, client = ids(), MlflowClient(default_uri(runs))
     edited(client, *made)
@@ -63,13 +66,17 @@ def test_what_somebody_edits_or_deletes_in_mlflow_is_found_again_and_left_so(run
     (runs / ".stored.json").write_text("{")
     client.set_tag(made[0], "study", "study")
     client.set_tag(made[0], "kind", "study")
-    assert ids()[0] == made[0], "its tags tell as well"
+    study, child = ids()
+    assert study == made[0], "its tags tell as well"
+    client.delete_run(study)
+    SqlAlchemyStore(default_uri(runs), str(runs))._hard_delete_run(study)  # as `mlflow gc`
+    assert ids() == (client.get_run(child).data.tags["mlflow.parentRunId"], child) != (study, child)
 
 
 def test_a_run_carries_what_was_logged(runs: Path) -> None:
     store = open_store(runs, None, "ablate")
     parent = parent_run(store, "study")
-    run = StoredRun(store, child_run(store, parent, "sa2h/seed0", "abc", {"variant": "sa2h"}))
+    run = StoredRun(store, child_run(store, parent, "sa2h/seed0", "abc", TAGS))
     run.scores({"test/psnr": 17.5, "identical": math.inf, "undefined": math.nan})
     run.parameters({"model.width": 0.25})
     run.parameters({"model.width": 0.5, "seed": 0})  # a resumed run keeps what it has
@@ -129,8 +136,8 @@ import sys
 from pathlib import Path
 from ablate.tracking import child_run, open_store, parent_run
 
-store = open_store(Path(sys.argv[1]), None, "ablate")
-print(child_run(store, parent_run(store, "study"), "sa2h/seed0", "abc", {"variant": "sa2h"}))
+store, tags = open_store(Path(sys.argv[1]), None, "ablate"), {"variant": "sa2h", "study": "study"}
+print(child_run(store, parent_run(store, "study"), "sa2h/seed0", "abc", tags))
 """
 
 
@@ -150,7 +157,8 @@ def test_folders_of_runs_that_share_a_server_share_no_study(runs: Path, tmp_path
     assert anna.experiment_id == ben.experiment_id
     studies = [parent_run(store, "quick-fetal") for store in (anna, ben)]
     assert studies[0] != studies[1]
-    children = {child_run(anna, study, "sa2h/seed0", "abc", {"variant": "sa2h"}) for study in studies}
+    pairs = zip((anna, ben), studies, strict=True)
+    children = {child_run(store, study, "sa2h/seed0", "abc", TAGS) for store, study in pairs}
     assert len(children) == 2
     (tmp_path / "anna").rename(tmp_path / "moved")
     assert parent_run(open_store(tmp_path / "moved", uri, "ablate"), "quick-fetal") == studies[0]

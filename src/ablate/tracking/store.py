@@ -138,9 +138,13 @@ def parent_run(store: Store, study: str, task: str = "") -> str:
 def child_run(
     store: Store, parent: str, name: str, config_hash: str, tags: Mapping[str, str], start_ms: int | None = None
 ) -> str:
-    """Id of the job's run under `parent`; a run that a killed job left, or that somebody renamed, is continued."""
-    known_by = {"kind": "job", "config_hash": config_hash, _PARENT_TAG: parent, "variant": tags["variant"]}
-    return _run(store, name, known_by, tags, start_ms)
+    """Id of the job's run, whoever left or renamed it; `parent` takes over one of a study's run that is no more."""
+    known_by = {"kind": "job", "config_hash": config_hash, "variant": tags["variant"], "study": tags["study"]}
+    run_id = _run(store, name, {**known_by, **store.owner}, {**tags, _PARENT_TAG: parent}, start_ms)
+    above = store.client.get_run(run_id).data.tags.get(_PARENT_TAG)
+    if above and above != parent and _run_of(store.client, above) is None:  # `mlflow gc` has removed the study's run
+        store.client.set_tag(run_id, _PARENT_TAG, parent)
+    return run_id
 
 
 def child_runs(store: Store, parent: str) -> dict[tuple[str, str], tuple[str, dict[str, str]]]:
@@ -214,14 +218,11 @@ def replace_database(path: Path, why: str) -> None:
 
 
 def make_database(uri: str) -> None:
-    """Make the SQLite file that `tracking.uri` names where there is none; other stores are left alone.
-
-    Another folder of runs may make the same file, so a lock is taken beside it.
-    """
+    """Make the SQLite file that `tracking.uri` names where there is none; other stores are left alone."""
     path = Path(uri.removeprefix("sqlite:///"))
     if not uri.startswith("sqlite:///") or "?" in uri or path.exists():
         return
-    with FileLock(f"{path}.lock", timeout=_LOCK_S):
+    with FileLock(f"{path}.lock", timeout=_LOCK_S):  # another folder of runs may make the same file
         if not path.exists():
             _make(path)
 
