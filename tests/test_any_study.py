@@ -14,7 +14,7 @@ from typing import Any, get_args, get_origin
 from unittest import mock
 
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
 from ablate.__main__ import main
@@ -23,6 +23,7 @@ from ablate.settings.conf import keys
 from support.studies import Unrendered
 
 STUDY = ("preset=tiny", "training.steps=2", "training.validate_every=1", "evaluation.pictures=1")
+PHASES = (Phase.explicit, Phase.generate)
 # Where more costs time or memory and nothing else, so that every draw is a study of seconds.
 AT_MOST = {
     "simulator.scanlines": 64,
@@ -107,8 +108,9 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[int
 
 
 @pytest.mark.slow
-@settings(max_examples=500, deadline=None, suppress_health_check=list(HealthCheck), phases=[Phase.generate])
+@settings(max_examples=500, deadline=None, suppress_health_check=list(HealthCheck), phases=PHASES)
 @given(changes=CHANGES)
+@example(changes=("simulator.image_shape=[160,1]",))  # its contact sheet once took 23 GB
 def test_a_study_finishes_or_is_refused_in_one_line(
     outcome: Callable[..., tuple[int, str, Path]], changes: tuple[str, ...]
 ) -> None:

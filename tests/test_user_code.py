@@ -55,9 +55,7 @@ def test_installed_packages_and_modules_that_are_not_imported_do_not_enter(tmp_p
     assert digest(tmp_path / "b", imports | other) == before
 
 
-def test_what_is_loaded_keeps_its_digest_while_its_file_is_edited(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_loaded_keeps_its_digest_while_edited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A training takes hours; its result is stored under the code that ran."""
     write(tmp_path, {"edited_later.py": "def measure(): pass\n"})
     monkeypatch.syspath_prepend(tmp_path)

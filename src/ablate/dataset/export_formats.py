@@ -42,8 +42,8 @@ def write_contact_sheet(pairs: Pairs, path: Path) -> None:
 
 
 def _thumbnail(image: np.ndarray) -> np.ndarray:
-    height = round(image.shape[0] * _THUMBNAIL_PX / image.shape[1])
-    return resize(image, (height, _THUMBNAIL_PX), anti_aliasing=True)
+    longer = max(image.shape[:2])  # of an image of any shape, so that no sheet is larger than eight squares a row
+    return resize(image, [max(round(n * _THUMBNAIL_PX / longer), 1) for n in image.shape[:2]], anti_aliasing=True)
 
 
 def write_png(pairs: Pairs, folder: Path) -> None:

@@ -15,7 +15,7 @@ from ablate.analysis.scored import CHANGED, variant_group
 from ablate.metrics import patch_chi2, patches_inside, rms
 
 ACROSS = 4  # pictures side by side on a page; with more of them, speckle is lost in print
-MOST_DOWN = 7  # rows of pictures that a page holds
+MOST_DOWN, MOST_TALL = 7, 2.0  # rows of pictures that a page holds; height of the place of one, in widths
 PAGE_HIGH_IN = 9.6  # what a page of a paper has
 NAME_IN, HEAD_IN = 0.2, 0.25  # beside and above the pictures, for their names
 PATCH = 20  # px, of the chi-square maps
@@ -91,7 +91,7 @@ def qualitative_figure(frames: Sequence[FramePictures], stem: Path, components: 
     picture = (page - (0 if single else NAME_IN * blocks)) / max(across, 2)
     heads_in = HEAD_IN * (down if single else 1)
     with house_style(page):
-        figure = new_figure(page, heads_in + down * picture * height / width, pad_in=0.01)
+        figure = new_figure(page, heads_in + down * picture * min(height / width, MOST_TALL), pad_in=0.01)
         grid = figure.subplots(down, across, squeeze=False)
         for axes in grid.ravel():
             axes.set_axis_off()
@@ -123,7 +123,7 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, components: Sequence[Comp
     height, width = frame.target.shape
     inside = patches_inside(frame.mask, PATCH)
     pictures = len(names) + 1
-    line_in = {n: 0.45 + 2 * PAGE_IN / max(n, 3) * height / width for n in range(1, ACROSS + 2)}  # maps above images
+    line_in = {n: 0.45 + 2 * PAGE_IN / max(n, 3) * min(height / width, MOST_TALL) for n in range(1, ACROSS + 2)}
     # Three to five side by side, as many as leave the fewest places of a page empty.
     fitting = [n for n in (ACROSS, 3, ACROSS + 1) if -(-pictures // n) * line_in[n] <= PAGE_HIGH_IN]
     across = min(pictures, min(fitting, key=lambda n: -pictures % n, default=ACROSS + 1))
