@@ -48,8 +48,8 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     stem.parent.mkdir(parents=True, exist_ok=True)
     paths = [stem.with_name(stem.name + suffix) for suffix in (".png", ".pdf")]
     for path in paths:
-        drawn, about = BytesIO(), {"CreationDate": None} if path.suffix == ".pdf" else None
-        figure.savefig(drawn, format=path.suffix[1:], dpi=PNG_DPI, metadata=about)
+        about = {"CreationDate": None} if path.suffix == ".pdf" else None
+        figure.savefig(drawn := BytesIO(), format=path.suffix[1:], dpi=PNG_DPI, metadata=about)
         with written_whole(path) as partial:  # Matplotlib hides an error of the disk behind one of its own
             partial.write_bytes(drawn.getvalue())
         figure.set_layout_engine("none")  # the second file takes the places found for the first
