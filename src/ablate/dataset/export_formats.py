@@ -42,7 +42,7 @@ def write_contact_sheet(pairs: Pairs, path: Path) -> None:
 
 
 def _thumbnail(image: np.ndarray) -> np.ndarray:
-    longer = max(image.shape[:2])  # of an image of any shape, so that no sheet is larger than eight squares a row
+    longer = max(image.shape[:2])  # the sheet of a narrow image would else be gigabytes
     return resize(image, [max(round(n * _THUMBNAIL_PX / longer), 1) for n in image.shape[:2]], anti_aliasing=True)
 
 

@@ -15,7 +15,7 @@ from ablate.analysis.scored import CHANGED, variant_group
 from ablate.metrics import patch_chi2, patches_inside, rms
 
 ACROSS = 4  # pictures side by side on a page; with more of them, speckle is lost in print
-MOST_DOWN, MOST_TALL = 7, 2.0  # rows of pictures that a page holds; height of the place of one, in widths
+MOST_DOWN, MOST_TALL = 7, 5.0  # rows of pictures that a page holds; height of the place of one, in widths
 PAGE_HIGH_IN = 9.6  # what a page of a paper has
 NAME_IN, HEAD_IN = 0.2, 0.25  # beside and above the pictures, for their names
 PATCH = 20  # px, of the chi-square maps

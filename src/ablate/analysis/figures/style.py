@@ -50,7 +50,7 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     for path in paths:
         about = {"CreationDate": None} if path.suffix == ".pdf" else None
         figure.savefig(drawn := BytesIO(), format=path.suffix[1:], dpi=PNG_DPI, metadata=about)
-        with written_whole(path) as partial:  # Matplotlib hides an error of the disk behind one of its own
+        with written_whole(path) as partial:  # not by Matplotlib, whose PDF hides that a disk is full
             partial.write_bytes(drawn.getvalue())
         figure.set_layout_engine("none")  # the second file takes the places found for the first
     return paths
