@@ -12,6 +12,7 @@ import types
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
+from functools import cache
 from numbers import Integral, Real
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -111,6 +112,9 @@ def settings_of(cls: type[Any]) -> tuple[Setting, ...]:
     return tuple(declared)
 
 
+_declared = cache(settings_of)
+
+
 def is_group(kind: Any) -> bool:
     """Whether a type is a group of settings: a dataclass, or a union of dataclasses such as the kinds of a probe."""
     kinds = get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
@@ -124,36 +128,34 @@ class Checked:
         check_settings(self)
 
 
-def check_settings(values: object) -> None:
+def check_settings(values: Any) -> None:
     """Check every declared value of a frozen dataclass, and turn strings into enums and lists into tuples.
 
     Called first in its `__post_init__`. A value that is not allowed is a ValueError `name=value: allowed are ...`.
     """
-    for one in settings_of(values.__class__):
+    for one in _declared(values.__class__):
         value = getattr(values, one.name)
-        if value is None and one.optional:
-            continue
-        object.__setattr__(values, one.name, _checked(one, value))
+        if value is not None or not one.optional:
+            try:
+                object.__setattr__(values, one.name, _checked(one, value))
+            except ValueError:
+                raise ValueError(f"{one.name}={shown(value)}: allowed are {one.allowed}") from None
 
 
 def _checked(one: Setting, value: Any) -> Any:
     """The value as its type; a ValueError where it is not allowed."""
-    refusal = ValueError(f"{one.name}={shown(value)}: allowed are {one.allowed}")
     if isinstance(one.kind, type) and issubclass(one.kind, StrEnum):
-        try:
-            return one.kind(value)
-        except ValueError:
-            raise refusal from None
+        return one.kind(value)
     if one.declared.choices and value not in one.declared.choices:
-        raise refusal
+        raise ValueError
     is_tuple = get_origin(one.kind) is tuple
     kinds, values = (get_args(one.kind), value) if is_tuple else ((one.kind,), (value,))
     if kinds[0] not in (int, float):
         return value
     if not isinstance(values, (tuple, list)) or len(values) != len(kinds):
-        raise refusal
+        raise ValueError
     if not all(_is_number(v, kind) and one.declared.holds(v) for v, kind in zip(values, kinds, strict=True)):
-        raise refusal
+        raise ValueError
     numbers = tuple(kind(v) for v, kind in zip(values, kinds, strict=True))
     return numbers if is_tuple else numbers[0]
 

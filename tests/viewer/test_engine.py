@@ -35,10 +35,10 @@ def test_at_rest_it_is_the_simulators_frame_bit_for_bit(display: Display | None)
     assert {"target", "maps"} == views.ms.keys()
 
 
-def test_moving_it_has_the_same_maps_and_a_coarser_image() -> None:
+def test_moving_it_has_the_maps_of_the_scanlines_and_a_coarser_image() -> None:
     engine = Engine(BODY, STATE.pose[None])
     moving, rest = engine.render(STATE, Quality.coarse), engine.render(STATE, Quality.full)
-    np.testing.assert_array_equal(moving.segmentation, rest.segmentation)
+    assert (moving.segmentation == rest.segmentation).mean() > 0.98, "they differ within a scanline of a border"
     np.testing.assert_array_equal(moving.attenuation, rest.attenuation)
     frame = Simulator(BODY, STATE.probe, coarse(STATE.simulator)).render(STATE.pose, STATE.seed)
     np.testing.assert_array_equal(moving.target, frame.image)
@@ -143,9 +143,12 @@ def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
     assert first_fitting(offered, known.tissues, at_its_size) == (picked,)
     deeper = replace(at_its_size, probe=replace(STATE.probe, depth_mm=170.0))
     assert first_fitting(offered, known.tissues, deeper) == ()
-    views = Engine(known, STATE.pose[None]).render(replace(STATE, runs=(picked,), seed=3), Quality.coarse)
+    engine, state = Engine(known, STATE.pose[None]), replace(STATE, runs=(picked,), seed=3)
+    moving, rest = engine.render(state, Quality.coarse), engine.render(state, Quality.full)
     frame = Simulator(known, STATE.probe, STATE.simulator).render(STATE.pose)
-    np.testing.assert_array_equal(views.generated[0], renderer.render(frame, known.tissues, seed=3))
+    np.testing.assert_array_equal(rest.generated[0], exact := renderer.render(frame, known.tissues, seed=3))
+    assert moving.generated[0] is not None
+    assert np.abs(moving.generated[0].astype(int) - exact)[moving.mask].mean() < 3, "grey levels"
 
 
 def test_a_generator_is_exported_while_it_is_used_and_renders_the_same_image() -> None:
@@ -163,7 +166,8 @@ def test_a_generator_is_exported_while_it_is_used_and_renders_the_same_image() -
         assert time.monotonic() < end
         last = render()
         time.sleep(0.2)
-    np.testing.assert_allclose(last, first.astype(float), atol=1)  # grey levels, which are rounded
+    np.testing.assert_allclose(last, first.astype(float), atol=3)  # grey levels; OpenVINO may compute in bf16
+    assert np.abs(last - first.astype(float)).mean() < 0.5
     assert last.std() > 5
     folder = fast._folder
     del fast, render

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from ablate.ultrasound import ConvexProbe, fan_mask
 from ablate.viewer.pictures import (
@@ -10,7 +11,7 @@ from ablate.viewer.pictures import (
     framed,
     label_at,
     label_picture,
-    marked,
+    mark,
     share_picture,
 )
 
@@ -19,8 +20,10 @@ SHAPE = (384, 532)
 MASK = fan_mask(PROBE, SHAPE)
 
 
-def middle(picture: np.ndarray) -> tuple[int, ...]:
-    return tuple(int(c) for c in picture[len(picture) // 2, picture.shape[1] // 2])
+def middle(picture: Image.Image) -> tuple[int, ...]:
+    colour = picture.getpixel((picture.width // 2, picture.height // 2))
+    assert isinstance(colour, tuple)
+    return colour
 
 
 def test_grey_levels_and_colours_are_those_of_the_maps() -> None:
@@ -29,6 +32,8 @@ def test_grey_levels_and_colours_are_those_of_the_maps() -> None:
     assert middle(label_picture(labels, [(0, 0, 0), (1.0, 0.2, 0.0)], PROBE)) == (255, 51, 0)
     bright, dark = (np.sum(middle(share_picture(np.full(SHAPE, v), MASK, PROBE))) for v in (1.0, 0.05))
     assert bright > dark
+    beside = share_picture(np.ones(SHAPE), MASK, PROBE).getpixel((2, SHAPE[0] - 2))
+    assert beside == (0, 0, 0), "outside the fan"
 
 
 def test_a_difference_is_red_where_the_first_is_brighter_and_blue_where_the_second_is() -> None:
@@ -41,7 +46,7 @@ def test_a_difference_is_red_where_the_first_is_brighter_and_blue_where_the_seco
 
 
 def test_ticks_of_the_scale_lie_ten_millimetres_apart() -> None:
-    picture = framed(np.zeros(SHAPE, np.uint8), MASK, PROBE)
+    picture = np.asarray(framed(np.zeros(SHAPE, np.uint8), MASK, PROBE))
     rows = np.flatnonzero(picture[:, 2].any(axis=-1))
     assert len(rows) == 16  # 0 to 150 mm
     assert np.diff(rows).mean() == pytest.approx(10 * SHAPE[0] / 157.23, rel=0.02)
@@ -57,17 +62,18 @@ def test_a_cross_lies_where_the_label_of_its_point_is_read() -> None:
     z = (row + 0.5) * 157.23 / SHAPE[0] - 7.23
     assert label_at(labels, np.array([x, z]), PROBE) == 7
     assert label_at(labels, np.array([1e4, z]), PROBE) == 0
-    picture = marked(np.zeros((*SHAPE, 3), np.uint8), np.array([[x, z]]), PROBE)
-    yellow = np.argwhere(picture.any(axis=-1)).mean(axis=0)
+    picture = Image.new("RGB", SHAPE[::-1])
+    mark(picture, np.array([[x, z]]), PROBE)
+    yellow = np.argwhere(np.asarray(picture).any(axis=-1)).mean(axis=0)
     np.testing.assert_allclose(yellow, (row, column), atol=1.5)
 
 
 def test_narrow_images_stand_in_the_middle_of_cells_that_are_wider_than_high() -> None:
-    bright = np.full((400, 300, 3), 255, np.uint8)
+    bright = Image.new("RGB", (300, 400), "white")
     picture = _mosaic([("a", "", bright)] * 4)
     assert picture.shape[1] / picture.shape[0] > 1.1, "all four are seen at once"
     columns = np.flatnonzero((picture[200] == 255).all(axis=-1))
     assert len(columns) == 2 * 300
     assert columns[0] == 100, "500 wide, half of the margin on either side"
-    wide = _mosaic([("a", "", np.full((400, 600, 3), 255, np.uint8))])
+    wide = _mosaic([("a", "", Image.new("RGB", (600, 400), "white"))])
     assert (wide[200, :600] == 255).all()

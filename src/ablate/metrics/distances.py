@@ -155,6 +155,7 @@ def bootstrap_interval(
 
     Resampling with replacement repeats samples, which biases both distances upwards, as small n does. The spread of
     the resampled values is therefore centred on the estimate. The interval is for the value expected at this n.
+    A ValueError as of `distance`.
 
     Parameters
     ----------
@@ -164,11 +165,6 @@ def bootstrap_interval(
         Features.
     groups : (n,) int or str
         Frame or probe site of each row; row i of X and of Y belong together. Whole groups are drawn, the same for both.
-
-    Raises
-    ------
-    ValueError
-        As `distance`.
     """
     X, Y = check_features(X, Y)
     owner = np.unique(groups, return_inverse=True)[1]

@@ -55,22 +55,14 @@ class Renderer:
     ) -> np.ndarray:
         """Render a frame from its maps, in the space that the generator works in; its image is not read.
 
+        Returns grey levels, (H, W) uint8, 0 outside the fan. A ValueError for a tissue that was not in the training.
+
         Parameters
         ----------
         tissues : sequence of Tissue
             Behind the labels 1, 2, ... of the frame's segmentation, as `Scene.tissues`.
         seed : int
             Of the noise: another seed gives other speckle.
-
-        Returns
-        -------
-        (H, W) uint8
-            Grey levels, 0 outside the fan.
-
-        Raises
-        ------
-        ValueError
-            For a tissue that the generator was not trained on.
 
         Examples
         --------

@@ -139,6 +139,7 @@ def open_exported(
     compiled = openvino_core().compile_model(path, "CPU", options | {"PERFORMANCE_HINT": "LATENCY"})
     names = conditions(generator.spec)
 
+    @without_teams()  # torch's threads go on spinning after the noise, on the cores that OpenVINO needs
     @torch.inference_mode()
     def render(maps: Mapping[str, Tensor], seed: Tensor) -> Tensor:
         given = {name: maps[name] for name in names}
@@ -159,6 +160,8 @@ def generate(
 ) -> np.ndarray:
     """Render full frames on the generator's device: one at a time, or small ones on a CPU one a thread, side by side.
 
+    Returns (N, H, W) uint8. A missing map is a KeyError, and NaN or infinity in the generator's output a ValueError.
+
     Parameters
     ----------
     maps : mapping of (N, 1, H, W) float32
@@ -169,17 +172,6 @@ def generate(
         One a frame: the same seed gives the same frame. None renders without noise.
     converter : ScanConverter, optional
         Makes images of the frames of a generator in beam space; without it they stay there.
-
-    Returns
-    -------
-    (N, H, W) uint8
-
-    Raises
-    ------
-    KeyError
-        Where a map that the generator reads is missing.
-    ValueError
-        Where the generator's output holds NaN or infinite values.
 
     Examples
     --------

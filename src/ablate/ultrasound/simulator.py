@@ -115,7 +115,7 @@ class Simulator:
 
     @without_teams()
     def render(self, pose: np.ndarray, seed: int = 0, display: Display | None = None) -> Frame:
-        """One frame.
+        """One frame; a ValueError when the pose is not rigid or the seed negative.
 
         Parameters
         ----------
@@ -125,11 +125,6 @@ class Simulator:
             Of the scatterers and the display's noise; the paths follow `settings.path_seed`.
         display : Display, optional
             What an operator sets of the picture; without it the picture follows the settings alone.
-
-        Raises
-        ------
-        ValueError
-            When the pose is not rigid or the seed negative.
         """
         image, envelope = self._image(pose, seed, display)
         segmentation, attenuation = self.maps(pose)

@@ -8,16 +8,18 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
+import torch
 
 from ablate.anatomy import Scene
 from ablate.networks.spec import OF_SURFACES, Space
+from ablate.threads import torch_threads
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.probe import pixel_polar
-from ablate.viewer.generators import open_generator
+from ablate.viewer.generators import Trained, open_generator
 from ablate.viewer.session import Moving, Quality, State, Views
 
 _COARSE_RAYS = 4
-_KEPT_SIMULATORS = 6  # full, coarse and low quality, of this probe and the one before
+_KEPT_SIMULATORS = 8  # full, coarse and low quality, and of coarse maps, of this probe and the one before
 _KEPT_GENERATORS = 4
 
 
@@ -37,6 +39,7 @@ class Engine:
         self.scene = scene
         patient = partial(with_patient_gain, settings=SimulatorSettings(tgc=TimeGain.patient), poses=training_poses)
         self._patient_gain = lru_cache(_KEPT_SIMULATORS)(lambda probe: patient(scene, probe, beside=self._first))
+        self._beside = max(1, torch.get_num_threads() - 1)  # threads, while another one draws the frame before
         self._first: Simulator | None = None
         self._simulator = lru_cache(_KEPT_SIMULATORS)(self._new_simulator)
         self._generator = lru_cache(_KEPT_GENERATORS)(lambda folder: open_generator(folder, scene.tissues))
@@ -45,38 +48,48 @@ class Engine:
     def render(self, state: State, quality: Quality) -> Views:
         """Render all views of a state.
 
-        At full quality the target is that of `Simulator.render`, bit for bit. The notes say why a generator could not
-        render. A state at rest keeps the maps and the generated images that it had moving. A pose that is not rigid, or
-        a value outside its range, is a ValueError.
+        At full quality the target is that of `Simulator.render`, bit for bit. While the probe moves, the maps of
+        surfaces are of one layer. The notes say why a generator could not render. A pose that is not rigid, or a value
+        outside its range, is a ValueError.
         """
         probe, settings, ms, notes = state.probe, state.simulator, dict[str, float](), dict[str, str]()
+        moving = quality is Quality.coarse
         place = (state.pose.tobytes(), probe, settings)
         mask, depth = _fan(probe, settings.image_shape)
-        full, low = self._simulator(probe, settings), replace(settings, rays=1, layers=1)
-        (segmentation, attenuation), ms["maps"] = self._once("maps", place, lambda: full.maps(state.pose))
+        mapped = self._simulator(probe, replace(settings, layers=1) if moving else settings)
+        own_threads = partial(torch_threads, self._beside if moving else 0)
+        with own_threads():
+            (segmentation, attenuation), ms["maps"] = self._once("maps", place, lambda: mapped.maps(state.pose))
         images: list[np.ndarray | None] = []
         for number, folder in enumerate(state.runs):
             name = f"generated {number}"
             try:
                 trained = self._generator(folder)
-                beam = full.beam_maps(state.pose, bool(OF_SURFACES & set(trained.reads)))
-                maps, of_low = (segmentation, attenuation, beam), None
+                low = None
                 if "low" in trained.reads:
-                    simulate = partial(_quietly, self._simulator(probe, low), replace(state, display=None))
+                    simulator = self._simulator(probe, replace(settings, rays=1, layers=1))
+                    simulate = partial(_quietly, simulator, replace(state, display=None))
                     frame = self._once("low", (*place, state.seed), simulate)[0]
-                    of_low = frame.image if trained.space is Space.image else frame.beam.image
-                render = partial(trained.render, maps, of_low, mask, probe, state.seed)
-                image, ms[name] = self._once(name, (folder, *place, state.seed), render)
+                    low = frame.image if trained.space is Space.image else frame.beam.image
+
+                def render(trained: Trained = trained, low: np.ndarray | None = low) -> np.ndarray:
+                    with own_threads():
+                        beam = mapped.beam_maps(state.pose, bool(OF_SURFACES & set(trained.reads)))
+                    return trained.render((segmentation, attenuation, beam), low, mask, probe, state.seed)
+
+                image, ms[name] = self._once(name, (folder, *place, state.seed, quality), render)
                 images.append(image if state.display is None else state.display.shown(image, depth, settings))
                 notes[name] = trained.reservation(state)
             except (OSError, ValueError, KeyError) as error:
                 images.append(None)
                 notes[name] = " ".join(str(error).split())
         target = None
-        if quality is Quality.full or state.moving is Moving.both or not state.runs:
-            settings = settings if quality is Quality.full else coarse(settings)
+        if not moving or state.moving is Moving.both or not state.runs:
+            settings = coarse(settings) if moving else settings
             key = (*place, settings, state.seed, state.display)
-            frame, ms["target"] = self._once("target", key, partial(_quietly, self._simulator(probe, settings), state))
+            simulate = partial(_quietly, self._simulator(probe, settings), state)
+            with own_threads():
+                frame, ms["target"] = self._once("target", key, simulate)
             target = frame.image
         notes = {name: words for name, words in notes.items() if words}
         return Views(state, target, segmentation, attenuation, mask, tuple(images), ms, notes, quality)

@@ -27,6 +27,7 @@ from ablate.pretrained import OUTSIDE, Renderer, values_of
 from ablate.runs.run import Run
 from ablate.runs.run import State as RunState
 from ablate.settings.study import StudySettings
+from ablate.threads import without_teams
 from ablate.training import Engine, OpenEngine, TrainingPrecision, generate, load_generator, missing_for, open_exported
 from ablate.ultrasound import Probe, scan_converter
 from ablate.ultrasound.probe import pixel_size_mm
@@ -79,7 +80,8 @@ class FastGenerator:
             self._advance_export(size)
         if (opened := self._opened.get(size)) is None:
             return generate(self.generator, maps, mask, seed, TrainingPrecision.fp32)[0]
-        return decode_grey_levels(opened(maps, seed)[0, 0], mask).numpy()
+        with without_teams():
+            return decode_grey_levels(opened(maps, seed)[0, 0], mask).numpy()
 
     def _advance_export(self, size: tuple[int, int]) -> None:
         """Start an export if none runs, and open the file of one that has ended."""
@@ -97,7 +99,7 @@ class FastGenerator:
         if process.exitcode == 0:
             while len(self._opened) >= _KEPT:
                 self._opened.pop(next(iter(self._opened)))
-            self._opened[exported] = open_exported(self.generator, self._path(exported), TrainingPrecision.fp32)
+            self._opened[exported] = open_exported(self.generator, self._path(exported))
         else:
             self._exports = False
             _LOG.warning("the generator could not be exported and is rendered by torch, which is slower")

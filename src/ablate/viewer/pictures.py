@@ -6,7 +6,7 @@ All images of one state are one picture, so that what stands side by side was se
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from html import escape
 
 import numpy as np
@@ -24,6 +24,7 @@ _HEIGHT_PX = 384  # a picture has at least so many rows, for its letters, and at
 _TICK_MM, _LABEL_MM = 10, 50
 _SCALE = (150, 160, 170)
 _MARK, _YELLOW = (44, 160, 44), "#ffd400"
+_INFERNO = [0, 0, 0, *colormaps["inferno"](np.linspace(0, 1, 255), bytes=True)[:, :3].ravel().tolist()]
 _PAPER = (16, 18, 22)
 _COLUMNS = 2
 _BAR_PX, _GAP_PX = 30, 6
@@ -32,35 +33,38 @@ _LINE, _NOTE = 42, 30  # characters
 GOOD, BAD, DIM = "#2f9e44", "#e8590c", "#868e96"
 _LEAST_SHARE = 0.002  # of the fan, or a tissue is not named
 # Title and note of an image, and its picture or the words in its place.
-_Tile = tuple[str, str, np.ndarray | str]
+_Tile = tuple[str, str, Image.Image | str]
 
 
-def framed(colours: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
+def framed(
+    colours: np.ndarray, mask: np.ndarray, probe: Probe, palette: Sequence[int] | None = None, smooth: bool = True
+) -> Image.Image:
     """Grey levels, (H, W), or colours, (H, W, 3), of the fan, with a scale of depth and the mark of one side.
 
-    The picture is (h, w, 3) uint8.
+    With a palette, 3 values for each level, levels are looked up in it after they have been scaled, smoothly or not.
     """
-    size = _size(mask.shape)
-    shown = colours.copy()
-    shown[~mask] = 0
-    picture = Image.fromarray(shown.astype(np.uint8)).resize(size, Image.Resampling.BILINEAR).convert("RGB")
-    picture.paste(*_scale(probe, size))
-    return np.asarray(picture)
+    picture = Image.fromarray(np.where(mask if colours.ndim == 2 else mask[..., None], colours, np.uint8(0)))
+    picture = picture.resize(_size(mask.shape), Image.Resampling.BILINEAR if smooth else Image.Resampling.NEAREST)
+    if palette is not None:
+        picture.putpalette(palette)
+    picture = picture.convert("RGB")
+    picture.paste(*_scale(probe, picture.size))
+    return picture
 
 
-def label_picture(labels: np.ndarray, colours: Sequence[Colour], probe: Probe) -> np.ndarray:
+def label_picture(labels: np.ndarray, colours: Sequence[Colour], probe: Probe) -> Image.Image:
     """A segmentation, (H, W) uint8, each tissue in its colour."""
-    table = (255 * np.array([(0.0, 0.0, 0.0), *colours])).astype(np.uint8)
-    return framed(table[labels], labels > 0, probe)
+    palette = [round(255 * channel) for colour in ((0.0, 0.0, 0.0), *colours) for channel in colour]
+    return framed(labels, labels > 0, probe, palette, smooth=False)
 
 
-def share_picture(shares: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
+def share_picture(shares: np.ndarray, mask: np.ndarray, probe: Probe) -> Image.Image:
     """A map of shares in [0, 1], (H, W), from dark violet (0) to yellow (1)."""
-    levels = (255 * np.clip(shares, 0, 1)).astype(np.uint8)
-    return framed(colormaps["inferno"](levels, bytes=True)[..., :3], mask, probe)
+    levels = (1 + 254 * np.clip(shares, 0, 1)).astype(np.uint8)  # 0 is black, outside the fan
+    return framed(levels, mask, probe, _INFERNO)
 
 
-def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Probe) -> np.ndarray:
+def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Probe) -> Image.Image:
     """a - b of two images, (H, W) uint8 each: red where a is brighter, blue where b is, white where they agree."""
     levels = np.clip(a.astype(np.int16) - b + 128, 0, 255).astype(np.uint8)
     return framed(colormaps["RdBu_r"](levels, bytes=True)[..., :3], mask, probe)
@@ -74,24 +78,22 @@ def on_fan(image: np.ndarray, mask: np.ndarray, rows: int = 160) -> np.ndarray:
     return np.dstack([np.asarray(grey)] * 3 + [np.asarray(inside)])
 
 
-def empty_picture(words: str, shape: tuple[int, int]) -> np.ndarray:
+def empty_picture(words: str, shape: tuple[int, int]) -> Image.Image:
     """Words in place of a missing picture, as large as the picture of an image of this shape."""
     canvas = Image.new("RGB", _size(shape), _PAPER)
-    font, middle = _font(canvas.height), (canvas.width / 2, canvas.height / 2)
+    font, middle = _font(canvas.height / 26), (canvas.width / 2, canvas.height / 2)
     ImageDraw.Draw(canvas).text(middle, words, _SCALE, font, "mm", spacing=0.6 * font.size, align="center")
-    return np.asarray(canvas)
+    return canvas
 
 
-def marked(picture: np.ndarray, points: np.ndarray, probe: Probe) -> np.ndarray:
-    """A picture with crosses at points of the image plane, x and z, (n, 2) mm, and what is measured between them."""
-    canvas = Image.fromarray(picture)
-    draw, shape = ImageDraw.Draw(canvas), (canvas.height, canvas.width)
+def mark(picture: Image.Image, points: np.ndarray, probe: Probe) -> None:
+    """Draw crosses at points of the image plane, x and z, (n, 2) mm, and what is measured between them."""
+    draw, shape = ImageDraw.Draw(picture), (picture.height, picture.width)
     for x, y in (_pixel(point, shape, probe) for point in points):
         draw.line((x - 7, y, x + 7, y), fill=_YELLOW, width=2)
         draw.line((x, y - 7, x, y + 7), fill=_YELLOW, width=2)
     for line in calipers.lines(points):
         draw.line([_pixel(point, shape, probe) for point in line], fill=_YELLOW, width=1)
-    return np.asarray(canvas)
 
 
 def label_at(labels: np.ndarray, point: np.ndarray, probe: Probe) -> int:
@@ -117,7 +119,7 @@ def _size(shape: tuple[int, int]) -> tuple[int, int]:
 def _scale(probe: Probe, size: tuple[int, int]) -> tuple[Image.Image, tuple[int, int], Image.Image]:
     """A picture of the scale alone, the corner to paste it at, and a mask of what is drawn."""
     canvas = Image.new("RGB", size)
-    draw, font = ImageDraw.Draw(canvas), _font(size[1])
+    draw, font = ImageDraw.Draw(canvas), _font(size[1] / 26)
     rows = pixel_coordinates_mm(probe, (size[1], size[0]))[1]
     for depth in range(0, int(probe.depth_mm) + 1, _TICK_MM):
         row = min(int(np.searchsorted(rows, depth)), size[1] - 1)
@@ -133,8 +135,9 @@ def _scale(probe: Probe, size: tuple[int, int]) -> tuple[Image.Image, tuple[int,
     return canvas, (0, 0), Image.fromarray(np.asarray(canvas).any(axis=-1))
 
 
-def _font(height_px: int) -> ImageFont.FreeTypeFont:
-    font = ImageFont.load_default(size=max(11.0, height_px / 26))
+@cache
+def _font(size: float) -> ImageFont.FreeTypeFont:
+    font = ImageFont.load_default(max(size, 11.0))
     assert isinstance(font, ImageFont.FreeTypeFont)
     return font
 
@@ -174,7 +177,8 @@ def screen(views: Views, colours: Sequence[Colour], layout: Layout) -> np.ndarra
             tiles.append(("generated - simulated", "red: brighter, blue: darker", picture))
     pictures = [empty_picture(shown, mask.shape) if isinstance(shown, str) else shown for _, _, shown in tiles]
     points = calipers.in_plane(layout.points, views.state.pose)
-    pictures = [marked(picture, points, probe) for picture in pictures]
+    for picture in pictures:
+        mark(picture, points, probe)
     return _mosaic([(title, note, picture) for (title, note, _), picture in zip(tiles, pictures, strict=True)])
 
 
@@ -189,13 +193,13 @@ def _generated(views: Views, number: int, name: str) -> _Tile:
     return f"generated: {name}", short, framed(image, views.mask, views.state.probe)
 
 
-def _mosaic(tiles: Sequence[tuple[str, str, np.ndarray]]) -> np.ndarray:
-    height, own = tiles[0][2].shape[:2]
+def _mosaic(tiles: Sequence[tuple[str, str, Image.Image]]) -> np.ndarray:
+    own, height = tiles[0][2].size
     width = max(own, height * 5 // 4)  # narrow images get margins: their titles fit, and S and A stay above the fold
     rows = -(-len(tiles) // _COLUMNS)
     cell_height, cell_width = height + _BAR_PX + _GAP_PX, width + _GAP_PX
     canvas = Image.new("RGB", (_COLUMNS * cell_width - _GAP_PX, rows * cell_height - _GAP_PX), _PAPER)
-    draw, font = ImageDraw.Draw(canvas), ImageFont.load_default(size=20)
+    draw, font = ImageDraw.Draw(canvas), _font(20.0)
     for number, (title, note, picture) in enumerate(tiles):
         x, y = number % _COLUMNS * cell_width, number // _COLUMNS * cell_height
         spare = width - draw.textlength(note, font=font) - 20
@@ -203,7 +207,7 @@ def _mosaic(tiles: Sequence[tuple[str, str, np.ndarray]]) -> np.ndarray:
             title = title[:-2].rstrip(" .") + "." if len(title) > 2 else ""
         draw.text((x + 4, y + _BAR_PX / 2), title, fill=_INK, font=font, anchor="lm")
         draw.text((x + width - 4, y + _BAR_PX / 2), note, fill=_DIM, font=font, anchor="rm")
-        canvas.paste(Image.fromarray(picture), (x + (width - own) // 2, y + _BAR_PX))
+        canvas.paste(picture, (x + (width - own) // 2, y + _BAR_PX))
     return np.asarray(canvas)
 
 

@@ -40,7 +40,7 @@ class CineLoop(deque[Views]):
         return min(self, key=lambda views: abs(self[-1].at_s - seconds - views.at_s))
 
 
-class Sweep(list[tuple[np.ndarray, np.ndarray, float]]):
+class Sweep(list[tuple[np.ndarray, Image.Image, float]]):
     """Pose, picture and time, s, of frames one after the other; a pose that is shown twice in a row counts once."""
 
     def add(self, views: Views) -> None:
@@ -61,8 +61,7 @@ class Sweep(list[tuple[np.ndarray, np.ndarray, float]]):
             raise ValueError("nothing was recorded: move the probe while recording")
         poses, pictures, times_s = zip(*self, strict=True)
         file = save_poses(folder / "poses.npy", np.stack(poses))
-        height, width = pictures[0].shape[:2]  # another depth may have another width
-        images = [Image.fromarray(picture).resize((width, height)) for picture in pictures]
+        images = [picture.resize(pictures[0].size) for picture in pictures]  # another depth may have another width
         spans_ms = [max(20, round(1e3 * span)) for span in (*np.diff(times_s), 0.5)]
         with written_whole(folder / "sweep.gif") as partial:
             images[0].save(partial, "GIF", save_all=True, append_images=images[1:], duration=spans_ms, loop=0)

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from scipy.ndimage import maximum_filter1d
 from scipy.special import xlogy
 
@@ -58,10 +59,6 @@ class SurfaceMaps:
         self._lines = scanlines_in_plane(probe, settings.scanlines, layer_offsets_mm(settings))
         gain_db = time_gain_db(sample_depths_mm(probe, self._shape[0]), probe, settings.time_gain)
         self._gain_db, self._white_db = gain_db[:, None], 20 * math.log10(settings.reference_level)
-        nodes = min(self._shape[0], NODES)
-        places = (np.arange(self._shape[0]) + 0.5) * (nodes / self._shape[0]) - 0.5
-        between = [np.interp(places, np.arange(nodes), of_node) for of_node in np.eye(nodes)]
-        self._to_rows = np.array(between, np.float32)  # values at nodes to the middles of rows
         self._normals = _lattice()
         self._tracer = Tracer(geometry, plan, probe, replace(settings, rays=1, path_seed=_PATH_SEED))
         self._weights = layer_weights(probe, settings)[1]
@@ -83,7 +80,8 @@ class SurfaceMaps:
         layers, count = starts.shape[:2]
         starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
         lines = starts, directions, inside_at(self._geometry, starts, directions)
-        made = np.zeros((len(starts), self._shape[0]), np.float32), np.zeros((len(starts), len(self._to_rows)))
+        rows = self._shape[0]
+        made = np.zeros((len(starts), rows), np.float32), np.zeros((len(starts), min(rows, NODES)))
         geometry = self._geometry.address, self._geometry.step_mm
         tables = self._plan.tissue_of_owner, self._normals
         follow = partial(_follow, geometry, lines, self._plan.media, tables, self._depth_mm, made)
@@ -94,12 +92,16 @@ class SurfaceMaps:
         # The mean over elements is no more than what the best of them brings, which interpolation in depth forgets.
         best_db = maximum_filter1d(pencils_db, _LINES_BESIDE, axis=1, mode="nearest")
         level_db = np.minimum(level_db, best_db)
-        more_db = np.minimum(level_db - pencils_db, _MOST_MORE_DB) @ self._to_rows
+        more_db = self._at_rows(np.minimum(level_db - pencils_db, _MOST_MORE_DB))
         echo_power = np.square(made[0].reshape(more_db.shape) * 10 ** (more_db / 20)).mean(axis=0)
         echo_power += np.square(self._reverberation(pose))
-        light_power = (10 ** (level_db / 10)).mean(axis=0)
+        light_power = (10 ** (level_db / 10)).mean(axis=0, keepdims=True)
         echo_db, light_db = (10 * np.log10(np.maximum(power, 1e-30)) for power in (echo_power, light_power))
-        return self._shown(echo_db - self._white_db, ECHO_DB), self._shown(light_db @ self._to_rows, LIGHT_DB)
+        return self._shown(echo_db - self._white_db, ECHO_DB), self._shown(self._at_rows(light_db)[0], LIGHT_DB)
+
+    def _at_rows(self, levels_db: np.ndarray) -> np.ndarray:
+        """Levels at nodes of depth, (layers, scanlines, nodes), at the middles of rows, (layers, scanlines, rows)."""
+        return F.interpolate(torch.from_numpy(levels_db), self._shape[0], mode="linear", align_corners=False).numpy()
 
     def _reverberation(self, pose: np.ndarray) -> np.ndarray:
         """Amplitudes of what surfaces reflect to one another, (scanlines, rows)."""

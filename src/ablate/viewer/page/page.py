@@ -40,7 +40,7 @@ class Page:
         self._words = ""
         self.images = server.gui.add_panel()
         with self.images.add_tab("Images"):
-            first = np.tile(empty_picture(_FIRST, session.state.simulator.image_shape), (2, 2, 1))
+            first = np.tile(np.asarray(empty_picture(_FIRST, session.state.simulator.image_shape)), (2, 2, 1))
             self._screen = server.gui.add_image(first, format="jpeg", jpeg_quality=_JPEG_QUALITY)
             self._caption = server.gui.add_html("")
         self._status = server.gui.add_html("")
