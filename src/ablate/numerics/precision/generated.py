@@ -16,6 +16,7 @@ from ablate.runs.job import Job
 from ablate.runs.run import Run, State, runs_of
 from ablate.settings.study import StudySettings
 from ablate.storage import digest
+from ablate.threads import without_teams
 from ablate.training import (
     Engine,
     TrainingPrecision,
@@ -144,7 +145,8 @@ def _render(
         read = network_inputs({name: m[k : k + 1] for name, m in maps.items()}, values, fan)
         seed = torch.tensor([int(bench.frames[k])], device=device)
         image = render({name: m.to(device) for name, m in read.items()}, seed)
-        levels = decode_grey_levels(image[0, 0], mask).cpu().numpy()  # waits for the device
+        with without_teams():
+            levels = decode_grey_levels(image[0, 0], mask).cpu().numpy()  # waits for the device
         images.append(converter.to_image(levels) if in_beam_space else levels)
         times.append(1e3 * (time.perf_counter() - start))
     return Frames(np.stack(images[_WARMUP:])), median(times[_WARMUP:])
