@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain, count
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +24,9 @@ from support.viewer_client import Client
 from yardstick import Yardstick
 
 _EVERY_S = 1 / 30  # a hand that moves without rest
-_ANGLES_DEG = 20  # the probe goes to and fro between minus and plus this
-_ROCKS_DEG = 60
+_DEGREES = range(-20, 21)  # the probe goes to and fro between these, around the body; then it is rocked and tilted
 _OPEN_S, _WARM_S = 3.0, 30.0  # until the page is there; until the generator has been exported
+Poses = Iterator[tuple[str, int, tuple[str, ...]]]
 
 
 @dataclass(frozen=True)
@@ -39,31 +39,31 @@ class Row:
     slowest_ms: float
 
 
-def new_poses() -> Iterator[tuple[str, int, str]]:
-    """A control, its value, and the words of the caption for the pose: each is another one than all before."""
-    angles = range(-_ANGLES_DEG, _ANGLES_DEG + 1)
-    for lap in count():
-        rock = lap % (2 * _ROCKS_DEG) - _ROCKS_DEG
-        there = angles if lap % 2 == 0 else reversed(angles)
-        for label, value in chain([("Rock (°)", rock)], (("Around (°)", angle) for angle in there)):
-            yield label, value, f"rock {rock:.1f}°"
+def new_poses() -> Poses:
+    """A control, its value, and the words of the caption for the pose, which is another one than all before."""
+    before: dict[str, int] = {}
+    for tilt, (lap, rock) in product(_DEGREES, enumerate(_DEGREES)):
+        for angle in _DEGREES if lap % 2 == 0 else reversed(_DEGREES):
+            pose = {"Tilt (°)": tilt, "Rock (°)": rock, "Around (°)": angle}
+            words = tuple(f"{label.partition(' ')[0].lower()} {value:.1f}°" for label, value in pose.items())
+            yield from ((label, value, words) for label, value in pose.items() if before.get(label) != value)
+            before = pose
 
 
-def measure(client: Client, poses: Iterator[tuple[str, int, str]], name: str, seconds: float) -> Row:
+def measure(client: Client, poses: Poses, name: str, seconds: float) -> Row:
     """Move the probe without rest, and count the pictures that come; each says in words where it was taken."""
-    sent: dict[tuple[str, str], float] = {}
+    sent: dict[tuple[str, ...], float] = {}
     client.seen.clear()
     begun = time.perf_counter()
     while time.perf_counter() - begun < seconds:
-        label, value, rock = next(poses)
-        if label.startswith("Around"):
-            sent[f"around {value:.1f}°", rock] = time.perf_counter()
+        label, value, words = next(poses)
+        sent[words] = time.perf_counter()
         client.set(label, value)
         time.sleep(_EVERY_S)
     waits, pictures = [], len(client.images())
     for seen in client.captions():
-        words = str(seen.values["content"])
-        waits += [1e3 * (seen.at_s - at_s) for (angle, rock), at_s in sent.items() if angle in words and rock in words]
+        said = str(seen.values["content"])
+        waits += [1e3 * (seen.at_s - at_s) for words, at_s in sent.items() if all(word in said for word in words)]
     return Row(name, pictures / seconds, float(np.median(waits)), float(np.percentile(waits, 95)))
 
 
@@ -82,7 +82,7 @@ def main() -> None:
     with socket.socket() as trial:
         trial.bind(("127.0.0.1", 0))
         port = trial.getsockname()[1]
-    keys = ["task=view", f"viewer.port={port}", *chosen.settings]
+    keys = ["task=view", f"viewer.port={port}", "viewer.open=false", *chosen.settings]
     shape = jobs_of(keys)[0].settings.simulator.image_shape
     print(f"{shape[0]} x {shape[1]} px, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}", flush=True)
     viewer = subprocess.Popen([sys.executable, "-m", "ablate", *keys], stdout=subprocess.PIPE, text=True)

@@ -30,6 +30,11 @@ def test_grey_levels_and_colours_are_those_of_the_maps() -> None:
     assert middle(framed(np.full(SHAPE, 90, np.uint8), MASK, PROBE)) == (90, 90, 90)
     labels = np.where(MASK, np.uint8(2), np.uint8(0))
     assert middle(label_picture(labels, [(0, 0, 0), (1.0, 0.2, 0.0)], PROBE)) == (255, 51, 0)
+    small = fan_mask(PROBE, (256, 355))
+    halves = np.where(np.arange(355) < 177, np.uint8(1), np.uint8(3)) * small
+    colours = label_picture(halves, [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)], PROBE).getcolors()
+    assert colours is not None
+    assert (0, 255, 0) not in {colour for _, colour in colours}, "no tissue between two others"
     bright, dark = (np.sum(middle(share_picture(np.full(SHAPE, v), MASK, PROBE))) for v in (1.0, 0.05))
     assert bright > dark
     beside = share_picture(np.ones(SHAPE), MASK, PROBE).getpixel((2, SHAPE[0] - 2))

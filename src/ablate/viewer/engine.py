@@ -64,20 +64,22 @@ class Engine:
         for number, folder in enumerate(state.runs):
             name = f"generated {number}"
             try:
-                trained = self._generator(folder)
-                low = None
+                trained, low = self._generator(folder), None
+                of_surfaces = bool(OF_SURFACES & set(trained.reads))
                 if "low" in trained.reads:
                     simulator = self._simulator(probe, replace(settings, rays=1, layers=1))
                     simulate = partial(_quietly, simulator, replace(state, display=None))
-                    frame = self._once("low", (*place, state.seed), simulate)[0]
+                    with own_threads():
+                        frame = self._once("low", (*place, state.seed), simulate)[0]
                     low = frame.image if trained.space is Space.image else frame.beam.image
 
-                def render(trained: Trained = trained, low: np.ndarray | None = low) -> np.ndarray:
+                def render(trained: Trained = trained, low: Any = low, of_surfaces: bool = of_surfaces) -> np.ndarray:
                     with own_threads():
-                        beam = mapped.beam_maps(state.pose, bool(OF_SURFACES & set(trained.reads)))
+                        beam = mapped.beam_maps(state.pose, of_surfaces)
                     return trained.render((segmentation, attenuation, beam), low, mask, probe, state.seed)
 
-                image, ms[name] = self._once(name, (folder, *place, state.seed, quality), render)
+                kept = f"{name}, coarse" if moving and of_surfaces else name
+                image, ms[name] = self._once(kept, (folder, *place, state.seed), render)
                 images.append(image if state.display is None else state.display.shown(image, depth, settings))
                 notes[name] = trained.reservation(state)
             except (OSError, ValueError, KeyError) as error:

@@ -1,4 +1,4 @@
-"""From views to pictures with a scale: RGB arrays, ready to be shown or saved.
+"""From views to pictures with a scale: images of Pillow, and `screen`, an RGB array of all of them.
 
 All images of one state are one picture, so that what stands side by side was seen at the same moment.
 """
@@ -36,16 +36,14 @@ _LEAST_SHARE = 0.002  # of the fan, or a tissue is not named
 _Tile = tuple[str, str, Image.Image | str]
 
 
-def framed(
-    colours: np.ndarray, mask: np.ndarray, probe: Probe, palette: Sequence[int] | None = None, smooth: bool = True
-) -> Image.Image:
+def framed(colours: np.ndarray, mask: np.ndarray, probe: Probe, palette: Sequence[int] = ()) -> Image.Image:
     """Grey levels, (H, W), or colours, (H, W, 3), of the fan, with a scale of depth and the mark of one side.
 
-    With a palette, 3 values for each level, levels are looked up in it after they have been scaled, smoothly or not.
+    With a palette, 3 values for each level, levels are looked up in it, and no values between them are made.
     """
     picture = Image.fromarray(np.where(mask if colours.ndim == 2 else mask[..., None], colours, np.uint8(0)))
-    picture = picture.resize(_size(mask.shape), Image.Resampling.BILINEAR if smooth else Image.Resampling.NEAREST)
-    if palette is not None:
+    picture = picture.resize(_size(mask.shape), Image.Resampling.NEAREST if palette else Image.Resampling.BILINEAR)
+    if palette:
         picture.putpalette(palette)
     picture = picture.convert("RGB")
     picture.paste(*_scale(probe, picture.size))
@@ -55,7 +53,7 @@ def framed(
 def label_picture(labels: np.ndarray, colours: Sequence[Colour], probe: Probe) -> Image.Image:
     """A segmentation, (H, W) uint8, each tissue in its colour."""
     palette = [round(255 * channel) for colour in ((0.0, 0.0, 0.0), *colours) for channel in colour]
-    return framed(labels, labels > 0, probe, palette, smooth=False)
+    return framed(labels, labels > 0, probe, palette)
 
 
 def share_picture(shares: np.ndarray, mask: np.ndarray, probe: Probe) -> Image.Image:
