@@ -138,7 +138,7 @@ def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
     """With tissues that it knows, against the library's own way to render."""
     renderer, table = ablate.load("sa2h"), load_tissues()
     fluid, tissue = (table[name] for name in [name for name in renderer.values if name][:2])
-    known = Scene((Structure(trimesh.creation.cylinder(radius=100, height=200), tissue),), fluid, "known")
+    known = Scene((Structure(trimesh.creation.icosphere(4, 100), tissue),), fluid, "known")
     (picked,) = (offered := pickable(Path("nowhere"))).values()
     at_its_size = replace(STATE, simulator=replace(STATE.simulator, image_shape=renderer.image_shape))
     assert first_fitting(offered, known.tissues, at_its_size) == (picked,)
