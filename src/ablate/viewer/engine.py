@@ -48,9 +48,9 @@ class Engine:
     def render(self, state: State, quality: Quality) -> Views:
         """Render all views of a state.
 
-        At full quality the target is that of `Simulator.render`, bit for bit. While the probe moves, the maps of
-        surfaces are of one layer. The notes say why a generator could not render. A pose that is not rigid, or a value
-        outside its range, is a ValueError.
+        At full quality the target is that of `Simulator.render`, and a generated image that of torch in fp32, bit for
+        bit. While the probe moves, the maps of surfaces are of one layer. The notes say why a generator could not
+        render. A pose that is not rigid, or a value outside its range, is a ValueError.
         """
         probe, settings, ms, notes = state.probe, state.simulator, dict[str, float](), dict[str, str]()
         moving = quality is Quality.coarse
@@ -76,10 +76,9 @@ class Engine:
                 def render(trained: Trained = trained, low: Any = low, of_surfaces: bool = of_surfaces) -> np.ndarray:
                     with own_threads():
                         beam = mapped.beam_maps(state.pose, of_surfaces)
-                    return trained.render((segmentation, attenuation, beam), low, mask, probe, state.seed)
+                    return trained.render((segmentation, attenuation, beam), low, mask, probe, state.seed, moving)
 
-                kept = f"{name}, coarse" if moving and of_surfaces else name
-                image, ms[name] = self._once(kept, (folder, *place, state.seed), render)
+                image, ms[name] = self._once(f"{name}, {quality}", (folder, *place, state.seed), render)
                 images.append(image if state.display is None else state.display.shown(image, depth, settings))
                 notes[name] = trained.reservation(state)
             except (OSError, ValueError, KeyError) as error:

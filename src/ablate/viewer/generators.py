@@ -57,7 +57,7 @@ def is_shipped(picked: Path) -> bool:
 
 
 class FastGenerator:
-    """Renders with torch, and with OpenVINO from the moment that the generator has been exported for a frame's size.
+    """Renders with torch; fast frames with OpenVINO, once the generator has been exported for their size.
 
     A process of its own exports, so that frames go on meanwhile. Without the extra `export` torch renders all frames.
     One thread uses it at a time.
@@ -72,13 +72,13 @@ class FastGenerator:
         self._folder = Path(mkdtemp(prefix="ablate-view-"))
         finalize(self, _end, self._running, self._folder)
 
-    def render(self, maps: Mapping[str, Tensor], mask: Tensor, seed: Tensor) -> np.ndarray:
+    def render(self, maps: Mapping[str, Tensor], mask: Tensor, seed: Tensor, fast: bool) -> np.ndarray:
         """Render (H, W) uint8 from maps (1, 1, H, W), a mask (H, W) and the seed of the noise, (1,) int64."""
         size = (mask.shape[0], mask.shape[1])
         self._rendered[size] += 1
         if self._exports and size not in self._opened and self._rendered[size] > _FRAMES_BEFORE:
             self._advance_export(size)
-        if (opened := self._opened.get(size)) is None:
+        if (opened := self._opened.get(size)) is None or not fast:
             return generate(self.generator, maps, mask, seed, TrainingPrecision.fp32)[0]
         with without_teams():
             return decode_grey_levels(opened(maps, seed)[0, 0], mask).numpy()
@@ -136,10 +136,12 @@ class Trained:
     def space(self) -> Space:
         return self.renderer.generator.spec.space
 
-    def render(self, maps: FrameMaps, low: np.ndarray | None, mask: np.ndarray, probe: Probe, seed: int) -> np.ndarray:
+    def render(
+        self, maps: FrameMaps, low: np.ndarray | None, mask: np.ndarray, probe: Probe, seed: int, fast: bool
+    ) -> np.ndarray:
         """Render (H, W) uint8 from S and A, (H, W) each, the maps in beam space, and L in the space of the generator.
 
-        `mask`, (H, W) bool, is the fan.
+        `mask`, (H, W) bool, is the fan. A `fast` image may come from OpenVINO.
         """
         space, converter = self.space, None
         read = maps_read(self.reads, space, maps, probe, self.renderer.tgc)
@@ -150,7 +152,7 @@ class Trained:
             converter = scan_converter(probe, (rows, lines), (mask.shape[0], mask.shape[1]))
             mask = np.ones((rows, lines), bool)
         inputs = network_inputs({name: value[None] for name, value in read.items()}, self.values, mask)
-        image = self.engine.render(inputs, torch.from_numpy(mask), torch.tensor([seed]))
+        image = self.engine.render(inputs, torch.from_numpy(mask), torch.tensor([seed]), fast)
         return image if converter is None else converter.to_image(image)
 
     def reservation(self, state: State) -> str:
