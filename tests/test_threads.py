@@ -1,5 +1,6 @@
 """Work in parts: any number of threads, none of torch's teams, and nothing lost when a part fails."""
 
+import multiprocessing
 import threading
 import time
 
@@ -70,3 +71,33 @@ def test_inference_mode_is_that_of_the_caller() -> None:
     for mode in (True, False):
         with torch.inference_mode(mode):
             assert set(in_parts(lambda *_: torch.is_inference_mode_enabled(), 6, 1)) == {mode}
+
+
+def slowly(begin: int, _: int) -> tuple[str, int]:
+    """A part, and which thread took it: long enough for a helper to wake up."""
+    time.sleep(0.02)
+    return threading.current_thread().name, begin
+
+
+def test_helpers_stay_from_call_to_call_and_torch_keeps_their_number() -> None:
+    torch.set_num_threads(2)
+    first, again = ({name for name, _ in in_parts(slowly, 6, 1)} for _ in range(2))
+    assert first == again
+    assert len(first) == 2
+    torch.set_num_threads(3)
+    assert len({name for name, _ in in_parts(slowly, 12, 1)}) == 3
+    assert set(in_parts(lambda *_: time.sleep(0.02) or torch.get_num_threads(), 12, 1)) == {3}
+
+
+def test_a_call_within_a_part_neither_waits_for_helpers_that_are_busy_nor_loses_parts() -> None:
+    with without_teams():
+        nested = in_parts(lambda row, _: [part for _, part in in_parts(slowly, row, 1)], 8, 1)
+    assert nested == [list(range(row)) for row in range(8)]
+
+
+def test_a_process_that_was_forked_has_helpers_of_its_own() -> None:
+    in_parts(slowly, 6, 1)
+    with multiprocessing.get_context("fork").Pool(1) as child:
+        names, parts = zip(*child.apply_async(in_parts, (slowly, 12, 1)).get(timeout=30), strict=True)
+    assert len(set(names)) > 1
+    assert parts == tuple(range(12))

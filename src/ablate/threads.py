@@ -6,10 +6,12 @@ meanwhile, once for each of the hundreds of short operations of a frame. Here a 
 when it has finished its own, so one that has to wait delays its own part alone.
 """
 
+import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import cache
 from typing import TypeVar
 
 import torch
@@ -50,6 +52,12 @@ def without_teams() -> Iterator[int]:
         _own.reset(token)
 
 
+@cache
+def _helpers(count: int, of_torch: int, process: int) -> ThreadPoolExecutor:
+    """Threads that stay, as their start costs as much as a short stage does; a process that was forked has its own."""
+    return ThreadPoolExecutor(count, f"in_parts of {process}", torch.set_num_threads, (of_torch,))
+
+
 def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[Result]:
     """Results of `work(begin, end)` for consecutive parts of `part` rows, in order.
 
@@ -57,10 +65,10 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
     let go of Python's lock.
     """
     begins = range(0, rows, part)
-    threads = min(_own.get() or torch.get_num_threads(), len(begins))
+    own, inference = torch.get_num_threads(), torch.is_inference_mode_enabled()  # torch keeps both by thread
+    threads = min(_own.get() or own, len(begins))
     results: dict[int, Result] = {}
     left = iter(begins)
-    inference = torch.is_inference_mode_enabled()  # torch keeps it by thread
 
     def take_parts() -> None:
         with torch.inference_mode(inference):
@@ -70,9 +78,13 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
     if threads <= 1:  # without memory the start of a thread never returns (CPython 3.11): none that is not needed
         take_parts()
     else:
-        with ThreadPoolExecutor(threads - 1) as pool:
-            others = [pool.submit(take_parts) for _ in range(threads - 1)]
+        helpers = _helpers(threads - 1, own, os.getpid())
+        others = [helpers.submit(take_parts) for _ in range(threads - 1)]
+        try:
             take_parts()
-            for other in others:
-                other.result()
+        finally:
+            begun = [other for other in others if not other.cancel()]  # a helper may be busy with other work
+            wait(begun)
+        for other in begun:
+            other.result()
     return [results[begin] for begin in begins]

@@ -92,11 +92,6 @@ class Interruption:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
-    @property
-    def is_asked_for(self) -> bool:
-        """Whether the training is to stop."""
-        return self.signal is not None
-
     def _receive(self, number: int, _: Any) -> None:
         if self.signal == signal.SIGINT == number:
             raise KeyboardInterrupt

@@ -62,15 +62,13 @@ def register_resolvers() -> None:
         "png_shape": _png_shape,
         # an image of the probe's fan with square pixels and the rows that the preset has
         "fan_shape": lambda *, _root_: list(square_pixels(_probe(_root_), _preset_rows(str(_root_.preset)))),
-        "two_pixels": _two_pixels,
+        # a length in mm, or that of two rows of the image where this is more
+        "two_pixels": lambda least_mm, *, _root_: max(
+            float(least_mm), round(2 * fan_of(_probe(_root_)).size_mm[0] / max(_rows(_root_), 1), 3)
+        ),
     }
     for name, resolver in resolvers.items():
         OmegaConf.register_new_resolver(name, resolver, replace=True)
-
-
-def _two_pixels(length_mm: float, *, _root_: DictConfig) -> float:
-    """A length, or that of two rows of the image where this is more."""
-    return max(float(length_mm), round(2 * fan_of(_probe(_root_)).size_mm[0] / max(_rows(_root_), 1), 3))
 
 
 def _probe(root: DictConfig) -> Probe:

@@ -153,7 +153,7 @@ class LastCheckpoint(Callback):
         """Write if it is time."""
         step = module.steps_done
         is_due = self.every > 0 and step % self.every == 0
-        trainer.should_stop = trainer.should_stop or self.interruption.is_asked_for
+        trainer.should_stop = trainer.should_stop or self.interruption.signal is not None
         if is_due or step == module.settings.steps or trainer.should_stop:
             norms = torch._foreach_norm([parameter.detach() for parameter in module.parameters()])
             if not torch.stack([norm.float() for norm in norms]).isfinite().all():

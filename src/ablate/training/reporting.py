@@ -37,14 +37,6 @@ class DivergenceError(RuntimeError):
     """Training has failed; the message says how and when."""
 
 
-def check_finite(metrics: Mapping[str, float], step: int) -> None:
-    """Raise DivergenceError where a mean loss since the last report is not finite."""
-    for name, value in metrics.items():
-        if not math.isfinite(value):
-            advice = "the last good checkpoint is kept; a lower training.learning_rate or another seed may help"
-            raise DivergenceError(f"training has failed at step {step}: {name} is {value}; {advice}")
-
-
 class Report(Callback):
     """Send metrics every `log_every` steps, check them, and show progress; validate the generator to evaluate.
 
@@ -78,7 +70,10 @@ class Report(Callback):
 
     def _report(self, module: PairGAN) -> None:
         step, settings, metrics = module.steps_done, module.settings, module.drain()
-        check_finite(metrics, step)
+        for name, value in metrics.items():
+            if not math.isfinite(value):
+                advice = "the last good checkpoint is kept; a lower training.learning_rate or another seed may help"
+                raise DivergenceError(f"training has failed at step {step}: {name} is {value}; {advice}")
         now = time.perf_counter()
         metrics["train/images_per_second"] = self._steps_timed * settings.batch_size / (now - self._since)
         self._since, self._steps_timed = now, 0

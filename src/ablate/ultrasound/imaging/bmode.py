@@ -123,12 +123,12 @@ def grey_levels(power: np.ndarray, range_db: float) -> None:
 def means_of_rows(lines: np.ndarray, settings: SimulatorSettings) -> np.ndarray:
     """The mean of the samples of each row, (rows, scanlines), of values (scanlines, samples)."""
     each = settings.samples_per_row
-    if each == 1:
-        return lines.T
-    first = np.arange(0, lines.shape[1], each)
-    counts = np.minimum(each, lines.shape[1] - first).astype(lines.dtype)
-    means: np.ndarray = (np.add.reduceat(lines, first, axis=1) / counts).T
-    return means
+    total = lines[:, ::each].copy()
+    for number in range(1, each):
+        some = lines[:, number::each]
+        total[:, : some.shape[1]] += some
+    total /= np.minimum(each, lines.shape[1] - np.arange(0, lines.shape[1], each)).astype(lines.dtype)
+    return total.T
 
 
 @dataclass(frozen=True)

@@ -222,7 +222,7 @@ def insonify(amplitude: np.ndarray, node_db: np.ndarray, lines: Arrays, textures
 def add_scatterers(
     total: np.ndarray, samples: Samples, lattice: tuple[np.float32, np.uint32], tissues: Arrays, begin: int, end: int
 ) -> None:
-    """Add amplitude x scatterer of every layer to some lines of `total`, (2, lines, samples).
+    """Sum amplitude x scatterer over layers for some lines of `total`, (2, lines, samples).
 
     A hash of the lattice cell that a sample lies in chooses its scatterer. `lattice` is cells a millimetre and the
     seed, `tissues` which are silent, (tissues,) bool, and the tables, (tissues * TABLE_SIZE, 2).
@@ -231,6 +231,7 @@ def add_scatterers(
     (cells_per_mm, seed), (silent, tables) = lattice, tissues
     layers, _, count = amplitude.shape
     for line in range(begin, end):
+        total[:, line] = 0
         for layer in range(layers):
             start, along = starts[layer, line], directions[layer, line]
             for sample in range(count):

@@ -29,8 +29,7 @@ class Speckle:
         self._pitch_mm = max(settings.scatterer_pitch_mm, fan_of(probe).reach_mm / _MOST_CELLS)
         tables = scatterers.scatterer_tables(tissues).reshape(-1, 1)
         self._tables = np.concatenate([tables.real, tables.imag], axis=1).astype(dtype)  # (tissues * TABLE_SIZE, 2)
-        planned = settings.plan is PlanMode.auto
-        self._silent = np.array([planned and tissue.scatter_power == 0 for tissue in tissues])
+        self._silent = np.array([settings.plan is PlanMode.auto and tissue.scatter_power == 0 for tissue in tissues])
         self._textures = np.array([[*(1 / mm for mm in t.texture_mm), t.texture_contrast_db] for t in tissues])
         kernel = axial_kernel(probe, settings)
         correlation = np.correlate(kernel, kernel, "full")[len(kernel) - 1 :]
@@ -52,15 +51,14 @@ class Speckle:
         nodes = level_db.shape[-1]
         at_nodes = np.rint(np.linspace(0, shape[2] - 1, nodes)).astype(int)
         own_db = line_db.reshape(*shape[:2], 1) + self._weights_db[:, None, at_nodes]
-        first_layer = slice(0, shape[1])
-        own_db = own_db - self._across_db(starts[first_layer], directions[first_layer], at_nodes)
+        own_db = own_db - self._across_db(starts[: shape[1]], directions[: shape[1]], at_nodes)
         weights = 10 ** (self._weights_db[:, at_nodes] / 20)
         of_layers = scatterers.shared_cell_gain_of_layers(starts[:: shape[1]], weights, self._pitch_mm)
         own_db = own_db - 10 * np.log10(of_layers)
         node_db = (level_db.reshape(*shape[:2], nodes) + own_db).reshape(-1, nodes)
         ranges = np.broadcast_to(ranges_mm.astype(np.float32), labels.shape)
         stride = max(1, int(_TEXTURE_SPACING_MM / self._spacing_mm))
-        textured = (self._textures[:, 3] != 0)[labels[:, ::stride]].any()
+        textured = any((labels[:, ::stride] == tissue).any() for tissue in np.flatnonzero(self._textures[:, 3]))
         places = max(2, shape[2] // stride) if textured else nodes
         coarse = np.rint(np.linspace(0, shape[2] - 1, places)).astype(int)[: shape[2]]
         amplitude = np.empty(labels.shape, self._dtype)
@@ -80,7 +78,7 @@ class Speckle:
     @stage(Stage.scatterers)
     def __call__(self, lines: scatterers.Samples, seed: int) -> np.ndarray:
         """Sum over layers of amplitude x scatterer, (2, scanlines, samples): real and imaginary part."""
-        summed = np.zeros((2, *lines.amplitude.shape[1:]), lines.amplitude.dtype)
+        summed = np.empty((2, *lines.amplitude.shape[1:]), lines.amplitude.dtype)
         lattice = np.float32(1 / self._pitch_mm), scatterers.mix_seed(seed)
         add = partial(scatterers.add_scatterers, summed, lines, lattice, (self._silent, self._tables))
         in_parts(add, summed.shape[1], LINES_OF_A_PART)

@@ -103,10 +103,9 @@ def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype, s
         return torch.empty((0, samples), dtype=dtype).numpy()
     lines, cells = reverberation.shape
     across, along = _spreading(lines, _CLUTTER_LINES), _spreading(cells, _CLUTTER_CELLS_PER_SIGMA)
-    dealt = torch.arange(lines) % sets == torch.arange(min(sets, lines))[:, None]
-    by_set = across * dealt[:, None, :]
-    spread = by_set @ (torch.from_numpy(reverberation) @ along.T)
-    share = by_set.sum(dim=-1) / across.sum(dim=-1)
+    smooth, of_sets = torch.from_numpy(reverberation) @ along.T, [slice(k, None, sets) for k in range(min(sets, lines))]
+    spread = torch.stack([across[:, some] @ smooth[some] for some in of_sets])
+    share = torch.stack([across[:, some].sum(dim=-1) for some in of_sets]) / across.sum(dim=-1)
     if len(spread) == 1:
         total = spread[0]
     else:
