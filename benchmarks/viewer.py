@@ -23,7 +23,7 @@ from ablate.jobs.compose import jobs_of
 from support.viewer_client import Client
 from yardstick import Yardstick
 
-_EVERY_S = 1 / 30  # a hand that moves without rest
+_EVERY_S = 1 / 60  # as often as a browser reports a hand that moves
 _DEGREES = range(-20, 21)  # the probe goes to and fro between these, around the body; then it is rocked and tilted
 _OPEN_S, _WARM_S = 3.0, 30.0  # until the page is there; until the generator has been exported
 Poses = Iterator[tuple[str, int, tuple[str, ...]]]
