@@ -78,8 +78,7 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
     if threads <= 1:  # without memory the start of a thread never returns (CPython 3.11): none that is not needed
         take_parts()
     else:
-        helpers = _helpers(threads - 1, own, os.getpid())
-        others = [helpers.submit(take_parts) for _ in range(threads - 1)]
+        others = [_helpers(threads - 1, own, os.getpid()).submit(take_parts) for _ in range(threads - 1)]
         try:
             take_parts()
         finally:

@@ -248,12 +248,15 @@ def test_a_database_that_cannot_be_read_is_kept_aside(
 ) -> None:
     monkeypatch.setattr(store_module, "_make", partial(shutil.copy, empty_database))  # the same, and seconds sooner
     damage(runs / "mlflow.db")
+    (runs / "artifacts").mkdir()
     before = (runs / "mlflow.db").read_bytes()
     store = open_store(runs, None, "ablate")
     assert parent_run(store, "study") == parent_run(open_store(runs, None, "ablate"), "study")
     (aside,) = runs.glob("mlflow-*.db")
     assert aside.read_bytes() == before
     assert str(aside) in caplog.text
+    assert aside.with_suffix(".artifacts").is_dir()  # what the new database names lies in a folder of its own
+    assert not (runs / "artifacts").exists()
 
 
 def test_the_journal_of_a_removed_database_is_not_applied_to_the_new_one(runs: Path) -> None:

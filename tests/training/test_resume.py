@@ -5,7 +5,7 @@ import shutil
 import signal
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -220,6 +220,14 @@ def test_a_checkpoint_needs_no_folder_for_temporary_files(tmp_path: Path, monkey
     monkeypatch.setattr(tempfile, "mkstemp", full)
     train(SPEC, replace(SETTINGS, steps=2), loader, tmp_path)
     assert read_checkpoint(tmp_path / LAST)["steps_done"] == 2
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full: Linux")
+def test_a_full_disk_is_an_error_of_the_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PyTorch makes a RuntimeError of it where it opens the file itself, which looks like a fault of the program."""
+    monkeypatch.setattr("ablate.training.loop.written_whole", lambda _: nullcontext(Path("/dev/full")))
+    with pytest.raises(OSError, match="No space left on device"):
+        train(SPEC, replace(SETTINGS, steps=2), loader, tmp_path)
 
 
 def test_the_generator_to_evaluate_is_the_average(tmp_path: Path) -> None:

@@ -71,9 +71,8 @@ def interrupts_blocked() -> Iterator[None]:
 class Interruption:
     """Remember the first signal (SIGTERM, Ctrl-C, SIGHUP, SIGUSR2) in `signal`, so that what is saved is a whole step.
 
-    The step then ends, and `LastCheckpoint` stops the training.
-
-    A second Ctrl-C stops at once. A signal that the process is told to ignore, as by `nohup`, stays ignored.
+    The step then ends, and `LastCheckpoint` stops the training. A second Ctrl-C stops at once. A signal that the
+    process is told to ignore, as by `nohup`, stays ignored.
     """
 
     def __init__(self) -> None:

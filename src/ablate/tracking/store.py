@@ -208,11 +208,13 @@ def default_uri(runs: Path) -> str:
 
 
 def replace_database(path: Path, why: str) -> None:
-    """Give the file of the default store another name; its contents are kept, and a new one is filled from disk."""
+    """Give the default store, with its artifacts, another name: it is kept, and a new one is filled from disk."""
     aside = path.with_name(f"mlflow-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.db")
     for suffix in ("", *_OF_TRANSACTIONS):
         if (file := Path(f"{path}{suffix}")).exists():
             file.rename(f"{aside}{suffix}")
+    if (artifacts := path.with_name("artifacts")).exists():
+        artifacts.rename(aside.with_suffix(".artifacts"))
     _LOG.warning("%s: %s; it is now %s, and a new one is filled by task=compare of each study", path, why, aside)
     _make(path)
 

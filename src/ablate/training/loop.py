@@ -160,8 +160,8 @@ class LastCheckpoint(Callback):
                 kept = f", {self.path} holds the last good ones" if self.path.exists() else ""
                 raise DivergenceError(f"step {step}: weights are not finite{kept}")
             remove_partial(self.path)  # one process trains a run
-            with written_whole(self.path) as partial:
-                torch.save(module.checkpoint(), partial)
+            with written_whole(self.path) as partial, partial.open("wb") as partial_file:
+                torch.save(module.checkpoint(), partial_file)  # given a path it makes no OSError of a full disk
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
