@@ -156,5 +156,5 @@ def save(renderer: Renderer, path: Path) -> None:
         "image_shape": list(renderer.image_shape),
         "made": dict(renderer.made),
     }
-    with written_whole(path) as partial, partial.open("wb") as partial_file:
-        torch.save(content, partial_file)
+    with written_whole(path) as partial:
+        torch.save(content, partial)

@@ -5,6 +5,7 @@ import signal
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -93,8 +94,7 @@ def train(
     start = module.steps_done
     if start < settings.steps:
         interruption = Interruption()
-        # The order matters: signals are taken over before the first validation, losses are checked before weights are
-        # written.
+        # In this order signals are taken over before the first validation, and losses are checked before a checkpoint.
         callbacks = [
             LambdaCallback(on_train_start=lambda *_: interruption.take_over()),
             Report(sink, validation),
@@ -152,16 +152,16 @@ class LastCheckpoint(Callback):
     def on_train_batch_end(self, trainer: Trainer, module: PairGAN, *_: Any) -> None:  # type: ignore[override]
         """Write if it is time."""
         step = module.steps_done
-        is_due = self.every > 0 and step % self.every == 0
         trainer.should_stop = trainer.should_stop or self.interruption.signal is not None
-        if is_due or step == module.settings.steps or trainer.should_stop:
+        if trainer.should_stop or step == module.settings.steps or (self.every > 0 and step % self.every == 0):
             norms = torch._foreach_norm([parameter.detach() for parameter in module.parameters()])
             if not torch.stack([norm.float() for norm in norms]).isfinite().all():
                 kept = f", {self.path} holds the last good ones" if self.path.exists() else ""
                 raise DivergenceError(f"step {step}: weights are not finite{kept}")
             remove_partial(self.path)  # one process trains a run
-            with written_whole(self.path) as partial, partial.open("wb") as partial_file:
-                torch.save(module.checkpoint(), partial_file)  # given a path it makes no OSError of a full disk
+            torch.save(module.checkpoint(), content := BytesIO())  # into a file it makes no OSError of a full disk
+            with written_whole(self.path) as partial:
+                partial.write_bytes(content.getbuffer())
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
