@@ -35,7 +35,7 @@ _CHANGES = (
     Change("threads", ("training.threads=2",)),
     Change("a metric", file="metrics/patches.py", pattern=r"PEAK = 255", by="PEAK = 254"),
     Change("a line of any source file"),
-    Change("learning rate", ("training.learning_rate=0.001",)),
+    Change("learning rate", ("training.learning_rate=0.003",)),
 )
 
 

@@ -59,7 +59,7 @@ def write_run(
     pairs = {"scene": {"anatomy_seed": anatomy}, "dataset": {"frames": frames}}
     loss = "none" if label.startswith("sa2h-gan") else "nonsaturating"
     training = {"steps": 9, "seed": seed, "loss": loss}
-    semantic = {"model": model, "encoding": encoding, "data": pairs, "training": training}
+    semantic = {"model": model, "encoding": encoding, "data": pairs, "training": training, "seed": seed}
     spec = {"label": label, "hash": digest(semantic), "changed": {}, "semantic": semantic}
     (folder / "spec.json").write_text(json.dumps({**spec, "settings": {"model": model, "seed": seed}}))
     scalars = {"test/fd_speckle": 3.0 + seed, "test/fd_speckle_lower": 2.0, "test/fd_speckle_upper": 5.0 + seed}
@@ -247,8 +247,13 @@ def test_runs_of_different_data_sets(study: Path) -> None:
 def change_spec(run: Path, **model: object) -> None:
     """Other values of the model in a spec.json, which its hash does not know of."""
     spec = json.loads((run / "spec.json").read_text())
-    spec["semantic"]["model"] |= model
-    (run / "spec.json").write_text(json.dumps(spec))
+    replace_in_spec(run, semantic=spec["semantic"] | {"model": spec["semantic"]["model"] | model})
+
+
+def replace_in_spec(run: Path, **parts: object) -> None:
+    """Other parts in a spec.json."""
+    spec = json.loads((run / "spec.json").read_text())
+    (run / "spec.json").write_text(json.dumps(spec | parts))
 
 
 def replace_in_scores(run: Path, **words: dict[str, str]) -> None:
@@ -283,6 +288,10 @@ UNUSABLE: dict[str, tuple[Callable[[Path], object], str]] = {
     "an empty spec": (lambda run: (run / "spec.json").write_text(""), SPEC),
     "a spec without a hash": (lambda run: (run / "spec.json").write_text("{}"), SPEC),
     "a spec that is no mapping": (lambda run: (run / "spec.json").write_text('{"hash": "sa2h0", "semantic": 3}'), SPEC),
+    "a spec whose changes are no mapping": (lambda run: replace_in_spec(run, changed="ab"), SPEC),
+    "a spec whose changes are a number": (lambda run: replace_in_spec(run, changed=0.5), SPEC),
+    "a spec whose settings are a number": (lambda run: replace_in_spec(run, settings=5), SPEC),
+    "a spec without a seed": (lambda run: replace_in_spec(run, semantic={}, hash=digest({})), SPEC),
     "a spec that is not what its hash says": (lambda run: change_spec(run, depth={"a": 3}), SPEC),
 }
 

@@ -29,6 +29,7 @@ def semantic(width: float, seed: int = 0, anatomy: int = 0) -> dict[str, object]
         "model": {"width": width, "family": "local"},
         "training": training,
         "data": {"scene": {"anatomy_seed": anatomy}, "frames": 3},
+        "seed": seed,
     }
 
 

@@ -98,7 +98,7 @@ class Run:
 
     @property
     def seed(self) -> int:
-        return int(self.spec["settings"]["seed"])
+        return int(self.spec["semantic"]["seed"])
 
     @property
     def name(self) -> str:
@@ -141,7 +141,7 @@ class Run:
                 return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
         except FileNotFoundError:
             return {}
-        except (OSError, ValueError, KeyError, AttributeError, EOFError, BadZipFile, zlib.error) as error:
+        except (OSError, ValueError, KeyError, AttributeError, EOFError, RuntimeError, BadZipFile, zlib.error) as error:
             raise ValueError(f"{self.pictures_file} is damaged: {' '.join(str(error).split())}") from error
 
     # What can be done with it.
@@ -161,7 +161,8 @@ class Run:
         begun = self.checkpoint.exists()
         if not (self.folder / "spec.json").exists():
             return (State.unusable, "without a spec.json") if begun else (State.missing, "")
-        if not self.spec or "settings" not in self.spec or digest(self.spec.get("semantic")) != self.hash:
+        parts: list[Any] = [self.spec.get(key) for key in ("changed", "settings", "semantic")]
+        if not (all(isinstance(part, dict) for part in parts) and "seed" in parts[2] and digest(parts[2]) == self.hash):
             return State.unusable, "with a spec.json that is damaged, or not what its hash says"
         if not (self.folder / "result.json").exists():
             return (State.resumable if begun else State.missing), "not finished"
@@ -199,9 +200,8 @@ class Run:
 
     def compared_state(self) -> str:
         """A digest that changes with whatever a comparison reads."""
-        made_with = self.folder / "provenance" / "made_with.json"
-        own = [self.folder / name for name in ("spec.json", "result.json", "per_image.parquet", "pictures.npz")]
-        return digest_of_files([*own, made_with])
+        names = "spec.json", "result.json", "per_image.parquet", "pictures.npz", "provenance/made_with.json"
+        return digest_of_files(self.folder / name for name in names)
 
     def lock(self, timeout: float = -1) -> FileLock:
         """Held by the process that trains the run."""

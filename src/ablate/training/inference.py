@@ -33,13 +33,7 @@ _SMALL_FRAME_PX = 1 << 18
 
 
 def chosen_device(device: str) -> torch.device:
-    """Turn `auto`, `cpu` or `cuda` into a device; RuntimeError where `cuda` is asked for and there is none.
-
-    Examples
-    --------
-    >>> chosen_device("cpu")
-    device(type='cpu')
-    """
+    """Turn `auto`, `cpu` or `cuda` into a device; RuntimeError where `cuda` is asked for and there is none."""
     if device == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if device == "cuda" and not torch.cuda.is_available():

@@ -35,19 +35,6 @@ def with_patient_gain(
         Training poses, probe to world, mm.
     beside : Simulator, optional
         Another simulator of the scene, whose triangles are used again.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import trimesh
-    >>> from ablate.anatomy import Scene, Structure, load_tissues
-    >>> from ablate.ultrasound import ConvexProbe, SimulatorSettings, with_patient_gain
-    >>> tissues = load_tissues()
-    >>> liver = Structure(trimesh.creation.box((300, 300, 300)).apply_translation((0, 0, 140)), tissues["liver"])
-    >>> scene, settings = Scene((liver,), tissues["coupling_gel"], "liver"), SimulatorSettings(tgc="patient")
-    >>> adjusted = with_patient_gain(scene, ConvexProbe(frequency_mhz=2, depth_mm=70), settings, np.eye(4)[None])
-    >>> adjusted.time_gain_db
-    (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0)
     """
     if settings.tgc is TimeGain.fixed or settings.time_gain_db is not None:
         return settings
