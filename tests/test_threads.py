@@ -1,8 +1,11 @@
 """Work in parts: any number of threads, none of torch's teams, and nothing lost when a part fails."""
 
 import multiprocessing
+import subprocess
+import sys
 import threading
 import time
+from contextlib import nullcontext
 
 import pytest
 import torch
@@ -79,20 +82,78 @@ def slowly(begin: int, _: int) -> tuple[str, int]:
     return threading.current_thread().name, begin
 
 
-def test_helpers_stay_from_call_to_call_and_torch_keeps_their_number() -> None:
+def threads_of(rows: int) -> set[threading.Thread]:
+    """The threads, not their names, that take parts."""
+    return set(in_parts(lambda *_: time.sleep(0.02) or threading.current_thread(), rows, 1))
+
+
+def test_helpers_stay_from_call_to_call() -> None:
     torch.set_num_threads(2)
-    first, again = ({name for name, _ in in_parts(slowly, 6, 1)} for _ in range(2))
-    assert first == again
+    first = threads_of(6)
     assert len(first) == 2
-    torch.set_num_threads(3)
-    assert len({name for name, _ in in_parts(slowly, 12, 1)}) == 3
-    assert set(in_parts(lambda *_: time.sleep(0.02) or torch.get_num_threads(), 12, 1)) == {3}
-
-
-def test_a_call_within_a_part_neither_waits_for_helpers_that_are_busy_nor_loses_parts() -> None:
+    assert threads_of(6) == first
     with without_teams():
+        assert threads_of(6) == first
+
+
+def test_helpers_have_the_number_of_torch_of_who_calls() -> None:
+    def numbers() -> set[int]:
+        return set(in_parts(lambda *_: time.sleep(0.02) or torch.get_num_threads(), 12, 1))
+
+    assert numbers() == {3}
+    other = threading.Thread(target=torch.set_num_threads, args=(5,))  # what threads that start now would have
+    other.start()
+    other.join()
+    assert numbers() == {3}
+    with without_teams():
+        assert numbers() == {1}
+    assert numbers() == {3}
+
+
+@pytest.mark.parametrize("teams", [True, False])
+def test_a_call_within_a_part_loses_nothing(teams: bool) -> None:
+    """Also where a helper would wait for itself: with teams, each part calls for as many threads as there are."""
+    with nullcontext() if teams else without_teams():
         nested = in_parts(lambda row, _: [part for _, part in in_parts(slowly, row, 1)], 8, 1)
     assert nested == [list(range(row)) for row in range(8)]
+
+
+def test_a_call_does_not_wait_for_helpers_that_are_busy() -> None:
+    torch.set_num_threads(2)
+    nested_is_done, begun = threading.Event(), threading.Event()
+    me = threading.get_ident()
+
+    def work(*_: int) -> bool:
+        if threading.get_ident() != me:  # the only helper, busy until the call of the other thread has come back
+            begun.set()
+            return nested_is_done.wait(10)
+        assert begun.wait(10)
+        in_parts(slowly, 4, 1)
+        nested_is_done.set()
+        return True
+
+    assert in_parts(work, 2, 1) == [True, True]
+
+
+def test_an_interrupted_call_leaves_no_thread_that_never_ends() -> None:
+    """Python notes a thread after it has started; a signal between the two leaves one that nobody would wake."""
+    program = """
+import threading, torch
+from concurrent.futures import ThreadPoolExecutor
+from ablate.threads import in_parts
+torch.set_num_threads(2)
+real = threading.Thread.start
+def start(thread):
+    real(thread)
+    raise KeyboardInterrupt
+threading.Thread.start = start
+try:
+    in_parts(lambda *_: None, 4, 1)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    assert ended.stdout == "interrupted\n"
 
 
 def test_a_process_that_was_forked_has_helpers_of_its_own() -> None:

@@ -8,7 +8,7 @@ when it has finished its own, so one that has to wait delays its own part alone.
 
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
@@ -36,10 +36,7 @@ def torch_threads(count: int) -> Iterator[int]:
 
 @contextmanager
 def without_teams() -> Iterator[int]:
-    """Within, torch computes on the thread that calls it, and `in_parts` uses as many threads as torch had before.
-
-    Gives the number of these threads. It may be nested.
-    """
+    """Within, torch computes on the thread that calls it, `in_parts` on as many as torch had; gives their number."""
     if (already := _own.get()) is not None:
         yield already
         return
@@ -53,9 +50,9 @@ def without_teams() -> Iterator[int]:
 
 
 @cache
-def _helpers(count: int, of_torch: int, process: int) -> ThreadPoolExecutor:
+def _helpers(count: int, process: int) -> ThreadPoolExecutor:
     """Threads that stay, as their start costs as much as a short stage does; a process that was forked has its own."""
-    return ThreadPoolExecutor(count, f"in_parts of {process}", torch.set_num_threads, (of_torch,))
+    return ThreadPoolExecutor(count, f"in_parts of {process}")
 
 
 def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[Result]:
@@ -66,7 +63,7 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
     """
     begins = range(0, rows, part)
     own, inference = torch.get_num_threads(), torch.is_inference_mode_enabled()  # torch keeps both by thread
-    threads = min(_own.get() or own, len(begins))
+    threads = min((most := _own.get() or own), len(begins))
     results: dict[int, Result] = {}
     left = iter(begins)
 
@@ -75,15 +72,24 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
             for begin in left:
                 results[begin] = work(begin, min(begin + part, rows))
 
+    def help_out() -> None:
+        torch.set_num_threads(own)
+        take_parts()
+
     if threads <= 1:  # without memory the start of a thread never returns (CPython 3.11): none that is not needed
         take_parts()
     else:
-        others = [_helpers(threads - 1, own, os.getpid()).submit(take_parts) for _ in range(threads - 1)]
+        others: list[Future[None]] = []
         try:
+            for _ in range(threads - 1):
+                others.append(_helpers(most - 1, os.getpid()).submit(help_out))
             take_parts()
+        except BaseException:
+            _helpers.cache_clear()  # ends them: one that was interrupted as it started would wait for work for ever
+            raise
         finally:
-            begun = [other for other in others if not other.cancel()]  # a helper may be busy with other work
-            wait(begun)
-        for other in begun:
+            others = [other for other in others if not other.cancel()]  # a helper may be busy with other work
+            wait(others)
+        for other in others:
             other.result()
     return [results[begin] for begin in begins]

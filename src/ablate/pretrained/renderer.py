@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -156,5 +157,6 @@ def save(renderer: Renderer, path: Path) -> None:
         "image_shape": list(renderer.image_shape),
         "made": dict(renderer.made),
     }
+    torch.save(content, held := BytesIO())  # given a path it makes a RuntimeError of a full disk
     with written_whole(path) as partial:
-        torch.save(content, partial)
+        partial.write_bytes(held.getbuffer())

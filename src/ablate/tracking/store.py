@@ -210,12 +210,12 @@ def default_uri(runs: Path) -> str:
 def replace_database(path: Path, why: str) -> None:
     """Give the default store, with its artifacts, another name: it is kept, and a new one is filled from disk."""
     aside = path.with_name(f"mlflow-{datetime.now(UTC):%Y%m%d-%H%M%S-%f}.db")
+    if (artifacts := path.with_name("artifacts")).exists():  # first: what is killed here begins again
+        artifacts.rename(aside.with_suffix(".artifacts"))
     for suffix in ("", *_OF_TRANSACTIONS):
         if (file := Path(f"{path}{suffix}")).exists():
             file.rename(f"{aside}{suffix}")
-    if (artifacts := path.with_name("artifacts")).exists():
-        artifacts.rename(aside.with_suffix(".artifacts"))
-    _LOG.warning("%s: %s; it is now %s, and a new one is filled by task=compare of each study", path, why, aside)
+    _LOG.warning("%s: %s; it is now %s.*; task=compare of each study fills a new one", path, why, aside.with_suffix(""))
     _make(path)
 
 

@@ -166,14 +166,6 @@ def generate(
         One a frame: the same seed gives the same frame. None renders without noise.
     converter : ScanConverter, optional
         Makes images of the frames of a generator in beam space; without it they stay there.
-
-    Examples
-    --------
-    >>> from ablate.networks import GeneratorSpec
-    >>> generator = Generator(GeneratorSpec(attenuation="none", depth=2, width=0.05))
-    >>> frames = generate(generator, {"segmentation": torch.zeros(2, 1, 16, 24)}, torch.ones(16, 24), torch.arange(2))
-    >>> frames.shape, frames.dtype
-    ((2, 16, 24), dtype('uint8'))
     """
     device = next(generator.parameters()).device
     given = {name: maps[name] for name in conditions(generator.spec)}
@@ -186,12 +178,10 @@ def generate(
             levels: np.ndarray = decode_grey_levels(generator(**frame, noise_seed=seed)[0, 0], fan).cpu().numpy()
             return levels
 
-    def finished(frames: list[np.ndarray]) -> np.ndarray:
-        stack = np.stack(frames)
-        return converter.to_image(stack) if converter and generator.spec.space is Space.beam else stack
-
     count, pixels = len(given["segmentation"]), math.prod(given["segmentation"].shape[-2:])
     if device.type == "cpu" and count > 1 and pixels <= _SMALL_FRAME_PX:
         with without_teams():
-            return finished(in_parts(render, count, 1))
-    return finished([render(index, index + 1) for index in range(count)])
+            frames = np.stack(in_parts(render, count, 1))
+    else:
+        frames = np.stack([render(index, index + 1) for index in range(count)])
+    return converter.to_image(frames) if converter and generator.spec.space is Space.beam else frames

@@ -123,12 +123,14 @@ def grey_levels(power: np.ndarray, range_db: float) -> None:
 def means_of_rows(lines: np.ndarray, settings: SimulatorSettings) -> np.ndarray:
     """The mean of the samples of each row, (rows, scanlines), of values (scanlines, samples)."""
     each = settings.samples_per_row
-    total = lines[:, ::each].copy()
-    for number in range(1, each):
-        some = lines[:, number::each]
-        total[:, : some.shape[1]] += some
-    total /= np.minimum(each, lines.shape[1] - np.arange(0, lines.shape[1], each)).astype(lines.dtype)
-    return total.T
+    first = np.arange(0, lines.shape[1], each)
+    if each == 2:  # the same sums, ten times as fast
+        sums = lines[:, ::2].copy()
+        sums[:, : lines.shape[1] // 2] += lines[:, 1::2]
+    else:
+        sums = np.add.reduceat(lines, first, axis=1)
+    means: np.ndarray = (sums / np.minimum(each, lines.shape[1] - first).astype(lines.dtype)).T
+    return means
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ def lateral_kernels(
     side -= main * side.sum(axis=-1, keepdims=True)
     power = (main**2).sum(axis=-1, keepdims=True) / (FWHM_PER_SIGMA * sigma * energy)  # main over side lobes
     kernels = main + 10 ** (sidelobe_db / 20) * np.sqrt(power) * side
-    return np.where(np.abs(kernels) > _LEAST, kernels, 0.0)
+    return np.where(np.abs(kernels) <= _LEAST, 0.0, kernels)
 
 
 def _side_lobes(widths: np.ndarray) -> tuple[np.ndarray, float]:

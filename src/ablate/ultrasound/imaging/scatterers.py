@@ -219,7 +219,7 @@ def insonify(amplitude: np.ndarray, node_db: np.ndarray, lines: Arrays, textures
 
 
 @compiled
-def add_scatterers(
+def sum_scatterers(
     total: np.ndarray, samples: Samples, lattice: tuple[np.float32, np.uint32], tissues: Arrays, begin: int, end: int
 ) -> None:
     """Sum amplitude x scatterer over layers for some lines of `total`, (2, lines, samples).

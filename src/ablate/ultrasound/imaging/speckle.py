@@ -80,8 +80,8 @@ class Speckle:
         """Sum over layers of amplitude x scatterer, (2, scanlines, samples): real and imaginary part."""
         summed = np.empty((2, *lines.amplitude.shape[1:]), lines.amplitude.dtype)
         lattice = np.float32(1 / self._pitch_mm), scatterers.mix_seed(seed)
-        add = partial(scatterers.add_scatterers, summed, lines, lattice, (self._silent, self._tables))
-        in_parts(add, summed.shape[1], LINES_OF_A_PART)
+        add_up = partial(scatterers.sum_scatterers, summed, lines, lattice, (self._silent, self._tables))
+        in_parts(add_up, summed.shape[1], LINES_OF_A_PART)
         return summed
 
     def _across_db(self, starts: np.ndarray, directions: np.ndarray, samples: np.ndarray) -> np.ndarray:
