@@ -139,7 +139,6 @@ def test_an_interrupted_call_leaves_no_thread_that_never_ends() -> None:
     """Python notes a thread after it has started; a signal between the two leaves one that nobody would wake."""
     program = """
 import threading, torch
-from concurrent.futures import ThreadPoolExecutor
 from ablate.threads import in_parts
 torch.set_num_threads(2)
 real = threading.Thread.start

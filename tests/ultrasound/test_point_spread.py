@@ -146,7 +146,7 @@ def test_an_echo_between_two_samples_is_shared_by_them(gel, slab, tissue, sample
 
 @pytest.mark.parametrize("probe", [ConvexProbe(), LinearProbe(), PhasedProbe()], ids=lambda probe: type(probe).__name__)
 def test_no_kernel_holds_denormal_numbers(probe: Probe) -> None:
-    """On Intel's processors a product with some of them takes ten times as long."""
+    """On Intel's processors a product with some of them is much slower."""
     settings = SimulatorSettings()
     kernels = lateral_kernels(probe, settings, sidelobe_db=settings.sidelobe_db)
     least = np.abs(kernels[kernels != 0]).min()

@@ -157,6 +157,6 @@ def save(renderer: Renderer, path: Path) -> None:
         "image_shape": list(renderer.image_shape),
         "made": dict(renderer.made),
     }
-    torch.save(content, held := BytesIO())  # given a path it makes a RuntimeError of a full disk
+    torch.save(content, held := BytesIO())  # to a path, a full disk is a RuntimeError
     with written_whole(path) as partial:
         partial.write_bytes(held.getbuffer())

@@ -159,7 +159,7 @@ class LastCheckpoint(Callback):
                 kept = f", {self.path} holds the last good ones" if self.path.exists() else ""
                 raise DivergenceError(f"step {step}: weights are not finite{kept}")
             remove_partial(self.path)  # one process trains a run
-            torch.save(module.checkpoint(), content := BytesIO())  # given a path: a RuntimeError of a full disk
+            torch.save(module.checkpoint(), content := BytesIO())  # to a path, a full disk is a RuntimeError
             with written_whole(self.path) as partial:
                 partial.write_bytes(content.getbuffer())
 

@@ -72,7 +72,7 @@ def _check_lengths(content: bytes) -> None:
     first, length = appended.find(b"_") + 1, 8 if re.search(rb"header_type=.UInt64", about) else 4
     for offset, inline in _ARRAY.findall(about):
         begins = inline or appended[first + int(offset) :][:16]
-        begins = begins if re.search(rb"encoding=.raw", appended[:first]) else b64decode(begins)
+        begins = begins if not inline and re.search(rb"encoding=.raw", appended[:first]) else b64decode(begins)
         if int.from_bytes(begins[:length], "big" if b"BigEndian" in about else "little") > len(content):
             raise ValueError("an array is longer than the file")
 

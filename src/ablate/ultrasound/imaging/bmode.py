@@ -124,13 +124,12 @@ def means_of_rows(lines: np.ndarray, settings: SimulatorSettings) -> np.ndarray:
     """The mean of the samples of each row, (rows, scanlines), of values (scanlines, samples)."""
     each = settings.samples_per_row
     first = np.arange(0, lines.shape[1], each)
-    if each == 2:  # the same sums, ten times as fast
+    if each == 2:  # the same sums, sooner
         sums = lines[:, ::2].copy()
         sums[:, : lines.shape[1] // 2] += lines[:, 1::2]
     else:
         sums = np.add.reduceat(lines, first, axis=1)
-    means: np.ndarray = (sums / np.minimum(each, lines.shape[1] - first).astype(lines.dtype)).T
-    return means
+    return (sums / np.minimum(each, lines.shape[1] - first).astype(lines.dtype)).T
 
 
 @dataclass(frozen=True)
