@@ -3,6 +3,7 @@
 import importlib
 import json
 import os
+import random
 import shutil
 import sqlite3
 import subprocess
@@ -10,7 +11,8 @@ import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -76,6 +78,43 @@ def test_the_judge_finds_what_is_lost_doubled_or_changed(
     damage(runs)
     assert message in " ".join(differences(runs, tiny_study.runs))
     assert chaos
+
+
+def test_a_campaign_goes_on_where_it_stopped_and_the_page_has_all_its_seeds(
+    chaos: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    bench, tried = SimpleNamespace(unbroken=None), []
+
+    def tries(_: object, rng: random.Random, number: int) -> Any:
+        tried.append((number, rng.random()))
+        return chaos.Round([], 2, {"waited, s": float(number)})
+
+    fault = chaos.Fault("tries", "a fault", "nothing is lost", tries, 6, 1)
+    monkeypatch.setattr(chaos, "FAULTS", (fault,))
+    monkeypatch.setattr(chaos, "KEPT", tmp_path)
+    for _ in range(2):  # the second call finds that two rounds are done
+        row = chaos.noted(fault, tmp_path / "abc-1")
+        chaos.campaign([row], bench, 1, 60.0, 2, tmp_path / "abc-1")
+    assert [number for number, _ in tried] == [0, 1]
+    chaos.campaign([row := chaos.noted(fault, tmp_path / "abc-1")], bench, 1, 60.0, None, tmp_path / "abc-1")
+    assert [number for number, _ in tried] == [0, 1, 2]
+    assert len({drawn for _, drawn in tried}) == 3, "each round draws its own numbers, whatever call it is in"
+    assert not row.is_open
+
+    page = tmp_path / "page.md"
+    page.write_text(f"before\n{chaos.BEGIN}\n{chaos.END}\nafter")
+    monkeypatch.setattr(chaos, "PAGE", page)
+    both, seeds = chaos.of_all_seeds(fault, "abc")
+    chaos.write_page([both.cells("abc", seeds)], "")
+    assert "| 6 of 6 | nothing is lost | 3 of 3 rounds as they must be; at most 2.0 waited, s | holds | abc | 1 |" in (
+        complete := page.read_text()
+    )
+    chaos.campaign([chaos.noted(fault, tmp_path / "abc-2")], bench, 2, 60.0, 1, tmp_path / "abc-2")
+    both, seeds = chaos.of_all_seeds(fault, "abc")
+    assert both.cells("abc", seeds)[1::3] == ("8 of 12", "holds so far")
+    assert seeds == "1, 2"
+    chaos.write_page([both.cells("abc", seeds)], "")
+    assert page.read_text() == complete, "a complete row stays until the new one is complete"
 
 
 @pytest.mark.slow

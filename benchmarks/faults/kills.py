@@ -41,7 +41,7 @@ def at_each_write(bench: Bench, _: random.Random, number: int) -> Round:
     A file that is opened to be written in its place is emptied first, as it is when a process is killed after that.
     The round in which the process ends by itself is the last.
     """
-    if number == 0:
+    if bench not in _rescored:
         _rescored[bench] = bench.copy()
     runs = _rescored[bench]
     path = runs / STUDY / VARIANTS[0] / "seed0" / "result.json"
