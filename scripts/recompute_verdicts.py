@@ -89,6 +89,25 @@ def lack_of_fit(runs: pd.DataFrame, names: Iterable[str]) -> dict[str, float]:
     return found
 
 
+def by_own_spread(runs: pd.DataFrame, name: str) -> tuple[float, float, float]:
+    """Welch's test of a component: its p, and the standard deviations of its runs and of those of the full model.
+
+    The mean of each anatomy is taken out, and the error is that of these two networks alone (Welch 1947).
+    """
+    metric = COMPONENTS[name]["metric"]
+    means, variances, counts = [], [], []
+    for network in (FULL, name):
+        own = runs[runs["network"] == network]
+        of_anatomies = own.groupby("anatomy")[metric]
+        counts.append((len(own), len(own) - of_anatomies.ngroups))
+        variances.append(float(((own[metric] - of_anatomies.transform("mean")) ** 2).sum()) / counts[-1][1])
+        means.append(float(of_anatomies.mean().mean()))
+    parts = [variance / n for variance, (n, _) in zip(variances, counts, strict=True)]
+    dof = sum(parts) ** 2 / sum(part**2 / k for part, (_, k) in zip(parts, counts, strict=True))
+    p = 2 * student.sf(abs(means[0] - means[1]) / np.sqrt(sum(parts)), dof)
+    return float(p), float(np.sqrt(variances[1])), float(np.sqrt(variances[0]))
+
+
 def report(study: str, runs: pd.DataFrame) -> None:
     """Print the verdicts of a study, and those that change without a single run."""
     table = verdicts(runs)
@@ -102,6 +121,9 @@ def report(study: str, runs: pd.DataFrame) -> None:
         print(f"Effects in {anatomy or 'the first anatomy'}: {', '.join(found)}")
     fit = ", ".join(f"{metric} {p:.3f}" for metric, p in lack_of_fit(runs, table.index).items())
     print(f"Lack of fit, p of the difference between anatomies: {fit}\n")
+    own = pd.DataFrame([by_own_spread(runs, name) for name in table.index], table.index, ["p", "sd", "sd_full"])
+    own["p_holm"] = holm(own["p"])
+    print(f"Welch's test, by the spread of a component's own runs\n{own.to_string(float_format='{:.4f}'.format)}\n")
     changed = 0
     for k, run in enumerate(runs["run"]):
         without = verdicts(runs.drop(index=k))["verdict"]

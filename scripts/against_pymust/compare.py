@@ -49,6 +49,7 @@ PHANTOM = Phantom(
         Lesion("+6 dB lesion", 16.0, 50.0, 7.0, 6.0),
     ),
 )
+SIDE_LOBES = 20.0  # width of the side lobes of ablate, in widths of the main lobe
 PYMUST_SEEDS, ABLATE_SEEDS = range(3), range(100)
 
 
@@ -102,15 +103,21 @@ def points(phantom: Phantom) -> list[Scatterers]:
     return [Scatterers(np.zeros(1), np.array([depth]), np.ones(1)) for depth in point_depths_mm(phantom).values()]
 
 
-def gaussian_points(phantom: Phantom, settings: SimulatorSettings) -> list[np.ndarray]:
-    """Images of `points` by ablate's pulse, (n, lines) float64 each."""
+def pulse_points(phantom: Phantom, settings: SimulatorSettings) -> list[np.ndarray]:
+    """Images of `points` by ablate's pulse, (n, lines) float64 each: a Gaussian, and side lobes of random signs."""
     x, z = phantom.grid_mm
     r = np.hypot(x, z + phantom.face_mm)
+    signs = np.random.default_rng(0).choice((-1.0, 1.0), 1000)
+    signs[0] = 0.0  # within a width there is the main lobe alone
+    reach = SIDE_LOBES / math.sqrt(8 * math.log(2))
+    # Squares integrate to sqrt(pi / (8 ln 2)) widths for the main lobe, and to sqrt(pi) * reach for the side lobes.
+    height = 10 ** (settings.sidelobe_db / 20) * (8 * math.log(2)) ** -0.25 / math.sqrt(reach)
     pictures = []
     for depth_mm in point_depths_mm(phantom).values():
         along = (r - phantom.face_mm - depth_mm) / settings.axial_fwhm_mm
         across = r * np.arctan2(x, z + phantom.face_mm) / lateral_fwhm_mm(phantom, settings, depth_mm)
-        pictures.append(2.0 ** (-4 * (along**2 + across**2)))
+        side = height * np.exp(-0.5 * (across / reach) ** 2) * signs[np.abs(across).astype(int)]
+        pictures.append(2.0 ** (-4 * along**2) * (2.0 ** (-4 * across**2) + side))
     return pictures
 
 
@@ -206,7 +213,7 @@ def main() -> None:
             f"PyMUST, {len(theirs)} images": [measured(PHANTOM, image) for image in theirs],
             "PyMUST expected": [expected(PHANTOM, seen[: len(alone)], PHANTOM.per_mm2)],
             f"ablate, {len(ours)} images": [measured(PHANTOM, image) for image in ours],
-            "ablate expected": [expected(PHANTOM, gaussian_points(PHANTOM, settings), math.inf)],
+            "ablate expected": [expected(PHANTOM, pulse_points(PHANTOM, settings), math.inf)],
         }
     )
     for number, row in enumerate(rows):

@@ -143,6 +143,13 @@ def test_cells_beside_a_half_are_left_out_because_they_would_confound_it():
     assert "sa2h.attenuation-compensated" not in find_design(third, FACTORS).cells.index
 
 
+def test_a_value_that_is_the_same_in_all_runs_has_no_effect():
+    components = study_of(HALF)
+    table = effects_of(runs_of(components, lambda *_: 1 / 3), find_design(components, FACTORS))
+    assert (table["estimate"] == 0).all()
+    assert set(table["p"].dropna()) <= {1.0}, "a rounding error is no effect"
+
+
 def test_blocks_are_taken_out_of_effects_and_cost_one_degree_of_freedom_each():
     components = study_of(HALF)
     design = find_design(components, FACTORS)

@@ -71,6 +71,17 @@ def test_many_ties_do_not_move_the_interval_off_the_estimate():
         assert result.lower <= result.shift <= result.upper
 
 
+def test_an_outlier_does_not_narrow_the_interval():
+    sites = np.repeat(np.arange(16), 3)
+    d = np.random.default_rng(1).normal(0.0, 0.05, size=48)
+    plain = paired_difference(d, np.zeros(48), sites)
+    for far in (60.0, -60.0):
+        with_one = paired_difference(np.append(d, far), np.zeros(49), np.append(sites, 7))
+        wide = plain.upper - plain.lower
+        assert (with_one.lower, with_one.upper) == pytest.approx((plain.lower, plain.upper), abs=0.2 * wide)
+        assert with_one.shift == pytest.approx(brute_hodges_lehmann(np.append(d, far)))
+
+
 def test_infinite_pairs_are_dropped_and_one_cluster_has_no_interval():
     result = paired_difference([1.0, math.inf, 3.0, 4.0], [0.0, 1.0, math.inf, 3.5], clusters=["a"] * 4)
     assert (result.n, result.dropped, result.shift) == (2, 2, 0.75)

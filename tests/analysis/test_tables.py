@@ -138,6 +138,10 @@ def test_one_nan_costs_one_frame_and_an_infinite_value_one_too(study):
     row = analysis.paired_table(broken, resamples=10).query("variant == 'nsa2h' and metric == 'psnr'").iloc[0]
     assert (row["n"], row["dropped"]) == (18, 2), "a frame that one seed has no value for is compared by no seed"
     assert analysis.seed_claims(broken).query("variant == 'nsa2h' and metric == 'psnr'")["verdict"].iloc[0] == "differs"
+    other = (broken["variant"] == "nsa2h") & (broken["metric"] == "psnr") & (broken["seed"] == 0)
+    broken.loc[other & (broken["frame"] == 6), "value"] = -np.inf
+    row = analysis.paired_table(broken, resamples=10).query("variant == 'nsa2h' and metric == 'psnr'").iloc[0]
+    assert (row["n"], row["dropped"]) == (18, 2), "infinities of both signs have no mean"
 
 
 def test_a_metric_without_one_value_is_shown_as_such(study):

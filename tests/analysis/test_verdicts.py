@@ -169,6 +169,9 @@ def test_what_cannot_be_judged_says_why(design: Design, cells: pd.DataFrame) -> 
     third = with_and_without("compensated")
     row = verdict_table(runs.join(third.cells, on="variant"), third).iloc[0]
     assert row["why"] == "the runs compare integral with compensated"
+    several_on = replace(COMPONENTS[NAMES.index("att")], on=("integral", "compensated"))
+    row = analysis.verdict_table(runs.join(third.cells, on="variant"), third, [several_on]).iloc[0]
+    assert row["why"] == "the runs compare integral with compensated", "neither is without the component"
     unscored = verdict_table(means[means["metric"] != METRIC["conv"]], design).set_index("component")
     assert unscored.loc["conv", "why"] == f"no run was scored by {METRIC['conv']}"
     confounded = means.assign(data=means["model.attenuation"].astype(str))

@@ -23,13 +23,16 @@ def test_names_sets_and_lists():
 
 def test_two_of_one_name_are_refused(monkeypatch, tmp_path):
     for module in ("first_of_two", "second_of_two"):
-        (tmp_path / f"{module}.py").write_text("def sharpness(pair):\n    return 0.0\n\n\nmae = sharpness\n")
+        code = "def sharpness(pair):\n    return 0.0\n\n\nmae = floor_mae = sharpness\n"
+        (tmp_path / f"{module}.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     assert choose_metrics(["first_of_two.sharpness"] * 2).keys() == {"sharpness"}
     with pytest.raises(ValueError, match="two of them are called sharpness"):
         choose_metrics(["first_of_two.sharpness", "second_of_two.sharpness"])
     with pytest.raises(ValueError, match="mae is the name of another metric"):
         choose_metrics(["first_of_two.mae"])
+    with pytest.raises(ValueError, match="floor_mae is the name of another metric"):  # what re-simulation scores
+        choose_metrics(["first_of_two.floor_mae"])
 
 
 def test_the_page_names_every_metric_and_no_other():

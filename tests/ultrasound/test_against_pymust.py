@@ -48,7 +48,7 @@ def test_both_simulators_show_the_same_lesion(load) -> None:
     ablate = {key: np.mean([measures[key] for measures in images]) for key in pymust}
     for measures, expected, tolerance in (
         (pymust, compare.expected(phantom, points, phantom.per_mm2), 0.15),
-        (ablate, compare.expected(phantom, compare.gaussian_points(phantom, settings), np.inf), 0.06),
+        (ablate, compare.expected(phantom, compare.pulse_points(phantom, settings), np.inf), 0.06),
     ):
         assert measures["mean / sd"] == pytest.approx(expected["mean / sd"], abs=0.05)
         assert measures["distance to Rayleigh"] < 0.03

@@ -33,7 +33,7 @@ _TEMPLATES = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-_TEMPLATES.globals.update(resimulation=RESIMULATION, metric_of=metric_of, listed=listed)
+_TEMPLATES.globals.update(resimulation=RESIMULATION, metric_of=metric_of, listed=listed, fewest_sites=FEWEST_SITES)
 _TEMPLATES.filters["head_of"] = head
 _TEMPLATES.tests["missing"] = pd.isna
 
@@ -53,7 +53,6 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
         resimulated=RESIMULATION in set(per_image["variant"]),
         sites=networks["site"].nunique(),
         few_sites=FEW_SITES,
-        fewest_sites=FEWEST_SITES,
         moved=[str(frame) for frame in sites_of.index[sites_of > 1]],
         most_frames=frames.max(),
         short=[f"{variant}/seed{seed} ({n})" for (variant, seed), n in runs if n < frames.max()],

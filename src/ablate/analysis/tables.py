@@ -222,5 +222,5 @@ def _caption(table: pd.DataFrame, per_frame: pd.DataFrame, metrics: list[str]) -
     seeds = f"{many} seed{'' if many == 1 else 's'}" if few == many else f"{few} to {many} seeds"
     frames = int((per_frame["n"] / per_frame["seeds"]).max()) if len(per_frame) else 0
     note = f" {resimulation_note(metrics)}" if RESIMULATION in set(table["variant"]) else ""
-    text = f"Mean and standard deviation over {frames} test frames of unseen probe sites, {seeds} a network."
+    text = f"Mean and standard deviation over {frames} test frames, {seeds} a network."
     return f"{text} Bold is the best network.{note}"

@@ -22,11 +22,11 @@ _PAPER_MM = fan_of(ConvexProbe()).size_mm[0]
 
 
 def described(jobs: Sequence[Job]) -> pd.DataFrame:
-    """One row a variant, indexed by it: components, inputs, receptive field and parameters, here and in the paper.
+    """One row a variant, indexed by it: components, inputs, and receptive field and parameters at two sizes.
 
     A single job asks for all variants at its sizes; a sweep for its own. Lengths are px, mm and per cent of the frame's
-    height; in beam space, of a scanline. The columns of the paper are those of the network with the levels that it has
-    in the paper's frame, and width 1; they are None where no network of the paper's frame is so deep.
+    height; in beam space, of a scanline. The paper's size is the levels that a network has in the paper's
+    frame, and width 1; it is None where no network of the paper's frame is so deep.
     """
     rows = {label: _row(settings) for label, settings in _variants(jobs)}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("variant")
@@ -35,7 +35,7 @@ def described(jobs: Sequence[Job]) -> pd.DataFrame:
 def description(jobs: Sequence[Job]) -> str:
     """`described` as text of at most 120 columns (with the variants of conf/), and what is the same for all of them."""
     table = described(jobs).map(_cell).reset_index()
-    paper = "in the paper: "
+    paper = "paper's size: "
     parts = {
         "components": {n: n for n in ("family", *(c.name for c in components_of_networks().values()))},
         "inputs": {"inputs": "inputs"},
@@ -44,7 +44,7 @@ def description(jobs: Sequence[Job]) -> str:
             **{"paper_depth": paper + "levels", "paper_field_px": "px", "paper_field_mm": "mm"},
             "paper_field_percent": "%",
         },
-        "parameters, in the paper with width 1 and the paper's levels": {
+        "parameters, at the paper's size with width 1 and the paper's levels": {
             **{"total_here": "here: total", "generator": paper + "generator", "discriminator": "discriminator"},
             "total": "total",
         },

@@ -151,14 +151,16 @@ def _check_metrics(s: StudySettings) -> None:
     with refusing():
         chosen = choose_metrics(s.metrics)
     if not any(metric.of_image or metric.of_draws for metric in chosen.values()):
-        names = ", ".join(sorted(chosen))
-        raise ConfigurationError(f"metrics={names}: name one that every image has too, such as psnr")
+        raise ConfigurationError(f"metrics={', '.join(sorted(chosen))}: name one that every image has too, as psnr")
+    scores = [f"{part}/{name}" for part in ("val", "test") for name in chosen]
+    if s.objective is not None and s.objective not in scores:
+        raise ConfigurationError(f"objective={s.objective}: allowed are {', '.join(scores)}")
     where = s.evaluation.inception
     asked = [s.metrics] if isinstance(s.metrics, str) else s.metrics
     named = [name for name, metric in METRICS.items() if metric.uses(FeatureKind.inception) and name in asked]
     if named and where is None:
         raise ConfigurationError(f"metrics={named[0]}: needs evaluation.inception=path/to/file or =download")
-    if where is not None and s.task is Task.study and needs_inception(chosen):
+    if where is not None and needs_inception(chosen) and (s.task is Task.study or where != "download"):
         with refusing(f"evaluation.inception={where}: "):
             inception_file(where)
 

@@ -40,7 +40,9 @@ def in_one_line(words: Sequence[str] = ()) -> Iterator[None]:
 def _unreadable(error: OverrideParseException) -> str:
     """A word that is not of Hydra's grammar, with what helps."""
     key, is_given, value = error.override.partition("=")
-    if not is_given or value.startswith(("'", '"')):
+    if not is_given:
+        return f"{shown(key)}: allowed are key=value and the options of --help"
+    if value.startswith(("'", '"')):
         return _one_line(error)
     hint = "without the comma at its end" if value.endswith(",") else f"in quotes: \"{key}='...'\""
     return f"{key}: Hydra cannot read the value {shown(value)}; give it {hint}"

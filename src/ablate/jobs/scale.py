@@ -27,9 +27,7 @@ _UNET_LEVELS = DEPTHS[-1]
 def levels(at_paper: int, rows: int) -> int:
     """Levels of a network that has `at_paper` of them in the paper's frame: one less for every halving of its rows.
 
-    A receptive field of depth d grows as 2^d px, so with round(log2(1000 / rows)) levels less it covers the same
-    millimetres, within a factor of sqrt(2) for the rounding. There are no fewer levels than networks can have, and no
-    more.
+    A receptive field of depth d grows as 2^d px, so it covers the same millimetres within a factor of sqrt(2).
     """
     halvings = round(math.log2(PAPER_ROWS / max(rows, 1)))  # fewer rows than 1 are refused with the other settings
     return min(max(at_paper - halvings, DEPTHS[0]), DEPTHS[-1])
@@ -45,10 +43,7 @@ def paper_levels(depth: int, rows: int) -> int | None:
 
 
 def crop(rows: int) -> int:
-    """Side of the crop, px: the paper's share of the rows (0.512), as a multiple of 2^levels of the U-Net.
-
-    So no network pads a crop.
-    """
+    """Side of the crop, px: the paper's share of the rows (0.512), in multiples of 2^levels of the U-Net."""
     unit = 2 ** levels(_UNET_LEVELS, rows)
     return max(round(rows * PAPER_CROP / PAPER_ROWS / unit) * unit, unit, SMALLEST_CROP)
 

@@ -8,7 +8,7 @@ from importlib import import_module
 from pkgutil import walk_packages
 
 from ablate import metrics as package
-from ablate.metrics.metric import FeatureKind, Metric, Pair, Shown
+from ablate.metrics.metric import FLOOR_PREFIX, FeatureKind, Metric, Pair, Shown
 from ablate.setting import check_name
 from ablate.user_code import load
 
@@ -104,7 +104,7 @@ def _imported(path: str) -> Metric:
     if not callable(metric.of_image):
         raise ValueError(f"metrics={path}: is no function; {_allowed()}")
     check_name(f"metrics={path}: name", metric.name)
-    if metric.name in METRICS:
+    if metric.name in METRICS or metric.name.startswith(FLOOR_PREFIX):
         raise ValueError(f"metrics={path}: {metric.name} is the name of another metric")
     _OWN[metric.name] = metric  # in place of an earlier one of that name
     return metric

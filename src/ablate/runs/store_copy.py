@@ -155,12 +155,11 @@ def _opened(settings: StudySettings, run: Run) -> StoredRun:
     stored.tags({k: v for k, v in run.made_with.items() if k in ABOUT_CODE})
     stored.describe(
         f"`{label}`, seed {of_run['seed']}, of the study `{settings.study}`. **Model metrics**: `test/` was measured "
-        "once, on frames of unseen probe sites; `test/floor_` is what the same frames simulated with other scatterers "
-        "and ray paths score. `newest/` are validation frames as rendered last, above their target, and `frames/` as "
-        "training went on; `train/` and `val/` are curves; the step of all these is the number of images seen. "
-        "**Artifacts**: every metric of every frame in `per_image.parquet`; configuration, code and environment in "
-        "`provenance`. **Tags**: `config_hash` is a digest of the settings that decide the result; `git_dirty` says "
-        "whether the code had uncommitted changes."
+        "at the end; `test/floor_` is what the same frames score, simulated with other scatterers and ray paths. "
+        "`newest/` are validation frames as rendered last, above their target, and `frames/` as training went on; "
+        "`train/` and `val/` are curves; the step of all these is the number of images seen. **Artifacts**: every "
+        "metric of every frame in `per_image.parquet`; configuration, code and environment in `provenance`. **Tags**: "
+        "`config_hash` is a digest of the settings that decide the result; `git_dirty`: not all code was committed."
     )
     stored.parameters({"variant": label, **named_components(build(GeneratorSpec, of_run["model"])), **_sorted_by(run)})
     for folder in (settings.results / "data").glob(f"*-{data}"):

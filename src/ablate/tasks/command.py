@@ -19,7 +19,7 @@ from ablate.jobs.refusals import in_one_line
 from ablate.jobs.schema import register
 from ablate.runs.job import Job
 from ablate.settings.conf import conf_folder
-from ablate.settings.study import ConfigurationError
+from ablate.settings.study import ConfigurationError, Task
 
 _OURS = ("processes", "slurm")  # launchers that are given all jobs, and compare them when they have ended
 
@@ -133,7 +133,7 @@ def run_sweep(
 def objective(job: Job) -> float | None:
     """The score of a finished run that `objective=` names; None where none is asked for."""
     name = job.settings.objective
-    if name is None:
+    if name is None or job.settings.task is not Task.study:
         return None
     scalars = job.run.result.get("scalars", {})
     if name not in scalars:

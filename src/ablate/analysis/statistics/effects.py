@@ -75,6 +75,9 @@ def fit_effects(runs: pd.DataFrame, factors: Sequence[str], interactions: bool =
     estimate = linalg.lstsq(design, response)[0]
     dof = len(runs) - design.shape[1]
     residuals = response - design @ estimate
+    rounding = len(runs) * np.finfo(float).eps * np.abs(response).max(initial=0.0)  # an effect so small is none
+    estimate = np.where(np.abs(estimate) > rounding, estimate, 0.0)
+    residuals = np.where(np.abs(residuals) > rounding, residuals, 0.0)
     variance = np.sum(residuals**2) / dof if dof > 0 else np.nan
     chosen = slice(1, 1 + len(terms))
     changed = np.count_nonzero(design[:, chosen] > 0, axis=0)

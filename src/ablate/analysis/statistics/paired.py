@@ -64,10 +64,12 @@ def _bootstrap_shifts(
     On a lattice the counts of all Walsh averages are the autoconvolution of the histogram of differences, so one FFT
     takes the place of n^2 / 2 averages; an exact method up to rounding to range / LATTICE. The estimate is a point of
     the lattice: otherwise ties at the estimate (many frames without a difference) would be rounded to a value beside
-    it, and the interval would exclude it.
+    it, and the interval would exclude it. Outliers are drawn in to ten interquartile ranges, which moves no median.
     """
-    centre, span = hodges_lehmann(differences), np.ptp(differences)
-    if span == 0:
+    centre, spread = hodges_lehmann(differences), stats.iqr(differences)
+    if spread > 0:
+        differences = np.clip(differences, centre - 10 * spread, centre + 10 * spread)
+    if (span := np.ptp(differences)) == 0:
         return np.full(resamples, centre)
     spacing = span / (LATTICE - 2)
     level = np.rint((differences - centre) / spacing).astype(int)
@@ -202,7 +204,7 @@ def aligned_differences(per_image: pd.DataFrame, metric: str, reference: str = R
     Values are means over seeds, infinite where one seed's is not finite.
     """
     chosen = per_image[per_image["metric"] == metric]
-    chosen = chosen.assign(value=chosen["value"].fillna(np.inf))
+    chosen = chosen.assign(value=chosen["value"].where(np.isfinite(chosen["value"]), np.inf))
     means = chosen.groupby(["variant", "frame"]).agg(value=("value", "mean"), site=("site", "first"))
     by_variant = {name: means.loc[name] for name in ordered_variants(list(chosen["variant"]), reference)}
     if reference not in by_variant:

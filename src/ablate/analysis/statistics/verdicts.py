@@ -98,7 +98,7 @@ def verdict_table(
     table["verdict"] = [str(answer(*row)) for row in judged]
     table["why"] = table["why"].astype(object)
     open_ = table["p_holm"].notna() & (table["verdict"] == Answer.undecided)
-    table.loc[open_, "why"] = "the runs can neither tell its improvement from zero nor from the band"
+    table.loc[open_, "why"] = "its improvement is neither shown to be above zero nor below the band"
     words = ("component", "metric", "verdict", "better", "why")
     types = {name: "float64" for name in VERDICT_COLUMNS if name not in words}
     return table[list(VERDICT_COLUMNS)].astype(types | dict.fromkeys(("runs_a", "runs_b", "dof"), "Int64"))
@@ -184,8 +184,7 @@ def _require_told(component: Component, design: Design | None) -> None:
     if design is None or component.key not in design.factors:
         raise ValueError("no run goes without it")
     here, there = design.cells[component.key].cat.categories
-    declared = isinstance(component.off, str)
-    if declared and not {here, there} - {component.off} <= set(component.levels_on):
+    if isinstance(component.off, str) and {here, there} - set(component.levels_on) != {component.off}:
         raise ValueError(f"the runs compare {here} with {there}")
 
 

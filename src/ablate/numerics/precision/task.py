@@ -117,7 +117,7 @@ def verdict(details: pd.DataFrame) -> str:
     shares = pd.Series(halved["value"].astype(float).to_numpy(), places)
     text = f"With half of its {REFERENCE_RAYS} rays the reference changes the errors by at most "
     text += f"{shares.max():.1%} ({shares.idxmax()})."
-    over = list(shares.index[shares >= WELL_CONVERGED])
+    over = list(shares.index[~(shares < WELL_CONVERGED)])
     return f"{text} Not within {WELL_CONVERGED:.0%}: {', '.join(over)}." if over else f"{text} It is converged."
 
 
