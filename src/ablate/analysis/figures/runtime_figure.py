@@ -53,7 +53,7 @@ def error_vs_runtime(
 ) -> list[Path]:
     """Draw error against time, a panel a metric, with the Pareto front, re-simulation and the paper's times.
 
-    The files are a PNG and a PDF at `stem`, a path without suffix.
+    The files are a PNG and a PDF at `stem`, a path without suffix. ValueError if no finite point has a positive time.
 
     Parameters
     ----------
@@ -67,8 +67,6 @@ def error_vs_runtime(
         Device that the times were measured on; it is written on the figure.
     components : sequence of Component
         Changes of these are written in short.
-
-    Raises ValueError when there is no finite point with a positive time.
     """
     points = points[np.isfinite(points["error"]) & np.isfinite(points["ms"]) & (points["ms"] > 0)]
     metrics = list(dict.fromkeys(points["metric"]))
