@@ -19,14 +19,22 @@ _WORKERS_END_S = 5.0
 
 
 def at_random_moments(bench: Bench, rng: random.Random, number: int) -> Round:
-    """Kill a sweep that begins with nothing up to four times, all of its processes; then let it finish."""
+    """Kill a sweep that begins with nothing up to four times, all of its processes; then let it finish.
+
+    A moment is drawn from the time that the unbroken study took, or from what the last sweep of the same kind took that
+    ended before its moment.
+    """
     runs = bench.place() / "runs"
-    how = (Start.cold, Start.warm)[number % 2]
-    line = [*SWEEP, *LAUNCHERS[("basic", "processes")[number // 2 % 2]], f"runs_dir={runs}"]
-    seconds, count = max(bench.seconds, 1.0), 0
-    for _ in range(rng.randint(1, _MOST_KILLS)):
-        command = ablate(line, runs.parent, how)
-        time.sleep(rng.uniform(0, seconds))
+    kind = how, launcher = (Start.cold, Start.warm)[number % 2], ("basic", "processes")[number // 2 % 2]
+    line = [*SWEEP, *LAUNCHERS[launcher], f"runs_dir={runs}"]
+    count = 0
+    for tried in range(rng.randint(1, _MOST_KILLS)):
+        command, begun = ablate(line, runs.parent, how), time.monotonic()
+        strikes = begun + rng.uniform(0, _took.get(kind, max(bench.seconds, 1.0)))
+        if not command.wait_until(lambda strikes=strikes: time.monotonic() > strikes):  # too late
+            if not tried:  # the others have less to do
+                _took[kind] = time.monotonic() - begun
+            break
         count += command.is_alive
         command.signal(signal.SIGKILL)
         command.wait()
@@ -56,6 +64,7 @@ def at_each_write(bench: Bench, _: random.Random, number: int) -> Round:
 
 
 _rescored: dict[Bench, Path] = {}
+_took: dict[tuple[Start, str], float] = {}  # seconds of a sweep from nothing that no kill has met
 
 
 def _killed_at_write(arguments: list[str], last: int, below: str) -> None:
