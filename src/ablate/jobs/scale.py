@@ -27,8 +27,7 @@ _UNET_LEVELS = DEPTHS[-1]
 def levels(at_paper: int, rows: int) -> int:
     """Levels of a network that has `at_paper` of them in the paper's frame: one less for every halving of its rows.
 
-    A receptive field of depth d grows as 2^d px, so it covers the same millimetres within a factor of sqrt(2).
-    """
+    A receptive field of depth d grows as 2^d px; it covers the same millimetres within a factor of sqrt(2)."""
     halvings = round(math.log2(PAPER_ROWS / max(rows, 1)))  # fewer rows than 1 are refused with the other settings
     return min(max(at_paper - halvings, DEPTHS[0]), DEPTHS[-1])
 

@@ -13,7 +13,7 @@ PAIRED_COLUMNS = (
     *("variant", "reference", "metric", "shift", "lower", "upper", "p_holm", "effect", "n"),
     *("p_sites_holm", "sites", "dropped"),
 )
-LATTICE = 512  # levels that a bootstrap's differences are rounded to, over their range
+LATTICE = 512  # levels, at least, that a bootstrap's differences are rounded to, over their range
 LARGEST = 1e100  # of what is compared: sums and squares of such values stay finite
 
 
@@ -64,26 +64,29 @@ def _bootstrap_shifts(
     On a lattice the counts of all Walsh averages are the autoconvolution of the histogram of differences, so one FFT
     takes the place of n^2 / 2 averages; an exact method up to rounding to range / LATTICE. The estimate is a point of
     the lattice: otherwise ties at the estimate (many frames without a difference) would be rounded to a value beside
-    it, and the interval would exclude it. Outliers are drawn in to ten interquartile ranges, which moves no median.
+    it, and the interval would exclude it. About 32 levels or more lie between the quartiles.
+    Differences are clipped at 256 interquartile ranges from the estimate.
     """
     centre, spread = hodges_lehmann(differences), stats.iqr(differences)
     if spread > 0:
-        differences = np.clip(differences, centre - 10 * spread, centre + 10 * spread)
+        differences = np.clip(differences, centre - 256 * spread, centre + 256 * spread)
     if (span := np.ptp(differences)) == 0:
         return np.full(resamples, centre)
-    spacing = span / (LATTICE - 2)
+    levels = LATTICE if spread == 0 else LATTICE * 2 ** max(0, int(np.ceil(np.log2(span / spread / 16))))
+    spacing = span / (levels - 2)
     level = np.rint((differences - centre) / spacing).astype(int)
     lowest = level.min()
     level -= lowest
     names, member = np.unique(clusters, return_inverse=True)
-    histograms = np.zeros((len(names), LATTICE))
+    histograms = np.zeros((len(names), levels))
     np.add.at(histograms, (member, level), 1.0)
     shifts = np.empty(resamples)
     uniform = np.full(len(names), 1.0 / len(names))
-    for start in range(0, resamples, 256):
-        draws = rng.multinomial(len(names), uniform, size=min(256, resamples - start))
+    some = 256 * LATTICE // levels
+    for start in range(0, resamples, some):
+        draws = rng.multinomial(len(names), uniform, size=min(some, resamples - start))
         counts = draws @ histograms
-        pairs = np.fft.irfft(np.fft.rfft(counts, 2 * LATTICE) ** 2, 2 * LATTICE)
+        pairs = np.fft.irfft(np.fft.rfft(counts, 2 * levels) ** 2, 2 * levels)
         pairs[:, ::2] += counts  # i = j counts whole, i < j half of the autoconvolution
         total = np.cumsum(np.rint(pairs), axis=1)
         half = total[:, -1:] / 2.0
