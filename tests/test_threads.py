@@ -10,7 +10,7 @@ from contextlib import nullcontext
 import pytest
 import torch
 
-from ablate.threads import in_parts, without_teams
+from ablate.threads import in_parts, side_by_side, without_teams
 
 
 @pytest.fixture(autouse=True)
@@ -68,6 +68,38 @@ def test_a_thread_that_waits_for_the_scheduler_delays_its_own_part_alone() -> No
     in_parts(work, 40, 1)
     assert len(taken[slow[0]]) < 10
     assert sum(map(len, taken.values())) == 40
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 8])
+def test_tasks_side_by_side_share_the_threads_with_what_they_do_in_parts(threads: int) -> None:
+    torch.set_num_threads(threads)
+    most, running, lock = [0], [0], threading.Lock()
+
+    def part(begin: int, _: int) -> int:
+        with lock:
+            running[0] += 1
+            most[0] = max(most[0], running[0])
+        time.sleep(0.002)
+        with lock:
+            running[0] -= 1
+        return begin
+
+    def task(rows: int) -> list[int]:
+        return in_parts(part, rows, 1)
+
+    with without_teams():
+        for _ in range(5):
+            assert side_by_side(lambda: task(7), lambda: task(3), lambda: task(0)) == [[*range(7)], [*range(3)], []]
+    assert most[0] <= threads
+    assert most[0] >= min(threads, 2)
+
+
+def test_an_error_of_one_task_is_that_of_all() -> None:
+    def fail() -> None:
+        raise KeyError("second")
+
+    with pytest.raises(KeyError, match="second"), without_teams():
+        side_by_side(lambda: in_parts(slowly, 5, 1), fail)
 
 
 def test_inference_mode_is_that_of_the_caller() -> None:

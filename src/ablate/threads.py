@@ -10,9 +10,9 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from functools import cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 
@@ -82,7 +82,7 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
         others: list[Future[None]] = []
         try:
             for _ in range(threads - 1):
-                others.append(_helpers(most - 1, os.getpid()).submit(help_out))
+                others.append(_helpers(most - 1, os.getpid()).submit(copy_context().run, help_out))
             take_parts()
         except BaseException:
             _helpers.cache_clear()  # ends them: one that was interrupted as it started would wait for work for ever
@@ -93,3 +93,8 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
         for other in others:
             other.result()
     return [results[begin] for begin in begins]
+
+
+def side_by_side(*tasks: Callable[[], Any]) -> list[Any]:
+    """Results of tasks that do not depend on each other, in order; what one does `in_parts` waits for no other task."""
+    return in_parts(lambda begin, _: tasks[begin](), len(tasks), 1)

@@ -21,14 +21,6 @@ def load(path: str) -> Any:
 
     Where the path names no module, the import fails, or the module does not have the name, it is a ValueError whose
     message says why in one line; the caller puts the key of the setting before it.
-
-    Examples
-    --------
-    >>> load("math.pi")
-    3.141592653589793
-    >>> load("math.tau2")
-    Traceback (most recent call last):
-    ValueError: AttributeError: module 'math' has no attribute 'tau2'
     """
     module, _, name = path.rpartition(".")
     if not module:

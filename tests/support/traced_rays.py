@@ -8,7 +8,7 @@ from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.surfaces.embree import Geometry
 from ablate.ultrasound.transport.lines import Nodes
 from ablate.ultrasound.transport.rays import Draws, View, at_pose, probe_rays
-from ablate.ultrasound.transport.tracing import Paths, trace
+from ablate.ultrasound.transport.tracing import trace
 
 
 def follow(
@@ -34,7 +34,7 @@ def follow(
         gain_db_mm=0.0,
         step_mm=geometry.step_mm,
     )
-    return trace(Paths(geometry, view, draws, bundle, nodes)).view(np.recarray), nodes
+    return trace(geometry, view, draws, bundle, nodes).view(np.recarray), nodes
 
 
 def illumination(nodes: Nodes, settings: SimulatorSettings) -> np.ndarray:

@@ -82,10 +82,10 @@ def test_unstratified_draws_are_uniform_and_unrelated() -> None:
 def test_draws_are_stratified_and_repeat() -> None:
     u = rays.stratified(np.random.default_rng(0), 5, 16, 2)
     assert (np.sort(np.floor(u * 16), axis=-1) == np.arange(16)).all()
-    a, other = (rays.Draws(seed, 5, 16).table(10)[:10] for seed in (3, 4))
+    a, other = (rays.Draws(seed, 5, 16).table(10)[0][:10] for seed in (3, 4))
     step_by_step = rays.Draws(3, 5, 16)
     for k in range(10):
         step_by_step.table(k)
-    assert (a == step_by_step.table(10)[:10]).all()
+    assert (a == step_by_step.table(10)[0][:10]).all()
     assert abs(np.corrcoef(a[0, :, rays.CHOICE], a[1, :, rays.CHOICE])[0, 1]) < 0.4
     assert (a[9] != other[9]).any()

@@ -87,13 +87,7 @@ def conf_folder() -> Path:
 
 @cache
 def components() -> tuple[Component, ...]:
-    """Read conf/component; a file that declares no usable component is a ValueError that names it.
-
-    Examples
-    --------
-    >>> [component.name for component in components()][:3]
-    ['att', 'concat', 'conv']
-    """
+    """Read conf/component; a file that declares no usable component is a ValueError that names it."""
     files = {path.stem: path for path in (conf_folder() / "component").glob("*.yaml")}
     names = [*(name for name in _COMPONENTS if name in files), *sorted(files.keys() - set(_COMPONENTS))]
     known = keys()

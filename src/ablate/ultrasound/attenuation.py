@@ -15,14 +15,15 @@ _PERCENT = 98.0  # of A, which is made 1
 
 
 @stage(Stage.attenuation_sum)
-def integral_attenuation(labels: np.ndarray, losses_db_mm: np.ndarray, spacing_mm: float) -> np.ndarray:
+def integral_attenuation(labels: np.ndarray, losses_db_mm: np.ndarray, spacing_mm: float, each: int = 1) -> np.ndarray:
     """exp(-cumulative sum of mu), mu = alpha f^b dz / 8.686, divided by its 98th percentile, at most 1.
 
-    `labels` and the result, float32, are (scanlines, samples); the losses, (tissues,), are one way.
+    `labels` are (scanlines, samples); the losses, (tissues,), are one way. The result, float32, is (scanlines, rows),
+    the means of `each` samples.
     The sum stays in the log domain, so thousands of dB neither underflow nor divide by zero.
     """
     nepers = losses_db_mm * (spacing_mm / DB_PER_NEPER)
-    total, amplitude = np.empty(labels.shape), np.empty(labels.shape, np.float32)
+    total, amplitude = np.empty(labels.shape), np.empty((len(labels), -(-labels.shape[1] // each)), np.float32)
     in_parts(partial(_add_up, labels, nepers, total), len(labels), _LINES_OF_A_PART)
     position = (1 - _PERCENT / 100) * (total.size - 1)  # of it in the falling order, interpolated as numpy.percentile
     below, after = int(position), min(int(position) + 1, total.size - 1)
@@ -30,23 +31,30 @@ def integral_attenuation(labels: np.ndarray, losses_db_mm: np.ndarray, spacing_m
     few = np.concatenate([line[: np.searchsorted(line, enough, side="right")] for line in total])
     a, b = np.partition(few, (below, after))[[below, after]]  # a <= b: the larger amplitude first
     scale = a - math.log1p((position - below) * math.expm1(a - b))
-    in_parts(partial(_fall, total, scale, amplitude), len(labels), _LINES_OF_A_PART)
+    in_parts(partial(_fall, total, scale, each, amplitude), len(labels), _LINES_OF_A_PART)
     return amplitude
 
 
 @compiled
 def _add_up(labels: np.ndarray, nepers: np.ndarray, total: np.ndarray, begin: int, end: int) -> None:
     """Fill the sums, (lines, samples), of some lines."""
-    for line in range(begin, end):
-        summed = 0.0
+    for line in range(begin, end, 2):  # two at a time, because each sum waits for the one before
+        other, summed, others = min(line + 1, end - 1), 0.0, 0.0
         for sample in range(labels.shape[1]):
             summed += nepers[labels[line, sample]]
-            total[line, sample] = summed
+            others += nepers[labels[other, sample]]
+            total[line, sample], total[other, sample] = summed, others
 
 
 @compiled
-def _fall(total: np.ndarray, scale: float, amplitude: np.ndarray, begin: int, end: int) -> None:
-    """Fill exp(min(scale - total, 0)) of some lines."""
+def _fall(total: np.ndarray, scale: float, each: int, amplitude: np.ndarray, begin: int, end: int) -> None:
+    """Fill the means of exp(min(scale - total, 0)) of some lines, and change these sums."""
+    samples, rows = total.shape[1], amplitude.shape[1]
     for line in range(begin, end):
-        for sample in range(total.shape[1]):
-            amplitude[line, sample] = exponential(min(scale - total[line, sample], 0.0))
+        for sample in range(samples):
+            total[line, sample] = exponential(min(scale - total[line, sample], 0.0))
+        for row in range(rows):
+            summed, first, stop = 0.0, row * each, min((row + 1) * each, samples)
+            for sample in range(first, stop):
+                summed += total[line, sample]
+            amplitude[line, row] = summed / (stop - first)

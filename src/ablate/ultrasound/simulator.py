@@ -2,16 +2,19 @@
 
 import math
 import warnings
-from collections.abc import Iterable
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from itertools import chain
+from typing import Any
 
 import numpy as np
 import torch
 
 from ablate.anatomy import Scene, bounds_mm, check_scene
-from ablate.threads import without_teams
+from ablate.threads import side_by_side, without_teams
 from ablate.ultrasound.attenuation import integral_attenuation
-from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain, means_of_rows
+from ablate.ultrasound.imaging.bmode import Display, Prepared, SignalChain
 from ablate.ultrasound.imaging.point_spread import lateral_kernels, layer_weights
 from ablate.ultrasound.media import plan_scene
 from ablate.ultrasound.probe import check_pose, fan_of
@@ -22,6 +25,8 @@ from ablate.ultrasound.transport import lines
 from ablate.ultrasound.transport.aperture import Aperture
 from ablate.ultrasound.transport.surface_maps import SurfaceMaps
 from ablate.ultrasound.transport.tracing import Tracer
+
+Make = Callable[["Simulator", np.ndarray], Any]  # of a pose in the geometry's world
 
 
 class Simulator:
@@ -103,10 +108,9 @@ class Simulator:
         self._beam = torch.from_numpy(lateral_kernels(probe, settings, widen=math.sqrt(2)))
         self._aperture = Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
+        self._weights, self._haze = layer_weights(probe, settings)[1], float(self._chain.spread.axial.sum())
         self._surface_maps = SurfaceMaps(self._geometry, self._plan, (self._beam, self._aperture), probe, settings)
-        self._labels: tuple[bytes, np.ndarray] | None = None  # of a pose: S of the pixels
-        self._maps: dict[bytes, Beam] = {}  # of the last pose
-        self._prepared: tuple[bytes, Prepared] | None = None
+        self._kept: dict[Make, tuple[bytes, Any]] = {}  # of the last pose
         self._warned: set[str] = set()
 
     @property
@@ -152,7 +156,7 @@ class Simulator:
             raise ValueError(f"seed must be at least 0, not {seed}")
         pose = check_pose(pose)
         with without_teams(), torch.inference_mode():
-            prepared = None if self._plan.anechoic else self._prepare(pose)
+            prepared = None if self._plan.anechoic else self._of(pose, Simulator._prepare)
             return self._chain.image(prepared, pose, seed, display)
 
     def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -162,11 +166,9 @@ class Simulator:
         """
         pose = check_pose(pose)
         with without_teams():
-            if self._labels is None or self._labels[0] != pose.tobytes():
-                local, inside = self._local(pose), self._chain.convert.mask
-                labels = segment(self._geometry, self._plan.tissue_of_owner, self.probe, inside, local)
-                self._labels = pose.tobytes(), labels
-            return self._labels[1].copy(), self._chain.convert.to_image(self.beam_maps(pose, False).attenuation)
+            of_pixels = partial(self._of, pose, Simulator._pixel_labels)
+            beam, labels = side_by_side(partial(self.beam_maps, pose, False), of_pixels)
+            return labels.copy(), self._chain.convert.to_image(beam.attenuation)
 
     def beam_maps(self, pose: np.ndarray, of_surfaces: bool = True) -> Beam:
         """Segmentation, attenuation and, if asked for, the maps of surfaces of a pose in beam space; without an image.
@@ -174,55 +176,62 @@ class Simulator:
         Raises ValueError when the pose is not rigid.
         """
         pose = check_pose(pose)
-        known, settings = self._maps.get(pose.tobytes()), self.settings
+        makes = (Simulator._maps_of_surfaces, Simulator._tissue_maps) if of_surfaces else (Simulator._tissue_maps,)
         with without_teams():
-            if known is None:
-                labels = self.scanline_tissues(pose)
-                spacing_mm = self.probe.depth_mm / settings.axial_samples
-                amplitude = integral_attenuation(labels, self._plan.media.loss_db_mm, spacing_mm)
-                each, last = settings.samples_per_row, settings.axial_samples - 1
-                middles = np.minimum(np.arange(settings.beam_shape[0]) * each + each // 2, last)
-                segmentation = np.ascontiguousarray(labels[:, middles].T) + np.uint8(1)
-                attenuation = np.ascontiguousarray(means_of_rows(amplitude, settings))
-                known = Beam(segmentation, attenuation)
-            if of_surfaces and not known.interfaces.size:
-                interfaces, illumination = self._surface_maps(self._local(pose))
-                known = replace(known, interfaces=interfaces, illumination=illumination)
-            self._maps = {pose.tobytes(): known}
-        return Beam(*(getattr(known, field.name).copy() for field in fields(Beam)))
+            *surfaces, tissues = side_by_side(*(partial(self._of, pose, make) for make in makes))
+        return Beam(*(made.copy() for made in chain(tissues, *surfaces)))
+
+    def _of(self, pose: np.ndarray, make: Make) -> Any:
+        """What is made of a pose in the geometry's world, unless it was the last one."""
+        if (kept := self._kept.get(make)) is None or kept[0] != pose.tobytes():
+            local = pose.copy()
+            local[:3, 3] -= self._origin_mm
+            kept = self._kept[make] = pose.tobytes(), make(self, local)
+        return kept[1]
+
+    def _pixel_labels(self, local: np.ndarray) -> np.ndarray:
+        """S of the pixels, (H, W) uint8."""
+        return segment(self._geometry, self._plan.tissue_of_owner, self.probe, self._chain.convert.mask, local)
+
+    def _maps_of_surfaces(self, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._surface_maps(local)
+
+    def _tissue_maps(self, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Segmentation and attenuation in beam space."""
+        labels, settings = self._scanline_tissues(local), self.settings
+        spacing_mm = self.probe.depth_mm / settings.axial_samples
+        each, last = settings.samples_per_row, settings.axial_samples - 1
+        amplitude = integral_attenuation(labels, self._plan.media.loss_db_mm, spacing_mm, each)
+        middles = np.minimum(np.arange(settings.beam_shape[0]) * each + each // 2, last)
+        segmentation = np.ascontiguousarray(labels[:, middles].T) + np.uint8(1)
+        return segmentation, np.ascontiguousarray(amplitude.T)
 
     def scanline_tissues(self, pose: np.ndarray) -> np.ndarray:
         """The tissue of each sample of the image plane's scanlines, (scanlines, samples) uint8: index in the scene's.
 
         Raises ValueError when the pose is not rigid.
         """
-        local = self._local(check_pose(pose))
+        labels: np.ndarray = self._of(check_pose(pose), Simulator._scanline_tissues)
+        return labels.copy()
+
+    def _scanline_tissues(self, local: np.ndarray) -> np.ndarray:
         return plane_labels(self._geometry, self._plan.tissue_of_owner, self.probe, self.settings, local)
 
-    def _prepare(self, pose: np.ndarray) -> Prepared:
-        """What the signal chain needs of a pose, unless it was the last one."""
-        if self._prepared is not None and self._prepared[0] == pose.tobytes():
-            return self._prepared[1]
+    def _prepare(self, local: np.ndarray) -> Prepared:
+        """What the signal chain needs."""
         probe, settings, plan = self.probe, self.settings, self._plan
-        local = self._local(pose)
         bundle = self._tracer.at(local)
         labels, ranges = scanline_labels(self._geometry, plan, (bundle.starts, bundle.directions), probe, settings)
         words = contact_warning(labels, self.scene.tissues, probe)
         if words is not None and words not in self._warned:  # once a simulator, however many frames it renders
             self._warned.add(words)
-            warnings.warn(words, stacklevel=3)
+            warnings.warn(words, stacklevel=4)
         nodes = lines.empty_nodes(labels, plan.media.anechoic, probe.depth_mm)
         echoes = self._tracer(bundle, nodes)
         level_db = lines.mean_level_db(nodes.amplitude, settings.rays, self._beam)
         gain_db, level_db = self._aperture.gain_and_level_db(level_db)
-        weights = layer_weights(probe, settings)[1]
-        surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, weights, settings.rays, probe.depth_mm)
-        clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.dtype)
+        places = self._weights, settings.rays, probe.depth_mm
+        surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, *places)
+        clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.dtype, self._haze)
         scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
-        self._prepared = pose.tobytes(), Prepared(scanlines, level_db, surfaces, clutter)
-        return self._prepared[1]
-
-    def _local(self, pose: np.ndarray) -> np.ndarray:
-        local = pose.copy()
-        local[:3, 3] -= self._origin_mm
-        return local
+        return Prepared(scanlines, level_db, surfaces, clutter)

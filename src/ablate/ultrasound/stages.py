@@ -1,5 +1,6 @@
 """The stages of a simulated frame, and a context in which each of them is observed, for example timed."""
 
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -72,9 +73,11 @@ def stage_times() -> Iterator[dict[str, list[float]]]:
     A stage within another, as the aperture within the maps of surfaces, counts for itself alone.
     """
     taken: dict[str, list[float]] = defaultdict(list)
-    within = [0.0]  # milliseconds of the stages that ran within each one that runs
+    of_thread = threading.local()
 
     def timed(which: Stage, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+        # milliseconds of the stages that ran within each one that runs
+        within: list[float] = of_thread.__dict__.setdefault("within", [0.0])
         _wait_for_gpu()
         start = time.perf_counter()
         within.append(0.0)

@@ -122,14 +122,12 @@ def grey_levels(power: np.ndarray, range_db: float) -> None:
 
 def means_of_rows(lines: np.ndarray, settings: SimulatorSettings) -> np.ndarray:
     """The mean of the samples of each row, (rows, scanlines), of values (scanlines, samples)."""
-    each = settings.samples_per_row
-    first = np.arange(0, lines.shape[1], each)
-    if each == 2:  # the same sums, sooner
-        sums = lines[:, ::2].copy()
-        sums[:, : lines.shape[1] // 2] += lines[:, 1::2]
-    else:
-        sums = np.add.reduceat(lines, first, axis=1)
-    return (sums / np.minimum(each, lines.shape[1] - first).astype(lines.dtype)).T
+    each, samples = settings.samples_per_row, lines.shape[1]
+    sums = lines[:, ::each].copy()
+    for later in range(1, each):
+        added = lines[:, later::each]
+        sums[:, : added.shape[1]] += added
+    return (sums / np.minimum(each, samples - np.arange(0, samples, each)).astype(lines.dtype)).T
 
 
 @dataclass(frozen=True)
@@ -139,7 +137,7 @@ class Prepared:
     lines: Lines  # of `Speckle.insonify`, with
     level_db: np.ndarray  # (groups, nodes)
     surfaces: np.ndarray  # (scanlines, samples)
-    clutter: np.ndarray  # reverberation, (scanlines, samples), or (0, samples) where there is none
+    clutter: np.ndarray  # reverberation after the pulse, (scanlines, samples), or (0, samples) where there is none
 
 
 class SignalChain:
@@ -192,12 +190,14 @@ class SignalChain:
         else:
             scatterers = self.speckle.insonify(prepared.lines, prepared.level_db, seed)
             signal = blur(self.speckle(scatterers, seed), prepared.surfaces, self.spread)
-            clutter = prepared.clutter * self.spread.axial.sum().item()
+            clutter = prepared.clutter
         envelope, grey = np.empty((2, *noise.shape[1:]), noise.dtype)
+        picture = np.empty(settings.beam_shape, np.uint8)
 
         def shown(begin: int, end: int) -> None:
             _received((signal, clutter, noise), shift, gain, floor, (envelope, grey), begin, end)
             grey_levels(grey[begin:end], settings.dynamic_range_db)
+            picture[:, begin:end] = np.rint(means_of_rows(grey[begin:end], settings))
 
         stage(Stage.grey_levels)(in_parts)(shown, len(grey), LINES_OF_A_PART)
-        return np.rint(means_of_rows(grey, settings)).astype(np.uint8), envelope
+        return picture, envelope

@@ -17,6 +17,7 @@ from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line
 
 _ROWS_OF_A_PART = 64
 Places = tuple[float, float, np.ndarray, np.ndarray]  # the fields of `Samples` but their count
+Reach = tuple[np.ndarray, np.ndarray]  # mm before and behind the starts of n lines, (n,) float64 each
 
 
 @compiled
@@ -69,37 +70,28 @@ class Samples:
     value_of_owner: np.ndarray  # (structures + 1,) uint8
     stretch_of_owner: np.ndarray | None = None  # (structures + 1,) float32, displayed over geometric length
 
-    def empty(self, rows: int) -> tuple[np.ndarray, np.ndarray]:
-        """Room for the values, and for the distances of the displayed points."""
-        stretched = 0 if self.stretch_of_owner is None else self.count
-        return np.empty((rows, self.count), np.uint8), np.empty((rows, stretched), np.float32)
-
 
 def walk(
-    geometry: Geometry,
-    origins: np.ndarray,
-    directions: np.ndarray,
-    length_mm: np.ndarray,
-    samples: Samples | None = None,
-    before_mm: np.ndarray | None = None,
+    geometry: Geometry, starts: np.ndarray, directions: np.ndarray, reach_mm: Reach, samples: Samples | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Follow straight rays, which start outside everything, through every surface; all are asked for at once.
+    """Follow straight rays through every surface; all are asked for at once.
 
+    They begin outside everything, as far before the starts, (n, 3), as `reach_mm` says, and end as far behind them.
     Return the sets at the ends, (n, words) uint32; the value of each sample's owner, (n, samples) uint8; and the
     distance along its line of the point that each sample displays, (n, samples) float32, or (n, 0) where nothing is
-    stretched. Lengths, and the distances `before_mm` from each origin to its line's start, are (n,). `samples` is None
-    where only the ends matter.
+    stretched. `samples` is None where only the ends matter.
     """
-    owners = geometry.structures + 1
+    n, owners, (back, ahead) = len(starts), geometry.structures + 1, reach_mm
     samples = samples or Samples(0.0, 1.0, 0, np.zeros(owners, np.uint8))
     stretch = np.ones(owners, np.float32) if samples.stretch_of_owner is None else samples.stretch_of_owner
     places = samples.first_mm, samples.spacing_mm, samples.value_of_owner, stretch
-    before = np.zeros(len(origins)) if before_mm is None else before_mm
-    lines = origins.astype(np.float32), directions.astype(np.float32), length_mm.astype(np.float32), before
-    values, ranges_mm = samples.empty(len(origins))
-    inside = np.zeros((len(origins), max(1, -(-geometry.structures // 32))), np.uint32)
+    given = starts - back[:, None] * directions, directions, back + ahead
+    lines = *(values.astype(np.float32) for values in given), back
+    values = np.empty((n, samples.count), np.uint8)
+    ranges_mm = np.empty((n, 0 if samples.stretch_of_owner is None else samples.count), np.float32)
+    inside = np.zeros((n, max(1, -(-geometry.structures // 32))), np.uint32)
     follow = partial(_follow, geometry.address, KEEP, geometry.step_mm, lines, places, (inside, values, ranges_mm))
-    in_parts(follow, len(origins), _ROWS_OF_A_PART)
+    in_parts(follow, n, _ROWS_OF_A_PART)
     return inside, values, ranges_mm
 
 
@@ -155,4 +147,4 @@ def inside_at(geometry: Geometry, points: np.ndarray, directions: np.ndarray) ->
     They are reached from outside everything along `directions`, (n, 3); the less these graze surfaces the better.
     """
     back, _ = geometry.through(points, directions)
-    return walk(geometry, points - back[:, None] * directions, directions, back)[0]
+    return walk(geometry, points, directions, (back, np.zeros_like(back)))[0]

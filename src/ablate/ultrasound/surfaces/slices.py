@@ -33,16 +33,15 @@ def sample_lines(
     behind it. `starts` and unit `directions` are (n, 3); distances are (n, 0) where nothing is stretched.
     """
     back, ahead = geometry.through(starts, directions)
-    values, ranges_mm = samples.empty(len(starts))
+    inside, values, ranges_mm = walk(geometry, starts, directions, (back, ahead), samples)
     rows = np.arange(len(starts))
-    for attempt in range(_ATTEMPTS):
-        aside = attempt * _ASIDE_STEPS * geometry.step_mm * beside(directions[rows])
-        origins = starts[rows] + aside - back[rows, None] * directions[rows]
-        length = (back + ahead)[rows]
-        inside, values[rows], ranges_mm[rows] = walk(geometry, origins, directions[rows], length, samples, back[rows])
+    for attempt in range(1, _ATTEMPTS):
         rows = rows[(inside != 0).any(axis=1)]
         if not rows.size:
             break
+        aside = attempt * _ASIDE_STEPS * geometry.step_mm * beside(directions[rows])
+        reach = back[rows], ahead[rows]
+        inside, values[rows], ranges_mm[rows] = walk(geometry, starts[rows] + aside, directions[rows], reach, samples)
     return values, ranges_mm
 
 

@@ -90,14 +90,16 @@ def _add_echoes(echoes: np.ndarray, gain_db: np.ndarray, places: Vector, weights
 
 
 @stage(Stage.clutter)
-def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype, sets: int = _CLUTTER_SETS) -> np.ndarray:
+def clutter_lines(
+    reverberation: np.ndarray, samples: int, dtype: torch.dtype, gain: float = 1.0, sets: int = _CLUTTER_SETS
+) -> np.ndarray:
     """Spread echoes of rays that have left their beam, few and out of focus, along and across the scanlines.
 
-    The sum is kept. The result is (scanlines, samples), or (0, samples) where there are no such echoes. The power of
-    the sum is estimated without bias, from products x_i x_j of different lines' shares i != j in it (a U-statistic;
-    Hoeffding 1948). The square of the sum would hold x_i^2 as well, whose mean is too large by the variance: bright
-    bands of one heavy path in dark fluid. A multiple of that variance is subtracted, so that such a path is left out.
-    With one of `sets` it is the sum itself, which needs few rays.
+    The sum is kept, but for a `gain`. The result is (scanlines, samples), or (0, samples) where there are no such
+    echoes. The power of the sum is estimated without bias, from products x_i x_j of different lines' shares i != j in
+    it (a U-statistic; Hoeffding 1948). The square of the sum would hold x_i^2 as well, whose mean is too large by the
+    variance: bright bands of one heavy path in dark fluid. A multiple of that variance is subtracted, so that such a
+    path is left out. With one of `sets` it is the sum itself, which needs few rays.
     """
     if not reverberation.any():
         return torch.empty((0, samples), dtype=dtype).numpy()
@@ -112,7 +114,7 @@ def clutter_lines(reverberation: np.ndarray, samples: int, dtype: torch.dtype, s
         square = spread.sum(dim=0).square()
         power = (square - spread.square().sum(dim=0)) / (1 - share.square().sum(dim=0))[:, None]
         total = (power - _CLUTTER_VARIANCES * (square - power).clamp(min=0)).clamp(min=0).sqrt()
-    coarse = (total * (cells / samples)).to(dtype)
+    coarse = (total * (gain * cells / samples)).to(dtype)
     return F.interpolate(coarse[None], size=samples, mode="linear", align_corners=False)[0].numpy()
 
 
@@ -142,9 +144,8 @@ def empty_nodes(labels: np.ndarray, anechoic: np.ndarray, depth_mm: float) -> No
     nearest = np.rint(np.linspace(0, samples - 1, count)).astype(int)
     half = samples // (2 * count)
     around = [np.clip(nearest + shift, 0, samples - 1) for shift in (-half, 0, half)]
-    return Nodes(
-        first, spacing, np.any([anechoic[labels[:, place]] for place in around], axis=0), np.zeros((groups, count))
-    )
+    empty = np.any([anechoic.take(labels.take(place, axis=1)) for place in around], axis=0)
+    return Nodes(first, spacing, empty, np.zeros((groups, count)))
 
 
 @compiled

@@ -102,8 +102,8 @@ class Draws:
         """Where in the aperture each ray starts, (2, groups, rays) float32 in [0, 1)."""
         return stratified(self._generator(0), self._groups, self._rays, 2)
 
-    def table(self, interfaces: int) -> np.ndarray:
-        """Draws of all rays, (MAX_ROWS, groups * rays, COLUMNS) float32; the rows for so many interfaces are filled.
+    def table(self, interfaces: int) -> tuple[np.ndarray, int]:
+        """Draws of all rays, (MAX_ROWS, groups * rays, COLUMNS) float32, and how many rows are filled, or more.
 
         Columns: uniform choice, |normal|, log of a uniform, cosine and sine of a uniform angle, uniform.
         """
@@ -118,7 +118,7 @@ class Draws:
                 row[:, COS_AZIMUTH], row[:, SIN_AZIMUTH] = np.cos(angle), np.sin(angle)
                 row[:, SURVIVAL] = generator.random(u.shape[1], np.float32)
                 self._made += 1
-        return self._table
+            return self._table, self._made
 
     def _generator(self, counter: int) -> np.random.Generator:
         return np.random.Generator(np.random.Philox(key=np.array([self.seed, counter], np.uint64)))

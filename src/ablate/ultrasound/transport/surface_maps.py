@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from scipy.ndimage import maximum_filter1d
 from scipy.special import xlogy
 
-from ablate.threads import in_parts
+from ablate.threads import in_parts, side_by_side
 from ablate.ultrasound.compiled import Arrays, compiled
 from ablate.ultrasound.imaging.point_spread import axial_kernel, layer_weights
 from ablate.ultrasound.media import Media, RenderPlan
@@ -76,6 +76,13 @@ class SurfaceMaps:
         of the image. Powers of the layers are averaged, and the time gain is added. Interfaces also have the power of
         reverberation, as one ray of each scanline and layer brings it back.
         """
+        (echo_power, light_power), haze = side_by_side(partial(self._direct, pose), partial(self._reverberation, pose))
+        echo_power += np.square(haze)
+        echo_db, light_db = (10 * np.log10(np.maximum(power, 1e-30)) for power in (echo_power, light_power))
+        return self._shown(echo_db - self._white_db, ECHO_DB), self._shown(self._at_rows(light_db)[0], LIGHT_DB)
+
+    def _direct(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Power of the surfaces' own echoes, (scanlines, rows), and of the sound, (1, scanlines, nodes), float32."""
         starts, directions = to_world(pose, self._lines[0]), self._lines[1] @ pose[:3, :3].T
         layers, count = starts.shape[:2]
         starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
@@ -96,10 +103,7 @@ class SurfaceMaps:
         echoes, met = made[0].ravel(), np.flatnonzero(made[0] > 0)
         echoes[met] *= 10 ** (more_db.ravel()[met] / 20)
         echo_power = np.square(echoes).reshape(more_db.shape).mean(axis=0)
-        echo_power += np.square(self._reverberation(pose))
-        light_power = (10 ** (level_db / 10)).mean(axis=0, keepdims=True)
-        echo_db, light_db = (10 * np.log10(np.maximum(power, 1e-30)) for power in (echo_power, light_power))
-        return self._shown(echo_db - self._white_db, ECHO_DB), self._shown(self._at_rows(light_db)[0], LIGHT_DB)
+        return echo_power, (10 ** (level_db / 10)).mean(axis=0, keepdims=True)
 
     def _at_rows(self, levels_db: np.ndarray) -> np.ndarray:
         """Levels at nodes of depth, (layers, scanlines, nodes), at the middles of rows, (layers, scanlines, rows)."""
@@ -113,8 +117,8 @@ class SurfaceMaps:
         echoes = self._tracer(bundle, nodes)
         late = echoes[echoes["clutter"]]
         _, reverberation = echo_lines(late, np.empty((groups, 0)), nodes, self._weights, 1, self._depth_mm)
-        haze = clutter_lines(reverberation, self._shape[0], torch.float64, sets=1)
-        return self._haze * haze if len(haze) else np.zeros(self._shape[::-1])
+        haze = clutter_lines(reverberation, self._shape[0], torch.float64, self._haze, sets=1)
+        return haze if len(haze) else np.zeros(self._shape[::-1])
 
     def _shown(self, level_db: np.ndarray, ends_db: tuple[float, float]) -> np.ndarray:
         shares = (level_db.T + self._gain_db - ends_db[0]) / (ends_db[1] - ends_db[0])

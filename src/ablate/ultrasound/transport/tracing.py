@@ -16,7 +16,7 @@ have the weight 1 / |R_p|, and would appear as isolated dots in dark fluid. Russ
 """
 
 import math
-from typing import NamedTuple, cast
+from typing import cast
 
 import numpy as np
 
@@ -49,21 +49,11 @@ from ablate.ultrasound.transport.rays import (
     unstratified,
 )
 
-_GROUPS_OF_A_PART = 96
+_GROUPS_OF_A_PART = 48
 
 #: Russian roulette may end reflected rays under this level above white. One path is a small part of its line: of 16
 #: rays in 3 layers, spread over its surroundings, an echo of this level is 61 dB under white.
 _ROULETTE_DB = 24.0
-
-
-class Paths(NamedTuple):
-    """The rays of a frame, what they travel through, and what they add to."""
-
-    geometry: Geometry
-    view: View
-    draws: Draws
-    bundle: Bundle
-    nodes: Nodes
 
 
 class Tracer:
@@ -94,13 +84,12 @@ class Tracer:
             gain_db_mm=self._largest_gain_db / self._depth_mm,
             step_mm=self._geometry.step_mm,
         )
-        return trace(Paths(self._geometry, view, self._draws, bundle, nodes))
+        return trace(self._geometry, view, self._draws, bundle, nodes)
 
 
 @stage(Stage.tracing)
-def trace(paths: Paths) -> np.ndarray:
+def trace(geometry: Geometry, view: View, draws: Draws, bundle: Bundle, nodes: Nodes) -> np.ndarray:
     """The echoes, (n,) ECHO, of the rays of a frame until they are deeper than the image; `nodes` are accumulated."""
-    geometry, view, draws, bundle, nodes = paths
     ways = bundle.origins, bundle.ray_directions
 
     def part(begin: int, end: int) -> np.ndarray:
@@ -108,8 +97,7 @@ def trace(paths: Paths) -> np.ndarray:
         rays, rows, count = start_rays(bundle, chosen, view), 0, 0
         n, arrays = len(rays), cast(Arrays, (rays, bundle.inside[chosen].copy(), np.empty(4 * len(rays), ECHO)))
         while n:  # comes back for more of the table of draws
-            rows += 1
-            table = draws.table(rows)
+            table, rows = draws.table(rows + 1)
             arrays, n, count = _bounces(geometry.address, arrays, n, count, view, ways, table, rows, nodes)
         return arrays[2][:count]
 
