@@ -117,7 +117,8 @@ def against(scene: Scene, poses: list[np.ndarray], other: Path) -> None:
 
 
 def by_stage(scene: Scene, poses: list[np.ndarray]) -> None:
-    """Medians of each stage of S, A and H."""
+    """Medians of each stage of S, A and H, with one thread: with more, some of them run side by side."""
+    torch.set_num_threads(1)
     simulator = Simulator(scene)
     simulator.render(poses[-1])
     frames = []
@@ -130,7 +131,7 @@ def by_stage(scene: Scene, poses: list[np.ndarray]) -> None:
     rows = [(name.value, f"{median(times):.1f}") for name, times in each.items()]
     rows.append(("everything else", f"{median(frames - np.sum(list(each.values()), axis=0)):.1f}"))
     rows.append(("the frame", f"{median(frames):.1f}"))
-    table(f"**Stages** of S, A and H, ms, {torch.get_num_threads()} threads.", ("stage", "ms"), rows)
+    table("**Stages** of S, A and H, ms, 1 thread.", ("stage", "ms"), rows)
 
 
 def growth(poses: list[np.ndarray], scene: Scene) -> None:
@@ -263,8 +264,8 @@ def main() -> None:
         against(scene, poses, args.against)
         return
     totals(scene, poses)
-    torch.set_num_threads(threads)
     by_stage(scene, poses)
+    torch.set_num_threads(threads)
     memory(scene, poses)
     cases = scenes(scene, some(all_poses, 6), args.scene)
     plans(cases)

@@ -96,5 +96,5 @@ def in_parts(work: Callable[[int, int], Result], rows: int, part: int) -> list[R
 
 
 def side_by_side(*tasks: Callable[[], Any]) -> list[Any]:
-    """Results of tasks that do not depend on each other, in order; what one does `in_parts` waits for no other task."""
+    """Results, in order, of tasks that do not need each other, the longest first; a task may itself work `in_parts`."""
     return in_parts(lambda begin, _: tasks[begin](), len(tasks), 1)

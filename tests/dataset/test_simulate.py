@@ -1,5 +1,6 @@
 """Pairs by the real path: what the simulator renders, and no more of it than is missing."""
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from skimage.io import imread
 from skimage.transform import resize
 
 from ablate.dataset import Pairs, Part, Recipe, simulate_pairs, write_contact_sheet
+from ablate.dataset.simulate import nudged, timed_maps
 from ablate.dataset.split import resimulation_seed
 from ablate.networks import Space
 from ablate.ultrasound import Display, Simulator
@@ -39,6 +41,24 @@ def test_the_maps_are_those_of_the_simulator(pairs: Pairs, recipe: Recipe) -> No
             np.testing.assert_allclose(stored, getattr(frame.beam, name), atol=0.51 / 255)
         np.testing.assert_allclose(pairs.read("attenuation", [i])[0], frame.attenuation, rtol=2**-9, atol=1e-5)
         np.testing.assert_array_equal(pairs.stored("low", i), low.render(pose, seed=recipe.seed).image)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_times_of_a_frame_s_maps_add_up_though_some_are_made_side_by_side(recipe: Recipe, threads: int) -> None:
+    torch.set_num_threads(threads)
+    try:
+        settings = replace(recipe.settings, scanlines=128, axial_samples=2048, layers=3)
+        names = ["segmentation", "interfaces", "illumination"]
+        make = timed_maps(recipe.scene, recipe.probe, settings, np.eye(4)[None], names, Space.beam)
+        for number in range(12):
+            start = time.perf_counter()
+            _, ms = make(nudged(np.eye(4), number), 0)
+            whole = 1e3 * (time.perf_counter() - start)
+            assert list(ms) == names
+            assert min(ms.values()) >= 0
+            assert sum(ms.values()) <= whole
+    finally:
+        torch.set_num_threads(1)
 
 
 def test_resimulation_has_other_scatterers_and_other_paths(pairs: Pairs, recipe: Recipe) -> None:

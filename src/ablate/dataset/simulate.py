@@ -139,7 +139,7 @@ def timed_maps(
     """A function of a pose that was not the last one, and a seed: the maps, and the milliseconds of each, by name.
 
     They are the maps of these names, (H, W) or (rows, scanlines), as `maps_read` gives them, and `low`, uint8. Labels
-    and interfaces have the time of their stages, and the attenuation, of any scale, the rest.
+    and interfaces have the time of their stages, or their share where some ran side by side, and other maps the rest.
     """
     simulator = Simulator(scene, probe, settings, poses=poses)
     of_low = Simulator(scene, probe, replace(settings, rays=1, layers=1), poses=poses) if "low" in names else None
@@ -156,7 +156,8 @@ def timed_maps(
             "segmentation": taken[Stage.pixel_labels if space is Space.image else Stage.attenuation_labels],
             "interfaces": [ms for each in Stage if each not in _OF_LABELS for ms in taken[each]],
         }
-        times = {name: sum(own[name]) for name in own if name in names}
+        at_once = max(1.0, sum(map(sum, taken.values())) / ms)
+        times = {name: sum(own[name]) / at_once for name in own if name in names}
         rest = next((name for name in ("attenuation", "compensated", "illumination") if name in names), "")
         if rest:
             times[rest] = ms - sum(times.values())

@@ -108,7 +108,7 @@ class Simulator:
         self._beam = torch.from_numpy(lateral_kernels(probe, settings, widen=math.sqrt(2)))
         self._aperture = Aperture(probe, settings)
         self._chain = SignalChain(scene.tissues, probe, settings)
-        self._weights, self._haze = layer_weights(probe, settings)[1], float(self._chain.spread.axial.sum())
+        self._weights, self._pulse = layer_weights(probe, settings)[1], float(self._chain.spread.axial.sum())
         self._surface_maps = SurfaceMaps(self._geometry, self._plan, (self._beam, self._aperture), probe, settings)
         self._kept: dict[Make, tuple[bytes, Any]] = {}  # of the last pose
         self._warned: set[str] = set()
@@ -166,9 +166,9 @@ class Simulator:
         """
         pose = check_pose(pose)
         with without_teams():
-            of_pixels = partial(self._of, pose, Simulator._pixel_labels)
-            beam, labels = side_by_side(partial(self.beam_maps, pose, False), of_pixels)
-            return labels.copy(), self._chain.convert.to_image(beam.attenuation)
+            makes = Simulator._tissue_maps, Simulator._pixel_labels
+            beam, labels = side_by_side(*(partial(self._of, pose, make) for make in makes))
+            return labels.copy(), self._chain.convert.to_image(beam[1])
 
     def beam_maps(self, pose: np.ndarray, of_surfaces: bool = True) -> Beam:
         """Segmentation, attenuation and, if asked for, the maps of surfaces of a pose in beam space; without an image.
@@ -182,7 +182,7 @@ class Simulator:
         return Beam(*(made.copy() for made in chain(tissues, *surfaces)))
 
     def _of(self, pose: np.ndarray, make: Make) -> Any:
-        """What is made of a pose in the geometry's world, unless it was the last one."""
+        """What `make` makes of a pose in the geometry's world; anew unless the pose is that of the last call."""
         if (kept := self._kept.get(make)) is None or kept[0] != pose.tobytes():
             local = pose.copy()
             local[:3, 3] -= self._origin_mm
@@ -232,6 +232,6 @@ class Simulator:
         gain_db, level_db = self._aperture.gain_and_level_db(level_db)
         places = self._weights, settings.rays, probe.depth_mm
         surfaces, reverberation = lines.echo_lines(echoes, gain_db, nodes, *places)
-        clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.dtype, self._haze)
+        clutter = lines.clutter_lines(reverberation, settings.axial_samples, self._chain.dtype, self._pulse)
         scanlines = bundle.starts + self._origin_mm, bundle.directions, labels, ranges
         return Prepared(scanlines, level_db, surfaces, clutter)

@@ -70,7 +70,7 @@ def observe_stages(observer: Observer) -> Iterator[None]:
 def stage_times() -> Iterator[dict[str, list[float]]]:
     """Collect the milliseconds of every call, a list for each stage, of all simulators of this process.
 
-    A stage within another, as the aperture within the maps of surfaces, counts for itself alone.
+    A stage within another on one thread, as the aperture within the maps of surfaces, counts for itself alone.
     """
     taken: dict[str, list[float]] = defaultdict(list)
     of_thread = threading.local()

@@ -124,7 +124,7 @@ def means_of_rows(lines: np.ndarray, settings: SimulatorSettings) -> np.ndarray:
     """The mean of the samples of each row, (rows, scanlines), of values (scanlines, samples)."""
     each, samples = settings.samples_per_row, lines.shape[1]
     sums = lines[:, ::each].copy()
-    for later in range(1, each):
+    for later in range(1, min(each, samples)):
         added = lines[:, later::each]
         sums[:, : added.shape[1]] += added
     return (sums / np.minimum(each, samples - np.arange(0, samples, each)).astype(lines.dtype)).T

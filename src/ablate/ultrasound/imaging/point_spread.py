@@ -125,7 +125,7 @@ def blur(scatterers: np.ndarray, surfaces: np.ndarray, spread: PointSpread) -> n
     Scatterers and the result are (2, scanlines, samples), real and imaginary part; surfaces are (scanlines, samples).
     """
     lateral = spread.lateral
-    given = torch.from_numpy(scatterers).to(lateral)
+    given, flat = torch.from_numpy(scatterers).to(lateral), torch.from_numpy(surfaces).to(lateral.device)
     total = torch.empty_like(given)
     blocks = _BLOCKS if len(lateral) > 1 else _BLOCKS // _BLOCKS_OF_A_PART  # of one kernel, larger ones are faster
     edges = np.linspace(0, surfaces.shape[1], blocks + 1).round().astype(int)
@@ -136,10 +136,10 @@ def blur(scatterers: np.ndarray, surfaces: np.ndarray, spread: PointSpread) -> n
             for channel, signal in enumerate(given):
                 own = torch.mm(lateral[kernel], signal[:, some]).mul_(spread.scatterer_scale[kernel])
                 if channel == 0:
-                    own.addmm_(lateral[kernel], torch.from_numpy(surfaces[:, some]).to(lateral))
+                    own.addmm_(lateral[kernel], flat[:, some].to(lateral.dtype))
                 total[channel, :, some] = own
 
-    in_parts(across, blocks, max(1, blocks // _BLOCKS_OF_A_PART) if given.device.type == "cpu" else blocks)
+    in_parts(across, blocks, max(1, blocks // _BLOCKS_OF_A_PART) if flat.device.type == "cpu" else blocks)
     return along_lines(total, spread.axial).cpu().numpy()
 
 

@@ -17,7 +17,7 @@ from ablate.ultrasound.surfaces.embree import KEEP, Geometry, all_of, asked_line
 
 _ROWS_OF_A_PART = 64
 Places = tuple[float, float, np.ndarray, np.ndarray]  # the fields of `Samples` but their count
-Reach = tuple[np.ndarray, np.ndarray]  # mm before and behind the starts of n lines, (n,) float64 each
+Reach = tuple[np.ndarray, np.ndarray]  # how far before and how far beyond the starts n lines go, (n,) each, mm
 
 
 @compiled
@@ -74,19 +74,18 @@ class Samples:
 def walk(
     geometry: Geometry, starts: np.ndarray, directions: np.ndarray, reach_mm: Reach, samples: Samples | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Follow straight rays through every surface; all are asked for at once.
+    """Follow straight rays, whose ends are outside everything, through every surface; all are asked for at once.
 
-    They begin outside everything, as far before the starts, (n, 3), as `reach_mm` says, and end as far behind them.
-    Return the sets at the ends, (n, words) uint32; the value of each sample's owner, (n, samples) uint8; and the
-    distance along its line of the point that each sample displays, (n, samples) float32, or (n, 0) where nothing is
-    stretched. `samples` is None where only the ends matter.
+    Starts and directions are (n, 3). Return the sets at the ends, (n, words) uint32; the value of each sample's owner,
+    (n, samples) uint8; and the distance along its line of the point that each sample displays, (n, samples) float32,
+    or (n, 0) where nothing is stretched. `samples` is None where only the ends matter.
     """
     n, owners, (back, ahead) = len(starts), geometry.structures + 1, reach_mm
     samples = samples or Samples(0.0, 1.0, 0, np.zeros(owners, np.uint8))
     stretch = np.ones(owners, np.float32) if samples.stretch_of_owner is None else samples.stretch_of_owner
     places = samples.first_mm, samples.spacing_mm, samples.value_of_owner, stretch
     given = starts - back[:, None] * directions, directions, back + ahead
-    lines = *(values.astype(np.float32) for values in given), back
+    lines = *(values.astype(np.float32, order="C") for values in given), back
     values = np.empty((n, samples.count), np.uint8)
     ranges_mm = np.empty((n, 0 if samples.stretch_of_owner is None else samples.count), np.float32)
     inside = np.zeros((n, max(1, -(-geometry.structures // 32))), np.uint32)

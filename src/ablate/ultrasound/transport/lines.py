@@ -95,7 +95,7 @@ def clutter_lines(
 ) -> np.ndarray:
     """Spread echoes of rays that have left their beam, few and out of focus, along and across the scanlines.
 
-    The sum is kept, but for a `gain`. The result is (scanlines, samples), or (0, samples) where there are no such
+    The sum is kept, times `gain`. The result is (scanlines, samples), or (0, samples) where there are no such
     echoes. The power of the sum is estimated without bias, from products x_i x_j of different lines' shares i != j in
     it (a U-statistic; Hoeffding 1948). The square of the sum would hold x_i^2 as well, whose mean is too large by the
     variance: bright bands of one heavy path in dark fluid. A multiple of that variance is subtracted, so that such a

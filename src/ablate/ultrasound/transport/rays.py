@@ -103,7 +103,7 @@ class Draws:
         return stratified(self._generator(0), self._groups, self._rays, 2)
 
     def table(self, interfaces: int) -> tuple[np.ndarray, int]:
-        """Draws of all rays, (MAX_ROWS, groups * rays, COLUMNS) float32, and how many rows are filled, or more.
+        """Draws of all rays, (MAX_ROWS, groups * rays, COLUMNS) float32, and how many of its rows are filled.
 
         Columns: uniform choice, |normal|, log of a uniform, cosine and sine of a uniform angle, uniform.
         """
