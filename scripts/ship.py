@@ -22,7 +22,7 @@ def renderer_of(folder: Path) -> Renderer:
     values = label_values(tissues, s.encoding, s.label_seed)
     made = {"study": s.study, "variant": run.label, "seed": str(run.seed), "hash": str(run.result["hash"])}
     made |= {"commit": provenance([run]).get("git_commit", "")}
-    of_frames = s.probe, run.data_set.pairs.tgc, s.simulator.image_shape
+    of_frames = s.probe, run.data_set.pairs.tgc, s.simulator.image_shape, s.simulator.beam_shape
     return Renderer(load_generator(run.checkpoint), values_of(tissues, values), *of_frames, made)
 
 

@@ -14,7 +14,16 @@ from ablate.metrics import psnr
 from ablate.networks import Generator, GeneratorSpec
 from ablate.pretrained import NAMES, OUTSIDE, Renderer, load, save
 from ablate.setting import plain
-from ablate.ultrasound import Beam, ConvexProbe, Frame, ScanConverter, Simulator, compensated_attenuation, fan_mask
+from ablate.ultrasound import (
+    Beam,
+    ConvexProbe,
+    Frame,
+    LinearProbe,
+    ScanConverter,
+    Simulator,
+    compensated_attenuation,
+    fan_mask,
+)
 
 SHAPE, SEED = (64, 88), 5
 PROBE = ConvexProbe()
@@ -37,7 +46,7 @@ def made(attenuation: str = "integral") -> Renderer:
         torch.nn.init.normal_(parameter, 0, 0.1)
     values = {tissue.name: (value,) for tissue, value in zip(TISSUES, (-0.25, 1.0, 0.125), strict=True)}
     values[OUTSIDE] = (-1.0,)
-    return Renderer(generator, values, PROBE, 0.4, SHAPE, {"study": "none"})
+    return Renderer(generator, values, PROBE, 0.4, SHAPE, (32, 12), {"study": "none"})
 
 
 def by_hand(renderer: Renderer, frame: Frame, tissues: list[Tissue], seed: int) -> np.ndarray:
@@ -105,6 +114,9 @@ def test_what_cannot_be_loaded_or_rendered_is_named(frame: Frame, tmp_path: Path
         load(tmp_path / "damaged.pt")
     with pytest.raises(ValueError, match="tissue 'lung': the generator was trained on soft_tissue, bone, blood"):
         made().render(frame, [*TISSUES[:2], load_tissues()["lung"]])
+    for probe in (replace(PROBE, depth_mm=75.0), LinearProbe(width_mm=100.0, depth_mm=150.0)):
+        with pytest.raises(ValueError, match=r"another fan than the probe of the training, ConvexProbe\("):
+            made().render(replace(frame, mask=fan_mask(probe, SHAPE)), TISSUES)
 
 
 @pytest.mark.parametrize("name", NAMES)

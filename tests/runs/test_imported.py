@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 from skimage.io import imsave
 
-from ablate.dataset import Pairs
 from ablate.dataset.export_formats import write_png
 from ablate.dataset.png_folder import FOLDERS
 from ablate.jobs.compose import jobs_of
@@ -18,6 +17,7 @@ from ablate.jobs.launch import Launch
 from ablate.runs.data_set import DataSet
 from ablate.settings.study import ConfigurationError
 from ablate.tasks import run_task as tasks
+from ablate.viewer.generators import open_generator
 from support.studies import TINY, TinyStudy, run
 
 #: What scene=pairs leaves a generator, which reads maps that others can have too.
@@ -39,14 +39,14 @@ def simulated(tiny_study: TinyStudy, tmp_path_factory: pytest.TempPathFactory) -
     return runs
 
 
-def data_of(runs: Path) -> Pairs:
-    return DataSet(next(runs.glob("data/*/about.json")).parent).pairs
+def data_of(runs: Path) -> DataSet:
+    return DataSet(next(runs.glob("data/*/about.json")).parent)
 
 
 @pytest.fixture(scope="module")
 def folder(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("elsewhere") / "pngs"
-    write_png(data_of(simulated), made)
+    write_png(data_of(simulated).pairs, made, data_of(simulated).tissues)
     return made
 
 
@@ -61,7 +61,7 @@ def test_exported_pairs_come_back_bit_for_bit_and_train_the_same_networks(
     arguments = [f"runs_dir={runs}", *TINY, "scene=pairs", f"scene.folder={folder}"]
     make_all_maps(arguments)
     assert run(*arguments) == 0
-    there, here = data_of(simulated), data_of(runs)
+    there, here = data_of(simulated).pairs, data_of(runs).pairs
     for name in FOLDERS:
         np.testing.assert_array_equal(here.read(name, range(12)), there.read(name, range(12)))
     np.testing.assert_array_equal(here.mask(), there.mask())
@@ -117,11 +117,23 @@ def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenua
     table = per_image(runs, "sa2h-att")
     assert "psnr" in set(table["metric"])
     assert "shadow_contrast" not in set(table["metric"])
-    pairs = data_of(runs)
+    pairs = data_of(runs).pairs
     assert pairs.maps == {"segmentation", "target"}
     assert pairs.tissues[:2] == ("label_1", "label_2")
     for site in np.unique(pairs.sites):
         assert len(set(pairs.split[pairs.sites == site])) == 1
+
+
+def test_a_generator_of_such_pairs_is_shown_with_their_probe_or_with_a_word(folder: Path, tmp_path: Path) -> None:
+    arguments = [f"runs_dir={tmp_path}", *TINY, "scene=pairs", f"scene.folder={folder}", "probe.depth_mm=100"]
+    assert run(*arguments) == 0
+    (trained,) = tmp_path.glob("*/sa2h/seed0")
+    data = data_of(tmp_path)
+    opened = open_generator(trained, data.tissues)
+    assert opened.renderer.probe.depth_mm == 150
+    assert opened.unknown == ""
+    shutil.rmtree(data.folder)
+    assert "its data set is gone" in open_generator(trained, data.tissues[::-1]).unknown
 
 
 def test_depths_are_known_where_the_fan_is_told_or_is_that_of_the_probe(folder: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,10 @@ import pytest
 from PIL import Image
 
 from ablate.dataset import Pairs, Part, open_pairs
-from ablate.dataset.export_formats import write_nnunet
+from ablate.dataset.dicom_files import write_cine
+from ablate.dataset.export_formats import write_nnunet, write_png
 from ablate.jobs.compose import jobs_of
+from ablate.runs.data_set import DataSet
 from ablate.settings.study import ConfigurationError
 from support.scene_folders import ball_folder
 from support.studies import run
@@ -76,10 +79,10 @@ def test_nnunet_finds_what_its_description_promises(arguments: list[str], capsys
 
 
 def test_nnunet_counts_the_classes_that_occur(tmp_path: Path) -> None:
-    stored = {"segmentation": np.uint8([[0, 1], [4, 4]]), "target": np.uint8([[0, 9], [9, 9]])}
+    stored = {"segmentation": np.uint8([[0, 1], [4, 5]]), "target": np.uint8([[0, 9], [9, 9]])}
 
     class OfThreeTissues:
-        tissues, split = ("gel", "bone", "gas", "liver"), np.array([Part.train])
+        tissues, split = ("gel", "bone", "gas", "liver", "liver"), np.array([Part.train])
 
         def __len__(self) -> int:
             return 1
@@ -92,8 +95,37 @@ def test_nnunet_counts_the_classes_that_occur(tmp_path: Path) -> None:
 
     write_nnunet(OfThreeTissues(), tmp_path)  # type: ignore[arg-type]
     described = json.loads((tmp_path / "dataset.json").read_text())
-    assert described["labels"] == {"background": 0, "gel": 1, "liver": 2}
-    assert np.array(Image.open(tmp_path / "labelsTr" / "frame00000.png")).tolist() == [[0, 1], [2, 2]]
+    assert described["labels"] == {"background": 0, "gel": 1, "liver_4": 2, "liver_5": 3}, "two labels of one tissue"
+    assert np.array(Image.open(tmp_path / "labelsTr" / "frame00000.png")).tolist() == [[0, 1], [2, 3]]
+
+
+def test_a_map_that_was_begun_and_tissues_of_ones_own_are_left_out(arguments: list[str], tmp_path: Path) -> None:
+    (about,) = Path(next(a for a in arguments if a.startswith("runs_dir=")).partition("=")[2]).glob("data/*/about.json")
+    begun = tmp_path / about.parent.name
+    shutil.copytree(about.parent, begun)
+    shutil.copytree(begun / "pairs.zarr/target", begun / "pairs.zarr/low")
+    shutil.rmtree(begun / "pairs.zarr/low/c")
+    tissues = DataSet(begun).tissues
+    pairs = open_pairs(begun)
+    assert "low" in pairs.maps
+    write_png(pairs, tmp_path / "pngs", tissues)
+    assert {path.name for path in (tmp_path / "pngs").iterdir()} >= {"segmentation", "image", "labels.csv"}
+    assert not (tmp_path / "pngs/low").exists()
+    write_png(pairs, tmp_path / "others", (tissues[0], replace(tissues[1], impedance_mrayl=7.0)))
+    assert not (tmp_path / "others/labels.csv").exists()
+
+
+def test_a_cine_is_known_by_what_it_shows(tmp_path: Path) -> None:
+    mask, known = np.ones((8, 9), bool), []
+    for number, (grey, pixel_mm) in enumerate([(0, 0.5), (0, 0.5), (9, 0.5), (0, 0.6)]):
+        folder = tmp_path / str(number) / "fetal-sweep"
+        folder.mkdir(parents=True)
+        write_cine(folder / "cine.dcm", np.full((3, 8, 9), grey, np.uint8), mask, (pixel_mm, 0.5), 50.0)
+        held = pydicom.dcmread(folder / "cine.dcm")
+        known.append((held.SOPInstanceUID, held.SeriesInstanceUID, held.StudyInstanceUID))
+        assert held.file_meta.MediaStorageSOPInstanceUID == held.SOPInstanceUID
+    assert known[0] == known[1]
+    assert len({uid for uids in known for uid in uids}) == 9
 
 
 def test_dicom_is_valid_and_calibrated(

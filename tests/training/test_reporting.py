@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from ablate.networks import Generator
+from ablate.networks import Generator, GeneratorSpec
 from ablate.training import LAST, AdversarialLoss, DivergenceError, Reconstruction, read_checkpoint, train
 from support.tiny_training import SETTINGS, SPEC, batch, loader
 
@@ -64,6 +64,48 @@ def test_validation_is_called_with_the_generator_to_evaluate_from_the_start(tmp_
     assert [(images, metrics["val/seen"]) for images, metrics in validated] == [(0, 0), (8, 8), (16, 16)]
     average = read_checkpoint(tmp_path / LAST)["state_dict"]["average.network.stem.weight"]
     assert validated[-1][1]["val/weight"] == pytest.approx(float(average.sum()), abs=1e-6)
+
+
+NORMED = """
+import torch
+from torch import nn
+
+class Normed(nn.Module):
+    def __init__(self, channels):
+        super().__init__()
+        self.layers = nn.Sequential(nn.Conv2d(channels, 4, 3, padding=1), nn.BatchNorm2d(4), nn.Conv2d(4, 1, 1))
+    def forward(self, maps):
+        return torch.tanh(self.layers(maps))
+"""
+
+
+@pytest.mark.parametrize("ema_decay", [0.0, 0.9])
+def test_validation_leaves_batch_norm_as_it_is_and_the_average_has_its_statistics(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ema_decay: float
+) -> None:
+    (tmp_path / "with_batch_norm.py").write_text(NORMED)
+    monkeypatch.syspath_prepend(tmp_path)
+    plain = {"concat": "input", "upsampling": "transposed", "noise": "none"}
+    spec = GeneratorSpec(family="custom", target="with_batch_norm.Normed", depth=2, **plain)
+
+    def validate(generator: Generator, _: int) -> dict[str, float]:
+        assert not generator.training
+        other = batch(99)
+        maps = {name: 1 + other[name] for name in ("segmentation", "attenuation")}
+        return {"val/mean": float(generator(**maps, noise_seed=other["noise_seed"]).mean())}
+
+    weights = []
+    for every in (0, 1):
+        settings = replace(SETTINGS, validate_every=every, ema_decay=ema_decay)
+        train(spec, settings, loader, tmp_path / f"every{every}", validation=validate)
+        weights.append(read_checkpoint(tmp_path / f"every{every}" / LAST)["state_dict"])
+    without, validated = weights
+    (means,) = (value for name, value in without.items() if name.startswith("gen") and name.endswith("running_mean"))
+    assert means.abs().max() > 0
+    for name, value in without.items():
+        torch.testing.assert_close(validated[name], value, rtol=0, atol=0)
+        if name.startswith("average") and "running" in name:
+            torch.testing.assert_close(value, without[name.replace("average", "generator")], rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("bad_step", [4, 5])

@@ -21,7 +21,7 @@ from ablate.ultrasound import Display, Simulator
 from ablate.ultrasound.probe import pixel_polar
 from ablate.ultrasound.surfaces import embree
 from ablate.viewer.engine import Engine, coarse
-from ablate.viewer.generators import FastGenerator, first_fitting, pickable
+from ablate.viewer.generators import FastGenerator, first_fitting, open_generator, pickable
 from ablate.viewer.session import Quality, State
 from support.viewed_body import BODY, STATE
 
@@ -142,10 +142,18 @@ def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
     fluid, tissue = (table[name] for name in [name for name in renderer.values if name][:2])
     known = Scene((Structure(trimesh.creation.icosphere(4, 100), tissue),), fluid, "known")
     (picked,) = (offered := pickable(Path("nowhere"))).values()
-    at_its_size = replace(STATE, simulator=replace(STATE.simulator, image_shape=renderer.image_shape))
+    finer = replace(STATE.simulator, image_shape=renderer.image_shape, scanlines=128, axial_samples=768)
+    at_its_size = replace(STATE, simulator=finer)
     assert first_fitting(offered, known.tissues, at_its_size) == (picked,)
     deeper = replace(at_its_size, probe=replace(STATE.probe, depth_mm=170.0))
     assert first_fitting(offered, known.tissues, deeper) == ()
+    wider = replace(at_its_size, simulator=replace(finer, scanlines=256))
+    assert "trained with 384 rows of 128 scanlines, here they are 384 of 256" in (
+        open_generator(picked, known.tissues).reservation(wider)
+    )
+    changed = [fluid, replace(tissue, scatterer_density=0.001)]
+    unlike = open_generator(picked, changed).reservation(at_its_size)
+    assert unlike == f"not trained on {tissue.name.replace('_', ' ')}"
     engine, state = Engine(known, STATE.pose[None]), replace(STATE, runs=(picked,), seed=3)
     moving, rest = engine.render(state, Quality.coarse), engine.render(state, Quality.full)
     frame = Simulator(known, STATE.probe, STATE.simulator).render(STATE.pose)

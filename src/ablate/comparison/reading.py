@@ -82,7 +82,8 @@ def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictu
     if not numbers:
         return []
     pairs = runs[0].data_set.pairs
-    maps = {name: pairs.read(name, numbers) for name in pairs.maps - {"low"}}
+    shown = pairs.maps & {"target", "segmentation", "attenuation", "resimulation"}
+    maps = {name: pairs.read(name, numbers) for name in shown}
     if "resimulation" in maps:
         stored = {RESIMULATION: dict(zip(numbers, maps["resimulation"], strict=True)), **stored}
     return [

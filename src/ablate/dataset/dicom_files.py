@@ -1,5 +1,6 @@
 """Frames and segmentations as DICOM: ultrasound images, one a frame or a cine as one object, and DICOM SEG."""
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,9 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size) -> None:
 def write_cine(path: Path, frames: np.ndarray, mask: np.ndarray, pixel_mm: Size, frame_ms: float) -> None:
     """Images, (n, H, W) uint8, of one size and place as one multi-frame object; `mask`, (H, W) bool, is the fan."""
     cine = _ultrasound(path.parent.name, 0, frames, mask, pixel_mm)
+    content = hashlib.sha256(np.ascontiguousarray(frames).tobytes() + repr((pixel_mm, frame_ms)).encode()).hexdigest()
+    cine.SOPInstanceUID = _uid(content)
+    cine.StudyInstanceUID, cine.SeriesInstanceUID = _uid(content, "study"), _uid(content, "series")
     cine.SOPClassUID = UltrasoundMultiFrameImageStorage
     cine.FrameTime, cine.FrameIncrementPointer = frame_ms, _FRAME_TIME
     pydicom.dcmwrite(path, cine, enforce_file_format=True)

@@ -1,6 +1,7 @@
 """Pairs written for others: an overview picture, PNGs that `scene=pairs` reads, the folder of nnU-Net."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from skimage.color import hsv2rgb
 from skimage.transform import resize
 from skimage.util import montage
 
-from ablate.anatomy import load_tissues
+from ablate.anatomy import Tissue, load_tissues
 from ablate.dataset.fan_file import fan_values
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.png_folder import FOLDERS
@@ -46,16 +47,16 @@ def _thumbnail(image: np.ndarray) -> np.ndarray:
     return resize(image, [max(round(n * _THUMBNAIL_PX / longer), 1) for n in image.shape[:2]], anti_aliasing=True)
 
 
-def write_png(pairs: Pairs, folder: Path) -> None:
-    """A folder that `scene=pairs` reads back bit for bit: sites, parts, the fan, and tissues where all are built in."""
-    for name in sorted(pairs.maps & FOLDERS.keys()):
+def write_png(pairs: Pairs, folder: Path, tissues: Sequence[Tissue]) -> None:
+    """A folder that `scene=pairs` reads back bit for bit: sites, parts, the fan, and built-in tissues if all are."""
+    for name in sorted(name for name in pairs.maps & FOLDERS.keys() if not pairs.missing(frozenset({name}))):
         (folder / FOLDERS[name]).mkdir(parents=True, exist_ok=True)
         for frame in range(len(pairs)):
             write_image(folder / FOLDERS[name] / f"{_name(frame)}.png", pairs.stored(name, frame))
     sites, parts = [f"site{site}" for site in pairs.sites], [Part(part).name for part in pairs.split]
     frames = pd.DataFrame({"name": [_name(k) for k in range(len(pairs))], "site": sites, "part": parts})
     write_text(folder / "frames.csv", frames.to_csv(index=False))
-    if set(pairs.tissues) <= load_tissues().keys():
+    if all(load_tissues().get(tissue.name) == tissue for tissue in tissues):
         labels = pd.Series(pairs.tissues, pd.RangeIndex(1, len(pairs.tissues) + 1, name="label"), name="tissue")
         write_text(folder / "labels.csv", labels.to_csv())
     if pairs.probe:
@@ -75,7 +76,8 @@ def write_nnunet(pairs: Pairs, folder: Path) -> None:
         for kind, image, suffix in (("images", pairs.stored("target", frame), "_0000"), ("labels", classes, "")):
             (folder / f"{kind}{end}").mkdir(parents=True, exist_ok=True)
             write_image(folder / f"{kind}{end}" / f"{_name(frame)}{suffix}.png", image)
-    labels = {("background", *pairs.tissues)[label]: i for i, label in enumerate(occurring)}
+    names = "background", *pairs.tissues
+    labels = {f"{names[k]}_{k}" if names.count(names[k]) > 1 else names[k]: i for i, k in enumerate(occurring)}
     about = {"channel_names": {"0": "ultrasound"}, "labels": labels, "file_ending": ".png"}
     write_json(folder / "dataset.json", about | {"numTraining": int((pairs.split != Part.test).sum())})
     train, validation = ([_name(int(i)) for i in pairs.frames(part)] for part in (Part.train, Part.validation))

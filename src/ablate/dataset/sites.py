@@ -137,12 +137,6 @@ def resample_grid(grid: SiteGrid, counts: Sequence[int] | None) -> SiteGrid:
     """The same ranges with other counts of heights, angles, tilts and rolls, equally spaced; None keeps the grid.
 
     A count of one keeps the middle of its range.
-
-    Examples
-    --------
-    >>> grid = SiteGrid((0, 0, 1), (0, -1, 0), (-20.0, 20.0), (0.0, 40.0), (0.0,), (0.0, 90.0))
-    >>> resample_grid(grid, (3, 1, 1, 2)).heights_mm
-    (-20.0, 0.0, 20.0)
     """
     if counts is None:
         return grid

@@ -103,13 +103,7 @@ def changed_keys(
 
 
 def label_of(settings: StudySettings, changed: Mapping[str, Any]) -> str:
-    """The variant, then the last part of each changed key with its value; a network of the user's has its class name.
-
-    Examples
-    --------
-    >>> label_of(StudySettings(), {"model.depth": 8, "training.reconstruction": "crps"})
-    'sa2h.depth-8.reconstruction-crps'
-    """
+    """The variant, then the last part of each changed key with its value; a custom network has its class name."""
     variant = settings.variant
     if variant == CUSTOM:
         variant = str(settings.model.target).rpartition(".")[2]
@@ -118,13 +112,7 @@ def label_of(settings: StudySettings, changed: Mapping[str, Any]) -> str:
 
 
 def jobs_of(arguments: Sequence[str]) -> list[Job]:
-    """The jobs of a command line, given as the words after `python -m ablate`; nothing is started.
-
-    Examples
-    --------
-    >>> [job.name for job in jobs_of(["-m", "variant=sa2h,nsa2h"])]
-    ['sa2h/seed0', 'nsa2h/seed0']
-    """
+    """The jobs of a command line, given as the words after `python -m ablate`; nothing is started."""
     words = [word for word in arguments if word not in _MULTIRUN]
     with in_one_line():
         overrides = parsed(words)

@@ -21,6 +21,7 @@ from ablate.ultrasound.settings import probe_from
 #: The key of the values outside the fan.
 OUTSIDE = ""
 _FOLDER = Path(__file__).parent
+_LEAST_APART = 0.01  # of the pixels of two fans that are not the same
 #: The generators that come with the package; the README.md beside them says how each was trained.
 NAMES = tuple(sorted(path.stem for path in _FOLDER.glob("*.pt")))
 
@@ -33,8 +34,8 @@ class Renderer:
     ----------
     values : mapping of str to tuple of float
         The values in [-1, 1] that the generator reads for each tissue, and `OUTSIDE` for those outside the fan.
-    probe, tgc, image_shape
-        Of its training frames. Frames of another size in pixels or millimetres are rendered, but not well: the
+    probe, tgc, image_shape, beam_shape
+        Of its training frames. Frames of another number of pixels or scanlines are rendered, but not well: the
         generator has learnt the speckle of these.
     made : mapping of str to str
         Study, variant, seed and commit of the training.
@@ -45,6 +46,7 @@ class Renderer:
     probe: Probe
     tgc: float | tuple[float, ...]
     image_shape: tuple[int, int]
+    beam_shape: tuple[int, int]
     made: Mapping[str, str]
 
     def render(
@@ -56,7 +58,8 @@ class Renderer:
     ) -> np.ndarray:
         """Render a frame from its maps, in the space that the generator works in; its image is not read.
 
-        Returns grey levels, (H, W) uint8, 0 outside the fan. A ValueError for a tissue that was not in the training.
+        Returns grey levels, (H, W) uint8, 0 outside the fan. A ValueError for a tissue or a fan that was not in the
+        training.
 
         Parameters
         ----------
@@ -85,20 +88,21 @@ class Renderer:
             trained_on = ", ".join(name for name in self.values if name != OUTSIDE)
             raise ValueError(f"tissue {unknown[0]!r}: the generator was trained on {trained_on}")
         values = np.asarray([self.values[OUTSIDE], *(self.values[tissue.name] for tissue in tissues)], np.float32)
-        space, converter, mask = self.generator.spec.space, None, frame.mask
+        space, mask = self.generator.spec.space, frame.mask
         beam = frame.beam or Beam(frame.segmentation, frame.attenuation)  # which a generator of images does not read
-        if space is Space.beam:
-            if frame.beam is None:
-                raise ValueError("the frame has no maps in beam space, which this generator reads: frame.beam is None")
-            rows, lines = beam.segmentation.shape
-            converter = scan_converter(self.probe, (rows, lines), (mask.shape[0], mask.shape[1]))
-            mask = np.ones((rows, lines), bool)
+        if space is Space.beam and frame.beam is None:
+            raise ValueError("the frame has no maps in beam space, which this generator reads: frame.beam is None")
+        rows, lines = beam.segmentation.shape
+        converter = scan_converter(self.probe, (rows, lines), (mask.shape[0], mask.shape[1]))
+        if (converter.mask != mask).mean() > _LEAST_APART:
+            raise ValueError(f"the frame has another fan than the probe of the training, {self.probe}")
+        mask = np.ones((rows, lines), bool) if space is Space.beam else mask
         maps = frame.segmentation, frame.attenuation, beam
         read = dataset.maps_read(conditions(self.generator.spec), space, maps, self.probe, self.tgc)
         inputs = dataset.network_inputs({name: value[None] for name, value in read.items()}, values, mask)
         noise_seed = torch.tensor([seed], dtype=torch.int64)
-        fan = torch.from_numpy(mask)
-        return generate(self.generator, inputs, fan, noise_seed, precision, converter)[0]
+        to_image = converter if space is Space.beam else None
+        return generate(self.generator, inputs, torch.from_numpy(mask), noise_seed, precision, to_image)[0]
 
 
 def values_of(tissues: Sequence[Tissue], values: np.ndarray) -> dict[str, tuple[float, ...]]:
@@ -130,24 +134,16 @@ def load(name: str | Path) -> Renderer:
         generator = Generator(GeneratorSpec(**content["spec"]))
         generator.load_state_dict(content["weights"])
         values = {name: tuple(of_tissue) for name, of_tissue in content["values"].items()}
-        setting = (values, probe_from(content["probe"]), content["tgc"])
-        return Renderer(generator.eval(), *setting, tuple(content["image_shape"]), content["made"])
+        shapes = tuple(content["image_shape"]), tuple(content["beam_shape"])
+        return Renderer(
+            generator.eval(), values, probe_from(content["probe"]), content["tgc"], *shapes, content["made"]
+        )
     except Exception as error:
         raise ValueError(f"{path}: not a file of a trained generator ({' '.join(str(error).split()):.200})") from error
 
 
 def save(renderer: Renderer, path: Path) -> None:
-    """Write a trained generator to a file that `load` reads; the file holds no code.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     save(load("sa2h"), Path(folder, "mine.pt"))
-    ...     load(Path(folder, "mine.pt")).made["variant"]
-    'sa2h'
-    """
+    """Write a trained generator to a file that `load` reads; the file holds no code."""
     content = {
         "spec": plain(renderer.generator.spec),
         "weights": renderer.generator.state_dict(),
@@ -155,6 +151,7 @@ def save(renderer: Renderer, path: Path) -> None:
         "probe": plain(renderer.probe),
         "tgc": renderer.tgc,
         "image_shape": list(renderer.image_shape),
+        "beam_shape": list(renderer.beam_shape),
         "made": dict(renderer.made),
     }
     torch.save(content, held := BytesIO())  # to a path, a full disk is a RuntimeError

@@ -35,7 +35,7 @@ def export(jobs: Sequence[Job]) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "README.md").unlink(missing_ok=True)  # written last: a folder without it is not finished
     if chosen is ExportFormat.png:
-        write_png(pairs, folder)
+        write_png(pairs, folder, data.tissues)
     elif chosen is ExportFormat.nnunet:
         write_nnunet(pairs, folder / f"Dataset001_{settings.scene_name.replace(' ', '_')}")
     else:

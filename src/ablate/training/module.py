@@ -118,6 +118,8 @@ class PairGAN(LightningModule):
             decay = min(self.settings.ema_decay, (1 + self.steps_done) / (_EMA_LAG + self.steps_done))
             with torch.no_grad():
                 torch._foreach_lerp_(list(self.average.parameters()), list(self.generator.parameters()), 1 - decay)
+                for own, newest in zip(self.average.buffers(), self.generator.buffers(), strict=True):
+                    own.copy_(newest)  # as `AveragedModel` of torch does: statistics of batch norm
         self.steps_done += 1
         self._sums = {name: self._sums.get(name, 0) + value.detach() for name, value in losses.items()}
         self._steps_summed += 1

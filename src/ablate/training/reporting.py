@@ -96,6 +96,8 @@ class Report(Callback):
     def _validate(self, module: PairGAN) -> None:
         if self.validation and (every := module.settings.validate_every) and module.steps_done % every == 0:
             images_seen = module.steps_done * module.settings.batch_size
+            network, trains = module.evaluated, module.evaluated.training
             with torch.no_grad():
-                metrics = dict(self.validation(module.evaluated, images_seen))
+                metrics = dict(self.validation(network.eval(), images_seen))
+            network.train(trains)
             self.sink(metrics, images_seen)

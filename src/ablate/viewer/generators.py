@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from ablate import pretrained
-from ablate.anatomy import Tissue
+from ablate.anatomy import Tissue, load_tissues
 from ablate.dataset import decode_grey_levels, label_values, maps_read, network_inputs
 from ablate.dataset.frame_maps import FrameMaps
 from ablate.dataset.processes import interrupts_blocked, work_for_parent
@@ -119,14 +119,14 @@ def _end(running: Mapping[tuple[int, int], SpawnProcess], folder: Path) -> None:
 class Trained:
     """A generator, ready to render frames of a scene.
 
-    `values`, (labels, channels) float32, is what it reads for each label of the scene; `unknown` names the tissues of
-    the scene that it was not trained on.
+    `values`, (labels, channels) float32, is what it reads for each label of the scene; `unknown` says which tissues of
+    the scene it was not trained on.
     """
 
     renderer: Renderer
     engine: FastGenerator
     values: np.ndarray
-    unknown: tuple[str, ...]
+    unknown: str
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -164,9 +164,10 @@ class Trained:
         trained = pixel_size_mm(probe, self.renderer.image_shape)
         if not np.allclose(shown, trained, rtol=0.05):
             reservations.append(f"trained with pixels of {trained[0]:.2f} mm, here they are {shown[0]:.2f} mm")
-        if self.unknown:
-            reservations.append(f"not trained on {', '.join(name.replace('_', ' ') for name in self.unknown)}")
-        return "; ".join(reservations)
+        if self.space is Space.beam and state.simulator.beam_shape != self.renderer.beam_shape:
+            (rows, lines), (own, others) = self.renderer.beam_shape, state.simulator.beam_shape
+            reservations.append(f"trained with {rows} rows of {lines} scanlines, here they are {own} of {others}")
+        return "; ".join([*reservations, *filter(None, [self.unknown])])
 
 
 def first_fitting(offered: Mapping[str, Path], tissues: Sequence[Tissue], state: State) -> tuple[Path, ...]:
@@ -181,24 +182,30 @@ def first_fitting(offered: Mapping[str, Path], tissues: Sequence[Tissue], state:
 def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
     """Load a generator, to look at a scene with these tissues.
 
-    Tissues that the generator was not trained on have the values of their places in this scene's own order. Where the
-    data set of a run has been deleted, `tissues` are taken for those that it was trained on. A run that has been
-    deleted is an OSError, and one whose files are damaged a ValueError.
+    Tissues that the generator was not trained on, or with other values, have the values of their places in this scene's
+    own order. Where the data set of a run has been deleted, `tissues` are taken for those that it was trained on. A run
+    that has been deleted is an OSError, and one whose files are damaged a ValueError.
     """
     if is_shipped(picked):
         renderer, own = pretrained.load(picked.name), label_values(tissues, StudySettings.encoding)
+        trained_on, is_known = tuple(load_tissues().values()), True
     else:
         run = Run(picked)
         if run.state is not RunState.finished:
             raise FileNotFoundError(f"this run is gone: {picked} is {run.state} {run.why}".rstrip())
         settings, data = run.settings, run.data_set
-        trained_on = data.tissues if data.exists else tuple(tissues)
+        trained_on, is_known = data.tissues if data.exists else tuple(tissues), data.exists
         encoding = settings.encoding, settings.label_seed
         levels, own = label_values(trained_on, *encoding), label_values(tissues, *encoding)
-        tgc = data.pairs.tgc if data.exists else None
-        frames = settings.probe, tgc or settings.simulator.time_gain, settings.simulator.image_shape
+        probe, tgc = (data.pairs.probe, data.pairs.tgc) if data.exists else (None, None)
+        simulator = settings.simulator
+        frames = probe or settings.probe, tgc or simulator.time_gain, simulator.image_shape, simulator.beam_shape
         renderer = Renderer(load_generator(run.checkpoint), values_of(trained_on, levels), *frames, made={})
-    unknown = tuple(tissue.name for tissue in tissues if tissue.name not in renderer.values)
+    of_training = {tissue.name: tissue for tissue in trained_on if tissue.name in renderer.values}
+    others = [tissue.name.replace("_", " ") for tissue in tissues if of_training.get(tissue.name) != tissue]
+    unknown = f"not trained on {', '.join(others)}" if others else ""
+    if not is_known:
+        unknown = "its data set is gone: labels are taken for those of this scene"
     width = len(renderer.values[OUTSIDE])
     if own.shape[1] != width:  # the encodings of both scenes have another number of channels
         own = np.zeros((len(own), width))

@@ -125,7 +125,10 @@ def add_keep_tab(page: Page) -> None:
         elif (sweep := page.sweep) is not None:
             page.sweep = None
             file, count = sweep.save(next_folder(page.folder, "sweep")), len(sweep)
-            answer.content = f"{count} poses in `{file.parent}`, with `sweep.gif`. The command makes pairs of them."
+            answer.content = (
+                f"{count} poses in `{file.parent}`, with `sweep.gif`. The command makes pairs of them. Poses "
+            )
+            answer.content += "beside each other look alike, so its test frames are not unseen sites (docs/anatomy.md)."
             if count >= _FEWEST_POSES:
                 words = "task=simulate", f"dataset.poses={file}", f"dataset.frames={count}"
                 command.value = command_line(settings, session.state, *words)
