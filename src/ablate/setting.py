@@ -55,18 +55,7 @@ class Declaration:
 
 
 def setting(default: Any, about: str = "", **declared: Any) -> Any:
-    """A field of a settings dataclass; `declared` are the attributes of its `Declaration`.
-
-    Examples
-    --------
-    >>> from dataclasses import dataclass
-    >>> @dataclass(frozen=True)
-    ... class Rays(Checked):
-    ...     count: int = setting(32, "Rays of a scanline.", least=1)
-    >>> Rays(count=0)
-    Traceback (most recent call last):
-    ValueError: count=0: allowed are whole numbers from 1
-    """
+    """A field of a settings dataclass; `declared` are the attributes of its `Declaration`."""
     return field(default=default, metadata={_METADATA: Declaration(about, **declared)})
 
 

@@ -1,14 +1,17 @@
 """Any key is a component: what a sweep gives several values is one study with effects, interactions and verdicts."""
 
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
-from ablate.comparison.reading import Answers, answers
+from ablate.analysis import RESIMULATION
+from ablate.comparison.reading import Answers, answers, scored_frames
 from ablate.comparison.usable_runs import check_pixels, usable_runs
 from ablate.jobs.compose import jobs_of
+from ablate.metrics.metric import RESIMULATED
 from ablate.runs.job import Job
 from ablate.runs.run import Run
 from ablate.settings.study import ConfigurationError
@@ -64,3 +67,34 @@ def test_two_data_sets_of_one_recipe_are_never_mixed(tmp_path: Path) -> None:
     runs[-1] = finish(jobs[-1], pixels="of another processor")
     with pytest.raises(ConfigurationError, match=r"two data sets of one recipe.*remove one of the two"):
         usable_runs(jobs[0].settings.study_dir)
+
+
+def test_different_code_of_one_metric_is_never_mixed(tmp_path: Path) -> None:
+    jobs = swept(tmp_path, "variant=sa2h,nsa2h")
+    check_pixels([finish(job, sources={"my.bias": "1"} if job.label == "sa2h" else {}) for job in jobs])
+    finish(jobs[-1], sources={"my.bias": "2"})
+    with pytest.raises(ConfigurationError, match=r"my\.bias has scored .* by different code: repeat the command"):
+        usable_runs(jobs[0].settings.study_dir)
+
+
+def test_a_copy_of_a_run_is_no_further_training(tmp_path: Path) -> None:
+    jobs = swept(tmp_path, "variant=sa2h,nsa2h")
+    for job in jobs:
+        finish(job)
+    shutil.copytree(jobs[0].folder, jobs[0].folder.with_name("seed0.bak"))
+    shutil.copytree(jobs[0].folder.parent, jobs[0].settings.study_dir / "older")
+    usable = usable_runs(jobs[0].settings.study_dir)
+    assert sorted(run.folder for run in usable.runs) == sorted(job.folder for job in jobs)
+    (note,) = usable.notes
+    assert note.startswith("5 runs left aside, in a folder that was copied or renamed: ")
+
+
+def test_the_floor_is_that_of_the_run_that_has_most_of_it(tmp_path: Path) -> None:
+    jobs = swept(tmp_path, "variant=sa2h,nsa2h")
+    for number, job in enumerate(jobs):
+        run = finish(job, {"psnr": 20.0, "mae": 10.0}, data=job.data.name)
+        floors = run.scores.assign(source=RESIMULATED)
+        floors = floors[floors["metric"] == "psnr"] if number == 0 else floors
+        pd.concat([run.scores, floors]).to_parquet(run.scores_file)
+    judged, _ = scored_frames([Run(job.folder) for job in jobs])
+    assert set(judged.loc[judged["variant"] == RESIMULATION, "metric"]) == {"psnr", "mae"}

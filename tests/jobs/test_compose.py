@@ -41,6 +41,11 @@ def test_a_sweep_is_the_product_of_its_values() -> None:
         (["variant=sa2h-depth", "model.depth=8"], "sa2h-depth.depth-8"),
         (["encoding=arbitrary", "model.noise=none"], "sa2h.encoding-arbitrary.noise-none"),
         (["training.loss=none"], "sa2h.loss-none"),
+        (["variant=custom", "model.target=my_nets.Net", "model.attenuation=integral"], "Net.attenuation-integral"),
+        (
+            ["variant=custom", "model={target:my_nets.Net,noise:input}", "training.loss=none"],
+            "Net.loss-none.noise-input",
+        ),
         (["variant=sa2h-gan", "training={loss:none,steps:3}"], "sa2h-gan"),
     ],
 )

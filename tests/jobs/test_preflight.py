@@ -8,6 +8,18 @@ import pytest
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.preflight import check
 from ablate.settings.study import ConfigurationError
+from support.scene_folders import ball_folder
+
+
+def test_a_key_that_decides_nothing_does_not_count_a_run_twice(tmp_path: Path) -> None:
+    sites = {"heights": [-15, 0, 15], "angles": [-40, -10, 10, 40], "axis": [0, 0, 1]}
+    folder = ball_folder(tmp_path / "ball", sites)
+    words = ["-m", "preset=tiny", "scene=folder", f"scene.folder={folder}", f"runs_dir={tmp_path / 'runs'}"]
+    with pytest.raises(
+        ConfigurationError, match=r"^scene\.anatomy_seed: decides nothing here, sa2h.* are the same run"
+    ):
+        check(jobs_of([*words, "scene.anatomy_seed=0,4"]))
+    check(jobs_of([*words, "training.seed=0,4"][:-1]))
 
 
 def test_a_batch_has_at_most_as_many_crops_as_there_are_training_frames(tmp_path: Path) -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from ablate.jobs.compose import jobs_of
+from ablate.runs.train import run_job
 from ablate.settings.study import ConfigurationError
 from ablate.storage import read_json
 from support.studies import run
@@ -38,7 +40,11 @@ def test_a_network_of_the_user_is_a_variant(tmp_path: Path, monkeypatch: pytest.
     module.write_text(
         TOY.replace("Conv2d(8, 1, 3", "Conv2d(8, 1, 5").replace("padding=1), nn.Tanh", "padding=2), nn.Tanh")
     )
+    (begun,) = jobs_of([*sizes, "variant=custom", "model.target=toy_networks.Toy", "seed=1"])
+    assert begun.semantic["model"] == known
     monkeypatch.delitem(sys.modules, "toy_networks")
+    with pytest.raises(ConfigurationError, match=r"toy_networks\.Toy: edited since the sweep began; repeat"):
+        run_job(begun)
     with pytest.raises(ConfigurationError, match=r"holds another configuration \(model.source: "):
         run(*sizes, "variant=custom", "model.target=toy_networks.Toy")
 

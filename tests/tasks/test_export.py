@@ -115,6 +115,11 @@ def test_a_map_that_was_begun_and_tissues_of_ones_own_are_left_out(arguments: li
     assert not (tmp_path / "others/labels.csv").exists()
 
 
+def test_a_sweep_over_data_sets_is_refused(arguments: list[str]) -> None:
+    with pytest.raises(ConfigurationError, match="task=export: a sweep over data sets; allowed is one of them"):
+        run("-m", "task=export", *arguments, "dataset.seed=0,1")
+
+
 def test_a_cine_is_known_by_what_it_shows(tmp_path: Path) -> None:
     mask, known = np.ones((8, 9), bool), []
     for number, (grey, pixel_mm) in enumerate([(0, 0.5), (0, 0.5), (9, 0.5), (0, 0.6)]):

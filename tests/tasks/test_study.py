@@ -17,6 +17,7 @@ from mlflow import MlflowClient
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.launch import Launch
 from ablate.runs.job import Job
+from ablate.runs.run import Run, State
 from ablate.runs.train import run_job
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.tasks import run_task as tasks
@@ -79,15 +80,17 @@ def test_simulate_makes_again_what_is_damaged_and_only_that(finished: Path, caps
     whole = damaged.read_bytes()
     damaged.write_bytes(whole[:100] + bytes([whole[100] ^ 1]) + whole[101:])
     kept = damaged.parents[5] / "pixels.json"
-    digest = kept.read_text()
+    of_frames = {path: path.read_text() for path in (kept, *kept.parent.glob("resimulation/*.json"))}
+    assert len(of_frames) == 3
     assert run(*SWEEP, f"runs_dir={finished}", "task=simulate") == 0
-    assert not kept.exists(), "a digest of frames that were made again"
-    kept.write_text(digest)
+    assert not any(path.exists() for path in of_frames), "a digest and scores of frames that were made again"
+    for path, content in of_frames.items():
+        path.write_text(content)
     told = capsys.readouterr().err
     assert f"{damaged}, 'target' of frames 0 to 2, is damaged" in told
     assert damaged.read_bytes() == whole
     after = state(finished)
-    assert {path for path in before if after[path] != before[path]} == {str(damaged), str(kept)}
+    assert {path for path in before if after[path] != before[path]} == {str(damaged), *map(str, of_frames)}
 
 
 def test_paired_differences_are_those_of_the_per_image_values(finished: Path) -> None:
@@ -131,6 +134,12 @@ def test_a_killed_scoring_loses_no_result(finished: Path, monkeypatch: pytest.Mo
     assert before[str(per_image)] == per_image.stat().st_mtime
     assert run(*SWEEP, f"runs_dir={finished}") == 0
     assert json.loads(result.read_text())["scalars"].keys() == whole["scalars"].keys()
+
+    lacking = {name: value for name, value in whole["scalars"].items() if name != "parameters_generator"}
+    result.write_text(json.dumps(whole | {"scalars": lacking}))
+    assert "parameters_generator in result.json: start it again" in Run(job.folder).why
+    assert run(*SWEEP, f"runs_dir={finished}") == 0
+    assert Run(job.folder).state is State.finished
 
 
 def test_one_word_scores_a_finished_run_again_and_trains_none(finished: Path) -> None:

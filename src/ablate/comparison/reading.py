@@ -30,7 +30,9 @@ def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
     of a distance. `data` is the name of the pairs; frames and sites are numbers within them.
     """
     frames, scalars = [], []
-    first = {run.data: run for run in reversed(runs)}
+    first: dict[str, Run] = {}  # of each data set: the run that has most values of re-simulation
+    for run in sorted(runs, key=lambda run: -(run.scores["source"] == RESIMULATED).sum()):
+        first.setdefault(run.data, run)
     for run in runs:
         own: dict[str, Any] = {"variant": run.label, "seed": run.seed, "data": run.data}
         with_floor = first[run.data] is run

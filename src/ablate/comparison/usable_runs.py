@@ -44,10 +44,11 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
     runs: list[Run] = []
     aside: dict[str, list[str]] = {}
     for run in runs_of(study_dir):
-        if run.state is State.finished:
+        if run.state is State.finished and run.name == f"{run.label}/seed{run.seed}":
             runs.append(run)
         else:
-            reason = "not finished" if run.why in ("", "not finished") else f"left aside, {run.why}"
+            why = run.why if run.state is not State.finished else "in a folder that was copied or renamed"
+            reason = "not finished" if why in ("", "not finished") else f"left aside, {why}"
             aside.setdefault(reason, []).append(run.name)
     check_pixels(runs)
     blocks: list[Run] = []
@@ -95,9 +96,17 @@ def levels_of(semantic: Mapping[str, Any]) -> dict[str, object]:
 
 
 def check_pixels(runs: Sequence[Run]) -> None:
-    """Refuse runs on pairs of one recipe that hold other pixels, as two kinds of processor make them."""
+    """Refuse runs on pairs of one recipe that hold other pixels, as two kinds of processor make them.
+
+    Nor are runs compared that were scored by different code of a metric.
+    """
     first: dict[str, Run] = {}
+    scored: dict[str, Run] = {}
     for run in runs:
+        for name, source in run.result["sources"].items():
+            if (other := scored.setdefault(name, run)).result["sources"][name] != source:
+                again = "repeat the command with this metric and the variants and seeds of both"
+                raise ConfigurationError(f"{name} has scored {other.name} and {run.name} by different code: {again}")
         other = first.setdefault(run.data, run)
         if run.result["pixels"] != other.result["pixels"]:
             raise ConfigurationError(

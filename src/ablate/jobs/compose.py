@@ -95,8 +95,10 @@ def changed_keys(
         return {key for key in own & deciding if key in wanted or key.partition(".")[0] in wanted}
 
     if candidates := {key for override in overrides for key in changes(override)}:
-        kept = (o for o in overrides if not changes(o) and o.key_or_group not in _IN_NO_LABEL)
-        without = _settings_of((*fixed, *(str(o.input_line) for o in kept)))
+        kept = [str(o.input_line) for o in overrides if not changes(o) and o.key_or_group not in _IN_NO_LABEL]
+        if made.variant == CUSTOM:  # which is nothing without its class
+            kept.append(f"model.target={made.model.target}")
+        without = _settings_of((*fixed, *kept))
         before, after = dict(flat(plain(without))), dict(flat(plain(made)))
         changed |= {key: after[key] for key in candidates if before.get(key) != after.get(key)}
     return changed

@@ -49,8 +49,12 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
             if folder.exists():
                 _check_writable(folder)
     if starts or jobs[0].settings.task is Task.plan:
+        first: dict[str, Job] = {}
         for job in jobs:
             check_place(job)
+            if (other := first.setdefault(job.hash, job)).folder != job.folder:
+                keys = ", ".join(sorted({key for key, _ in {*job.changed} ^ {*other.changed}}))
+                raise ConfigurationError(f"{keys}: decides nothing here, {other.name} and {job.name} are the same run")
 
 
 def _check_pairs(job: Job) -> int:

@@ -25,7 +25,8 @@ def prepare_data(job: Job, maps: frozenset[str]) -> DataSet:
     """Simulate, or import, what is missing of the job's pairs; returns at once when nothing is."""
     settings, data = job.settings, job.data
     if data.lacks(wanted := offered(job, maps)):
-        data.kept_digest.unlink(missing_ok=True)  # frames are made again, perhaps on another kind of processor
+        for of_frames in (data.kept_digest, *(data.folder / "resimulation").glob("*.json")):
+            of_frames.unlink(missing_ok=True)  # they are made again, perhaps on another kind of processor
         if settings.scene.kind is SceneKind.pairs:
             make = import_data
         else:

@@ -23,13 +23,14 @@ from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job, parameters, precision_of
 from ablate.runs.place import claim_place, finished_run, sources_of, with_earlier_metrics
 from ablate.runs.prepare import prepare_data
-from ablate.runs.run import Run
+from ablate.runs.run import Run, State
 from ablate.runs.store_copy import copying, log_samples
 from ablate.setting import plain
-from ablate.settings.study import Provenance, StudySettings, Verbosity
+from ablate.settings.study import ConfigurationError, Provenance, StudySettings, Verbosity
 from ablate.storage import digest, remove_partial, write_json, write_text, written_whole
 from ablate.tracking import LocalLog
 from ablate.training import TrainingPrecision, Validation, chosen_device, generate, read_checkpoint, train
+from ablate.user_code import source_digest
 
 _LOG = logging.getLogger(__name__)
 _OF_ONE_START = ("time", "step", "device", "precision", "git_diff", "source")  # not in `made_with.json`
@@ -49,6 +50,8 @@ def run_job(job: Job) -> None:
     with job.run.lock():  # another process may be running the same job
         if finished_run(job) is None:
             claim_place(job)
+            if (target := job.settings.model.target) and source_digest(target) != job.semantic["model"]["source"]:
+                raise ConfigurationError(f"model.target={target}: edited since the sweep began; repeat the command")
             with logged(job):
                 _run(job)
 
@@ -62,7 +65,7 @@ def _run(job: Job) -> None:
         clock, started = time.perf_counter(), _now()
         for file in (run.scores_file, run.pictures_file, run.folder / "result.json"):
             remove_partial(file)
-        before = run.result if run.result.get("hash") == job.hash else {}
+        before = run.result if run.result.get("hash") == job.hash and run.state is not State.unusable else {}
         scalars, notes = _train_and_score(job, run, data, log)
         first_scored = _now()
         if before:  # trained by an earlier call; now scored by more metrics, or by another version of them

@@ -152,7 +152,8 @@ class Comparison(hydra.experimental.callback.Callback):
 
     def on_multirun_end(self, config: DictConfig, **_: object) -> None:
         """Compare what lies on disk when all jobs have ended."""
-        if config.hydra.runtime.choices["hydra/launcher"] in _OURS or config.objective is not None:
+        is_ours = config.hydra.runtime.choices["hydra/launcher"] in _OURS
+        if is_ours or config.objective is not None or config.task != Task.study:
             return
         fixed = [str(o.input_line) for o in parsed(_words(config.hydra, "task")) if not o.is_sweep_override()]
         job = job_of([*fixed, "task=compare"])

@@ -14,7 +14,7 @@ from ablate.runs.data_set import maps_needed
 from ablate.runs.job import Job
 from ablate.runs.place import claim_place, finished_run, forget_scores
 from ablate.runs.prepare import offered, prepare_data
-from ablate.settings.study import SceneKind, StudySettings, Task, refusing
+from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, Task, refusing
 
 #: The function of each task that starts no jobs.
 _LOOKING = {
@@ -41,6 +41,8 @@ def run_task(jobs: Sequence[Job], launch: Launch) -> int:
         except (OSError, MemoryError, KeyboardInterrupt) as error:
             error.add_note("the same command continues where it stopped")
             raise
+    if task not in (Task.describe, Task.compare, Task.plan) and len({job.data.folder for job in jobs}) > 1:
+        raise ConfigurationError(f"task={task}: a sweep over data sets; allowed is one of them a command")
     return int(resolve_name(_LOOKING[task])(jobs))
 
 
