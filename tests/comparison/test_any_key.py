@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -9,7 +10,7 @@ import pytest
 
 from ablate.analysis import RESIMULATION
 from ablate.comparison.reading import Answers, answers, scored_frames
-from ablate.comparison.usable_runs import check_pixels, usable_runs
+from ablate.comparison.usable_runs import check_alike, usable_runs
 from ablate.jobs.compose import jobs_of
 from ablate.metrics.metric import RESIMULATED
 from ablate.runs.job import Job
@@ -63,7 +64,7 @@ def test_a_key_that_decides_nothing_is_no_component(tmp_path: Path) -> None:
 def test_two_data_sets_of_one_recipe_are_never_mixed(tmp_path: Path) -> None:
     jobs = swept(tmp_path, "variant=sa2h,nsa2h")
     runs = [finish(job, pixels="of one processor") for job in jobs]
-    check_pixels(runs)
+    check_alike(runs)
     runs[-1] = finish(jobs[-1], pixels="of another processor")
     with pytest.raises(ConfigurationError, match=r"two data sets of one recipe.*remove one of the two"):
         usable_runs(jobs[0].settings.study_dir)
@@ -71,9 +72,19 @@ def test_two_data_sets_of_one_recipe_are_never_mixed(tmp_path: Path) -> None:
 
 def test_different_code_of_one_metric_is_never_mixed(tmp_path: Path) -> None:
     jobs = swept(tmp_path, "variant=sa2h,nsa2h")
-    check_pixels([finish(job, sources={"my.bias": "1"} if job.label == "sa2h" else {}) for job in jobs])
+    check_alike([finish(job, sources={"my.bias": "1"} if job.label == "sa2h" else {}) for job in jobs])
     finish(jobs[-1], sources={"my.bias": "2"})
     with pytest.raises(ConfigurationError, match=r"my\.bias has scored .* by different code: repeat the command"):
+        usable_runs(jobs[0].settings.study_dir)
+
+
+def test_two_networks_under_one_label_are_never_averaged(tmp_path: Path) -> None:
+    jobs = swept(tmp_path, "variant=sa2h,nsa2h")
+    for job in jobs[:-1]:
+        finish(job)
+    settings = replace(jobs[-1].settings, model=replace(jobs[-1].settings.model, depth=3))
+    finish(replace(jobs[-1], settings=settings))
+    with pytest.raises(ConfigurationError, match=r"have one label and differ in model\.depth: remove one"):
         usable_runs(jobs[0].settings.study_dir)
 
 

@@ -50,7 +50,7 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
             why = run.why if run.state is not State.finished else "in a folder that was copied or renamed"
             reason = "not finished" if why in ("", "not finished") else f"left aside, {why}"
             aside.setdefault(reason, []).append(run.name)
-    check_pixels(runs)
+    check_alike(runs)
     blocks: list[Run] = []
     if runs:
         of_reference = [run for run in runs if run.label == reference]
@@ -95,14 +95,19 @@ def levels_of(semantic: Mapping[str, Any]) -> dict[str, object]:
     return {key.removeprefix("data."): tuple(v) if isinstance(v, list) else v for key, v in levels.items()}
 
 
-def check_pixels(runs: Sequence[Run]) -> None:
-    """Refuse runs on pairs of one recipe that hold other pixels, as two kinds of processor make them.
+def check_alike(runs: Sequence[Run]) -> None:
+    """Refuse two networks under one label, different code of one metric, and pairs of one recipe with other pixels.
 
-    Nor are runs compared that were scored by different code of a metric.
+    Two kinds of processor make the last.
     """
     first: dict[str, Run] = {}
     scored: dict[str, Run] = {}
+    of_label: dict[str, Run] = {}
     for run in runs:
+        other = of_label.setdefault(run.label, run)
+        model, others = (each.spec["semantic"]["model"] for each in (run, other))
+        if keys := ", ".join(key for key, *_ in differences(model, others, "model")):
+            raise ConfigurationError(f"{other.folder} and {run.folder} have one label and differ in {keys}: remove one")
         for name, source in run.result["sources"].items():
             if (other := scored.setdefault(name, run)).result["sources"][name] != source:
                 again = "repeat the command with this metric and the variants and seeds of both"

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from ablate.comparison.usable_runs import check_pixels
+from ablate.comparison.usable_runs import check_alike
 from ablate.runs.job import Job
 from ablate.runs.place import finished_run
 from ablate.runs.run import State, runs_of
@@ -34,7 +34,7 @@ def progress(jobs: Sequence[Job]) -> pd.DataFrame:
     studies = dict.fromkeys(job.settings.study_dir for job in jobs)
     finished = {study: [run for run in runs_of(study) if run.state is State.finished] for study in studies}
     for runs in finished.values():
-        check_pixels(runs)
+        check_alike(runs)
     rows = []
     for job in jobs:
         state, done = _state_of(job)

@@ -169,11 +169,6 @@ def mean_in_fan(values: Tensor, mask: Tensor) -> Tensor:
 
     `values` and `mask` are (N, 1, H, W) float, the mask 1 in the fan and else 0. The mean, () float, is 0 where no
     pixel of the batch lies in the fan.
-
-    Examples
-    --------
-    >>> mean_in_fan(torch.tensor([1.0, 2.0, 9.0]), torch.tensor([1.0, 1.0, 0.0]))
-    tensor(1.5000)
     """
     return (values * mask).sum() / mask.sum().clamp(min=1)
 
