@@ -19,7 +19,8 @@ def test_a_key_that_decides_nothing_does_not_count_a_run_twice(tmp_path: Path) -
         ConfigurationError, match=r"^scene\.anatomy_seed: decides nothing here, sa2h.* are the same run"
     ):
         check(jobs_of([*words, "scene.anatomy_seed=0,4"]))
-    check(jobs_of([*words, "training.seed=0,4"][:-1]))
+    check(jobs_of([*words, "seed=0,4"]))
+    check(jobs_of([*words, "study_name=one,another"]))
 
 
 def test_a_batch_has_at_most_as_many_crops_as_there_are_training_frames(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def test_a_map_that_was_begun_and_tissues_of_ones_own_are_left_out(arguments: li
 
 
 def test_a_sweep_over_data_sets_is_refused(arguments: list[str]) -> None:
-    with pytest.raises(ConfigurationError, match="task=export: a sweep over data sets; allowed is one of them"):
+    with pytest.raises(ConfigurationError, match="task=export: a sweep over data sets; allowed is one data set"):
         run("-m", "task=export", *arguments, "dataset.seed=0,1")
 
 

@@ -96,10 +96,7 @@ def levels_of(semantic: Mapping[str, Any]) -> dict[str, object]:
 
 
 def check_alike(runs: Sequence[Run]) -> None:
-    """Refuse two networks under one label, different code of one metric, and pairs of one recipe with other pixels.
-
-    Two kinds of processor make the last.
-    """
+    """Refuse two networks under one label, two codes of one metric, and other pixels of one recipe (two processors)."""
     first: dict[str, Run] = {}
     scored: dict[str, Run] = {}
     of_label: dict[str, Run] = {}

@@ -48,7 +48,7 @@ def _thumbnail(image: np.ndarray) -> np.ndarray:
 
 
 def write_png(pairs: Pairs, folder: Path, tissues: Sequence[Tissue]) -> None:
-    """A folder that `scene=pairs` reads back bit for bit: sites, parts, the fan, and built-in tissues if all are."""
+    """A folder that `scene=pairs` reads back bit for bit; its labels have names if all tissues are built-in ones."""
     for name in sorted(name for name in pairs.maps & FOLDERS.keys() if not pairs.missing(frozenset({name}))):
         (folder / FOLDERS[name]).mkdir(parents=True, exist_ok=True)
         for frame in range(len(pairs)):

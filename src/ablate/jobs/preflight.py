@@ -49,11 +49,11 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
             if folder.exists():
                 _check_writable(folder)
     if starts or jobs[0].settings.task is Task.plan:
-        first: dict[str, Job] = {}
+        first: dict[object, Job] = {}
         for job in jobs:
             check_place(job)
-            if (other := first.setdefault(job.hash, job)).folder != job.folder:
-                keys = ", ".join(sorted({key for key, _ in {*job.changed} ^ {*other.changed}}))
+            if (other := first.setdefault((job.settings.study_dir, job.hash), job)).folder != job.folder:
+                keys = ", ".join(sorted({key for key, _ in {*job.changed} ^ {*other.changed}})) or "variant"
                 raise ConfigurationError(f"{keys}: decides nothing here, {other.name} and {job.name} are the same run")
 
 

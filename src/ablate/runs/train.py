@@ -49,9 +49,9 @@ def run_job(job: Job) -> None:
     job.folder.mkdir(parents=True, exist_ok=True)
     with job.run.lock():  # another process may be running the same job
         if finished_run(job) is None:
-            claim_place(job)
             if (target := job.settings.model.target) and source_digest(target) != job.semantic["model"]["source"]:
                 raise ConfigurationError(f"model.target={target}: edited since the sweep began; repeat the command")
+            claim_place(job)
             with logged(job):
                 _run(job)
 

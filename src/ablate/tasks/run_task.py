@@ -42,7 +42,7 @@ def run_task(jobs: Sequence[Job], launch: Launch) -> int:
             error.add_note("the same command continues where it stopped")
             raise
     if task not in (Task.describe, Task.compare, Task.plan) and len({job.data.folder for job in jobs}) > 1:
-        raise ConfigurationError(f"task={task}: a sweep over data sets; allowed is one of them a command")
+        raise ConfigurationError(f"task={task}: a sweep over data sets; allowed is one data set")
     return int(resolve_name(_LOOKING[task])(jobs))
 
 

@@ -182,7 +182,7 @@ class Simulator:
         return Beam(*(made.copy() for made in chain(tissues, *surfaces)))
 
     def _of(self, pose: np.ndarray, make: Make) -> Any:
-        """What `make` makes of a pose in the geometry's world; anew unless the pose is that of the last call."""
+        """What `make` gives for a pose in the geometry's world; it is kept until another pose comes."""
         if (kept := self._kept.get(make)) is None or kept[0] != pose.tobytes():
             local = pose.copy()
             local[:3, 3] -= self._origin_mm

@@ -120,7 +120,7 @@ class Trained:
     """A generator, ready to render frames of a scene.
 
     `values`, (labels, channels) float32, is what it reads for each label of the scene; `unknown` says which tissues of
-    the scene it was not trained on.
+    the scene it was not trained on, and is empty if there are none.
     """
 
     renderer: Renderer
@@ -167,7 +167,7 @@ class Trained:
         if self.space is Space.beam and state.simulator.beam_shape != self.renderer.beam_shape:
             (rows, lines), (own, others) = self.renderer.beam_shape, state.simulator.beam_shape
             reservations.append(f"trained with {rows} rows of {lines} scanlines, here they are {own} of {others}")
-        return "; ".join([*reservations, *filter(None, [self.unknown])])
+        return "; ".join([*reservations, self.unknown] if self.unknown else reservations)
 
 
 def first_fitting(offered: Mapping[str, Path], tissues: Sequence[Tissue], state: State) -> tuple[Path, ...]:
@@ -182,9 +182,9 @@ def first_fitting(offered: Mapping[str, Path], tissues: Sequence[Tissue], state:
 def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
     """Load a generator, to look at a scene with these tissues.
 
-    Tissues that the generator was not trained on, or with other values, have the values of their places in this scene's
-    own order. Where the data set of a run has been deleted, `tissues` are taken for those that it was trained on. A run
-    that has been deleted is an OSError, and one whose files are damaged a ValueError.
+    Tissues of unknown names have the values of their places in this scene's own order; those of known names but other
+    properties have the values of the training. Where the data set of a run has been deleted, `tissues` are taken for
+    those of the training. A run that has been deleted is an OSError, and one whose files are damaged a ValueError.
     """
     if is_shipped(picked):
         renderer, own = pretrained.load(picked.name), label_values(tissues, StudySettings.encoding)
@@ -197,9 +197,11 @@ def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
         trained_on, is_known = data.tissues if data.exists else tuple(tissues), data.exists
         encoding = settings.encoding, settings.label_seed
         levels, own = label_values(trained_on, *encoding), label_values(tissues, *encoding)
-        probe, tgc = (data.pairs.probe, data.pairs.tgc) if data.exists else (None, None)
-        simulator = settings.simulator
-        frames = probe or settings.probe, tgc or simulator.time_gain, simulator.image_shape, simulator.beam_shape
+        probe, simulator = settings.probe, settings.simulator
+        frames = probe, simulator.time_gain, simulator.image_shape, simulator.beam_shape
+        if data.exists:
+            pairs = data.pairs
+            frames = pairs.probe or probe, pairs.tgc or simulator.time_gain, pairs.shape, pairs.beam_shape
         renderer = Renderer(load_generator(run.checkpoint), values_of(trained_on, levels), *frames, made={})
     of_training = {tissue.name: tissue for tissue in trained_on if tissue.name in renderer.values}
     others = [tissue.name.replace("_", " ") for tissue in tissues if of_training.get(tissue.name) != tissue]

@@ -74,7 +74,7 @@ class Samples:
 def walk(
     geometry: Geometry, starts: np.ndarray, directions: np.ndarray, reach_mm: Reach, samples: Samples | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Follow straight rays, whose ends are outside everything, through every surface; all are asked for at once.
+    """Follow straight rays, which begin outside everything, through every surface; all are asked for at once.
 
     Starts and directions are (n, 3). Return the sets at the ends, (n, words) uint32; the value of each sample's owner,
     (n, samples) uint8; and the distance along its line of the point that each sample displays, (n, samples) float32,
