@@ -236,3 +236,15 @@ def test_where_one_component_at_a_time_is_off_the_dots_are_the_runs_that_its_eff
     assert dots.loc["sa2h", "improvement"].tolist() == pytest.approx([6.5, 5.5]), "7.5 is the mean without it"
     assert dots.loc["sa2h.att", "improvement"].tolist() == pytest.approx([0.5, -0.5])
     assert "sa2h.depth" not in dots.index
+
+
+def test_a_component_has_the_time_that_the_timed_runs_tell(cells: pd.DataFrame, design: Design) -> None:
+    means = means_of(cells, design, response(cells, {"att": -9.0}, {}))
+    ms = 20.0 + response(cells, {"att": 4.0, "noise": 7.0}, {})
+    times = means[means["metric"] == METRIC["att"]].assign(metric="ms_per_frame", value=ms)
+    timed = times[times["variant"].isin(cells.loc[cells["noise"] == 1, "variant"])]
+    tables = (verdict_table(pd.concat([means, rows]), design) for rows in (times, timed))
+    both = [table.set_index("component")["ms_per_frame"] for table in tables]
+    assert both[0].loc[["att", "noise"]].tolist() == pytest.approx([4.0, 7.0])
+    assert both[1]["att"] == pytest.approx(4.0)
+    assert np.isnan(both[1]["noise"]), "a time that was measured on one side only is no difference of 0"

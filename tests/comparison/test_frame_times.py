@@ -27,6 +27,7 @@ def semantic(width: float, seed: int = 0, anatomy: int = 0) -> dict[str, object]
     training = {"precision": "fp32", "seed": seed, "steps": 9 + seed}
     return {
         "model": {"width": width, "family": "local"},
+        "encoding": {"order": "properties"},
         "training": training,
         "data": {"scene": {"anatomy_seed": anatomy}, "frames": 3},
         "seed": seed,
@@ -65,9 +66,10 @@ def times_of(study: Path) -> dict[str, float]:
     return {f"{r['variant']}/seed{r['seed']}": r["value"] for r in rows.to_dict("records")}
 
 
-def test_seeds_and_anatomies_share_a_network_and_widths_do_not() -> None:
+def test_seeds_and_anatomies_share_a_network_and_widths_precisions_and_encodings_do_not() -> None:
     assert network_of(semantic(1.0)) == network_of(semantic(1.0, seed=4, anatomy=2))
-    for other in (semantic(2.0), semantic(1.0) | {"training": {"precision": "bf16"}}):
+    others = {"training": {"precision": "bf16"}}, {"encoding": {"order": "arbitrary"}}
+    for other in (semantic(2.0), *(semantic(1.0) | changed for changed in others)):
         assert network_of(semantic(1.0)) != network_of(other)
 
 
@@ -153,6 +155,28 @@ def test_kept_results_are_timed_where_their_pairs_are_made_again(tiny_study: Tin
     here, there = read_times(folder), read_times(tiny_study.runs / folder.name)
     timed_there = ["machine", "network", "round", "part"]
     pd.testing.assert_frame_equal(here[timed_there], there[timed_there])
+
+
+def test_each_network_is_timed_with_maps_of_its_own_pairs(
+    tiny_study: TinyStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = tmp_path / "tiny-fetal"
+    shutil.copytree(tiny_study.runs / study.name, study, ignore=shutil.ignore_patterns("frame_times.csv"))
+    own = runs_of(study)[0].data
+    for name in (own, "others"):
+        shutil.copytree(tiny_study.runs / "data" / own, tmp_path / "data" / name)
+    changed = study / "sa2h-att" / "seed0"
+    spec, result = (json.loads((changed / name).read_text()) for name in ("spec.json", "result.json"))
+    spec["semantic"]["data"]["probe"]["frequency_mhz"] += 1
+    spec["hash"] = digest(spec["semantic"])
+    write_json(changed / "spec.json", spec)
+    write_json(changed / "result.json", result | {"hash": spec["hash"], "data": "others"})
+    made: list[str] = []
+    maker = frame_times._map_maker
+    monkeypatch.setattr(frame_times, "_map_maker", lambda s, data, *of: made.append(data.name) or maker(s, data, *of))
+    assert time_networks(study, runs_of(study)) == ""
+    assert sorted(made) == sorted((own, "others"))
+    assert read_times(study).groupby("network")["part"].agg(set).map({"segmentation", "network"}.issubset).all()
 
 
 def test_a_custom_network_is_timed_with_its_weights_only(study: Path, measured: list[set[str]]) -> None:

@@ -32,12 +32,12 @@ Maps = tuple[dict[str, np.ndarray], dict[str, float]]  # (H, W) each, and the mi
 
 
 def network_of(semantic: Mapping[str, Any]) -> str:
-    """What decides the time of a frame on a machine: the network, its arithmetic, and what its maps are made from.
+    """What decides the time of a frame on a machine: network, encoding, arithmetic, and the recipe of its maps.
 
     The weights do not, nor does the anatomy of a block, so several runs have one time. `semantic` is from `spec.json`.
     """
-    precision = semantic.get("training", {}).get("precision")
-    return digest({"model": semantic["model"], "precision": precision, "data": without_anatomy(semantic["data"])})
+    read = {"order": semantic["encoding"]["order"], "data": without_anatomy(semantic["data"])}
+    return digest({"model": semantic["model"], "precision": semantic["training"].get("precision"), **read})
 
 
 def read_times(study_dir: Path) -> pd.DataFrame:
@@ -57,20 +57,10 @@ def _times_of(runs: Sequence[Run]) -> pd.DataFrame:
 
 
 def timed_on(runs: Sequence[Run]) -> str:
-    """The one machine whose times are compared: on which most networks of these runs were timed, of several the last.
-
-    It is empty where there are no times.
-    """
+    """The machine on which most networks of these runs were timed, of several the last; empty without times."""
     times, networks = _times_of(runs), {network_of(run.spec["semantic"]) for run in runs}
     counts = times[times["network"].isin(networks)].groupby("machine", sort=False)["network"].nunique()
     return "" if counts.empty else str(counts.index[counts == counts.max()][-1])
-
-
-def _quartiles(times: pd.DataFrame) -> pd.DataFrame:
-    """Quartiles of the whole frame over rounds: columns lower, ms (the median), upper, by machine and network."""
-    frames = times.groupby(["machine", "network", "round"], sort=False)["ms"].sum()
-    quartiles = frames.groupby(["machine", "network"], sort=False).quantile(np.array([0.25, 0.5, 0.75])).unstack()
-    return quartiles.set_axis(["lower", "ms", "upper"], axis=1)
 
 
 def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
@@ -80,10 +70,10 @@ def frame_times(runs: Sequence[Run]) -> pd.DataFrame:
     """
     rows: list[tuple[object, ...]] = []
     if machine := timed_on(runs):
-        timed = _quartiles(_times_of(runs))[["ms", *BOUNDS]].loc[machine]
-        networks = [(run, network_of(run.spec["semantic"])) for run in runs]
-        kept = [(run, timed.loc[network]) for run, network in networks if network in timed.index]
-        rows = [(run.label, run.seed, run.data, FRAME_TIME, *times) for run, times in kept]
+        frames = _times_of(runs).groupby(["machine", "network", "round"], sort=False)["ms"].sum().loc[machine]
+        timed = frames.groupby("network", sort=False).quantile(np.array([0.5, 0.25, 0.75])).unstack()
+        known = [(run, of) for run in runs if (of := network_of(run.spec["semantic"])) in timed.index]
+        rows = [(run.label, run.seed, run.data, FRAME_TIME, *timed.loc[network]) for run, network in known]
     return pd.DataFrame(rows, columns=["variant", "seed", "data", "metric", "value", *BOUNDS])
 
 
@@ -133,11 +123,14 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
 
     There are `evaluation.timed_frames` rounds, or `_FEWEST_ROUNDS`, after one that does not count. A round makes the
     maps of one frame once, for all networks, and then renders it with each of them; the next round takes them in the
-    opposite order. The frames are those of the first anatomy whose pairs are here.
+    opposite order. The frames are those of the first anatomy whose pairs are here, of each kind of pairs.
     """
-    first = next((network for network, run in runs.items() if run.data_set.exists), next(iter(runs)))
-    data = runs[first].data_set
-    values = {k: dataset.label_values(data.tissues, s.encoding, s.label_seed) for k, s in settings.items()}
+    first: dict[str, Run] = {}  # by kind of pairs
+    kinds = {network: digest(without_anatomy(run.spec["semantic"]["data"])) for network, run in runs.items()}
+    for network, kind in sorted(kinds.items(), key=lambda of: not runs[of[0]].data_set.exists):
+        first.setdefault(kind, runs[network])
+    data = {kind: run.data_set for kind, run in first.items()}
+    values = {k: dataset.label_values(data[kinds[k]].tissues, s.encoding, s.label_seed) for k, s in settings.items()}
     generators = {  # trained, or with the weights that a training starts with
         network: (
             load_generator(run.checkpoint)
@@ -146,24 +139,25 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
         ).to(device)
         for network, run in runs.items()
     }
-    read: dict[Space, set[str]] = {}  # the maps of each space that at least one network reads
-    for generator in generators.values():
-        read.setdefault(generator.spec.space, set()).update(conditions(generator.spec))
-    make = {space: _map_maker(settings[first], data, names, space) for space, names in read.items()}
-    rounds = max(settings[first].evaluation.timed_frames, _FEWEST_ROUNDS)
-    frames = equally_spaced(data.pairs.frames(Part.test), rounds)
+    read: dict[tuple[str, Space], set[str]] = {}  # the maps of a kind of pairs, in a space, that a network reads
+    for network, generator in generators.items():
+        read.setdefault((kinds[network], generator.spec.space), set()).update(conditions(generator.spec))
+    make = {of: _map_maker(first[of[0]].settings, data[of[0]], names, of[1]) for of, names in read.items()}
+    rounds = max(next(iter(settings.values())).evaluation.timed_frames, _FEWEST_ROUNDS)
+    frames = {kind: equally_spaced(each.pairs.frames(Part.test), rounds) for kind, each in data.items()}
     rows: list[tuple[str, int, str, float]] = []
     turns = list(runs)
     with tqdm(total=(rounds + 1) * len(runs), unit="frame", desc="time", leave=False, disable=None) as bar:
         for number in range(rounds + 1):
-            frame = int(frames[number % len(frames)])
-            made = {space: of_space(frame, number) for space, of_space in make.items()}
+            chosen = {kind: int(of_kind[number % len(of_kind)]) for kind, of_kind in frames.items()}
+            made = {of: maps_of(chosen[of[0]], number) for of, maps_of in make.items()}
             for network in turns:
                 spec, precision = generators[network].spec, settings[network].training.precision
-                (maps, map_ms), mask = made[spec.space], data.pairs.mask(spec.space)
-                converter = data.pairs.converter if spec.space is Space.beam else None
+                kind, pairs = kinds[network], data[kinds[network]].pairs
+                (maps, map_ms), mask = made[kind, spec.space], pairs.mask(spec.space)
+                converter = pairs.converter if spec.space is Space.beam else None
                 given = {name: maps[name][None] for name in conditions(spec)}
-                seed = torch.from_numpy(dataset.noise_seeds(np.array([frame]), number))
+                seed = torch.from_numpy(dataset.noise_seeds(np.array([chosen[kind]]), number))
                 start = time.perf_counter()
                 inputs = dataset.network_inputs(given, values[network], mask)
                 fan = torch.from_numpy(mask)

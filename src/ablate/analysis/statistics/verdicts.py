@@ -18,6 +18,7 @@ from ablate.metrics import Direction, metric_of
 from ablate.metrics.metric import FRAME_TIME
 
 ALPHA = 0.05
+_COSTS = FRAME_TIME, "parameters"  # some runs may lack them: a factor is then told by the others, or not at all
 UNDECLARED = "no primary metric and band were declared for it before the runs"
 VERDICT_COLUMNS = (
     *("component", "metric", "effect", "lower", "upper", "band", "runs_a", "runs_b", "p_holm", "verdict"),
@@ -161,10 +162,11 @@ def _row(
         model = model_by(metric)
     except ValueError as why:
         return row | {"why": str(why)}
-    for cost in (FRAME_TIME, "parameters"):
+    for cost in _COSTS:
         with suppress(ValueError):  # not measured
-            added = model_by(cost).contrast(_of_component(component, model_by(cost)))[0]
-            row[cost] = added if abs(added) > spreads.get(cost, 0.0) else 0.0
+            if (weights := _of_component(component, model_by(cost))).any():  # measured with it and without
+                added = model_by(cost).contrast(weights)[0]
+                row[cost] = added if abs(added) > spreads.get(cost, 0.0) else 0.0
     averaged, at_full = (_of_component(component, model, full=full) for full in (False, True))
     effect, error = model.contrast(averaged)
     off, on = (int(n) for n in model.runs[model.terms.index((component.key,))])
@@ -217,7 +219,9 @@ def _fitted(
     """
     if design is None or metric not in set(means["metric"]):
         raise ValueError(f"no run was scored by {metric}")
-    return fit_effects(_runs_by(metric, means, design, components), design.factors, interactions)
+    runs = _runs_by(metric, means, design, components)
+    factors = [factor for factor in design.factors if metric not in _COSTS or runs[factor].nunique() > 1]
+    return fit_effects(runs, factors, interactions)
 
 
 def _runs_by(metric: str, means: pd.DataFrame, design: Design, components: Sequence[Component]) -> pd.DataFrame:
