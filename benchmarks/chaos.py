@@ -6,8 +6,8 @@ python benchmarks/chaos.py --short         # a round or two of each cheap fault;
 
 Faults take turns, so that all have had about the same time when it ends; a row says how often its fault was tried.
 The same seed gives the same faults; when in a study they strike depends on the machine's speed too. With `--keep` each
-round is noted below runs/chaos: the same call on the same commit goes on where it stopped, and several calls with other
-faults or seeds may run side by side.
+round is noted below runs/chaos: the same call on the same commit goes on where it stopped. Calls with other faults or
+seeds may run side by side; those with other seeds share the planned times of each fault.
 """
 
 import argparse
@@ -84,12 +84,16 @@ def campaign(
 ) -> None:
     """Try faults in turns, next the one that has had the least time, until all are done or the time is over.
 
-    Of each fault there are at most `most` rounds. Each is noted in the folder `notes`.
+    Of each fault there are at most `most` rounds. Each is noted in the folder `notes`; those that are noted beside it,
+    with other seeds, count too.
     """
     ends = time.monotonic() + seconds
-    while (
-        waiting := [row for row in rows if row.is_open and (most is None or row.rounds < most)]
-    ) and time.monotonic() < ends:
+
+    def is_open(row: Row) -> bool:
+        whole = of_all_seeds(row.fault, notes.parent, notes.name.partition("-")[0])[0] if notes else row
+        return row.is_open and whole.is_open and (most is None or row.rounds < most)
+
+    while (waiting := [row for row in rows if is_open(row)]) and time.monotonic() < ends:
         row = min(waiting, key=lambda row: row.seconds)
         bench.unbroken  # noqa: B018  # made before a clock runs
         began = time.monotonic()
@@ -132,16 +136,16 @@ def write_note(row: Row, folder: Path) -> None:
     unfinished.replace(file)
 
 
-def of_all_seeds(fault: Fault, code: str) -> tuple[Row, str]:
-    """The rows of a fault that were noted for a commit, with any seed, as one row; and those seeds."""
-    found = {f.name.partition("-")[2]: noted(fault, f) for f in sorted(KEPT.glob(f"{code}-*"))}
+def of_all_seeds(fault: Fault, folder: Path, code: str) -> tuple[Row, str]:
+    """The rows of a fault that were noted below a folder for a commit, with any seed, as one row; and those seeds."""
+    found = {f.name.partition("-")[2]: noted(fault, f) for f in sorted(folder.glob(f"{code}-*"))}
     rows = {seed: row for seed, row in found.items() if row.rounds}
-    both = Row(fault, fault.wanted * len(rows), is_over=all(row.is_over for row in rows.values()))
+    both = Row(fault, fault.wanted, is_over=any(row.is_over for row in rows.values()))
     for row in rows.values():
         both.rounds += row.rounds
         both.failed += row.failed
         both.wrong += row.wrong
-        both.done += row.done if row.is_over else min(row.done, row.wanted)
+        both.done += row.done
         both.largest |= {name: max(value, both.largest.get(name, value)) for name, value in row.largest.items()}
     return both, ", ".join(rows)
 
@@ -205,7 +209,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from ablate.tracking import hardware
 
         if notes is not None:
-            of_commit = [of_all_seeds(fault, code) for fault in FAULTS]
+            of_commit = [of_all_seeds(fault, KEPT, code) for fault in FAULTS]
             made = [row.cells(code, seeds) for row, seeds in of_commit if row.rounds]
         write_page(made, f"The last call was on {hardware()}.")
     return int(any(row.wrong for row in rows))
