@@ -1,5 +1,6 @@
 """What a task leaves is on disk first: a store that is gone stops nothing, and has it later, once."""
 
+import _thread
 import json
 import socket
 import time
@@ -113,3 +114,12 @@ def test_work_that_takes_longer_is_not_waited_for() -> None:
     with pytest.raises(TimeoutError, match=r"^no end after 0\.1 s$"):
         within(0.1, lambda: time.sleep(5))
     assert time.perf_counter() - started < 4
+
+
+def test_a_thread_that_the_system_has_no_memory_for_is_memory_that_is_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(_thread, "start_new_thread", refused)
+    with pytest.raises(MemoryError, match="can't start new thread"):
+        within(10, lambda: 3)

@@ -123,13 +123,12 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
 
     There are `evaluation.timed_frames` rounds, or `_FEWEST_ROUNDS`, after one that does not count. A round makes the
     maps of one frame once, for all networks, and then renders it with each of them; the next round takes them in the
-    opposite order. The frames are those of the first anatomy whose pairs are here, of each kind of pairs.
+    opposite order. The frames are those of the last anatomy whose pairs are here, of each kind of pairs.
     """
-    first: dict[str, Run] = {}  # by kind of pairs
     kinds = {network: digest(without_anatomy(run.spec["semantic"]["data"])) for network, run in runs.items()}
-    for network, kind in sorted(kinds.items(), key=lambda of: not runs[of[0]].data_set.exists):
-        first.setdefault(kind, runs[network])
-    data = {kind: run.data_set for kind, run in first.items()}
+    in_order = sorted(runs.items(), key=lambda named: named[1].data_set.exists)
+    chosen = {kinds[network]: run for network, run in in_order}  # the last counts
+    data = {kind: run.data_set for kind, run in chosen.items()}
     values = {k: dataset.label_values(data[kinds[k]].tissues, s.encoding, s.label_seed) for k, s in settings.items()}
     generators = {  # trained, or with the weights that a training starts with
         network: (
@@ -142,22 +141,22 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     read: dict[tuple[str, Space], set[str]] = {}  # the maps of a kind of pairs, in a space, that a network reads
     for network, generator in generators.items():
         read.setdefault((kinds[network], generator.spec.space), set()).update(conditions(generator.spec))
-    make = {of: _map_maker(first[of[0]].settings, data[of[0]], names, of[1]) for of, names in read.items()}
+    make = {of: _map_maker(chosen[of[0]].settings, data[of[0]], names, of[1]) for of, names in read.items()}
     rounds = max(next(iter(settings.values())).evaluation.timed_frames, _FEWEST_ROUNDS)
     frames = {kind: equally_spaced(each.pairs.frames(Part.test), rounds) for kind, each in data.items()}
     rows: list[tuple[str, int, str, float]] = []
     turns = list(runs)
     with tqdm(total=(rounds + 1) * len(runs), unit="frame", desc="time", leave=False, disable=None) as bar:
         for number in range(rounds + 1):
-            chosen = {kind: int(of_kind[number % len(of_kind)]) for kind, of_kind in frames.items()}
-            made = {of: maps_of(chosen[of[0]], number) for of, maps_of in make.items()}
+            shown = {kind: int(of_kind[number % len(of_kind)]) for kind, of_kind in frames.items()}
+            made = {of: maps_of(shown[of[0]], number) for of, maps_of in make.items()}
             for network in turns:
                 spec, precision = generators[network].spec, settings[network].training.precision
                 kind, pairs = kinds[network], data[kinds[network]].pairs
                 (maps, map_ms), mask = made[kind, spec.space], pairs.mask(spec.space)
                 converter = pairs.converter if spec.space is Space.beam else None
                 given = {name: maps[name][None] for name in conditions(spec)}
-                seed = torch.from_numpy(dataset.noise_seeds(np.array([chosen[kind]]), number))
+                seed = torch.from_numpy(dataset.noise_seeds(np.array([shown[kind]]), number))
                 start = time.perf_counter()
                 inputs = dataset.network_inputs(given, values[network], mask)
                 fan = torch.from_numpy(mask)

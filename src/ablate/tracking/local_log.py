@@ -168,7 +168,10 @@ def _in_thread(work: Callable[[], T]) -> "Future[T]":
         except BaseException as error:
             outcome.set_exception(error)
 
-    _thread.start_new_thread(run, ())  # `Thread.start` may wait for ever where there is no memory: CPython 140746
+    try:
+        _thread.start_new_thread(run, ())  # `Thread.start` may wait for ever where there is no memory: CPython 140746
+    except RuntimeError as error:  # the system has no memory for a thread, or allows no more of them
+        raise MemoryError(str(error)) from None
     return outcome
 
 
