@@ -173,10 +173,39 @@ def test_each_network_is_timed_with_maps_of_its_own_pairs(
     write_json(changed / "result.json", result | {"hash": spec["hash"], "data": "others"})
     made: list[str] = []
     maker = frame_times._map_maker
-    monkeypatch.setattr(frame_times, "_map_maker", lambda s, data, *of: made.append(data.name) or maker(s, data, *of))
+    monkeypatch.setattr(frame_times, "_map_maker", lambda s, data: made.append(data.name) or maker(s, data))
     assert time_networks(study, runs_of(study)) == ""
     assert sorted(made) == sorted((own, "others"))
     assert read_times(study).groupby("network")["part"].agg(set).map({"segmentation", "network"}.issubset).all()
+
+
+def test_a_network_has_the_time_of_its_own_maps_whoever_stands_beside_it(
+    tiny_study: TinyStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = tmp_path / "tiny-fetal"
+    shutil.copytree(tiny_study.runs / study.name, study, ignore=shutil.ignore_patterns("*.ckpt", "frame_times.csv"))
+    (tmp_path / "data").symlink_to(tiny_study.runs / "data")
+    labels = {"sa2h": {"interfaces": "echo"}, "sa2h-att": {"interfaces": "none"}}
+    for label, model in labels.items():
+        of = study / label / "seed0"
+        spec, result = (json.loads((of / name).read_text()) for name in ("spec.json", "result.json"))
+        spec["semantic"]["model"] |= model
+        spec["settings"]["model"] |= {"attenuation": "integral", "position": "none"} | model
+        spec["hash"] = digest(spec["semantic"])
+        write_json(of / "spec.json", spec)
+        write_json(of / "result.json", result | {"hash": spec["hash"]})
+    names: list[tuple[int, tuple[str, ...]]] = []
+    maker = frame_times._map_maker
+
+    def watched(*of: object) -> object:
+        make = maker(*of)
+        return lambda frame, turn, read, space: names.append((turn, read)) or make(frame, turn, read, space)
+
+    monkeypatch.setattr(frame_times, "_map_maker", watched)
+    assert time_networks(study, runs_of(study)) == ""
+    without = ("segmentation", "attenuation")
+    assert {read for _, read in names} == {without, (*without, "interfaces")}
+    assert len({turn for turn, _ in names}) == len(names), "a pose of its own, or the simulator would remember"
 
 
 def test_a_custom_network_is_timed_with_its_weights_only(study: Path, measured: list[set[str]]) -> None:

@@ -49,10 +49,10 @@ def test_the_times_of_a_frame_s_maps_add_up_though_some_are_made_side_by_side(re
     try:
         settings = replace(recipe.settings, scanlines=128, axial_samples=2048, layers=3)
         names = ["segmentation", "interfaces", "illumination"]
-        make = timed_maps(recipe.scene, recipe.probe, settings, np.eye(4)[None], names, Space.beam)
+        make = timed_maps(recipe.scene, recipe.probe, settings, np.eye(4)[None])
         for number in range(12):
             start = time.perf_counter()
-            _, ms = make(nudged(np.eye(4), number), 0)
+            _, ms = make(nudged(np.eye(4), number), 0, names, Space.beam)
             whole = 1e3 * (time.perf_counter() - start)
             assert list(ms) == names
             assert min(ms.values()) >= 0

@@ -122,8 +122,9 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     """Times of each network in the columns of `read_times`, without the machine.
 
     There are `evaluation.timed_frames` rounds, or `_FEWEST_ROUNDS`, after one that does not count. A round makes the
-    maps of one frame once, for all networks, and then renders it with each of them; the next round takes them in the
-    opposite order. The frames are those of the last anatomy whose pairs are here, of each kind of pairs.
+    maps of one frame, once for all networks that read the same ones and no others, because what a map takes depends on
+    those beside it. Then it renders with each network; the next round takes them in the opposite order. The frames are
+    those of the last anatomy whose pairs are here, of each kind of pairs.
     """
     kinds = {network: digest(without_anatomy(run.spec["semantic"]["data"])) for network, run in runs.items()}
     in_order = sorted(runs.items(), key=lambda named: named[1].data_set.exists)
@@ -138,10 +139,9 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
         ).to(device)
         for network, run in runs.items()
     }
-    read: dict[tuple[str, Space], set[str]] = {}  # the maps of a kind of pairs, in a space, that a network reads
-    for network, generator in generators.items():
-        read.setdefault((kinds[network], generator.spec.space), set()).update(conditions(generator.spec))
-    make = {of: _map_maker(chosen[of[0]].settings, data[of[0]], names, of[1]) for of, names in read.items()}
+    make = {kind: _map_maker(chosen[kind].settings, of_kind) for kind, of_kind in data.items()}
+    reads = {network: (kinds[network], conditions(of.spec), of.spec.space) for network, of in generators.items()}
+    read = list(dict.fromkeys(reads.values()))
     rounds = max(next(iter(settings.values())).evaluation.timed_frames, _FEWEST_ROUNDS)
     frames = {kind: equally_spaced(each.pairs.frames(Part.test), rounds) for kind, each in data.items()}
     rows: list[tuple[str, int, str, float]] = []
@@ -149,13 +149,14 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     with tqdm(total=(rounds + 1) * len(runs), unit="frame", desc="time", leave=False, disable=None) as bar:
         for number in range(rounds + 1):
             shown = {kind: int(of_kind[number % len(of_kind)]) for kind, of_kind in frames.items()}
-            made = {of: maps_of(shown[of[0]], number) for of, maps_of in make.items()}
+            turn = number * len(read)
+            made = {of: make[of[0]](shown[of[0]], turn + k, *of[1:]) for k, of in enumerate(read)}
             for network in turns:
                 spec, precision = generators[network].spec, settings[network].training.precision
                 kind, pairs = kinds[network], data[kinds[network]].pairs
-                (maps, map_ms), mask = made[kind, spec.space], pairs.mask(spec.space)
+                (maps, map_ms), mask = made[reads[network]], pairs.mask(spec.space)
                 converter = pairs.converter if spec.space is Space.beam else None
-                given = {name: maps[name][None] for name in conditions(spec)}
+                given = {name: maps[name][None] for name in reads[network][1]}
                 seed = torch.from_numpy(dataset.noise_seeds(np.array([shown[kind]]), number))
                 start = time.perf_counter()
                 inputs = dataset.network_inputs(given, values[network], mask)
@@ -170,15 +171,15 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
     return times[times["round"] > 0]
 
 
-def _map_maker(settings: StudySettings, data: DataSet, names: set[str], space: Space) -> Callable[[int, int], Maps]:
-    """A function of frame and round that makes maps. Where pairs were made elsewhere they are read and take no time."""
+def _map_maker(settings: StudySettings, data: DataSet) -> Callable[[int, int, Sequence[str], Space], Maps]:
+    """A function of frame, turn, names, and space: maps. Where pairs were made elsewhere they are read in no time."""
     if settings.scene.kind is SceneKind.pairs:
-        return lambda frame, _: ({name: data.pairs.read(name, [frame], space)[0] for name in names}, {})
+        return lambda frame, _, names, space: ({name: data.pairs.read(name, [frame], space)[0] for name in names}, {})
 
     from ablate.dataset.simulate import nudged, timed_maps
     from ablate.runs.simulated import build_scene
 
     scene, _ = build_scene(settings)
     simulator = replace(settings.simulator, time_gain_db=data.time_gain_db)
-    make = timed_maps(scene, settings.probe, simulator, data.pairs.poses, sorted(names), space)
-    return lambda frame, number: make(nudged(data.pairs.poses[frame], number), settings.dataset.seed)
+    make = timed_maps(scene, settings.probe, simulator, data.pairs.poses)
+    return lambda frame, turn, *of: make(nudged(data.pairs.poses[frame], turn), settings.dataset.seed, *of)

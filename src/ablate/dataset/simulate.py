@@ -134,18 +134,20 @@ def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], told: multiprocess
 
 
 def timed_maps(
-    scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray, names: Sequence[str], space: Space
-) -> Callable[[np.ndarray, int], tuple[dict[str, np.ndarray], dict[str, float]]]:
-    """A function of a pose that was not the last one, and a seed: the maps, and the milliseconds of each, by name.
+    scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray
+) -> Callable[[np.ndarray, int, Sequence[str], Space], tuple[dict[str, np.ndarray], dict[str, float]]]:
+    """A function of a pose that was not the last one, a seed, names and a space: maps, and the milliseconds of each.
 
     They are the maps of these names, (H, W) or (rows, scanlines), as `maps_read` gives them, and `low`, uint8. Labels
     and interfaces have the time of their stages, or their share where some ran side by side, and other maps the rest.
     """
     simulator = Simulator(scene, probe, settings, poses=poses)
-    of_low = Simulator(scene, probe, replace(settings, rays=1, layers=1), poses=poses) if "low" in names else None
+    of_low = cache(lambda: Simulator(scene, probe, replace(settings, rays=1, layers=1), poses=poses))
     nothing = np.zeros(settings.image_shape, np.uint8)
 
-    def make(pose: np.ndarray, seed: int) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    def make(
+        pose: np.ndarray, seed: int, names: Sequence[str], space: Space
+    ) -> tuple[dict[str, np.ndarray], dict[str, float]]:
         with stage_times() as taken:
             start = time.perf_counter()
             beam = simulator.beam_maps(pose, bool(OF_SURFACES & set(names)))
@@ -161,9 +163,10 @@ def timed_maps(
         rest = next((name for name in ("attenuation", "compensated", "illumination") if name in names), "")
         if rest:
             times[rest] = ms - sum(times.values())
-        if of_low is not None:
+        if "low" in names:
+            simulate = of_low()
             start = time.perf_counter()
-            made["low"] = of_low.image(pose, seed) if space is Space.image else of_low.beam_image(pose, seed)
+            made["low"] = simulate.image(pose, seed) if space is Space.image else simulate.beam_image(pose, seed)
             times["low"] = 1e3 * (time.perf_counter() - start)
         return made, times
 

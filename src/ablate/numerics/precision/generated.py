@@ -84,9 +84,10 @@ def schedule_of(runs: list[Run], settings: StudySettings) -> Planned:
 
 def make_inputs(bench: Bench, names: tuple[str, ...], space: Space) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """Make inputs of generators in one space, and measure the median milliseconds of each, as `timed_maps`."""
-    make = timed_maps(bench.scene, bench.probe, bench.simulator, bench.poses, names, space)
-    make(nudged(bench.poses[0]), bench.seed)
-    made = [make(pose, bench.seed) for pose in shown_progress(bench.poses, f"inputs of generators, {space} space")]
+    make = timed_maps(bench.scene, bench.probe, bench.simulator, bench.poses)
+    make(nudged(bench.poses[0]), bench.seed, names, space)
+    poses = shown_progress(bench.poses, f"inputs of generators, {space} space")
+    made = [make(pose, bench.seed, names, space) for pose in poses]
     inputs, times = zip(*made, strict=True)
     arrays = {name: np.stack([maps[name] for maps in inputs]) for name in inputs[0]}
     return arrays, {name: median(taken[name] for taken in times) for name in times[0]}
