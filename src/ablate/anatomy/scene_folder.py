@@ -102,7 +102,7 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
     ('liver', [100.0, 100.0, 100.0])
     """
     # here, because the check of a folder needs no mesh library
-    from ablate.anatomy.meshes.check import warn_of_shared_walls
+    from ablate.anatomy.meshes.check import warn_of_overlaps
     from ablate.anatomy.meshes.repair import load_mesh
 
     checked = validate_scene_folder(folder)
@@ -116,7 +116,7 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
 
         structures = (*labelled_structures(checked.labels, f"{path}: labels", cache_dir), *structures)
         scene = Scene(structures, checked.background, checked.name)
-    warn_of_shared_walls([structure.mesh for structure in structures])
+    warn_of_overlaps([structure.mesh for structure in structures])
     return scene
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ablate.anatomy.meshes.check import shared_walls, warn_of_shared_walls
+from ablate.anatomy.meshes.check import overlaps, shared_walls, warn_of_overlaps
 from ablate.anatomy.meshes.repair import cap_open_ends, load_mesh, odd_edges, repair
 
 Counts = Callable[[], tuple[int, ...]]
@@ -175,16 +175,46 @@ def test_files_that_hold_no_mesh_are_refused_by_name(tmp_path: Path, name: str, 
 def test_shared_walls_are_found_and_named(caplog: pytest.LogCaptureFixture) -> None:
     a = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
     b = trimesh.creation.icosphere(subdivisions=3, radius=9.0)
-    c = trimesh.Trimesh(a.vertices + np.array([0.0, 0.0, 2e-4]), a.faces[:, ::-1], process=False)
-    d = trimesh.Trimesh(a.vertices + np.array([0.0, 0.0, 0.05]), a.faces, process=False)
+    c = trimesh.Trimesh(a.vertices + np.array([0.0, 0.0, 2e-5]), a.faces[:, ::-1], process=False)
+    d = trimesh.Trimesh(a.vertices + np.array([0.02, 0.03, 0.05]), a.faces, process=False)
     for name, mesh in zip("abcd", (a, b, c, d), strict=True):
         mesh.metadata["name"] = name
     walls = shared_walls([a, b, c, d])
-    assert walls == [("a", "c", len(a.faces))]
+    assert [pair[:2] for pair in walls] == [("a", "c")]
+    assert walls[0][2] > 250
     with caplog.at_level(logging.WARNING, logger="ablate.anatomy.meshes.check"):
-        warn_of_shared_walls([a, c])
+        warn_of_overlaps([a, c])
     assert "a and c share a wall" in caplog.text
     assert shared_walls([a]) == shared_walls([]) == []
+
+
+@pytest.mark.parametrize("extents", [(80, 80, 30), (300, 200, 30), (20, 20, 30)])
+def test_flush_faces_with_other_triangles_are_a_shared_wall(extents: tuple[float, ...]) -> None:
+    below = trimesh.creation.box((80, 80, 40)).apply_translation((0, 0, 30))
+    flush = trimesh.creation.box(extents).apply_translation((0, 0, 50 + extents[2] / 2))
+    assert len(shared_walls([below, flush])) == 1
+    assert shared_walls([below, flush.copy().apply_translation((0, 0, 0.05))]) == []
+    assert shared_walls([below, flush.copy().apply_translation((1, 2, -1))]) == []
+
+
+def test_pieces_of_one_mesh_that_overlap_are_told(caplog: pytest.LogCaptureFixture) -> None:
+    ball = trimesh.creation.icosphere(3, radius=15.0)
+    inner = trimesh.creation.icosphere(3, radius=5.0)
+
+    def joined(*pieces: trimesh.Trimesh) -> trimesh.Trimesh:
+        return trimesh.util.concatenate([ball, *pieces])
+
+    inner.invert()
+    for fine in (ball, joined(inner), joined(ball.copy().apply_translation((40, 0, 0)))):
+        warn_of_overlaps([fine])
+        assert overlaps(fine) < 3
+    assert not caplog.text
+    lobes = joined(ball.copy().apply_translation((25, 0, 0)))
+    assert overlaps(lobes) > 10
+    lobes.metadata["name"] = "liver.obj"
+    with caplog.at_level(logging.WARNING, logger="ablate.anatomy.meshes.check"):
+        warn_of_overlaps([lobes])
+    assert "liver.obj: pieces of it lie in each other" in caplog.text
 
 
 def test_rims_with_vertices_on_a_straight_line_and_rims_that_cross_themselves_are_closed(counts: Counts) -> None:

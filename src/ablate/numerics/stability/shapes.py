@@ -51,7 +51,7 @@ def _coincident(checks: Checks) -> None:
         unknown = ~np.isin(frame.segmentation[frame.mask], (1, 2, 3))
         checks.none("labels of no tissue", unknown, "Each label is a tissue of the scene.")
     named = len(shared_walls([below.mesh, mirrored]))
-    checks.add("shared walls not named", abs(1 - named), 0, "Their triangles coincide.", "float64")
+    checks.add("shared walls not named", abs(1 - named), 0, "They lie on each other.", "float64")
     frames = checks.both(Scene((below, slab(HARD, 50.001, 90.0)), GEL, "apart"))
     for checks.dtype, frame in frames.items():
         order = [label for label, _ in groupby(frame.segmentation[frame.mask[:, 138], 138])]
