@@ -131,7 +131,7 @@ def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not
     assert (image[~views.mask] == 0).all()
     assert image[views.mask].std() > 5
     assert "not trained on gel" in views.notes["generated 0"]
-    assert "trained with pixels of 0.61 mm" in views.notes["generated 0"]
+    assert "trained with pixels of 0.61 x 0.61 mm" in views.notes["generated 0"]
     assert "MHz" not in views.notes["generated 0"]
     assert first_fitting(picked, BODY.tissues, STATE) == ()
 
@@ -147,6 +147,8 @@ def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
     assert first_fitting(offered, known.tissues, at_its_size) == (picked,)
     deeper = replace(at_its_size, probe=replace(STATE.probe, depth_mm=170.0))
     assert first_fitting(offered, known.tissues, deeper) == ()
+    said = open_generator(picked, known.tissues).reservation(deeper).partition(";")[0]
+    assert said == f"trained with depth_mm={renderer.probe.depth_mm}", "what does not differ is not named"
     wider = replace(at_its_size, simulator=replace(finer, scanlines=256))
     assert "trained with 384 rows of 128 scanlines, here they are 384 of 256" in (
         open_generator(picked, known.tissues).reservation(wider)

@@ -4,6 +4,7 @@ import json
 import shlex
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import trimesh
 import yaml
 from PIL import Image
+from trimesh.transformations import translation_matrix
 
 pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultrasound[view]'")
 
@@ -156,12 +158,17 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch: pytest.MonkeyPat
 def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer: Viewer) -> None:
     client.set("Depth (mm)", 100)
     client.until(lambda: viewer.session.state.probe.depth_mm == 100)
+    client.set("Dynamic range (dB)", 45.0)
+    viewer.session.new_speckle()  # its seed is that of a data set with other training poses, and so another time gain
     settle(client, viewer)
+    viewer.session.freeze(True)
+    saved = viewer.session.state
+    viewer.session.move(angle_deg=7.0)  # the held probe moves on: what is kept is the frame that is shown
     client.press("Save the frame")
     client.until(lambda: "frame.json" in client.texts() and list(viewer.page.folder.glob("ball_*/frame.json")))
     (folder,) = viewer.page.folder.glob("ball_*")
     told = json.loads((folder / "frame.json").read_text())
-    np.testing.assert_array_equal(told["pose"], viewer.session.state.pose)
+    np.testing.assert_array_equal(told["pose"], saved.pose)
     client.press("Pose as a command line")
     command = client.labels["Command"]
     client.until(lambda: "task=render" in str(client.values[command].get("value")))
@@ -169,13 +176,14 @@ def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer:
     assert words[:3] == ["python", "-m", "ablate"]
     (job,) = jobs_of(words[3:])
     assert job.settings.task is Task.render
-    assert job.settings.probe == viewer.session.state.probe
-    assert job.settings.simulator == viewer.session.state.simulator
-    np.testing.assert_array_equal(np.load(str(job.settings.pose)), viewer.session.state.pose)
-    state = viewer.session.state
-    settings = simulator_of(job, viewer.page.scene, build_scene(job.settings)[1], state.pose[None])
-    frame = Simulator(viewer.page.scene, state.probe, settings).render(state.pose, state.seed)
+    assert job.settings.probe == saved.probe
+    assert job.settings.dataset.seed == saved.seed == 1
+    np.testing.assert_array_equal(np.load(str(job.settings.pose)), saved.pose)
+    settings = simulator_of(job, viewer.page.scene, build_scene(job.settings)[1], saved.pose[None])
+    frame = Simulator(viewer.page.scene, saved.probe, settings).render(saved.pose, saved.seed)
     np.testing.assert_array_equal(np.array(Image.open(folder / "simulated.png")), frame.image)
+    viewer.session.freeze(False)
+    viewer.session.reset()
 
 
 def test_a_sweep_is_recorded(client: Client, viewer: Viewer) -> None:
@@ -200,6 +208,16 @@ def test_another_generator_is_picked_and_one_that_is_gone_is_said(
     client.until(lambda: len(viewer.session.state.runs) == 1)
     settle(client, viewer)
     assert "| comes with ablate: sa2h |" in client.texts()
+    viewer.session.freeze(True)
+    client.set("Generator", "none")
+    client.until(lambda: viewer.session.state.runs == ())
+    viewer.page.lay_out(difference=True)
+    assert "| comes with ablate: sa2h |" in client.texts(), "the frozen picture is still of the one that made it"
+    viewer.page.lay_out(difference=False)
+    viewer.session.freeze(False)
+    client.set("Generator", "comes with ablate: sa2h")
+    client.until(lambda: len(viewer.session.state.runs) == 1)
+    settle(client, viewer)
     client.set("Generator", "none")
     client.until(lambda: viewer.session.state.runs == ())
     viewer.session.show(runs=(tmp_path / "gone",))
@@ -241,8 +259,7 @@ def test_a_tissue_is_made_transparent_and_hidden(client: Client, viewer: Viewer)
         until(lambda shown=value > 0, opacity=opacity: (bone.visible, bone.opacity) == (shown, opacity))
 
 
-@pytest.mark.usefixtures("client")
-def test_a_click_on_a_frozen_picture_measures_what_it_shows(viewer: Viewer) -> None:
+def test_a_click_on_a_frozen_picture_measures_what_it_shows(client: Client, viewer: Viewer) -> None:
     """The fan is drawn where the probe is held, so the line of sight meets it there, not where the frame was made."""
     viewer.session.freeze(True)
     shown = viewer.page.shown
@@ -254,4 +271,11 @@ def test_a_click_on_a_frozen_picture_measures_what_it_shows(viewer: Viewer) -> N
     viewer.page.body.clicked(seen[:3] + 200 * held[:3, 1] + 50 * held[:3, 0], -200 * held[:3, 1] - 50 * held[:3, 0])
     point = np.linalg.inv(shown.state.pose) @ (*viewer.page.layout.points[0], 1.0)
     np.testing.assert_allclose(point[:3], (5, 0, 40), atol=1e-6)
+    client.until(lambda: "mm deep" in client.texts())
+    beside = replace(shown, state=replace(shown.state, pose=shown.state.pose @ translation_matrix((0, 9, 0))))
+    viewer.page.paint(beside)
+    client.until(lambda: "The points are not on this plane." in client.texts())
+    viewer.page.paint(shown)
+    client.until(lambda: "mm deep" in client.texts() and "not on this plane" not in client.texts())
+    viewer.session.freeze(False)
     viewer.page.lay_out(points=np.empty((0, 3)))

@@ -93,7 +93,8 @@ class Engine:
                 frame, ms["target"] = self._once("target", key, simulate)
             target = frame.image
         notes = {name: words for name, words in notes.items() if words}
-        return Views(state, target, segmentation, attenuation, mask, tuple(images), ms, notes, quality)
+        curve = mapped.settings.time_gain_db
+        return Views(state, target, segmentation, attenuation, mask, tuple(images), ms, notes, quality, curve)
 
     def _once(self, name: str, key: Hashable, work: Callable[[], Any]) -> tuple[Any, float]:
         """The result of some work and its milliseconds, those of the last time where that had the same key."""

@@ -24,8 +24,10 @@ from ablate.dataset.frame_maps import FrameMaps
 from ablate.dataset.processes import interrupts_blocked, work_for_parent
 from ablate.networks import Generator, Space, conditions, export_onnx
 from ablate.pretrained import OUTSIDE, Renderer, values_of
+from ablate.runs.job import differences
 from ablate.runs.run import Run
 from ablate.runs.run import State as RunState
+from ablate.setting import plain
 from ablate.settings.study import StudySettings
 from ablate.threads import without_teams
 from ablate.training import Engine, OpenEngine, TrainingPrecision, generate, load_generator, missing_for, open_exported
@@ -159,11 +161,14 @@ class Trained:
         """Say in what a state differs from the training; empty if it does not."""
         reservations, probe = [], self.renderer.probe
         if state.probe != probe:
-            reservations.append(f"trained with {probe.depth_mm:g} mm at {probe.frequency_mhz:g} MHz")
+            unlike = differences(plain(probe), plain(state.probe))
+            told = ", ".join(f"{key}={there}" for key, there, _ in unlike if there is not None)
+            reservations.append(f"trained with {told}")
         shown = pixel_size_mm(state.probe, state.simulator.image_shape)
         trained = pixel_size_mm(probe, self.renderer.image_shape)
         if not np.allclose(shown, trained, rtol=0.05):
-            reservations.append(f"trained with pixels of {trained[0]:.2f} mm, here they are {shown[0]:.2f} mm")
+            size = "{0[0]:.2f} x {0[1]:.2f} mm".format
+            reservations.append(f"trained with pixels of {size(trained)}, here they are {size(shown)}")
         if self.space is Space.beam and state.simulator.beam_shape != self.renderer.beam_shape:
             (rows, lines), (own, others) = self.renderer.beam_shape, state.simulator.beam_shape
             reservations.append(f"trained with {rows} rows of {lines} scanlines, here they are {own} of {others}")

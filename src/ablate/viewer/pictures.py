@@ -4,10 +4,11 @@ All images of one state are one picture, so that what stands side by side was se
 """
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from html import escape
+from pathlib import Path
 
 import numpy as np
 from matplotlib import colormaps
@@ -144,10 +145,10 @@ def _font(size: float) -> ImageFont.FreeTypeFont:
 class Layout:
     """What is shown beside the simulated image, the segmentation and the attenuation.
 
-    `names` are those of the state's runs; `points` are measured, (n, 3) mm in the world.
+    `names` are those of runs, by folder; `points` are measured, (n, 3) mm in the world.
     """
 
-    names: tuple[str, ...] = ()
+    names: Mapping[Path, str] = field(default_factory=dict)
     difference: bool = False
     points: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
@@ -158,7 +159,7 @@ def screen(views: Views, colours: Sequence[Colour], layout: Layout) -> np.ndarra
     how = "coarse" if views.quality is Quality.coarse else "full quality"
     taken = f"{how}, {ms['target']:.0f} ms" if "target" in ms else ""
     resting = "the simulator rests while the probe moves"
-    generated = [_generated(views, number, name) for number, name in enumerate(layout.names)]
+    generated = [_generated(views, number, layout.names) for number in range(len(views.state.runs))]
     tiles: list[_Tile] = [
         ("simulated B-mode", taken, resting if views.target is None else framed(views.target, mask, probe)),
         *(generated[:1] or [("generated", "", "no generator is picked:\nchoose one under Compare")]),
@@ -180,9 +181,9 @@ def screen(views: Views, colours: Sequence[Colour], layout: Layout) -> np.ndarra
     return _mosaic([(title, note, picture) for (title, note, _), picture in zip(tiles, pictures, strict=True)])
 
 
-def _generated(views: Views, number: int, name: str) -> _Tile:
-    key = f"generated {number}"
-    image = views.generated[number] if number < len(views.generated) else None
+def _generated(views: Views, number: int, names: Mapping[Path, str]) -> _Tile:
+    key, run, image = f"generated {number}", views.state.runs[number], views.generated[number]
+    name = names.get(run, run.name)
     if image is None:
         words = views.notes.get(key, "this generator has not rendered yet")
         return f"generated: {name}", "", textwrap.fill(words, _LINE)

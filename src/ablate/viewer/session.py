@@ -11,6 +11,7 @@ import numpy as np
 
 from ablate.ultrasound import ConvexProbe, Display, Probe, SimulatorSettings
 from ablate.ultrasound.probe import fan_of
+from ablate.ultrasound.settings import Sliders
 from ablate.viewer.hand import Hand, Hold
 
 OFF_BODY = "off the body: there is no skin at this place, and the probe stays where it was"
@@ -58,6 +59,7 @@ class Views:
     ms: dict[str, float]  # what each took: `target`, `maps`, and `generated 0`, ...
     notes: dict[str, str]  # what could not be shown or is shown with a reservation, by the same names
     quality: Quality
+    time_gain_db: Sliders | None = None  # the curve in use, where the time gain is no straight line
     at_s: float = field(default_factory=time.monotonic)
 
 
@@ -131,7 +133,7 @@ class Session:
         self._become(self.state)
 
     def reset(self) -> None:
-        """Back to the scanner's settings, the seed and the place of the beginning; runs stay picked."""
+        """Back to the scanner's settings and the seed of the beginning, at the first preset; runs stay picked."""
         self.state = replace(self.start, runs=self.state.runs)
         self.to_preset(next(iter(self.presets)))
 

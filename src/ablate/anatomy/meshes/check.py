@@ -105,7 +105,7 @@ def shared_walls(meshes: Sequence[trimesh.Trimesh]) -> list[tuple[str, str, int]
             if i != j and near.any():
                 there, normals = points[near], mesh.face_normals[faces[near]]
                 met, ray, _ = other.ray.intersects_location(there - _ASIDE_MM * normals, normals, multiple_hits=False)
-                count = np.count_nonzero(np.linalg.norm(met - there[ray], axis=1) < TOLERANCE_MM)
+                count = int((np.linalg.norm(met - there[ray], axis=1) < TOLERANCE_MM).sum())
                 pair = min(i, j), max(i, j)
                 walls[pair] = max(walls.get(pair, 0), count)
     names = [str(mesh.metadata.get("name", f"structure {i}")) for i, mesh in enumerate(meshes)]
@@ -129,6 +129,6 @@ def warn_of_overlaps(meshes: Sequence[trimesh.Trimesh]) -> None:
         where = f"share a wall (at {count} of {_POINTS} points)"
         logger.warning("%s and %s %s: the tissue behind it is wrong; let them overlap", first, second, where)
     for mesh in meshes:
-        if overlaps(mesh) >= _FEWEST:
+        if mesh.is_winding_consistent and overlaps(mesh) >= _FEWEST:  # or its winding tells nothing
             why = "pieces of it lie in each other, and there it is a cavity; one file for each piece joins them"
             logger.warning("%s: %s", mesh.metadata.get("name", "a mesh"), why)

@@ -42,7 +42,7 @@ def add_row(page: Page) -> None:
     frozen.on_update(page.does(lambda _: session.freeze(frozen.value)))
     page.keep_equal(frozen, lambda: session.frozen)
     actions = {"Speckle": session.new_speckle, "Reset": session.reset}
-    group = gui.add_button_group("New (N, R)", tuple(actions), hint="other scatterers; everything as at first")
+    group = gui.add_button_group("New (N, R)", tuple(actions), hint="other scatterers; settings as at first")
     group.on_click(page.does(lambda _: actions[group.value]()))
     page.add_key("F", "Freeze, or let the picture move", lambda: session.freeze(not session.frozen))
     page.add_key("N", "New speckle", session.new_speckle)
@@ -144,3 +144,4 @@ def add_scan_tab(page: Page) -> None:
             page.add_slider(label, (-20.0, 20.0, 1.0), partial(level, number), partial(set_level, number))
     moving = gui.add_dropdown("Moving", tuple(map(str, Moving)), hint="what is rendered while the probe moves")
     moving.on_update(page.does(lambda _: session.show(moving=Moving(moving.value))))
+    page.keep_equal(moving, lambda: str(session.state.moving))

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,17 +34,19 @@ def add_compare_tab(page: Page, runs: Path) -> None:
         for label, start in zip(("Generator", "A second one"), (*picked, _NONE, _NONE), strict=False)
     ]
 
+    def named() -> None:
+        page.layout = replace(page.layout, names={folder: name for name, folder in offered.items()})
+
     def invitation() -> str:
         return _TRAINS if all(map(is_shipped, offered.values())) else ""
 
     def pick(_: Any) -> None:
-        names = tuple(dict.fromkeys(p.value for p in pickers if p.value in offered))
-        page.layout = replace(page.layout, names=names)
-        session.show(runs=tuple(offered[name] for name in names))
+        session.show(runs=tuple(dict.fromkeys(offered[p.value] for p in pickers if p.value in offered)))
 
     def look_again() -> None:
         offered.clear()
         offered.update(pickable(runs))
+        named()
         for picker in pickers:
             picker.options = (_NONE, *offered)
         trained.content = invitation()
@@ -56,19 +59,19 @@ def add_compare_tab(page: Page, runs: Path) -> None:
     difference.on_update(page.does(lambda _: page.lay_out(difference=difference.value)))
     numbers = gui.add_markdown("")
     page.painters.append(lambda views: setattr(numbers, "content", _distances(page.layout.names, views)))
-    page.layout = replace(page.layout, names=picked)
+    named()
     _add_calipers(page)
 
 
-def _distances(names: tuple[str, ...], views: Views) -> str:
-    """Distances of the generated images to the simulated one, as a table."""
+def _distances(names: Mapping[Path, str], views: Views) -> str:
+    """Distances of the generated images to the simulated one, as they are shown, as a table."""
     rows = []
-    for name, image in zip(names, views.generated, strict=False):
+    for run, image in zip(views.state.runs, views.generated, strict=True):
         if image is not None and views.target is not None:
             near = psnr(views.target, image, mask=views.mask)
             chi2 = rms(patch_chi2(views.target, image))
-            rows.append(f"| {name} | {near:.1f} | {chi2:.3f} |")
-    head = "| to the simulated image | PSNR (dB) | patch χ² |\n| --- | --- | --- |\n"
+            rows.append(f"| {names.get(run, run.name)} | {near:.1f} | {chi2:.3f} |")
+    head = "| to the simulated image | PSNR in the fan (dB) | patch χ² |\n| --- | --- | --- |\n"
     return head + "\n".join(rows) if rows else ""
 
 
@@ -78,23 +81,23 @@ def _add_calipers(page: Page) -> None:
 
     def click(origin: np.ndarray, direction: np.ndarray) -> None:
         if (views := page.shown) is not None:
-            pose, probe, points = views.state.pose, views.state.probe, page.layout.points
+            pose, points = views.state.pose, page.layout.points
             if len(points) == MOST_POINTS or not len(in_plane(points, pose)):
                 points = np.empty((0, 3))
             held = page.session.state.pose  # there the fan is drawn, also with a frozen frame of another place
             point = pose @ np.linalg.inv(held) @ (*on_plane(held, origin, direction), 1)
-            seen = in_plane(points := np.vstack([points, point[:3]]), pose)
-            label = label_at(views.segmentation, seen[-1], probe)
-            tissue = page.scene.tissues[label - 1].name.replace("_", " ") if label else "outside the fan"
-            answer.content = measured(seen, tissue, probe)
-            page.lay_out(points=points)
+            page.lay_out(points=np.vstack([points, point[:3]]))
 
     def clear() -> None:
         answer.content = _INVITES
         page.lay_out(points=np.empty((0, 3)))
 
     def follow(views: Views) -> None:
-        if len(page.layout.points) and not len(in_plane(page.layout.points, views.state.pose)):
+        if len(seen := in_plane(page.layout.points, views.state.pose)):
+            label = label_at(views.segmentation, seen[-1], views.state.probe)
+            tissue = page.scene.tissues[label - 1].name.replace("_", " ") if label else "outside the fan"
+            answer.content = measured(seen, tissue, views.state.probe)
+        elif len(page.layout.points):
             answer.content = "The points are not on this plane."
 
     page.painters.append(follow)
@@ -114,9 +117,15 @@ def add_keep_tab(page: Page) -> None:
         answer.content = f"Saved in `{folder}`, with `frame.json` and `pose.npy`."
 
     def write_command() -> None:
-        pose = save_poses(next_folder(page.folder, "pose") / "pose.npy", session.state.pose)
-        seeded = replace(settings, dataset=replace(settings.dataset, seed=session.state.seed))
-        command.value = command_line(seeded, session.state, "task=render", f"pose={pose}")
+        if page.shown is None:
+            raise ValueError("there is no frame yet")
+        state = page.shown.state
+        pose = save_poses(next_folder(page.folder, "pose") / "pose.npy", state.pose)
+        seeded = replace(settings, dataset=replace(settings.dataset, seed=state.seed))
+        range_db = (state.display and state.display.dynamic_range_db) or state.simulator.dynamic_range_db
+        curve = page.shown.time_gain_db
+        simulator = replace(state.simulator, time_gain_db=curve, dynamic_range_db=range_db)
+        command.value = command_line(seeded, replace(state, simulator=simulator), "task=render", f"pose={pose}")
 
     def switch(_: Any) -> None:
         if record.value:
