@@ -29,8 +29,8 @@ folder = Path(mkdtemp())
 # %% [markdown]
 # Each map compares the grey-level histograms of patches of 20 x 20 pixels with those of the target. 0 (black) means
 # equal histograms, and 1 (bright) means histograms without overlap. The image is below its map, and the target is at
-# the right. The map of the re-simulation is the floor, because it differs from the target by its scatterers alone.
-# The number is the root mean square over all patches that lie wholly in the fan.
+# the right. The map of the re-simulation is the floor, because it differs from the target by its scatterers, ray paths
+# and noise alone. The number is the root mean square over all patches that lie wholly in the fan.
 
 # %%
 for number, picture in enumerate(study.pictures):

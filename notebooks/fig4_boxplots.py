@@ -49,9 +49,10 @@ boxes_of(shown_in(Shown.headline))
 
 # %% [markdown]
 # The last figure shows whether each component does what it is for. Shadow contrast belongs to the attenuation map.
-# Smooth MAE (structure without speckle) belongs to the maps at every level. Nyquist excess (the spectrum at the
-# up-sampling frequency) belongs to the texture-friendly up-sampling. Shadow contrast and Nyquist excess are best at
-# 0.
+# Smooth MAE (structure without speckle) belongs to the receptive field, the order of the labels and beam space. Thin
+# contrast (how bright thin bones are) belongs to the maps at every level and to the interface map. Nyquist excess (the
+# spectrum at the up-sampling frequency) belongs to the texture-friendly up-sampling. Shadow contrast and Nyquist excess
+# are best at 0.
 
 # %%
 boxes_of([name for name in shown_in(Shown.panels) if metric_of(name).group is Group.mechanism])

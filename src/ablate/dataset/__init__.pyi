@@ -2,6 +2,7 @@ from .crops import CropLoader as CropLoader
 from .crops import Crops as Crops
 from .crops import CropSettings as CropSettings
 from .encoding import Encoding as Encoding
+from .encoding import alike_labels as alike_labels
 from .encoding import counted_clipping as counted_clipping
 from .encoding import decode_grey_levels as decode_grey_levels
 from .encoding import encode_grey_levels as encode_grey_levels

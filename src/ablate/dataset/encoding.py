@@ -49,7 +49,7 @@ def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -
 
     `tissues` are `Scene.tissues`, behind labels 1, 2, ...; `seed` is that of `Encoding.arbitrary`. An order is one
     channel: -1 outside, the others equally spaced to 1. Properties are the level of the scatterers, in dB, the
-    impedance and whether a tissue is bone, -1 outside.
+    impedance and whether a tissue is bone, -1 outside; what is beyond their range has its end.
     """
     n = len(tissues)
     if encoding is Encoding.properties:
@@ -67,6 +67,13 @@ def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -
     else:
         rank = np.random.default_rng([seed, Drawn.label_order]).permutation(n)
     return np.concatenate([[-1.0], -1 + 2 * (rank + 1) / n]).astype(np.float32)[:, None]
+
+
+def alike_labels(tissues: Sequence[Tissue], values: np.ndarray) -> list[str]:
+    """A sentence for each group of labels whose `values`, of `label_values`, are equal: no network tells them apart."""
+    names, rows = ("outside the fan", *(tissue.name for tissue in tissues)), values.tolist()
+    groups = {tuple(row): [name for name, own in zip(names, rows, strict=True) if own == row] for row in rows}
+    return [f"the network reads the same for {' and '.join(group)}" for group in groups.values() if len(group) > 1]
 
 
 def fitted(spec: GeneratorSpec, values: np.ndarray) -> GeneratorSpec:

@@ -176,13 +176,6 @@ class PatchDiscriminator(nn.Module):
     Notes
     -----
     Isola et al., "Image-to-image translation with conditional adversarial networks", CVPR 2017.
-
-    Examples
-    --------
-    >>> spec = GeneratorSpec()
-    >>> discriminator = PatchDiscriminator(discriminator_channels(spec), width=0.1)
-    >>> discriminator(torch.zeros(1, 2, 256, 256), torch.zeros(1, 1, 256, 256)).shape
-    torch.Size([1, 1, 30, 30])
     """
 
     def __init__(self, in_channels: int, width: float = 1.0) -> None:

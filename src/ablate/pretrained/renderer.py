@@ -36,7 +36,7 @@ class Renderer:
         The values in [-1, 1] that the generator reads for each tissue, and `OUTSIDE` for those outside the fan.
     probe, tgc, image_shape, beam_shape
         Of its training frames. Frames of another number of pixels or scanlines are rendered, but not well: the
-        generator has learnt the speckle of these.
+        generator has learnt the speckle of these. So are frames that were simulated with another time gain.
     made : mapping of str to str
         Study, variant, seed and commit of the training.
     """

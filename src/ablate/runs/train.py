@@ -193,7 +193,7 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
     images = render(shown, 0)
     with written_whole(run.pictures_file) as partial:
         np.savez_compressed(partial, frames=shown, images=images)
-    return scalars, scores.notes
+    return scalars, (*scores.notes, *dataset.alike_labels(data.tissues, values))
 
 
 def scorer(settings: StudySettings, data: DataSet) -> Scorer:

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from datetime import timedelta
 
 import pandas as pd
 
@@ -60,13 +61,8 @@ def _state_of(job: Job) -> tuple[str, float]:
 
 
 def duration(seconds: float) -> str:
-    """A time in words, such as `1 h 05 min`; `?` for NaN."""
-    if seconds != seconds:
-        return "?"
-    minutes = round(seconds / 60)
-    if minutes == 0:
-        return f"{seconds:.0f} s"
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+    """Hours, minutes and seconds, such as `1:05:00`; `?` for NaN."""
+    return "?" if seconds != seconds else str(timedelta(seconds=round(seconds)))
 
 
 def _rest(table: pd.DataFrame) -> str:

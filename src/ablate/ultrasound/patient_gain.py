@@ -25,9 +25,9 @@ def with_patient_gain(
     """Settings with the curve of `tgc=patient`; as they are where they need none, or have one.
 
     The gain makes up for what the median sample of tissue has lost at its depth, two ways, over the scanlines of 24 of
-    the poses. It is the curve that fits the medians best and does not fall (isotonic regression), at 8 sliders. Fluids,
-    and what lies in the shadow of bone or gas, do not count. The curve is rounded to 0.1 dB, so that all processors
-    have the same.
+    the poses. It is the curve that fits the medians best and does not fall (isotonic regression), at 8 sliders. What
+    has no scatterers, or lies in the shadow of bone or gas, does not count. The curve is rounded to 0.1 dB, so that all
+    processors have the same.
 
     Parameters
     ----------

@@ -128,17 +128,7 @@ def pixel_polar(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.nd
 
 
 def fan_mask(probe: Probe, shape: tuple[int, int]) -> np.ndarray:
-    """Pixels whose centre lies in the fan, (H, W) bool.
-
-    Examples
-    --------
-    >>> from ablate.ultrasound import ConvexProbe, LinearProbe, fan_mask
-    >>> mask = fan_mask(ConvexProbe(), (1000, 1386))
-    >>> mask.shape, round(float(mask.mean()), 3)
-    ((1000, 1386), 0.615)
-    >>> bool(fan_mask(LinearProbe(), (100, 80)).all())
-    True
-    """
+    """Pixels whose centre lies in the fan, (H, W) bool."""
     depth, position = pixel_polar(probe, shape)
     return (depth >= 0) & (depth <= probe.depth_mm) & (np.abs(position) <= fan_of(probe).outer)
 

@@ -261,7 +261,7 @@ class PhasedProbe(Checked):
     """
 
     kind: ClassVar[ProbeKind] = ProbeKind.phased
-    aperture_mm: float = _span_mm(20.0, "Span of the elements, all of which make every beam.")
+    aperture_mm: float = _span_mm(20.0, "Span of the elements: nearer than this the beam is as wide as at this depth.")
     fov_deg: float = setting(80.0, "Opening angle of the sector.", least=1e-3, most=170, unit="degrees")
     depth_mm: float = _depth_mm(150.0)
     frequency_mhz: float = _frequency(2.5)

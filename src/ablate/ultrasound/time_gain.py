@@ -43,16 +43,6 @@ def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: float | 
     -------
     (..., H, W) float32 in [0, 1]
         0 outside the fan.
-
-    Examples
-    --------
-    Where nothing attenuates, the gain makes the image brighter with depth:
-
-    >>> import numpy as np
-    >>> from ablate.ultrasound import ConvexProbe, compensated_attenuation
-    >>> level = compensated_attenuation(np.ones((100, 139)), ConvexProbe(frequency_mhz=3.0), tgc=0.4)
-    >>> [f"{level[row, 69]:.2f}" for row in (10, 50, 90)], float(level[0, 0])
-    (['0.53', '0.74', '0.95'], 0.0)
     """
     height, width = attenuation.shape[-2:]
     return _compensated(attenuation, _gain_db(probe, tuple(tgc) if isinstance(tgc, Sequence) else tgc, (height, width)))

@@ -52,13 +52,6 @@ def find_design(
         in a third level of one, is left out.
     reference : str
         Where it is missing, the label that most others are one change away from stands in for it.
-
-    Examples
-    --------
-    >>> from ablate.analysis import find_design
-    >>> runs = {"sa2h": {"model.depth": 4}, "sa2h-depth": {"model.depth": 8}}
-    >>> find_design(runs, ["model.depth"]).name
-    'with and without one component (depth)'
     """
     if not runs:
         return None

@@ -52,13 +52,6 @@ def pareto_front(
     -------
     (k,) int
         Indices of the front, by increasing time; of equal points the first.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from ablate.analysis import pareto_front
-    >>> pareto_front(np.array([10.0, 20.0, 30.0]), np.array([0.5, 0.6, 0.2])).tolist()
-    [0, 2]
     """
     lower, upper = ms if lower is None else lower, ms if upper is None else upper
     order = np.lexsort((error, ms))

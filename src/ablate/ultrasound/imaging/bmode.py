@@ -36,13 +36,6 @@ class Display:
     ------
     ValueError
         When a value is not finite or outside its range; the message names it.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from ablate.ultrasound import Display
-    >>> Display(gain_db=6, tgc_db=(0, 10)).gain_at(np.array([0.0, 0.5, 1.0])).tolist()
-    [6.0, 11.0, 16.0]
     """
 
     gain_db: float = 0.0
