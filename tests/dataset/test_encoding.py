@@ -14,6 +14,6 @@ def test_labels_that_are_read_as_one_are_named() -> None:
     tissues = (liver, bright, brighter)
     values = label_values(tissues, Encoding.properties)
     np.testing.assert_array_equal(values[2], values[3])
-    assert alike_labels(tissues, values) == ["the network reads the same for bright and brighter"]
+    assert alike_labels(tissues, values) == ["The network reads the same for bright and brighter."]
     for encoding in (Encoding.echogenicity, Encoding.arbitrary):
         assert alike_labels(tissues, label_values(tissues, encoding)) == []

@@ -73,7 +73,7 @@ def alike_labels(tissues: Sequence[Tissue], values: np.ndarray) -> list[str]:
     """A sentence for each group of labels whose `values`, of `label_values`, are equal: no network tells them apart."""
     names, rows = ("outside the fan", *(tissue.name for tissue in tissues)), values.tolist()
     groups = {tuple(row): [name for name, own in zip(names, rows, strict=True) if own == row] for row in rows}
-    return [f"the network reads the same for {' and '.join(group)}" for group in groups.values() if len(group) > 1]
+    return [f"The network reads the same for {' and '.join(group)}." for group in groups.values() if len(group) > 1]
 
 
 def fitted(spec: GeneratorSpec, values: np.ndarray) -> GeneratorSpec:
