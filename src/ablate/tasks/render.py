@@ -60,9 +60,8 @@ def render(jobs: Sequence[Job]) -> int:
             write_cine(folder / "cine.dcm", np.stack([np.asarray(i) for i in images]), simulator.mask, size, _FRAME_MS)
     else:
         with written_whole(folder / "frame.npz") as partial:
-            np.savez_compressed(
-                partial, **{k: getattr(frame, k) for k in Frame.__annotations__ if k != "beam"}, pose=poses[0]
-            )
+            arrays = {name: getattr(frame, name) for name in Frame.__annotations__ if name != "beam"}
+            np.savez_compressed(partial, **arrays, pose=poses[0])
     print(folder)
     return 0
 
