@@ -1,6 +1,7 @@
 """Processes of the campaign: command lines and functions, each in a session of its own that can be killed whole."""
 
 import ctypes
+import faulthandler
 import multiprocessing
 import os
 import signal
@@ -48,12 +49,16 @@ class Command:
         self.pid = int(process.pid or 0)
 
     def wait(self, seconds: float = _HUNG_S) -> Ended:
-        """Wait for the end. What takes longer is killed, and its output says so."""
+        """Wait for the end. What takes longer is killed, and its output says so and where each thread waited."""
         self._process.join(seconds)
         if self._process.exitcode is None:
+            self.signal(signal.SIGABRT)
+            self._process.join(10.0)
             self.signal(signal.SIGKILL)
             self._process.join()
-            return Ended(-signal.SIGKILL, f"{self.said}\nhung: it did not end within {seconds:.0f} s")
+            said = f"{self.said}\nhung: it did not end within {seconds:.0f} s"
+            print(said, flush=True)
+            return Ended(-signal.SIGKILL, said)
         return Ended(self._process.exitcode, self.said)
 
     @property
@@ -154,6 +159,7 @@ def _in_session(
     os.dup2(output, 1)
     os.dup2(output, 2)
     os.environ.update(environment)
+    faulthandler.enable(2)  # one that hangs says where
     if inside is not None:
         _enter(inside)
     work(*arguments)

@@ -1,8 +1,10 @@
 """Crops are windows of one frame that touch the fan, and depend on (seed, step, index) alone."""
 
+import _thread
 import hashlib
-import threading
+import time
 import tracemalloc
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -176,12 +178,40 @@ def test_a_resumed_loader_continues_where_the_other_was(pairs: Pairs, workers: i
 
 
 def test_a_loader_that_is_left_leaves_no_thread(pairs: Pairs) -> None:
-    before = set(threading.enumerate())  # threads of earlier tests may end meanwhile
+    before = _thread._count()
     batches = iter(CropLoader(crops(pairs), 0, 1000, 2))
     next(batches)
-    assert not set(threading.enumerate()) <= before
     batches.close()  # type: ignore[attr-defined]
-    assert set(threading.enumerate()) <= before
+    until = time.monotonic() + 10.0
+    while _thread._count() > before and time.monotonic() < until:
+        time.sleep(0.01)
+    assert _thread._count() <= before
+
+
+def no_thread(*_: object) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+@pytest.mark.parametrize("start", [no_thread, lambda *_: None], ids=["refused", "ends without a word"])
+def test_a_batch_whose_thread_finds_no_memory_is_made_here(
+    pairs: Pairs, monkeypatch: pytest.MonkeyPatch, start: Callable[..., None]
+) -> None:
+    made = crops(pairs, flip=True)
+    whole = [made[step] for step in range(5)]
+    monkeypatch.setattr("ablate.dataset.crops._thread.start_new_thread", start)
+    monkeypatch.setattr("ablate.dataset.crops._LOST_S", 0.01)
+    assert all(same(a, b) for a, b in zip(whole, CropLoader(crops(pairs, flip=True), 0, 5, 2), strict=True))
+
+
+def test_what_a_thread_raises_is_raised_by_the_loader(pairs: Pairs, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = crops(pairs)
+
+    def full(*_: object) -> None:
+        raise MemoryError("no more")
+
+    monkeypatch.setattr(made, "_cut", full)
+    with pytest.raises(MemoryError, match="no more"):
+        next(iter(CropLoader(made, 0, 5, 1)))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.6])

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
+import _thread
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ablate.dataset.pairs import Pairs  # only here: frames that are read otherwise need no Zarr
 
 _TRIES = 50
-_AHEAD = 2  # batches a worker prepares before the first of them is taken
+_LOST_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -138,8 +138,9 @@ class Crops:
 class CropLoader:
     """Batches of the steps `start` to `stop - 1`, one a step, in order; a resumed run sees what it would have seen.
 
-    `workers` threads prepare batches ahead; 0 prepares each when it is asked for. Decoding leaves other threads free to
-    run, and nothing has to be copied from one process to another.
+    `workers` batches are prepared ahead, each in a thread; 0 prepares each when it is asked for. Decoding leaves other
+    threads free to run, and nothing has to be copied from one process to another. Futures and `threading.Thread` may
+    wait for ever for a thread that found no memory. Here a batch that does not come is made by who asks for it.
     """
 
     def __init__(self, crops: Crops, start: int, stop: int, workers: int = 0) -> None:
@@ -155,14 +156,22 @@ class CropLoader:
             yield {k: v.pin_memory() for k, v in batch.items()} if pinned else batch
 
     def _ahead(self) -> Iterator[dict[str, torch.Tensor]]:
-        pool = ThreadPoolExecutor(self.workers, thread_name_prefix="crops")
-        coming: deque[Future[dict[str, torch.Tensor]]] = deque()
-        try:
-            for step in self.steps:
-                coming.append(pool.submit(self.crops.__getitem__, step))
-                if len(coming) > _AHEAD * self.workers:
-                    yield coming.popleft().result()
-            while coming:
-                yield coming.popleft().result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+        made: dict[int, dict[str, torch.Tensor]] = {}
+        ends: dict[int, _thread.LockType] = {}
+
+        def make(step: int, ended: _thread.LockType) -> None:
+            with suppress(BaseException):  # it is raised when the batch is made again
+                made[step] = self.crops[step]
+            ended.release()
+
+        for step in self.steps:
+            for ahead in self.steps[step - self.steps.start :][: self.workers + 1]:
+                if ahead not in ends:
+                    ends[ahead] = _thread.allocate_lock()
+                    ends[ahead].acquire()
+                    try:
+                        _thread.start_new_thread(make, (ahead, ends[ahead]))
+                    except RuntimeError:  # the system has no memory for a thread, or allows no more of them
+                        ends[ahead].release()
+            ends.pop(step).acquire(timeout=_LOST_S)
+            yield made.pop(step) if step in made else self.crops[step]

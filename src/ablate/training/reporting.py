@@ -19,6 +19,7 @@ MetricSink = Callable[[dict[str, float], int], None]
 Validation = Callable[[Generator, int], Mapping[str, float]]
 
 _LOG = logging.getLogger(__name__)
+tqdm.monitor_interval = 0  # it would start a thread, which without memory may never return (CPython 140746)
 _LINES = 10
 # What a line shows of the metrics that there are.
 _SHOWN = {
