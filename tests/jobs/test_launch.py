@@ -16,7 +16,7 @@ import torch
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.launch import VISIBLE, Launch, devices_to_share, least_busy, start_here
 from ablate.runs.job import Job
-from ablate.settings.study import ConfigurationError
+from ablate.settings.study import ConfigurationError, Task
 from ablate.tasks import command
 from ablate.tasks.command import execute
 from ablate.training import DivergenceError
@@ -229,6 +229,24 @@ def test_only_devices_that_are_visible_are_dealt(monkeypatch: pytest.MonkeyPatch
 def test_the_least_busy_device_is_next() -> None:
     assert [least_busy("ab", busy) for busy in ([], ["a"], ["a", "b"], ["a", "b", "a"])] == ["a", "b", "a", "b"]
     assert least_busy((), []) is None
+
+
+def test_each_study_of_a_sweep_is_compared_when_another_launcher_has_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every job composes and runs by itself; the studies are known from the whole command line."""
+    done: list[list[tuple[str, Task]]] = []
+    for study in ("one", "two"):
+        (tmp_path / "runs" / study).mkdir(parents=True)
+    monkeypatch.setattr(
+        "ablate.tasks.command._do",
+        lambda jobs, _: done.append([(job.settings.study, job.settings.task) for job in jobs]),
+    )
+    line = ["-m", "preset=tiny", "study_name=one,two", "hydra/launcher=basic", f"runs_dir={tmp_path / 'runs'}"]
+    assert execute(line) == 0
+    *jobs, compared = done
+    assert jobs == [[("one", Task.study)], [("two", Task.study)]]
+    assert compared == [("one", Task.compare), ("two", Task.compare)]
 
 
 @pytest.mark.slow

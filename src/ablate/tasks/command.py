@@ -13,7 +13,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 import ablate
-from ablate.jobs.compose import CONFIG, VERSION_BASE, job_of, parsed, swept_keys, without_repetitions
+from ablate.jobs.compose import CONFIG, VERSION_BASE, job_of, jobs_of, swept_keys, without_repetitions
 from ablate.jobs.launch import Launch, Start, Work, start_here
 from ablate.jobs.refusals import in_one_line
 from ablate.jobs.schema import register
@@ -155,7 +155,6 @@ class Comparison(hydra.experimental.callback.Callback):
         is_ours = config.hydra.runtime.choices["hydra/launcher"] in _OURS
         if is_ours or config.objective is not None or config.task != Task.study:
             return
-        fixed = [str(o.input_line) for o in parsed(_words(config.hydra, "task")) if not o.is_sweep_override()]
-        job = job_of([*fixed, "task=compare"])
-        if job.settings.study_dir.is_dir():
-            _do([job], Launch(start_here))
+        jobs = jobs_of(["-m", *_words(config.hydra, "task"), "task=compare"])
+        if there := [job for job in jobs if job.settings.study_dir.is_dir()]:
+            _do(there, Launch(start_here))
