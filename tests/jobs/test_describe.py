@@ -50,6 +50,21 @@ def test_a_miniature_sees_the_papers_millimetres_along_the_scanlines() -> None:
         assert table.loc[variant, "total"] == TOTALS[variant] + 2 * 5 * 4 * 4 * 64
 
 
+def test_a_variant_of_another_encoding_has_its_row_and_its_parameters() -> None:
+    alone, swept = described(jobs_of([])), described(jobs_of(["-m", "variant=sa2h,sa2h-printed"]))
+    assert alone.loc["sa2h-printed"].equals(swept.loc["sa2h-printed"])
+    assert swept.loc["sa2h-printed", "total"] == TOTALS["sa2h"]  # the paper's labels are one channel
+
+
+@pytest.mark.parametrize("changed", ["model.depth=6", "training.loss=none", "model.space=image", "variant=custom"])
+def test_a_job_that_is_no_variant_of_conf_has_a_row(changed: str) -> None:
+    target = ["model.target=torch.nn.Identity"] if changed.endswith("custom") else []
+    (job,) = jobs_of([changed, *target])
+    table = described([job])
+    assert list(table.index) == [job.label, *variant_names()]
+    assert table.loc[job.label].equals(described(jobs_of(["-m", changed, *target])).iloc[0].rename(job.label))
+
+
 def test_the_text_is_whole_and_readable_at_120_columns() -> None:
     in_beam_space = description(jobs_of([]))
     assert "frame: 384 x 128 px of 0.39 mm (in the paper: 1000 rows of 0.16 mm)" in in_beam_space

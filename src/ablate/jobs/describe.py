@@ -62,10 +62,13 @@ def _variants(jobs: Sequence[Job]) -> list[tuple[str, StudySettings]]:
     if len(jobs) > 1:
         return [(job.label, job.settings) for job in jobs]
     s = jobs[0].settings
-    rows, columns = s.simulator.image_shape
-    sizes = [f"preset={s.preset}", f"model.width={s.model.width}", f"simulator.image_shape=[{rows},{columns}]"]
-    made = [job_of([*sizes, f"variant={name}"]).settings for name in variant_names()]
-    return [(m.variant, replace(s, model=m.model, training=replace(s.training, loss=m.training.loss))) for m in made]
+    height, width = s.simulator.image_shape
+    sizes = [f"preset={s.preset}", f"model.width={s.model.width}", f"simulator.image_shape=[{height},{width}]"]
+    rows = {} if jobs[0].label in variant_names() else {jobs[0].label: s}
+    for name in variant_names():
+        m = job_of([*sizes, f"variant={name}"]).settings
+        rows[name] = replace(s, model=m.model, encoding=m.encoding, training=replace(s.training, loss=m.training.loss))
+    return [*rows.items()]
 
 
 def _row(settings: StudySettings) -> dict[str, object]:

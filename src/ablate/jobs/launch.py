@@ -99,7 +99,10 @@ def _start(launcher: Any, n_jobs: int, jobs: Sequence[Numbered], work: Work) -> 
             for sentinel in wait(list(running)):
                 process, name, _ = running.pop(int(sentinel))  # type: ignore[arg-type]
                 process.join()
-                _tell(process.exitcode or 0, name)
+                if (code := process.exitcode or 0) < 0:
+                    often = "SIGKILL is often the system's, out of memory: try fewer hydra.launcher.n_jobs"
+                    by = f"{signal.Signals(-code).name}{f'; {often}' if code == -signal.SIGKILL else ''}"
+                    print(f"{name}: its process was ended by {by}", file=sys.stderr)
     except KeyboardInterrupt:
         wait_for_all([process for process, _, _ in running.values()])
         raise
@@ -145,13 +148,6 @@ def wait_for_all(processes: Sequence[SpawnProcess]) -> None:
         process.terminate()
     for process in processes:
         process.join()
-
-
-def _tell(code: int, name: str) -> None:
-    if code < 0:
-        by = signal.Signals(-code).name
-        why = "; SIGKILL is often the system's, out of memory: try fewer hydra.launcher.n_jobs"
-        print(f"{name}: its process was ended by {by}{why if by == 'SIGKILL' else ''}", file=sys.stderr)
 
 
 def devices_to_share(device: str) -> tuple[str, ...]:
