@@ -2,6 +2,7 @@
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ def test_names_sets_and_lists():
 
 def test_two_of_one_name_are_refused(monkeypatch, tmp_path):
     for module in ("first_of_two", "second_of_two"):
-        code = "def sharpness(pair):\n    return 0.0\n\n\nmae = floor_mae = sharpness\n"
+        code = "def sharpness(pair):\n    return 0.0\n\n\nmae = floor_mae = error_upper = sharpness\n"
         (tmp_path / f"{module}.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
     assert choose_metrics(["first_of_two.sharpness"] * 2).keys() == {"sharpness"}
@@ -33,6 +34,20 @@ def test_two_of_one_name_are_refused(monkeypatch, tmp_path):
         choose_metrics(["first_of_two.mae"])
     with pytest.raises(ValueError, match="floor_mae is the name of another metric"):  # what re-simulation scores
         choose_metrics(["first_of_two.floor_mae"])
+    with pytest.raises(ValueError, match=r"error_upper is the name of .* an end of an interval"):
+        choose_metrics(["first_of_two.error_upper"])
+
+
+def test_a_metric_of_the_draws_alone_is_measured_where_there_are_draws(monkeypatch, tmp_path, make_frame):
+    code = "import ablate\n\nspread = ablate.metrics.Metric('spread', of_draws=lambda pair: pair.draws.std())\n"
+    (tmp_path / "of_draws.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    chosen = choose_metrics(["of_draws.spread"])
+    frame = make_frame(0)
+    pair = Pair(frame.image, frame.image, frame.mask)
+    assert evaluate_image(pair, chosen.values()) == {}
+    draws = np.stack([frame.image, frame.image // 2])
+    assert evaluate_image(replace(pair, draws=draws), chosen.values()) == {"spread": pytest.approx(draws.std())}
 
 
 def test_the_page_names_every_metric_and_no_other():

@@ -33,6 +33,11 @@ class Fixed(nn.Module):
     def forward(self, maps):
         return maps[:, :1]
 
+class ReadsNumbers(Sum):
+    def __init__(self, channels):
+        super().__init__(channels)
+        self.rates = [rate.item() for rate in torch.linspace(0, 0.1, 4)]
+
 class NoChannels(nn.Module):
     def __init__(self):
         super().__init__()
@@ -72,8 +77,10 @@ def test_a_channel_of_noise_is_its_last_input() -> None:
 
 
 def test_its_sizes() -> None:
-    assert count_generator(spec("Sum")) == 2
-    assert receptive_field(spec("Sum")) is None
+    for name in ("Sum", "ReadsNumbers"):  # as networks with stochastic depth do
+        check_custom(spec(name), 32)
+        assert count_generator(spec(name)) == 2
+        assert receptive_field(spec(name)) is None
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from importlib import import_module
 from pkgutil import walk_packages
 
 from ablate import metrics as package
-from ablate.metrics.metric import FLOOR_PREFIX, FeatureKind, Metric, Pair, Shown
+from ablate.metrics.metric import FLOOR_PREFIX, FeatureKind, Metric, Pair, Shown, is_bound
 from ablate.setting import check_name
 from ablate.user_code import load
 
@@ -101,11 +101,11 @@ def _imported(path: str) -> Metric:
     except ValueError as error:
         raise ValueError(f"metrics={path}: {error}; {_allowed()}") from error
     metric = named if isinstance(named, Metric) else Metric(path.rpartition(".")[2], of_image=named)
-    if not callable(metric.of_image):
+    if not callable(metric.of_image or metric.of_draws):
         raise ValueError(f"metrics={path}: is no function; {_allowed()}")
     check_name(f"metrics={path}: name", metric.name)
-    if metric.name in METRICS or metric.name.startswith(FLOOR_PREFIX):
-        raise ValueError(f"metrics={path}: {metric.name} is the name of another metric")
+    if metric.name in METRICS or metric.name.startswith(FLOOR_PREFIX) or is_bound(metric.name):
+        raise ValueError(f"metrics={path}: {metric.name} is the name of another metric, or of an end of an interval")
     _OWN[metric.name] = metric  # in place of an earlier one of that name
     return metric
 

@@ -60,8 +60,8 @@ class Generator(nn.Module):
         `conditions(spec)` are (N, 1, H, W): `attenuation` in [0, 1], 0 outside the fan, or `compensated` in its place;
         the image `low`, `depth` and `lateral` in [-1, 1]; `interfaces` in [0, 1]. Those that the variant does not read
         are ignored. `noise_seed`, (k N,) int64, has one seed for all noise of each rendering; the first N are one of
-        each sample, the next N another. None switches noise off (fields of zero), and k is 1. Raises ValueError if a
-        map is missing or has another shape, or the seeds are not k for each sample.
+        each sample, the next N another. None switches noise off (fields of zero); k is 1 then, and where the variant
+        draws none. Raises ValueError if a map is missing or has another shape, or the seeds are not k for each sample.
         """
         given = {"segmentation": segmentation, "attenuation": attenuation, "low": low, **others}
         if noise_seed is None:

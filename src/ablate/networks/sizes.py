@@ -3,7 +3,7 @@
 import torch
 from torch import nn
 
-from ablate.networks.families import CustomNetwork, LocalNetwork, PatchDiscriminator, UNetwork, discriminator_channels
+from ablate.networks.families import LocalNetwork, PatchDiscriminator, UNetwork, discriminator_channels
 from ablate.networks.generator import Generator
 from ablate.networks.layers import Convolution, convolutions
 from ablate.networks.spec import GeneratorSpec, fed_channels
@@ -13,7 +13,7 @@ Interval = tuple[int, int]
 
 def count_generator(spec: GeneratorSpec) -> int:
     """Count the generator's parameters."""
-    with torch.device("meta"):
+    with torch.device("cpu" if spec.target else "meta"):  # a user's class may read numbers as it is made
         return count_parameters(Generator(spec))
 
 
@@ -35,10 +35,11 @@ def receptive_field(spec: GeneratorSpec) -> int | None:
     map. The result depends by a few pixels on the position relative to the strides; the largest is returned. The
     statistics of instance norm, which are global, and the border of the image are not counted.
     """
+    if spec.target:
+        return None
     with torch.device("meta"):
         network = Generator(spec).network
-    if isinstance(network, CustomNetwork):
-        return None
+    assert isinstance(network, LocalNetwork | UNetwork)
     period = 2**spec.depth
     fed = fed_channels(spec)
     has_means = fed > 1  # else the order of the labels alone, of which one pixel is taken

@@ -163,7 +163,7 @@ def _opened(settings: StudySettings, run: Run) -> StoredRun:
     )
     stored.parameters({"variant": label, **named_components(build(GeneratorSpec, of_run["model"])), **_sorted_by(run)})
     for folder in (settings.results / "data").glob(f"*-{data}"):
-        with suppress(OSError, ValueError, KeyError):  # pairs that are being made again
+        with FileLock(store.lock, timeout=_LOCK_S), suppress(OSError, ValueError, KeyError):  # of pairs in the making
             pairs = DataSet(folder).pairs
             halves = pairs.maps - _DRAWN, pairs.maps & _DRAWN
             stored_as = [{name: FORMATS[name][0] for name in sorted(maps)} for maps in halves]
