@@ -136,6 +136,8 @@ def main() -> None:
                 if fluid.sum() >= LEAST_FLUID:
                     converged, _, _ = each.render("many", frame)
                     found[name].append((*shares(image, converged, fluid), taken))
+    if not all(found.values()):
+        sys.exit(f"no frame has {LEAST_FLUID} pixels of fluid; more frames are needed, or a scene with fluid")
     print("| images of | frames | with bands | too bright, % of fluid | too dark, % | mean difference | ms a frame |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for name, rows in found.items():

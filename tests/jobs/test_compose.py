@@ -134,8 +134,13 @@ def test_table_2_is_the_papers_variants_and_the_one_of_depth() -> None:
 def test_study_groups_take_seeds() -> None:
     jobs = jobs_of(["+study=leave_one_out", "seed=0,1,2"])
     assert len(jobs) == 6 * 3
-    encodings = {job.settings.encoding for job in study_group("encoding")}
-    assert encodings == {Encoding.echogenicity, Encoding.arbitrary}
+
+
+def test_the_two_orders_of_the_labels_are_compared_in_a_study_of_their_own() -> None:
+    jobs = study_group("encoding")
+    assert {job.settings.encoding for job in jobs} == {Encoding.echogenicity, Encoding.arbitrary}
+    assert {job.settings.study for job in jobs} == {"encoding"}
+    assert jobs[0].settings.reference in {job.label for job in jobs}
 
 
 def test_a_folder_names_its_study() -> None:

@@ -167,11 +167,6 @@ def _wide(
         bounds = times.set_index(run)[list(BOUNDS)].add_prefix(f"{FRAME_TIME}_")
         wide = wide.join(bounds.astype("float64"), on=run)
     for place, factor in enumerate(factors, start=len(run)):
-        wide.insert(place, factor, [_level(levels[label], factor) for label in wide["variant"]])
+        lack = {v for v, own in levels.items() if own.get("model.family") == Family.custom and factor in NOT_OF_CUSTOM}
+        wide.insert(place, factor, [None if v in lack else levels[v].get(factor) for v in wide["variant"]])
     return wide
-
-
-def _level(levels: Mapping[str, object], factor: str) -> object:
-    """The level of a component; None where a run does not have the component, as a network of the user's."""
-    lacks = levels.get("model.family") == Family.custom and factor in NOT_OF_CUSTOM
-    return None if lacks else levels.get(factor)
