@@ -17,13 +17,13 @@ help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 18
 
 $(STAMP): pyproject.toml constraints.txt
-	@echo "Creating the environment in $(VENV) (about 2.5 GB, one to four minutes) ..."
+	@echo "Creating the environment in $(VENV) (about 3 GB, one to four minutes) ..."
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14) and "ablate needs Python 3.11, 3.12 or 3.13; make PYTHON=python3.12 ...")'
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 6 to 18 minutes on two cores
+sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 6 to 14 minutes on two cores
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h
 
 answer: $(STAMP) ## which components earn their keep: 52 trainings in two anatomies, nine beside them and 36 of the extension, kept in docs/results; resumable
