@@ -2,6 +2,9 @@
 
 import _thread
 import hashlib
+import os
+import subprocess
+import sys
 import time
 import tracemalloc
 from collections.abc import Callable
@@ -201,6 +204,15 @@ def test_a_batch_whose_thread_finds_no_memory_is_made_here(
     monkeypatch.setattr("ablate.dataset.crops._thread.start_new_thread", start)
     monkeypatch.setattr("ablate.dataset.crops._LOST_S", 0.01)
     assert all(same(a, b) for a, b in zip(whole, CropLoader(crops(pairs, flip=True), 0, 5, 2), strict=True))
+
+
+def test_no_failed_allocation_makes_the_loader_wait_for_ever() -> None:
+    """CPython's own test module makes allocations fail; a loader with futures hung in most of the cases."""
+    pytest.importorskip("_testcapi", reason="this Python comes without its test modules")
+    script = Path(__file__).parents[1] / "support" / "without_memory.py"
+    alone = {**os.environ, "OMP_NUM_THREADS": "1"}
+    ended = subprocess.run([sys.executable, script, "80"], env=alone, capture_output=True, text=True, check=False)
+    assert ended.stdout == "0 of 60 hang\n", ended.stderr[-2000:]
 
 
 def test_what_a_thread_raises_is_raised_by_the_loader(pairs: Pairs, monkeypatch: pytest.MonkeyPatch) -> None:
