@@ -100,9 +100,9 @@ def _start(launcher: Any, n_jobs: int, jobs: Sequence[Numbered], work: Work) -> 
                 process, name, _ = running.pop(int(sentinel))  # type: ignore[arg-type]
                 process.join()
                 if (code := process.exitcode or 0) < 0:
-                    often = "SIGKILL is often the system's, out of memory: try fewer hydra.launcher.n_jobs"
-                    by = f"{signal.Signals(-code).name}{f'; {often}' if code == -signal.SIGKILL else ''}"
-                    print(f"{name}: its process was ended by {by}", file=sys.stderr)
+                    by = signal.Signals(-code).name
+                    often = "; SIGKILL is often the system's, out of memory: try fewer hydra.launcher.n_jobs"
+                    print(f"{name}: its process was ended by {by}{often if by == 'SIGKILL' else ''}", file=sys.stderr)
     except KeyboardInterrupt:
         wait_for_all([process for process, _, _ in running.values()])
         raise

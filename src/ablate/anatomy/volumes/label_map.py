@@ -205,9 +205,7 @@ def checked_labels(content: Any, folder: Path, tissues: Mapping[str, Tissue], wh
     volume = check_volume(file_named(content.get("file"), SUFFIXES, folder, f"{where}.file"), f"{where}.file")
     named = content.get("tissues")
     if named == TABLE:
-        with files("ablate.anatomy.volumes").joinpath(f"{TABLE}.csv").open(encoding="utf-8") as stream:
-            rows = [(int(row["label"]), row["name"], row["tissue"]) for row in csv.DictReader(stream)]
-        labels = tuple(Label(n, name, tissues[one_of(t, tissues, where)]) for n, name, t in rows)
+        labels = tuple(Label(n, name, tissues[one_of(t, tissues, where)]) for n, name, t in _table())
     else:
         labels = _labels(named, tissues, f"{where}.tissues")
     body = None
@@ -235,3 +233,9 @@ def _labels(named: Any, tissues: Mapping[str, Tissue], where: str) -> tuple[Labe
     if sum(label.tissue is not None for label in labels) > MOST_STRUCTURES:
         raise ValueError(f"{where}: {len(labels)} labels; allowed are at most {MOST_STRUCTURES}")
     return tuple(labels)
+
+
+def _table() -> list[tuple[int, str, str]]:
+    """Label, name and tissue of each class of `TABLE`."""
+    with files("ablate.anatomy.volumes").joinpath(f"{TABLE}.csv").open(encoding="utf-8") as stream:
+        return [(int(row["label"]), row["name"], row["tissue"]) for row in csv.DictReader(stream)]
