@@ -159,7 +159,8 @@ def _in_session(
     os.dup2(output, 1)
     os.dup2(output, 2)
     os.environ.update(environment)
-    faulthandler.enable(2)  # one that hangs says where
+    faulthandler.enable(2)  # one that hangs says where,
+    os.environ["PYTHONFAULTHANDLER"] = "1"  # and so does a program that it starts
     if inside is not None:
         _enter(inside)
     work(*arguments)

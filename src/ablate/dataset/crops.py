@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ablate.dataset.pairs import Pairs  # only here: frames that are read otherwise need no Zarr
 
 _TRIES = 50
-_LOST_S = 60.0
+_LOST_S = 60.0  # a batch that takes longer is made here; its thread may have ended
 
 
 @dataclass(frozen=True)
