@@ -1,5 +1,6 @@
 """Pairs on disk: nothing is made twice, and what is damaged is named and made again."""
 
+import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -70,6 +71,17 @@ def test_a_damaged_shard_is_named_on_reading_with_what_mends_it(pairs: Pairs) ->
     with pytest.raises(DamagedShardError, match=message):
         pairs.read("target", [8, 9, 10, 11])
     pairs.read("target", [7, 12])
+
+
+def test_readers_side_by_side_share_the_thread_of_the_first_read(pairs: Pairs) -> None:
+    """One that is started later may never come where there is no memory, and all readers then wait for it."""
+    readers = [threading.Thread(target=pairs.stored, args=("target", range(11))) for _ in range(8)]
+    for reader in readers:
+        reader.start()
+    for reader in readers:
+        reader.join()
+    decoding = [thread.name for thread in threading.enumerate() if thread.name.startswith(("zarr_pool", "asyncio"))]
+    assert len(decoding) == 1
 
 
 def test_a_frame_that_is_not_made_is_an_error_and_not_an_empty_image(pairs: Pairs) -> None:

@@ -27,10 +27,12 @@ from ablate.ultrasound.settings import probe_from
 if TYPE_CHECKING:
     from ablate.ultrasound import ScanConverter
 
+# Of several threads Zarr starts some later, which without memory may never return (CPython 140746).
+zarr.config.set({"threading.max_workers": 1, "async.timeout": 300})
+
 #: Part of every data set's identity: raise it when the same frames are stored otherwise.
 PAIRS_VERSION = 6
-# How each map is stored: NumPy's name of the type, Blosc's of the shuffle. Labels repeat as whole bytes; other values
-# pack better with bits, or bytes, of like place together.
+# Each map's type for NumPy and shuffle for Blosc: labels repeat as whole bytes, other values pack better by place.
 FORMATS = {
     "segmentation": ("uint8", "noshuffle"),
     "attenuation": ("uint16", "shuffle"),
