@@ -87,10 +87,8 @@ def _received(
     for line in range(begin, end):
         for row in range(4):  # both parts of the amplifier's noise, then of that of reverberation
             first = (shift[1] + (row // 2) * (samples // 2)) % samples
-            given = noise[row % 2, (line + shift[0] + (row // 2) * (lines // 2)) % lines]
-            for sample in range(samples):
-                from_sample = sample + first
-                shifted[row, sample] = given[from_sample if from_sample < samples else from_sample - samples]
+            from_line = noise[row % 2, (line + shift[0] + (row // 2) * (lines // 2)) % lines]
+            shifted[row, : samples - first], shifted[row, samples - first :] = from_line[first:], from_line[:first]
         real, imaginary = signal[0, line], signal[1, line]
         if len(clutter):
             for sample in range(samples):
@@ -106,8 +104,8 @@ def _received(
 def grey_levels(power: np.ndarray, range_db: float) -> None:
     """Change power, 1 of white, into levels from 0 to 255, not yet rounded; no signal is black whatever the range."""
     with np.errstate(divide="ignore"):
-        np.log10(power, out=power)
-    power *= 10 / range_db
+        np.log(power, out=power)  # four times as fast as log10 without AVX-512
+    power *= 10 / (math.log(10) * range_db)
     power += 1
     np.clip(power, 0, 1, out=power)
     power *= 255
