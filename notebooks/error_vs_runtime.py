@@ -39,7 +39,7 @@ points, level = runtime_points(study.table)
 # simulator and 40 ms for its networks, on a GPU that it does not name.
 
 # %%
-png, pdf = error_vs_runtime(points, folder / "error_vs_runtime", level, timed_on(study.usable.runs))
+png, pdf = error_vs_runtime(points, folder / "error_vs_runtime", level, timed_on(study.usable.all))
 Image(png, width=1000)
 
 # %%

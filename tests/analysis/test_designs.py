@@ -202,3 +202,18 @@ def test_saturated_designs_have_no_interval_and_bad_ones_are_refused():
         factorial_effects(runs.assign(b=0), ["a", "b"])
     with pytest.raises(ValueError, match="tell"):
         factorial_effects(runs.iloc[[0, 3]], ["a", "b"])
+
+
+def test_a_word_that_lacks_a_component_says_nothing_of_its_effect():
+    words = [off for off in ALL if sum(name in off for name in NAMES[:3]) % 2 == 0]
+    design = find_design(study_of(words), FACTORS)
+    assert "I = -attenuation:concat:upsampling," in design.reading
+    assert "interaction of 2 components" not in design.reading
+    assert "aliases of effects.csv" in design.reading
+    assert "interaction of 4 components" in find_design(study_of(HALF), FACTORS).reading
+
+
+def test_cells_of_two_anatomies_are_counted_once():
+    labels = study_of(LEAVE_ONE_OUT)
+    twice = labels | {f"{label}.anatomy_seed-1": made for label, made in labels.items()}
+    assert find_design(twice, FACTORS).name == "one change at a time around sa2h (6 cells)"

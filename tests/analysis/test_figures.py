@@ -10,7 +10,7 @@ from matplotlib.image import imread
 from ablate import analysis
 from ablate.analysis import RESIMULATION
 from ablate.analysis.figures.style import shown_name
-from ablate.metrics import patch_chi2
+from ablate.metrics import Direction, Metric, patch_chi2
 from support.components import COMPONENTS
 
 
@@ -23,7 +23,7 @@ def figures(monkeypatch):
         drawn[stem.name] = figure
         return [stem]
 
-    for module in ("panel_figures", "forest_figure", "image_figures"):
+    for module in ("panel_figures", "forest_figure", "image_figures", "runtime_figure"):
         monkeypatch.setattr(f"ablate.analysis.figures.{module}.save_figure", keep)
     return drawn
 
@@ -195,3 +195,31 @@ def test_captions_tell_a_floor_from_a_level():
         assert "level of a perfect stochastic renderer for PSNR" in text
     assert "frame 3" in analysis.caption("pchi2_maps", frame="frame 3")
     assert analysis.caption("verdicts", design=None).endswith("the parameters of the network.")
+
+
+@pytest.mark.parametrize(("better", "front"), [(Direction.zero, [-0.5, 0.1]), (Direction.none, None)])
+def test_a_metric_of_both_signs_has_its_own_front_and_a_linear_axis(better, front, figures, tmp_path, monkeypatch):
+    points = pd.DataFrame({"series": list("abc"), "ms": [1.0, 2.0, 3.0], "error": [-0.5, 0.1, -9.0]})
+    points = points.assign(setting="", metric="signed")
+    monkeypatch.setattr(analysis.figures.runtime_figure, "metric_of", lambda name: Metric(name, better=better))
+    analysis.error_vs_runtime(points, tmp_path / "signed")
+    axes = figures["signed"].axes[0]
+    assert axes.get_yscale() == "linear", "a logarithm hides what is below 0"
+    fronts = [list(line.get_ydata()) for line in axes.lines if line.get_label() == "Pareto front"]
+    assert fronts == ([front] if front else [])
+
+
+def test_a_map_without_a_patch_has_no_number(pictures, figures, tmp_path):
+    analysis.chi2_maps_figure(replace(pictures, mask=np.zeros_like(pictures.mask)), tmp_path / "none")
+    titles = [axes.get_title() for axes in figures["none"].axes]
+    assert "sa2h\n–" in titles
+    assert not any("0.000" in title for title in titles)
+
+
+def test_captions_are_silent_about_what_pairs_lack():
+    for figure in ("boxplots", "seeds", "qualitative", "pchi2_maps", "error_vs_runtime"):
+        more = {"frame": "frame 3"} if figure == "pchi2_maps" else {}
+        assert "re-simulation" in analysis.caption(figure, ["psnr"], **more).lower()
+        assert "re-simulation" not in analysis.caption(figure, ["psnr"], resimulated=False, **more).lower()
+    assert "attenuation A" in analysis.caption("qualitative")
+    assert "attenuation A" not in analysis.caption("qualitative", attenuation=False)

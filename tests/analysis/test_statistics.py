@@ -147,3 +147,12 @@ def test_seeds_that_hardly_vary_claim_nothing(a, b):
     figures = welch(np.array(a), np.array(b))
     assert np.isfinite(figures).all()
     assert figures[3] > 0.05
+
+
+def test_rounding_is_no_difference():
+    """Equal scores of metrics with few levels, averaged over two seeds and over seven."""
+    scores = np.random.default_rng(0).integers(1, 20, 60) / 19
+    two, many = (np.cumsum(np.full((seeds, 60), scores), axis=0)[-1] / seeds for seeds in (2, 7))
+    assert np.count_nonzero(two != many) > 5
+    result = paired_difference(many, two, np.arange(60) // 6)
+    assert (result.p, result.p_sites, result.effect, result.shift) == (1.0, 1.0, 0.0, 0.0)

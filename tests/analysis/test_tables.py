@@ -14,6 +14,7 @@ from ablate import analysis
 from ablate.analysis import RESIMULATION
 from ablate.analysis.statistics.paired import PAIRED_COLUMNS
 from ablate.analysis.tables import latex_text
+from ablate.metrics import Direction, Metric
 
 
 @pytest.fixture(scope="module")
@@ -224,3 +225,33 @@ def test_it_compiles(large, tmp_path):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:]
     assert (tmp_path / "table.pdf").exists()
+
+
+def test_a_value_that_only_some_runs_have_is_counted_and_compared_by_none(study):
+    """One seed has no value of the six easiest frames, which would make its mean the worst."""
+    frame = study.query("variant == 'sa2h' and seed == 0 and metric == 'psnr'").nlargest(6, "value")["frame"]
+    gone = (study["variant"] == "nsa2h") & (study["seed"] == 1) & (study["metric"] == "psnr")
+    part = study[~(gone & study["frame"].isin(frame))]
+    cell = analysis.comparison_table(part).query("variant == 'nsa2h' and metric == 'psnr'").iloc[0]
+    assert (cell["n"], cell["dropped"]) == (66, 6)
+    row = analysis.paired_table(part, resamples=10).query("variant == 'nsa2h' and metric == 'psnr'").iloc[0]
+    assert (row["n"], row["dropped"]) == (18, 6)
+    claims = analysis.seed_claims(part).set_index(["variant", "metric"])
+    both = analysis.seed_claims(study[~study["frame"].isin(frame)]).set_index(["variant", "metric"])
+    for variant in ("nsa2h", "sa2h-att"):
+        assert claims.loc[(variant, "psnr"), "shift"] == pytest.approx(both.loc[(variant, "psnr"), "shift"])
+    text = " ".join(analysis.cautions(part))
+    assert "PSNR: 6 missing values left out (nsa2h/seed1 frame" in text
+    assert "means over the frames of which all runs have a value" in text
+    nowhere = study[(study["metric"] == "pchi2") | (study["frame"] != 3)]
+    assert "missing value" not in " ".join(analysis.cautions(nowhere)), "the frame offers nothing to measure"
+    assert set(analysis.comparison_table(nowhere).query("metric == 'psnr'")["dropped"]) == {3, 1}
+
+
+def test_the_best_at_zero_is_nearest_to_it_in_every_seed(monkeypatch):
+    rows = [("sa2h", 0, 1.0), ("sa2h", 1, 2.0), ("nsa2h", 0, 5.0), ("nsa2h", 1, -5.0)]
+    table = pd.DataFrame(rows, columns=["variant", "seed", "value"]).assign(frame=0, site=0, metric="bias")
+    monkeypatch.setattr("ablate.analysis.tables.metric_of", lambda name: Metric(name, better=Direction.zero))
+    compared = analysis.comparison_table(table).set_index("variant")
+    assert compared["mean"].to_dict() == {"sa2h": 1.5, "nsa2h": 0.0}
+    assert compared["best"].to_dict() == {"sa2h": True, "nsa2h": False}, "5 too much and 5 too little"

@@ -248,3 +248,22 @@ def test_a_component_has_the_time_that_the_timed_runs_tell(cells: pd.DataFrame, 
     assert both[0].loc[["att", "noise"]].tolist() == pytest.approx([4.0, 7.0])
     assert both[1]["att"] == pytest.approx(4.0)
     assert np.isnan(both[1]["noise"]), "a time that was measured on one side only is no difference of 0"
+
+
+def test_an_interaction_of_two_runs_a_side_has_no_q_as_it_has_no_p() -> None:
+    names = ("att", "concat", "noise")
+    alone = [off for off in (*((name,) for name in names), *combinations(names, 2)) if off != ("att", "concat")]
+    labels = {".".join(["sa2h", *off]): off for off in [(), *alone]}
+    whole = find_design({label: without(*off) for label, off in labels.items()}, tuple(FULL))
+    assert whole is not None
+    runs = [{"variant": label, "seed": seed, "data": ""} for label in labels for seed in (0, 1)]
+    cells = pd.DataFrame(runs)
+    values = np.random.default_rng(0).normal(size=len(cells))
+    means = means_of(cells, whole, values)
+    table = analysis.interactions(means, whole, COMPONENTS)
+    p = analysis.effects_table(means, whole).set_index(["metric", "effect"])["p"]
+    key = {component.name: component.key for component in COMPONENTS}
+    for row in table.to_dict("records"):
+        pair = (key[row["component"]], key[row["other"]])
+        effect = ":".join(factor for factor in whole.factors if factor in pair)
+        assert pd.isna(row["q"]) == pd.isna(p[METRIC[row["component"]], effect])

@@ -37,12 +37,6 @@ class Component:
     ------
     ValueError
         When the name cannot be part of a file name, the key is empty, or the band is not a finite number above 0.
-
-    Examples
-    --------
-    >>> from ablate.analysis import Component
-    >>> Component("loss", "training.reconstruction", on="l1", off="l2", metric="mae_smooth", band=0.5).label
-    'reconstruction'
     """
 
     name: str

@@ -9,7 +9,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ablate.analysis.components import Component
-from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
+from ablate.analysis.scored import REFERENCE, RESIMULATION, every_frame, ordered_metrics, ordered_variants
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.tables import cell_texts, head, resimulation_note
 from ablate.metrics import METRICS, Shown, metric_of, shown_in
@@ -38,13 +38,19 @@ _TEMPLATES.filters["head_of"] = head
 _TEMPLATES.tests["missing"] = pd.isna
 
 
-def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
-    """Return what a reader must not conclude from a study, one sentence each; `per_image` as for `comparison_table`."""
+def cautions(per_image: pd.DataFrame, reference: str = REFERENCE, blocks: pd.DataFrame | None = None) -> list[str]:
+    """Return what a reader must not conclude from a study, one sentence each; `per_image` as for `comparison_table`.
+
+    `blocks` has the same of runs on other anatomies or data sets, which verdicts use too, with a column data in both.
+    """
     networks = per_image[per_image["variant"] != RESIMULATION]
     variants = ordered_variants(list(networks["variant"]), reference)
-    seeds, sites_of = networks.groupby("variant")["seed"].nunique(), networks.groupby("frame")["site"].nunique()
-    frames = networks.groupby(["variant", "seed"])["frame"].nunique()
-    runs = zip(frames.index, frames, strict=True)
+    seeds = networks.groupby("variant")["seed"].nunique()
+    everything = pd.concat([per_image if "data" in per_image else per_image.assign(data=""), blocks])
+    judged = everything[everything["variant"] != RESIMULATION]
+    sites_of = judged.groupby(["data", "frame"])["site"].nunique()
+    frames = judged.groupby(["data", "variant", "seed"])["frame"].nunique()
+    runs = zip(frames.index, frames, frames.groupby("data").transform("max"), strict=True)
     text = _TEMPLATES.get_template("cautions.jinja").render(
         reference=reference,
         variants=variants,
@@ -53,35 +59,39 @@ def cautions(per_image: pd.DataFrame, reference: str = REFERENCE) -> list[str]:
         resimulated=RESIMULATION in set(per_image["variant"]),
         sites=networks["site"].nunique(),
         few_sites=FEW_SITES,
-        moved=[str(frame) for frame in sites_of.index[sites_of > 1]],
-        most_frames=frames.max(),
-        short=[f"{variant}/seed{seed} ({n})" for (variant, seed), n in runs if n < frames.max()],
-        gaps=_gaps(per_image),
+        moved=[str(frame) for _, frame in sites_of.index[sites_of > 1]],
+        short=[f"{variant}/seed{seed} ({n} of {most})" for (_, variant, seed), n, most in runs if n < most],
+        gaps=_gaps(everything),
         metrics_of_the_package=METRICS,
     )
     return [" ".join(paragraph.split()) for paragraph in text.split("\n\n") if paragraph.strip()]
 
 
-def caption(figure: str, metrics: Sequence[str] = (), reference: str = REFERENCE, **shown: object) -> str:
+def caption(
+    figure: str, metrics: Sequence[str] = (), reference: str = REFERENCE, resimulated: bool = True, **shown: object
+) -> str:
     """Caption of a figure, by the name of its file without a number; `shown` is what else stands in `captions.jinja`.
 
-    Examples
-    --------
-    >>> from ablate.analysis import caption
-    >>> caption("seeds", ["psnr"])[:42]
-    'Scores of all trainings. A ring is the mea'
+    Without `resimulated` it says nothing of the re-simulation, which pairs that were made elsewhere may lack.
     """
-    labels, note = ", ".join(metric_of(metric).label for metric in metrics), resimulation_note(list(metrics))
+    labels = ", ".join(metric_of(metric).label for metric in metrics)
+    shown |= {"note": resimulation_note(list(metrics)) if resimulated else "", "resimulated": resimulated}
     template = _TEMPLATES.get_template("captions.jinja")
-    return " ".join(template.render(shown, figure=figure, labels=labels, note=note, reference=reference).split())
+    return " ".join(template.render(shown, figure=figure, labels=labels, reference=reference).split())
 
 
 def _gaps(per_image: pd.DataFrame) -> list[tuple[str, str, int, list[str]]]:
-    """Values that are not finite: the metric, their kind, how many there are, and their runs and frames."""
+    """Values that are not finite: the metric, their kind, how many there are, and their runs and frames.
+
+    A value is missing where another run has one of the frame: where none has, the frame offers nothing to measure.
+    """
     gaps = []
     for metric in ordered_metrics(list(per_image["metric"])):
-        rows = per_image[per_image["metric"] == metric]
-        for kind, left_out in (("infinite value", rows[np.isinf(rows["value"])]), ("NaN", rows[rows["value"].isna()])):
+        rows = every_frame(per_image, metric)
+        value, stored = rows["value"], rows["stored"] == "both"
+        elsewhere = stored.groupby([rows["data"], rows["frame"]]).transform("any")
+        kinds = {"infinite value": np.isinf(value), "NaN": value.isna() & stored, "missing value": elsewhere & ~stored}
+        for kind, left_out in ((kind, rows[chosen]) for kind, chosen in kinds.items()):
             if len(left_out):
                 of_runs = left_out["frame"].astype(str).groupby([left_out["variant"], left_out["seed"]], sort=False)
                 where = [f"{v}/seed{s} frame {', '.join(f.iloc[:3])}{' ...' * (len(f) > 3)}" for (v, s), f in of_runs]
@@ -112,6 +122,7 @@ def write_report(
     notes: Sequence[str] = (),
     verdicts: pd.DataFrame | None = None,
     components: Sequence[Component] = (),
+    blocks: pd.DataFrame | None = None,
 ) -> Path:
     """Write the report to `path`; it needs no other file and no network.
 
@@ -121,6 +132,8 @@ def write_report(
         Heading, usually the study's name.
     per_image, table, paired, claims, verdicts : DataFrame
         As for `comparison_table`; and what that, `paired_table`, `seed_claims` and `verdict_table` give.
+    blocks : DataFrame, optional
+        As for `cautions`.
     figures : sequence of (Path, str)
         PNG files and their captions, in order; they are inlined. That of the verdicts, `verdicts.png`, comes first.
     left_out, notes : sequence of str
@@ -141,12 +154,12 @@ def write_report(
     text = _TEMPLATES.get_template("report.html.jinja").render(
         title=title,
         compared=_compared(per_image),
-        warnings=[*notes, *cautions(per_image, reference)],
+        warnings=[*notes, *cautions(per_image, reference, blocks)],
         variants=[{"variant": variant} for variant in variants],
         metrics=metrics,
         unfolded=unfolded,
         cells=cells,
-        resimulation_note=resimulation_note(unfolded),
+        resimulation_note=resimulation_note(unfolded) if RESIMULATION in variants else "",
         reference=reference,
         paired=paired.to_dict("records"),
         claims=None if claims is None or claims.empty else claims[claims["p"].notna()].to_dict("records"),

@@ -35,8 +35,29 @@ def judged_metrics(metrics: Sequence[str]) -> list[str]:
     return [name for name in ordered_metrics(metrics) if metric_of(name).group is not Group.cost]
 
 
+def every_frame(per_image: pd.DataFrame, metric: str | None = None) -> pd.DataFrame:
+    """The values of all metrics or of one, with NaN for each frame of a run of which a metric of the run has none.
+
+    The column `stored` is "left_only" in these rows.
+    """
+    run = ["variant", "seed", *({"data"} & set(per_image))]
+    chosen = per_image if metric is None else per_image[per_image["metric"] == metric]
+    frames, metrics = per_image[[*run, "frame", "site"]].drop_duplicates(), chosen[[*run, "metric"]].drop_duplicates()
+    return frames.merge(metrics, on=run).merge(chosen, how="left", indicator="stored")
+
+
 def finite_values(per_image: pd.DataFrame, scalars: pd.DataFrame | None = None) -> pd.DataFrame:
-    """The finite values of both tables, with the columns variant, seed, metric, value, and data where they have it."""
-    columns = [*SCALAR_COLUMNS, *({"data"} & set(per_image))]
-    values = per_image[columns] if scalars is None else pd.concat([per_image[columns], scalars[columns]])
-    return values[np.isfinite(values["value"])]
+    """The finite values of both tables, with the columns variant, seed, metric, value, and data where they have it.
+
+    Of networks they are those of frames of which all runs have one, or means of runs would be over different frames. A
+    run without one finite value of a metric does not count.
+    """
+    data = [*({"data"} & set(per_image))]
+    finite = per_image[np.isfinite(per_image["value"])]
+    run = finite["variant"] + " " + finite["seed"].astype(str)
+    alike = [finite["variant"] == RESIMULATION, *(finite[name] for name in ("metric", *data))]
+    of_frame, of_all = (run.groupby(by).transform("nunique") for by in ([*alike, finite["frame"]], alike))
+    shared = finite.loc[(of_frame == of_all) | alike[0], [*SCALAR_COLUMNS, *data]]
+    if scalars is None:
+        return shared
+    return pd.concat([shared, scalars.loc[np.isfinite(scalars["value"]), [*SCALAR_COLUMNS, *data]]])

@@ -7,7 +7,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ablate.analysis.scored import REFERENCE, RESIMULATION, ordered_metrics, ordered_variants, variant_group
+from ablate.analysis.scored import (
+    REFERENCE,
+    RESIMULATION,
+    every_frame,
+    ordered_metrics,
+    ordered_variants,
+    variant_group,
+)
 from ablate.metrics import Direction, Resimulation, metric_of
 from ablate.metrics.metric import BOUNDS, FRAME_TIME, SCALAR_COLUMNS
 
@@ -48,9 +55,10 @@ def comparison_table(
     DataFrame
         One row a variant and metric: columns variant, metric, mean (NaN without one finite value), sd (over frames, as
         the paper has it; over seeds for scalars; half of upper minus lower for times), seed_sd (of the seeds' means;
-        None with one seed, and for times), seeds, n, dropped (values left out: infinite ones, of identical images, and
-        NaN), lower, upper (where runs carry an interval of their own: the mean of its bounds), best (of the networks;
-        the re-simulation does not compete; all times that the fastest one's spread reaches are best).
+        None with one seed, and for times), seeds, n, dropped (frames without a finite value), lower, upper (where runs
+        carry an interval of their own: the mean of its bounds), best (of the networks, by the mean; where 0 is best, by
+        the mean size of the seeds' means; the re-simulation does not compete; all times that the fastest one's spread
+        reaches are best).
 
     Examples
     --------
@@ -64,7 +72,7 @@ def comparison_table(
     0      sa2h  19.0  2   True
     1  sa2h-att  16.0  2  False
     """
-    parts = [per_image[[*SCALAR_COLUMNS]]]
+    parts = [every_frame(per_image)[[*SCALAR_COLUMNS]]]
     if scalars is not None and len(scalars):
         parts.append(scalars[[c for c in (*SCALAR_COLUMNS, *BOUNDS) if c in scalars]])
     values = pd.concat(parts, ignore_index=True)
@@ -72,18 +80,20 @@ def comparison_table(
     for (variant, metric), cell in values.groupby(["variant", "metric"], sort=False):
         finite = cell[np.isfinite(cell["value"])]
         seed_means = finite.groupby("seed")["value"].mean()
+        judge, mean = metric_of(str(metric)), float(finite["value"].mean())
+        badness = judge.badness(float(seed_means.abs().mean()) if judge.better is Direction.zero else mean)
         sd, seed_sd = (float(v.std()) if len(v) > 1 else None for v in (finite["value"], seed_means))
         # The mean over runs of the bounds of their intervals, where runs carry some.
         lower, upper = (float(cell[b].mean()) if b in cell and cell[b].notna().any() else None for b in BOUNDS)
         if metric == FRAME_TIME and lower is not None and upper is not None:
             sd, seed_sd = (upper - lower) / 2, None
         counts = (int(cell["seed"].nunique()), len(finite), len(cell) - len(finite))
-        rows.append((variant, metric, float(finite["value"].mean()), sd, seed_sd, *counts, lower, upper))
-    columns = ["variant", "metric", "mean", "sd", "seed_sd", "seeds", "n", "dropped", *BOUNDS]
+        rows.append((variant, metric, mean, sd, seed_sd, *counts, lower, upper, badness))
+    columns = ["variant", "metric", "mean", "sd", "seed_sd", "seeds", "n", "dropped", *BOUNDS, "badness"]
     table = pd.DataFrame(rows, columns=columns)
-    table["best"] = False
+    every_badness, table["best"] = table.pop("badness"), False
     for metric, group in table[table["variant"] != RESIMULATION].groupby("metric"):
-        scores = group["mean"].map(lambda value, metric=metric: metric_of(str(metric)).badness(value))
+        scores = every_badness[group.index]
         if scores.notna().any() and len(group) > 1:
             best = scores == scores.min()
             if metric == FRAME_TIME:

@@ -33,14 +33,6 @@ class Structure:
     TypeError
         When the mesh is no `trimesh.Trimesh` (trimesh loads files of several parts as a `trimesh.Scene`) or the
         tissue is no `Tissue`.
-
-    Examples
-    --------
-    >>> import trimesh
-    >>> from ablate.anatomy import load_tissues
-    >>> cyst = Structure(trimesh.creation.icosphere(radius=10.0), load_tissues()["urine"])
-    >>> cyst.mesh.extents.tolist(), cyst.tissue.kind.value
-    ([20.0, 20.0, 20.0], 'fluid')
     """
 
     mesh: trimesh.Trimesh
@@ -96,14 +88,7 @@ class Scene:
 
 
 def bounds_mm(meshes: Iterable[trimesh.Trimesh]) -> np.ndarray:
-    """Lower and upper corner of the box around all meshes, (2, 3) float64, mm; zeros where there is none.
-
-    Examples
-    --------
-    >>> import trimesh
-    >>> bounds_mm([trimesh.creation.box((2, 4, 6)), trimesh.creation.icosphere(radius=2.0)]).tolist()
-    [[-2.0, -2.0, -3.0], [2.0, 2.0, 3.0]]
-    """
+    """Lower and upper corner of the box around all meshes, (2, 3) float64, mm; zeros where there is none."""
     bounds = np.array([mesh.bounds for mesh in meshes])
     return np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)]) if len(bounds) else np.zeros((2, 3))
 

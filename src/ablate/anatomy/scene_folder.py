@@ -127,14 +127,6 @@ def load_sites(folder: str | Path) -> SiteGrid:
     ------
     FileNotFoundError, ValueError
         As `validate_scene_folder`; and ValueError when the file has no `sites`.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = Path(folder, "scene.yaml").write_text("sites: {heights: {range: [0, 40], count: 3}}")
-    ...     load_sites(folder).heights_mm
-    (0.0, 20.0, 40.0)
     """
     sites = validate_scene_folder(folder).sites
     if sites is None:

@@ -98,13 +98,7 @@ def _table() -> tuple[Tissue, ...]:
 
 
 def load_tissues() -> dict[str, Tissue]:
-    """The built-in tissues by name, from dark to bright; `tissues.csv` has the source of each row.
-
-    Examples
-    --------
-    >>> load_tissues()["liver"].attenuation_db_cm_mhz
-    0.5
-    """
+    """The built-in tissues by name, from dark to bright; `tissues.csv` has the source of each row."""
     return {tissue.name: tissue for tissue in _table()}
 
 

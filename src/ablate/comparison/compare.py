@@ -11,10 +11,10 @@ import pandas as pd
 from filelock import FileLock
 
 from ablate import analysis, tracking
-from ablate.analysis import FramePictures
-from ablate.comparison.frame_times import TIMES, frame_times, time_networks, timed_on, untimed
+from ablate.analysis import RESIMULATION, FramePictures
+from ablate.comparison.frame_times import TIMES, time_networks, timed_on, untimed
 from ablate.comparison.opened import Study
-from ablate.comparison.reading import pictures, provenance, runtime_points, scored_frames
+from ablate.comparison.reading import pictures, provenance, runtime_points
 from ablate.comparison.usable_runs import levels_of, usable_runs
 from ablate.metrics import METRICS_VERSION, Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
@@ -49,7 +49,7 @@ def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> s
         raise ConfigurationError(" ".join([f"{settings.study_dir} holds no finished run to compare.", *usable.notes]))
     failed = time_networks(settings.study_dir, usable.all) if time_here else ""
     usable = replace(usable, notes=(*usable.notes, *filter(None, [failed]), *untimed(usable.all)))
-    study = Study(settings.study_dir, usable, reference, *scored_frames(usable.runs))
+    study = Study(settings.study_dir, usable, reference)
     made_from = _made_from(study)
     marker = folder / "made_from.json"
     notes = None if rebuild else _kept(marker, made_from)
@@ -61,7 +61,7 @@ def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> s
         tracked = ""
     except UNAVAILABLE as error:
         tracked = f"\nNote: not all is in MLflow yet ({reason(error)}); the same command logs the rest."
-    warnings = "\n".join(f"Note: {c}" for c in (*usable.notes, *analysis.cautions(study.per_image, reference)))
+    warnings = "\n".join(f"Note: {note}" for note in notes)
     uri = settings.tracking.uri or default_uri(settings.results)
     shown = study.table[study.table["metric"].isin(shown_in(Shown.screen))]
     pages = uri if uri.startswith("http") else f"make ui, or: mlflow ui --backend-store-uri {uri} --workers 1"
@@ -118,10 +118,11 @@ def write_comparison(study: Study, title: str) -> list[str]:
         verdicts=judged.verdicts,
         components=judged.components,
         figures=[(path, caption) for path, caption in figures if path.suffix == ".png"],
-        left_out=_left_out(usable.runs),
+        left_out=_left_out(usable.all),
         provenance=provenance(usable.all),
         reference=reference,
         notes=notes,
+        blocks=study.blocks,
     )
     analysis.wide_table(study.table).to_csv(partial / "table.csv", index=False)
     of_the_paper = study.table[study.table["metric"].isin(shown_in(Shown.table))]
@@ -132,7 +133,7 @@ def write_comparison(study: Study, title: str) -> list[str]:
         content.to_csv(partial / f"{name}.csv", index=False)
     shutil.rmtree(folder, ignore_errors=True)
     partial.rename(folder)
-    return [*notes, *analysis.cautions(study.per_image, reference)]
+    return [*notes, *analysis.cautions(study.per_image, reference, study.blocks)]
 
 
 def stored_pictures(runs: Sequence[Run], reference: str) -> tuple[list[FramePictures], str]:
@@ -148,10 +149,11 @@ def draw_figures(study: Study, frames: Sequence[FramePictures], folder: Path) ->
     """Draw every figure for which there are numbers or pictures; returns PNGs and PDFs, each with its caption."""
     reference, per_image, answers = study.reference, study.per_image, study.answers
     design, means, components = answers.design, answers.means, answers.components
+    resimulated = RESIMULATION in set(per_image["variant"])
     made: list[tuple[Path, str]] = []
 
     def add(paths: Sequence[Path], figure: str, metrics: Sequence[str] = (), **shown: object) -> None:
-        made.extend((path, analysis.caption(figure, metrics, reference, **shown)) for path in paths)
+        made.extend((path, analysis.caption(figure, metrics, reference, resimulated, **shown)) for path in paths)
 
     runs = analysis.improvements(means, design, components)
     pairs = analysis.interactions(means, design, components)
@@ -160,7 +162,7 @@ def draw_figures(study: Study, frames: Sequence[FramePictures], folder: Path) ->
     page = analysis.frames_a_page(len(frames[0].predictions)) if frames else 1
     for k, start in enumerate(range(0, len(frames), page)):
         drawn = analysis.qualitative_figure(frames[start : start + page], folder / f"qualitative_{k}", components)
-        add(drawn, "qualitative")
+        add(drawn, "qualitative", attenuation=frames[start].attenuation is not None)
     scored = analysis.ordered_metrics(list(per_image["metric"]))
     headline = [name for name in shown_in(Shown.headline) if name in scored]
     for stem, metrics in {"boxplots": headline, **{f"boxplot_{name}": [name] for name in scored}}.items():
@@ -189,8 +191,8 @@ def _track(settings: StudySettings, study: Study, notes: Sequence[str]) -> None:
     if run.tag(STATE) != state:
         for path in files:
             run.artifact(path, "vector" if path.suffix == ".pdf" else None)
-        run.tags(provenance(runs))
-        for row in frame_times(runs).to_dict("records"):
+        run.tags(provenance(study.usable.all))
+        for row in study.scalars[study.scalars["metric"] == FRAME_TIME].to_dict("records"):
             if (run_id := ids.get(f"{row['variant']}/seed{row['seed']}")) is not None:
                 StoredRun(run.store, run_id).scores({FRAME_TIME: row["value"]})
         headline = table[table["metric"].isin(shown_in(Shown.headline))]

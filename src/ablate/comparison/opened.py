@@ -32,18 +32,37 @@ class Study:
         The runs as they lie on disk, `usable.runs`, and what was left aside and why, `usable.notes`.
     reference : str
         The variant that the others are compared with.
-    per_image : DataFrame
-        Columns variant, seed, frame, site, metric, value, ...: one row a metric of a test frame of a run. The variant
-        `re-simulation` is the same frames simulated again.
-    scalars : DataFrame
-        Columns variant, seed, metric, value, lower, upper: one row a metric that only a run has, as a distance.
     """
 
     folder: Path
     usable: UsableRuns
     reference: str
-    per_image: pd.DataFrame
-    scalars: pd.DataFrame
+
+    @cached_property
+    def per_image(self) -> pd.DataFrame:
+        """Columns variant, seed, frame, site, metric, value, ...: one row a metric of a test frame of a run.
+
+        The variant `re-simulation` is the same frames simulated again.
+        """
+        return self._of_runs(0)
+
+    @cached_property
+    def scalars(self) -> pd.DataFrame:
+        """Columns variant, seed, metric, value, lower, upper: one row a metric that only a run has, as a distance."""
+        return self._of_runs(1)
+
+    @property
+    def blocks(self) -> pd.DataFrame:
+        """The rows as in `per_image` of the runs `usable.blocks`."""
+        return self._scored[0][self._scored[0]["data"] != self.usable.runs[0].data]
+
+    @cached_property
+    def _scored(self) -> tuple[pd.DataFrame, pd.DataFrame]:
+        return scored_frames(self.usable.all)
+
+    def _of_runs(self, table: int) -> pd.DataFrame:
+        rows = self._scored[table]
+        return rows[rows["data"] == self.usable.runs[0].data].reset_index(drop=True)
 
     @cached_property
     def table(self) -> pd.DataFrame:
@@ -98,7 +117,7 @@ def open_study(path: str | Path) -> Study:
     usable = usable_runs(folder, reference)
     if not usable.runs:
         raise FileNotFoundError(" ".join([f"There is no finished study at {path}.", *usable.notes]))
-    return Study(folder, usable, reference, *scored_frames(usable.runs))
+    return Study(folder, usable, reference)
 
 
 def found_study(places: Sequence[str] = SWEEP, made_by: str = "make sweep") -> Study:

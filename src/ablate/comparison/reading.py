@@ -127,8 +127,8 @@ def provenance(runs: Sequence[Run]) -> dict[str, str]:
 class Answers:
     """The design of a study, and what follows from it; the tables are those of `ablate.analysis`.
 
-    `runs` has one row a run of the study: variant, seed, data, its components, its mean of every metric, and the
-    quartiles of its time a frame.
+    `runs` has one row a run of the study: variant, seed, data, its components, its mean of every metric over the frames
+    of which all runs have a value, and the quartiles of its time a frame.
     """
 
     design: Design | None  # None where no component varies; `effects` is then empty
@@ -147,8 +147,8 @@ def answers(runs: Sequence[Run], reference: str = REFERENCE) -> Answers:
     block = {run.data: str(run.spec["semantic"]["data"]["scene"].get("anatomy_seed", "")) for run in runs}
     per_image, scalars = scored_frames(runs)
     design = analysis.find_design(levels, factors, reference)
-    frames, values = (rows.assign(data=rows["data"].map(block)) for rows in (per_image, scalars))
-    means = analysis.run_means(frames, values, design)
+    means = analysis.run_means(per_image, scalars, design)
+    means["data"] = means["data"].map(block)
     times = scalars[scalars["metric"] == FRAME_TIME]  # their spread is half the distance of the quartiles
     spreads = {FRAME_TIME: float((times["upper"] - times["lower"]).mean() / 2)} if len(times) else {}
     effects = pd.DataFrame() if design is None else analysis.effects_table(means, design)

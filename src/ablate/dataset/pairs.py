@@ -260,16 +260,6 @@ def open_pairs(folder: Path) -> Pairs:
 
     A FileNotFoundError when there is none; a ValueError when its poses, sites, split or mask are not as they were
     written, or it is stored in another version.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> mask, split = np.ones((24, 32), bool), np.array([Part.train, Part.validation, Part.test])
-    >>> with TemporaryDirectory() as folder:
-    ...     _ = create_pairs(Path(folder), np.zeros((3, 4, 4)), np.arange(3), split, mask, 2, ["gel"], {})
-    ...     pairs = open_pairs(Path(folder))
-    ...     len(pairs), pairs.shape, pairs.missing(frozenset({"target"}))
-    (3, (24, 32), (0, 1))
     """
     if not (folder / "about.json").exists():
         raise FileNotFoundError(f"no data set at {folder}; {_MEND} makes it")

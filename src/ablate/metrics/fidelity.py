@@ -51,16 +51,7 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
 
 
 def mae(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Mean absolute error in grey levels, 0 to 255; arguments and errors as for `psnr`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from ablate.metrics import mae
-    >>> target = np.zeros((4, 4), np.uint8)
-    >>> mae(target + np.uint8(16), target)
-    16.0
-    """
+    """Mean absolute error in grey levels, 0 to 255; arguments and errors as for `psnr`."""
     difference = _difference(a, b, mask)
     return int(np.sum(np.abs(difference), dtype=np.int64)) / difference.size
 

@@ -12,6 +12,7 @@ from matplotlib.image import AxesImage
 from ablate.analysis.components import Component
 from ablate.analysis.figures.style import PAGE_IN, house_style, new_figure, save_figure, shown_name
 from ablate.analysis.scored import CHANGED, variant_group
+from ablate.analysis.tables import NOTHING
 from ablate.metrics import patch_chi2, patches_inside, rms
 
 ACROSS = 4  # pictures side by side on a page; with more of them, speckle is lost in print
@@ -140,7 +141,8 @@ def chi2_maps_figure(frame: FramePictures, stem: Path, components: Sequence[Comp
             extent = (0, chi2.shape[1] * PATCH, chi2.shape[0] * PATCH, 0)
             drawn = _picture(upper, shown, "inferno", vmin=0, vmax=1, extent=extent)
             upper.set(xlim=(0, width), ylim=(height, 0), aspect="equal", facecolor="#EEEEEE")
-            upper.set_title(f"{shown_name(name, components)}\n{rms(chi2, inside) or 0.0:.3f}")
+            whole = rms(chi2, inside)
+            upper.set_title(f"{shown_name(name, components)}\n{NOTHING if whole is None else f'{whole:.3f}'}")
             _picture(lower, frame.predictions[name], **GREY)
         bar = figure.colorbar(drawn, cax=maps[len(names)].inset_axes((0.1, 0.5, 0.8, 0.1)), orientation="horizontal")
         bar.set_label("pχ²")

@@ -92,7 +92,7 @@ def seed_plot(
     reference: str = REFERENCE,
     components: Sequence[Component] = (),
 ) -> list[Path]:
-    """Draw one ring a training at its mean over the test frames, with the re-simulation.
+    """Draw one ring a training at its mean over the test frames of which all have a value, with the re-simulation.
 
     The grey band is the range of the reference's trainings. Metrics without a finite value are left out. The files are
     as for `boxplot_panels`, none without a network.

@@ -121,18 +121,18 @@ def _diagram(axes: Axes, points: pd.DataFrame, metric: str, floor: float | None,
                 span = [[point["ms"] - point["lower"]], [point["upper"] - point["ms"]]]
                 axes.errorbar(point["ms"], point["error"], xerr=span, color=style["color"], lw=0.8, capsize=1.5)
             axes.plot(point["ms"], point["error"], ls="none", label=runs[name], **style)
-    error = points["error"].to_numpy(dtype=np.float64)
-    positive = error[error > 0]
-    decibels = metric_of(metric).better is Direction.higher  # PSNR is a logarithm already
-    if not decibels and len(positive) and positive.max() > _LOGARITHMIC_FROM * positive.min():
+    error, judge = points["error"].to_numpy(dtype=np.float64), metric_of(metric)
+    decibels = judge.better is Direction.higher  # PSNR is a logarithm already
+    if not decibels and error.min() > 0 and error.max() > _LOGARITHMIC_FROM * error.min():
         axes.set_yscale("log")
         _plain_numbers(axes.yaxis)
     fair = points[points["series"].isin([*runs, OTHER_SPECKLE])]
     fair = points if fair.empty else fair
     ms, error = (fair[name].to_numpy(dtype=np.float64) for name in ("ms", "error"))
     spread = [fair[side].to_numpy(dtype=np.float64) for side in BOUNDS if side in fair]
-    front = pareto_front(ms, -error if decibels else error, *spread)
-    axes.step(ms[front], error[front], where="post", color="#BBBBBB", lw=3, zorder=0, label="Pareto front")
+    if judge.better is not Direction.none:
+        front = pareto_front(ms, np.array([judge.badness(value) for value in error]), *spread)
+        axes.step(ms[front], error[front], where="post", color="#BBBBBB", lw=3, zorder=0, label="Pareto front")
     if floor is not None:
         axes.axhline(floor, lw=0.9, **resimulation_line(metric))
     for (name, anchor), line in zip(PAPER_ANCHORS_MS.items(), (":", "-."), strict=True):

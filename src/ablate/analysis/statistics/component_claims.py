@@ -45,7 +45,7 @@ def seed_claims(
     Parameters
     ----------
     per_image, scalars : DataFrame
-        As for `comparison_table`; costs are not judged.
+        As for `comparison_table`; costs are not judged. A mean is over the frames of which all runs have a value.
 
     Returns
     -------

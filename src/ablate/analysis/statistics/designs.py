@@ -99,7 +99,7 @@ def _read(cells: pd.DataFrame) -> Design:
     if len(factors) >= 5 and 2 * len(changed[even].drop_duplicates()) == full != len(changed.drop_duplicates()):
         cells, changed = cells[even], changed[even]  # runs beside a half would confound its effects
     codes = changed.to_numpy()
-    count = len(np.unique(codes, axis=0))
+    count = len(changed.drop_duplicates())
     if count == full:
         if len(factors) == 1:
             name = f"with and without one component ({short[factors[0]]})"
@@ -109,11 +109,13 @@ def _read(cells: pd.DataFrame) -> Design:
     words = defining_relation(cells.rename(columns=short), list(short.values()))
     if len(words) == 1 and 2 * count == full:
         order = words[0].count(":") + 1
-        reading = (
-            f"The defining relation is I = {words[0]}, where + means that a component is changed. A main effect cannot "
-            f"be separated from an interaction of {order - 1} components. An interaction of two components cannot be "
-            f"separated from one of {order - 2} components."
+        mixed = (
+            f"A main effect cannot be separated from an interaction of {order - 1} components. An interaction of two "
+            f"components cannot be separated from one of {order - 2} components."
+            if order == len(factors)
+            else "The column aliases of effects.csv says what an effect cannot be separated from."
         )
+        reading = f"The defining relation is I = {words[0]}, where + means that a component is changed. {mixed}"
         return Design(cells, f"half of the factorial of {components} ({count} of {full} cells)", reading)
     apart = np.abs(codes[:, None, :] - codes[None, :, :]).sum(axis=2)
     centre = int(np.argmax((apart == 1).sum(axis=1)))
@@ -126,7 +128,7 @@ def _read(cells: pd.DataFrame) -> Design:
         )
         cells = cells[near]
         cells = cells[[factor for factor in cells.columns if cells[factor].nunique() == 2]]
-        return Design(cells, f"one change at a time around {base} ({len(cells)} cells)", reading)
+        return Design(cells, f"one change at a time around {base} ({len(cells.drop_duplicates())} cells)", reading)
     reading = (
         "An interaction of two components is estimated if all four combinations were run. The effect of a component is "
         "averaged over these combinations. It is valid where the other components are as in most of the cells."
@@ -137,7 +139,7 @@ def _read(cells: pd.DataFrame) -> Design:
 def run_means(
     per_image: pd.DataFrame, scalars: pd.DataFrame | None = None, design: Design | None = None
 ) -> pd.DataFrame:
-    """Mean of every metric over the test frames of every run, or of the runs of a design.
+    """Mean of every metric of every run, or of the runs of a design, over the test frames of which all have a value.
 
     Parameters
     ----------

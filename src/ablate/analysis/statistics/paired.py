@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.scored import LEVEL, REFERENCE, RESIMULATION, ordered_metrics, ordered_variants
+from ablate.analysis.scored import LEVEL, REFERENCE, RESIMULATION, every_frame, ordered_metrics, ordered_variants
 
 PAIRED_COLUMNS = (
     *("variant", "reference", "metric", "shift", "lower", "upper", "p_holm", "effect", "n"),
@@ -26,7 +26,7 @@ class PairedDifference:
     frames, two-sided, and 1 when nothing differs. It takes frames for independent, so it speaks of these frames and not
     of other sites. `p_sites` is the same test on one mean a cluster: it speaks of sites like these. Below six clusters
     it cannot reach 5 %. `effect` is the matched-pairs rank-biserial correlation, -1 to 1. `n` pairs were used; others
-    were `dropped` because one value was infinite, as the PSNR of identical frames.
+    were `dropped` because one value was infinite, as the PSNR of identical frames, or missing.
     """
 
     shift: float
@@ -147,6 +147,8 @@ def paired_difference(
     if not finite.any():
         raise ValueError("no pair of finite values to compare")
     differences, labels = values[finite] - reference[finite], labels[finite]
+    rounding = 8 * np.finfo(float).eps * np.maximum(np.abs(values[finite]), np.abs(reference[finite]))
+    differences[np.abs(differences) <= rounding] = 0.0  # means over other numbers of seeds round otherwise
     lower, upper, groups = -np.inf, np.inf, len(np.unique(labels))
     if groups > 1:
         shifts = _bootstrap_shifts(differences, labels, resamples, np.random.default_rng(0))
@@ -204,9 +206,9 @@ def where_known(adjustment: Callable[[np.ndarray], np.ndarray], p: pd.Series) ->
 def aligned_differences(per_image: pd.DataFrame, metric: str, reference: str = REFERENCE) -> dict[str, pd.DataFrame]:
     """By variant, a row a frame that it and the reference have: columns site, value, reference.
 
-    Values are means over seeds, infinite where one seed's is not finite.
+    Values are means over seeds, infinite where one seed's is missing or not finite.
     """
-    chosen = per_image[per_image["metric"] == metric]
+    chosen = every_frame(per_image, metric)
     chosen = chosen.assign(value=chosen["value"].where(np.isfinite(chosen["value"]), np.inf))
     means = chosen.groupby(["variant", "frame"]).agg(value=("value", "mean"), site=("site", "first"))
     by_variant = {name: means.loc[name] for name in ordered_variants(list(chosen["variant"]), reference)}

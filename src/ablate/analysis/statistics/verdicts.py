@@ -137,7 +137,7 @@ def interactions(means: pd.DataFrame, design: Design | None, components: Sequenc
     DataFrame
         Columns component, other, improvement (half of the improvement by `component` with `other` minus that without
         it, in units of the metric of `component`) and q (the share of false claims among rows with a q as small, by
-        Benjamini and Hochberg 1995; NaN where no error can be estimated).
+        Benjamini and Hochberg 1995; NaN where `factorial_effects` gives no p).
     """
     components = with_undeclared(components, [] if design is None else design.factors)
     named = {component.key: component.name for component in components}
@@ -146,7 +146,8 @@ def interactions(means: pd.DataFrame, design: Design | None, components: Sequenc
         for k, term in enumerate(model.terms):
             if len(term) == 2 and component.key in term:
                 other = named[term[0] if term[1] == component.key else term[1]]
-                p = model.p_value(np.eye(len(model.terms))[k]) if model.dof > 0 else np.nan
+                told = model.dof > 0 and model.runs[k].min() >= FEWEST_SEEDS
+                p = model.p_value(np.eye(len(model.terms))[k]) if told else np.nan
                 rows.append((component.name, other, _sign(component) * model.effects[k], p))
     table = pd.DataFrame(rows, columns=["component", "other", "improvement", "q"])
     return table.assign(q=where_known(stats.false_discovery_control, table["q"]).astype("float64"))
