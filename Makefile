@@ -42,8 +42,10 @@ docs: $(STAMP) ## the documentation as a site in site/, with the notebooks and t
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "Open site/index.html, or: $(BIN)/mkdocs serve"
 
-test: $(STAMP) check ## style, types and tests
-	$(PYTEST) -m "not slow"
+test: $(STAMP) ## style, types and tests
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	($(BIN)/mypy && $(BIN)/lint-imports) & types=$$!; $(PYTEST) -m "not slow"; tests=$$?; wait $$types && exit $$tests
 
 test-all: $(STAMP) check ## the same with the slow tests
 	$(PYTEST)

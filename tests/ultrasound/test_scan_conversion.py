@@ -112,3 +112,17 @@ def test_a_row_is_the_mean_grey_level_of_its_samples(slab, gel, ahead) -> None:
         assert np.abs(rows - means).max() <= 1
     with pytest.raises(ValueError, match="axial_samples=500: allowed are multiples of samples_per_row=3"):
         replace(settings, samples_per_row=3)  # the last row would lie at another depth than the pixels take it from
+
+
+def test_an_array_of_another_shape_is_refused() -> None:
+    """Compiled code does not look where an array ends: it would show other memory as an image."""
+    converter = ScanConverter(CONVEX, (64, 32), (48, 66))
+    for shape in ((32, 32), (64, 16), (32, 64), (100, 100), (64 * 32,)):
+        for convert in (converter.to_image, converter.labels_to_image):
+            with pytest.raises(ValueError, match=r"must be \(64, 32\), got"):
+                convert(np.zeros(shape, np.uint8))
+    for shape in ((24, 33), (96, 132), (66, 48), (1, 48, 66)):
+        for convert in (converter.to_beam, converter.labels_to_beam):
+            with pytest.raises(ValueError, match=r"must be \(48, 66\), got"):
+                convert(np.zeros(shape, np.uint8))
+    assert converter.to_image(np.zeros((3, 64, 32))).shape == (3, 48, 66)

@@ -26,7 +26,7 @@ class ScanConverter:
     beam_shape : (rows, scanlines)
         Rows are the middles of equal parts of the imaging depth, columns the scanlines from edge to edge of the fan.
     image_shape : (H, W)
-        Pixels of the fan's bounding box.
+        Pixels of the fan's bounding box. The methods refuse an array of another shape by a ValueError.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class ScanConverter:
     """
 
     def __init__(self, probe: Probe, beam_shape: Shape, image_shape: Shape) -> None:
-        self.probe, self.beam_shape, self.image_shape = probe, beam_shape, image_shape
+        self.probe, self.beam_shape, self.image_shape = probe, tuple(beam_shape), tuple(image_shape)
         self.mask = fan_mask(probe, image_shape)
         depth, position = (polar[self.mask] for polar in pixel_polar(probe, image_shape))
         rows, lines = beam_shape
@@ -72,7 +72,7 @@ class ScanConverter:
             return np.stack([self.to_image(one) for one in beam])
         is_bytes = beam.dtype == np.uint8
         image = np.zeros(self.mask.shape, np.uint8 if is_bytes else np.float32)
-        fill = partial(_interpolate, np.ascontiguousarray(beam), 0.5 * is_bytes)
+        fill = partial(_interpolate, _checked(beam, self.beam_shape), 0.5 * is_bytes)
         in_parts(partial(fill, self._runs, self._places, image), len(self._runs), _RUNS_OF_A_PART)
         return image
 
@@ -80,7 +80,7 @@ class ScanConverter:
     def labels_to_image(self, beam: np.ndarray) -> np.ndarray:
         """The label, (rows, scanlines) uint8, that is nearest to each pixel, (H, W); 0 outside the fan."""
         image = np.zeros(self.mask.shape, np.uint8)
-        fill = partial(_nearest, np.ascontiguousarray(beam), self._runs, self._places, image)
+        fill = partial(_nearest, _checked(beam, self.beam_shape), self._runs, self._places, image)
         in_parts(fill, len(self._runs), _RUNS_OF_A_PART)
         return image
 
@@ -116,7 +116,7 @@ class ScanConverter:
 
     def _filled(self, image: np.ndarray) -> np.ndarray:
         """An image whose pixels outside the fan are as the nearest one in it."""
-        filled: np.ndarray = image[self._inside]
+        filled: np.ndarray = _checked(image, self.image_shape)[self._inside]
         return filled
 
     @cached_property
@@ -135,6 +135,13 @@ class ScanConverter:
         x, z = pixel_coordinates_mm(self.probe, self.image_shape)
         spacing_x, spacing_z = fan_of(self.probe).size_mm[1] / len(x), fan_of(self.probe).size_mm[0] / len(z)
         return np.stack([(points[..., 2] - z[0]) / spacing_z, (points[..., 0] - x[0]) / spacing_x])
+
+
+def _checked(array: np.ndarray, shape: Shape) -> np.ndarray:
+    """An array of this shape as compiled code reads it, which does not look where arrays end; else a ValueError."""
+    if array.shape != shape:
+        raise ValueError(f"the array to convert must be {shape}, got {array.shape}")
+    return np.ascontiguousarray(array)
 
 
 @lru_cache(maxsize=4)

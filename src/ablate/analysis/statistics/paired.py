@@ -179,12 +179,6 @@ def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
     ------
     ValueError
         When a value lies outside [0, 1].
-
-    Examples
-    --------
-    >>> from ablate.analysis import holm
-    >>> holm([0.01, 0.04, 0.5]).tolist()
-    [0.03, 0.08, 0.5]
     """
     p = np.asarray(p, dtype=np.float64)
     if not ((p >= 0) & (p <= 1)).all():
