@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from ablate.anatomy import load_tissues
 from ablate.dataset import Encoding, alike_labels, label_values
@@ -17,3 +18,12 @@ def test_labels_that_are_read_as_one_are_named() -> None:
     assert alike_labels(tissues, values) == ["The network reads the same for bright and brighter."]
     for encoding in (Encoding.echogenicity, Encoding.arbitrary):
         assert alike_labels(tissues, label_values(tissues, encoding)) == []
+
+
+def test_a_word_is_the_encoding_that_it_names() -> None:
+    tissues = tuple(load_tissues().values())
+    for encoding in Encoding:
+        named = label_values(tissues, encoding.value)  # type: ignore[arg-type]
+        np.testing.assert_array_equal(named, label_values(tissues, encoding))
+    with pytest.raises(ValueError, match="nonsense"):
+        label_values(tissues, "nonsense")  # type: ignore[arg-type]

@@ -197,3 +197,18 @@ def test_a_damaged_shard_that_another_process_mends_is_left_to_it(pairs: Pairs) 
     with FileLock(pairs.folder / ".shard0.lock"):
         assert remove_damaged(pairs, WANTED) == ()
     assert len(remove_damaged(pairs, WANTED)) == 1
+
+
+@pytest.mark.parametrize("frames", [SPLIT == Part.test, [-1], [len(SPLIT)], [0.0, 1.0]])
+def test_frames_are_numbers_of_the_set(pairs: Pairs, frames: object) -> None:
+    with pytest.raises(IndexError, match="allowed are their numbers, 0 to 17"):
+        pairs.read("target", np.asarray(frames))
+    assert pairs.read("target", []).shape == (0, *SHAPE)
+
+
+def test_words_stand_for_a_space_and_unknown_ones_are_refused(pairs: Pairs) -> None:
+    np.testing.assert_array_equal(pairs.mask("beam"), np.ones(pairs.beam_shape, bool))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="nowhere"):
+        pairs.read("target", [0], "nowhere")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="test"):
+        pairs.frames("test")  # type: ignore[arg-type]

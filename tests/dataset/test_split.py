@@ -38,3 +38,11 @@ def test_paper_split_draws_frames() -> None:
 def test_too_few_sites_are_refused() -> None:
     with pytest.raises(ValueError, match="2 sites cannot be split"):
         split_frames([0, 0, 1, 1], SplitBy.site, 0.1, 0.2, 0)
+
+
+def test_a_word_is_the_kind_of_split_that_it_names() -> None:
+    sites = np.repeat(np.arange(10), 4)
+    named = split_frames(sites, "site", 0.2, 0.2, 0)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(named, split_frames(sites, SplitBy.site, 0.2, 0.2, 0))
+    with pytest.raises(ValueError, match="sites"):
+        split_frames(sites, "sites", 0.2, 0.2, 0)  # type: ignore[arg-type]

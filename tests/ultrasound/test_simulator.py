@@ -34,7 +34,10 @@ def test_same_seeds_same_frame(scene, probe, small, ahead) -> None:
     moved[0, 3] = 5.0
     simulator.render(moved)
     assert images_equal(first, simulator.render(ahead, seed=3))
-    assert images_equal(first, Simulator(scene, probe, small).render(ahead, seed=np.int64(3)))
+    for kind in (np.int64, np.int32, np.uint8):
+        assert images_equal(first, Simulator(scene, probe, small).render(ahead, seed=kind(3)))
+    with pytest.raises(TypeError, match="integer"):
+        simulator.render(ahead, seed=3.0)
     assert images_equal(first, Simulator(scene, probe, small).render(ahead, seed=3))
 
 

@@ -107,12 +107,6 @@ def echogenicity_order(tissues: Sequence[Tissue]) -> tuple[int, ...]:
 
     Tissues of the built-in table have its order. A tissue of another name is placed by its `scatter_power` among those
     of the table that are neither gas nor bone. Tissues that are still equal keep the order of `tissues`.
-
-    Examples
-    --------
-    >>> table = load_tissues()
-    >>> echogenicity_order([table["bone"], table["urine"], table["liver"]])
-    (2, 0, 1)
     """
     table = _table()
     place = {tissue.name: float(i) for i, tissue in enumerate(table)}

@@ -52,7 +52,7 @@ def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -
     impedance and whether a tissue is bone, -1 outside; what is beyond their range has its end.
     """
     n = len(tissues)
-    if encoding is Encoding.properties:
+    if Encoding(encoding) is Encoding.properties:
         of_tissues = [
             (
                 (10 * np.log10(max(tissue.scatter_power, 1e-9)) - _LEVEL_DB[0]) / _LEVEL_DB[1],
@@ -62,7 +62,7 @@ def label_values(tissues: Sequence[Tissue], encoding: Encoding, seed: int = 0) -
             for tissue in tissues
         ]
         return np.clip([(-1.0, -1.0, -1.0), *of_tissues], -1, 1).astype(np.float32)
-    if encoding is Encoding.echogenicity:
+    if encoding == Encoding.echogenicity:
         rank = np.asarray(echogenicity_order(tissues))
     else:
         rank = np.random.default_rng([seed, Drawn.label_order]).permutation(n)

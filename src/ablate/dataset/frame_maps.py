@@ -20,7 +20,7 @@ def maps_read(
     """
     segmentation, attenuation, beam = maps
     image_shape, beam_shape = segmentation.shape[:2], beam.segmentation.shape[:2]
-    in_beam = space is Space.beam
+    in_beam = Space(space) is Space.beam
     if in_beam:
         segmentation, attenuation = beam.segmentation, beam.attenuation
     read = {"segmentation": segmentation, "attenuation": attenuation}

@@ -101,7 +101,7 @@ class Pairs:
 
     def shape_in(self, space: Space) -> tuple[int, int]:
         """The shape of a frame in one space."""
-        return self.beam_shape if space is Space.beam else self.shape
+        return self.beam_shape if Space(space) is Space.beam else self.shape
 
     @property
     def converter(self) -> ScanConverter:
@@ -127,7 +127,7 @@ class Pairs:
 
     def frames(self, part: Part) -> np.ndarray:
         """Indices of the frames of one part, increasing."""
-        return np.flatnonzero(self.split == part)
+        return np.flatnonzero(self.split == Part(part))
 
     def frames_of_shard(self, shard: int) -> np.ndarray:
         return np.arange(shard * self.shard, min(len(self), (shard + 1) * self.shard))
@@ -151,15 +151,19 @@ class Pairs:
         The result is (H, W) for one number and (k, H, W) for several, of which those of one shard are read at once;
         in beam space (rows, scanlines). `compensated` is `compensated_attenuation` in steps of 1/65535.
 
-        A DamagedShardError when a frame is not as it was written, a FileNotFoundError when it has not been made.
+        A DamagedShardError when a frame is not as it was written, a FileNotFoundError when it has not been made, an
+        IndexError when there is none of its number.
         """
-        numbers, source = np.atleast_1d(np.asarray(frames, np.int64)), DERIVED.get(name, name)
+        given, source = np.atleast_1d(np.asarray(frames)), DERIVED.get(name, name)
+        if given.size and (given.dtype.kind not in "iu" or not 0 <= given.min() <= given.max() < len(self)):
+            raise IndexError(f"{self.folder}: frames={given}: allowed are their numbers, 0 to {len(self) - 1}")
+        numbers = given.astype(np.int64)
         stack = np.empty((len(numbers), *self.shape_in(space)), FORMATS[source][0])
         for shard in np.unique(numbers // self.shard):
             here = numbers // self.shard == shard
             first, last = numbers[here].min(), numbers[here].max()
             read = self._of_shard(source, shard, slice(first, last + 1))[numbers[here] - first]
-            stack[here] = read if space is self.space else [self._converted(name, frame) for frame in read]
+            stack[here] = read if space == self.space else [self._converted(name, frame) for frame in read]
         if name in DERIVED:
             stack = self._compensated(stack, space)
         return stack if np.ndim(frames) else stack[0]
@@ -175,7 +179,7 @@ class Pairs:
     def _compensated(self, stack: np.ndarray, space: Space) -> np.ndarray:
         if self.probe is None or self.tgc is None:
             raise ValueError(f"{self.folder}: compensated attenuation needs the probe and the TGC of the simulation")
-        compensate = compensated_attenuation if space is Space.image else compensated_beam
+        compensate = compensated_attenuation if space == Space.image else compensated_beam
         shares = compensate(decode_attenuation(stack), self.probe, self.tgc)
         return np.rint(shares * ATTENUATION_SCALE).astype(np.uint16)
 
@@ -210,11 +214,11 @@ class Pairs:
 
     def positions(self, space: Space = Space.image) -> dict[str, np.ndarray]:
         """The maps of position, by name."""
-        return position_maps(self._geometry, self.shape if space is Space.image else None, self.beam_shape)
+        return position_maps(self._geometry, self.shape if Space(space) is Space.image else None, self.beam_shape)
 
     def mask(self, space: Space = Space.image) -> np.ndarray:
         """The fan, (H, W) bool; in beam space it is everything."""
-        return np.ones(self.beam_shape, bool) if space is Space.beam else _read_whole(self.folder, "mask")
+        return np.ones(self.beam_shape, bool) if Space(space) is Space.beam else _read_whole(self.folder, "mask")
 
 
 def decoded(name: str, stored: np.ndarray) -> np.ndarray:

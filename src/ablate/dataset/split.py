@@ -70,13 +70,13 @@ def split_frames(
     `validation` and `test` are fractions of the sites (or frames), of which each gets at least one. A ValueError when
     that leaves nothing to train on.
     """
-    member = np.asarray(sites) if by is SplitBy.site else np.arange(len(sites))
+    member = np.asarray(sites) if SplitBy(by) is SplitBy.site else np.arange(len(sites))
     units = np.unique(member)
     n_validation, n_test = (max(1, round(f * len(units))) for f in (validation, test))
     if n_validation + n_test >= len(units):
         raise ValueError(
             f"dataset.split={by}: {len(units)} {by}s cannot be split into train, validation and test; "
-            "ask for more frames or sites" + (", or for dataset.split=frame" if by is SplitBy.site else "")
+            "ask for more frames or sites" + (", or for dataset.split=frame" if by == SplitBy.site else "")
         )
     order = np.random.default_rng([seed, Drawn.split]).permutation(units)
     part = np.full(len(member), Part.train, np.uint8)

@@ -175,7 +175,7 @@ def gaussian_field(seed: Tensor, level: int, height: int, width: int) -> Tensor:
     """
     pixels = height * width
     pairs = (pixels + 1) // 2
-    key = _mix(_mix(seed) + level * 2 + 1)
+    key = _mix(_mix(seed.long()) + level * 2 + 1)
     counter = torch.arange(1, pairs + 1, device=seed.device, dtype=torch.int64)
     word = _mix(key[:, None] + counter * _GOLDEN)
     radius = ((word & _BITS_24).float().add_(0.5).mul_(2.0**-24)).log_().mul_(-2.0).sqrt_()

@@ -46,8 +46,8 @@ def chosen_precision(precision: TrainingPrecision, device: torch.device) -> Trai
 
     On a CPU that means AVX-512 BF16 or AMX: one without them converts every operand and is slower than in fp32.
     """
-    if precision is not TrainingPrecision.auto:
-        return precision
+    if TrainingPrecision(precision) is not TrainingPrecision.auto:
+        return TrainingPrecision(precision)
     if device.type == "cuda":
         fast = torch.cuda.is_bf16_supported(including_emulation=False)
     else:
@@ -71,7 +71,7 @@ class Engine(StrEnum):
 
 def missing_for(engine: Engine, device: torch.device) -> str | None:
     """Say in a few words what this machine lacks to run an engine on a device; None if nothing."""
-    if engine is Engine.eager:
+    if Engine(engine) is Engine.eager:
         return None
     if device.type != "cpu":
         return "a CPU: on a GPU, take the exported file to TensorRT or ONNX Runtime"
@@ -94,7 +94,7 @@ def open_engine(
     device = next(generator.parameters()).device
     if (lacking := missing_for(engine, device)) is not None:
         raise RuntimeError(f"engine={engine}: needs {lacking}")
-    if engine is Engine.exported:
+    if engine == Engine.exported:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "model.onnx"
             export_onnx(generator, path, height, width)

@@ -1,6 +1,7 @@
 """The simulator: renders frames of a scene, from any pose, for one probe and one set of settings."""
 
 import math
+import operator
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -157,7 +158,7 @@ class Simulator:
         pose = check_pose(pose)
         with without_teams(), torch.inference_mode():
             prepared = None if self._plan.anechoic else self._of(pose, Simulator._prepare)
-            return self._chain.image(prepared, pose, seed, display)
+            return self._chain.image(prepared, pose, operator.index(seed), display)
 
     def maps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Segmentation (H, W) uint8 and attenuation (H, W) float32 of a pose, without casting echo rays.
