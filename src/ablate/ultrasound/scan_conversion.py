@@ -45,7 +45,7 @@ class ScanConverter:
     """
 
     def __init__(self, probe: Probe, beam_shape: Shape, image_shape: Shape) -> None:
-        self.probe, self.beam_shape, self.image_shape = probe, tuple(beam_shape), tuple(image_shape)
+        self.probe, self.beam_shape, self.image_shape = probe, beam_shape, image_shape
         self.mask = fan_mask(probe, image_shape)
         depth, position = (polar[self.mask] for polar in pixel_polar(probe, image_shape))
         rows, lines = beam_shape
@@ -139,7 +139,7 @@ class ScanConverter:
 
 def _checked(array: np.ndarray, shape: Shape) -> np.ndarray:
     """An array of this shape as compiled code reads it, which does not look where arrays end; else a ValueError."""
-    if array.shape != shape:
+    if array.shape != tuple(shape):
         raise ValueError(f"the array to convert must be {shape}, got {array.shape}")
     return np.ascontiguousarray(array)
 
