@@ -199,7 +199,7 @@ def test_captions_tell_a_floor_from_a_level():
 
 @pytest.mark.parametrize(("better", "front"), [(Direction.zero, [-0.5, 0.1]), (Direction.none, None)])
 def test_a_metric_of_both_signs_has_its_own_front_and_a_linear_axis(better, front, figures, tmp_path, monkeypatch):
-    points = pd.DataFrame({"series": list("abc"), "ms": [1.0, 2.0, 3.0], "error": [-0.5, 0.1, -9.0]})
+    points = pd.DataFrame({"series": list("abcd"), "ms": [1.0, 2.0, 3.0, 4.0], "error": [-0.5, 0.1, -9.0, 2.0]})
     points = points.assign(setting="", metric="signed")
     monkeypatch.setattr(analysis.figures.runtime_figure, "metric_of", lambda name: Metric(name, better=better))
     analysis.error_vs_runtime(points, tmp_path / "signed")

@@ -228,7 +228,7 @@ def test_it_compiles(large, tmp_path):
 
 
 def test_a_value_that_only_some_runs_have_is_counted_and_compared_by_none(study):
-    """One seed has no value of the six easiest frames, which would make its mean the worst."""
+    """One seed has no value of the six easiest frames: its own mean would be too low."""
     frame = study.query("variant == 'sa2h' and seed == 0 and metric == 'psnr'").nlargest(6, "value")["frame"]
     gone = (study["variant"] == "nsa2h") & (study["seed"] == 1) & (study["metric"] == "psnr")
     part = study[~(gone & study["frame"].isin(frame))]

@@ -14,7 +14,7 @@ import pytest
 import ablate
 from ablate.analysis import RESIMULATION, find_design
 from ablate.comparison.compare import compare_study, write_comparison
-from ablate.comparison.frame_times import TIMES, network_of
+from ablate.comparison.frame_times import TIMES, network_of, timed_on
 from ablate.comparison.opened import Study
 from ablate.comparison.reading import pictures
 from ablate.comparison.usable_runs import levels_of, usable_runs
@@ -239,9 +239,10 @@ def test_cautions_notes_and_times_are_of_all_runs_that_verdicts_use(study: Path)
     scores[scores["frame"] < 20].to_parquet(blocks[1] / "per_image.parquet")
     change(blocks[0], notes=["3 % of the pixels were clipped."])
     times = pd.read_csv(study / TIMES)
-    network = network_of(Run(blocks[2]).spec["semantic"])
-    few = times[times["network"] == network].assign(machine="a later machine")
-    pd.concat([times, few]).to_csv(study / TIMES, index=False)
+    other = write_run(study, "sa2h.encoding-arbitrary", 3, data="fetal-1", anatomy=1)
+    more = timed("a machine", network_of(Run(other).spec["semantic"]), 5.0, 6.0, 7.0)
+    later = times.assign(machine="a later machine", ms=99.0)  # of all networks but that of the block
+    pd.concat([times, more, later]).to_csv(study / TIMES, index=False)
     folder, report, notes = compared(study)
     for text in (notes, report):
         assert "1 NaN left out (sa2h/seed3 frame 5)" in text
@@ -252,6 +253,10 @@ def test_cautions_notes_and_times_are_of_all_runs_that_verdicts_use(study: Path)
     shared = shared[(shared["metric"] == METRICS[-1]) & (shared["frame"] != 5)]
     assert runs.loc[("sa2h", 4), METRICS[-1]] == pytest.approx(shared["value"].mean())
     opened = ablate.open_study(study)
+    assert timed_on(opened.usable.all) == "a machine"
+    assert opened.scalars.query("metric == 'ms_per_frame'")["value"].max() < 99, (
+        "times are of the machine that is named"
+    )
     assert set(opened.per_image["data"]) == {"fetal-0"}
     assert set(opened.blocks["data"]) == {"fetal-1"}
 

@@ -200,6 +200,8 @@ def test_the_hash_is_splitmix64() -> None:
 def test_values_are_standard_normal() -> None:
     sample = gaussian_field(torch.arange(4), 0, 256, 256).flatten().double().numpy()
     assert (sample == gaussian_field(torch.arange(4, dtype=torch.int32), 0, 256, 256).flatten().numpy()).all()
+    with pytest.raises(ValueError, match="whole numbers"):
+        gaussian_field(torch.tensor([0.5]), 0, 8, 8)
     assert stats.kstest(sample, "norm").pvalue > 0.01
     assert abs(sample.mean()) < 4 / np.sqrt(sample.size)
     assert abs(sample.std() - 1) < 4 / np.sqrt(2 * sample.size)

@@ -85,9 +85,9 @@ def _gaps(per_image: pd.DataFrame) -> list[tuple[str, str, int, list[str]]]:
 
     A value is missing where another run has one of the frame: where none has, the frame offers nothing to measure.
     """
-    gaps = []
+    gaps, whole = [], every_frame(per_image)
     for metric in ordered_metrics(list(per_image["metric"])):
-        rows = every_frame(per_image, metric)
+        rows = whole[whole["metric"] == metric]
         value, stored = rows["value"], rows["stored"] == "both"
         elsewhere = stored.groupby([rows["data"], rows["frame"]]).transform("any")
         kinds = {"infinite value": np.isinf(value), "NaN": value.isna() & stored, "missing value": elsewhere & ~stored}

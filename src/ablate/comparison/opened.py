@@ -44,12 +44,12 @@ class Study:
 
         The variant `re-simulation` is the same frames simulated again.
         """
-        return self._of_runs(0)
+        return self._of_runs(self._scored[0])
 
     @cached_property
     def scalars(self) -> pd.DataFrame:
         """Columns variant, seed, metric, value, lower, upper: one row a metric that only a run has, as a distance."""
-        return self._of_runs(1)
+        return self._of_runs(self._scored[1])
 
     @property
     def blocks(self) -> pd.DataFrame:
@@ -60,8 +60,7 @@ class Study:
     def _scored(self) -> tuple[pd.DataFrame, pd.DataFrame]:
         return scored_frames(self.usable.all)
 
-    def _of_runs(self, table: int) -> pd.DataFrame:
-        rows = self._scored[table]
+    def _of_runs(self, rows: pd.DataFrame) -> pd.DataFrame:
         return rows[rows["data"] == self.usable.runs[0].data].reset_index(drop=True)
 
     @cached_property

@@ -19,7 +19,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from ablate.dataset.encoding import ATTENUATION_SCALE, decode_attenuation
 from ablate.dataset.split import Part
 from ablate.networks.spec import OF_POSITION, OF_SURFACES, Space
-from ablate.setting import plain
+from ablate.setting import plain, shown
 from ablate.storage import write_json
 from ablate.ultrasound import Probe, compensated_attenuation, compensated_beam, position_maps
 from ablate.ultrasound.settings import probe_from
@@ -156,7 +156,7 @@ class Pairs:
         """
         given, source = np.atleast_1d(np.asarray(frames)), DERIVED.get(name, name)
         if given.size and (given.dtype.kind not in "iu" or not 0 <= given.min() <= given.max() < len(self)):
-            raise IndexError(f"{self.folder}: frames={given}: allowed are their numbers, 0 to {len(self) - 1}")
+            raise IndexError(f"{self.folder}: frames={shown(frames)}: allowed are their numbers, 0 to {len(self) - 1}")
         numbers = given.astype(np.int64)
         stack = np.empty((len(numbers), *self.shape_in(space)), FORMATS[source][0])
         for shard in np.unique(numbers // self.shard):

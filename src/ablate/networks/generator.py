@@ -175,6 +175,8 @@ def gaussian_field(seed: Tensor, level: int, height: int, width: int) -> Tensor:
     """
     pixels = height * width
     pairs = (pixels + 1) // 2
+    if seed.is_floating_point():
+        raise ValueError(f"seed: {seed.dtype}, allowed are whole numbers")
     key = _mix(_mix(seed.long()) + level * 2 + 1)
     counter = torch.arange(1, pairs + 1, device=seed.device, dtype=torch.int64)
     word = _mix(key[:, None] + counter * _GOLDEN)

@@ -153,7 +153,7 @@ class Simulator:
 
     def _image(self, pose: np.ndarray, seed: int, display: Display | None) -> tuple[np.ndarray, np.ndarray]:
         """The image, (rows, scanlines) uint8, and its envelope, (scanlines, samples)."""
-        if seed < 0:
+        if operator.index(seed) < 0:
             raise ValueError(f"seed must be at least 0, not {seed}")
         pose = check_pose(pose)
         with without_teams(), torch.inference_mode():
