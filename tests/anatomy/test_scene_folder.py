@@ -228,3 +228,23 @@ def test_materials_and_textures_are_not_read(tmp_path: Path) -> None:
     (tmp_path / "a.mtl").write_text("newmtl red\nmap_Kd a.png\n")
     os.mkfifo(tmp_path / "a.png")  # whoever opens it waits for ever
     assert np.array_equal(load_mesh(mesh).triangles, plain.triangles)
+
+
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [("1e-3", 0.001), ("-2E+1", -20.0), ("010", 10.0), ("+.5", 0.5), ("7.", 7.0), ("1:30", None), ("1_0", None)],
+)
+def test_numbers_are_those_of_yaml_1_2(tmp_path: Path, written: str, value: float | None) -> None:
+    """YAML 1.1 has 1e-3 as text, 010 as 8, and 1:30 as 90."""
+    text = yaml.safe_dump({**GOOD, "sites": {**GOOD["sites"], "rolls": "ROLLS"}}).replace("ROLLS", written)
+    (write(tmp_path) / "scene.yaml").write_text(text)
+    if value is None:
+        with pytest.raises(ValueError, match=rf"sites\.rolls='{written}': allowed are finite numbers"):
+            load_sites(tmp_path)
+    else:
+        assert load_sites(tmp_path).rolls_deg == (value,)
+
+
+def test_a_mesh_may_be_named_by_text(tmp_path: Path) -> None:
+    write(tmp_path)
+    assert load_mesh(f"{tmp_path}/liver.stl").volume == load_mesh(tmp_path / "liver.stl").volume

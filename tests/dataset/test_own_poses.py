@@ -27,7 +27,7 @@ def test_npy_and_csv_hold_the_same_poses(tmp_path: Path) -> None:
     loaded, sites = read_poses(tmp_path / "p.npy")
     assert np.array_equal(loaded, expected)
     assert sites.tolist() == list(range(7))
-    loaded, sites = read_poses(tmp_path / "p.csv")
+    loaded, sites = read_poses(f"{tmp_path}/p.csv")
     assert loaded == pytest.approx(expected, abs=1e-9)
     assert sites.tolist() == [0, 0, 1, 1, 2, 2, 3]
 

@@ -58,7 +58,7 @@ def test_zarr_opens_the_set_without_this_package(pairs: Pairs) -> None:
 
 
 def test_a_set_opened_again_is_the_same(pairs: Pairs) -> None:
-    again = open_pairs(pairs.folder)
+    again = open_pairs(str(pairs.folder))
     assert (again.shape, again.shard, again.tissues, len(again)) == (SHAPE, 4, ("gel",), len(SPLIT))
     for ours, theirs in ((again.poses, pairs.poses), (again.sites, pairs.sites), (again.split, SPLIT)):
         np.testing.assert_array_equal(ours, theirs)

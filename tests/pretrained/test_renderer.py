@@ -8,11 +8,12 @@ import pytest
 import torch
 
 import ablate
-from ablate.anatomy import Tissue, fetal_abdomen, fetal_planes, load_tissues
+from ablate.anatomy import Scene, Tissue, fetal_abdomen, fetal_planes, load_tissues
+from ablate.dataset import Encoding, label_values
 from ablate.jobs.compose import jobs_of
 from ablate.metrics import psnr
 from ablate.networks import Generator, GeneratorSpec
-from ablate.pretrained import NAMES, OUTSIDE, Renderer, load, save
+from ablate.pretrained import NAMES, OUTSIDE, Renderer, load, save, values_of
 from ablate.setting import plain
 from ablate.ultrasound import (
     Beam,
@@ -21,6 +22,7 @@ from ablate.ultrasound import (
     LinearProbe,
     ScanConverter,
     Simulator,
+    SimulatorSettings,
     compensated_attenuation,
     fan_mask,
 )
@@ -117,6 +119,36 @@ def test_what_cannot_be_loaded_or_rendered_is_named(frame: Frame, tmp_path: Path
     for probe in (replace(PROBE, depth_mm=75.0), LinearProbe(width_mm=100.0, depth_mm=150.0)):
         with pytest.raises(ValueError, match=r"another fan than the probe of the training, ConvexProbe\("):
             made().render(replace(frame, mask=fan_mask(probe, SHAPE)), TISSUES)
+
+
+def test_frames_of_another_probe_are_refused(frame: Frame) -> None:
+    """A frame that does not tell its probe is refused where its fan has another shape."""
+    image = made().render(frame, TISSUES)
+    np.testing.assert_array_equal(made().render(replace(frame, probe=ConvexProbe()), TISSUES), image)
+    for probe in (replace(PROBE, frequency_mhz=3.0), replace(PROBE, depth_mm=149.0), LinearProbe()):
+        with pytest.raises(ValueError, match=r"the frame is one of .*, the generator was trained with ConvexProbe\("):
+            made().render(replace(frame, probe=probe), TISSUES)
+    large = 256, 355
+    maps = {name: np.zeros(large, np.float32) for name in ("attenuation", "image")}
+    for probe in (replace(PROBE, depth_mm=140.0), replace(PROBE, fov_deg=72.0)):
+        other = replace(frame, segmentation=np.ones(large, np.uint8), mask=fan_mask(probe, large), **maps)
+        with pytest.raises(ValueError, match="another fan"):
+            made().render(other, TISSUES)
+    scene = Scene((), load_tissues()["liver"], "liver")
+    settings = SimulatorSettings.low_quality(scanlines=8, axial_samples=64, image_shape=(16, 24))
+    assert Simulator(scene, LinearProbe(), settings).render(np.eye(4)).probe == LinearProbe()
+
+
+def test_labels_without_a_tissue_and_tissues_of_other_properties_are_refused(frame: Frame) -> None:
+    with pytest.raises(ValueError, match="the frame has a label 3, and there are 2 tissues"):
+        made().render(frame, TISSUES[:2])
+    of_properties = values_of(TISSUES, label_values(TISSUES, Encoding.properties))
+    spec = replace(made().generator.spec, labels=3)
+    renderer = replace(made(), generator=Generator(spec).eval(), values=of_properties)
+    assert renderer.render(frame, TISSUES).shape == SHAPE
+    for changed in ({"scatterer_sd": 2.0}, {"impedance_mrayl": 1.5}):
+        with pytest.raises(ValueError, match="tissue 'blood': its properties are not those of the training"):
+            renderer.render(frame, [*TISSUES[:2], replace(TISSUES[2], **changed)])
 
 
 @pytest.mark.parametrize("name", NAMES)

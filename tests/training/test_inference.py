@@ -27,6 +27,10 @@ def test_frames(generator: Generator, precision: TrainingPrecision) -> None:
     assert frames[maps["mask"][:, 0].numpy() == 1].any()
     again = generate(generator, maps, maps["mask"][0, 0].bool(), given["noise_seed"], precision)
     np.testing.assert_array_equal(frames, again)
+    masks = torch.ones(2, 30, 27) * torch.tensor([1, 0])[:, None, None]
+    masks[0, :9] = 0
+    fans = generate(generator, maps, masks, given["noise_seed"], precision) > 0  # no pixel of this generator is black
+    np.testing.assert_array_equal(fans, masks > 0)
     other = generate(generator, maps, maps["mask"], given["noise_seed"] + 1, precision)
     assert (frames != other).any()
 

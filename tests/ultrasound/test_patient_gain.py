@@ -7,7 +7,16 @@ import pytest
 import trimesh
 
 from ablate.anatomy import Scene, Structure, Tissue, load_tissues
-from ablate.ultrasound import ConvexProbe, LinearProbe, Simulator, SimulatorSettings, TimeGain, with_patient_gain
+from ablate.ultrasound import (
+    ConvexProbe,
+    LinearProbe,
+    Simulator,
+    SimulatorSettings,
+    TimeGain,
+    compensated_attenuation,
+    compensated_beam,
+    with_patient_gain,
+)
 
 TISSUES = load_tissues()
 PATIENT = SimulatorSettings(tgc=TimeGain.patient, image_shape=(64, 64), scanlines=32, axial_samples=512, rays=2)
@@ -82,3 +91,21 @@ def test_a_simulator_without_the_curve_says_what_makes_it() -> None:
         Simulator(Scene((), TISSUES["liver"], "liver"), LINEAR, PATIENT)
     with pytest.raises(ValueError, match=r"time_gain_db=.*allowed are 8 numbers from -300 to 300, or null"):
         replace(PATIENT, time_gain_db=(1.0, 2.0))
+
+
+def test_a_list_of_poses_and_an_array_of_sliders_are_taken_as_they_are_meant() -> None:
+    scene = Scene((slab(TISSUES["liver"], -5, 200),), TISSUES["coupling_gel"], "liver")
+    chosen = with_patient_gain(scene, LINEAR, PATIENT, list(AHEAD))
+    assert chosen == with_patient_gain(scene, LINEAR, PATIENT, AHEAD)
+    sliders = chosen.time_gain
+    attenuation = np.random.default_rng(0).random((8, 6)).astype(np.float32)  # as many rows as there are sliders
+    for compensated in (compensated_attenuation, compensated_beam):
+        given = [compensated(attenuation, LINEAR, kind(sliders)) for kind in (tuple, list, np.array)]
+        assert given[0].std() > 0.1
+        assert all((values == given[0]).all() for values in given)
+        assert (compensated(attenuation, LINEAR, np.float32(0.5)) == compensated(attenuation, LINEAR, 0.5)).all()
+
+
+def test_settings_of_the_low_quality_image_may_be_changed() -> None:
+    assert (SimulatorSettings.low_quality().rays, SimulatorSettings.low_quality().layers) == (1, 1)
+    assert SimulatorSettings.low_quality(rays=8) == SimulatorSettings(rays=8, layers=1)

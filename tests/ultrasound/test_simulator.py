@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from ablate.anatomy import Scene, Tissue
+from ablate.dataset.simulate import nudged
 from ablate.ultrasound import PlanMode, Simulator
 from ablate.ultrasound.stages import Stage, observe_stages, stage_times
 
@@ -106,6 +107,23 @@ def test_the_plan_changes_nothing(gel, slab, ball, probe, small, ahead) -> None:
     notes = " ".join(auto.left_out)
     assert all(word in notes for word in ("1 of 3 structures", "refraction", "rough", "thickness", "texture"))
     assert images_equal(auto.render(ahead), full.render(ahead))
+
+
+def test_a_pose_that_may_see_what_was_left_out_is_refused(gel, ball, probe, small, ahead) -> None:
+    near, far = ball(BONE, (0.0, 0.0, 60.0), 10.0), ball(BONE, (0.0, 0.0, 900.0), 50.0)
+    scene = Scene((near, far), gel, "s")
+    simulator = Simulator(scene, probe, small, poses=[ahead])
+    moved, nowhere = ahead.copy(), ahead.copy()
+    moved[2, 3], nowhere[0, 3] = 750.0, -5e3
+    for of_frame in (simulator.render, simulator.maps, simulator.beam_maps, simulator.scanline_tissues):
+        with pytest.raises(ValueError, match="a structure that was left out is in reach; `poses` must hold all"):
+            of_frame(moved)
+    assert (Simulator(scene, probe, small).render(moved).segmentation == 2).any()
+    assert images_equal(simulator.render(nudged(ahead, 20)), Simulator(scene, probe, small).render(nudged(ahead, 20)))
+    nothing = Simulator(scene, probe, small, poses=[])
+    with pytest.raises(ValueError, match="a structure that was left out is in reach"):
+        nothing.render(ahead)
+    assert set(np.unique(nothing.maps(nowhere)[0])) == {0, 1}
 
 
 def test_threads_do_not_change_the_frame(scene, probe, small, ahead) -> None:

@@ -59,18 +59,6 @@ def comparison_table(
         carry an interval of their own: the mean of its bounds), best (of the networks, by the mean; where 0 is best, by
         the mean size of the seeds' means; the re-simulation does not compete; all times that the fastest one's spread
         reaches are best).
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from ablate.analysis import comparison_table
-    >>> values = {"sa2h": [18.0, 20.0], "sa2h-att": [15.0, 17.0]}
-    >>> rows = [(v, 0, k, k, "psnr", x) for v, xs in values.items() for k, x in enumerate(xs)]
-    >>> names = ["variant", "seed", "frame", "site", "metric", "value"]
-    >>> comparison_table(pd.DataFrame(rows, columns=names))[["variant", "mean", "n", "best"]]
-        variant  mean  n   best
-    0      sa2h  19.0  2   True
-    1  sa2h-att  16.0  2  False
     """
     parts = [every_frame(per_image)[[*SCALAR_COLUMNS]]]
     if scalars is not None and len(scalars):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable, Iterable
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,6 +67,7 @@ class Scene:
     structures: tuple[Structure, ...]
     background: Tissue
     name: str
+    looked_at: bool = field(default=False, init=False, compare=False, repr=False)  # its walls, which happens once
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "structures", tuple(self.structures))

@@ -90,16 +90,6 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
         As `validate_scene_folder`, before any mesh is read; and ValueError from `load_mesh` for a mesh that is
         empty, not finite or cannot be closed, from `labelled_structures`, and when the unit makes the meshes larger
         or smaller than any body.
-
-    Examples
-    --------
-    >>> import tempfile, trimesh
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = trimesh.creation.icosphere(radius=5.0).export(f"{folder}/liver.stl")
-    ...     _ = Path(folder, "scene.yaml").write_text("unit: cm\\nstructures: [{mesh: liver.stl, tissue: liver}]")
-    ...     scene = load_scene(folder)
-    >>> scene.structures[0].tissue.name, scene.structures[0].mesh.extents.round().tolist()
-    ('liver', [100.0, 100.0, 100.0])
     """
     # here, because the check of a folder needs no mesh library
     from ablate.anatomy.meshes.check import warn_of_overlaps
@@ -116,7 +106,7 @@ def load_scene(folder: str | Path, cache_dir: Path | None = None) -> Scene:
 
         structures = (*labelled_structures(checked.labels, f"{path}: labels", cache_dir), *structures)
         scene = Scene(structures, checked.background, checked.name)
-    warn_of_overlaps([structure.mesh for structure in structures])
+    warn_of_overlaps(scene)
     return scene
 
 

@@ -35,12 +35,6 @@ class Tissue:
     ------
     ValueError
         When a value is not finite or outside its physical range; the message names tissue and field.
-
-    Examples
-    --------
-    >>> cyst = Tissue("cyst", impedance_mrayl=1.5, scatterer_density=0.0)
-    >>> cyst.kind.value, cyst.scatter_power
-    ('fluid', 0.0)
     """
 
     name: str

@@ -12,7 +12,7 @@ from ablate.ultrasound.probe import check_pose
 COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
-def read_poses(path: Path, key: str = "dataset.poses") -> tuple[np.ndarray, np.ndarray]:
+def read_poses(path: str | Path, key: str = "dataset.poses") -> tuple[np.ndarray, np.ndarray]:
     """Poses, (n, 4, 4) float64, probe to world, mm, and the site of each, (n,) int64, of a .npy or .csv file.
 
     A .npy file holds (n, 4, 4), and every pose is a site of its own. A .csv file has the columns x, y, z of the middle
@@ -20,7 +20,7 @@ def read_poses(path: Path, key: str = "dataset.poses") -> tuple[np.ndarray, np.n
     `key` stands in messages. A FileNotFoundError or ValueError, when the file is missing or holds something else, or a
     pose is not rigid, names file and row.
     """
-    where = f"{key}={path}"
+    path, where = Path(path), f"{key}={path}"
     if path.suffix.lower() not in (".npy", ".csv"):
         raise ValueError(f"{where}: allowed are .npy and .csv")
     if not path.is_file():

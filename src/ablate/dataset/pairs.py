@@ -259,12 +259,13 @@ def create_pairs(
     return open_pairs(folder)
 
 
-def open_pairs(folder: Path) -> Pairs:
+def open_pairs(folder: str | Path) -> Pairs:
     """Open a data set that `create_pairs` laid out.
 
     A FileNotFoundError when there is none; a ValueError when its poses, sites, split or mask are not as they were
     written, or it is stored in another version.
     """
+    folder = Path(folder)
     if not (folder / "about.json").exists():
         raise FileNotFoundError(f"no data set at {folder}; {_MEND} makes it")
     group = zarr.open_group(folder / "pairs.zarr", mode="r")

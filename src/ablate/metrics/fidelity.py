@@ -34,16 +34,6 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
     ------
     ValueError
         When shapes or dtypes do not fit, or the mask is empty.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from ablate.metrics import psnr
-    >>> target = np.zeros((4, 4), np.uint8)
-    >>> round(psnr(target + np.uint8(16), target), 2)
-    24.05
-    >>> psnr(target, target)
-    inf
     """
     difference = _difference(a, b, mask).astype(np.int32).ravel()
     squares = int(np.sum(difference * difference, dtype=np.int64))

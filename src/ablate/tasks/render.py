@@ -60,7 +60,7 @@ def render(jobs: Sequence[Job]) -> int:
             write_cine(folder / "cine.dcm", np.stack([np.asarray(i) for i in images]), simulator.mask, size, _FRAME_MS)
     else:
         with written_whole(folder / "frame.npz") as partial:
-            arrays = {name: getattr(frame, name) for name in Frame.__annotations__ if name != "beam"}
+            arrays = {name: getattr(frame, name) for name in Frame.__annotations__ if name not in ("beam", "probe")}
             np.savez_compressed(partial, **arrays, pose=poses[0])
     print(folder)
     return 0

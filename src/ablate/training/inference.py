@@ -160,7 +160,7 @@ def generate(
     ----------
     maps : mapping of (N, 1, H, W) float32
         At least the maps of `conditions(generator.spec)`; others are not read.
-    mask : (N, 1, H, W) or (H, W) bool or float
+    mask : (N, 1, H, W), (N, H, W) or (H, W) bool or float
         The fan; outside of it the image is black.
     noise_seed : (N,) int64 or None
         One a frame: the same seed gives the same frame. None renders without noise.
@@ -174,7 +174,7 @@ def generate(
         with torch.inference_mode(), autocast(precision, device):  # both are of the thread that renders
             frame = {name: value[index:end].to(device) for name, value in given.items()}
             seed = None if noise_seed is None else noise_seed[index:end].to(device)
-            fan = (mask if mask.ndim == 2 else mask[index, 0]).to(device)
+            fan = (mask if mask.ndim == 2 else mask[index].reshape(mask.shape[-2:])).to(device)
             levels: np.ndarray = decode_grey_levels(generator(**frame, noise_seed=seed)[0, 0], fan).cpu().numpy()
             return levels
 

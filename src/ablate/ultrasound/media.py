@@ -12,6 +12,7 @@ from ablate.ultrasound.settings import DepthMode, PlanMode, Probe, SimulatorSett
 
 DISPLAY_SPEED_M_S = 1540.0
 _MAX_TISSUES = 254  # 0 is outside the fan
+_MARGIN = 1.001  # of the reach: for rounding, and for poses some micrometres beside
 
 
 class Media(NamedTuple):
@@ -76,6 +77,13 @@ class RenderPlan:
     media: Media
     anechoic: bool  # whether nothing within reach scatters or reflects: then no ray is cast
     left_out: tuple[str, ...]  # what was left out, and why, one line each
+    reach_mm: float  # of echoes, from the middle of the face
+    out_of_reach: np.ndarray  # (n, 2, 3) float64, mm, bounds of the structures that were left out
+
+    def check_reach(self, pose: np.ndarray) -> None:
+        """Refuse a pose, by a ValueError, from which a structure that was left out might be seen."""
+        if _within_mm(self.reach_mm, self.out_of_reach, pose[None, :3, 3]).any():
+            raise ValueError("pose: a structure that was left out is in reach; `poses` must hold all that are rendered")
 
 
 def plan_scene(
@@ -88,9 +96,11 @@ def plan_scene(
     if len(scene.tissues) > _MAX_TISSUES:
         raise ValueError(f"scene {scene.name!r} has {len(scene.tissues)} tissues; at most {_MAX_TISSUES}")
     full = settings.plan is PlanMode.full
-    near = np.ones(len(scene.structures), bool)
+    near, reach_mm = np.ones(len(scene.structures), bool), _reach_mm(scene, probe, settings)
+    bounds = np.array([structure.mesh.bounds for structure in scene.structures]).reshape(-1, 2, 3)
     if not full and poses is not None:
-        near = _within_reach(scene, probe, settings, [check_pose(pose) for pose in poses])
+        middles = np.array([check_pose(pose)[:3, 3] for pose in poses]).reshape(-1, 3)
+        near = _within_mm(_MARGIN * reach_mm, bounds, middles)
     kept = np.flatnonzero(near)
     tissue_of_owner = np.array([0, *(scene.structure_tissues[i] for i in kept)], np.uint8)
     used = np.unique(tissue_of_owner)
@@ -101,11 +111,18 @@ def plan_scene(
     notes = [] if full else _notes(scene, near, used, media, settings)
     if anechoic:
         notes = ["rays, scatterers and pulse: nothing in reach scatters or reflects", *notes]
-    return RenderPlan(tuple(scene.structures[i] for i in kept), tissue_of_owner, media, anechoic, tuple(notes))
+    structures = tuple(scene.structures[i] for i in kept)
+    return RenderPlan(structures, tissue_of_owner, media, anechoic, tuple(notes), reach_mm, bounds[~near])
 
 
-def _within_reach(scene: Scene, probe: Probe, settings: SimulatorSettings, poses: list[np.ndarray]) -> np.ndarray:
-    """Structures whose bounding box is nearer to some probe than any echo in the image can come from.
+def _within_mm(reach_mm: float, bounds: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Which boxes, (n, 2, 3), are within `reach_mm` of some of the points, (m, 3)."""
+    gaps = [np.maximum(np.maximum(lower - points, points - upper), 0) for lower, upper in bounds]
+    return np.array([(np.linalg.norm(gap, axis=-1) <= reach_mm).any() for gap in gaps], bool)
+
+
+def _reach_mm(scene: Scene, probe: Probe, settings: SimulatorSettings) -> float:
+    """Distance from the middle of the face beyond which no echo in the image can come from.
 
     An echo's depth is half its whole path, so a point farther than the depth from every start is never seen,
     however often a ray was reflected.
@@ -115,10 +132,7 @@ def _within_reach(scene: Scene, probe: Probe, settings: SimulatorSettings, poses
     fastest = 1.0
     if settings.depth_mode is DepthMode.time_of_flight:
         fastest = max(1.0, max(t.speed_m_s for t in scene.tissues) / DISPLAY_SPEED_M_S)
-    reach = 1.001 * (probe.depth_mm * fastest + face + off_plane)
-    middles = np.array([pose[:3, 3] for pose in poses]).reshape(-1, 3)
-    gaps = [np.maximum(np.maximum(s.mesh.bounds[0] - middles, middles - s.mesh.bounds[1]), 0) for s in scene.structures]
-    return np.array([(np.linalg.norm(gap, axis=-1) <= reach).any() for gap in gaps], bool)
+    return probe.depth_mm * fastest + face + off_plane
 
 
 def _notes(scene: Scene, near: np.ndarray, used: np.ndarray, media: Media, settings: SimulatorSettings) -> list[str]:

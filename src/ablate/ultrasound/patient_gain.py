@@ -39,7 +39,7 @@ def with_patient_gain(
     if settings.tgc is TimeGain.fixed or settings.time_gain_db is not None:
         return settings
     coarse = SimulatorSettings.low_quality(scanlines=_LINES, axial_samples=_SAMPLES, image_shape=(1, 1))
-    chosen = poses[np.linspace(0, len(poses) - 1, min(_POSES, len(poses))).astype(int)]
+    chosen = [poses[i] for i in np.linspace(0, len(poses) - 1, min(_POSES, len(poses))).astype(int)]
     simulator = Simulator(scene, probe, coarse, chosen, beside)
     labels = np.concatenate([simulator.scanline_tissues(pose) for pose in chosen])
     loss_db = np.array([2 * loss_db_mm(t, probe.frequency_mhz) for t in scene.tissues]) * (probe.depth_mm / _SAMPLES)

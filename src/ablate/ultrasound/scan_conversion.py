@@ -32,16 +32,6 @@ class ScanConverter:
     ----------
     mask : (H, W) bool
         The fan.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from ablate.ultrasound import ConvexProbe, ScanConverter
-    >>> converter = ScanConverter(ConvexProbe(), (512, 128), (256, 355))
-    >>> depth = np.repeat(np.linspace(0, 1, 512, dtype=np.float32)[:, None], 128, axis=1)
-    >>> image = converter.to_image(depth)
-    >>> image.shape, [f"{value:.2f}" for value in image[[20, 128, 250], 177]]
-    ((256, 355), ['0.04', '0.48', '0.98'])
     """
 
     def __init__(self, probe: Probe, beam_shape: Shape, image_shape: Shape) -> None:

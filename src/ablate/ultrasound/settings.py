@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from functools import partial
 from typing import Any, ClassVar
@@ -156,8 +156,8 @@ class SimulatorSettings:
 
     @classmethod
     def low_quality(cls, **changes: object) -> SimulatorSettings:
-        """Settings of the low-quality image L: one ray, one layer, and `changes`."""
-        return replace(cls(**changes), rays=1, layers=1)  # type: ignore[arg-type]
+        """Settings of the low-quality image L: one ray and one layer where `changes` do not say otherwise."""
+        return cls(**({"rays": 1, "layers": 1} | changes))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -203,6 +203,8 @@ class Frame:
         Linear envelope before TGC, noise floor and log.
     beam : Beam or None
         The same before scan conversion; image and attenuation are made from it. None in a frame made elsewhere.
+    probe : Probe or None
+        What it was simulated with.
     """
 
     segmentation: np.ndarray
@@ -211,6 +213,7 @@ class Frame:
     mask: np.ndarray
     envelope: np.ndarray
     beam: Beam | None = None
+    probe: Probe | None = None
 
 
 class ProbeKind(StrEnum):

@@ -38,7 +38,8 @@ class Simulator:
     Parameters
     ----------
     poses : iterable of (4, 4) float, optional
-        Poses of the probe that will be rendered; structures out of reach from all of them are left out.
+        Poses of the probe that will be rendered; structures out of reach from all of them are left out, and a pose
+        that might see one of them is refused by a ValueError.
     beside : Simulator, optional
         Another simulator of the same scene. Its meshes are not checked again, and its triangles are used again where
         both leave out the same structures. The frames are the same without it.
@@ -140,6 +141,7 @@ class Simulator:
             mask=self.mask,
             envelope=np.ascontiguousarray(envelope.T, np.float32),
             beam=replace(self.beam_maps(pose), image=image),
+            probe=self.probe,
         )
 
     @without_teams()
@@ -185,6 +187,7 @@ class Simulator:
     def _of(self, pose: np.ndarray, make: Make) -> Any:
         """What `make` gives for a pose in the geometry's world; it is kept until another pose comes."""
         if (kept := self._kept.get(make)) is None or kept[0] != pose.tobytes():
+            self._plan.check_reach(pose)
             local = pose.copy()
             local[:3, 3] -= self._origin_mm
             kept = self._kept[make] = pose.tobytes(), make(self, local)

@@ -9,24 +9,25 @@ from scipy.interpolate import PchipInterpolator
 from ablate.ultrasound.probe import fan_mask, pixel_polar
 from ablate.ultrasound.settings import Probe
 
+Gain = float | Sequence[float] | np.ndarray  # as `SimulatorSettings.time_gain`
 _LEAST = 1e-4  # of A; what is darker is black at any depth
 _REACH_DB = 36.0  # levels from minus this to this are 0 to 1
 
 
-def time_gain_db(depth_mm: np.ndarray, probe: Probe, tgc: float | Sequence[float]) -> np.ndarray:
+def time_gain_db(depth_mm: np.ndarray, probe: Probe, tgc: Gain) -> np.ndarray:
     """Two-way time gain at some depths, (...) to (...) dB.
 
     A number is the attenuation of a tissue, dB/cm/MHz: the gain is what it takes on the way there and back. Several are
     the gain itself at equal distances from the face to the imaging depth; between them it is a monotone cubic (Fritsch
     and Carlson, SIAM J. Numer. Anal. 17, 1980).
     """
-    if isinstance(tgc, Sequence):
-        gain_db: np.ndarray = PchipInterpolator(np.linspace(0, probe.depth_mm, len(tgc)), tgc)(depth_mm)
+    if np.ndim(tgc):
+        gain_db: np.ndarray = PchipInterpolator(np.linspace(0, probe.depth_mm, np.size(tgc)), tgc)(depth_mm)
         return gain_db
-    return 2 * tgc * probe.frequency_mhz * (depth_mm / 10)
+    return 2 * np.asarray(tgc).item() * probe.frequency_mhz * (depth_mm / 10)
 
 
-def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: float | Sequence[float]) -> np.ndarray:
+def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: Gain) -> np.ndarray:
     """The map A as the image has it: in decibels, two ways, plus the gain of the TGC at the depth of each pixel.
 
     It is (40 log10(max(A, 1e-4)) + g(z) + 36) / 72 with the time gain g(z) in dB, clipped to [0, 1]. At 0.5 (0 dB) the
@@ -45,10 +46,11 @@ def compensated_attenuation(attenuation: np.ndarray, probe: Probe, tgc: float | 
         0 outside the fan.
     """
     height, width = attenuation.shape[-2:]
-    return _compensated(attenuation, _gain_db(probe, tuple(tgc) if isinstance(tgc, Sequence) else tgc, (height, width)))
+    values = np.asarray(tgc).tolist()
+    return _compensated(attenuation, _gain_db(probe, tuple(values) if np.ndim(tgc) else values, (height, width)))
 
 
-def compensated_beam(attenuation: np.ndarray, probe: Probe, tgc: float | Sequence[float]) -> np.ndarray:
+def compensated_beam(attenuation: np.ndarray, probe: Probe, tgc: Gain) -> np.ndarray:
     """`compensated_attenuation` of A in beam space, (..., rows, scanlines) float32 in [0, 1]."""
     rows = attenuation.shape[-2]
     gain_db = time_gain_db((np.arange(rows) + 0.5) * (probe.depth_mm / rows), probe, tgc)

@@ -1,5 +1,6 @@
 """The built-in anatomy as a whole: who lies in whom, its layers, its resolution, its seeds and its probe sites."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 import trimesh
 
 from ablate.anatomy import fetal_abdomen, fetal_sites
+from ablate.anatomy.meshes.check import warn_of_overlaps
 
 FLESH = ("body and head", "left leg", "right leg", "left arm", "right arm")
 
@@ -92,6 +94,15 @@ def test_too_few_triangles_and_negative_seeds_are_refused() -> None:
         fetal_abdomen(100)
     with pytest.raises(ValueError, match="seed must be at least 0, not -1"):
         fetal_abdomen(4_000, seed=-1)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_no_walls_coincide_and_no_pieces_overlap(built, caplog: pytest.LogCaptureFixture, seed: int) -> None:
+    """Therefore no simulator looks at them again."""
+    scene = built(30_000, seed)
+    assert scene.looked_at
+    warn_of_overlaps(replace(scene))
+    assert not caplog.records
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])

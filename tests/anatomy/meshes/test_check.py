@@ -1,5 +1,6 @@
 """What a simulator is told of a scene before it casts a ray: refused, warned of, or let pass."""
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import trimesh
 
 from ablate.anatomy import Scene, Structure, check_scene, load_scene, load_tissues
 from ablate.anatomy.meshes.check import openings
+from ablate.ultrasound import ConvexProbe, Simulator
 
 TISSUES = load_tissues()
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=40.0)
@@ -96,3 +98,18 @@ def test_scenes_as_they_come_and_a_point_target_pass(built) -> None:
 
 def test_a_repaired_patient_passes(cases: Path) -> None:
     check_scene(load_scene(cases / "ircad11"), 150.0)
+
+
+def test_a_simulator_tells_once_a_scene_of_walls_that_coincide(caplog: pytest.LogCaptureFixture) -> None:
+    below, above = (trimesh.creation.box((80, 80, 40)).apply_translation((0, 0, z)) for z in (20, 60))
+    touching = Scene((Structure(below, TISSUES["fat"]), Structure(above, TISSUES["liver"])), TISSUES["blood"], "boxes")
+    for _ in range(2):
+        Simulator(pickle.loads(pickle.dumps(touching)) if caplog.records else touching)
+        (told,) = (record.getMessage() for record in caplog.records)
+        assert told.startswith("structure 0 and structure 1 share a wall (at 63 of 256 points)")  # a quarter of a box
+    caplog.clear()
+    above.apply_scale((0.9, 0.9, 1.0)).apply_translation((0, 0, -1))
+    overlapping = Scene(touching.structures, touching.background, "boxes")
+    Simulator(overlapping, ConvexProbe())
+    assert overlapping.looked_at
+    assert not caplog.records

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from ablate.anatomy import Scene, Structure, load_tissues
 from ablate.anatomy.meshes.check import overlaps, shared_walls, warn_of_overlaps
 from ablate.anatomy.meshes.repair import cap_open_ends, load_mesh, odd_edges, repair
 
@@ -172,6 +173,11 @@ def test_files_that_hold_no_mesh_are_refused_by_name(tmp_path: Path, name: str, 
     assert "\n" not in str(caught.value)
 
 
+def scene_of(*meshes: trimesh.Trimesh) -> Scene:
+    tissues = load_tissues()
+    return Scene(tuple(Structure(mesh, tissues["liver"]) for mesh in meshes), tissues["blood"], "s")
+
+
 def test_shared_walls_are_found_and_named(caplog: pytest.LogCaptureFixture) -> None:
     a = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
     b = trimesh.creation.icosphere(subdivisions=3, radius=9.0)
@@ -183,9 +189,17 @@ def test_shared_walls_are_found_and_named(caplog: pytest.LogCaptureFixture) -> N
     assert [pair[:2] for pair in walls] == [("a", "c")]
     assert walls[0][2] > 250
     with caplog.at_level(logging.WARNING, logger="ablate.anatomy.meshes.check"):
-        warn_of_overlaps([a, c])
+        warn_of_overlaps(scene_of(a, c))
     assert "a and c share a wall" in caplog.text
     assert shared_walls([a]) == shared_walls([]) == []
+
+
+def test_scenes_of_more_structures_than_embree_has_devices_are_looked_at(caplog: pytest.LogCaptureFixture) -> None:
+    """Each mesh of trimesh that casts rays has a device of its own, and a process with 1,000 of them crashes."""
+    boxes = [trimesh.creation.box((8, 8, 0.3)).apply_translation((0, 0, 0.5 * i)) for i in range(1100)]
+    boxes[1000].apply_translation((0, 0, 0.2))
+    warn_of_overlaps(scene_of(*boxes))
+    assert [record.args[:2] for record in caplog.records] == [("structure 1000", "structure 1001")]
 
 
 @pytest.mark.parametrize("extents", [(80, 80, 30), (300, 200, 30), (20, 20, 30)])
@@ -206,14 +220,14 @@ def test_pieces_of_one_mesh_that_overlap_are_told(caplog: pytest.LogCaptureFixtu
 
     inner.invert()
     for fine in (ball, joined(inner), joined(ball.copy().apply_translation((40, 0, 0)))):
-        warn_of_overlaps([fine])
+        warn_of_overlaps(scene_of(fine))
         assert overlaps(fine) < 3
     assert not caplog.text
     lobes = joined(ball.copy().apply_translation((25, 0, 0)))
     assert overlaps(lobes) > 10
     lobes.metadata["name"] = "liver.obj"
     with caplog.at_level(logging.WARNING, logger="ablate.anatomy.meshes.check"):
-        warn_of_overlaps([lobes])
+        warn_of_overlaps(scene_of(lobes))
     assert "liver.obj: pieces of it lie in each other" in caplog.text
 
 

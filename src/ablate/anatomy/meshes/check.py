@@ -7,6 +7,7 @@ crosses nothing, and has the wrong tissue to its end.
 import logging
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -34,7 +35,7 @@ _FIRST = 256  # triangles, one of which nearly always has an area
 
 
 def check_scene(scene: Scene, depth_mm: float) -> None:
-    """Refuse structures whose image would be wrong; warn of a size that points to a wrong unit.
+    """Refuse structures whose image would be wrong; warn of walls that coincide, and of what is no size of a body.
 
     `depth_mm` is the imaging depth of the probe. Raises ValueError, naming the structure by index and tissue, when it
     has no triangles or none with an area, a triangle names a vertex that is not there, a vertex is not finite or beyond
@@ -54,6 +55,7 @@ def check_scene(scene: Scene, depth_mm: float) -> None:
             raise ValueError(f"scene {scene.name!r}: structure {number} ({structure.tissue.name}) {fault}")
     if not scene.structures:
         return
+    warn_of_overlaps(scene)
     size_mm, scale = largest_extent_mm(scene), depth_mm / _BODY_DEPTH_MM
     small = size_mm < BODY_MM[0] * scale and len(scene.structures) > 1  # a lone one may be a point target
     if small or size_mm > BODY_MM[1] * (max(scale, 1.0) if depth_mm >= _SHALLOW_MM else scale):
@@ -97,34 +99,49 @@ def shared_walls(meshes: Sequence[trimesh.Trimesh]) -> list[tuple[str, str, int]
 
     They do where they are nearer than `TOLERANCE_MM`, whatever their triangles are. Pairs have the order of the meshes.
     """
-    walls: dict[tuple[int, int], int] = {}
-    for i, mesh in enumerate(meshes):
-        points, faces = trimesh.sample.sample_surface(mesh, _POINTS, seed=0)
-        for j, other in enumerate(meshes):
-            near = ((points > other.bounds[0] - _ASIDE_MM) & (points < other.bounds[1] + _ASIDE_MM)).all(axis=1)
-            if i != j and near.any():
-                there, normals = points[near], mesh.face_normals[faces[near]]
-                met, ray, _ = other.ray.intersects_location(there - _ASIDE_MM * normals, normals, multiple_hits=False)
-                count = int((np.linalg.norm(met - there[ray], axis=1) < TOLERANCE_MM).sum())
-                pair = min(i, j), max(i, j)
-                walls[pair] = max(walls.get(pair, 0), count)
+    sampled = [trimesh.sample.sample_surface(mesh, _POINTS, seed=0) for mesh in meshes]
+    points = np.array([there for there, _ in sampled])
+    normals = np.array([mesh.face_normals[faces] for mesh, (_, faces) in zip(meshes, sampled, strict=True)])
+    lower, upper = np.moveaxis(np.array([mesh.bounds for mesh in meshes]).reshape(-1, 2, 3), 1, 0)
+    lower, upper = lower - _ASIDE_MM, upper + _ASIDE_MM
+    counts = np.zeros((len(meshes), len(meshes)), int)
+    for j, other in enumerate(meshes):
+        beside = np.flatnonzero(((lower <= upper[j]) & (upper >= lower[j])).all(axis=1))
+        beside = beside[beside != j]
+        which, point = np.nonzero(((points[beside] > lower[j]) & (points[beside] < upper[j])).all(axis=-1))
+        if len(which):
+            owner = beside[which]
+            there, normal = points[owner, point], normals[owner, point]
+            met, ray, _ = _rays(other).intersects_location(there - _ASIDE_MM * normal, normal, multiple_hits=False)
+            on_it = np.linalg.norm(met - there[ray], axis=1) < TOLERANCE_MM
+            counts[j] = np.bincount(owner[ray[on_it]], minlength=len(meshes))
+    counts = np.triu(np.maximum(counts, counts.T))
     names = [str(mesh.metadata.get("name", f"structure {i}")) for i, mesh in enumerate(meshes)]
-    return [(names[i], names[j], count) for (i, j), count in sorted(walls.items()) if count >= _FEWEST]
+    return [(names[i], names[j], int(counts[i, j])) for i, j in np.argwhere(counts >= _FEWEST)]
+
+
+def _rays(mesh: trimesh.Trimesh) -> Any:
+    """What casts rays at a mesh, made anew: each that a mesh keeps is a device of Embree, and 1,000 crash."""
+    return type(mesh.ray)(mesh)
 
 
 def overlaps(mesh: trimesh.Trimesh) -> int:
     """Of how many of `_POINTS` lines through a mesh a part lies in it twice, by its winding: in two pieces of it."""
     points, _ = trimesh.sample.sample_surface(mesh, _POINTS, seed=0)
     towards = np.broadcast_to(_ASKEW, points.shape)
-    met, line, face = mesh.ray.intersects_location(points - 2 * mesh.scale * _ASKEW, towards)
+    met, line, face = _rays(mesh).intersects_location(points - 2 * mesh.scale * _ASKEW, towards)
     order = np.lexsort((met @ _ASKEW, line))
     turns = np.where(mesh.face_normals[face[order]] @ _ASKEW < 0, 1, -1)
     by_line = np.split(turns, np.flatnonzero(np.diff(line[order])) + 1)
     return sum(bool((np.abs(np.cumsum(of_line)) > 1).any()) for of_line in by_line)
 
 
-def warn_of_overlaps(meshes: Sequence[trimesh.Trimesh]) -> None:
-    """Log a warning for what breaks the counting of crossings: `shared_walls`, and pieces of one mesh that overlap."""
+def warn_of_overlaps(scene: Scene) -> None:
+    """Log a warning, once a scene, for what breaks the counting of crossings: `shared_walls`, and `overlaps`."""
+    if scene.looked_at:
+        return
+    object.__setattr__(scene, "looked_at", True)
+    meshes = [structure.mesh for structure in scene.structures]
     for first, second, count in shared_walls(meshes):
         where = f"share a wall (at {count} of {_POINTS} points)"
         logger.warning("%s and %s %s: the tissue behind it is wrong; let them overlap", first, second, where)

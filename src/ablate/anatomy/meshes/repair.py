@@ -23,7 +23,7 @@ FLAT_MM = 2.5  # an open end may be uneven by this (two CT slices) ...
 FLAT_FRACTION = 0.02  # ... or by this part of its width
 
 
-def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
+def load_mesh(path: str | Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     """Read a mesh file of any format that trimesh knows, or VTK's own, join its pieces, and make it usable, in mm.
 
     Materials and textures are not read.
@@ -31,6 +31,7 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     `metadata["name"]` is the name of the file. Raises ValueError, which names the file, where it cannot be read and
     where `repair` does.
     """
+    path = Path(path)
     try:
         if path.suffix.lower() in VTK_SUFFIXES:
             vertices, faces = read_vtk(path)
