@@ -1,5 +1,6 @@
 """Code of the user's own is known by its sources: all that a module imports of them, and nothing else."""
 
+import importlib
 import sys
 from pathlib import Path
 
@@ -62,6 +63,8 @@ def test_what_is_loaded_keeps_its_digest_while_edited(tmp_path: Path, monkeypatc
     before = source_digest("edited_later.measure")
     write(tmp_path, {"edited_later.py": "def measure(): return 1\n"})
     assert source_digest("edited_later.measure") == before
+    importlib.reload(sys.modules["edited_later"])  # as in a notebook
+    assert source_digest("edited_later.measure") != before
 
 
 @pytest.mark.parametrize(

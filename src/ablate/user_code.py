@@ -49,12 +49,14 @@ def source_digest(path: str) -> str:
     """
     value = load(path)
     holders = (path.rpartition(".")[0], getattr(value, "__module__", None))
-    return _digest(*(sys.modules[name] for name in dict.fromkeys(holders) if name in sys.modules))
+    modules = [sys.modules[name] for name in dict.fromkeys(holders) if name in sys.modules]
+    return _digest(*((module, id(module.__spec__)) for module in modules))
 
 
 @lru_cache
-def _digest(*holders: ModuleType) -> str:
-    files = {module.__name__: Path(str(module.__file__)) for module in holders if getattr(module, "__file__", None)}
+def _digest(*loaded: tuple[ModuleType, int]) -> str:
+    """By the modules, and by their specifications, of which a module that is loaded again has a new one."""
+    files = {module.__name__: Path(str(module.__file__)) for module, _ in loaded if getattr(module, "__file__", None)}
     to_read = list(files)
     while to_read:
         name = to_read.pop()

@@ -137,3 +137,13 @@ def test_interval_by_groups_is_wider_when_rows_of_a_group_are_alike():
     grouped = bootstrap_interval(frechet_distance, x, y, groups)
     assert grouped == bootstrap_interval(frechet_distance, x, y, groups), "same seed, same interval"
     assert np.ptp(grouped) > 1.5 * np.ptp(free)
+
+
+@pytest.mark.parametrize("distance", [frechet_distance, kernel_distance])
+def test_the_interval_of_a_distance_of_ones_own_is_that_of_its_own_resamples(distance):
+    rng = np.random.default_rng(0)
+    x, y, groups = rng.normal(size=(60, 3)), rng.gamma(2.0, size=(60, 3)), np.arange(60) // 5
+    known = bootstrap_interval(distance, x, y, groups)
+    assert bootstrap_interval(lambda a, b: distance(a, b), x, y, groups) == pytest.approx(known, rel=1e-5)
+    doubled = bootstrap_interval(lambda a, b: 2 * distance(a, b), x, y, groups)
+    assert doubled == pytest.approx(2 * np.array(known), rel=1e-5)

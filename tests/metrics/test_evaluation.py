@@ -43,6 +43,18 @@ def test_metrics_without_their_input_are_left_out(make_frame):
             frame.pair(frame.image, **wrong)
 
 
+def test_arrays_of_another_type_are_refused(make_frame):
+    """A mask of 0 and 1 would count as the numbers of rows: the smooth error of a frame was 12 for 54."""
+    frame = make_frame(0)
+    numbers = frame.mask.astype(np.uint8)
+    wrong = {**dict.fromkeys(("mask", "tissue_mask", "bone_mask"), numbers), "segmentation": numbers / 2}
+    for name, array in (wrong | {"draws": np.stack([frame.image] * 2) / 255}).items():
+        with pytest.raises(ValueError, match=f"{name} must be (bool|uint8|integers), got (uint8|float64)"):
+            frame.pair(frame.image, **{name: array})
+    with pytest.raises(ValueError, match="draws must begin with the prediction"):
+        frame.pair(frame.image, draws=np.stack([255 - frame.image, frame.image]))
+
+
 @pytest.mark.parametrize(
     "write",
     [
@@ -56,7 +68,7 @@ def test_a_metric_that_writes_to_its_pair_is_refused_by_name(make_frame, write):
     frame = make_frame(0, shape=(100, 140))
     kept = frame.image.copy(), frame.mask.copy(), frame.depth_mm.copy()
     wrong = Metric("careless", of_image=write)
-    pair = frame.pair(frame.image // 2, draws=np.stack([frame.image] * 2))
+    pair = frame.pair(frame.image // 2, draws=np.stack([frame.image // 2] * 2))
     with pytest.raises(ValueError, match="read-only\\nby the metric careless"):
         evaluate_image(pair, [wrong, METRICS["mae"]])
     for before, after in zip(kept, (frame.image, frame.mask, frame.depth_mm), strict=True):

@@ -76,3 +76,9 @@ def test_what_has_no_texture_is_refused():
     for shape, mask in (((1, 50, 50), np.zeros((50, 50), bool)), ((1, 40, 40), None)):
         with pytest.raises(ValueError, match="no patch"):
             speckle_features(np.zeros(shape, np.uint8), mask)
+
+
+def test_masks_of_another_shape_and_grey_levels_of_another_type_are_refused(frames):
+    for images, mask in ((frames[0], np.ones((50, 50), bool)), (frames[0] / 255, None)):
+        with pytest.raises(ValueError, match=r"images must be \(n, H, W\) uint8 and the mask \(H, W\), got"):
+            speckle_features(images, mask)

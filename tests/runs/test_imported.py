@@ -145,6 +145,10 @@ def test_depths_are_known_where_the_fan_is_told_or_is_that_of_the_probe(folder: 
         data = DataSet(next((tmp_path / pngs.name / "data").iterdir()))
         assert any("depth_mm=100, so depths are not known" in line for line in data.about["left_out"]) is not known
         assert (data.pairs.probe is not None) is known
+    where[-1:] = ["probe.depth_mm=150", f"runs_dir={tmp_path / 'similar'}"]
+    assert run("task=simulate", *TINY, *where) == 0
+    (left_out,) = (DataSet(folder).about["left_out"] for folder in (tmp_path / "similar" / "data").iterdir())
+    assert "fan.yaml: there is none, so depths and sizes in mm are those of probe.* of the settings" in left_out
 
 
 def test_a_network_in_beam_space_needs_the_fan_and_learns_from_the_images_of_others(

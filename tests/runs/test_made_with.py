@@ -16,6 +16,7 @@ from ablate.jobs.compose import jobs_of
 from ablate.runs.job import Job
 from ablate.runs.train import logged, write_provenance
 from ablate.storage import write_json
+from ablate.tracking import LocalLog, Status
 from support.finished_runs import result_of
 
 
@@ -145,3 +146,21 @@ def test_a_run_has_a_log_with_times_and_levels(job: Job, quiet: bool, capsys: py
     assert second.endswith(" INFO ablate.training: step 2 of 2")
     assert third.endswith(" WARNING ablate.training: bad")
     assert last.endswith(" ERROR ablate.runs.train: stopped by KeyboardInterrupt: Ctrl-C of somebody")
+
+
+def test_a_training_that_begins_again_says_that_curves_of_the_earlier_start_stay(
+    job: Job, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    code(monkeypatch, "aaa")
+    log = LocalLog(job.folder)
+    log.status(Status.running)
+    write_provenance(job)
+    assert not caplog.messages, "an earlier start logged no value"
+    log.metrics({"train/l1": 0.5}, 2)
+    write_provenance(job)
+    assert caplog.messages == [
+        "training begins again at step 0; curves and pictures of the earlier start stay as they are"
+    ]
+    stopped_at(job, 40)
+    write_provenance(job)
+    assert len(caplog.messages) == 1

@@ -67,14 +67,16 @@ def test_frames_and_curves_go_on_where_a_job_was_stopped(stopped_once: Job) -> N
     assert all("+step+4+" in name for name in newest)
 
 
-def test_a_run_has_the_parameters_that_people_sort_by_and_the_study_those_that_are_shared(stopped_once: Job) -> None:
+def test_a_run_has_the_parameters_that_people_sort_by_and_the_study_only_its_scene(stopped_once: Job) -> None:
+    """Settings of a study are those of its first command, and a later one may have others."""
     _, study, child = runs_of(stopped_once)
     components = {"family": "local", "att": "illumination", "concat": "yes", "conv": "yes", "noise": "inject"}
     sizes = {"preset": "tiny", "dataset.frames": "10", "training.steps": "4", "training.batch_size": "1"}
     others = {"variant": "sa2h", "seed": "0", "training.precision": "fp32", "scene.anatomy_seed": "0"}
     assert child.data.params.items() >= (components | sizes | others).items()
-    assert not [key for key in child.data.params if key.startswith("model.")]  # as task=describe has them
-    assert study.data.params["training.steps"] == "4"
+    assert child.data.params.items() >= {"simulator.rays": "2", "dataset.split": "site", "model.width": "0.05"}.items()
+    assert [key for key in child.data.params if key.startswith("model.")] == ["model.width"]  # others: as task=describe
+    assert study.data.params == {"scene": "fetal"}
     assert {study.info.status, child.info.status} == {"FINISHED"}
 
 

@@ -63,3 +63,19 @@ def test_grey_levels_round_trip_and_end_at_0_and_255() -> None:
 def test_a_missing_map_is_named(generator: Generator) -> None:
     with pytest.raises(KeyError, match="attenuation"):
         generate(generator, {"segmentation": batch(0)["segmentation"]}, torch.ones(32, 32), None)
+
+
+def test_masks_and_maps_that_do_not_fit_and_training_mode_are_refused(generator: Generator) -> None:
+    given = batch(0)
+    maps, seeds = {name: value for name, value in given.items() if name != "noise_seed"}, given["noise_seed"]
+    for mask in (maps["mask"][..., :1], maps["mask"][:1], maps["mask"].repeat(1, 2, 1, 1), torch.ones(3, 32, 32)):
+        with pytest.raises(
+            ValueError, match=r"mask: shape .*, allowed is that of the maps, or one of \(H, W\) for all"
+        ):
+            generate(generator, maps, mask, seeds)
+    raw = maps | {"segmentation": maps["segmentation"].to(torch.uint8)}
+    for precision in (TrainingPrecision.fp32, TrainingPrecision.bf16):
+        with pytest.raises(ValueError, match=r"segmentation: torch\.uint8, allowed are floats"):
+            generate(generator, raw, maps["mask"], seeds, precision)
+    with pytest.raises(ValueError, match="generator: in training mode"):
+        generate(generator.train(), maps, maps["mask"], seeds)

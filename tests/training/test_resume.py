@@ -4,7 +4,7 @@ import errno
 import shutil
 import signal
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import cache
@@ -15,6 +15,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from ablate.networks import GeneratorSpec
 from ablate.training import (
     LAST,
     TRAINING_VERSION,
@@ -317,3 +318,61 @@ def test_weights_of_another_variant_are_refused(whole: Callable[[str], Path], tm
     torch.save(checkpoint, tmp_path / "other.ckpt")
     with pytest.raises(ValueError, match="allowed are texture, transposed"):
         load_generator(tmp_path / "other.ckpt")
+
+
+DRAWS = """
+import torch
+from torch import nn
+
+class Net(nn.Module):
+    def __init__(self, channels):
+        super().__init__()
+        self.layers = nn.Sequential(nn.Conv2d(channels, 4, 3, padding=1), nn.Dropout2d(0.5), nn.Conv2d(4, 1, 1))
+    def forward(self, maps):
+        return torch.tanh(self.layers(maps))
+"""
+
+
+def test_what_a_network_of_ones_own_draws_follows_the_seed_and_the_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "with_dropout.py").write_text(DRAWS)
+    monkeypatch.syspath_prepend(tmp_path)
+    simple = {"concat": "input", "upsampling": "transposed", "noise": "none"}
+    spec = GeneratorSpec(family="custom", target="with_dropout.Net", depth=2, **simple)
+    before = torch.get_rng_state()
+    train(spec, SETTINGS, loader, tmp_path / "whole")
+    assert torch.equal(torch.get_rng_state(), before)
+    torch.rand(1)
+    with pytest.raises(OSError, match="disk gone"):
+        train(spec, SETTINGS, loader_until(5, crash), tmp_path / "stopped")
+    train(spec, SETTINGS, loader, tmp_path / "stopped")
+    assert_same_state(tmp_path / "whole", tmp_path / "stopped")
+    train(spec, replace(SETTINGS, seed=1), loader, tmp_path / "other")
+    with pytest.raises(AssertionError):
+        assert_same_state(tmp_path / "whole", tmp_path / "other")
+
+
+def test_curves_are_means_over_the_steps_before_a_stop_too(tmp_path: Path) -> None:
+    settings = replace(SETTINGS, log_every=8)
+    curves: list[dict[str, float]] = []
+
+    def sink(values: Mapping[str, float], _: int) -> None:
+        curves.append({name: value for name, value in values.items() if name.startswith("train/l")})
+
+    train(SPEC, settings, loader, tmp_path / "whole", sink)
+    with pytest.raises(OSError, match="disk gone"):
+        train(SPEC, settings, loader_until(5, crash), tmp_path / "stopped", sink)
+    train(SPEC, settings, loader, tmp_path / "stopped", sink)
+    whole, resumed = (values for values in curves if "train/l1" in values)
+    assert resumed == whole
+
+
+def test_threads_of_a_training_are_its_own(tmp_path: Path) -> None:
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(2)
+        train(SPEC, replace(SETTINGS, steps=1, threads=1), loader, tmp_path)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)

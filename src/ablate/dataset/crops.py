@@ -13,6 +13,7 @@ import torch
 
 from ablate.dataset.encoding import decode_attenuation, encode_grey_levels
 from ablate.networks.spec import OF_POSITION, OF_SURFACES, Space
+from ablate.setting import Checked, setting
 
 if TYPE_CHECKING:
     from ablate.dataset.pairs import Pairs  # only here: frames that are read otherwise need no Zarr
@@ -22,7 +23,7 @@ _LOST_S = 60.0  # a batch that takes longer is made here; its thread may have en
 
 
 @dataclass(frozen=True)
-class CropSettings:
+class CropSettings(Checked):
     """How training batches are cut.
 
     A crop is a square of `size` px, or a whole frame if `size` is 0; the part of it beyond the frame is filled as
@@ -30,11 +31,11 @@ class CropSettings:
     touches the fan. `flip` mirrors half of the crops left to right, which the physics allows.
     """
 
-    size: int = 512
-    batch_size: int = 4
-    fan_fraction: float = 0.0
+    size: int = setting(512, least=0)
+    batch_size: int = setting(4, least=1)
+    fan_fraction: float = setting(0.0, least=0, most=1)
     flip: bool = False
-    seed: int = 0
+    seed: int = setting(0, least=0)
     space: Space = Space.image
 
 

@@ -144,7 +144,8 @@ def bootstrap_interval(
     Parameters
     ----------
     distance : callable
-        `frechet_distance` or `kernel_distance`; a resample costs less than a call, as sums by group are kept.
+        Of two sets of features. A resample for `frechet_distance` or `kernel_distance` costs less than a call, as sums
+        by group are kept.
     X, Y : (n, d) float
         Features.
     groups : (n,) int or str
@@ -153,7 +154,12 @@ def bootstrap_interval(
     X, Y = check_features(X, Y)
     owner = np.unique(groups, return_inverse=True)[1]
     count = int(owner.max()) + 1
-    of_draw = (frechet_of_draw if distance is frechet_distance else kernel_of_draw)(X, Y, owner, owner)
+    known: dict[object, Callable[..., OfDraw]] = {frechet_distance: frechet_of_draw, kernel_distance: kernel_of_draw}
+    of_draw = (
+        known[distance](X, Y, owner, owner)
+        if distance in known
+        else (lambda times: distance(*(np.repeat(features, times[owner], axis=0) for features in (X, Y))))
+    )
     rng = np.random.default_rng(0)
     draws = [of_draw(np.bincount(rng.integers(count, size=count), minlength=count)) for _ in range(resamples)]
     tail = (1.0 - 0.95) / 2.0

@@ -141,7 +141,10 @@ def speckle_features(images: np.ndarray, mask: np.ndarray | None = None) -> np.n
     ValueError
         When no patch lies inside the mask.
     """
-    inside = patches_inside(np.ones(images.shape[1:], bool) if mask is None else mask, PATCH)
+    mask = np.ones(images.shape[1:], bool) if mask is None else mask
+    if images.dtype != np.uint8 or mask.shape != images.shape[1:]:
+        raise ValueError(f"images must be (n, H, W) uint8 and the mask (H, W), got {images.dtype} and {mask.shape}")
+    inside = patches_inside(mask, PATCH)
     if not inside.any():
         raise ValueError(f"no patch of {PATCH} x {PATCH} px lies wholly inside the mask; FD speckle needs a larger one")
     rows = [np.zeros((0, len(FEATURE_NAMES)))]
@@ -221,6 +224,8 @@ def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> Inceptio
         module = torch.jit.load(str(path), map_location=device).eval()
 
     def features(images: np.ndarray) -> np.ndarray:
+        if images.dtype != np.uint8:
+            raise ValueError(f"images must be uint8, got {images.dtype}")
         top, left = ((size - CENTRE) // 2 for size in images.shape[1:])
         starts = (0, CENTRE - CROP)
         crops = [images[:, top + i : top + i + CROP, left + j : left + j + CROP] for i in starts for j in starts]

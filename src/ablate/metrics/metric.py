@@ -20,6 +20,8 @@ SCALAR_COLUMNS = ("variant", "seed", "metric", "value")  # one row a metric of a
 BOUNDS = ("lower", "upper")  # ends of an interval: columns of tables, and suffixes as in `test/fd_speckle_lower`
 FRAME_TIME = "ms_per_frame"  # of a network, timed beside the others of its study; its bounds are quartiles
 FLOOR_PREFIX = "floor_"  # of a scalar of the re-simulation, as `test/floor_psnr`
+_WORDS = {"b": "bool", "u": "uint8", "iu": "integers", "fiu": "numbers"}  # for kinds of NumPy's types
+_KINDS = {**dict.fromkeys(("mask", "tissue_mask", "bone_mask"), "b"), "draws": "u", "segmentation": "iu"}  # of a pair
 
 
 class Direction(Enum):
@@ -123,9 +125,13 @@ class Pair:
                     raise ValueError(f"draws must be (k >= 2, {shape[0]}, {shape[1]}), got {array.shape}")
                 if name != "draws" and array.shape != shape:
                     raise ValueError(f"{name} must be {shape}, got {array.shape}")
+                if array.dtype.kind not in (kinds := _KINDS.get(name, "fiu")):
+                    raise ValueError(f"{name} must be {_WORDS[kinds]}, got {array.dtype}")
                 view = array.view()
                 view.flags.writeable = False
                 object.__setattr__(self, name, view)
+        if self.draws is not None and not np.array_equal(self.draws[0], self.prediction):
+            raise ValueError("draws must begin with the prediction")
 
     @cached_property
     def chi2_map(self) -> np.ndarray:

@@ -72,16 +72,6 @@ def patch_chi2(a: np.ndarray, b: np.ndarray, patch: int = 20, bins: int = 50) ->
     ------
     ValueError
         When shapes or dtypes do not fit, or patch or bins are out of range.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from ablate.metrics import patch_chi2
-    >>> target = np.zeros((20, 40), np.uint8)
-    >>> image = target.copy()
-    >>> image[:, 20:] = 255
-    >>> patch_chi2(image, target).tolist()
-    [[0.0, 1.0]]
     """
     check_pair(a, b)
     if patch < 1:

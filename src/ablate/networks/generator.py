@@ -27,13 +27,6 @@ class Generator(nn.Module):
     """Renders a B-mode image from the segmentation and the other inputs of its specification.
 
     It has no parameter, and computes nothing, that its variant does not use.
-
-    Examples
-    --------
-    >>> generator = Generator(GeneratorSpec(width=0.05))
-    >>> maps = {"segmentation": torch.zeros(1, 1, 48, 64), "attenuation": torch.zeros(1, 1, 48, 64)}
-    >>> generator(**maps, noise_seed=torch.tensor([7])).shape
-    torch.Size([1, 1, 48, 64])
     """
 
     def __init__(self, spec: GeneratorSpec) -> None:
@@ -121,6 +114,8 @@ class Generator(nn.Module):
             if value.ndim != 4 or value.shape[1] != channels or (*value.shape[:1], *value.shape[2:]) != like:
                 allowed = f"(N, {channels}, H, W), N, H and W alike of all maps"
                 raise ValueError(f"{name}: shape {tuple(value.shape)}, allowed is {allowed}")
+            if not value.is_floating_point():
+                raise ValueError(f"{name}: {value.dtype}, allowed are floats, as `network_inputs` makes them")
             stack.append(value)
         height, width = stack[0].shape[-2:]
         unit = 2**self.spec.depth

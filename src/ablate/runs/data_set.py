@@ -176,7 +176,9 @@ def _left_out(settings: StudySettings, checked: PngFolder, mask: np.ndarray) -> 
     left_out = ["re-simulation: pairs made elsewhere cannot be simulated again, so metrics have no floor"]
     if "attenuation" not in checked.maps:
         left_out.append("shadow_contrast and variants that read A: there is no folder attenuation")
-    elif not checked.probe and not describes_fan(settings.probe, mask):
+    if not checked.probe and describes_fan(settings.probe, mask):
+        left_out.append("fan.yaml: there is none, so depths and sizes in mm are those of probe.* of the settings")
+    elif not checked.probe:
         probe = ", ".join(f"{k}={v:g}" for k, v in asdict(settings.probe).items() if k != "frequency_mhz")
         left_out.append(
             f"shadow_contrast and thin_contrast: the fan of the images is not that of probe.{probe}, so depths are not "

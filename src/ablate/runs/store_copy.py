@@ -14,7 +14,7 @@ from ablate.metrics.metric import FLOOR_PREFIX, FRAME_TIME, is_bound
 from ablate.networks.spec import GeneratorSpec
 from ablate.runs.data_set import DataSet
 from ablate.runs.run import Run, State, runs_of
-from ablate.setting import flat, plain
+from ablate.setting import flat
 from ablate.settings.conf import build, components, components_of_networks, named_components
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest
@@ -22,17 +22,13 @@ from ablate.tracking import STATE, LocalLog, Status, Store, StoredRun
 
 #: What is told of the code and the machine of a run.
 ABOUT_CODE = ("git_commit", "git_dirty", "hardware", "threads")
-_SHARED = (  # settings that all runs of a study have in common, shown as its parameters
-    "model.width",
+#: Settings of a run that people sort and compare by, beside its components.
+_SORTED_BY = (
+    *("model.target", "model.width", "preset", "seed", "scene.anatomy_seed", "encoding"),
     *("dataset.frames", "dataset.split", "dataset.validation", "dataset.test"),
     *("simulator.rays", "simulator.layers", "simulator.scanlines", "simulator.image_shape"),
     *("training.steps", "training.batch_size", "training.crop", "training.learning_rate", "training.schedule"),
-    *("training.reconstruction", "training.l1_weight", "training.ema_decay", "training.precision"),
-)
-#: Settings of a run that people sort and compare by, beside its components.
-_SORTED_BY = (
-    *("model.target", "preset", "seed", "scene.anatomy_seed", "dataset.frames", "encoding"),
-    *(f"training.{key}" for key in ("steps", "batch_size", "learning_rate", "reconstruction", "loss")),
+    *("training.reconstruction", "training.loss", "training.l1_weight", "training.ema_decay"),
 )
 _SAMPLES = 2  # validation frames shown through training
 _SAMPLE_PX = 512  # larger frames are shrunk before they are logged: a run keeps a few dozen of them
@@ -50,11 +46,7 @@ def open_tracking(settings: StudySettings) -> StoredRun:
     """The study's parent run; it and the store are created when they are missing."""
     store = open_store(settings)
     run = StoredRun(store, tracking.parent_run(store, settings.study))
-    about: dict[str, Any] = {"scene": settings.scene_name, "preset": settings.preset}
-    for group, name in (key.split(".") for key in _SHARED):
-        if group in ("model", "training") or settings.scene.kind is not SceneKind.pairs:  # those were made elsewhere
-            about[f"{group}.{name}"] = plain(getattr(settings, group))[name]
-    run.parameters(about)
+    run.parameters({"scene": settings.scene_name})
     return run
 
 
@@ -178,6 +170,8 @@ def _sorted_by(run: Run) -> dict[str, Any]:
     settings = dict(flat(run.spec["settings"]))
     others = {c.key for c in components()} - {c.key for c in components_of_networks().values()}
     keys = others.union(_SORTED_BY, (key for key in run.changed if not key.startswith("model.")))
+    if settings["scene.kind"] == SceneKind.pairs:  # which were made elsewhere
+        keys = {key for key in keys if not key.startswith("simulator.")}
     told = {key: settings[key] for key in sorted(keys) if settings.get(key) is not None}
     return {**told, "training.precision": run.spec["semantic"]["training"]["precision"]}
 

@@ -28,6 +28,7 @@ from ablate.runs.store_copy import copying, log_samples
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, Provenance, StudySettings, Verbosity
 from ablate.storage import digest, remove_partial, write_json, write_text, written_whole
+from ablate.threads import torch_threads
 from ablate.tracking import LocalLog
 from ablate.training import TrainingPrecision, Validation, chosen_device, generate, read_checkpoint, train
 from ablate.user_code import source_digest
@@ -52,7 +53,7 @@ def run_job(job: Job) -> None:
             if (target := job.settings.model.target) and source_digest(target) != job.semantic["model"]["source"]:
                 raise ConfigurationError(f"model.target={target}: edited since the sweep began; repeat the command")
             claim_place(job)
-            with logged(job):
+            with logged(job), torch_threads(job.settings.training.threads):
                 _run(job)
 
 
@@ -132,6 +133,8 @@ def write_provenance(job: Job) -> None:
     now |= {"device": str(chosen_device(training.device)), "precision": precision_of(training).name}
     now |= tracking.packages()
     starts = [*job.run.starts, {"time": _now(), **now}]
+    if step == 0 and any("metrics" in line for line in tracking.read_log(job.folder)[0]):
+        _LOG.warning("training begins again at step 0; curves and pictures of the earlier start stay as they are")
     if len(starts) > 1 and now["step"] and job.run.result.get("hash") != job.hash:
         before = starts[-2]
         known = [key for key in now if key != "step" and (key in before or key == "git_diff")]

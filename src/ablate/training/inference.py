@@ -167,7 +167,12 @@ def generate(
     converter : ScanConverter, optional
         Makes images of the frames of a generator in beam space; without it they stay there.
     """
+    if generator.training:
+        raise ValueError("generator: in training mode; `generator.eval()` ends it")
     device = next(generator.parameters()).device
+    count, *size = (maps["segmentation"].shape[k] for k in (0, -2, -1))
+    if tuple(mask.shape) not in {(*size,), (count, *size), (count, 1, *size)}:
+        raise ValueError(f"mask: shape {tuple(mask.shape)}, allowed is that of the maps, or one of (H, W) for all")
     given = {name: maps[name] for name in conditions(generator.spec)}
 
     def render(index: int, end: int) -> np.ndarray:
@@ -178,8 +183,7 @@ def generate(
             levels: np.ndarray = decode_grey_levels(generator(**frame, noise_seed=seed)[0, 0], fan).cpu().numpy()
             return levels
 
-    count, pixels = len(given["segmentation"]), math.prod(given["segmentation"].shape[-2:])
-    if device.type == "cpu" and count > 1 and pixels <= _SMALL_FRAME_PX:
+    if device.type == "cpu" and count > 1 and math.prod(size) <= _SMALL_FRAME_PX:
         with without_teams():
             frames = np.stack(in_parts(render, count, 1))
     else:

@@ -19,6 +19,7 @@ from ablate.dataset.processes import Interruption
 from ablate.networks import Generator, GeneratorSpec
 from ablate.setting import plain
 from ablate.storage import remove_partial, written_whole
+from ablate.threads import torch_threads
 from ablate.training.inference import chosen_device, chosen_precision
 from ablate.training.module import PairGAN
 from ablate.training.reporting import DivergenceError, MetricSink, Report, Validation
@@ -82,8 +83,6 @@ def train(
     """
     if 0 < settings.crop < 2**spec.depth:
         raise ValueError(f"crop={settings.crop}: allowed are 2^depth = {2**spec.depth} and more")
-    if settings.threads:
-        torch.set_num_threads(settings.threads)
     device = chosen_device(settings.device)
     settings = replace(settings, precision=chosen_precision(settings.precision, device))
     module = PairGAN(spec, settings)
@@ -101,7 +100,8 @@ def train(
             LastCheckpoint(run_dir, settings.checkpoint_every, interruption),
         ]
         try:
-            _fit(module, loader(start, settings.steps), callbacks, device, run_dir)
+            with torch_threads(settings.threads):
+                _fit(module, loader(start, settings.steps), callbacks, device, run_dir)
         finally:
             interruption.restore()
         if interruption.signal is not None:

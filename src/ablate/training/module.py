@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import Any
 
+import numpy as np
 import torch
 from lightning.pytorch import LightningModule
 from lightning.pytorch.core.optimizer import LightningOptimizer
@@ -12,6 +13,7 @@ from torch.nn import functional as F
 from torch.optim import Adam, Optimizer
 
 from ablate.networks import (
+    Family,
     Generator,
     GeneratorSpec,
     PatchDiscriminator,
@@ -53,7 +55,7 @@ class PairGAN(LightningModule):
         has_average = settings.ema_decay > 0
         self.average = deepcopy(self.generator).requires_grad_(False) if has_average else None
         self.steps_done = 0
-        self._sums: dict[str, Tensor] = {}
+        self._sums: dict[str, Tensor | float] = {}
         self._steps_summed = 0
         self._optimizer_states: list[dict[str, Any]] | None = None
 
@@ -89,7 +91,7 @@ class PairGAN(LightningModule):
         seeds = batch["noise_seed"]
         if self.settings.reconstruction is Reconstruction.crps and draws_noise(self.spec):
             seeds = torch.cat((seeds, second_seeds(seeds)))
-        rendered = self.generator(**maps, noise_seed=seeds)
+        rendered = self._rendered(maps, seeds)
         fake, *second = (mask * (draw.float() + 1) - 1 for draw in rendered.split(len(image)))  # black outside the fan
         losses: dict[str, Tensor] = {}
         if (judge := self.discriminator) is not None:
@@ -124,6 +126,14 @@ class PairGAN(LightningModule):
         self._sums = {name: self._sums.get(name, 0) + value.detach() for name, value in losses.items()}
         self._steps_summed += 1
 
+    def _rendered(self, maps: Mapping[str, Tensor], seeds: Tensor) -> Tensor:
+        """What the generator makes of a batch; what a network of the user's own draws follows the seed and the step."""
+        with torch.random.fork_rng(enabled=(custom := self.spec.family is Family.custom)):
+            if custom:
+                torch.manual_seed(int(np.random.default_rng([self.settings.seed, self.steps_done]).integers(2**62)))
+            image: Tensor = self.generator(**maps, noise_seed=seeds)
+            return image
+
     def drain(self) -> dict[str, float]:
         """Return the mean of every loss since the last call, by name; this waits for the device.
 
@@ -140,6 +150,7 @@ class PairGAN(LightningModule):
             "state_dict": self.state_dict(),
             "optimizer_states": [optimizer.state_dict() for optimizer in self._listed_optimizers()],
             "steps_done": self.steps_done,
+            "summed": ({name: float(total) for name, total in self._sums.items()}, self._steps_summed),
             "hyper_parameters": {"spec": plain(self.spec), "settings": plain(self.settings)},
             "training_version": TRAINING_VERSION,
         }
@@ -149,6 +160,7 @@ class PairGAN(LightningModule):
         self.load_state_dict(checkpoint["state_dict"])
         self.steps_done = checkpoint["steps_done"]
         self._optimizer_states = checkpoint["optimizer_states"]
+        self._sums, self._steps_summed = checkpoint.get("summed", ({}, 0))
 
     def _listed_optimizers(self) -> Sequence[Optimizer | LightningOptimizer]:
         """The optimisers, the generator's first; Lightning gives a single one without a list around it."""

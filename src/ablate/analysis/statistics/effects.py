@@ -100,17 +100,6 @@ def factorial_effects(runs: pd.DataFrame, factors: Sequence[str]) -> pd.DataFram
     DataFrame
         Columns effect (`a` or `a:b`), estimate, lower, upper (a 95 % interval), p, dof, aliases. Where no degree of
         freedom is left for error, or an effect rests on fewer than three runs a side, lower, upper and p are None.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from ablate.analysis import factorial_effects
-    >>> runs = pd.DataFrame({"att": [0, 0, 1, 1], "noise": [0, 1, 0, 1], "value": [20.0, 21.0, 17.0, 16.0]})
-    >>> factorial_effects(runs, ["att", "noise"])[["effect", "estimate"]].round(6)
-          effect  estimate
-    0        att      -4.0
-    1      noise       0.0
-    2  att:noise      -1.0
     """
     model = fit_effects(runs, factors)
     rows = []

@@ -124,13 +124,6 @@ def paired_difference(
     ------
     ValueError
         When lengths differ, a value is NaN or finite beyond 1e100, or no pair is finite.
-
-    Examples
-    --------
-    >>> from ablate.analysis import paired_difference
-    >>> difference = paired_difference([18.0, 19.5, 21.0, 20.0], [17.0, 18.0, 20.0, 18.5], clusters=[0, 0, 1, 1])
-    >>> difference.shift, difference.effect, difference.clusters
-    (1.25, 1.0, 2)
     """
     values, reference = np.asarray(values, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     labels = np.arange(values.size) if clusters is None else np.asarray(clusters)
