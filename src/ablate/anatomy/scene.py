@@ -67,7 +67,7 @@ class Scene:
     structures: tuple[Structure, ...]
     background: Tissue
     name: str
-    looked_at: bool = field(default=False, init=False, compare=False, repr=False)  # its walls, which happens once
+    looked_at: bool = field(default=False, init=False, compare=False, repr=False)  # whether `warn_of_overlaps` did
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "structures", tuple(self.structures))

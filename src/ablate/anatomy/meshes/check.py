@@ -102,8 +102,8 @@ def shared_walls(meshes: Sequence[trimesh.Trimesh]) -> list[tuple[str, str, int]
     sampled = [trimesh.sample.sample_surface(mesh, _POINTS, seed=0) for mesh in meshes]
     points = np.array([there for there, _ in sampled])
     normals = np.array([mesh.face_normals[faces] for mesh, (_, faces) in zip(meshes, sampled, strict=True)])
-    lower, upper = np.moveaxis(np.array([mesh.bounds for mesh in meshes]).reshape(-1, 2, 3), 1, 0)
-    lower, upper = lower - _ASIDE_MM, upper + _ASIDE_MM
+    bounds = np.array([mesh.bounds for mesh in meshes]).reshape(-1, 2, 3)
+    lower, upper = bounds[:, 0] - _ASIDE_MM, bounds[:, 1] + _ASIDE_MM
     counts = np.zeros((len(meshes), len(meshes)), int)
     for j, other in enumerate(meshes):
         beside = np.flatnonzero(((lower <= upper[j]) & (upper >= lower[j])).all(axis=1))
@@ -121,7 +121,7 @@ def shared_walls(meshes: Sequence[trimesh.Trimesh]) -> list[tuple[str, str, int]
 
 
 def _rays(mesh: trimesh.Trimesh) -> Any:
-    """What casts rays at a mesh, made anew: each that a mesh keeps is a device of Embree, and 1,000 crash."""
+    """A ray caster that the mesh does not keep: each holds a device of Embree, and a process with 1,000 crashes."""
     return type(mesh.ray)(mesh)
 
 
