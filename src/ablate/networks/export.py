@@ -33,7 +33,7 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int, place
     path : Path
         Replaced when the new file is whole.
     height, width : int
-        Size of a frame, px. Any size is allowed, because the file contains the padding.
+        Size of a frame, px, for which a runtime plans its memory. Any is allowed: the file contains the padding.
     places : (image height, image width, 2) float32, optional
         Where the pixels of the image lie in the frame, `ScanConverter.places`.
 
@@ -41,11 +41,6 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int, place
     ------
     ImportError
         If the extra `export` is not installed.
-
-    Notes
-    -----
-    Noise is an input because its hash shifts 64-bit integers, which TensorRT does not support. The size is fixed
-    because a probe has one size, and because a runtime plans its memory and kernels for it.
     """
     try:
         import onnx
@@ -58,7 +53,8 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int, place
     shapes = [(n, height, width) for n in channels] + [(1, *size) for size in frame.sizes.values()]
     arguments = tuple(torch.zeros(1, *shape, device=device) for shape in shapes)
     names = [*frame.maps, *frame.sizes]
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it tells of optional packages
+    for package in ("torch.onnx", "onnxscript"):  # they tell of optional packages, and of weights that stay split
+        logging.getLogger(package).setLevel(logging.ERROR)
     with warnings.catch_warnings(), torch.no_grad():
         warnings.filterwarnings("ignore", message=".*LeafSpec.*", category=FutureWarning)  # the exporter's own call
         program = torch.onnx.export(

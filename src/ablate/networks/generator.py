@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from ablate.networks.families import CustomNetwork, LocalNetwork, UNetwork
-from ablate.networks.layers import draw_initial_weights, laid_out
+from ablate.networks.layers import area_means, draw_initial_weights, laid_out
 from ablate.networks.spec import DEPTHS, Family, GeneratorSpec, Noise, conditions, fed_channels, inputs
 
 # The value of each map outside the fan, also used for padding.
@@ -137,7 +137,7 @@ class Generator(nn.Module):
             # Of the labels the pixel at each cell's corner, where a convolution of stride 2 is centred.
             resized = [maps[:, :1, ::step, ::step]] if has_order else []
             if means.shape[1]:
-                means = F.avg_pool2d(means, 2)
+                means = area_means(means)
                 resized.append(means)
             pyramid.append(laid_out(torch.cat(resized, dim=1)))
         return pyramid

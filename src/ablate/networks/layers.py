@@ -11,15 +11,12 @@ Convolution = nn.Conv2d | nn.ConvTranspose2d
 class JointConvolution(nn.Conv2d):
     """Convolution of several tensors together: the sum of the convolutions of each.
 
-    Without a concatenation, nothing is copied, and channel counts remain multiples of the processor's vectors. An
-    exported network contains the ordinary convolution.
+    Nothing is copied into one tensor, and channel counts remain multiples of the processor's vectors.
     """
 
     def forward(self, *parts: Tensor | None) -> Tensor:
         """Convolve those of the (N, C, H, W) that are not None."""
         given = [part for part in parts if part is not None]
-        if torch.compiler.is_exporting():
-            return super().forward(torch.cat(given, dim=1) if len(given) > 1 else given[0])
         weights = self.weight.split([part.shape[1] for part in given], dim=1)
         result = F.conv2d(given[-1], weights[-1], self.bias, self.stride, self.padding)
         for part, weight in zip(given[:-1], weights, strict=False):
@@ -33,7 +30,7 @@ class JointTransposedConvolution(nn.ConvTranspose2d):
     def forward(self, *parts: Tensor | None) -> Tensor:  # type: ignore[override]
         """Convolve those of the (N, C, H, W) that are not None."""
         given = [part for part in parts if part is not None]
-        if torch.compiler.is_exporting():
+        if torch.compiler.is_exporting():  # OpenVINO fuses no sum with a transposed convolution
             return super().forward(torch.cat(given, dim=1) if len(given) > 1 else given[0])
         weights = self.weight.split([part.shape[1] for part in given])
         steps = self.stride, self.padding, self.output_padding
@@ -50,6 +47,13 @@ def laid_out(maps: Tensor) -> Tensor:
     channel, torch's default, so another format would be undone after every convolution.
     """
     return maps.contiguous(memory_format=torch.channels_last) if maps.device.type == "cpu" else maps
+
+
+def area_means(maps: Tensor) -> Tensor:
+    """Halve (N, C, H, W), H and W even, by the mean of each 2 x 2 pixels."""
+    if torch.compiler.is_exporting():  # OpenVINO pools few channels slowly
+        return F.conv2d(maps, maps.new_full((maps.shape[1], 1, 2, 2), 0.25), stride=2, groups=maps.shape[1])
+    return F.avg_pool2d(maps, 2)
 
 
 def instance_norm(features: Tensor) -> Tensor:
