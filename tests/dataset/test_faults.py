@@ -27,6 +27,7 @@ def shards(pairs: Pairs) -> dict[Path, tuple[int, int]]:
     return {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in files}
 
 
+@pytest.mark.slow
 def test_killed_again_and_again_the_set_is_that_of_one_go(
     tmp_path: Path, recipe: Recipe, blank: Blank, contents: Contents
 ) -> None:

@@ -21,6 +21,7 @@ TOTALS = {
     "sa2h-noise": 14_450_388,
     "sa2h": 14_450_964,
 }
+MORE = ("training.loss=none", "model.space=image")
 
 
 def test_the_papers_networks_have_the_papers_parameter_counts_at_every_size() -> None:
@@ -56,7 +57,10 @@ def test_a_variant_of_another_encoding_has_its_row_and_its_parameters() -> None:
     assert swept.loc["sa2h-printed", "total"] == TOTALS["sa2h"]  # the paper's labels are one channel
 
 
-@pytest.mark.parametrize("changed", ["model.depth=6", "training.loss=none", "model.space=image", "variant=custom"])
+@pytest.mark.parametrize(
+    "changed",
+    ["model.depth=6", *(pytest.param(word, marks=pytest.mark.slow) for word in MORE), "variant=custom"],
+)
 def test_a_job_that_is_no_variant_of_conf_has_a_row(changed: str) -> None:
     target = ["model.target=torch.nn.Identity"] if changed.endswith("custom") else []
     (job,) = jobs_of([changed, *target])

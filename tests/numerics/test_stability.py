@@ -13,15 +13,23 @@ from ablate.numerics.stability.checks import run as run_case
 from ablate.ultrasound import attenuation
 from support.studies import run as run_command
 
+LONG = ("250 surfaces of R_p = 0.1, 0.5 mm apart", "254 tissues, and one more")
 CHEAP = ("A: soft tissue behind 2200 dB", "A: one line, one sample, no loss", "grazing incidence, by the formulas")
 
 
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, id=name, marks=[pytest.mark.slow] * (name in LONG)) for name, case in CASES.items()],
+)
 def test_every_error_is_within_its_bound(case: Case) -> None:
     checks = run_case(case, "cpu")
     assert checks
     assert [check for check in checks if not check.holds] == []
     assert case[0].__doc__, "what is tried is told"
+
+
+def test_long_cases_are_cases() -> None:
+    assert {*LONG} <= {*CASES}
 
 
 def test_no_module_of_cases_is_forgotten() -> None:

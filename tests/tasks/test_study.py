@@ -116,6 +116,7 @@ def test_the_same_command_again_repeats_nothing(finished: Path) -> None:
     assert state(finished) == before
 
 
+@pytest.mark.slow
 def test_a_killed_scoring_loses_no_result(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A finished run is scored again; the process ends in the middle of a file."""
     job, before = sweep(finished)[0], state(finished)

@@ -34,6 +34,7 @@ def measures(load) -> ModuleType:
     return load("speckle_measures")
 
 
+@pytest.mark.slow
 def test_both_simulators_show_the_same_lesion(load) -> None:
     """Both get the same pulse. The lesion has its true size; the speckle follows the images of single points."""
     compare, phantoms, arrays = load("compare"), load("lesion_phantom"), load("pymust_array")
