@@ -30,7 +30,7 @@ class JointTransposedConvolution(nn.ConvTranspose2d):
     def forward(self, *parts: Tensor | None) -> Tensor:  # type: ignore[override]
         """Convolve those of the (N, C, H, W) that are not None."""
         given = [part for part in parts if part is not None]
-        if torch.compiler.is_exporting():  # OpenVINO fuses no sum with a transposed convolution
+        if torch.compiler.is_exporting():  # which OpenVINO computes faster than the sum
             return super().forward(torch.cat(given, dim=1) if len(given) > 1 else given[0])
         weights = self.weight.split([part.shape[1] for part in given])
         steps = self.stride, self.padding, self.output_padding
