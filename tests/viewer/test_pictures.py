@@ -14,6 +14,7 @@ from ablate.viewer.pictures import (
     mark,
     share_picture,
 )
+from ablate.viewer.session import Quality
 
 PROBE = ConvexProbe()
 SHAPE = (384, 532)
@@ -29,25 +30,27 @@ def middle(picture: Image.Image) -> tuple[int, ...]:
 def test_grey_levels_and_colours_are_those_of_the_maps() -> None:
     assert middle(framed(np.full(SHAPE, 90, np.uint8), MASK, PROBE)) == (90, 90, 90)
     labels = np.where(MASK, np.uint8(2), np.uint8(0))
-    assert middle(label_picture(labels, [(0, 0, 0), (1.0, 0.2, 0.0)], PROBE)) == (255, 51, 0)
+    assert middle(label_picture(labels, [(0, 0, 0), (1.0, 0.2, 0.0)], PROBE, Quality.full)) == (255, 51, 0)
     small = fan_mask(PROBE, (256, 355))
     halves = np.where(np.arange(355) < 177, np.uint8(1), np.uint8(3)) * small
-    colours = label_picture(halves, [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)], PROBE).getcolors()
+    colours = label_picture(
+        halves, [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)], PROBE, Quality.full
+    ).getcolors()
     assert colours is not None
     assert (0, 255, 0) not in {colour for _, colour in colours}, "no tissue between two others"
-    bright, dark = (np.sum(middle(share_picture(np.full(SHAPE, v), MASK, PROBE))) for v in (1.0, 0.05))
+    bright, dark = (np.sum(middle(share_picture(np.full(SHAPE, v), MASK, PROBE, Quality.full))) for v in (1.0, 0.05))
     assert bright > dark
-    beside = share_picture(np.ones(SHAPE), MASK, PROBE).getpixel((2, SHAPE[0] - 2))
+    beside = share_picture(np.ones(SHAPE), MASK, PROBE, Quality.full).getpixel((2, SHAPE[0] - 2))
     assert beside == (0, 0, 0), "outside the fan"
 
 
 def test_a_difference_is_red_where_the_first_is_brighter_and_blue_where_the_second_is() -> None:
     low, high = np.full(SHAPE, 20, np.uint8), np.full(SHAPE, 200, np.uint8)
-    red, _, blue = middle(difference_picture(high, low, MASK, PROBE))
+    red, _, blue = middle(difference_picture(high, low, MASK, PROBE, Quality.full))
     assert red > blue
-    red, _, blue = middle(difference_picture(low, high, MASK, PROBE))
+    red, _, blue = middle(difference_picture(low, high, MASK, PROBE, Quality.full))
     assert red < blue
-    assert min(middle(difference_picture(low, low, MASK, PROBE))) > 240
+    assert min(middle(difference_picture(low, low, MASK, PROBE, Quality.full))) > 240
 
 
 def test_ticks_of_the_scale_lie_ten_millimetres_apart() -> None:
@@ -82,3 +85,14 @@ def test_narrow_images_stand_in_the_middle_of_cells_that_are_wider_than_high() -
     assert columns[0] == 100, "500 wide, half of the margin on either side"
     wide = _mosaic([("a", "", Image.new("RGB", (600, 400), "white"))])
     assert (wide[200, :600] == 255).all()
+
+
+def test_a_picture_of_a_moving_probe_is_a_smaller_one_of_the_same_layout() -> None:
+    """Shown in the same width, nothing in it moves when the probe comes to rest."""
+    image = np.zeros(SHAPE, np.uint8)
+    full, coarse = (framed(image, MASK, PROBE, quality) for quality in (Quality.full, Quality.coarse))
+    assert (coarse.height, coarse.width) == (SHAPE[0] * 2 // 3, round(SHAPE[1] * 2 / 3))
+    marks = [np.argwhere(np.asarray(picture)[..., 1] > 100) / picture.height for picture in (full, coarse)]
+    np.testing.assert_allclose(marks[0].max(axis=0), marks[1].max(axis=0), atol=0.01)
+    sheets = [_mosaic([("title", "note", picture)] * 4).shape for picture in (full, coarse)]
+    assert sheets[1][1] / sheets[1][0] == pytest.approx(sheets[0][1] / sheets[0][0], rel=0.003)

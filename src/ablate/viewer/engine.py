@@ -8,11 +8,9 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
-import torch
 
 from ablate.anatomy import Scene
 from ablate.networks.spec import OF_SURFACES, Space
-from ablate.threads import torch_threads
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.probe import pixel_polar
 from ablate.viewer.generators import Trained, open_generator
@@ -39,7 +37,6 @@ class Engine:
         self.scene = scene
         patient = partial(with_patient_gain, settings=SimulatorSettings(tgc=TimeGain.patient), poses=training_poses)
         self._patient_gain = lru_cache(_KEPT_SIMULATORS)(lambda probe: patient(scene, probe, beside=self._first))
-        self._beside = max(1, torch.get_num_threads() - 1)  # threads, while another one draws the frame before
         self._first: Simulator | None = None
         self._simulator = lru_cache(_KEPT_SIMULATORS)(self._new_simulator)
         self._generator = lru_cache(_KEPT_GENERATORS)(lambda folder: open_generator(folder, scene.tissues))
@@ -57,9 +54,7 @@ class Engine:
         place = (state.pose.tobytes(), probe, settings)
         mask, depth = _fan(probe, settings.image_shape)
         mapped = self._simulator(probe, replace(settings, layers=1) if moving else settings)
-        own_threads = partial(torch_threads, self._beside if moving else 0)
-        with own_threads():
-            (segmentation, attenuation), ms["maps"] = self._once("maps", place, lambda: mapped.maps(state.pose))
+        (segmentation, attenuation), ms["maps"] = self._once("maps", place, lambda: mapped.maps(state.pose))
         images: list[np.ndarray | None] = []
         for number, folder in enumerate(state.runs):
             name = f"generated {number}"
@@ -69,13 +64,11 @@ class Engine:
                 if "low" in trained.reads:
                     simulator = self._simulator(probe, replace(settings, rays=1, layers=1))
                     simulate = partial(_quietly, simulator, replace(state, display=None))
-                    with own_threads():
-                        frame = self._once("low", (*place, state.seed), simulate)[0]
+                    frame = self._once("low", (*place, state.seed), simulate)[0]
                     low = frame.image if trained.space is Space.image else frame.beam.image
 
                 def render(trained: Trained = trained, low: Any = low, of_surfaces: bool = of_surfaces) -> np.ndarray:
-                    with own_threads():
-                        beam = mapped.beam_maps(state.pose, of_surfaces)
+                    beam = mapped.beam_maps(state.pose, of_surfaces)
                     return trained.render((segmentation, attenuation, beam), low, mask, probe, state.seed, moving)
 
                 image, ms[name] = self._once(f"{name}, {quality}", (folder, *place, state.seed), render)
@@ -89,8 +82,7 @@ class Engine:
             settings = coarse(settings) if moving else settings
             key = (*place, settings, state.seed, state.display)
             simulate = partial(_quietly, self._simulator(probe, settings), state)
-            with own_threads():
-                frame, ms["target"] = self._once("target", key, simulate)
+            frame, ms["target"] = self._once("target", key, simulate)
             target = frame.image
         notes = {name: words for name, words in notes.items() if words}
         curve = mapped.settings.time_gain_db

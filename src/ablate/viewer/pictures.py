@@ -21,14 +21,14 @@ from ablate.ultrasound.probe import fan_of, pixel_coordinates_mm, pixel_size_mm
 from ablate.viewer import calipers
 from ablate.viewer.session import Quality, Views
 
-_HEIGHT_PX = 384  # a picture has at least so many rows, for its letters, and at most twice as many
+_HEIGHT_PX = 384  # a picture at rest has at least so many rows, for its letters, and at most twice as many
 _TICK_MM, _LABEL_MM = 10, 50
 _SCALE = (150, 160, 170)
 _MARK, _YELLOW = (44, 160, 44), "#ffd400"
 _INFERNO = [0, 0, 0, *colormaps["inferno"](np.linspace(0, 1, 255), bytes=True)[:, :3].ravel().tolist()]
 _PAPER = (16, 18, 22)
 _COLUMNS = 2
-_BAR_PX, _GAP_PX = 30, 6
+_BAR_PX, _GAP_PX, _EDGE_PX, _LETTER_PX = 30, 6, 4, 20  # where a picture has _HEIGHT_PX
 _INK, _DIM = (235, 238, 242), (140, 150, 160)
 _LINE, _NOTE = 42, 30  # characters
 GOOD, BAD, DIM = "#2f9e44", "#e8590c", "#868e96"
@@ -37,13 +37,17 @@ _LEAST_SHARE = 0.002  # of the fan, or a tissue is not named
 _Tile = tuple[str, str, Image.Image | str]
 
 
-def framed(colours: np.ndarray, mask: np.ndarray, probe: Probe, palette: Sequence[int] = ()) -> Image.Image:
+def framed(
+    colours: np.ndarray, mask: np.ndarray, probe: Probe, quality: Quality = Quality.full, palette: Sequence[int] = ()
+) -> Image.Image:
     """Grey levels, (H, W), or colours, (H, W, 3), of the fan, with a scale of depth and the mark of one side.
 
-    With a palette, 3 values for each level, levels are looked up in it, and no values between them are made.
+    With a palette, 3 values for each level, levels are looked up in it, and no values between them are made. A coarse
+    picture has two thirds of the rows: it is drawn in half the time, and the browser shows it as large as one at rest.
     """
     picture = Image.fromarray(np.where(mask if colours.ndim == 2 else mask[..., None], colours, np.uint8(0)))
-    picture = picture.resize(_size(mask.shape), Image.Resampling.NEAREST if palette else Image.Resampling.BILINEAR)
+    way = Image.Resampling.NEAREST if palette else Image.Resampling.BILINEAR
+    picture = picture.resize(_size(mask.shape, quality), way)
     if palette:
         picture.putpalette(palette)
     picture = picture.convert("RGB")
@@ -51,22 +55,22 @@ def framed(colours: np.ndarray, mask: np.ndarray, probe: Probe, palette: Sequenc
     return picture
 
 
-def label_picture(labels: np.ndarray, colours: Sequence[Colour], probe: Probe) -> Image.Image:
+def label_picture(labels: np.ndarray, colours: Sequence[Colour], probe: Probe, quality: Quality) -> Image.Image:
     """A segmentation, (H, W) uint8, each tissue in its colour."""
     palette = [round(255 * channel) for colour in ((0.0, 0.0, 0.0), *colours) for channel in colour]
-    return framed(labels, labels > 0, probe, palette)
+    return framed(labels, labels > 0, probe, quality, palette)
 
 
-def share_picture(shares: np.ndarray, mask: np.ndarray, probe: Probe) -> Image.Image:
+def share_picture(shares: np.ndarray, mask: np.ndarray, probe: Probe, quality: Quality) -> Image.Image:
     """A map of shares in [0, 1], (H, W), from dark violet (0) to yellow (1)."""
     levels = (1 + 254 * np.clip(shares, 0, 1)).astype(np.uint8)  # 0 is black, outside the fan
-    return framed(levels, mask, probe, _INFERNO)
+    return framed(levels, mask, probe, quality, _INFERNO)
 
 
-def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Probe) -> Image.Image:
+def difference_picture(a: np.ndarray, b: np.ndarray, mask: np.ndarray, probe: Probe, quality: Quality) -> Image.Image:
     """a - b of two images, (H, W) uint8 each: red where a is brighter, blue where b is, white where they agree."""
     levels = np.clip(a.astype(np.int16) - b + 128, 0, 255).astype(np.uint8)
-    return framed(colormaps["RdBu_r"](levels, bytes=True)[..., :3], mask, probe)
+    return framed(colormaps["RdBu_r"](levels, bytes=True)[..., :3], mask, probe, quality)
 
 
 def on_fan(image: np.ndarray, mask: np.ndarray, rows: int = 160) -> np.ndarray:
@@ -77,9 +81,9 @@ def on_fan(image: np.ndarray, mask: np.ndarray, rows: int = 160) -> np.ndarray:
     return np.dstack([np.asarray(grey)] * 3 + [np.asarray(inside)])
 
 
-def empty_picture(words: str, shape: tuple[int, int]) -> Image.Image:
+def empty_picture(words: str, shape: tuple[int, int], quality: Quality) -> Image.Image:
     """Words in place of a missing picture, as large as the picture of an image of this shape."""
-    canvas = Image.new("RGB", _size(shape), _PAPER)
+    canvas = Image.new("RGB", _size(shape, quality), _PAPER)
     font, middle = _font(canvas.height / 26), (canvas.width / 2, canvas.height / 2)
     ImageDraw.Draw(canvas).text(middle, words, _SCALE, font, "mm", spacing=0.6 * font.size, align="center")
     return canvas
@@ -88,9 +92,10 @@ def empty_picture(words: str, shape: tuple[int, int]) -> Image.Image:
 def mark(picture: Image.Image, points: np.ndarray, probe: Probe) -> None:
     """Draw crosses at points of the image plane, x and z, (n, 2) mm, and what is measured between them."""
     draw, shape = ImageDraw.Draw(picture), (picture.height, picture.width)
+    arm, width = picture.height / 55, max(1, round(picture.height / 200))
     for x, y in (_pixel(point, shape, probe) for point in points):
-        draw.line((x - 7, y, x + 7, y), fill=_YELLOW, width=2)
-        draw.line((x, y - 7, x, y + 7), fill=_YELLOW, width=2)
+        draw.line((x - arm, y, x + arm, y), fill=_YELLOW, width=width)
+        draw.line((x, y - arm, x, y + arm), fill=_YELLOW, width=width)
     for line in calipers.lines(points):
         draw.line([_pixel(point, shape, probe) for point in line], fill=_YELLOW, width=1)
 
@@ -108,9 +113,9 @@ def _pixel(point: np.ndarray, shape: tuple[int, int], probe: Probe) -> tuple[flo
     return point[0] / wide + shape[1] / 2, (point[1] + fan_of(probe).sag_mm) / tall
 
 
-def _size(shape: tuple[int, int]) -> tuple[int, int]:
+def _size(shape: tuple[int, int], quality: Quality) -> tuple[int, int]:
     """Width and height of the picture of an image with this shape, px."""
-    rows = int(np.clip(shape[0], _HEIGHT_PX, 2 * _HEIGHT_PX))
+    rows = int(np.clip(shape[0], _HEIGHT_PX, 2 * _HEIGHT_PX)) * (2 if quality is Quality.coarse else 3) // 3
     return max(1, round(shape[1] * rows / shape[0])), rows
 
 
@@ -123,10 +128,10 @@ def _scale(probe: Probe, size: tuple[int, int]) -> tuple[Image.Image, tuple[int,
     for depth in range(0, int(probe.depth_mm) + 1, _TICK_MM):
         row = min(int(np.searchsorted(rows, depth)), size[1] - 1)
         long = depth % _LABEL_MM == 0
-        draw.line((0, row, 12 if long else 6, row), fill=_SCALE)
+        draw.line((0, row, size[1] / (32 if long else 64), row), fill=_SCALE)
         if long and depth:
             words = f"{depth} mm" if depth == _LABEL_MM else f"{depth}"
-            place = 15, min(row, size[1] - int(font.size))
+            place = size[1] / 26, min(row, size[1] - int(font.size))
             draw.text(place, words, fill=_SCALE, font=font, anchor="lm", stroke_width=2, stroke_fill=_PAPER)
     radius = size[1] // 60
     x, y = size[0] // 9, size[1] // 14
@@ -136,7 +141,7 @@ def _scale(probe: Probe, size: tuple[int, int]) -> tuple[Image.Image, tuple[int,
 
 @cache
 def _font(size: float) -> ImageFont.FreeTypeFont:
-    font = ImageFont.load_default(max(size, 11.0))
+    font = ImageFont.load_default(size)
     assert isinstance(font, ImageFont.FreeTypeFont)
     return font
 
@@ -155,16 +160,16 @@ class Layout:
 
 def screen(views: Views, colours: Sequence[Colour], layout: Layout) -> np.ndarray:
     """The picture of all images, (h, w, 3) uint8: the simulated one, generated ones, S, A and the difference."""
-    probe, mask, ms = views.state.probe, views.mask, views.ms
-    how = "coarse" if views.quality is Quality.coarse else "full quality"
+    probe, mask, ms, quality = views.state.probe, views.mask, views.ms, views.quality
+    how = "coarse" if quality is Quality.coarse else "full quality"
     taken = f"{how}, {ms['target']:.0f} ms" if "target" in ms else ""
     resting = "the simulator rests while the probe moves"
     generated = [_generated(views, number, layout.names) for number in range(len(views.state.runs))]
     tiles: list[_Tile] = [
-        ("simulated B-mode", taken, resting if views.target is None else framed(views.target, mask, probe)),
+        ("simulated B-mode", taken, resting if views.target is None else framed(views.target, mask, probe, quality)),
         *(generated[:1] or [("generated", "", "no generator is picked:\nchoose one under Compare")]),
-        ("segmentation S", "", label_picture(views.segmentation, colours, probe)),
-        ("attenuation A", f"S and A: {ms['maps']:.0f} ms", share_picture(views.attenuation, mask, probe)),
+        ("segmentation S", "", label_picture(views.segmentation, colours, probe, quality)),
+        ("attenuation A", f"S and A: {ms['maps']:.0f} ms", share_picture(views.attenuation, mask, probe, quality)),
         *generated[1:],
     ]
     if layout.difference:
@@ -172,9 +177,9 @@ def screen(views: Views, colours: Sequence[Colour], layout: Layout) -> np.ndarra
         if first is None or views.target is None:
             tiles.append(("difference", "", "a difference needs a simulated\nand a generated image"))
         else:
-            picture = difference_picture(first, views.target, mask, probe)
+            picture = difference_picture(first, views.target, mask, probe, quality)
             tiles.append(("generated - simulated", "red: brighter, blue: darker", picture))
-    pictures = [empty_picture(shown, mask.shape) if isinstance(shown, str) else shown for _, _, shown in tiles]
+    pictures = [empty_picture(shown, mask.shape, quality) if isinstance(shown, str) else shown for _, _, shown in tiles]
     points = calipers.in_plane(layout.points, views.state.pose)
     for picture in pictures:
         mark(picture, points, probe)
@@ -189,24 +194,25 @@ def _generated(views: Views, number: int, names: Mapping[Path, str]) -> _Tile:
         return f"generated: {name}", "", textwrap.fill(words, _LINE)
     note = views.notes.get(key, f"{views.ms[key]:.0f} ms").partition(";")[0]  # the caption has all of it
     short = textwrap.shorten(note, _NOTE, placeholder=" ...")
-    return f"generated: {name}", short, framed(image, views.mask, views.state.probe)
+    return f"generated: {name}", short, framed(image, views.mask, views.state.probe, views.quality)
 
 
 def _mosaic(tiles: Sequence[tuple[str, str, Image.Image]]) -> np.ndarray:
     own, height = tiles[0][2].size
+    bar, gap, edge, letter = (round(px * height / _HEIGHT_PX) for px in (_BAR_PX, _GAP_PX, _EDGE_PX, _LETTER_PX))
     width = max(own, height * 5 // 4)  # narrow images get margins: their titles fit, and S and A stay above the fold
     rows = -(-len(tiles) // _COLUMNS)
-    cell_height, cell_width = height + _BAR_PX + _GAP_PX, width + _GAP_PX
-    canvas = Image.new("RGB", (_COLUMNS * cell_width - _GAP_PX, rows * cell_height - _GAP_PX), _PAPER)
-    draw, font = ImageDraw.Draw(canvas), _font(20.0)
+    cell_height, cell_width = height + bar + gap, width + gap
+    canvas = Image.new("RGB", (_COLUMNS * cell_width - gap, rows * cell_height - gap), _PAPER)
+    draw, font = ImageDraw.Draw(canvas), _font(letter)
     for number, (title, note, picture) in enumerate(tiles):
         x, y = number % _COLUMNS * cell_width, number // _COLUMNS * cell_height
-        spare = width - draw.textlength(note, font=font) - 20
+        spare = width - draw.textlength(note, font=font) - 5 * edge
         while title and draw.textlength(title, font=font) > spare:
             title = title[:-2].rstrip(" .") + "." if len(title) > 2 else ""
-        draw.text((x + 4, y + _BAR_PX / 2), title, fill=_INK, font=font, anchor="lm")
-        draw.text((x + width - 4, y + _BAR_PX / 2), note, fill=_DIM, font=font, anchor="rm")
-        canvas.paste(picture, (x + (width - own) // 2, y + _BAR_PX))
+        draw.text((x + edge, y + bar / 2), title, fill=_INK, font=font, anchor="lm")
+        draw.text((x + width - edge, y + bar / 2), note, fill=_DIM, font=font, anchor="rm")
+        canvas.paste(picture, (x + (width - own) // 2, y + bar))
     return np.asarray(canvas)
 
 

@@ -23,7 +23,7 @@ _HOUSING, _MARK, _OUTLINE = (69, 77, 92), (44, 160, 44), (255, 176, 0)
 #: Turns viser's plane of an image, whose rows run along y, to that of the fan, where they run along z.
 _UPRIGHT = Rotation.from_euler("X", 90, degrees=True).as_quat(scalar_first=True)
 _NO_SHADOW = {"cast_shadow": False, "receive_shadow": False}
-_FAN_ROWS = {Quality.coarse: 96, Quality.full: 256}
+_FAN_ROWS = {Quality.coarse: 64, Quality.full: 256}
 
 
 class Body:

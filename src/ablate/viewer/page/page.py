@@ -14,7 +14,7 @@ from ablate.settings.study import StudySettings
 from ablate.viewer.page.body import Body
 from ablate.viewer.pictures import BAD, GOOD, Layout, caption, empty_picture, line, screen
 from ablate.viewer.records import CineLoop, Sweep
-from ablate.viewer.session import FROZEN, Session, Views
+from ablate.viewer.session import FROZEN, Quality, Session, Views
 
 Bounds = tuple[float, float, float]
 _JPEG_QUALITY = 88
@@ -40,7 +40,8 @@ class Page:
         self._words = ""
         self.images = server.gui.add_panel()
         with self.images.add_tab("Images"):
-            first = np.tile(np.asarray(empty_picture(_FIRST, session.state.simulator.image_shape)), (2, 2, 1))
+            empty = empty_picture(_FIRST, session.state.simulator.image_shape, Quality.full)
+            first = np.tile(np.asarray(empty), (2, 2, 1))
             self._screen = server.gui.add_image(first, format="jpeg", jpeg_quality=_JPEG_QUALITY)
             self._caption = server.gui.add_html("")
         self._status = server.gui.add_html("")
