@@ -28,8 +28,7 @@ def integral_attenuation(labels: np.ndarray, losses_db_mm: np.ndarray, spacing_m
     position = (1 - _PERCENT / 100) * (total.size - 1)  # of it in the falling order, interpolated as numpy.percentile
     below, after = int(position), min(int(position) + 1, total.size - 1)
     enough = total[:, after // len(total)].max()  # at least after + 1 sums are no larger, because lines grow
-    few = np.concatenate([line[: np.searchsorted(line, enough, side="right")] for line in total])
-    a, b = np.partition(few, (below, after))[[below, after]]  # a <= b: the larger amplitude first
+    a, b = np.partition(total[total <= enough], (below, after))[[below, after]]  # a <= b: the larger amplitude first
     scale = a - math.log1p((position - below) * math.expm1(a - b))
     in_parts(partial(_fall, total, scale, each, amplitude), len(labels), _LINES_OF_A_PART)
     return amplitude
