@@ -3,9 +3,9 @@
 make precision RUNS=runs PRESET=laptop PATIENT=path/to/scene     # an hour and a half at most on two cores
 python scripts/numerics.py --parts fetal                            # only the built-in anatomy with the trained runs
 
-The part of the paper's size trains SA2H at this size first, as the preset trains it. Of a patient, figures of errors
-and times are shown and no image. Tables stand between `<!-- table: name -->` and `<!-- end -->`; all other text is left
-as it is.
+The part of the paper's size trains SA2H there first, as the preset trains it, and shows its frames and scores. Of a
+patient, figures of errors and times are shown and no image. Tables stand between `<!-- table: name -->` and
+`<!-- end -->`; all other text is left as it is.
 """
 
 import argparse
@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from ablate.metrics import METRICS
 from ablate.numerics.precision.task import tables, verdict
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -34,6 +35,18 @@ PAPERS_SIZE = (
     "simulator.axial_fwhm_mm=0.3",
     "simulator.lateral_fwhm_mm=0.8",
 )
+#: Metrics of the table of scores.
+SCORES = [
+    "psnr",
+    "mae",
+    "mae_smooth",
+    "pchi2_tissue",
+    "shadow_contrast",
+    "thin_contrast",
+    "crps",
+    "noise_sd",
+    "fd_speckle",
+]
 # Name on the page: the heading's first words in the summary.
 TABLES = {
     "order": "Observed order",
@@ -101,6 +114,11 @@ def main() -> None:
             arguments, runs, _ = jobs[part]
             train = ["variant=sa2h", f"runs_dir={runs}", *arguments, f"training.threads={os.cpu_count()}"]
             subprocess.run([sys.executable, "-m", "ablate", *train], check=True)
+            (made,) = runs.glob("*/comparison")
+            shutil.copy(made / "qualitative_0.png", DOCS / "paper_size.png")
+            means = pd.read_csv(made / "table.csv", index_col="variant")[[f"{name}_mean" for name in SCORES]]
+            scores = means.map("{:.3g}".format).set_axis([METRICS[name].label for name in SCORES], axis=1)
+            PAGE.write_text(fill(PAGE.read_text(), {"paper scores": markdown(scores)}))
         if part in jobs and not (part == "patient" and args.patient is None):
             found = {f"{part} {name}": text for name, text in measure(*jobs[part]).items()}
             PAGE.write_text(fill(PAGE.read_text(), found))

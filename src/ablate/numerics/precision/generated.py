@@ -50,7 +50,7 @@ def comparable_runs(job: Job) -> tuple[list[Run], str]:
     fit = [run for run in same if run.checkpoint.exists()]
     others, bare = len(runs) - len(same), len(same) - len(fit)
     counts = [
-        f"{len(fit)} trained runs",
+        f"{len(fit)} trained run{'' if len(fit) == 1 else 's'}",
         f"{others} left out, they learned from other data" if others else "",
         f"{bare} left out, without a checkpoint" if bare else "",
     ]
