@@ -72,7 +72,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory, _small: None) -> Path:
 
 def test_simulator_and_runs_are_measured(trained: Path) -> None:
     printed = (trained / "printed.txt").read_text()
-    assert "1 trained runs; 1 left out, they learned from other data; 1 left out, without a checkpoint" in printed
+    assert "1 trained run; 1 left out, they learned from other data; 1 left out, without a checkpoint" in printed
     assert "left out, engine exported: needs what a test has not." in printed
     assert "With half of its" in printed
     points = pd.read_csv(trained / "precision" / "precision.csv", dtype={"setting": str})
