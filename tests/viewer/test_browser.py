@@ -4,6 +4,7 @@ import base64
 import shutil
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from io import BytesIO
 from typing import Any
@@ -19,6 +20,7 @@ pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultras
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium, of the extra `dev`")
 
 from ablate.jobs.compose import jobs_of  # noqa: E402
+from ablate.viewer.session import Quality  # noqa: E402
 from ablate.viewer.task import HOST, Viewer  # noqa: E402
 from support import viewed_body  # noqa: E402
 
@@ -131,6 +133,21 @@ def test_every_box_shows_what_holds_after_typing(browser: Any, viewer: Viewer) -
             viewer.page.refresh()  # shows what holds, where that is something else
             time.sleep(0.5)
             assert float(box.get_attribute("value")) == float(typed), tab
+
+
+def test_pictures_fill_the_panel_and_stay_as_large_while_the_probe_moves(browser: Any, viewer: Viewer) -> None:
+    page, width = viewer.page, "return [...document.images].find(i => i.src.startsWith('blob:')).clientWidth"
+    browser.set_window_size(1920, 1080)
+    page.images.set_width(1250)
+    views, widths = page.shown, {}
+    assert views is not None
+    for quality in Quality:
+        page.paint(replace(views, quality=quality))
+        until(lambda: browser.execute_script("return [...document.images].every(i => i.complete)"))
+        time.sleep(1.0)
+        widths[quality] = browser.execute_script(width)
+    page.images.set_width(640)
+    assert 1150 < widths[Quality.full] == widths[Quality.coarse]
 
 
 def test_a_second_tab_sees_the_same_probe_and_closing_frees_the_worker(browser: Any, viewer: Viewer) -> None:

@@ -44,6 +44,7 @@ class Page:
             first = np.tile(np.asarray(empty), (2, 2, 1))
             self._screen = server.gui.add_image(first, format="jpeg", jpeg_quality=_JPEG_QUALITY)
             self._caption = server.gui.add_html("")
+            server.gui.add_html("<style>img {width: 100%}</style>")  # else a picture is no wider than its pixels
         self._status = server.gui.add_html("")
         session.listeners.append(self.refresh)
 
