@@ -3,9 +3,8 @@
 Two tables: frames a second and motion to picture while the probe moves without rest, with simulator and generator and
 with the generator alone; and the memory of the program over many frames. The page in a browser sends at most 20 poses a
 second, and shows no more frames than that. 60 poses a second show how many frames there could be. Every pose is a new
-one. The client is a
-program of its own, as a browser is; the page's own drawing is not in the times. Other programs on the machine make all
-of it slower: the load is printed beside it, and what the yardstick took.
+one. The client is a program of its own, as a browser is; the page's own drawing is not in the times. Other programs on
+the machine make all of it slower: the load is printed beside it, and what the yardstick took.
 """
 
 import argparse
