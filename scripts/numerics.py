@@ -9,7 +9,6 @@ patient, figures of errors and times are shown and no image. Tables stand betwee
 """
 
 import argparse
-import os
 import re
 import shutil
 import subprocess
@@ -112,9 +111,9 @@ def main() -> None:
     for part in args.parts:
         if part == "paper":
             arguments, runs, _ = jobs[part]
-            train = ["variant=sa2h", f"runs_dir={runs}", *arguments, f"training.threads={os.cpu_count()}"]
+            train = ["variant=sa2h", f"runs_dir={runs}", *arguments, "training.threads=0"]
             subprocess.run([sys.executable, "-m", "ablate", *train], check=True)
-            (made,) = runs.glob("*/comparison")
+            made = runs / f"{args.preset}-fetal" / "comparison"
             shutil.copy(made / "qualitative_0.png", DOCS / "paper_size.png")
             means = pd.read_csv(made / "table.csv", index_col="variant")[[f"{name}_mean" for name in SCORES]]
             scores = means.map("{:.3g}".format).set_axis([METRICS[name].label for name in SCORES], axis=1)
