@@ -185,7 +185,11 @@ def inception_file(where: str) -> Path:
         path = Path(where).expanduser()
     if not path.is_file():
         raise FileNotFoundError(f"no Inception weights at {path}")
-    _check_digest(path)
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if digest != INCEPTION_SHA256:
+        found, right = (f"{one[:12]}..." for one in (digest, INCEPTION_SHA256))
+        raise ValueError(f"{path} has SHA-256 {found}, expected {right}: not the network of FID")
     return path
 
 
@@ -199,15 +203,6 @@ def _download(path: Path) -> None:
         raise ConnectionError(why) from error
     except RuntimeError as error:
         raise ValueError(f"{INCEPTION_URL} has another SHA-256: {error}") from error
-
-
-def _check_digest(path: Path) -> None:
-    with path.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    if digest != INCEPTION_SHA256:
-        raise ValueError(
-            f"{path} has SHA-256 {digest[:12]}..., expected {INCEPTION_SHA256[:12]}...: not the network of FID"
-        )
 
 
 def load_inception(path: Path, device: str = "cpu", batch: int = 16) -> InceptionFeatures:

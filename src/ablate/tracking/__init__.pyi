@@ -12,12 +12,11 @@ from .provenance import source_digest as source_digest
 from .store import UNAVAILABLE as UNAVAILABLE
 from .store import RunDeletedError as RunDeletedError
 from .store import Store as Store
-from .store import artifact_page as artifact_page
 from .store import child_run as child_run
 from .store import child_runs as child_runs
-from .store import comparison_page as comparison_page
 from .store import default_uri as default_uri
 from .store import open_store as open_store
+from .store import pages as pages
 from .store import parent_run as parent_run
 from .store import reason as reason
 from .stored_run import STATE as STATE

@@ -191,15 +191,11 @@ def _run_of(client: MlflowClient, run_id: str | None) -> Run | None:
         raise
 
 
-def artifact_page(store: Store, run_id: str, path: str) -> str:
-    """Link, relative to MLflow's address, to the artifact viewer with a file of a run open."""
-    return f"#/experiments/{store.experiment_id}/runs/{run_id}/artifacts/{quote(path)}"
-
-
-def comparison_page(store: Store, run_ids: Sequence[str]) -> str:
-    """Link, relative to MLflow's address, to its comparison of runs: parallel coordinates, parameters, metrics."""
+def pages(store: Store, run_id: str, path: str, run_ids: Sequence[str]) -> tuple[str, str]:
+    """Links, relative to MLflow's address, to the viewer of a run's artifact, and to the comparison of some runs."""
     runs, experiments = (quote(json.dumps(list(ids))) for ids in (run_ids, [store.experiment_id]))
-    return f"#/compare-runs?runs={runs}&experiments={experiments}"
+    viewer = f"#/experiments/{store.experiment_id}/runs/{run_id}/artifacts/{quote(path)}"
+    return viewer, f"#/compare-runs?runs={runs}&experiments={experiments}"
 
 
 def default_uri(runs: Path) -> str:

@@ -25,11 +25,6 @@ LINES_OF_A_PART = 32
 _TAIL = 4.0  # standard deviations kept of the axial kernel
 
 
-def beam_widening(settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarray:
-    """Elevational width of the beam over its width at the focus, sqrt(1 + ((z - zf) / range)^2)."""
-    return np.sqrt(1 + ((depth_mm - settings.focus_mm) / settings.focal_range_mm) ** 2)
-
-
 def lateral_sigma(probe: Probe, settings: SimulatorSettings, depth_mm: np.ndarray) -> np.ndarray:
     """Standard deviation of the main lobe in scanlines, (depths, scanlines or 1) float64.
 
@@ -58,10 +53,11 @@ def layer_weights(probe: Probe, settings: SimulatorSettings) -> tuple[np.ndarray
     """Elevational weights of the layers at each sample, twice (layers, samples) float64: of scatterers and of surfaces.
 
     The squares of the former sum to 1, so independent scatterers keep their power. The latter sum to 1, so an echo that
-    is in all layers keeps its amplitude.
+    is in all layers keeps its amplitude. The beam is sqrt(1 + ((z - zf) / range)^2) times as wide as at the focus.
     """
     depth = sample_depths_mm(probe, settings.axial_samples)
-    sigma = settings.elevational_fwhm_mm / FWHM_PER_SIGMA * beam_widening(settings, depth)
+    widening = np.sqrt(1 + ((depth - settings.focus_mm) / settings.focal_range_mm) ** 2)
+    sigma = settings.elevational_fwhm_mm / FWHM_PER_SIGMA * widening
     exponent = -0.5 * (layer_offsets_mm(settings)[:, None] / sigma) ** 2
     weights = np.exp(exponent - exponent.max(axis=0))
     return weights / np.sqrt((weights**2).sum(axis=0)), weights / weights.sum(axis=0)

@@ -7,7 +7,6 @@ cells: with one each, three layers of some ten cells would not be fully develope
 
 import math
 import zlib
-from collections.abc import Sequence
 from functools import cache, lru_cache
 from typing import NamedTuple
 
@@ -32,14 +31,9 @@ _LAST_SHIFT = np.uint32(15)
 _LAST_BITS = np.uint32(TABLE_SIZE - 1)
 
 
-def scatterer_tables(tissues: Sequence[Tissue]) -> np.ndarray:
-    """Complex scatterer strengths that the hash chooses from, one row a tissue, (tissues, TABLE_SIZE) complex64."""
-    return np.stack([_table(tissue) for tissue in tissues])
-
-
 @lru_cache(maxsize=256)
-def _table(tissue: Tissue) -> np.ndarray:
-    """Scatterer strengths of a tissue, (TABLE_SIZE,) complex64.
+def scatterer_table(tissue: Tissue) -> np.ndarray:
+    """Complex scatterer strengths of a tissue, which the hash chooses from, (TABLE_SIZE,) complex64.
 
     s = [u <= density] (mean + sd n), Burger et al. 2013, eq. 15, less its expectation (a band-pass pulse does not
     see it), with a random phase; summed over `DRAWS_PER_SAMPLE` and scaled so that the mean square is

@@ -27,7 +27,7 @@ class Speckle:
         self._probe, self._settings, self._dtype = probe, settings, dtype
         self._spacing_mm = probe.depth_mm / settings.axial_samples
         self._pitch_mm = max(settings.scatterer_pitch_mm, fan_of(probe).reach_mm / _MOST_CELLS)
-        tables = scatterers.scatterer_tables(tissues).reshape(-1, 1)
+        tables = np.concatenate([scatterers.scatterer_table(tissue) for tissue in tissues])[:, None]
         self._tables = np.concatenate([tables.real, tables.imag], axis=1).astype(dtype)  # (tissues * TABLE_SIZE, 2)
         self._silent = np.array([settings.plan is PlanMode.auto and tissue.scatter_power == 0 for tissue in tissues])
         self._textures = np.array([[*(1 / mm for mm in t.texture_mm), t.texture_contrast_db] for t in tissues])

@@ -13,12 +13,10 @@ from functools import partial
 
 import numpy as np
 import torch
-import torch.nn.functional as F
-from scipy.ndimage import maximum_filter1d
 from scipy.special import xlogy
 
 from ablate.threads import in_parts, side_by_side
-from ablate.ultrasound.compiled import Arrays, compiled
+from ablate.ultrasound.compiled import Arrays, compiled, exponential
 from ablate.ultrasound.imaging.point_spread import axial_kernel, layer_weights
 from ablate.ultrasound.media import Media, RenderPlan
 from ablate.ultrasound.probe import layer_offsets_mm, sample_depths_mm, scanlines_in_plane, to_world
@@ -39,6 +37,7 @@ _LINES_BESIDE = 15  # scanlines whose pencils cross those ways to a point that m
 _MOST_MORE_DB = 40.0  # of an echo whose own pencil hardly reaches it
 _NORMALS = 8  # of a rough surface, over which its echo and what it lets through are averaged
 _PATH_SEED = 2**63  # of the rays for haze, the same for every frame: other paths than those of an image
+_NEPER_PER_POWER_DB = math.log(10) / 10
 _MEAN_DEPTH = math.sqrt(2 / math.pi)  # of a surface's echo, in units of its thickness: the mean of a half normal
 
 
@@ -58,7 +57,7 @@ class SurfaceMaps:
         self._depth_mm = probe.depth_mm
         self._lines = scanlines_in_plane(probe, settings.scanlines, layer_offsets_mm(settings))
         gain_db = time_gain_db(sample_depths_mm(probe, self._shape[0]), probe, settings.time_gain)
-        self._gain_db, self._white_db = gain_db[:, None], 20 * math.log10(settings.reference_level)
+        self._gains_db = np.stack([gain_db - 20 * math.log10(settings.reference_level), gain_db])
         self._normals = _lattice()
         self._tracer = Tracer(geometry, plan, probe, replace(settings, rays=1, path_seed=_PATH_SEED))
         self._weights = layer_weights(probe, settings)[1]
@@ -76,38 +75,26 @@ class SurfaceMaps:
         of the image. Powers of the layers are averaged, and the time gain is added. Interfaces also have the power of
         reverberation, as one ray of each scanline and layer brings it back.
         """
-        (echo_power, light_power), haze = side_by_side(partial(self._direct, pose), partial(self._reverberation, pose))
-        echo_power += np.square(haze)
-        echo_db, light_db = (10 * np.log10(np.maximum(power, 1e-30)) for power in (echo_power, light_power))
-        return self._shown(echo_db - self._white_db, ECHO_DB), self._shown(self._at_rows(light_db)[0], LIGHT_DB)
+        (direct, levels), haze = side_by_side(partial(self._direct, pose), partial(self._reverberation, pose))
+        made = np.empty(haze.shape, np.float32), np.empty(haze.shape, np.float32)
+        show = partial(_show, direct, levels, haze, self._gains_db, made)
+        in_parts(show, len(haze), _LINES_OF_A_PART)
+        return np.ascontiguousarray(made[0].T), np.ascontiguousarray(made[1].T)
 
-    def _direct(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Power of the surfaces' own echoes, (scanlines, rows), and of the sound, (1, scanlines, nodes), float32."""
+    def _direct(self, pose: np.ndarray) -> tuple[np.ndarray, Arrays]:
+        """Echoes, (layers, scanlines, rows); levels of pencils and of all elements, (layers, scanlines, nodes), dB."""
         starts, directions = to_world(pose, self._lines[0]), self._lines[1] @ pose[:3, :3].T
-        layers, count = starts.shape[:2]
+        of_lines = *starts.shape[:2], -1
         starts, directions = starts.reshape(-1, 3), directions.reshape(-1, 3)
         lines = starts, directions, inside_at(self._geometry, starts, directions)
-        rows = self._shape[0]
-        made = np.zeros((len(starts), rows), np.float32), np.zeros((len(starts), min(rows, NODES)))
+        made = np.zeros((len(starts), self._shape[0]), np.float32), np.zeros((len(starts), min(self._shape[0], NODES)))
         geometry = self._geometry.address, self._geometry.step_mm
         tables = self._plan.tissue_of_owner, self._normals
         follow = partial(_follow, geometry, lines, self._plan.media, tables, self._depth_mm, made)
         in_parts(follow, len(starts), _LINES_OF_A_PART)
         mean_db = mean_level_db(made[1], 1, self._beam)
         _, level_db = self._aperture.gain_and_level_db(mean_db)
-        pencils_db, level_db = (each.astype(np.float32).reshape(layers, count, -1) for each in (mean_db, level_db))
-        # The mean over elements is no more than what the best of them brings, which interpolation in depth forgets.
-        best_db = maximum_filter1d(pencils_db, _LINES_BESIDE, axis=1, mode="nearest")
-        level_db = np.minimum(level_db, best_db)
-        more_db = self._at_rows(np.minimum(level_db - pencils_db, _MOST_MORE_DB))
-        echoes, met = made[0].ravel(), np.flatnonzero(made[0] > 0)
-        echoes[met] *= 10 ** (more_db.ravel()[met] / 20)
-        echo_power = np.square(echoes).reshape(more_db.shape).mean(axis=0)
-        return echo_power, (10 ** (level_db / 10)).mean(axis=0, keepdims=True)
-
-    def _at_rows(self, levels_db: np.ndarray) -> np.ndarray:
-        """Levels at nodes of depth, (layers, scanlines, nodes), at the middles of rows, (layers, scanlines, rows)."""
-        return F.interpolate(torch.from_numpy(levels_db), self._shape[0], mode="linear", align_corners=False).numpy()
+        return made[0].reshape(of_lines), (mean_db.reshape(of_lines), level_db.reshape(of_lines))
 
     def _reverberation(self, pose: np.ndarray) -> np.ndarray:
         """Amplitudes of what surfaces reflect to one another, (scanlines, rows)."""
@@ -119,10 +106,6 @@ class SurfaceMaps:
         _, reverberation = echo_lines(late, np.empty((groups, 0)), nodes, self._weights, 1, self._depth_mm)
         haze = clutter_lines(reverberation, self._shape[0], torch.float64, self._haze, sets=1)
         return haze if len(haze) else np.zeros(self._shape[::-1])
-
-    def _shown(self, level_db: np.ndarray, ends_db: tuple[float, float]) -> np.ndarray:
-        shares = (level_db.T + self._gain_db - ends_db[0]) / (ends_db[1] - ends_db[0])
-        return np.clip(shares, 0, 1).astype(np.float32)
 
 
 def _lattice() -> np.ndarray:
@@ -218,3 +201,43 @@ def _follow(
                 if length > 0:
                     direction = onward[0] / length, onward[1] / length, onward[2] / length
             origin, here = bounce.along(point, direction, step_mm), beyond
+
+
+@compiled
+def _show(
+    direct: np.ndarray, levels_db: Arrays, haze: np.ndarray, gains_db: np.ndarray, made: Arrays, begin: int, end: int
+) -> None:
+    """Fill both maps of some scanlines, (scanlines, rows), from what `_direct` and `_reverberation` return.
+
+    Gains, (2, rows), are those of echoes, whose white is 0 dB, and of sound.
+    """
+    (pencils_db, all_db), (interfaces, illumination) = levels_db, made
+    (layers, lines, rows), nodes = direct.shape, pencils_db.shape[2]
+    place = np.minimum(np.maximum((np.arange(rows) + 0.5) * (nodes / rows) - 0.5, 0), nodes - 1)
+    before = np.minimum(place.astype(np.int64), max(nodes - 2, 0))
+    part, after = place - before, np.minimum(before + 1, nodes - 1)
+    least = 10 ** ((ECHO_DB[0] - gains_db[0]) / 10)
+    for line in range(begin, end):
+        echo, light, more_db = np.square(haze[line]), np.zeros(nodes), np.empty(nodes)
+        for layer in range(layers):
+            # The mean over elements is no more than what the best of them brings, which interpolation in depth forgets.
+            best = pencils_db[layer, line].copy()
+            for beside in range(max(line - _LINES_BESIDE // 2, 0), min(line + _LINES_BESIDE // 2 + 1, lines)):
+                for node in range(nodes):
+                    one, two = best[node], pencils_db[layer, beside, node]
+                    best[node] = one if one > two else two
+            for node in range(nodes):
+                level_db = min(all_db[layer, line, node], best[node])
+                light[node] += exponential(level_db * _NEPER_PER_POWER_DB) / layers
+                more_db[node] = min(level_db - pencils_db[layer, line, node], _MOST_MORE_DB)
+            for row in range(rows):
+                if direct[layer, line, row] > 0:
+                    gain_db = more_db[before[row]] + part[row] * (more_db[after[row]] - more_db[before[row]])
+                    echo[row] += direct[layer, line, row] ** 2 * exponential(gain_db * _NEPER_PER_POWER_DB) / layers
+        light_db = 10 * np.log10(np.maximum(light, 1e-30))
+        for row in range(rows):
+            level_db = light_db[before[row]] + part[row] * (light_db[after[row]] - light_db[before[row]])
+            share = (level_db + gains_db[1, row] - LIGHT_DB[0]) / (LIGHT_DB[1] - LIGHT_DB[0])
+            illumination[line, row] = min(max(share, 0.0), 1.0)
+            echo_db = 10 * math.log10(echo[row]) + gains_db[0, row] if echo[row] > least[row] else ECHO_DB[0]
+            interfaces[line, row] = min((echo_db - ECHO_DB[0]) / (ECHO_DB[1] - ECHO_DB[0]), 1.0)

@@ -152,9 +152,7 @@ def _advance(
     """
     (rays, inside, echoes), (origins, directions) = arrays, ways
     # arrays by name and element: no part of an array is made for a ray, see `bounce`
-    speed, impedance, specularity, thickness, loss, lobe, stretches, silent, differs, refracts, rough, thick = (
-        view.media
-    )
+    speed, impedance, specular, thickness, loss, lobe, stretches, silent, differs, refracts, rough, thick = view.media
     elements, axes, tissue_of_owner, of_group = view.elements, view.axes, view.tissue_of_owner, view.rays
     at_mm, apart_mm, empty, amplitudes = nodes
     words, count = inside.shape[1], amplitudes.shape[1]
@@ -215,7 +213,7 @@ def _advance(
             link = bounce.connect(ray, point, medium, thickness_mm, at(elements, group), aside_mm2)
             depth_mm = link.depth_mm + thickness_mm * medium.stretch
             if depth_mm < view.depth_mm:
-                amplitude = bounce.echo(ray, scattering, link, specularity[surface])
+                amplitude = bounce.echo(ray, scattering, link, specular[surface])
                 if amplitude > 0:
                     received_echo = echoes[received]
                     received_echo.group, received_echo.depth_mm = group, depth_mm
