@@ -98,7 +98,7 @@ def batches(settings: TrainingSettings, start: int, stop: int) -> Iterator[dict[
 def check_generator(device: str, settings: SimulatorSettings, triangles: int) -> Iterator[Check]:
     """Compare a generated frame in fp32 and in bf16 with that of the CPU in fp32."""
     renderer, scene, pose = ablate.load("sa2h"), fetal_abdomen(triangles), fetal_planes()["abdomen"]
-    settings = replace(settings, image_shape=renderer.image_shape)
+    settings = replace(settings, image_shape=renderer.simulator.image_shape)
     shown = Simulator(scene, renderer.probe, settings).render(pose)
 
     def frame(generator: Generator, precision: TrainingPrecision) -> np.ndarray:

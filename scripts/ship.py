@@ -4,6 +4,7 @@ python scripts/ship.py runs/full_model/sa2h/seed0 sa2h
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from ablate.comparison.reading import provenance
@@ -22,8 +23,8 @@ def renderer_of(folder: Path) -> Renderer:
     values = label_values(tissues, s.encoding, s.label_seed)
     made = {"study": s.study, "variant": run.label, "seed": str(run.seed), "hash": str(run.result["hash"])}
     made |= {"commit": provenance([run]).get("git_commit", "")}
-    of_frames = s.probe, run.data_set.pairs.tgc, s.simulator.image_shape, s.simulator.beam_shape
-    return Renderer(load_generator(run.checkpoint), values_of(tissues, values), *of_frames, made)
+    simulator = replace(s.simulator, time_gain_db=run.data_set.time_gain_db)
+    return Renderer(load_generator(run.checkpoint), values_of(tissues, values), s.probe, simulator, made)
 
 
 def main() -> None:

@@ -10,7 +10,6 @@ import torch
 import ablate
 from ablate.anatomy import Scene, Tissue, fetal_abdomen, fetal_planes, load_tissues
 from ablate.dataset import Encoding, label_values
-from ablate.jobs.compose import jobs_of
 from ablate.metrics import psnr
 from ablate.networks import Generator, GeneratorSpec
 from ablate.pretrained import NAMES, OUTSIDE, Renderer, load, save, values_of
@@ -48,7 +47,8 @@ def made(attenuation: str = "integral") -> Renderer:
         torch.nn.init.normal_(parameter, 0, 0.1)
     values = {tissue.name: (value,) for tissue, value in zip(TISSUES, (-0.25, 1.0, 0.125), strict=True)}
     values[OUTSIDE] = (-1.0,)
-    return Renderer(generator, values, PROBE, 0.4, SHAPE, (32, 12), {"study": "none"})
+    simulator = SimulatorSettings(image_shape=SHAPE, scanlines=12, axial_samples=64, tgc_db_cm_mhz=0.4)
+    return Renderer(generator, values, PROBE, simulator, {"study": "none"})
 
 
 def by_hand(renderer: Renderer, frame: Frame, tissues: list[Tissue], seed: int) -> np.ndarray:
@@ -105,7 +105,7 @@ def test_a_file_gives_back_the_same_renderer(frame: Frame, tmp_path: Path) -> No
     save(made(), tmp_path / "mine.pt")
     back = load(tmp_path / "mine.pt")
     np.testing.assert_array_equal(back.render(frame, TISSUES), made().render(frame, TISSUES))
-    assert (back.values, back.probe, back.tgc, back.image_shape) == (made().values, PROBE, 0.4, SHAPE)
+    assert (back.values, back.probe, back.simulator) == (made().values, PROBE, made().simulator)
 
 
 def test_what_cannot_be_loaded_or_rendered_is_named(frame: Frame, tmp_path: Path) -> None:
@@ -162,9 +162,7 @@ def test_a_shipped_generator_names_all_keys_of_a_network_and_no_other(name: str)
 def test_a_shipped_generator_renders_the_built_in_anatomy(name: str) -> None:
     """Its image is nearer to the target than with the labels of two tissues exchanged, and has other speckle a seed."""
     renderer, scene = ablate.load(name), fetal_abdomen(160_000)
-    settings = jobs_of(["preset=quick"])[0].settings.simulator
-    settings = replace(settings, image_shape=renderer.image_shape, time_gain_db=renderer.tgc)
-    frame = Simulator(scene, renderer.probe, settings).render(fetal_planes()["head"], seed=0)
+    frame = Simulator(scene, renderer.probe, renderer.simulator).render(fetal_planes()["head"], seed=0)
     image = renderer.render(frame, scene.tissues)
     tissues = list(scene.tissues)
     names = [tissue.name for tissue in tissues]

@@ -15,6 +15,7 @@ import trimesh
 import ablate
 from ablate.anatomy import Scene, Structure, Tissue, load_tissues
 from ablate.networks import Generator, GeneratorSpec
+from ablate.pretrained import NAMES
 from ablate.training import TrainingPrecision
 from ablate.training.inference import chosen_precision
 from ablate.ultrasound import Display, Simulator
@@ -122,8 +123,9 @@ def test_a_probe_in_the_air_is_rendered_without_a_warning() -> None:
 
 
 def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not_know() -> None:
-    picked = pickable(Path("nowhere"))
-    assert list(picked) == ["comes with ablate: sa2h"]
+    offered = pickable(Path("nowhere"))
+    assert list(offered) == [f"comes with ablate: {name}" for name in NAMES]
+    picked = {"here": offered["comes with ablate: sa2h"]}
     views = Engine(BODY, STATE.pose[None]).render(replace(STATE, runs=tuple(picked.values())), Quality.full)
     (image,) = views.generated
     assert image is not None
@@ -141,8 +143,8 @@ def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
     renderer, table = ablate.load("sa2h"), load_tissues()
     fluid, tissue = (table[name] for name in [name for name in renderer.values if name][:2])
     known = Scene((Structure(trimesh.creation.icosphere(4, 100), tissue),), fluid, "known")
-    (picked,) = (offered := pickable(Path("nowhere"))).values()
-    finer = replace(STATE.simulator, image_shape=renderer.image_shape, scanlines=128, axial_samples=768)
+    picked = (offered := pickable(Path("nowhere")))["comes with ablate: sa2h"]
+    finer = replace(STATE.simulator, image_shape=renderer.simulator.image_shape, scanlines=128, axial_samples=768)
     at_its_size = replace(STATE, simulator=finer)
     assert first_fitting(offered, known.tissues, at_its_size) == (picked,)
     deeper = replace(at_its_size, probe=replace(STATE.probe, depth_mm=170.0))

@@ -15,7 +15,7 @@ from ablate.networks import Generator, GeneratorSpec, Space, conditions
 from ablate.setting import plain
 from ablate.storage import written_whole
 from ablate.training import TrainingPrecision, generate
-from ablate.ultrasound import Beam, Frame, Probe, scan_converter
+from ablate.ultrasound import Beam, Frame, Probe, SimulatorSettings, scan_converter
 from ablate.ultrasound.settings import probe_from
 
 #: The key of the values outside the fan.
@@ -34,9 +34,9 @@ class Renderer:
     ----------
     values : mapping of str to tuple of float
         The values in [-1, 1] that the generator reads for each tissue, and `OUTSIDE` for those outside the fan.
-    probe, tgc, image_shape, beam_shape
-        Of its training frames. Frames of another number of pixels or scanlines are rendered, but not well: the
-        generator has learnt the speckle of these. So are frames that were simulated with another time gain.
+    probe, simulator
+        Of its training frames: `Simulator(scene, renderer.probe, renderer.simulator)` makes frames as they were. Frames
+        of other settings are rendered, but not well: the generator has learnt the speckle and the gain of these.
     made : mapping of str to str
         Study, variant, seed and commit of the training.
     """
@@ -44,9 +44,7 @@ class Renderer:
     generator: Generator
     values: Mapping[str, tuple[float, ...]]
     probe: Probe
-    tgc: float | tuple[float, ...]
-    image_shape: tuple[int, int]
-    beam_shape: tuple[int, int]
+    simulator: SimulatorSettings
     made: Mapping[str, str]
 
     def render(
@@ -91,7 +89,7 @@ class Renderer:
             raise ValueError(f"the frame has another fan than the probe of the training, {self.probe}")
         mask = np.ones((rows, lines), bool) if space is Space.beam else mask
         maps = frame.segmentation, frame.attenuation, beam
-        read = dataset.maps_read(conditions(self.generator.spec), space, maps, self.probe, self.tgc)
+        read = dataset.maps_read(conditions(self.generator.spec), space, maps, self.probe, self.simulator.time_gain)
         inputs = dataset.network_inputs({name: value[None] for name, value in read.items()}, values, mask)
         noise_seed = torch.tensor([seed], dtype=torch.int64)
         to_image = converter if space is Space.beam else None
@@ -116,7 +114,7 @@ def load(name: str | Path) -> Renderer:
     --------
     >>> import ablate
     >>> renderer = ablate.load("sa2h")
-    >>> renderer.image_shape, renderer.probe.depth_mm, str(renderer.generator.spec.family)
+    >>> renderer.simulator.image_shape, renderer.probe.depth_mm, str(renderer.generator.spec.family)
     ((256, 355), 150.0, 'local')
     """
     path = _FOLDER / f"{name}.pt" if name in NAMES else Path(name)
@@ -127,10 +125,8 @@ def load(name: str | Path) -> Renderer:
         generator = Generator(GeneratorSpec(**content["spec"]))
         generator.load_state_dict(content["weights"])
         values = {name: tuple(of_tissue) for name, of_tissue in content["values"].items()}
-        shapes = tuple(content["image_shape"]), tuple(content["beam_shape"])
-        return Renderer(
-            generator.eval(), values, probe_from(content["probe"]), content["tgc"], *shapes, content["made"]
-        )
+        frames = probe_from(content["probe"]), SimulatorSettings(**content["simulator"])
+        return Renderer(generator.eval(), values, *frames, content["made"])
     except Exception as error:
         raise ValueError(f"{path}: not a file of a trained generator ({' '.join(str(error).split()):.200})") from error
 
@@ -142,9 +138,7 @@ def save(renderer: Renderer, path: Path) -> None:
         "weights": renderer.generator.state_dict(),
         "values": {name: list(values) for name, values in renderer.values.items()},
         "probe": plain(renderer.probe),
-        "tgc": renderer.tgc,
-        "image_shape": list(renderer.image_shape),
-        "beam_shape": list(renderer.beam_shape),
+        "simulator": plain(renderer.simulator),
         "made": dict(renderer.made),
     }
     torch.save(content, held := BytesIO())  # to a path, a full disk is a RuntimeError

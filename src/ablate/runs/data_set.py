@@ -69,7 +69,7 @@ class DataSet:
     @property
     def time_gain_db(self) -> Sliders | None:
         """The curve of `simulator.time_gain_db` or of `tgc=patient` that its frames have; None where neither is set."""
-        curve = self.about["time_gain_db"]
+        curve = self.about.get("time_gain_db")  # not of imported frames
         return None if curve is None else cast(Sliders, tuple(curve))
 
     @property

@@ -5,7 +5,7 @@ import pickle
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -146,7 +146,7 @@ class Trained:
         `mask`, (H, W) bool, is the fan. A `fast` image may come from OpenVINO.
         """
         space, converter = self.space, None
-        read = maps_read(self.reads, space, maps, probe, self.renderer.tgc)
+        read = maps_read(self.reads, space, maps, probe, self.renderer.simulator.time_gain)
         if low is not None:
             read["low"] = low
         if space is Space.beam:
@@ -165,12 +165,12 @@ class Trained:
             told = ", ".join(f"{key}={there}" for key, there, _ in unlike if there is not None)
             reservations.append(f"trained with {told}")
         shown = pixel_size_mm(state.probe, state.simulator.image_shape)
-        trained = pixel_size_mm(probe, self.renderer.image_shape)
+        trained = pixel_size_mm(probe, self.renderer.simulator.image_shape)
         if not np.allclose(shown, trained, rtol=0.05):
             size = "{0[0]:.2f} x {0[1]:.2f} mm".format
             reservations.append(f"trained with pixels of {size(trained)}, here they are {size(shown)}")
-        if self.space is Space.beam and state.simulator.beam_shape != self.renderer.beam_shape:
-            (rows, lines), (own, others) = self.renderer.beam_shape, state.simulator.beam_shape
+        (rows, lines), (own, others) = self.renderer.simulator.beam_shape, state.simulator.beam_shape
+        if self.space is Space.beam and (own, others) != (rows, lines):
             reservations.append(f"trained with {rows} rows of {lines} scanlines, here they are {own} of {others}")
         return "; ".join([*reservations, self.unknown] if self.unknown else reservations)
 
@@ -203,11 +203,12 @@ def open_generator(picked: Path, tissues: Sequence[Tissue]) -> Trained:
         encoding = settings.encoding, settings.label_seed
         levels, own = label_values(trained_on, *encoding), label_values(tissues, *encoding)
         probe, simulator = settings.probe, settings.simulator
-        frames = probe, simulator.time_gain, simulator.image_shape, simulator.beam_shape
         if data.exists:
-            pairs = data.pairs
-            frames = pairs.probe or probe, pairs.tgc or simulator.time_gain, pairs.shape, pairs.beam_shape
-        renderer = Renderer(load_generator(run.checkpoint), values_of(trained_on, levels), *frames, made={})
+            pairs, (rows, lines) = data.pairs, data.pairs.beam_shape
+            probe, curve = pairs.probe or probe, data.time_gain_db
+            simulator = replace(simulator, time_gain_db=curve, image_shape=pairs.shape, scanlines=lines)
+            simulator = replace(simulator, axial_samples=rows * simulator.samples_per_row)
+        renderer = Renderer(load_generator(run.checkpoint), values_of(trained_on, levels), probe, simulator, made={})
     of_training = {tissue.name: tissue for tissue in trained_on if tissue.name in renderer.values}
     others = [tissue.name.replace("_", " ") for tissue in tissues if of_training.get(tissue.name) != tissue]
     unknown = f"not trained on {', '.join(others)}" if others else ""
