@@ -30,7 +30,7 @@ def test_a_probe_is_known_by_its_kind_and_its_values() -> None:
     assert composed("preset=paper").probe == ConvexProbe()
 
 
-@pytest.mark.parametrize("preset", ["tiny", "quick", "laptop", "paper"])
+@pytest.mark.parametrize("preset", ["tiny", "quick", "laptop", "fine", "paper"])
 @pytest.mark.parametrize("probe", OTHERS)
 def test_the_frame_keeps_the_rows_of_the_preset_and_has_square_pixels(probe: str, preset: str) -> None:
     before, s = composed(f"preset={preset}"), composed(f"preset={preset}", f"probe={probe}")
