@@ -14,8 +14,9 @@ import trimesh
 
 import ablate
 from ablate.anatomy import Scene, Structure, Tissue, load_tissues
+from ablate.jobs.compose import jobs_of
 from ablate.networks import Generator, GeneratorSpec
-from ablate.pretrained import NAMES
+from ablate.pretrained import NAMES, load
 from ablate.training import TrainingPrecision
 from ablate.training.inference import chosen_precision
 from ablate.ultrasound import Display, Simulator
@@ -136,6 +137,15 @@ def test_a_network_that_comes_with_the_package_renders_and_says_what_it_does_not
     assert "trained with pixels of 0.61 x 0.61 mm" in views.notes["generated 0"]
     assert "MHz" not in views.notes["generated 0"]
     assert first_fitting(picked, BODY.tissues, STATE) == ()
+
+
+@pytest.mark.parametrize(("name", "preset"), [("sa2h", "quick"), ("sa2h-512", "fine")])
+def test_a_preset_is_shown_with_the_shipped_network_that_was_trained_in_it(name: str, preset: str) -> None:
+    settings, offered = jobs_of([f"preset={preset}"])[0].settings, pickable(Path("nowhere"))
+    state = replace(STATE, probe=settings.probe, simulator=settings.simulator)
+    assert first_fitting(offered, [*load_tissues().values()], state) == (offered[f"comes with ablate: {name}"],)
+    trained = replace(load(name).simulator, time_gain_db=None)
+    assert trained == settings.simulator, "a preset that changes needs another network, or other words on its card"
 
 
 def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
