@@ -10,6 +10,7 @@ from scipy.stats import halfnorm
 from ablate.anatomy import Scene, Tissue
 from ablate.ultrasound import Simulator
 from ablate.ultrasound.imaging.point_spread import axial_kernel
+from ablate.ultrasound.transport.surface_maps import _show
 from support.fans import KINDS, LINEAR
 
 BODY = Tissue("body", 1540, 1.5, 0.5, 0.6, 0.0, 1.0, roughness=0.0)
@@ -100,3 +101,14 @@ def test_haze_is_what_two_plates_reflect_to_one_another(pencil, apart, slab, gel
     total = amplitude.mean(axis=1).sum() * settings.samples_per_row / axial_kernel(pencil, settings).sum()
     assert total == pytest.approx((1 - 0.5**2) * 0.5**3, rel=0.2)  # one ray a scanline, every second one reflected
     assert echo[round(85 / ROW_MM)].max() == -80
+
+
+def test_what_is_not_a_number_stays_so_and_is_no_grey_level() -> None:
+    haze, pencils_db = np.zeros((4, 8)), np.full((1, 4, 8), -10.0)
+    haze[1, 2], all_db = np.nan, pencils_db.copy()
+    all_db[0, 3, 5] = np.nan
+    interfaces, illumination = np.empty((2, 4, 8), np.float32)
+    levels = pencils_db, all_db
+    _show(np.zeros((1, 4, 8), np.float32), levels, haze, np.zeros((2, 8)), (interfaces, illumination), 0, 4)
+    assert np.argwhere(np.isnan(interfaces)).tolist() == [[1, 2]]
+    assert [3, 5] in np.argwhere(np.isnan(illumination)).tolist()

@@ -239,5 +239,5 @@ def _show(
             level_db = light_db[before[row]] + part[row] * (light_db[after[row]] - light_db[before[row]])
             share = (level_db + gains_db[1, row] - LIGHT_DB[0]) / (LIGHT_DB[1] - LIGHT_DB[0])
             illumination[line, row] = min(max(share, 0.0), 1.0)
-            echo_db = 10 * math.log10(echo[row]) + gains_db[0, row] if echo[row] > least[row] else ECHO_DB[0]
+            echo_db = ECHO_DB[0] if echo[row] <= least[row] else 10 * math.log10(echo[row]) + gains_db[0, row]
             interfaces[line, row] = min((echo_db - ECHO_DB[0]) / (ECHO_DB[1] - ECHO_DB[0]), 1.0)
