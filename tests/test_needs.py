@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from skimage.io import imsave
 
 TRAINING, SIMULATOR = ("lightning", "mlflow"), ("numba", "embreex")
@@ -36,6 +37,7 @@ def test_simulation_needs_neither_lightning_nor_mlflow_nor_what_windows_lacks(tm
     assert "6 frames in" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_study_on_pairs_made_elsewhere_needs_neither_numba_nor_embree_nor_what_windows_lacks(tmp_path: Path) -> None:
     folder, random = tmp_path / "mine", np.random.default_rng(0)
     fan = np.hypot(*(np.mgrid[:96, :120] - np.array([0, 60]).reshape(2, 1, 1))) < 90
@@ -60,8 +62,23 @@ def test_no_signal_is_named_that_windows_lacks() -> None:
     assert named <= {"SIGTERM", "SIGINT", "SIG_IGN", "SIG_DFL", "SIG_BLOCK", "SIG_SETMASK"}
 
 
+def loaded_with(*modules: str) -> set[str]:
+    """What Python has loaded after importing some modules, and nothing else."""
+    code = f"import sys, {', '.join(modules)}; print(*sys.modules)"
+    return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+
+
 def test_the_settings_of_a_run_load_no_numerical_library() -> None:
-    modules = "ablate.dataset.split, ablate.dataset.encoding, ablate.training.settings, ablate.evaluation.settings"
-    code = f"import sys, {modules}; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert {"torch", "lightning", "mlflow", "numba", "embreex", "zarr", "trimesh"}.isdisjoint(done.stdout.split())
+    settings = (
+        "ablate.dataset.split",
+        "ablate.dataset.encoding",
+        "ablate.training.settings",
+        "ablate.evaluation.settings",
+    )
+    assert {"torch", "lightning", "mlflow", "numba", "embreex", "zarr", "trimesh"}.isdisjoint(loaded_with(*settings))
+
+
+def test_who_looks_at_trained_runs_does_not_wait_for_the_trainer() -> None:
+    loaded = loaded_with("ablate.tasks.plan", "ablate.viewer.task", "ablate.training.checkpoint")
+    assert "torch" in loaded
+    assert {"lightning", "mlflow"}.isdisjoint(loaded)

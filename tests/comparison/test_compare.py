@@ -400,7 +400,7 @@ def test_what_was_there_stays_when_a_comparison_fails(study: Path, monkeypatch: 
         ("factorial_half", "half of the factorial of 5 components (16 of 32 cells)"),
         ("add_one_in", "one change at a time around"),
         ("encoding", "6 of the 8 cells of 3 components"),
-        ("full_model", "one change at a time around sa2h (12 cells)"),
+        pytest.param("full_model", "one change at a time around sa2h (12 cells)", marks=pytest.mark.slow),
     ],
 )
 def test_study_groups_are_recognised_as_the_designs_they_are(group: str, name: str) -> None:

@@ -105,9 +105,13 @@ def write_comparison(study: Study, title: str) -> list[str]:
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     claims = analysis.seed_claims(study.per_image, study.scalars, reference)
-    frames, missing = stored_pictures(usable.runs, reference)
+    try:
+        frames = pictures(usable.runs, reference)
+        missing = [] if frames else ["There are no pictures: the runs kept no frame in common."]
+    except (OSError, ValueError, KeyError) as error:  # pairs or pictures are missing or damaged
+        frames, missing = [], [f"There are no pictures: {' '.join(str(error).split())}."]
     figures = draw_figures(study, frames, partial)
-    notes = [*usable.notes, *filter(None, [missing])]
+    notes = [*usable.notes, *missing]
     analysis.write_report(
         partial / "report.html",
         title,
@@ -134,15 +138,6 @@ def write_comparison(study: Study, title: str) -> list[str]:
     shutil.rmtree(folder, ignore_errors=True)
     partial.rename(folder)
     return [*notes, *analysis.cautions(study.per_image, reference, study.blocks)]
-
-
-def stored_pictures(runs: Sequence[Run], reference: str) -> tuple[list[FramePictures], str]:
-    """The frames that can be shown, and where pairs or pictures are missing or damaged the reason, for the report."""
-    try:
-        frames = pictures(runs, reference)
-    except (OSError, ValueError, KeyError) as error:
-        return [], f"There are no pictures: {' '.join(str(error).split())}."
-    return frames, "" if frames else "There are no pictures: the runs kept no frame in common."
 
 
 def draw_figures(study: Study, frames: Sequence[FramePictures], folder: Path) -> list[tuple[Path, str]]:

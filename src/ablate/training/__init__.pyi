@@ -1,3 +1,6 @@
+from .checkpoint import LAST as LAST
+from .checkpoint import load_generator as load_generator
+from .checkpoint import read_checkpoint as read_checkpoint
 from .inference import Engine as Engine
 from .inference import OpenEngine as OpenEngine
 from .inference import chosen_device as chosen_device
@@ -6,11 +9,8 @@ from .inference import generate as generate
 from .inference import missing_for as missing_for
 from .inference import open_engine as open_engine
 from .inference import open_exported as open_exported
-from .loop import LAST as LAST
 from .loop import Loader as Loader
 from .loop import TrainedGenerator as TrainedGenerator
-from .loop import load_generator as load_generator
-from .loop import read_checkpoint as read_checkpoint
 from .loop import train as train
 from .module import PairGAN as PairGAN
 from .reporting import DivergenceError as DivergenceError

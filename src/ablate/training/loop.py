@@ -20,6 +20,7 @@ from ablate.networks import Generator, GeneratorSpec
 from ablate.setting import plain
 from ablate.storage import remove_partial, written_whole
 from ablate.threads import torch_threads
+from ablate.training.checkpoint import LAST, read_checkpoint
 from ablate.training.inference import chosen_device, chosen_precision
 from ablate.training.module import PairGAN
 from ablate.training.reporting import DivergenceError, MetricSink, Report, Validation
@@ -27,7 +28,6 @@ from ablate.training.settings import TRAINING_VERSION, Schedule, TrainingPrecisi
 
 # Called with the first step and the one after the last; gives one batch a step, a function of the step alone.
 Loader = Callable[[int, int], Iterable[dict[str, Tensor]]]
-LAST = "last.ckpt"
 # Settings that may differ between a run and its continuation: they say how long is trained, and where. Another device
 # or number of threads adds numbers in another order, so weights differ by rounding.
 _FREE = frozenset({"steps", "device", "threads", "checkpoint_every", "validate_every", "log_every"})
@@ -164,19 +164,6 @@ class LastCheckpoint(Callback):
                 partial.write_bytes(content.getbuffer())
 
 
-def read_checkpoint(path: Path) -> dict[str, Any]:
-    """Read a checkpoint with `weights_only=True`; a ValueError where the file is not one of this project."""
-    try:
-        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise
-    except Exception as error:
-        raise ValueError(f"{path}: not a readable checkpoint, remove it to start again ({error})") from error
-    if not isinstance(checkpoint, dict) or "steps_done" not in checkpoint:
-        raise ValueError(f"{path}: not a checkpoint of this project (no steps_done)")
-    return checkpoint
-
-
 def resume(module: PairGAN, path: Path) -> None:
     """Continue from `path`; ValueError, which names what differs, if it holds another network or another training."""
     checkpoint = read_checkpoint(path)
@@ -192,19 +179,3 @@ def resume(module: PairGAN, path: Path) -> None:
             changes = ", ".join(f"{key}={known.get(key)} there, {wanted[key]} asked for" for key in differing)
             raise ValueError(f"{path}: of another run ({changes})")
     module.restore(checkpoint)
-
-
-def load_generator(path: Path) -> Generator:
-    """Load the generator to evaluate (the running average, where one was kept) from a checkpoint, on the CPU.
-
-    A file without a checkpoint of this project, or with weights of another network than it names, is a ValueError.
-    """
-    checkpoint = read_checkpoint(path)
-    try:
-        made = checkpoint["hyper_parameters"]
-        module = PairGAN(GeneratorSpec(**made["spec"]), TrainingSettings(**made["settings"]))
-        module.load_state_dict(checkpoint["state_dict"])
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(f"{path}: its weights are not of the network that it names ({reason:.200})") from error
-    return module.evaluated.eval()

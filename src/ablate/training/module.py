@@ -74,7 +74,11 @@ class PairGAN(LightningModule):
         )
         for optimizer, state in zip(optimizers, self._optimizer_states or (), strict=False):
             optimizer.load_state_dict(state)
-            _lay_out_like_weights(optimizer)
+            # In the memory format of the weights: fused Adam pairs them by place in memory, without a check.
+            for parameter, moments in optimizer.state.items():
+                for name, value in moments.items():
+                    if value.shape == parameter.shape and value.stride() != parameter.stride():
+                        moments[name] = torch.empty_like(parameter).copy_(value)
         self._optimizer_states = None
         return optimizers
 
@@ -166,14 +170,6 @@ class PairGAN(LightningModule):
         """The optimisers, the generator's first; Lightning gives a single one without a list around it."""
         optimizers = self.optimizers()
         return optimizers if isinstance(optimizers, Sequence) else [optimizers]
-
-
-def _lay_out_like_weights(optimizer: Adam) -> None:
-    """Give moments the memory format of their weights: fused Adam pairs them by place in memory, without a check."""
-    for parameter, state in optimizer.state.items():
-        for name, value in state.items():
-            if value.shape == parameter.shape and value.stride() != parameter.stride():
-                state[name] = torch.empty_like(parameter).copy_(value)
 
 
 def mean_in_fan(values: Tensor, mask: Tensor) -> Tensor:

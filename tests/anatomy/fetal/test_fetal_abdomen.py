@@ -60,7 +60,9 @@ def test_parts_lie_in_their_wholes(scene, mesh_of, inner: str, outer: str) -> No
     assert inside.mean() > 0.97  # the rest is the corners that a coarse grid cuts
 
 
-@pytest.mark.parametrize(("triangles", "seed"), [(300_000, 0), (30_000, 1), (30_000, 2)])
+@pytest.mark.parametrize(
+    ("triangles", "seed"), [pytest.param(300_000, 0, marks=pytest.mark.slow), (30_000, 1), (30_000, 2)]
+)
 def test_bones_lie_in_flesh_and_everything_in_the_mother(built, mesh_of, triangles: int, seed: int) -> None:
     scene = built(triangles, seed)
     thin = ("other limb bones",) if triangles < 300_000 else ()  # a coarse grid has no fingers

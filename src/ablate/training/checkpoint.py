@@ -1,0 +1,42 @@
+"""Read a checkpoint. Not the code that trains: looking at a run does not load Lightning."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ablate.networks import Generator, GeneratorSpec
+from ablate.training.settings import TrainingSettings
+
+LAST = "last.ckpt"
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint with `weights_only=True`; a ValueError where the file is not one of this project."""
+    try:
+        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise
+    except Exception as error:
+        raise ValueError(f"{path}: not a readable checkpoint, remove it to start again ({error})") from error
+    if not isinstance(checkpoint, dict) or "steps_done" not in checkpoint:
+        raise ValueError(f"{path}: not a checkpoint of this project (no steps_done)")
+    return checkpoint
+
+
+def load_generator(path: Path) -> Generator:
+    """Load the generator to evaluate (the running average, where one was kept) from a checkpoint, on the CPU.
+
+    A file without a checkpoint of this project, or with weights of another network than it names, is a ValueError.
+    """
+    checkpoint = read_checkpoint(path)
+    try:
+        made, weights = checkpoint["hyper_parameters"], checkpoint["state_dict"].items()
+        kept = "average." if TrainingSettings(**made["settings"]).ema_decay > 0 else "generator."
+        with torch.random.fork_rng():
+            generator = Generator(GeneratorSpec(**made["spec"]))
+        generator.load_state_dict({key.removeprefix(kept): w for key, w in weights if key.startswith(kept)})
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{path}: its weights are not of the network that it names ({reason:.200})") from error
+    return generator.requires_grad_(False).eval()
