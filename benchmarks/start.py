@@ -1,4 +1,4 @@
-"""How long a mistyped key waits for its answer, against the import of Hydra alone.
+"""How long a mistyped key and the plan of a study wait for their answer, against the import of Hydra alone.
 
 python benchmarks/start.py            # seconds, medians of processes started in turns; nothing else should be running
 """
@@ -15,6 +15,7 @@ COMMANDS = {
     "python -c 'import hydra'": ["-c", "import hydra"],
     "python -m ablate trainin.steps=3": ["-m", "ablate", "trainin.steps=3"],
     "python -m ablate -m variant=sa2h,sa3h": ["-m", "ablate", "-m", "variant=sa2h,sa3h"],
+    "python -m ablate task=plan": ["-m", "ablate", "task=plan"],
 }
 
 

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
 # Takes the maps, (1, 1, H, W) each, and the noise's seed, (1,) int64; gives the image, (1, 1, H, W) in [-1, 1].
 OpenEngine = Callable[[Mapping[str, Tensor], Tensor], Tensor]
-# Frames of at most so many pixels are rendered side by side. Larger ones would take too much memory, and a team of
-# threads has enough to do with each of them.
+# Larger frames are not rendered side by side: they take too much memory, and a team of threads has enough to do.
 _SMALL_FRAME_PX = 1 << 18
 
 

@@ -87,8 +87,7 @@ def train(
     settings = replace(settings, precision=chosen_precision(settings.precision, device))
     module = PairGAN(spec, settings)
     run_dir.mkdir(parents=True, exist_ok=True)
-    checkpoint = run_dir / LAST
-    if checkpoint.exists():
+    if (checkpoint := run_dir / LAST).exists():
         resume(module, checkpoint)
     start = module.steps_done
     if start < settings.steps:

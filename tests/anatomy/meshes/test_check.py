@@ -113,3 +113,12 @@ def test_a_simulator_tells_once_a_scene_of_walls_that_coincide(caplog: pytest.Lo
     Simulator(overlapping, ConvexProbe())
     assert overlapping.looked_at
     assert not caplog.records
+
+
+def test_what_trimesh_computes_for_the_checks_does_not_stay() -> None:
+    """It is several times as large as the mesh, and decided how many triangles fit into memory."""
+    scene = scene_of(BALL.vertices, BALL.faces)
+    Simulator(scene, ConvexProbe())
+    for structure in scene.structures:
+        kept = sum(getattr(value, "nbytes", 0) for value in structure.mesh._cache.cache.values())
+        assert kept < structure.mesh.vertices.nbytes

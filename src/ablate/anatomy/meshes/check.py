@@ -115,6 +115,7 @@ def shared_walls(meshes: Sequence[trimesh.Trimesh]) -> list[tuple[str, str, int]
             met, ray, _ = _rays(other).intersects_location(there - _ASIDE_MM * normal, normal, multiple_hits=False)
             on_it = np.linalg.norm(met - there[ray], axis=1) < TOLERANCE_MM
             counts[j] = np.bincount(owner[ray[on_it]], minlength=len(meshes))
+        other._cache.clear()  # what trimesh computes of a mesh is six times as large, and would stay with it
     counts = np.triu(np.maximum(counts, counts.T))
     names = [str(mesh.metadata.get("name", f"structure {i}")) for i, mesh in enumerate(meshes)]
     return [(names[i], names[j], int(counts[i, j])) for i, j in np.argwhere(counts >= _FEWEST)]
@@ -149,3 +150,4 @@ def warn_of_overlaps(scene: Scene) -> None:
         if mesh.is_winding_consistent and overlaps(mesh) >= _FEWEST:  # or its winding tells nothing
             why = "pieces of it lie in each other, and there it is a cavity; one file for each piece joins them"
             logger.warning("%s: %s", mesh.metadata.get("name", "a mesh"), why)
+        mesh._cache.clear()
