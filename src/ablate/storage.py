@@ -5,7 +5,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -65,6 +65,13 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise ValueError(f"{path} cannot be read: it holds no JSON object")
     return content
+
+
+def known_json(path: Path) -> dict[str, Any]:
+    """The JSON object of a file; empty where there is no file, or it is damaged."""
+    with suppress(OSError, ValueError):
+        return read_json(path)
+    return {}
 
 
 def digest_of_files(paths: Iterable[Path]) -> str:

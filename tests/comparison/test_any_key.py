@@ -56,6 +56,13 @@ def test_a_key_that_nobody_declared_has_effects_and_no_verdict(tmp_path: Path, w
     assert "declared" in verdict["why"]
 
 
+def test_an_order_of_labels_that_follows_the_seed_is_no_component(tmp_path: Path) -> None:
+    jobs = swept(tmp_path, "encoding=arbitrary", "variant=sa2h,sa2h-att")[:-1]  # the last one has not finished
+    judged, runs = answered(jobs)
+    assert judged.design is not None
+    assert (judged.design.factors, len(runs)) == (["model.attenuation"], 5)
+
+
 def test_a_key_that_decides_nothing_is_no_component(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="share the place"):
         swept(tmp_path, "training.threads=1,2")
@@ -73,9 +80,10 @@ def test_two_data_sets_of_one_recipe_are_never_mixed(tmp_path: Path) -> None:
 def test_different_code_of_one_metric_is_never_mixed(tmp_path: Path) -> None:
     jobs = swept(tmp_path, "variant=sa2h,nsa2h")
     check_alike([finish(job, sources={"my.bias": "1"} if job.label == "sa2h" else {}) for job in jobs])
-    finish(jobs[-1], sources={"my.bias": "2"})
-    with pytest.raises(ConfigurationError, match=r"my\.bias has scored .* by different code: repeat the command"):
-        usable_runs(jobs[0].settings.study_dir)
+    for name, source in (("my.bias", "2"), ("yours.bias", "1")):  # values have the last part of the path as their name
+        finish(jobs[-1], sources={name: source})
+        with pytest.raises(ConfigurationError, match=r"y\w+\.bias has scored .* by different code: repeat the command"):
+            usable_runs(jobs[0].settings.study_dir)
 
 
 def test_two_networks_under_one_label_are_never_averaged(tmp_path: Path) -> None:

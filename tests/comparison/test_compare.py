@@ -355,14 +355,23 @@ def test_a_metric_that_is_nan_for_one_frame_or_for_all(study: Path) -> None:
     assert "72 NaNs left out" in report
 
 
-def test_a_comparison_is_kept_until_a_run_is_made_again(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_comparison_is_kept_until_what_it_is_made_from_changes(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A run that was deleted and trained again has the same hash."""
+    (conf := tmp_path / "conf").joinpath("component").mkdir(parents=True)
+    conf.joinpath("component", "att.yaml").write_text("band: 1")
     monkeypatch.setattr("ablate.comparison.compare._track", lambda *_: None)
     settings = StudySettings(runs_dir=str(study.parent), study_name=study.name)
     compare_study(settings)
     table, before = study / "comparison" / "table.csv", (study / "comparison" / "table.csv").stat().st_mtime_ns
     compare_study(settings)
     assert table.stat().st_mtime_ns == before
+    for changed in ("conf_folder", "tracking.source_digest"):  # another band, or other statistics
+        monkeypatch.setattr(f"ablate.comparison.compare.{changed}", lambda: conf)
+        compare_study(settings)
+        assert table.stat().st_mtime_ns > before, changed
+        before = table.stat().st_mtime_ns
     set_values(study / "nsa2h" / "seed0", "psnr", lambda t: t["frame"] >= 0, 90.0)
     assert "43." in compare_study(settings)
     assert 43 < pd.read_csv(table).set_index("variant").loc["nsa2h", "psnr_mean"] < 44

@@ -27,6 +27,8 @@ def test_npy_and_csv_hold_the_same_poses(tmp_path: Path) -> None:
     loaded, sites = read_poses(tmp_path / "p.npy")
     assert np.array_equal(loaded, expected)
     assert sites.tolist() == list(range(7))
+    np.save(tmp_path / "one.npy", expected[3])
+    assert np.array_equal(read_poses(tmp_path / "one.npy")[0], expected[3:4])
     loaded, sites = read_poses(f"{tmp_path}/p.csv")
     assert loaded == pytest.approx(expected, abs=1e-9)
     assert sites.tolist() == [0, 0, 1, 1, 2, 2, 3]
@@ -38,7 +40,7 @@ def test_npy_and_csv_hold_the_same_poses(tmp_path: Path) -> None:
         (np.diag([1.0, 1, 2, 1])[None], r"pose 0: pose must be rigid: the columns"),
         (np.stack([np.eye(4), np.diag([1.0, 1, -1, 1])]), "pose 1: pose must be rigid: .* a mirror image"),
         (np.full((1, 4, 4), np.nan), "pose 0: pose must be finite"),
-        (np.eye(4), r"must hold poses of shape \(n, 4, 4\), not float64 of \(4, 4\)"),
+        (np.eye(3), r"must hold poses of shape \(n, 4, 4\), not float64 of \(3, 3\)"),
         ("", "no column x; the columns are '', and x, y, z"),
         ("x,y,z,qw,qx,qy,qz\n", "no row below the names of the columns"),
         ("x,y,z,qw,qx,qy\n0,0,0,1,0,0\n", "no column qz"),

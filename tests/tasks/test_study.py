@@ -151,7 +151,10 @@ def test_one_word_scores_a_finished_run_again_and_trains_none(finished: Path) ->
     whole = json.loads((folder / "result.json").read_text())
     wrong = {**whole["scalars"], "test/mae": 0.0}
     (folder / "result.json").write_text(json.dumps(whole | {"scalars": wrong}))
+    (floor,) = (jobs[0].data.folder / "resimulation").glob("*.json")
+    floor.write_text(floor.read_text().replace('"mae"', '"no metric"'))
     assert tasks.study(jobs, again) == 0
+    assert '"mae"' in floor.read_text(), "re-simulation is scored again, too"
     scored = json.loads((folder / "result.json").read_text())["scalars"]
     assert scored["test/mae"] == pytest.approx(whole["scalars"]["test/mae"])
     checkpoint = jobs[0].run.checkpoint

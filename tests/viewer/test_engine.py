@@ -154,9 +154,11 @@ def test_the_image_of_a_network_is_that_of_ablate_load() -> None:
     fluid, tissue = (table[name] for name in [name for name in renderer.values if name][:2])
     known = Scene((Structure(trimesh.creation.icosphere(4, 100), tissue),), fluid, "known")
     picked = (offered := pickable(Path("nowhere")))["comes with ablate: sa2h"]
-    finer = replace(STATE.simulator, image_shape=renderer.simulator.image_shape, scanlines=128, axial_samples=768)
+    finer = replace(renderer.simulator, rays=1, layers=1, time_gain_db=None)
     at_its_size = replace(STATE, simulator=finer)
     assert first_fitting(offered, known.tissues, at_its_size) == (picked,)
+    darker = replace(at_its_size, simulator=replace(finer, dynamic_range_db=40.0))
+    assert open_generator(picked, known.tissues).reservation(darker) == "trained with dynamic_range_db=60.0"
     deeper = replace(at_its_size, probe=replace(STATE.probe, depth_mm=170.0))
     assert first_fitting(offered, known.tissues, deeper) == ()
     said = open_generator(picked, known.tissues).reservation(deeper).partition(";")[0]

@@ -16,6 +16,7 @@ from trimesh.transformations import translation_matrix
 
 pytest.importorskip("viser", reason="needs the extra: pip install 'ablate-ultrasound[view]'")
 
+from ablate.dataset import read_poses
 from ablate.jobs.compose import jobs_of
 from ablate.runs.prepare import simulator_of
 from ablate.runs.simulated import build_scene
@@ -178,7 +179,7 @@ def test_a_frame_is_saved_and_its_command_makes_it_again(client: Client, viewer:
     assert job.settings.task is Task.render
     assert job.settings.probe == saved.probe
     assert job.settings.dataset.seed == saved.seed == 1
-    np.testing.assert_array_equal(np.load(str(job.settings.pose)), saved.pose)
+    np.testing.assert_array_equal(read_poses(str(job.settings.pose), "pose")[0], saved.pose[None])
     settings = simulator_of(job, viewer.page.scene, build_scene(job.settings)[1], saved.pose[None])
     frame = Simulator(viewer.page.scene, saved.probe, settings).render(saved.pose, saved.seed)
     np.testing.assert_array_equal(np.array(Image.open(folder / "simulated.png")), frame.image)

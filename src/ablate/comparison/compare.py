@@ -16,13 +16,14 @@ from ablate.comparison.frame_times import TIMES, time_networks, timed_on, untime
 from ablate.comparison.opened import Study
 from ablate.comparison.reading import pictures, provenance, runtime_points
 from ablate.comparison.usable_runs import levels_of, usable_runs
-from ablate.metrics import METRICS_VERSION, Shown, shown_in
+from ablate.metrics import Shown, shown_in
 from ablate.metrics.metric import FRAME_TIME
 from ablate.runs.job import COMPARISON
 from ablate.runs.run import Run
 from ablate.runs.store_copy import copy_study
+from ablate.settings.conf import conf_folder
 from ablate.settings.study import ConfigurationError, StudySettings
-from ablate.storage import digest, digest_of_files, read_json, write_json
+from ablate.storage import digest, digest_of_files, known_json, write_json
 from ablate.tracking import STATE, UNAVAILABLE, Status, StoredRun, default_uri, reason, within
 
 _TRACKING_S = 120.0  # a server that answers slowly or not at all is not waited for longer
@@ -33,8 +34,7 @@ def compare_study(settings: StudySettings, rebuild: bool = False, time_here: boo
 
     A comparison of the same runs that is there already is kept, unless `rebuild` asks for it anew. With `time_here`
     networks that this machine has not timed are timed first. Of several processes one compares and the others wait, and
-    then keep what it made. No finished run that can be used is a
-    ConfigurationError.
+    then keep what it made. No finished run that can be used is a ConfigurationError.
     """
     if not settings.study_dir.is_dir():
         raise ConfigurationError(f"{settings.study_dir} holds no finished run to compare.")
@@ -50,8 +50,7 @@ def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> s
     failed = time_networks(settings.study_dir, usable.all) if time_here else ""
     usable = replace(usable, notes=(*usable.notes, *filter(None, [failed]), *untimed(usable.all)))
     study = Study(settings.study_dir, usable, reference)
-    made_from = _made_from(study)
-    marker = folder / "made_from.json"
+    made_from, marker = _made_from(study), folder / "made_from.json"
     notes = None if rebuild else _kept(marker, made_from)
     if notes is None:
         notes = write_comparison(study, settings.study)
@@ -76,21 +75,19 @@ def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> s
 
 
 def _made_from(study: Study) -> dict[str, Any]:
-    """What decides a comparison: the files that it reads of its runs and of times, the reference, what was left aside.
+    """What decides a comparison: the files of its runs and of times, the reference, what was left aside, bands, code.
 
     A run that was deleted and trained again has the same configuration and other files.
     """
     runs = {f"{run.name} of {run.data}": run.compared_state() for run in study.usable.all}
-    chosen = {"reference": study.reference, "notes": list(study.usable.notes), "metrics_version": METRICS_VERSION}
-    return {"runs": runs, "times": digest_of_files([study.folder / TIMES]), **chosen}
+    read = [study.folder / TIMES, *sorted((conf_folder() / "component").glob("*.yaml"))]
+    chosen = {"reference": study.reference, "notes": list(study.usable.notes), "code": tracking.source_digest()}
+    return {"runs": runs, "files": digest_of_files(read), **chosen}
 
 
 def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
     """What a reader of the comparison on disk must know; None where it was made from something else."""
-    try:
-        there = read_json(marker)
-    except (OSError, ValueError):
-        return None
+    there = known_json(marker)
     notes = there.pop("for_readers", None)
     return notes if there == made_from and isinstance(notes, list) else None
 

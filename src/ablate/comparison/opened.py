@@ -15,7 +15,7 @@ from ablate.comparison.reading import Answers, answers, pictures, scored_frames
 from ablate.comparison.usable_runs import UsableRuns, usable_runs
 from ablate.runs.job import COMPARISON
 from ablate.settings.study import StudySettings
-from ablate.storage import read_json
+from ablate.storage import known_json
 
 SWEEP = ("runs/quick-fetal",)  # where `make sweep` leaves its study
 ANSWER = ("runs/full_model", "docs/results/full_model")  # where `make answer` leaves its study, and where it is kept
@@ -110,9 +110,8 @@ def open_study(path: str | Path) -> Study:
     >>> study.per_image.query("metric == 'psnr_fan'").groupby("variant")["value"].mean()  # doctest: +SKIP
     >>> study.verdicts[["component", "effect", "lower", "upper", "verdict"]]  # doctest: +SKIP
     """
-    folder, reference = Path(path).resolve(), StudySettings.reference
-    with suppress(OSError, ValueError, KeyError):  # not compared yet, or a damaged file
-        reference = str(read_json(folder / COMPARISON / "made_from.json")["reference"])
+    folder = Path(path).resolve()
+    reference = str(known_json(folder / COMPARISON / "made_from.json").get("reference", StudySettings.reference))
     usable = usable_runs(folder, reference)
     if not usable.runs:
         raise FileNotFoundError(" ".join([f"There is no finished study at {path}.", *usable.notes]))

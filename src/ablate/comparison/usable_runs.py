@@ -14,7 +14,7 @@ from ablate.settings.conf import components
 from ablate.settings.study import ConfigurationError
 
 _ANATOMY = "data.scene.anatomy_seed"
-_SEEDS = ("seed", "training.seed")
+_SEEDS = ("seed", "training.seed", "encoding.seed")
 
 
 @dataclass(frozen=True)
@@ -97,22 +97,21 @@ def levels_of(semantic: Mapping[str, Any]) -> dict[str, object]:
 
 def check_alike(runs: Sequence[Run]) -> None:
     """Refuse two networks under one label, two codes of one metric, and other pixels of one recipe (two processors)."""
-    first: dict[str, Run] = {}
-    scored: dict[str, Run] = {}
-    of_label: dict[str, Run] = {}
+    first, of_label = dict[str, Run](), dict[str, Run]()
+    scored: dict[str, tuple[Run, str, str]] = {}  # by the name that values have: the last part of a path
     for run in runs:
         other = of_label.setdefault(run.label, run)
         model, others = (each.spec["semantic"]["model"] for each in (run, other))
         if keys := ", ".join(key for key, *_ in differences(model, others, "model")):
             raise ConfigurationError(f"{other.folder} and {run.folder} have one label and differ in {keys}: remove one")
         for name, source in run.result["sources"].items():
-            if (other := scored.setdefault(name, run)).result["sources"][name] != source:
+            other, *code = scored.setdefault(name.rpartition(".")[2], (run, name, source))
+            if code != [name, source]:
                 again = "repeat the command with this metric and the variants and seeds of both"
                 raise ConfigurationError(f"{name} has scored {other.name} and {run.name} by different code: {again}")
         other = first.setdefault(run.data, run)
         if run.result["pixels"] != other.result["pixels"]:
             raise ConfigurationError(
-                f"{run.folder} and {other.folder} were scored on two data sets of one recipe, {run.data}: the "
-                "pixels of their test frames differ. Processors round "
-                "otherwise: remove one of the two, or give it a study_name of its own"
+                f"{run.folder} and {other.folder} were scored on two data sets of one recipe, {run.data}: pixels "
+                "differ. Processors round otherwise: remove one of the two, or give it a study_name of its own"
             )

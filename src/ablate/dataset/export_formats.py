@@ -12,9 +12,8 @@ from skimage.transform import resize
 from skimage.util import montage
 
 from ablate.anatomy import Tissue, load_tissues
-from ablate.dataset.fan_file import fan_values
 from ablate.dataset.pairs import Pairs
-from ablate.dataset.png_folder import FOLDERS
+from ablate.dataset.png_folder import FOLDERS, fan_values
 from ablate.dataset.split import Part
 from ablate.storage import write_image, write_json, write_text
 

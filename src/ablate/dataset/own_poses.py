@@ -35,6 +35,7 @@ def read_poses(path: str | Path, key: str = "dataset.poses") -> tuple[np.ndarray
             raise ValueError(f"{where}: not readable as .npy: {' '.join(str(error).split())}") from None
         if not isinstance(poses, np.ndarray):
             raise ValueError(f"{where}: is an archive (.npz), allowed is one array (.npy)")
+        poses = poses[None] if poses.shape == (4, 4) else poses  # one, as the viewer saves it
         sites = np.arange(len(poses) if poses.ndim else 0, dtype=np.int64)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) == 0 or poses.dtype.kind not in "fiu":
         raise ValueError(f"{where}: must hold poses of shape (n, 4, 4), not {poses.dtype} of {poses.shape}")

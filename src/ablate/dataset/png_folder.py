@@ -17,13 +17,13 @@ import numpy as np
 from skimage.io import imread
 
 from ablate.anatomy import Tissue, load_tissues
-from ablate.anatomy.scene_values import one_of
-from ablate.dataset.fan_file import read_fan_file
+from ablate.anatomy.scene_values import mapping, one_of, read_yaml
 from ablate.dataset.filling import fill_all, fill_pairs
 from ablate.dataset.pairs import Pairs
 from ablate.dataset.split import Part
+from ablate.setting import plain
 from ablate.storage import digest, digest_of_files
-from ablate.ultrasound import Probe
+from ablate.ultrasound.settings import PROBE_KEYS, Probe, probe_from
 
 #: Folder of each map of a data set.
 FOLDERS = {"segmentation": "segmentation", "target": "image", "attenuation": "attenuation", "low": "low"}
@@ -108,7 +108,7 @@ def _validated(folder: Path, _changed: tuple[int, ...]) -> PngFolder:
             here, there = f"{width} x {height} px", f"{shape[1]} x {shape[0]}"
             raise ValueError(f"{path}: is {here}, but {first} is {there}; all must have one size")
     sites, parts = _frames(folder / "frames.csv", names)
-    tissues, probe = _tissues(folder / "labels.csv"), read_fan_file(folder / "fan.yaml")
+    tissues, probe = _tissues(folder / "labels.csv"), _fan(folder / "fan.yaml")
     return PngFolder(folder, names, files, shape, sites, parts, tissues, probe)
 
 
@@ -256,3 +256,24 @@ def _table(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> l
         also = f" and, if wanted, {', '.join(optional)}" if optional else ""
         raise ValueError(f"{path}: its first line must be {','.join(needed)}{also}, not {','.join(columns)}")
     return rows
+
+
+def _fan(path: Path) -> Probe | None:
+    """The probe whose fan the images are of: its kind and every length and angle, whatever its frequency."""
+    if not path.exists():
+        return None
+    if not path.is_file():
+        raise ValueError(f"{path}: is no file")
+    given = mapping(read_yaml(path), f"{path}", ("kind", *PROBE_KEYS))
+    try:
+        probe = probe_from(given)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path}: {error}") from error
+    if missing := [name for name in fan_values(probe) if given.get(name) is None]:  # a default would be a guess
+        raise ValueError(f"{path}: no {missing[0]}; a {probe.kind} fan has {', '.join(fan_values(probe))}")
+    return probe
+
+
+def fan_values(probe: Probe) -> dict[str, str | float]:
+    """What `fan.yaml` holds of a probe."""
+    return {name: value for name, value in plain(probe).items() if name != "frequency_mhz"}

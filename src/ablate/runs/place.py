@@ -1,5 +1,6 @@
 """The place of a job's run on disk: what lies there already, and whether the job may use it."""
 
+import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -77,6 +78,7 @@ def forget_scores(jobs: Iterable[Job]) -> None:
             raise ConfigurationError(f"evaluation.again=true: {run.checkpoint} is missing, nothing can be rendered")
     for run in runs:
         write_json(run.folder / "result.json", {**run.result, "metrics_version": 0})
+        shutil.rmtree(run.data_set.folder / "resimulation", ignore_errors=True)
 
 
 def names_of(asked: str | Iterable[str]) -> set[str]:

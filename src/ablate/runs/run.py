@@ -2,7 +2,6 @@
 
 import zlib
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
@@ -21,7 +20,7 @@ from ablate.runs.data_set import DataSet
 from ablate.setting import check_name
 from ablate.settings.conf import build
 from ablate.settings.study import StudySettings
-from ablate.storage import digest, digest_of_files, read_json
+from ablate.storage import digest, digest_of_files, known_json
 
 #: The checkpoint of a training; `ablate.training.LAST`, whose import loads PyTorch.
 CHECKPOINT = "last.ckpt"
@@ -72,22 +71,22 @@ class Run:
     @cached_property
     def spec(self) -> dict[str, Any]:
         """What the run is: hash, label, changed, semantic, settings; empty where it is missing or damaged."""
-        return _read(self.folder / "spec.json")
+        return known_json(self.folder / "spec.json")
 
     @cached_property
     def result(self) -> dict[str, Any]:
         """What the run came to: its scalars and what they were computed from; empty where missing or damaged."""
-        return _read(self.folder / "result.json")
+        return known_json(self.folder / "result.json")
 
     @cached_property
     def made_with(self) -> dict[str, Any]:
         """Code, packages and hardware in short; empty where missing or damaged."""
-        return _read(self.folder / "provenance" / "made_with.json")
+        return known_json(self.folder / "provenance" / "made_with.json")
 
     @property
     def starts(self) -> list[dict[str, Any]]:
         """What each process that began to train it was started with; empty where that is not known."""
-        starts = _read(self.folder / "provenance" / "starts.json").get("starts")
+        starts = known_json(self.folder / "provenance" / "starts.json").get("starts")
         return [start for start in starts if isinstance(start, dict)] if isinstance(starts, list) else []
 
     # What it is called.
@@ -206,12 +205,6 @@ class Run:
     def lock(self, timeout: float = -1) -> FileLock:
         """Held by the process that trains the run."""
         return FileLock(self.folder / ".lock", timeout=timeout)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    with suppress(OSError, ValueError):
-        return read_json(path)
-    return {}
 
 
 def runs_of(study_dir: Path) -> list[Run]:

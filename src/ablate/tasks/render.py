@@ -1,7 +1,6 @@
 """Frames at poses of your choice as files, with what they were made with; and one drawn with its probe in 3-D."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from ablate.runs.prepare import frames_of, simulator_of
 from ablate.runs.simulated import build_scene
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, ExportFormat, SceneKind, StudySettings, refusing
-from ablate.storage import read_json, write_image, write_json, written_whole
+from ablate.storage import known_json, write_image, write_json, written_whole
 from ablate.tasks.export import check_dicom
 from ablate.ultrasound import SIMULATOR_VERSION, Frame, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import pixel_size_mm
@@ -73,9 +72,8 @@ def _folder_of(wanted: Path, made_with: dict[str, Any]) -> Path:
     """
     folder, numbers = wanted, count(2)
     while folder.exists():
-        with suppress(OSError, ValueError):
-            if read_json(folder / "settings.json") == made_with:
-                return folder
+        if known_json(folder / "settings.json") == made_with:
+            return folder
         folder = wanted.with_name(f"{wanted.name}-{next(numbers)}")
     folder.mkdir(parents=True)
     write_json(folder / "settings.json", made_with)

@@ -9,7 +9,7 @@ import logging
 import sqlite3
 import uuid
 from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,7 +21,7 @@ from mlflow.entities import Run, ViewType
 from mlflow.exceptions import MlflowException
 from sqlalchemy.exc import SQLAlchemyError
 
-from ablate.storage import digest, read_json, remove_partial, write_json, write_text, written_whole
+from ablate.storage import digest, known_json, remove_partial, write_json, write_text, written_whole
 
 _LOG = logging.getLogger(__name__)
 _LOCK_S, _BUSY_S = 60.0, 20.0
@@ -165,9 +165,7 @@ def _run(
     query = " and ".join(f"tags.`{tag}` = '{value}'" for tag, value in known_by.items())
     noted = store.lock.with_name(_NOTED)
     with FileLock(store.lock, timeout=_LOCK_S):
-        client, ids = store.client, {}
-        with suppress(OSError, ValueError):  # none was made here yet, or the file is damaged
-            ids = read_json(noted)
+        client, ids = store.client, known_json(noted)
         run = _run_of(client, ids.get(key := digest([store.uri, known_by])))
         if run is None:
             matches = client.search_runs([store.experiment_id], query, ViewType.ALL)

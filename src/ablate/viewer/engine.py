@@ -13,7 +13,7 @@ from ablate.anatomy import Scene
 from ablate.networks.spec import OF_SURFACES, Space
 from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.probe import pixel_polar
-from ablate.viewer.generators import Trained, open_generator
+from ablate.viewer.generators import Trained, open_generator, trained_at
 from ablate.viewer.session import Moving, Quality, State, Views
 
 _COARSE_RAYS = 4
@@ -39,7 +39,7 @@ class Engine:
         self._patient_gain = lru_cache(_KEPT_SIMULATORS)(lambda probe: patient(scene, probe, beside=self._first))
         self._first: Simulator | None = None
         self._simulator = lru_cache(_KEPT_SIMULATORS)(self._new_simulator)
-        self._generator = lru_cache(_KEPT_GENERATORS)(lambda folder: open_generator(folder, scene.tissues))
+        self._generator = lru_cache(_KEPT_GENERATORS)(lambda folder, _: open_generator(folder, scene.tissues))
         self._made: dict[str, tuple[Hashable, Any, float]] = {}
 
     def render(self, state: State, quality: Quality) -> Views:
@@ -59,7 +59,7 @@ class Engine:
         for number, folder in enumerate(state.runs):
             name = f"generated {number}"
             try:
-                trained, low = self._generator(folder), None
+                trained, low = self._generator(folder, trained_at(folder)), None
                 of_surfaces = bool(OF_SURFACES & set(trained.reads))
                 if "low" in trained.reads:
                     simulator = self._simulator(probe, replace(settings, rays=1, layers=1))
@@ -71,7 +71,7 @@ class Engine:
                     beam = mapped.beam_maps(state.pose, of_surfaces)
                     return trained.render((segmentation, attenuation, beam), low, mask, probe, state.seed, moving)
 
-                image, ms[name] = self._once(f"{name}, {quality}", (folder, *place, state.seed), render)
+                image, ms[name] = self._once(f"{name}, {quality}", (trained, *place, state.seed), render)
                 images.append(image if state.display is None else state.display.shown(image, depth, settings))
                 notes[name] = trained.reservation(state)
             except (OSError, ValueError, KeyError) as error:

@@ -27,11 +27,11 @@ from ablate.pretrained import OUTSIDE, Renderer, values_of
 from ablate.runs.job import differences
 from ablate.runs.run import Run
 from ablate.runs.run import State as RunState
-from ablate.setting import plain
+from ablate.setting import identity, plain
 from ablate.settings.study import StudySettings
 from ablate.threads import without_teams
 from ablate.training import Engine, OpenEngine, TrainingPrecision, generate, load_generator, missing_for, open_exported
-from ablate.ultrasound import Probe, scan_converter
+from ablate.ultrasound import Probe, SimulatorSettings, scan_converter
 from ablate.ultrasound.probe import pixel_size_mm
 from ablate.viewer.session import State
 
@@ -39,6 +39,8 @@ _LOG = logging.getLogger(__name__)
 _SHIPPED = Path("pretrained")
 _FRAMES_BEFORE = 5  # of one size, before it is worth an export
 _KEPT = 3  # sizes: an open file takes some hundred MB of memory
+# Sizes, which are said otherwise; how exactly an image is computed; and what the viewer's own curve changes.
+_NO_LOOK = frozenset({"image_shape", "scanlines", "axial_samples", "rays", "layers", "path_seed", "time_gain_db"})
 
 
 def pickable(folder: Path) -> dict[str, Path]:
@@ -160,9 +162,8 @@ class Trained:
     def reservation(self, state: State) -> str:
         """Say in what a state differs from the training; empty if it does not."""
         reservations, probe = [], self.renderer.probe
-        if state.probe != probe:
-            unlike = differences(plain(probe), plain(state.probe))
-            told = ", ".join(f"{key}={there}" for key, there, _ in unlike if there is not None)
+        unlike = differences(_look(probe, self.renderer.simulator), _look(state.probe, state.simulator))
+        if told := ", ".join(f"{key}={there}" for key, there, _ in unlike if there is not None):
             reservations.append(f"trained with {told}")
         shown = pixel_size_mm(state.probe, state.simulator.image_shape)
         trained = pixel_size_mm(probe, self.renderer.simulator.image_shape)
@@ -173,6 +174,17 @@ class Trained:
         if self.space is Space.beam and (own, others) != (rows, lines):
             reservations.append(f"trained with {rows} rows of {lines} scanlines, here they are {own} of {others}")
         return "; ".join([*reservations, self.unknown] if self.unknown else reservations)
+
+
+def _look(probe: Probe, simulator: SimulatorSettings) -> dict[str, object]:
+    """The values of a probe, and of a simulator those that images look different with."""
+    return plain(probe) | {key: value for key, value in identity(simulator).items() if key not in _NO_LOOK}
+
+
+def trained_at(picked: Path) -> int:
+    """When the weights of a run were written, ns; 0 of a generator that comes with the package."""
+    checkpoint = Run(picked).checkpoint
+    return checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
 
 
 def first_fitting(offered: Mapping[str, Path], tissues: Sequence[Tissue], state: State) -> tuple[Path, ...]:
