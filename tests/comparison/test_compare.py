@@ -367,8 +367,8 @@ def test_a_comparison_is_kept_until_what_it_is_made_from_changes(
     table, before = study / "comparison" / "table.csv", (study / "comparison" / "table.csv").stat().st_mtime_ns
     compare_study(settings)
     assert table.stat().st_mtime_ns == before
-    for changed in ("conf_folder", "tracking.source_digest"):  # another band, or other statistics
-        monkeypatch.setattr(f"ablate.comparison.compare.{changed}", lambda: conf)
+    for changed, to in (("conf_folder", conf), ("tracking.source_digest", "x")):  # another band, or other statistics
+        monkeypatch.setattr(f"ablate.comparison.compare.{changed}", lambda to=to: to)
         compare_study(settings)
         assert table.stat().st_mtime_ns > before, changed
         before = table.stat().st_mtime_ns
