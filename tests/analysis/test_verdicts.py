@@ -151,6 +151,19 @@ def with_and_without(other: str) -> Design:
     return design
 
 
+@pytest.mark.parametrize(("other", "judged"), [(3, False), (5, True), (6, True)])
+def test_depths_that_differ_by_less_than_declared_are_not_judged(other: int, judged: bool) -> None:
+    """Four levels are declared, of any two depths: frames with fewer rows have networks with fewer levels."""
+    made = {"model.family": "local", "model.depth": 2}
+    design = find_design({"sa2h": made, "sa2h.depth": made | {"model.depth": other}}, ("model.depth",))
+    assert design is not None
+    rows = [(v, s, "", 9.0 + s + 5 * (v == "sa2h.depth")) for v in design.cells.index for s in range(3)]
+    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric=METRIC["depth"])
+    row = verdict_table(runs.join(design.cells, on="variant"), design).set_index("component").loc["depth"]
+    assert pd.notna(row["effect"]) == judged
+    assert judged or row["why"] == f"the runs compare 2 with {other}"
+
+
 def test_what_cannot_be_judged_says_why(design: Design, cells: pd.DataFrame) -> None:
     means = means_of(cells, design, response(cells, {}, {}))
     nothing = verdict_table(means, None)

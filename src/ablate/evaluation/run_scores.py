@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,7 @@ from ablate.dataset import Part, counted_clipping
 from ablate.evaluation.scorer import ImageSource, Scorer, Scores
 from ablate.metrics import METRICS, METRICS_VERSION
 from ablate.metrics.metric import FLOOR_PREFIX, MODEL, RESIMULATED, STORED_COLUMNS
-from ablate.storage import digest, read_json, write_json
+from ablate.storage import digest, known_json, write_json
 
 if TYPE_CHECKING:
     from ablate.dataset import Pairs  # only here: frames that are read otherwise need no Zarr
@@ -43,8 +42,7 @@ def resimulation_scores(scorer: Scorer, part: Part) -> Scores:
     kept = scorer.pairs.folder / "resimulation" / f"{part.name}-{digest(known_by)}.json"
     kept.parent.mkdir(exist_ok=True)
     with FileLock(kept.with_suffix(".lock")):
-        with suppress(OSError, ValueError, KeyError):  # not made yet, or damaged
-            read = read_json(kept)
+        if read := known_json(kept):
             return Scores(pd.DataFrame(read["per_image"]), read["scalars"])
         scores = scorer.score(part, images_of, draws_noise=True)
         write_json(kept, {"per_image": scores.per_image.to_dict("list"), "scalars": scores.scalars})

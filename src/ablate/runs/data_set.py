@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +25,7 @@ from ablate.networks.spec import OF_POSITION
 from ablate.setting import plain
 from ablate.settings.conf import build
 from ablate.settings.study import SceneKind, StudySettings
-from ablate.storage import read_json, write_json
+from ablate.storage import known_json, read_json, write_json
 from ablate.ultrasound.settings import Sliders
 
 #: The maps that say which data a run was scored on; all of their test frames are read for the digest.
@@ -91,8 +90,8 @@ class DataSet:
         The hash in the folder's name is that of the recipe. Two processors round otherwise, so one recipe can give two
         data sets; this digest tells them apart. It is computed once and kept beside the pairs.
         """
-        with suppress(OSError, ValueError, KeyError):
-            return str(read_json(self.kept_digest)["test_frames"])
+        if known := known_json(self.kept_digest).get("test_frames"):
+            return str(known)
         digest = hashlib.sha256()
         for frame in self.pairs.frames(Part.test):
             for name in (name for name in _DIGESTED if name in self.pairs.maps):
