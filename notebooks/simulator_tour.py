@@ -187,7 +187,7 @@ lost = noted[Stage.attenuation_sum].result
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), width_ratios=(1.25, 1))
 shown = show(left, np.where(to_fan.mask, decibel(rendered.attenuation, -60), np.nan), "A, in dB", cmap="viridis")
 figure.colorbar(shown, ax=left, label="dB, one way")
-right.plot(depths, decibel(lost[line], -200), "k", lw=1.5)
+right.plot(depths.reshape(beam_rows, -1).mean(axis=1), decibel(lost[line], -200), "k", lw=1.5)  # samples make a row
 boundaries = np.flatnonzero(np.diff(owned)) + 1
 for piece in np.split(np.arange(len(owned)), boundaries):
     ends = (depths[piece[0]], depths[piece[-1]])
@@ -212,14 +212,14 @@ segments = []
 def note_paths(stage, function, arguments):
     if stage is not Stage.tracing:
         return function(*arguments)
-    (paths,) = arguments
+    geometry = arguments[0]
 
     def one_by_one(address, arrays, n, received, view, ways, table, rows, nodes):
         """What `_bounces` does, with a note of where each ray begins and ends."""
         rays, inside, echoes = arrays
         while n and (rows >= MAX_ROWS or (rays["interfaces"][:n] < rows).all()):
             origins, directions = (np.ascontiguousarray(rays[name][:n]) for name in ("origin", "direction"))
-            hits = paths.geometry.closest(origins, directions, np.ascontiguousarray(rays["reach_mm"][:n]))
+            hits = geometry.closest(origins, directions, np.ascontiguousarray(rays["reach_mm"][:n]))
             ends = origins + np.minimum(hits.distance_mm, 200)[:, None] * directions
             segments.append((origins, ends, hits.structure >= 0))
             rays, inside, echoes = grown(rays, 2 * n), grown(inside, 2 * n), grown(echoes, received + n)
