@@ -97,6 +97,17 @@ def bare(folder: Path, tmp_path: Path) -> Path:
     return made
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_frames_of_no_named_site_are_said(folder: Path, runs: Path, tmp_path: Path, named: bool) -> None:
+    own = bare(folder, tmp_path)
+    for k, path in enumerate(() if named else sorted((own / "segmentation").glob("*.png"))):
+        for name in ("segmentation", "image"):
+            (own / name / path.name).rename(own / name / f"{k:04}.png")
+    where = ["scene=pairs", f"scene.folder={own}", f"runs_dir={runs}"]
+    assert run("task=simulate", "variant=sa2h-att", *TINY, *where) == 0
+    assert any("sites: none are named" in line for line in data_of(runs).about["left_out"]) is not named
+
+
 def test_segmentations_and_images_alone_are_enough_for_a_variant_without_attenuation(
     folder: Path, runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,7 +1,9 @@
 """Views against the simulator itself; one set of triangles for every probe."""
 
 import gc
+import os
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +25,7 @@ from ablate.ultrasound import Display, Simulator
 from ablate.ultrasound.probe import pixel_polar
 from ablate.ultrasound.surfaces import embree
 from ablate.viewer.engine import Engine, coarse
-from ablate.viewer.generators import FastGenerator, first_fitting, open_generator, pickable
+from ablate.viewer.generators import FastGenerator, Trained, first_fitting, open_generator, pickable
 from ablate.viewer.session import Quality, State
 from support.viewed_body import BODY, STATE
 
@@ -146,6 +148,23 @@ def test_a_preset_is_shown_with_the_shipped_network_that_was_trained_in_it(name:
     assert first_fitting(offered, [*load_tissues().values()], state) == (offered[f"comes with ablate: {name}"],)
     trained = replace(load(name).simulator, time_gain_db=None)
     assert trained == settings.simulator, "a preset that changes needs another network, or other words on its card"
+
+
+def test_a_run_that_was_trained_again_is_opened_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened, shipped = [], pickable(Path("nowhere"))["comes with ablate: sa2h"]
+
+    def opens(folder: Path, tissues: Sequence[Tissue]) -> Trained:
+        opened.append(folder)
+        return open_generator(shipped, tissues)
+
+    monkeypatch.setattr("ablate.viewer.engine.open_generator", opens)
+    engine, state, images = Engine(BODY, STATE.pose[None]), replace(STATE, runs=(tmp_path,)), []
+    for written_ns in (1, 1, 2):
+        (tmp_path / "last.ckpt").touch()
+        os.utime(tmp_path / "last.ckpt", ns=(0, written_ns))
+        images.append(engine.render(state, Quality.full).ms["generated 0"])
+    assert len(opened) == 2
+    assert images[0] == images[1] != images[2], "milliseconds: rendered once for each training"
 
 
 def test_the_image_of_a_network_is_that_of_ablate_load() -> None:

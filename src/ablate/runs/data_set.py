@@ -183,8 +183,8 @@ def _left_out(settings: StudySettings, checked: PngFolder, mask: np.ndarray) -> 
             f"shadow_contrast and thin_contrast: the fan of the images is not that of probe.{probe}, so depths are not "
             "known and the Gaussian of mae_smooth is in px"
         )
-    if len(set(checked.sites)) == len(checked.sites):
-        left_out.append("sites: no two frames share one, so frames that are alike may lie in training and in test")
+    if checked.sites == checked.names:  # which would tell them, or frames.csv
+        left_out.append("sites: none are named, so each frame has its own; those alike may lie in training and in test")
     if checked.tissues is None:
         left_out.append("tissues: without labels.csv the labels are ordered by number, and all count as solid tissue")
     return left_out
