@@ -1,6 +1,7 @@
 """Share of a preset's frames with bright bands in fluid, and milliseconds a frame, of this checkout and of another.
 
 make bench-bands ARGS="--frames 24"
+make bench-bands ARGS="--anatomies 0 1 2 3"
 make bench-bands ARGS="--against path/to/another/checkout"
 
 A frame has bands where over 1 % of its fluid is more than 15 grey levels brighter than in the converged image, that of
@@ -32,7 +33,7 @@ LEAST_FLUID = 200  # px; frames with less are left out
 HERE = Path(__file__).parents[1]
 
 
-def serve(preset: str, frames: int, many: int) -> None:
+def serve(preset: str, frames: int, many: int, anatomy: int) -> None:
     """Render frames on request: each line of the standard input is rays and frame, each answer is a line of ms."""
     import torch
 
@@ -42,7 +43,7 @@ def serve(preset: str, frames: int, many: int) -> None:
 
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:
-        job = jobs_of([f"preset={preset}", f"runs_dir={folder}"])[0]
+        job = jobs_of([f"preset={preset}", f"scene.anatomy_seed={anatomy}", f"runs_dir={folder}"])[0]
         settings = job.settings
         scene, grid = simulated.build_scene(settings)
         poses = simulated.lay_out(settings, scene, grid).poses
@@ -116,30 +117,35 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--preset", default="quick")
     parser.add_argument("--frames", type=int, default=100, help="equally spaced among the preset's")
+    parser.add_argument("--anatomies", type=int, nargs="+", default=[0], help="values of scene.anatomy_seed")
     parser.add_argument("--many", type=int, default=1024, help="rays of the converged images")
     parser.add_argument("--against", type=Path, help="another checkout of this repository")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.serve:
-        serve(args.preset, args.frames, args.many)
+        serve(args.preset, args.frames, args.many, *args.anatomies)
         return
     chosen = {"this checkout": HERE} | ({"the other": args.against} if args.against else {})
     numbers = "--preset", args.preset, "--frames", str(args.frames), "--many", str(args.many)
-    found: dict[str, list[Any]] = {name: [] for name in chosen}
+    found: dict[str, list[Any]] = {f"{name}, anatomy {seed}": [] for name in chosen for seed in args.anatomies}
     yardstick = Yardstick()
-    with ExitStack() as stack:
-        running = {name: stack.enter_context(opened(path.resolve(), *numbers)) for name, path in chosen.items()}
-        for frame in range(min(each.frames for each in running.values())):
-            yardstick.tick()
-            for name, each in running.items():
-                image, fluid, taken = each.render("few", frame)
-                if fluid.sum() >= LEAST_FLUID:
-                    converged, _, _ = each.render("many", frame)
-                    found[name].append((*shares(image, converged, fluid), taken))
+    for seed in args.anatomies:
+        with ExitStack() as stack:
+            served = (*numbers, "--anatomies", str(seed))
+            running = {name: stack.enter_context(opened(path.resolve(), *served)) for name, path in chosen.items()}
+            for frame in range(min(each.frames for each in running.values())):
+                yardstick.tick()
+                for name, each in running.items():
+                    image, fluid, taken = each.render("few", frame)
+                    if fluid.sum() >= LEAST_FLUID:
+                        converged, _, _ = each.render("many", frame)
+                        found[f"{name}, anatomy {seed}"].append((*shares(image, converged, fluid), taken))
     if not all(found.values()):
         sys.exit(f"no frame has {LEAST_FLUID} pixels of fluid; more frames are needed, or a scene with fluid")
     print("| images of | frames | with bands | too bright, % of fluid | too dark, % | mean difference | ms a frame |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
+    for name in chosen if len(args.anatomies) > 1 else ():
+        found[f"{name}, all"] = [row for seed in args.anatomies for row in found[f"{name}, anatomy {seed}"]]
     for name, rows in found.items():
         bright, dark, mean, taken = np.array(rows).T
         cells = f"{len(rows)}", f"{(bright > SHARE).sum()}", f"{100 * bright.mean():.2f}", f"{100 * dark.mean():.2f}"
