@@ -2,6 +2,7 @@
 
 import csv
 import math
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
@@ -75,6 +76,14 @@ def test_order_places_an_unknown_tissue_by_its_scatter_power() -> None:
     assert echogenicity_order([t["muscle"], between, t["kidney"]]) == (2, 1, 0)
     anechoic = Tissue("cyst", scatterer_density=0.0)
     assert echogenicity_order([t["blood"], anechoic]) == (1, 0)
+
+
+def test_order_places_bone_and_gas_of_ones_own_as_those_of_the_table_and_follows_changed_values() -> None:
+    t = load_tissues()
+    others = [t[name] for name in ("coupling_gel", "blood", "kidney", "liver")]
+    for name in ("bone", "gas"):
+        assert echogenicity_order([*others, replace(t[name], name="mine")]) == echogenicity_order([*others, t[name]])
+    assert echogenicity_order([*others[:3], replace(t["liver"], scatterer_sd=0.0), t["bone"]]) == (0, 2, 3, 1, 4)
 
 
 def test_kind_follows_from_impedance_and_scatterers() -> None:

@@ -45,8 +45,15 @@ def test_npy_and_csv_hold_the_same_poses(tmp_path: Path) -> None:
         ("x,y,z,qw,qx,qy,qz\n", "no row below the names of the columns"),
         ("x,y,z,qw,qx,qy\n0,0,0,1,0,0\n", "no column qz"),
         ("x,y,z,qw,qx,qy,qz\n0,0,0,1,1,0,0\n", "row 0: the quaternion must have length 1, not 1.414"),
-        (f"{ROW}0,0,far,1,0,0,0\n", "row 1: allowed are numbers, and whole ones as site, not 'x=0, y=0, z=far"),
+        (
+            f"{ROW}0,0,far,1,0,0,0\n",
+            "row 1: allowed are numbers, and whole ones of 32 bits as site, not 'x=0, y=0, z=far",
+        ),
         ("x,y,z,qw,qx,qy,qz\n0,0,nan,1,0,0,0\n", "pose 0: pose must be finite"),
+        ("x,y,z,qw,qx,qy,qz,Site\n0,0,0,1,0,0,0,1\n", "column 'Site'; allowed are x, y, z"),
+        ("x,y,z,qw,qx,qy,qz,x\n0,0,0,1,0,0,0,1\n", "column 'x'; allowed are x, y, z"),
+        ("x,y,z,qw,qx,qy,qz,site\n0,0,0,1,0,0,0,1\n0,0,0,1,0,0,0\n", "row 1: allowed are numbers, and whole ones"),
+        ("x,y,z,qw,qx,qy,qz,site\n0,0,0,1,0,0,0,4294967297\n", "row 0: allowed are .* whole ones of 32 bits"),
     ],
 )
 def test_what_holds_no_poses_is_named_in_one_line(tmp_path: Path, values: np.ndarray | str, message: str) -> None:

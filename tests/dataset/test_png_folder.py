@@ -47,6 +47,14 @@ def imported(checked: PngFolder, path: Path) -> dict[str, np.ndarray]:
     return {name: pairs.read(name, range(n)) for name in checked.maps}
 
 
+def test_a_png_that_is_written_again_with_16_bits_is_refused(folder: Path, tmp_path: Path) -> None:
+    """The folder is looked at once a process, and a file that is overwritten changes no folder."""
+    checked = validate_png_folder(folder)
+    save(folder / "image" / f"{NAMES[0]}.png", np.full((H, W), 300, np.uint16))
+    with pytest.raises(ValueError, match=rf"image/{NAMES[0]}\.png: is not plain grey of 8 bits"):
+        imported(checked, tmp_path / "pairs")
+
+
 def test_sites_are_the_names_before_the_last_underscore(folder: Path) -> None:
     checked = validate_png_folder(folder)
     assert checked.names == NAMES

@@ -206,3 +206,12 @@ def test_a_grid_is_resampled_over_its_own_ranges() -> None:
     assert counts == [13, 19, 9, 3]
     assert (fine.heights_mm[0], fine.heights_mm[-1]) == (-20, 20)
     assert 13 * 19 * 9 * 3 == 6669  # the paper's number of frames
+
+
+def test_no_place_comes_twice_in_a_grid() -> None:
+    fine = resample_grid(SiteGrid(heights_mm=(5.0,), angles_deg=(-180.0, 90.0)), (3, 4, 2, 2))
+    assert (fine.heights_mm, fine.tilts_deg, fine.rolls_deg) == ((5.0,), (0.0,), (0.0,))
+    assert fine.angles_deg == (-180.0, -90.0, 0.0, 90.0)
+    for again in ({"angles_deg": (-180.0, 0.0, 180.0)}, {"heights_mm": (0.0, 0.0)}, {"rolls_deg": (0.0, 360.0)}):
+        with pytest.raises(ValueError, match="site grid: a height, angle, tilt or roll stands twice"):
+            SiteGrid(**again)

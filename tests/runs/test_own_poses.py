@@ -8,6 +8,7 @@ import trimesh
 
 from ablate.jobs.compose import jobs_of
 from ablate.jobs.preflight import check
+from ablate.runs.prepare import prepare_data
 from ablate.runs.simulated import build_scene, lay_out
 from ablate.settings.study import ConfigurationError
 
@@ -46,6 +47,16 @@ def test_poses_decide_and_where_they_lie_does_not(folder: Path) -> None:
     assert data("moved.npy") == own != without
     np.save(folder / "moved.npy", np.load(folder / "moved.npy")[::-1])
     assert data("moved.npy") != own
+
+
+def test_what_places_a_grid_decides_nothing_and_files_that_were_edited_since_are_refused(folder: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"^dataset\.press_mm: decides nothing here"):
+        check(jobs_of(["-m", *arguments(folder), "dataset.press_mm=4,8"]))
+    (job,) = jobs_of(arguments(folder))
+    assert job.semantic["data"]["dataset"]["poses"]
+    np.save(folder / "poses.npy", np.load(folder / "poses.npy")[::-1])
+    with pytest.raises(ConfigurationError, match="its files were edited since the command began; repeat the command"):
+        prepare_data(job, frozenset())
 
 
 def test_a_preset_asks_for_no_more_frames_than_there_are_poses(folder: Path) -> None:

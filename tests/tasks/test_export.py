@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pydicom
 import pytest
+import zarr
 from PIL import Image
 
 from ablate.dataset import Pairs, Part, open_pairs
-from ablate.dataset.dicom_files import write_cine
+from ablate.dataset.dicom_files import write_cine, write_dicom
 from ablate.dataset.export_formats import write_nnunet, write_png
 from ablate.jobs.compose import jobs_of
 from ablate.runs.data_set import DataSet
@@ -82,7 +83,7 @@ def test_nnunet_counts_the_classes_that_occur(tmp_path: Path) -> None:
     stored = {"segmentation": np.uint8([[0, 1], [4, 5]]), "target": np.uint8([[0, 9], [9, 9]])}
 
     class OfThreeTissues:
-        tissues, split = ("gel", "bone", "gas", "liver", "liver"), np.array([Part.train])
+        tissues, split = ("background", "bone", "gas", "liver", "liver"), np.array([Part.train])
 
         def __len__(self) -> int:
             return 1
@@ -95,7 +96,7 @@ def test_nnunet_counts_the_classes_that_occur(tmp_path: Path) -> None:
 
     write_nnunet(OfThreeTissues(), tmp_path)  # type: ignore[arg-type]
     described = json.loads((tmp_path / "dataset.json").read_text())
-    assert described["labels"] == {"background": 0, "gel": 1, "liver_4": 2, "liver_5": 3}, "two labels of one tissue"
+    assert described["labels"] == {"background": 0, "background_1": 1, "liver_4": 2, "liver_5": 3}, "names twice"
     assert np.array(Image.open(tmp_path / "labelsTr" / "frame00000.png")).tolist() == [[0, 1], [2, 3]]
 
 
@@ -134,7 +135,7 @@ def test_a_cine_is_known_by_what_it_shows(tmp_path: Path) -> None:
 
 
 def test_dicom_is_valid_and_calibrated(
-    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     folder, pairs = exported(arguments, "dicom", capsys)
     files = sorted(folder.glob("*.dcm"))
@@ -147,6 +148,11 @@ def test_dicom_is_valid_and_calibrated(
         assert np.array_equal(held.pixel_array, pairs.stored("target", frame))
         uids.add(held.SOPInstanceUID)
     assert len(uids) == len(pairs)
+    again = Path(shutil.copytree(pairs.folder, tmp_path / pairs.folder.name))
+    targets = zarr.open(again / "pairs.zarr")["target"]
+    targets[0] = np.clip(targets[0], 0, 200) + np.uint8(9)  # other pixels of the same recipe, as of another processor
+    write_dicom(open_pairs(again), tmp_path / "again", (0.3, 0.3))
+    assert {pydicom.dcmread(file).SOPInstanceUID for file in (tmp_path / "again").glob("*.dcm")} != uids
     probe = pairs.probe or jobs_of(arguments)[0].settings.probe
     region = held.SequenceOfUltrasoundRegions[0]
     half = np.deg2rad(probe.fov_deg) / 2

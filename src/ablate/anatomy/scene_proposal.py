@@ -53,9 +53,9 @@ def proposed_scene(folder: Path) -> str:
         raise ValueError(f"scene.folder: {next(iter(unusable.values()))}")
     bounds = bounds_mm(meshes.values()) if meshes else np.zeros((2, 3))
     extent = float(np.ptp(bounds, axis=0).max())
-    # the largest unit that makes the scene no larger than a body, preferring mm
+    # the largest unit that makes the scene no larger than a body, preferring mm; beside labels, theirs
     fits = [unit for unit, factor in UNITS_MM.items() if 10 * BODY_MM[0] <= extent * factor <= BODY_MM[1]]
-    unit = fits[0] if fits else "mm"
+    unit = fits[0] if fits and not labels else "mm"
     tissues, table = {name: tissue_of_name(Path(name).stem) for name in meshes}, load_tissues()
     order = sorted(meshes, key=lambda n: (_ORDER.index(table[tissues[n][0]].kind), -np.prod(meshes[n].extents)))
     structures = [(_quoted(name), *tissues[name]) for name in order]

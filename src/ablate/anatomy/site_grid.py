@@ -28,8 +28,8 @@ class SiteGrid:
     Raises
     ------
     ValueError
-        When a list is empty, a value is not finite, a tilt turns the probe away from the body, axis and front do not
-        span a plane, or there are more than `MOST_POSES` poses.
+        When a list is empty, a value is not finite or stands twice, a tilt turns the probe away from the body, axis and
+        front do not span a plane, or there are more than `MOST_POSES` poses.
     """
 
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -45,11 +45,12 @@ class SiteGrid:
             values = getattr(self, name)
             if len(values) == 0 or not all(math.isfinite(value) for value in values):
                 raise ValueError(f"site grid: {name} must be one or more finite numbers, not {values!r}")
+        turns = [[turn % 360 for turn in turns] for turns in (self.angles_deg, self.tilts_deg, self.rolls_deg)]
+        if any(len(set(values)) < len(values) for values in (self.heights_mm, *turns)):
+            raise ValueError("site grid: a height, angle, tilt or roll stands twice; -180 and 180 degrees are the same")
         count = len(self.heights_mm) * len(self.angles_deg) * len(self.tilts_deg) * len(self.rolls_deg)
         if count > MOST_POSES:
-            raise ValueError(
-                f"site grid: heights x angles x tilts x rolls must be at most {MOST_POSES} poses, not {count}"
-            )
+            raise ValueError(f"site grid: heights x angles x tilts x rolls: at most {MOST_POSES} poses, not {count}")
         if not all(-90 < tilt < 90 for tilt in self.tilts_deg):
             raise ValueError(f"site grid: tilts_deg must lie between -90 and 90, not {self.tilts_deg!r}")
         (a, b, c), (d, e, f) = self.axis, self.front

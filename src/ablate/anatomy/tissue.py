@@ -99,21 +99,25 @@ def load_tissues() -> dict[str, Tissue]:
 def echogenicity_order(tissues: Sequence[Tissue]) -> tuple[int, ...]:
     """Rank of each tissue from dark to bright: a permutation of range(len(tissues)), 0 the darkest.
 
-    Tissues of the built-in table have its order. A tissue of another name is placed by its `scatter_power` among those
-    of the table that are neither gas nor bone. Tissues that are still equal keep the order of `tissues`.
+    Tissues of the built-in table have its order. A gas or bone of another name is placed after those of the table, any
+    other tissue by its `scatter_power` among those that are neither; so is one of the table with other properties.
+    Tissues that are still equal keep the order of `tissues`.
     """
     table = _table()
-    place = {tissue.name: float(i) for i, tissue in enumerate(table)}
+    place = {tissue: float(i) for i, tissue in enumerate(table)}
     # gas and bone look brighter than the speckle inside them, because their surface reflects strongly
-    scattering = [tissue for tissue in table if tissue.kind not in (TissueKind.gas, TissueKind.bone)]
+    hard = (TissueKind.gas, TissueKind.bone)
+    reflecting: dict[TissueKind, float] = {tissue.kind: i for tissue, i in place.items() if tissue.kind in hard}
+    scattering = [tissue for tissue in table if tissue.kind not in reflecting]
     powers = [tissue.scatter_power for tissue in scattering]
 
     def brightness(i: int) -> tuple[float, float]:
-        if tissues[i].name in place:
-            return place[tissues[i].name], 0.0
-        below = bisect_right(powers, tissues[i].scatter_power)
-        anchor = place[scattering[below - 1].name] if below else -1.0
-        return anchor + 0.5, tissues[i].scatter_power
+        tissue = tissues[i]
+        if tissue in place:
+            return place[tissue], 0.0
+        below = bisect_right(powers, tissue.scatter_power)
+        anchor = reflecting.get(tissue.kind, place[scattering[below - 1]] if below else -1.0)
+        return anchor + 0.5, tissue.scatter_power
 
     order = sorted(range(len(tissues)), key=brightness)
     return tuple(order.index(i) for i in range(len(tissues)))

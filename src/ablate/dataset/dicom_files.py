@@ -22,13 +22,15 @@ _VERSION, _FRAME_TIME = f"simulator {SIMULATOR_VERSION}", 0x00181063  # the tag 
 def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size) -> None:
     """A file a frame, and in `segmentation` its labels as DICOM SEG.
 
-    UIDs are numbers from the name of the data set, which has its hash, and the frame: they stay the same.
+    UIDs are numbers from the name of the data set, which has its hash, the frame and its pixels: they stay the same.
     """
     (folder / "segmentation").mkdir(parents=True, exist_ok=True)
     segments = [_segment(number, name) for number, name in enumerate(pairs.tissues, start=1)]
     for frame in range(len(pairs)):
         name = f"frame{frame:05d}.dcm"
-        image = _ultrasound(pairs.folder.name, frame, pairs.stored("target", frame), pairs.mask(), pixel_mm)
+        shown = pairs.stored("target", frame)
+        image = _ultrasound(pairs.folder.name, frame, shown, pairs.mask(), pixel_mm)
+        image.SOPInstanceUID = _uid(pairs.folder.name, hashlib.sha256(shown.tobytes()).hexdigest(), str(frame))
         pydicom.dcmwrite(folder / name, image, enforce_file_format=True)
         Segmentation(
             source_images=[image],
@@ -37,7 +39,7 @@ def write_dicom(pairs: Pairs, folder: Path, pixel_mm: Size) -> None:
             segment_descriptions=segments,
             series_instance_uid=_uid(pairs.folder.name, "segmentations"),
             series_number=2,
-            sop_instance_uid=_uid(pairs.folder.name, f"segmentation {frame}"),
+            sop_instance_uid=_uid(image.SOPInstanceUID, "segmentation"),
             instance_number=frame + 1,
             software_versions=_VERSION,
             manufacturer="ablate",
@@ -84,12 +86,13 @@ def _ultrasound(known_by: str, number: int, pixels: np.ndarray, mask: np.ndarray
 
 
 def _segment(number: int, tissue: str) -> SegmentDescription:
-    """A tissue as a segment, with a code of our own: its name."""
+    """A tissue as a segment, with a code of our own: its name, or a digest of a longer one."""
+    code = tissue if len(tissue) <= 16 else hashlib.sha256(tissue.encode()).hexdigest()[:16]  # DICOM's limit
     return SegmentDescription(
         segment_number=number,
         segment_label=tissue[:64],
         segmented_property_category=codes.SCT.AnatomicalStructure,
-        segmented_property_type=CodedConcept(tissue[:16], "99ABLATE", tissue[:64]),
+        segmented_property_type=CodedConcept(code, "99ABLATE", tissue[:64]),
         algorithm_type=SegmentAlgorithmTypeValues.AUTOMATIC,
         algorithm_identification=AlgorithmIdentificationSequence("ablate", codes.DCM.ImageProcessing, _VERSION),
     )

@@ -76,7 +76,7 @@ def write_nnunet(pairs: Pairs, folder: Path) -> None:
             (folder / f"{kind}{end}").mkdir(parents=True, exist_ok=True)
             write_image(folder / f"{kind}{end}" / f"{_name(frame)}{suffix}.png", image)
     names = "background", *pairs.tissues
-    labels = {f"{names[k]}_{k}" if names.count(names[k]) > 1 else names[k]: i for i, k in enumerate(occurring)}
+    labels = {f"{names[k]}_{k}" if k and names.count(names[k]) > 1 else names[k]: i for i, k in enumerate(occurring)}
     about = {"channel_names": {"0": "ultrasound"}, "labels": labels, "file_ending": ".png"}
     write_json(folder / "dataset.json", about | {"numTraining": int((pairs.split != Part.test).sum())})
     train, validation = ([_name(int(i)) for i in pairs.frames(part)] for part in (Part.train, Part.validation))

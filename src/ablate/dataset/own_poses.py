@@ -59,17 +59,19 @@ def _of_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
     if missing := [name for name in COLUMNS if name not in named]:
         columns = f"the columns are {shown(', '.join(named))}, and {', '.join(COLUMNS)} are needed, with commas between"
         raise ValueError(f"{where}: no column {missing[0]}; {columns}")
+    if other := [name for name in named if name not in (*COLUMNS, "site") or named.count(name) > 1]:
+        raise ValueError(f"{where}: column {shown(other[0])}; allowed are {', '.join(COLUMNS)} and site, each once")
     if not rows:
         raise ValueError(f"{where}: no row below the names of the columns")
     poses, sites = np.tile(np.eye(4), (len(rows), 1, 1)), np.arange(len(rows), dtype=np.int64)
     for i, row in enumerate(rows):
         try:
             x, y, z, *quaternion = (float(row[name]) for name in COLUMNS)
-            if row.get("site") is not None:
-                sites[i] = int(row["site"])
+            if "site" in row:
+                sites[i] = np.int32(row["site"])
         except (TypeError, ValueError, OverflowError):
             values = ", ".join(f"{name}={value}" for name, value in row.items() if name)
-            allowed = "numbers, and whole ones as site"
+            allowed = "numbers, and whole ones of 32 bits as site"
             raise ValueError(f"{where}: row {i}: allowed are {allowed}, not {shown(values)}") from None
         length = math.hypot(*quaternion)
         if not abs(length - 1) < 1e-3:

@@ -156,13 +156,13 @@ def import_pairs(checked: PngFolder, names: Sequence[str], pairs: Pairs, maps: f
 
 
 def _decoded(path: Path, shape: tuple[int, int]) -> np.ndarray:
-    """The grey levels of a PNG, (H, W) uint8 or uint16."""
+    """The grey levels of a PNG, (H, W) uint8, or uint16 of an attenuation map."""
     try:
         image: np.ndarray = imread(BytesIO(path.read_bytes()))  # closed, whatever is raised
     except Exception as error:  # every chunk of a PNG raises its own
         raise ValueError(f"{path}: cannot be decoded ({' '.join(str(error).split())})") from error
-    if image.shape != shape:
-        raise ValueError(f"{path}: is not plain grey (transparent pixels?)")
+    if image.shape != shape or (image.dtype != np.uint8 and path.parent.name != FOLDERS["attenuation"]):
+        raise ValueError(f"{path}: is not plain grey of 8 bits (transparent pixels? written again?)")
     return image
 
 

@@ -24,6 +24,7 @@ from ablate.networks.spec import OF_SURFACES, Space
 from ablate.ultrasound import Probe, Simulator, SimulatorSettings
 from ablate.ultrasound.stages import Stage, stage_times
 
+Timed = tuple[dict[str, np.ndarray], dict[str, float]]  # maps, and the milliseconds of each
 _NUDGE_MM = 1e-3
 _OF_LABELS = (Stage.pixel_labels, Stage.attenuation_labels, Stage.attenuation_sum, Stage.scan_conversion)
 _WITHOUT_IMAGE = frozenset({"segmentation", "attenuation"}) | OF_SURFACES  # maps without an image
@@ -133,9 +134,7 @@ def _work(recipe: Recipe, pairs: Pairs, maps: frozenset[str], told: multiprocess
         told.put(error)
 
 
-def timed_maps(
-    scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray
-) -> Callable[[np.ndarray, int, Sequence[str], Space], tuple[dict[str, np.ndarray], dict[str, float]]]:
+def timed_maps(scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray) -> Callable[..., Timed]:
     """A function of a pose that was not the last one, a seed, names and a space: maps, and the milliseconds of each.
 
     They are the maps of these names, (H, W) or (rows, scanlines), as `maps_read` gives them, and `low`, uint8. Labels
@@ -145,9 +144,7 @@ def timed_maps(
     of_low = cache(lambda: Simulator(scene, probe, replace(settings, rays=1, layers=1), poses=poses))
     nothing = np.zeros(settings.image_shape, np.uint8)
 
-    def make(
-        pose: np.ndarray, seed: int, names: Sequence[str], space: Space
-    ) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    def make(pose: np.ndarray, seed: int, names: Sequence[str], space: Space) -> Timed:
         with stage_times() as taken:
             start = time.perf_counter()
             beam = simulator.beam_maps(pose, bool(OF_SURFACES & set(names)))

@@ -139,14 +139,15 @@ class Placement:
 def resample_grid(grid: SiteGrid, counts: Sequence[int] | None) -> SiteGrid:
     """The same ranges with other counts of heights, angles, tilts and rolls, equally spaced; None keeps the grid.
 
-    A count of one keeps the middle of its range.
+    A count of one keeps the middle of its range, and a range of one value has that value alone.
     """
     if counts is None:
         return grid
     spread: dict[str, Any] = {}
     for name, count in zip(("heights_mm", "angles_deg", "tilts_deg", "rolls_deg"), counts, strict=True):
         lower, upper = min(getattr(grid, name)), max(getattr(grid, name))
-        spread[name] = tuple(np.linspace(lower, upper, count).tolist()) if count > 1 else ((lower + upper) / 2,)
+        places = np.linspace(lower, upper, count) if count > 1 else [(lower + upper) / 2]
+        spread[name] = tuple(np.unique(places).tolist())
     return replace(grid, **spread)
 
 

@@ -109,9 +109,11 @@ def maps_needed(models: Iterable[GeneratorSpec]) -> frozenset[str]:
 def about_data(settings: StudySettings) -> dict[str, Any]:
     """What every pair of the data set is made from, as JSON values."""
     if settings.scene.kind is SceneKind.pairs:
-        scene = {"kind": "pairs", "files": dataset.content_digest(checked_folder(settings))}
-        chosen = {name: plain(settings.dataset)[name] for name in ("split", "validation", "test", "seed")}
-        probe = checked_folder(settings).probe or settings.probe  # it tells depths
+        checked = checked_folder(settings)
+        scene = {"kind": "pairs", "files": dataset.content_digest(checked)}
+        drawn = ("split", "validation", "test", "seed") if checked.parts is None else ()
+        chosen = {name: plain(settings.dataset)[name] for name in drawn}
+        probe = checked.probe or settings.probe  # it tells depths
         about = {"scene": scene, "probe": plain(probe), "dataset": chosen}
     else:
         from ablate.runs.simulated import about_simulated

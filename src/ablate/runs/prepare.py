@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ablate.dataset import Pairs, write_contact_sheet
-from ablate.runs.data_set import DataSet, checked_folder, import_data
+from ablate.runs.data_set import DataSet, about_data, checked_folder, import_data
 from ablate.runs.job import Job
-from ablate.settings.study import SceneKind
+from ablate.settings.study import ConfigurationError, SceneKind
 from ablate.ultrasound.settings import SimulatorSettings, TimeGain
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ def prepare_data(job: Job, maps: frozenset[str]) -> DataSet:
     """Simulate, or import, what is missing of the job's pairs; returns at once when nothing is."""
     settings, data = job.settings, job.data
     if data.lacks(wanted := offered(job, maps)):
+        if about_data(settings) != job.semantic["data"]:
+            raise ConfigurationError(f"{data.name}: its files were edited since the command began; repeat the command")
         for of_frames in (data.kept_digest, *(data.folder / "resimulation").glob("*.json")):
             of_frames.unlink(missing_ok=True)  # they are made again, perhaps on another kind of processor
         if settings.scene.kind is SceneKind.pairs:

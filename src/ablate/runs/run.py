@@ -1,13 +1,12 @@
 """One run as it lies on disk: everything in its folder, and the state that this makes up."""
 
-import zlib
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import pandas as pd
@@ -22,6 +21,7 @@ from ablate.settings.conf import build
 from ablate.settings.study import StudySettings
 from ablate.storage import digest, digest_of_files, known_json
 
+_LOG = logging.getLogger(__name__)
 #: The checkpoint of a training; `ablate.training.LAST`, whose import loads PyTorch.
 CHECKPOINT = "last.ckpt"
 _PARAMETERS = {"parameters_generator", "parameters_discriminator"}  # the scalars that every run has
@@ -134,14 +134,15 @@ class Run:
 
     @property
     def pictures(self) -> dict[int, np.ndarray]:
-        """Rendered frames, (H, W) uint8, by their number in the data set; a ValueError where the file is damaged."""
+        """Rendered frames, (H, W) uint8, by their number in the data set; none where the file is missing or damaged."""
         try:
             with np.load(self.pictures_file) as kept:
                 return dict(zip(kept["frames"].tolist(), kept["images"], strict=True))
         except FileNotFoundError:
-            return {}
-        except (OSError, ValueError, KeyError, AttributeError, EOFError, RuntimeError, BadZipFile, zlib.error) as error:
-            raise ValueError(f"{self.pictures_file} is damaged: {' '.join(str(error).split())}") from error
+            pass
+        except Exception as error:  # zip and NumPy raise many kinds
+            _LOG.warning("%s is damaged: %s; others are shown", self.pictures_file, " ".join(str(error).split()))
+        return {}
 
     # What can be done with it.
 

@@ -23,8 +23,9 @@ from ablate.ultrasound.media import plan_scene
 def about_simulated(settings: StudySettings) -> dict[str, Any]:
     """What every pair of the data set is made from, JSON-ready."""
     chosen = identity(settings.dataset)
-    if settings.dataset.poses:  # what they are counts, not where they lie
+    if settings.dataset.poses:  # what they are counts, not where they lie; no grid is placed
         poses, sites = dataset.read_poses(Path(settings.dataset.poses))
+        del chosen["grid"], chosen["press_mm"]
         chosen["poses"] = hashlib.sha256(poses.tobytes() + sites.tobytes()).hexdigest()[:16]
     scene: dict[str, Any] = {"kind": settings.scene.kind.name, "version": ANATOMY_VERSION}
     if settings.scene.kind is SceneKind.fetal:

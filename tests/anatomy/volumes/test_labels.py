@@ -139,7 +139,25 @@ def test_surfaces_are_kept_and_follow_the_labels_but_not_the_values_of_tissues(
     write(folder, values[:, ::-1], OBLIQUE)
     with pytest.raises(ValueError, match="made"):
         load_scene(folder, kept)
+    write(folder, values, OBLIQUE)
+    monkeypatch.setattr(module, "ANATOMY_VERSION", 99)  # of mesh repair, which surfaces go through
+    with pytest.raises(ValueError, match="made"):
+        load_scene(folder, kept)
     assert [path.suffix for path in kept.iterdir()] == [".npz"]
+
+
+def test_a_mesh_that_3d_slicer_wrote_in_lps_does_not_join_labels_in_ras(tmp_path: Path) -> None:
+    values, _ = three_balls()
+    folder = write(tmp_path, values, OBLIQUE)
+    mesh = trimesh.creation.icosphere(2, radius=9).export(file_type="obj")
+    for space in ("RAS", "LPS"):
+        (folder / "tumour.obj").write_text(f"# 3D Slicer output. SPACE={space}\n{mesh}")
+        with (folder / "scene.yaml").open("a") as stream:
+            stream.write("structures: [{mesh: tumour.obj, tissue: liver}]\n" if space == "RAS" else "")
+        if space == "RAS":
+            validate_scene_folder(folder)
+    with pytest.raises(ValueError, match=r"scene\.yaml: tumour\.obj is in LPS, but labels are in RAS; export it"):
+        validate_scene_folder(folder)
 
 
 @pytest.mark.parametrize(
@@ -173,6 +191,7 @@ def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path, labels: dict[str,
         (np.full((9, 9, 9), -4, np.int16), "holds the value -4; allowed are 0 to 65535"),
         (np.full((9, 9, 9), 0.37, np.float32), "holds the value 0.37; labels are whole numbers"),
         (np.full((9, 9, 9), np.nan, np.float32), "holds the value nan; allowed are 0 to 65535"),
+        (np.zeros((9, 9, 9), [("R", "u1"), ("G", "u1"), ("B", "u1")]), "holds [('R', 'u1'), ('G', 'u1'), ('B', 'u1')]"),
     ],
 )
 def test_values_that_are_no_labels_are_named(tmp_path: Path, values: np.ndarray, message: str) -> None:

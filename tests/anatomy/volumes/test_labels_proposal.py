@@ -57,6 +57,12 @@ def test_labels_beside_a_ct_are_a_scene_with_a_body(tmp_path: Path) -> None:
     assert (sites.heights_mm[0], sites.heights_mm[-1]) == pytest.approx((low + 0.2 * 29 * MM, high - 0.2 * 29 * MM))
 
 
+def test_a_mesh_beside_labels_is_in_their_unit(tmp_path: Path) -> None:
+    save(tmp_path, "organs.nii.gz", organs())
+    trimesh.creation.icosphere(2, radius=20).export(tmp_path / "kidney.stl")  # 40 mm, which alone would be 400
+    assert "\nunit: mm   #" in proposed(tmp_path)
+
+
 def test_the_body_in_another_image_is_above_otsus_threshold(tmp_path: Path) -> None:
     values = image(organs(), 100, 600)
     save(tmp_path, "mr.nii", values)

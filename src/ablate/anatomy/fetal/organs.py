@@ -159,10 +159,8 @@ def _great_vessels(scale: float) -> list[Part]:
         tube(smooth_path(points, count), np.linspace(first, last, count), sides, up=(1.0, 0.2, 0.1))
         for points, first, last in ((aorta, 2.1, 1.6), (lower, 1.6, 1.9), (upper, 1.5, 1.6), (pulmonary, 2.0, 1.6))
     ]
-    return [
-        Part(joined(vessels[:3], "aorta and venae cavae"), "blood"),
-        Part(joined(vessels[3:], "pulmonary trunk"), "blood"),
-    ]
+    named = {"aorta and venae cavae": vessels[:3], "pulmonary trunk": vessels[3:]}
+    return [Part(joined(meshes, name), "blood") for name, meshes in named.items()]
 
 
 def fetal_head(scale: float, seed: int) -> list[Part]:

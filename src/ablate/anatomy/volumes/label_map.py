@@ -3,15 +3,11 @@
 The world is RAS+ in mm: x to the patient's right, y to the front, z up, as NIfTI has it.
 """
 
-import bz2
 import csv
-import gzip
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib.resources import files
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +22,7 @@ SUFFIXES = (".nii", ".nii.gz", ".nrrd")
 VOXEL_MM = (0.01, 6.0)  # shortest and longest side; CT has slices of up to 5 mm
 MOST_VOXELS = 2**29  # 512 x 512 x 2048
 _SQUARE = 1e-3  # largest cosine between two axes
-_SLAB_VOXELS, _CHUNK = 2**21, 2**20
+_SLAB_VOXELS = 2**21
 #: NRRD names its world, as left-posterior-superior or LPS; the factors take it to RAS+.
 _SPACES = {"ras": (1, 1, 1), "lps": (-1, -1, 1), "las": (-1, 1, 1)}
 LABELS_VERSION = 1  # of the surfaces that are made from labels: raised when they change
@@ -82,7 +78,9 @@ def slabs(volume: VolumeFile) -> Iterator[tuple[slice, np.ndarray]]:
     step = max(1, _SLAB_VOXELS // math.prod(volume.shape[:2]))
     try:
         if volume.path.suffix.lower() == ".nrrd":  # which is read whole, NIfTI in parts
-            values = _nrrd_values(volume)
+            import nrrd
+
+            values = nrrd.read(str(volume.path), index_order="F")[0]
         else:
             import nibabel
 
@@ -111,6 +109,9 @@ def _nrrd_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None]:
     header = nrrd.read_header(str(path))
     if "data file" in header or "datafile" in header:
         raise ValueError("its voxels are in another file; allowed is one file with both")
+    for unit in header.get("space units", []):
+        if unit.lower() not in ("mm", "millimeter", "millimeters", "", "unknown", "???"):
+            raise ValueError(f"its unit is {shown(unit)}; allowed is mm")
     shape = tuple(int(n) for n in header["sizes"])
     if len(shape) != 3 or not {"space", "space directions", "space origin"} <= header.keys():
         return shape, None
@@ -122,21 +123,6 @@ def _nrrd_header(path: Path) -> tuple[tuple[int, ...], np.ndarray | None]:
     affine[:3, :3] = np.asarray(header["space directions"], np.float64).T
     affine[:3, 3] = header["space origin"]
     return shape, np.diag([*_SPACES[initials], 1.0]) @ affine
-
-
-def _nrrd_values(volume: VolumeFile) -> np.ndarray:
-    """All values of an NRRD, unpacked only where they are no more than its header says; pynrrd unpacks any number."""
-    import nrrd
-
-    with volume.path.open("rb") as stream:
-        header = nrrd.read_header(stream)
-        unpacked: Any = {"g": gzip.open, "b": bz2.open}.get(str(header.get("encoding"))[:1])
-        left = 8 * math.prod(volume.shape)  # no type has more bytes
-        with unpacked(stream) if unpacked else nullcontext(BytesIO()) as content:
-            while part := content.read(_CHUNK):
-                if (left := left - len(part)) < 0:
-                    raise ValueError(f"it holds more than its header's {volume.shape} voxels")
-    return nrrd.read(str(volume.path), index_order="F")[0]
 
 
 def _affine_fault(affine: np.ndarray) -> str | None:

@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 
 from ablate.anatomy.meshes.repair import repair
-from ablate.anatomy.scene import Scene, Structure, cached_scene
+from ablate.anatomy.scene import ANATOMY_VERSION, Scene, Structure, cached_scene
 from ablate.anatomy.tissue import load_tissues
 from ablate.anatomy.volumes.label_map import LABELS_VERSION, LARGEST_LABEL, Body, LabelMap, VolumeFile, slabs
 from ablate.storage import digest_of_files
@@ -152,7 +152,7 @@ def labelled_structures(labels: LabelMap, where: str, cache_dir: Path | None = N
         "labels": [(label.number, label.name, label.tissue is None) for label in labels.labels],
         "above": labels.body and labels.body.above,
         "files": digest_of_files(labels.files),
-        "version": LABELS_VERSION,
+        "version": [LABELS_VERSION, ANATOMY_VERSION],  # the second is that of mesh repair, too
     }
     scene = cached_scene(cache_dir, lambda: _surfaces(labels, where), **made_from)
     tissues = dict(labels.structures)
@@ -195,6 +195,8 @@ def read_order(labels: LabelMap, where: str) -> tuple[np.ndarray, tuple[str, ...
 
 def _whole_numbers(values: np.ndarray, volume: VolumeFile, where: str) -> np.ndarray:
     """Values as labels, uint16."""
+    if values.dtype.kind not in "biuf":
+        raise ValueError(f"{where}.file: {volume.path} holds {values.dtype}; labels are whole numbers")
     for extreme in (values.min(), values.max()):
         if not 0 <= extreme <= LARGEST_LABEL:  # nan neither
             raise ValueError(
