@@ -164,11 +164,12 @@ def test_the_time_of_a_simulated_frame_is_that_of_the_image_alone(trained: Path)
     assert not {name for name in stages if "maps" in name or "labels of the pixels" in name or "attenuation" in name}
 
 
+@pytest.mark.parametrize(("working", "failing"), [("fp32", "bf16"), ("bf16", "fp32")])
 def test_an_engine_that_fails_costs_its_points_alone(
-    trained: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    trained: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, working: str, failing: str
 ) -> None:
     def fails(*arguments: Any) -> Any:
-        if arguments[-2] is not TrainingPrecision.fp32:
+        if arguments[-2] != working:
             raise RuntimeError("no such kernel")
         return open_engine(*arguments)
 
@@ -178,9 +179,11 @@ def test_an_engine_that_fails_costs_its_points_alone(
     chosen = bench_of(job)
     ((reference,), _) = bench.render_all(chosen, [chosen.simulator], (chosen.seed,), "reference")[0]
     planned = generated.schedule_of(generated.comparable_runs(job)[0], job.settings)
-    points, _ = generated.measure_generators(chosen, planned, job.settings, reference)
-    assert "left out, sa2h, width 0.05, bf16, eager, seed 0: no such kernel" in caplog.text
-    assert {row[:2] for row in points} == {("sa2h", "width 0.05, fp32, eager, seed 0")}
+    points, details = generated.measure_generators(chosen, planned, job.settings, reference)
+    assert f"left out, sa2h, width 0.05, {failing}, eager, seed 0: no such kernel" in caplog.text
+    assert {row[1] for row in points if "eager" in row[1]} == {f"width 0.05, {working}, eager, seed 0"}
+    limits = [row for row in details if row[0] == "limit"]
+    assert working == "fp32" or not limits, "nothing is compared with fp32 where fp32 has failed"
 
 
 def test_without_a_trained_run_the_simulator_is_measured_alone_also_after_an_interruption(
@@ -251,6 +254,8 @@ def test_every_ladder_holds_the_data_sets_own_setting() -> None:
     values = {"rays": [1, 2, 3, 4], "layers": [1, 2], "scanlines": [2, 3, 6, 12], "axial_samples": [1, 2]}
     assert {name: list(ladder) for name, ladder in ladders.items()} == values
     assert all(ladder[getattr(base, name)] == base for name, ladder in ladders.items())
+    of_rows = bench.ladders(SimulatorSettings(axial_samples=1000, samples_per_row=4))["axial_samples"]
+    assert list(of_rows) == [248, 500, 1000, 2000], "the nearest multiples of the samples of a row"
 
 
 def test_of_many_runs_the_worst_of_each_way_is_shown() -> None:

@@ -74,6 +74,14 @@ def test_what_is_written_is_enough_to_make_the_frame_again(
     assert 89 * made_with["pixel_mm"]["width"] == pytest.approx(width)
 
 
+def test_one_pose_is_a_cine_of_one_frame_in_dicom(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    run("task=render", "frame=0", "dataset.format=dicom", *arguments)
+    folder = Path(capsys.readouterr().out.strip())
+    held = pydicom.dcmread(folder / "cine.dcm")
+    assert held.NumberOfFrames == 1
+    assert np.array_equal(held.pixel_array.reshape(held.Rows, -1), np.array(Image.open(folder / "image.png")))
+
+
 def test_several_poses_are_a_cine(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("task=render", f"pose={tmp_path / 'slide.npy'}", "dataset.format=dicom", *arguments)
     folder = Path(capsys.readouterr().out.strip())

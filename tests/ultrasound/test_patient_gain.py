@@ -1,5 +1,6 @@
 """The time gain of `tgc=patient`: layers in closed form, and what must not change it."""
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -69,12 +70,14 @@ def test_tissue_is_equally_bright_at_all_depths() -> None:
     assert np.ptp(rows) * 60 / 255 < 1.5
 
 
-def test_what_needs_no_curve_is_as_it_was() -> None:
+def test_what_needs_no_curve_is_as_it_was(caplog: pytest.LogCaptureFixture) -> None:
     scene = Scene((slab(TISSUES["liver"], -5, 200),), TISSUES["coupling_gel"], "liver")
     for settings in (replace(PATIENT, tgc=TimeGain.fixed), replace(PATIENT, time_gain_db=(0, 1, 2, 3, 4, 5, 6, 7))):
         assert with_patient_gain(scene, LINEAR, settings, AHEAD) is settings
     gel = Scene((slab(TISSUES["coupling_gel"], 5, 50),), TISSUES["coupling_gel"], "gel")
-    assert with_patient_gain(gel, LINEAR, PATIENT, AHEAD).tgc is TimeGain.fixed
+    with caplog.at_level(logging.WARNING):
+        assert with_patient_gain(gel, LINEAR, PATIENT, AHEAD).tgc is TimeGain.fixed
+    assert "no tissue that scatters is seen from these poses" in caplog.text
 
 
 def test_a_straight_curve_is_the_fixed_gain() -> None:
@@ -84,6 +87,19 @@ def test_a_straight_curve_is_the_fixed_gain() -> None:
         Simulator(scene, LINEAR, replace(PATIENT, tgc=TimeGain.fixed, time_gain_db=g)) for g in (None, straight)
     )
     assert np.abs(fixed.image(np.eye(4)).astype(int) - curved.image(np.eye(4))).max() <= 1
+
+
+def test_sliders_that_fall_at_the_end_leave_noise_and_echoes_before_as_they_were() -> None:
+    """Noise is at its level where the gain is largest, and Russian roulette ends what is faint there."""
+    scene = Scene((slab(TISSUES["liver"], -5, 200),), TISSUES["coupling_gel"], "liver")
+    gel = Scene((), TISSUES["coupling_gel"], "gel")
+    for shown in (scene, gel):
+        flat, fallen = (
+            Simulator(shown, LINEAR, replace(PATIENT, tgc=TimeGain.fixed, time_gain_db=(20.0,) * 7 + (last,)))
+            for last in (20.0, -20.0)
+        )
+        shallow = slice(0, PATIENT.image_shape[0] // 2)
+        np.testing.assert_array_equal(fallen.image(np.eye(4))[shallow], flat.image(np.eye(4))[shallow])
 
 
 def test_a_simulator_without_the_curve_says_what_makes_it() -> None:

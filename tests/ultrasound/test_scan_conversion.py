@@ -114,6 +114,12 @@ def test_a_row_is_the_mean_grey_level_of_its_samples(slab, gel, ahead) -> None:
         replace(settings, samples_per_row=3)  # the last row would lie at another depth than the pixels take it from
 
 
+def test_labels_of_another_type_than_bytes_are_refused() -> None:
+    converter = ScanConverter(CONVEX, (64, 32), (48, 66))
+    with pytest.raises(ValueError, match="labels: allowed are uint8, not int64"):
+        converter.labels_to_image(np.full((64, 32), 300))
+
+
 def test_an_array_of_another_shape_is_refused() -> None:
     """Compiled code does not look where an array ends: it would show other memory as an image."""
     converter = ScanConverter(CONVEX, (64, 32), (48, 66))

@@ -52,15 +52,15 @@ def render(jobs: Sequence[Job]) -> int:
     if len(images) > 1:
         with written_whole(folder / "cine.gif") as partial:
             images[0].save(partial, save_all=True, append_images=images[1:], duration=_FRAME_MS, loop=0)
-        if settings.dataset.format is ExportFormat.dicom:
-            from ablate.dataset.dicom_files import write_cine
-
-            size = pixel_size_mm(settings.probe, chosen.image_shape)
-            write_cine(folder / "cine.dcm", np.stack([np.asarray(i) for i in images]), simulator.mask, size, _FRAME_MS)
     else:
         with written_whole(folder / "frame.npz") as partial:
             arrays = {name: getattr(frame, name) for name in Frame.__annotations__ if name not in ("beam", "probe")}
             np.savez_compressed(partial, **arrays, pose=poses[0])
+    if settings.dataset.format is ExportFormat.dicom:
+        from ablate.dataset.dicom_files import write_cine
+
+        size = pixel_size_mm(settings.probe, chosen.image_shape)
+        write_cine(folder / "cine.dcm", np.stack([np.asarray(i) for i in images]), simulator.mask, size, _FRAME_MS)
     print(folder)
     return 0
 

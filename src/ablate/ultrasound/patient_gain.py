@@ -1,5 +1,6 @@
 """The time gain that an operator sets for a patient: one smooth, monotone curve for all frames of an anatomy."""
 
+import logging
 from dataclasses import replace
 from typing import cast
 
@@ -12,6 +13,7 @@ from ablate.ultrasound.media import loss_db_mm
 from ablate.ultrasound.settings import Probe, SimulatorSettings, Sliders, TimeGain
 from ablate.ultrasound.simulator import Simulator
 
+_LOG = logging.getLogger(__name__)
 SLIDERS = 8  # of a scanner's panel
 _POSES = 24
 _LINES, _SAMPLES = 64, 512
@@ -23,6 +25,8 @@ def with_patient_gain(
     scene: Scene, probe: Probe, settings: SimulatorSettings, poses: np.ndarray, beside: Simulator | None = None
 ) -> SimulatorSettings:
     """Settings with the curve of `tgc=patient`; as they are where they need none, or have one.
+
+    Where no tissue that scatters is seen they become `tgc=fixed`, with a warning.
 
     The gain makes up for what the median sample of tissue has lost at its depth, two ways, over the scanlines of 24 of
     the poses. It is the curve that fits the medians best and does not fall (isotonic regression), at 8 sliders. What
@@ -49,6 +53,7 @@ def with_patient_gain(
     lost_db = np.where(seen, np.cumsum(loss_db[labels], axis=1), np.nan)
     count = seen.reshape(len(seen), _BINS, -1).sum(axis=(0, 2))
     if not count.any():
+        _LOG.warning("tgc=patient: no tissue that scatters is seen from these poses; the gain is that of tgc=fixed")
         return replace(settings, tgc=TimeGain.fixed)
     known, middle = np.flatnonzero(count), (np.arange(_BINS) + 0.5) / _BINS * (SLIDERS - 1)
     by_bin = np.moveaxis(lost_db.reshape(len(seen), _BINS, -1), 1, 0).reshape(_BINS, -1)

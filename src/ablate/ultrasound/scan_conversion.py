@@ -69,6 +69,8 @@ class ScanConverter:
     @stage(Stage.scan_conversion)
     def labels_to_image(self, beam: np.ndarray) -> np.ndarray:
         """The label, (rows, scanlines) uint8, that is nearest to each pixel, (H, W); 0 outside the fan."""
+        if beam.dtype != np.uint8:
+            raise ValueError(f"labels: allowed are uint8, not {beam.dtype}")
         image = np.zeros(self.mask.shape, np.uint8)
         fill = partial(_nearest, _checked(beam, self.beam_shape), self._runs, self._places, image)
         in_parts(fill, len(self._runs), _RUNS_OF_A_PART)

@@ -88,7 +88,7 @@ class SimulatorSettings:
     )
     noise_floor_db: float = setting(
         -45.0,
-        "Level of the amplifier's noise below white at the deepest sample, where the time gain is largest (assumed).",
+        "Level of the amplifier's noise below white where the time gain is largest (assumed).",
         least=-1e3,
         most=0,
         unit="dB",
@@ -151,7 +151,7 @@ class SimulatorSettings:
 
     @property
     def time_gain(self) -> float | tuple[float, ...]:
-        """What `media.time_gain_db` takes: a slope, dB/cm/MHz one way, or a curve, dB two ways."""
+        """What `time_gain.time_gain_db` takes: a slope, dB/cm/MHz one way, or a curve, dB two ways."""
         return self.tgc_db_cm_mhz if self.time_gain_db is None else self.time_gain_db
 
     @classmethod

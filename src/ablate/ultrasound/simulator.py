@@ -204,7 +204,8 @@ class Simulator:
         """Segmentation and attenuation in beam space."""
         labels, settings = self._scanline_tissues(local), self.settings
         spacing_mm = self.probe.depth_mm / settings.axial_samples
-        each, last = settings.samples_per_row, settings.axial_samples - 1
+        last = settings.axial_samples - 1
+        each = min(settings.samples_per_row, settings.axial_samples)
         amplitude = integral_attenuation(labels, self._plan.media.loss_db_mm, spacing_mm, each)
         middles = np.minimum(np.arange(settings.beam_shape[0]) * each + each // 2, last)
         segmentation = np.ascontiguousarray(labels[:, middles].T) + np.uint8(1)

@@ -176,8 +176,8 @@ def time_stages(bench: Bench, settings: SimulatorSettings) -> dict[str, float]:
 def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
     """List settings by the name and the value of what is changed; each ladder includes `base` itself."""
     values: dict[str, set[Any]] = {"rays": {*RAYS, base.rays}, "layers": {*LAYERS, base.layers}}
-    for name in ("scanlines", "axial_samples"):
-        values[name] = {max(1, round(part * getattr(base, name))) for part in _FRACTIONS}
+    for name, whole in (("scanlines", 1), ("axial_samples", min(base.samples_per_row, base.axial_samples))):
+        values[name] = {whole * max(1, round(part * getattr(base, name) / whole)) for part in _FRACTIONS}
     return {name: {v: replace(base, **{name: v}) for v in sorted(chosen)} for name, chosen in values.items()}
 
 

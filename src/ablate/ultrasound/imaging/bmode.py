@@ -47,6 +47,7 @@ class Display:
         for name, value in (("gain_db", self.gain_db), *(("tgc_db", value) for value in self.tgc_db)):
             if not abs(value) <= _MOST_DB:  # NaN too
                 raise ValueError(f"{name}={value:g}: allowed are numbers from {-_MOST_DB:g} to {_MOST_DB:g}")
+        self.applied_to(SimulatorSettings())  # which checks the range
 
     def gain_at(self, depth: np.ndarray) -> np.ndarray:
         """What is added at shares of the imaging depth, an array of any shape with values in [0, 1]; dB."""
@@ -151,15 +152,16 @@ class SignalChain:
         It follows `path_seed` and the scatterers' seed. Also by how many scanlines and samples a frame is to shift it,
         a hash of the pose, so that frames share no pattern.
         """
-        if self._noise is None or self._noise[0] != seed:
+        kept = self._noise  # looked at once: threads may render other seeds
+        if kept is None or kept[0] != seed:
             keys = (self.settings.path_seed + _KEY) % 2**64, int(seed) % 2**64  # Python's numbers: no overflow
             numbers = np.array(keys, np.uint64)  # as a list they would become float64
             generator, axial = np.random.Generator(np.random.Philox(key=numbers)), self.spread.axial
             shape = (2, self.settings.scanlines, self.settings.axial_samples)
             white = torch.from_numpy(generator.standard_normal(shape, np.float32)).to(axial)
-            self._noise = seed, along_lines(white, axial / (2 * axial.square().sum()).sqrt()).cpu().numpy()
+            kept = self._noise = seed, along_lines(white, axial / (2 * axial.square().sum()).sqrt()).cpu().numpy()
         key = zlib.crc32(pose.tobytes())
-        return self._noise[1], (key % 65521, key // 7)
+        return kept[1], (key % 65521, key // 7)
 
     def image(
         self, prepared: Prepared | None, pose: np.ndarray, seed: int, display: Display | None = None
@@ -172,7 +174,7 @@ class SignalChain:
         """
         settings, (noise, shift) = self.settings, self.noise(pose, seed)
         gain = self.gain / settings.reference_level
-        floor = 10 ** (settings.noise_floor_db / 20) / gain[-1]  # rms
+        floor = 10 ** (settings.noise_floor_db / 20) / gain.max()  # rms
         if display is not None:
             gain = gain * 10 ** (display.gain_at(self._depth_mm / self.probe.depth_mm) / 20)
             settings = display.applied_to(settings)

@@ -4,7 +4,7 @@ All rays of a part advance by one surface at a time: intersect, interact, sample
 (an echo), Russian roulette, spawn.
 
 The weight of a ray, its throughput, is a two-way amplitude. Through an interface its expectation is
-1 - R = t12 t21 with R = R_p^2, exactly what a pulse keeps on its way there and link. The echo of a ray that was
+1 - R = t12 t21 with R = R_p^2, exactly what a pulse keeps on its way there and back. The echo of a ray that was
 reflected before returns straight to its element, where the surface that reflected it does not reflect it again: the
 expectation off that interface is |R_p|, once.
 
@@ -63,8 +63,8 @@ class Tracer:
         self._geometry, self._plan, self._settings, self._depth_mm = geometry, plan, settings, probe.depth_mm
         self._draws = Draws(settings.path_seed, settings.scanlines * settings.layers, settings.rays)
         self._rays = probe_rays(probe, settings, self._draws)
-        last_mm = sample_depths_mm(probe, settings.axial_samples)[-1:]
-        self._largest_gain_db = float(time_gain_db(last_mm, probe, settings.time_gain)[0])
+        depths_mm = sample_depths_mm(probe, settings.axial_samples)
+        self._largest_gain_db = float(time_gain_db(depths_mm, probe, settings.time_gain).max())
 
     def at(self, pose: np.ndarray) -> Bundle:
         """The rays at a pose, which leads to the geometry's world."""
