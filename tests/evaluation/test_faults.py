@@ -79,7 +79,7 @@ ROW = {"frame": 3, "site": 1, "metric": "psnr", "value": 19.5, "source": "model"
 ROW |= {"variant": "sa2h", "seed": 0}
 
 
-def test_stored_scores_have_their_types_and_are_there_once(tmp_path) -> None:
+def test_stored_scores_have_their_columns_and_are_there_once(tmp_path) -> None:
     rows = [ROW | {"metric": metric, "frame": frame} for metric in ("psnr", "mae") for frame in (3, 4)]
     table = pd.DataFrame([*rows, ROW | {"source": "resimulation"}, ROW | {"split": "validation"}])
     table.to_parquet(tmp_path / "per_image.parquet")
@@ -87,9 +87,4 @@ def test_stored_scores_have_their_types_and_are_there_once(tmp_path) -> None:
     assert check_stored_scores(read[list(STORED_COLUMNS)]) == ""
     assert check_stored_scores(read.assign(value=np.nan)) == "", "a metric may have no value"
     assert check_stored_scores(read.drop(columns=["site", "seed"])) == "lacks the columns site, seed"
-    for name, kind in (("value", "numbers"), ("frame", "whole numbers"), ("site", "whole numbers")):
-        wrong = check_stored_scores(read.assign(**{name: "many"}))
-        assert wrong == f"has something else than {kind} in the column {name}"
-    assert "text in the column metric" in check_stored_scores(read.assign(metric=1))
     assert check_stored_scores(pd.concat([read, read])).startswith("6 rows are there twice (psnr of frame 3)")
-    assert check_stored_scores(read.assign(site=range(6))) == "has a frame of two probe sites"

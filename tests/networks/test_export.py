@@ -108,6 +108,8 @@ def test_the_file_may_contain_the_scan_conversion(tmp_path: Path) -> None:
     image = runtime({name: value.numpy() for name, value in {**maps, **fields}.items()})[0][0, 0]
     np.testing.assert_allclose(image[converter.mask], expected[converter.mask], rtol=0, atol=2e-5)
     assert (image[~converter.mask] == -1).all()
+    with pytest.raises(ValueError, match=r"places: allowed with model\.space=beam, not image"):
+        export_onnx(drawn("sa2h"), path, *SIZE, converter.places)
 
 
 @pytest.mark.parametrize("package", ["onnx", "onnxscript"])

@@ -3,6 +3,7 @@
 import logging
 import math
 import re
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -43,6 +44,20 @@ def test_without_a_discriminator_its_values_are_left_out(tmp_path: Path, caplog:
     assert re.fullmatch(
         r"step 8 of 8: [\d.]+ images/s, L1 [\d.]+, CRPS [\d.]+, noise weight [\d.]+", caplog.messages[-1]
     )
+
+
+def test_images_a_second_are_those_of_training_alone(tmp_path: Path) -> None:
+    rates: list[float] = []
+
+    def sink(metrics: dict[str, float], _: int) -> None:
+        rates.extend(value for name, value in metrics.items() if name == "train/images_per_second")
+
+    def validate(*_: object) -> dict[str, float]:
+        time.sleep(2.0)
+        return {}
+
+    train(SPEC, replace(SETTINGS, validate_every=4, log_every=4), loader, tmp_path, sink=sink, validation=validate)
+    assert min(rates) > 2 * 4 / 2.0, "two images a step and four steps; a validation takes two seconds"
 
 
 def test_validation_is_called_with_the_generator_to_evaluate_from_the_start(tmp_path: Path) -> None:

@@ -210,8 +210,10 @@ def test_a_finished_run_is_not_trained_again_and_a_longer_one_goes_on(
 
     train(SPEC, replace(SETTINGS, steps=5), loader, tmp_path)
     train(SPEC, replace(SETTINGS, steps=5), forbidden, tmp_path)
-    train(SPEC, SETTINGS, loader, tmp_path)
+    train(SPEC, SETTINGS, lambda start, stop: loader(start, stop + 3), tmp_path)  # what goes on is not trained with
     assert_same(*(read_checkpoint(folder / LAST)["state_dict"] for folder in (tmp_path, whole("fp32"))))
+    with pytest.raises(ValueError, match=rf"last.ckpt: has {SETTINGS.steps} steps, 5 are asked for"):
+        train(SPEC, replace(SETTINGS, steps=5), loader, tmp_path)
 
 
 def test_a_checkpoint_needs_no_folder_for_temporary_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

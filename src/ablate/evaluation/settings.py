@@ -9,14 +9,10 @@ from ablate.setting import Checked, setting
 class EvaluationSettings(Checked):
     """How each frame is rendered and scored; a value that is not allowed is a ValueError that names it."""
 
-    noise_draws: int = setting(
-        3, "Renderings of each frame with other noise, for `crps` and `noise_sd`.", least=2, most=1000
-    )
+    noise_draws: int = setting(3, "Renderings of a frame with other noise, for `crps`, `noise_sd`.", least=2, most=1000)
     pictures: int = setting(4, "Frames that are kept for figures.", least=1, most=1000, incidental=True)
     timed_frames: int = setting(
-        20, "Rounds in which a comparison times a frame.", least=1, most=100_000, incidental=True
+        20, "Rounds in which a comparison times a frame; it makes at least 8.", least=1, most=100_000, incidental=True
     )
     again: bool = setting(False, "Score finished runs again, from their checkpoints.", incidental=True)
-    inception: str | None = setting(
-        None, "Path of the network of FID, or `download`; without it there is no FID.", incidental=True
-    )
+    inception: str | None = setting(None, "Path of the network of FID, or `download`; null: no FID.", incidental=True)

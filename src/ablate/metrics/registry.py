@@ -48,7 +48,7 @@ def evaluate_image(pair: Pair, metrics: Iterable[Metric] = METRICS.values()) -> 
     values = {}
     for metric in metrics:
         try:
-            measure = metric.of_image if pair.draws is None else metric.of_image or metric.of_draws
+            measure = metric.of_image if pair.draws is None else metric.of_draws or metric.of_image
             value = None if measure is None else measure(pair)
             if value is not None:
                 values[metric.name] = float(value)

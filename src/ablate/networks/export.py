@@ -3,6 +3,7 @@
 import json
 import logging
 import warnings
+from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
 
@@ -13,14 +14,14 @@ from torch.nn import functional as F
 
 from ablate.extras import installing
 from ablate.networks.generator import Generator
-from ablate.networks.spec import conditions
+from ablate.networks.spec import Space, conditions
 from ablate.storage import written_whole
 
 OPSET = 18
 
 
 def export_onnx(generator: Generator, path: Path, height: int, width: int, places: np.ndarray | None = None) -> None:
-    """Write a generator as one ONNX file for frames of one size, batch 1, float32.
+    """Write a generator, in evaluation mode, as one ONNX file for frames of one size, batch 1, float32.
 
     The inputs are named. First come the maps of `conditions(generator.spec)`, (1, 1, H, W) each but for the channels of
     the segmentation. The noise fields of `generator.noise_sizes(height, width)` follow: standard normal numbers, for
@@ -41,14 +42,18 @@ def export_onnx(generator: Generator, path: Path, height: int, width: int, place
     ------
     ImportError
         If the extra `export` is not installed.
+    ValueError
+        If there are places and the generator works on images.
     """
     try:
         import onnx
         import onnxscript  # noqa: F401 (torch's exporter is written in it)
     except ImportError as error:
         raise ImportError(f"export needs the package {error.name}: {installing('export')}") from error
+    if places is not None and generator.spec.space is not Space.beam:
+        raise ValueError(f"places: allowed with model.space=beam, not {generator.spec.space}")
     device = next(generator.parameters()).device
-    frame = _Frame(generator, height, width, places).to(device)
+    frame = _Frame(deepcopy(generator), height, width, places).to(device).eval()
     channels = [generator.spec.labels] + [1] * (len(frame.maps) - 1)  # the segmentation is the first of the maps
     shapes = [(n, height, width) for n in channels] + [(1, *size) for size in frame.sizes.values()]
     arguments = tuple(torch.zeros(1, *shape, device=device) for shape in shapes)
@@ -78,7 +83,6 @@ class _Frame(nn.Module):
         super().__init__()
         self.register_buffer("places", None if places is None else torch.from_numpy(np.nan_to_num(places))[None])
         self.register_buffer("fan", None if places is None else torch.from_numpy(~np.isnan(places[..., 0])).float())
-        self.training = False  # of this frame alone: no layer of a generator has a mode
         self.generator = generator
         self.maps, self.sizes = conditions(generator.spec), generator.noise_sizes(height, width)
 

@@ -85,7 +85,7 @@ class Noise(StrEnum):
 
 
 class ExtraInput(StrEnum):
-    """A further input channel of the U-Nets: the low-quality image, or noise in its place."""
+    """A further input channel, as of the paper's U-Nets: the low-quality image, or noise in its place."""
 
     none = "none"
     low = "low"
@@ -97,7 +97,7 @@ class GeneratorSpec(Checked):
     """A generator, named by its components; the defaults are the paper's full model SA2H.
 
     Enums may be given as plain strings. The U-Net and a custom network allow only `concat=input`,
-    `upsampling=transposed` and noise that is not injected, so that no two specifications name the same network.
+    `upsampling=transposed` and noise that is not injected.
 
     A value, or a combination of values, that is not allowed is a ValueError that names it and what is allowed.
     """
@@ -117,7 +117,7 @@ class GeneratorSpec(Checked):
         least=DEPTHS[0],
         most=DEPTHS[-1],
     )
-    extra_input: ExtraInput = setting(ExtraInput.none, "A further input channel of the U-Nets.")
+    extra_input: ExtraInput = setting(ExtraInput.none, "A further input channel.")
     width: float = setting(1.0, "Multiplier of every channel count; 1 is the paper's.", above=0)
     noise_start: float = setting(0.0, "Initial weight of injected noise; the paper's is zero.", least=-1000, most=1000)
     labels: int = setting(
@@ -145,7 +145,7 @@ class GeneratorSpec(Checked):
             raise ValueError("extra_input=noise with noise=input: allowed is one noise channel, drop either")
         if self.noise is not Noise.inject and self.noise_start != 0:
             raise ValueError(
-                f"noise_start={self.noise_start} with noise={self.noise}: allowed is 0, nothing is injected"
+                f"noise_start={self.noise_start} with noise={self.noise}: nothing is injected, allowed is 0"
             )
 
 

@@ -87,10 +87,10 @@ def open_engine(
 ) -> OpenEngine:
     """Make a function that renders one frame of `height` x `width` px, on the generator's device.
 
-    Maps beyond `conditions(generator.spec)` are not read. Exporting takes its time here. Where the machine lacks what
-    the engine needs, it is a RuntimeError.
+    The generator is put in evaluation mode. Maps beyond `conditions(generator.spec)` are not read. Exporting takes its
+    time here. Where the machine lacks what the engine needs, it is a RuntimeError.
     """
-    device = next(generator.parameters()).device
+    device = next(generator.eval().parameters()).device
     if (lacking := missing_for(engine, device)) is not None:
         raise RuntimeError(f"engine={engine}: needs {lacking}")
     if engine == Engine.exported:

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +101,8 @@ def train(
         ]
         try:
             with torch_threads(settings.threads):
-                _fit(module, loader(start, settings.steps), callbacks, device, run_dir)
+                batches = islice(loader(start, settings.steps), settings.steps - start)  # of a loader that goes on
+                _fit(module, batches, callbacks, device, run_dir)
         finally:
             interruption.restore()
         if interruption.signal is not None:
@@ -177,4 +179,6 @@ def resume(module: PairGAN, path: Path) -> None:
         if differing:
             changes = ", ".join(f"{key}={known.get(key)} there, {wanted[key]} asked for" for key in differing)
             raise ValueError(f"{path}: of another run ({changes})")
+    if (done := checkpoint["steps_done"]) > module.settings.steps:
+        raise ValueError(f"{path}: has {done} steps, {module.settings.steps} are asked for")
     module.restore(checkpoint)

@@ -96,10 +96,11 @@ class Report(Callback):
 
     def _validate(self, module: PairGAN) -> None:
         if self.validation and (every := module.settings.validate_every) and module.steps_done % every == 0:
-            images_seen = module.steps_done * module.settings.batch_size
+            images_seen, began = module.steps_done * module.settings.batch_size, time.perf_counter()
             trains = {part: part.training for part in module.evaluated.modules()}  # some may not, as they were made
             with torch.no_grad():
                 metrics = dict(self.validation(module.evaluated.eval(), images_seen))
             for part, mode in trains.items():
                 part.training = mode
             self.sink(metrics, images_seen)
+            self._since += time.perf_counter() - began  # `train/images_per_second` is of training alone
