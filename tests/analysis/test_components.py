@@ -80,6 +80,7 @@ def test_the_smaller_depth_is_the_full_model_s_at_every_size_of_a_frame() -> Non
     assert level_with(depth, [6, 2]) == level_with(depth, [2, 6]) == 2
     assert level_with(replace(depth, on=8, off=4), [6, 2]) == 6
     assert level_with(COMPONENTS[0], ["none", "integral"]) == "integral"
+    assert level_with(Component("l1", "training.l1_weight", 100.0, 0.0), [300.0, 100.0]) == 100.0, "as declared"
 
 
 def test_components_that_cannot_be_are_refused() -> None:

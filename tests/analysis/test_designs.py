@@ -136,7 +136,8 @@ def test_cells_beside_a_half_are_left_out_because_they_would_confound_it():
     half = find_design(study_of(HALF), FACTORS)
     beside = find_design(study_of([*HALF, ("attenuation",), ("depth",)]), FACTORS)
     pd.testing.assert_frame_equal(beside.cells, half.cells)
-    assert (beside.name, beside.reading) == (half.name, half.reading)
+    assert beside.name == half.name
+    assert beside.reading == f"{half.reading} Left out of it: {label_of(('attenuation',))}, {label_of(('depth',))}."
     assert not {label_of(("attenuation",)), label_of(("depth",))} & set(beside.cells.index)
     third = study_of(HALF)
     third["sa2h.attenuation-compensated"] = {**third["sa2h"], "model.attenuation": "compensated"}

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from ablate import analysis
-from ablate.analysis import Answer, Design, find_design
+from ablate.analysis import Answer, Component, Design, find_design
 from ablate.analysis.statistics.verdicts import VERDICT_COLUMNS, answer
 from support.components import COMPONENTS, FULL, without
 
@@ -162,6 +162,21 @@ def test_depths_that_differ_by_less_than_declared_are_not_judged(other: int, jud
     row = verdict_table(runs.join(design.cells, on="variant"), design).set_index("component").loc["depth"]
     assert pd.notna(row["effect"]) == judged
     assert judged or row["why"] == f"the runs compare 2 with {other}"
+
+
+@pytest.mark.parametrize(("here", "other", "judged"), [(1e-3, 1e-4, True), (1e-3, 2e-3, False), (5e-4, 1e-4, False)])
+def test_a_number_is_judged_on_its_declared_levels_alone(here: float, other: float, judged: bool) -> None:
+    key = "training.learning_rate"
+    rate = Component("rate", key, 1e-3, 1e-4, metric="mae_smooth", band=0.5)
+    design = find_design({"sa2h": {key: here}, "sa2h.rate": {key: other}}, (key,))
+    assert design is not None
+    rows = [(v, s, "", 9.0 + s + 5 * (v == "sa2h.rate")) for v in design.cells.index for s in range(3)]
+    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric="mae_smooth")
+    row = (
+        analysis.verdict_table(runs.join(design.cells, on="variant"), design, [rate]).set_index("component").loc["rate"]
+    )
+    assert pd.notna(row["effect"]) == judged
+    assert judged or row["why"] == f"the runs compare {here} with {other}"
 
 
 def test_what_cannot_be_judged_says_why(design: Design, cells: pd.DataFrame) -> None:

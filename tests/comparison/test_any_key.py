@@ -96,6 +96,23 @@ def test_two_networks_under_one_label_are_never_averaged(tmp_path: Path) -> None
         usable_runs(jobs[0].settings.study_dir)
 
 
+def test_one_run_under_two_labels_counts_once(tmp_path: Path) -> None:
+    """`sa2h-att`, and in a later command `model.attenuation=none`: the same network is no further replicate."""
+    jobs = [*swept(tmp_path, "variant=sa2h,sa2h-att"), *swept(tmp_path, "model.attenuation=none")]
+    for job in jobs:
+        finish(job)
+    with pytest.raises(
+        ConfigurationError, match=r"sa2h-att/seed\d and .*are the same run, which counts once: remove one"
+    ):
+        usable_runs(jobs[0].settings.study_dir)
+
+
+def test_images_that_differ_between_levels_are_said(tmp_path: Path) -> None:
+    design = answered(swept(tmp_path, "dataset.frames=12,10"))[0].design
+    assert design is not None
+    assert "Levels of dataset.frames were scored on different images; p does not count" in design.reading
+
+
 def test_a_copy_of_a_run_is_no_further_training(tmp_path: Path) -> None:
     jobs = swept(tmp_path, "variant=sa2h,nsa2h")
     for job in jobs:

@@ -4,9 +4,10 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from numbers import Real
 
 from ablate.setting import check_name
+
+DEPTH = "model.depth"
 
 
 @dataclass(frozen=True)
@@ -80,10 +81,10 @@ def short_keys(keys: Iterable[str]) -> dict[str, str]:
 def level_with(component: Component, levels: Sequence[object]) -> object:
     """Which of two levels is the one with the component; `levels` starts with that of the reference run.
 
-    Of two numbers it is the one on the side that is declared: a depth follows the size of the frame, and the smaller
+    Of two depths it is the one on the side that is declared: a depth follows the size of the frame, and the smaller
     one is that of the full model at every size.
     """
-    if all(isinstance(value, Real) for value in (component.on, component.off, *levels)):
-        smaller = component.on < component.off  # type: ignore[operator]  # both are real numbers
+    if component.key == DEPTH and component.off is not None:
+        smaller = component.on < component.off  # type: ignore[operator]
         return min(levels) if smaller else max(levels)  # type: ignore[type-var]
     return next((level for level in levels if level in component.levels_on), levels[0])

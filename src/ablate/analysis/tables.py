@@ -130,10 +130,8 @@ def head(metric: str) -> str:
 
 def resimulation_note(metrics: list[str]) -> str:
     """One sentence on what the re-simulation row means for these metrics."""
-    labels = {
-        kind: ", ".join(metric_of(m).label for m in metrics if metric_of(m).resimulation is kind)
-        for kind in Resimulation
-    }
+    of_kind = {kind: [m for m in map(metric_of, metrics) if m.resimulation is kind] for kind in Resimulation}
+    labels = {kind: ", ".join(metric.label for metric in chosen) for kind, chosen in of_kind.items()}
     sentences = ["Re-simulation is the same frame with other scatterers and ray paths."]
     if floor := labels[Resimulation.floor]:
         sentences.append(f"It is the floor for {floor}.")

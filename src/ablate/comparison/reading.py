@@ -1,6 +1,5 @@
 """The runs of a study as comparisons read them: their tables and pictures, and how they were made."""
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,8 +17,6 @@ from ablate.networks.spec import Family
 from ablate.runs.run import Run
 from ablate.runs.store_copy import ABOUT_CODE
 from ablate.settings.conf import NOT_OF_CUSTOM, components
-
-_LOG = logging.getLogger(__name__)
 
 
 def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -78,7 +75,7 @@ def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictu
     order = ordered_variants([run.label for run in runs], reference)
     stored: dict[str, dict[int, np.ndarray]] = {}
     for run in sorted(runs, key=lambda r: (order.index(r.label), r.seed)):
-        if run.label not in stored and (images := _stored_pictures(run)):
+        if run.label not in stored and (images := run.pictures):
             stored[run.label] = images
     numbers = sorted(set.intersection(*(set(images) for images in stored.values()))) if stored else []
     if not numbers:
@@ -99,15 +96,6 @@ def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictu
         )
         for k, number in enumerate(numbers)
     ]
-
-
-def _stored_pictures(run: Run) -> dict[int, np.ndarray]:
-    """The pictures of a run, by the frame's number in the data set; none where the file is missing or damaged."""
-    try:
-        return run.pictures
-    except ValueError as error:
-        _LOG.warning("%s; other pictures are shown", error)
-        return {}
 
 
 def provenance(runs: Sequence[Run]) -> dict[str, str]:

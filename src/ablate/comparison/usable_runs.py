@@ -96,14 +96,16 @@ def levels_of(semantic: Mapping[str, Any]) -> dict[str, object]:
 
 
 def check_alike(runs: Sequence[Run]) -> None:
-    """Refuse two networks under one label, two codes of one metric, and other pixels of one recipe (two processors)."""
-    first, of_label = dict[str, Run](), dict[str, Run]()
+    """Refuse two networks under one label, one run under two, two codes of a metric, other pixels of one recipe."""
+    first, of_label, of_hash = dict[str, Run](), dict[str, Run](), dict[str, Run]()
     scored: dict[str, tuple[Run, str, str]] = {}  # by the name that values have: the last part of a path
     for run in runs:
         other = of_label.setdefault(run.label, run)
         model, others = (each.spec["semantic"]["model"] for each in (run, other))
         if keys := ", ".join(key for key, *_ in differences(model, others, "model")):
             raise ConfigurationError(f"{other.folder} and {run.folder} have one label and differ in {keys}: remove one")
+        if (twin := of_hash.setdefault(run.result["hash"], run)).folder != run.folder:
+            raise ConfigurationError(f"{twin.folder} and {run.folder} are the same run, which counts once: remove one")
         for name, source in run.result["sources"].items():
             other, *code = scored.setdefault(name.rpartition(".")[2], (run, name, source))
             if code != [name, source]:

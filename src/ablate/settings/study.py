@@ -181,9 +181,7 @@ class StudySettings(Checked):
     variant: str = setting("sa2h", "The network; a file of conf/variant.", incidental=True)
     seed: int = setting(0, "Seed of the networks and crops.", least=0)
     encoding: Encoding = setting(Encoding.echogenicity, "How labels are read.")
-    encoding_seed: int | None = setting(
-        None, "Seed of the order with `encoding=arbitrary`; null is that of the run.", least=0
-    )
+    encoding_seed: int | None = setting(None, "Seed of the order of `encoding=arbitrary`; null is the run's.", least=0)
     reference: str = setting("sa2h", "The variant that all others are compared with.", incidental=True)
     scene: SceneSettings = SceneSettings()
     probe: Probe = ConvexProbe()

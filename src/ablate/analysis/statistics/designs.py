@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 
 import numpy as np
@@ -13,6 +13,9 @@ from ablate.analysis.components import short_keys
 from ablate.analysis.scored import REFERENCE, RESIMULATION, finite_values, judged_metrics
 from ablate.analysis.statistics.effects import EFFECT_COLUMNS, defining_relation, factorial_effects
 from ablate.analysis.statistics.paired import holm, where_known
+
+#: Beginnings of keys that change the images on which a run is scored.
+_OF_IMAGES = ("scene.", "probe.", "simulator.", "dataset.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +80,16 @@ def find_design(
     levels = {f: pair for f, pair in levels.items() if len({alike[label][f] for label in kept}) == 2}
     if not levels:
         return None
-    cells = pd.DataFrame(
-        {f: pd.Categorical([alike[label][f] for label in kept], pair) for f, pair in levels.items()}, index=kept
-    )
-    return _read(cells)
+    cells = {f: pd.Categorical([alike[label][f] for label in kept], pair) for f, pair in levels.items()}
+    design = _read(pd.DataFrame(cells, index=kept))
+    reading = design.reading
+    if of_images := [key for key in design.factors if key.startswith(_OF_IMAGES)]:
+        reading += (
+            f" Levels of {', '.join(of_images)} were scored on different images; p does not count how these differ."
+        )
+    if apart := ", ".join(label for label in runs if label not in design.cells.index):
+        reading += f" Left out of it: {apart}."
+    return replace(design, reading=reading)
 
 
 def _level(value: object) -> object:

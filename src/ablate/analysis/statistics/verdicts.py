@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from ablate.analysis.components import Component, level_with, with_undeclared
+from ablate.analysis.components import DEPTH, Component, level_with, with_undeclared
 from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.effects import LinearModel, fit_effects
@@ -187,9 +187,11 @@ def _require_told(component: Component, design: Design | None) -> None:
     if design is None or component.key not in design.factors:
         raise ValueError("no run goes without it")
     here, there = design.cells[component.key].cat.categories
-    told = not isinstance(component.off, str) or {here, there} - set(component.levels_on) == {component.off}
-    if isinstance(component.on, int) and isinstance(component.off, int):  # small frames may have a level less
-        told = abs(here - there) >= abs(component.on - component.off) - 1
+    told = component.off is None or {here, there} - set(component.levels_on) == {component.off}
+    if (
+        component.key == DEPTH and component.off is not None
+    ):  # it follows the size of the frame, and small frames may have a level less
+        told = abs(here - there) >= abs(component.on - component.off) - 1  # type: ignore[operator]
     if not told:
         raise ValueError(f"the runs compare {here} with {there}")
 
