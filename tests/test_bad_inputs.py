@@ -115,7 +115,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["variant=custom", "model.target=leaves.F"], r"model\.target=leaves\.F: SystemExit: 0; allowed is"),
     (["dataset.poses=archive.npy"], r"dataset\.poses=archive\.npy: is an archive \(\.npz\), allowed is one array"),
     (["dataset.poses=semicolons.csv"], r"no column x; the columns are 'x;y;z', and x, .* are needed, with commas"),
-    (["dataset.poses=site.csv"], r"row 0: allowed are numbers, and whole ones as site, not '.*9999"),
+    (["dataset.poses=site.csv"], r"row 0: allowed are numbers, and whole ones of 32 bits as site, not '.*9999"),
     (["runs_dir='100%/runs'"], r"100%/runs: allowed is a path without %"),
     (["runs_dir='what?/runs'", "task=compare"], r"what\?/runs: allowed is a path without \?"),
     # Scenes and pairs.
