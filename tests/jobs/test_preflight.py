@@ -23,6 +23,17 @@ def test_a_key_that_decides_nothing_does_not_count_a_run_twice(tmp_path: Path) -
     check(jobs_of([*words, "study_name=one,another"]))
 
 
+@pytest.mark.parametrize(
+    "words", ["crops.fan_fraction=0,0.5", "training.loss=none training.discriminator_width=0.2,0.4"]
+)
+def test_a_key_of_what_is_not_there_is_no_component(tmp_path: Path, words: str) -> None:
+    """Whole frames are no crops, and without a discriminator nothing has its width: the networks would be the same."""
+    key = words.split()[-1].partition("=")[0]
+    jobs = jobs_of(["-m", "preset=quick", *words.split(), f"runs_dir={tmp_path}"])
+    with pytest.raises(ConfigurationError, match=f"^{key}: decides nothing in sa2h"):
+        check(jobs)
+
+
 def test_a_batch_has_at_most_as_many_crops_as_there_are_training_frames(tmp_path: Path) -> None:
     def check_batch(size: int) -> None:
         check(jobs_of([f"runs_dir={tmp_path}", "dataset.frames=200", f"training.batch_size={size}"]))

@@ -19,6 +19,12 @@ def test_names_are_those_that_runs_log(make_frame):
     assert values["pchi2"] < values["pchi2_fan"], "patches outside the fan are right for nothing"
 
 
+def test_a_metric_of_images_and_of_draws_reads_the_draws_where_there_are_some(make_frame):
+    frame, both = make_frame(0), Metric("both", of_image=lambda _: 1.0, of_draws=lambda _: 2.0)
+    assert evaluate_image(frame.pair(frame.image), [both]) == {"both": 1.0}
+    assert evaluate_image(frame.pair(frame.image, draws=np.stack([frame.image] * 2)), [both]) == {"both": 2.0}
+
+
 def test_patches_of_the_frame_the_fan_and_tissue(make_frame):
     frame, other = make_frame(0), make_frame(1)
     values, chi2 = evaluate_image(frame.pair(other.image)), patch_chi2(other.image, frame.image)

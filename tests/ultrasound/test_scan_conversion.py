@@ -114,6 +114,14 @@ def test_a_row_is_the_mean_grey_level_of_its_samples(slab, gel, ahead) -> None:
         replace(settings, samples_per_row=3)  # the last row would lie at another depth than the pixels take it from
 
 
+def test_a_row_that_is_longer_than_a_scanline_has_the_label_of_its_middle(slab, gel, ahead) -> None:
+    scene = Scene((slab(Tissue("t"), 0.45 * CONVEX.depth_mm, 0.55 * CONVEX.depth_mm),), gel, "s")
+    settings = SimulatorSettings.low_quality(scanlines=8, axial_samples=100, image_shape=(9, 9))
+    for each in (100, 150, 1000):
+        rows = Simulator(scene, CONVEX, replace(settings, samples_per_row=each)).beam_maps(ahead).segmentation
+        assert (rows[0, 4], rows.shape) == (2, (1, 8))
+
+
 def test_labels_of_another_type_than_bytes_are_refused() -> None:
     converter = ScanConverter(CONVEX, (64, 32), (48, 66))
     with pytest.raises(ValueError, match="labels: allowed are uint8, not int64"):

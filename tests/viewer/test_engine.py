@@ -76,6 +76,11 @@ def test_triangles_of_another_scene_are_refused() -> None:
         Simulator(BODY, beside=Simulator(other))
 
 
+def test_a_dynamic_range_that_cannot_be_is_refused_when_it_is_chosen() -> None:
+    with pytest.raises(ValueError, match=r"dynamic_range_db=-5.*allowed are"):
+        Display(dynamic_range_db=-5.0)
+
+
 def test_gain_is_added_to_echoes_and_noise_alike() -> None:
     """10 dB more are 12.75 grey levels more of a display of 200 dB, on which nothing is black or white."""
     engine, plain, louder = (
