@@ -188,9 +188,7 @@ def _require_told(component: Component, design: Design | None) -> None:
         raise ValueError("no run goes without it")
     here, there = design.cells[component.key].cat.categories
     told = component.off is None or {here, there} - set(component.levels_on) == {component.off}
-    if (
-        component.key == DEPTH and component.off is not None
-    ):  # it follows the size of the frame, and small frames may have a level less
+    if component.key == DEPTH and component.off is not None:  # small frames may have a level less
         told = abs(here - there) >= abs(component.on - component.off) - 1  # type: ignore[operator]
     if not told:
         raise ValueError(f"the runs compare {here} with {there}")
