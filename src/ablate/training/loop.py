@@ -101,7 +101,7 @@ def train(
         ]
         try:
             with torch_threads(settings.threads):
-                batches = islice(loader(start, settings.steps), settings.steps - start)  # of a loader that goes on
+                batches = islice(loader(start, settings.steps), settings.steps - start)  # a loader may go on
                 _fit(module, batches, callbacks, device, run_dir)
         finally:
             interruption.restore()
