@@ -85,7 +85,7 @@ def totals(scene: Scene, poses: list[np.ndarray]) -> None:
         idle.setdefault(threads, whole)
         rows.append((str(threads), word, *(f"{t:.0f}" for t in cells), yardstick.text(frames)))
     table(
-        "**Totals**, ms. H and L are the frame less its maps. Busy: beside "
+        "**Totals**, ms. H and L are the frame less S and A, with its maps of surfaces. Busy: beside "
         f" a process that keeps a core busy. The last column is of S, A and H; {ABOUT}",
         ("threads", "machine", "S and A", "S, A and H", "H", "S, A and L", "L", "yardstick"),
         rows,

@@ -152,6 +152,8 @@ def test_a_preset_is_shown_with_the_shipped_network_that_was_trained_in_it(name:
     state = replace(STATE, probe=settings.probe, simulator=settings.simulator)
     assert first_fitting(offered, [*load_tissues().values()], state) == (offered[f"comes with ablate: {name}"],)
     trained = replace(load(name).simulator, time_gain_db=None)
+    own = replace(state, simulator=replace(settings.simulator, time_gain_db=(0.0,) * 8))
+    assert first_fitting(offered, [*load_tissues().values()], own) == (), "its images are brighter at depth"
     assert trained == settings.simulator, "a preset that changes needs another network, or other words on its card"
 
 

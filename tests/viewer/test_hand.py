@@ -77,6 +77,12 @@ def test_a_pose_in_the_air_is_off_the_body(hand: Hand) -> None:
     assert hand.judge(away).startswith("off the body")
 
 
+def test_a_face_deep_in_the_body_does_not_lie_on_the_skin(hand: Hand) -> None:
+    pose, _ = place(hand, Hold(0, 0))
+    pose[:3, 3] += 30 * pose[:3, 2]
+    assert hand.judge(pose).startswith("inside the body: the face is ")
+
+
 def test_standard_planes_are_held_within_a_few_millimetres() -> None:
     scene, sites = fetal_abdomen(triangles=6000), fetal_sites()
     hand = Hand(scene, sites.axis, sites.front, 8.0, PROBE)

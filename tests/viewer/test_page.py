@@ -280,3 +280,25 @@ def test_a_click_on_a_frozen_picture_measures_what_it_shows(client: Client, view
     client.until(lambda: "mm deep" in client.texts() and "not on this plane" not in client.texts())
     viewer.session.freeze(False)
     viewer.page.lay_out(points=np.empty((0, 3)))
+
+
+def test_looking_back_a_frame_that_comes_late_is_not_drawn_over_it(client: Client, viewer: Viewer) -> None:
+    for angle in (5.0, 10.0):
+        client.set("Around (°)", angle)
+        settle(client, viewer)
+    late = viewer.page.loop.before(0.0)
+    client.set("Cine: seconds back", 1.0)
+    client.until(lambda: viewer.page.shown is not late)
+    held = viewer.page.shown
+    viewer.page.show(replace(late, at_s=time.monotonic()))
+    assert viewer.page.shown is held
+    viewer.session.freeze(False)
+    settle(client, viewer)
+    assert viewer.page.shown is viewer.page.loop.before(0.0)
+
+
+def test_a_slider_reaches_what_it_shows(client: Client, viewer: Viewer) -> None:
+    viewer.page.add_slider("Shallow (mm)", (40, 240, 5), lambda: 30.0, lambda _: None)
+    client.until(lambda: "Shallow (mm)" in client.labels)
+    shown = client.values[client.labels["Shallow (mm)"]]
+    assert (shown["value"], shown["min"]) == (30, 30)

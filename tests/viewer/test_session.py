@@ -48,6 +48,17 @@ def test_beyond_the_body_the_probe_stays_and_it_is_said(start: Start) -> None:
     assert told[-1] == ""
 
 
+def test_keys_go_round_the_body_and_stop_where_the_sliders_end(start: Start) -> None:
+    session, asked = start()
+    for _ in range(62):
+        session.nudge(angle_deg=3.0, roll_deg=5.0)
+    assert (session.hold.angle_deg, session.hold.roll_deg) == (186.0 - 360, 310.0 - 360)
+    for _ in range(70):
+        session.nudge(tilt_deg=3.0, rock_deg=-3.0)
+    assert (session.hold.tilt_deg, session.hold.rock_deg) == (60.0, -60.0)
+    assert asked[-1].hold == session.hold
+
+
 def test_a_frozen_picture_follows_nothing_until_it_is_released(start: Start) -> None:
     session, asked = start()
     session.freeze(True)

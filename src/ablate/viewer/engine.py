@@ -11,7 +11,7 @@ import numpy as np
 
 from ablate.anatomy import Scene
 from ablate.networks.spec import OF_SURFACES, Space
-from ablate.ultrasound import Frame, Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
+from ablate.ultrasound import Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.probe import pixel_polar
 from ablate.viewer.generators import Trained, open_generator, trained_at
 from ablate.viewer.session import Moving, Quality, State, Views
@@ -63,9 +63,9 @@ class Engine:
                 of_surfaces = bool(OF_SURFACES & set(trained.reads))
                 if "low" in trained.reads:
                     simulator = self._simulator(probe, replace(settings, rays=1, layers=1))
-                    simulate = partial(_quietly, simulator, replace(state, display=None))
-                    frame = self._once("low", (*place, state.seed), simulate)[0]
-                    low = frame.image if trained.space is Space.image else frame.beam.image
+                    make = simulator.image if trained.space is Space.image else simulator.beam_image
+                    simulate = partial(_quietly, make, replace(state, display=None))
+                    low, _ = self._once("low", (*place, state.seed, trained.space), simulate)
 
                 def render(trained: Trained = trained, low: Any = low, of_surfaces: bool = of_surfaces) -> np.ndarray:
                     beam = mapped.beam_maps(state.pose, of_surfaces)
@@ -81,9 +81,8 @@ class Engine:
         if not moving or state.moving is Moving.both or not state.runs:
             settings = coarse(settings) if moving else settings
             key = (*place, settings, state.seed, state.display)
-            simulate = partial(_quietly, self._simulator(probe, settings), state)
-            frame, ms["target"] = self._once("target", key, simulate)
-            target = frame.image
+            simulate = partial(_quietly, self._simulator(probe, settings).image, state)
+            target, ms["target"] = self._once("target", key, simulate)
         notes = {name: words for name, words in notes.items() if words}
         curve = mapped.settings.time_gain_db
         return Views(state, target, segmentation, attenuation, mask, tuple(images), ms, notes, quality, curve)
@@ -97,7 +96,8 @@ class Engine:
 
     def _new_simulator(self, probe: Probe, settings: SimulatorSettings) -> Simulator:
         if settings.tgc is TimeGain.patient and settings.time_gain_db is None:
-            settings = replace(settings, time_gain_db=self._patient_gain(probe).time_gain_db)
+            gain = self._patient_gain(probe)  # tgc=fixed, where no tissue scatters
+            settings = replace(settings, tgc=gain.tgc, time_gain_db=gain.time_gain_db)
         simulator = Simulator(self.scene, probe, settings, beside=self._first)
         self._first = self._first or simulator
         return simulator
@@ -109,8 +109,8 @@ def _fan(probe: Probe, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     return fan_mask(probe, shape), pixel_polar(probe, shape)[0] / probe.depth_mm
 
 
-def _quietly(simulator: Simulator, state: State) -> Frame:
-    """Render a frame without the warning that the probe touches nothing, which the viewer says in its own words."""
+def _quietly(make: Callable[..., np.ndarray], state: State) -> np.ndarray:
+    """Make an image without the warning that the probe touches nothing, which the viewer says in its own words."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return simulator.render(state.pose, state.seed, state.display)
+        return make(state.pose, state.seed, state.display)

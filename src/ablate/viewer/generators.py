@@ -165,6 +165,8 @@ class Trained:
         unlike = differences(_look(probe, self.renderer.simulator), _look(state.probe, state.simulator))
         if told := ", ".join(f"{key}={there}" for key, there, _ in unlike if there is not None):
             reservations.append(f"trained with {told}")
+        if state.simulator.time_gain_db not in (None, self.renderer.simulator.time_gain_db):
+            reservations.append("trained with another time gain")
         shown = pixel_size_mm(state.probe, state.simulator.image_shape)
         trained = pixel_size_mm(probe, self.renderer.simulator.image_shape)
         if not np.allclose(shown, trained, rtol=0.05):

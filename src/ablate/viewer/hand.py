@@ -14,6 +14,7 @@ from ablate.ultrasound.probe import face_points, to_world
 
 _SEARCHES = 6  # for the hold of a pose, or that looks at a point: each takes most of what is left of the distance
 _MOST_TURNED_DEG = 45.0
+_DEEPEST_MM = 10.0  # that all of the face is under the skin: a transducer dents it by less
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,8 @@ class Hand:
         inwards = np.tile(pose[:3, 2], (len(face), 1))
         depth = self._skin.depth(face, inwards)
         hard = bool(self._skin.hard_at(face, inwards).any())
+        if depth.min() > _DEEPEST_MM:
+            return f"inside the body: the face is {depth.min():.0f} mm under the skin"
         return _words(bool(np.isfinite(depth).all() and depth.max() > 0), hard)
 
     def hold_of(self, pose: np.ndarray) -> Hold:

@@ -45,8 +45,7 @@ class Sweep(list[tuple[np.ndarray, Image.Image, float]]):
 
     def add(self, views: Views) -> None:
         """Record a frame; at rest its full quality replaces the coarse one."""
-        image = views.target if views.target is not None else views.generated[0]
-        if image is not None:
+        if (image := views.image) is not None:
             picture = framed(image, views.mask, views.state.probe)
             again = bool(self) and np.array_equal(self[-1][0], views.state.pose)
             at_s = self.pop()[2] if again else views.at_s
@@ -83,6 +82,7 @@ def save_frame(folder: Path, views: Views) -> None:
         write_image(folder / f"{name}.png", image)
     described = {name: plain(getattr(state, name)) for name in ("hold", "probe", "simulator", "display", "seed")}
     described |= {"runs": [str(run) for run in state.runs], "quality": views.quality.value}
+    described |= {"time_gain_db": views.time_gain_db}  # the curve of tgc=patient
     write_json(folder / "frame.json", {"pose": state.pose.tolist()} | described)
 
 
@@ -105,11 +105,11 @@ def command_line(settings: StudySettings, state: State, *words: str) -> str:
     `settings` are those that the viewer was started with.
     """
     wanted = replace(settings, probe=state.probe, simulator=state.simulator)
-    overrides = [f"preset={wanted.preset}", f"scene={wanted.scene.kind}"]
+    overrides = [f"preset={wanted.preset}", f"scene={wanted.scene.kind}", f"probe={wanted.probe.kind}"]
     if wanted.scene.kind is SceneKind.folder:
-        overrides.append(f"scene.folder={Path(wanted.scene.folder or '').resolve()}")
+        overrides.append(f"scene.folder={_quoted(Path(wanted.scene.folder or '').resolve())}")
     if wanted.runs_dir != StudySettings.runs_dir:
-        overrides.append(f"runs_dir={wanted.runs_dir}")
+        overrides.append(f"runs_dir={_quoted(wanted.runs_dir)}")
     unchanged = job_of([*overrides, "task=describe"]).settings
     for section in _SECTIONS:
         asked, known = plain(getattr(wanted, section)), plain(getattr(unchanged, section))
@@ -118,3 +118,8 @@ def command_line(settings: StudySettings, state: State, *words: str) -> str:
                 text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
                 overrides.append(f"{section}.{name}={text}")
     return shlex.join(["python", "-m", "ablate", *words, *overrides])
+
+
+def _quoted(path: object) -> str:
+    """A path as Hydra reads it, whatever characters are in it."""
+    return "'" + str(path).replace("'", "\\'") + "'"

@@ -15,6 +15,7 @@ from ablate.ultrasound.settings import Sliders
 from ablate.viewer.hand import Hand, Hold
 
 OFF_BODY = "off the body: there is no skin at this place, and the probe stays where it was"
+MOST_TURNED_DEG = 60  # rocked or tilted
 FROZEN = "frozen: the picture is held; the probe moves on"
 
 
@@ -62,6 +63,11 @@ class Views:
     time_gain_db: Sliders | None = None  # the curve in use, where the time gain is no straight line
     at_s: float = field(default_factory=time.monotonic)
 
+    @property
+    def image(self) -> np.ndarray | None:
+        """The target, else the first generated image."""
+        return next((image for image in (self.target, *self.generated) if image is not None), None)
+
 
 class Session:
     """The probe as it is held, the scanner as it is set, and whether the picture is frozen.
@@ -83,6 +89,11 @@ class Session:
 
     def move(self, **changes: float) -> None:
         """Change the hold: keys are those of `Hold`. Off the body the probe stays where it was."""
+        for name in {"angle_deg", "roll_deg"} & changes.keys():
+            if abs(changes[name]) > 180:
+                changes[name] = (changes[name] + 180) % 360 - 180
+        for name in {"rock_deg", "tilt_deg"} & changes.keys():
+            changes[name] = min(max(changes[name], -MOST_TURNED_DEG), MOST_TURNED_DEG)
         hold = replace(self.hold, **changes)
         held = self.hand.place(hold)
         if held is None:

@@ -60,9 +60,8 @@ class Body:
 
     def show(self, views: Views) -> None:
         """Lay the simulated image, or the generated one, on the fan."""
-        image = views.target if views.target is not None else next((i for i in views.generated if i is not None), None)
-        if image is not None and views.state.probe == self._probe:
-            self.fan.image = on_fan(image, views.mask, _FAN_ROWS[views.quality])
+        if views.image is not None and views.state.probe == self._probe:
+            self.fan.image = on_fan(views.image, views.mask, _FAN_ROWS[views.quality])
 
     async def _grab(self, event: Any) -> None:  # async, as the click, so that phases stay in order
         self.grabbed(event.phase, np.array(event.end_position) * _UNIT_MM)

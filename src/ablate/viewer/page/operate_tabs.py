@@ -9,7 +9,7 @@ import numpy as np
 
 from ablate.ultrasound import Display
 from ablate.viewer.page.page import Bounds, Page
-from ablate.viewer.session import Moving
+from ablate.viewer.session import MOST_TURNED_DEG, Moving
 
 Change = Callable[..., object]
 _PLACE = "a plane ..."
@@ -70,8 +70,8 @@ def add_move_tab(page: Page) -> None:
         ("height_mm", "Height (mm)", round(low), round(high), "along the body: keys I and K"),
         ("angle_deg", "Around (°)", -180, 180, "about the body's axis, from the front: keys J and L"),
         ("roll_deg", "Turn (°)", -180, 180, "0 is transverse, 90 sagittal: keys U and O"),
-        ("rock_deg", "Rock (°)", -60, 60, "within the image plane: keys Y and H"),
-        ("tilt_deg", "Tilt (°)", -60, 60, "out of the image plane: keys T and G"),
+        ("rock_deg", "Rock (°)", -MOST_TURNED_DEG, MOST_TURNED_DEG, "within the image plane: keys Y and H"),
+        ("tilt_deg", "Tilt (°)", -MOST_TURNED_DEG, MOST_TURNED_DEG, "out of the image plane: keys T and G"),
     ):
         _add_slider(page, label, (lowest, highest, 1.0), name, lambda: session.hold, session.move, hint)
     looks = {"plane": lambda client: page.body.face(client, session.state), "body": page.body.face_body}
@@ -104,8 +104,7 @@ def add_hands(page: Page) -> None:
         height, angle = session.hand.site_of(point)
         if phase == "start" or not offset:
             offset.update(height_mm=session.hold.height_mm - height, angle_deg=session.hold.angle_deg - angle)
-        angle_deg = (offset["angle_deg"] + angle + 180) % 360 - 180
-        session.move(height_mm=offset["height_mm"] + height, angle_deg=angle_deg)
+        session.move(height_mm=offset["height_mm"] + height, angle_deg=offset["angle_deg"] + angle)
         if phase == "end":
             offset.clear()
 

@@ -1,5 +1,6 @@
 """The page as a whole: what the browsers send goes to the session, what the worker renders goes to the browsers."""
 
+import math
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -53,6 +54,7 @@ class Page:
     ) -> None:
         """Add a slider with bounds (lowest, highest, step); it shows what `read` gives, and moving it calls `write`."""
         lowest, highest, step = bounds
+        lowest, highest = min(lowest, math.floor(read())), max(highest, math.ceil(read()))  # a control shows what is so
         digits = None if all(isinstance(value, int) for value in bounds) else len(f"{step:g}".partition(".")[2])
 
         def shown() -> float:
@@ -114,7 +116,12 @@ class Page:
         self._write_status()
 
     def show(self, views: Views) -> None:
-        """Keep a frame that the worker rendered, and have it drawn while the worker renders the next one."""
+        """Keep a frame that the worker rendered, and have it drawn while the worker renders the next one.
+
+        While the operator looks back in the cine loop, the frame that he looks at stays.
+        """
+        if self.session.frozen and self.loop and self.shown is not self.loop[-1]:
+            return
         self.shown = views
         self.loop.add(views)
         if self.sweep is not None:

@@ -18,7 +18,7 @@ from ablate.viewer.records import LOOP_S, Sweep, command_line, next_folder, save
 from ablate.viewer.session import Views
 
 _NONE = "none"
-_TRAINS = "No trained run yet. `make sweep` trains three, and `python -m ablate variant=sa2h` trains one."
+_TRAINS = "No run with weights here. `make sweep` trains three, and `python -m ablate variant=sa2h` trains one."
 _INVITES = "**Measure:** click the fan in the 3-D view: tissue, distance, angle, and with four clicks an ellipse."
 _FEWEST_POSES = 3
 _LAST_S = 0.5  # the last frame of the cine loop stays for so long, and one at which the probe rested
@@ -70,7 +70,7 @@ def _distances(names: Mapping[Path, str], views: Views) -> str:
         if image is not None and views.target is not None:
             near = psnr(views.target, image, mask=views.mask)
             chi2 = rms(patch_chi2(views.target, image))
-            rows.append(f"| {names.get(run, run.name)} | {near:.1f} | {chi2:.3f} |")
+            rows.append(f"| {names.get(run, run.name)} | {near:.1f} | {'–' if chi2 is None else f'{chi2:.3f}'} |")
     head = "| to the simulated image | PSNR in the fan (dB) | patch χ² |\n| --- | --- | --- |\n"
     return head + "\n".join(rows) if rows else ""
 

@@ -1,0 +1,64 @@
+"""What is kept of a session is what was seen, and its command line is composed to the same."""
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from ablate.anatomy import Scene, Structure, load_tissues
+from ablate.jobs.compose import jobs_of
+from ablate.ultrasound import TimeGain
+from ablate.viewer.engine import Engine
+from ablate.viewer.records import Sweep, command_line
+from ablate.viewer.session import Quality, State
+from support.viewed_body import BODY, STATE
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["probe=linear"],
+        ["probe=phased", "probe.depth_mm=120"],
+        ["probe=l11-5v"],
+        ["preset=paper"],
+        ["simulator.rays=9"],
+    ],
+)
+def test_a_command_line_is_composed_to_the_probe_and_simulator_that_were_seen(words: list[str]) -> None:
+    settings = jobs_of(["task=view", *words])[0].settings
+    line = command_line(settings, State(STATE.pose, settings.probe, settings.simulator), "task=render")
+    again = jobs_of(shlex.split(line)[3:])[0].settings
+    assert (again.probe, again.simulator, again.scene) == (settings.probe, settings.simulator, settings.scene)
+
+
+def test_a_command_line_names_a_folder_whatever_its_name_is(tmp_path: Path) -> None:
+    folder, runs = tmp_path / "it's (2), my scene", tmp_path / "runs, mine"
+    folder.mkdir()
+    trimesh.creation.icosphere(radius=30).export(folder / "liver.stl")
+    settings = jobs_of(["task=view"])[0].settings
+    settings = replace(settings, scene=replace(settings.scene, kind="folder", folder=str(folder)), runs_dir=str(runs))
+    line = command_line(settings, State(STATE.pose, settings.probe, settings.simulator), "task=render")
+    again = jobs_of(shlex.split(line)[3:])[0].settings
+    assert (again.scene.folder, again.runs_dir) == (str(folder), str(runs))
+
+
+def test_a_sweep_keeps_the_pose_of_every_image_that_is_shown() -> None:
+    views = Engine(BODY, STATE.pose[None]).render(STATE, Quality.full)
+    assert views.target is not None
+    sweep = Sweep()
+    sweep.add(replace(views, target=None, generated=(None, views.target)))
+    (recorded,) = sweep
+    np.testing.assert_array_equal(recorded[0], STATE.pose)
+
+
+def test_a_scene_where_nothing_scatters_is_shown() -> None:
+    tissues = load_tissues()
+    ball = Structure(trimesh.creation.icosphere(radius=80), tissues["urine"])
+    scene = Scene((ball,), tissues["coupling_gel"], "a ball of fluid")
+    state = replace(STATE, simulator=replace(STATE.simulator, tgc=TimeGain.patient))
+    views = Engine(scene, STATE.pose[None]).render(state, Quality.full)
+    assert views.target is not None
+    assert views.target[views.mask].any()
