@@ -30,7 +30,7 @@ def test_a_key_of_what_is_not_there_is_no_component(tmp_path: Path, words: str) 
     """Whole frames are no crops, and without a discriminator nothing has its width: the networks would be the same."""
     key = words.split()[-1].partition("=")[0]
     jobs = jobs_of(["-m", "preset=quick", *words.split(), f"runs_dir={tmp_path}"])
-    with pytest.raises(ConfigurationError, match=f"^{key}: decides nothing in sa2h"):
+    with pytest.raises(ConfigurationError, match=f"^{key}: decides nothing here"):
         check(jobs)
 
 

@@ -208,6 +208,14 @@ def test_poses_that_are_not_rigid(empty, probe, small, pose, message) -> None:
         Simulator(empty, probe, small).render(pose)
 
 
+def test_equal_poses_have_equal_images(scene, probe, small) -> None:
+    noisy = replace(small, noise_floor_db=-20.0)
+    pose = np.where(np.eye(4) == 0, -0.0, np.eye(4))
+    assert np.signbit(pose).any()
+    images = [Simulator(scene, probe, noisy).render(each).image for each in (np.eye(4), pose)]
+    np.testing.assert_array_equal(*images)
+
+
 def test_every_stage_is_timed_and_the_frame_is_the_same(scene, probe, small) -> None:
     simulator = Simulator(scene, probe, small)
     unobserved = simulator.render(np.eye(4))

@@ -20,7 +20,7 @@ from ablate.setting import shown
 from ablate.settings.conf import variant_names
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, Task, refusing
 from ablate.training import TrainingPrecision
-from ablate.training.settings import SMALLEST_CROP, AdversarialLoss
+from ablate.training.settings import SMALLEST_CROP
 
 _NEED_SCENE = (Task.preview, Task.render, Task.view, Task.precision)
 
@@ -52,13 +52,6 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
         first: dict[object, Job] = {}
         for job in jobs:
             check_place(job)
-            training, changed = job.settings.training, dict(job.changed)
-            if "crops.fan_fraction" in changed and not training.crop:
-                raise ConfigurationError(f"crops.fan_fraction: decides nothing in {job.name}: training.crop=0")
-            if "training.discriminator_width" in changed and training.loss is AdversarialLoss.none:
-                raise ConfigurationError(
-                    f"training.discriminator_width: decides nothing in {job.name}: training.loss=none"
-                )
             if (other := first.setdefault((job.settings.study_dir, job.hash), job)).folder != job.folder:
                 keys = ", ".join(sorted({key for key, _ in {*job.changed} ^ {*other.changed}})) or "variant"
                 raise ConfigurationError(f"{keys}: decides nothing here, {other.name} and {job.name} are the same run")

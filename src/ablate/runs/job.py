@@ -59,14 +59,19 @@ class Job:
 
         s, target = self.settings, self.settings.model.target
         order = {"order": s.encoding.name}
+        training, crops = identity(s.training), identity(s.crops)
+        if not s.training.has_discriminator:
+            del training["discriminator_width"]
+        if not s.training.crop:  # whole frames
+            del crops["fan_fraction"]
         return {
             "data": about_data(s),
             "encoding": order | ({"seed": s.label_seed} if s.encoding is Encoding.arbitrary else {}),
             "model": identity(s.model) | ({"source": source_digest(target)} if target else {}),
-            "training": identity(s.training) | {"precision": precision_of(s.training).name},
+            "training": training | {"precision": precision_of(s.training).name},
             "training_version": TRAINING_VERSION,
             "evaluation": identity(s.evaluation),
-            "crops": identity(s.crops),
+            "crops": crops,
             "seed": s.seed,
         }
 

@@ -79,7 +79,7 @@ def fan_of(probe: Probe) -> Fan:
 
 def check_pose(pose: np.ndarray) -> np.ndarray:
     """A pose as (4, 4) float64, probe to world, mm; a ValueError when it is not a finite rigid transform."""
-    pose = np.asarray(pose, dtype=np.float64)
+    pose = np.asarray(pose, dtype=np.float64) + 0.0  # no -0.0: a hash of the bytes is that of the pose
     if pose.shape != (4, 4):
         raise ValueError(f"pose must have shape (4, 4), not {pose.shape}")
     if not np.isfinite(pose).all():
