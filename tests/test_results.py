@@ -268,11 +268,11 @@ def test_what_cannot_be_kept_or_shown_is_refused(study: Path, script: ModuleType
     (tmp_path / "page.md").write_text("No markers.")
     with pytest.raises(ValueError, match="lacks the markers"):
         script.write_page(tmp_path / "kept", tmp_path / "page.md")
-    folder = study / "sa2h" / "seed0"
-    spec, result = (json.loads((folder / name).read_text()) for name in ("spec.json", "result.json"))
-    spec["semantic"]["training"]["steps"] += 1
-    spec["hash"] = result["hash"] = digest(spec["semantic"])
-    (folder / "spec.json").write_text(json.dumps(spec))
-    (folder / "result.json").write_text(json.dumps(result))
+    for folder in (study / "sa2h").iterdir():
+        spec, result = (json.loads((folder / name).read_text()) for name in ("spec.json", "result.json"))
+        spec["semantic"]["training"]["steps"] += 1
+        spec["hash"] = result["hash"] = digest(spec["semantic"])
+        (folder / "spec.json").write_text(json.dumps(spec))
+        (folder / "result.json").write_text(json.dumps(result))
     with pytest.raises(ValueError, match=r"another configuration of sa2h/seed0"):
         script.keep(study, tmp_path / "kept")

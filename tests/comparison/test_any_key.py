@@ -94,6 +94,11 @@ def test_two_networks_under_one_label_are_never_averaged(tmp_path: Path) -> None
     finish(replace(jobs[-1], settings=settings))
     with pytest.raises(ConfigurationError, match=r"have one label and differ in model\.depth: remove one"):
         usable_runs(jobs[0].settings.study_dir)
+    settings = replace(jobs[-1].settings, training=replace(jobs[-1].settings.training, steps=12))
+    elsewhere = finish(replace(jobs[-1], settings=replace(settings, study_name="other")))
+    shutil.copytree(elsewhere.folder, jobs[-1].folder, dirs_exist_ok=True)
+    with pytest.raises(ConfigurationError, match=r"have one label and differ in training\.steps: remove one"):
+        usable_runs(jobs[0].settings.study_dir)
 
 
 def test_one_run_under_two_labels_counts_once(tmp_path: Path) -> None:

@@ -379,6 +379,9 @@ def test_a_comparison_is_kept_until_what_it_is_made_from_changes(
     table.unlink()
     compare_study(settings)
     assert table.exists()
+    (study / "comparison" / "report.html").unlink()
+    compare_study(settings)
+    assert (study / "comparison" / "report.html").exists()
 
 
 def test_no_run_at_all_is_one_line_that_says_why(tmp_path: Path) -> None:

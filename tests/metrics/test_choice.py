@@ -38,6 +38,17 @@ def test_two_of_one_name_are_refused(monkeypatch, tmp_path):
         choose_metrics(["first_of_two.error_upper"])
 
 
+def test_no_column_of_a_table_stands_for_two(monkeypatch, tmp_path):
+    code = "import ablate\n\nnear = ablate.metrics.Metric('near', 'PSNR', 'dB', of_image=lambda pair: 5.0)\n"
+    (tmp_path / "of_columns.py").write_text(code + "def seed(pair):\n    return 0.0\n\n\ndata = seed\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match=r"two of them have the title PSNR \(dB\)"):
+        choose_metrics(["of_columns.near"])
+    for name in ("seed", "data"):
+        with pytest.raises(ValueError, match=rf"{name} is the name of .* a column of runs\.csv"):
+            choose_metrics([f"of_columns.{name}"])
+
+
 def test_a_metric_of_the_draws_alone_is_measured_where_there_are_draws(monkeypatch, tmp_path, make_frame):
     code = "import ablate\n\nspread = ablate.metrics.Metric('spread', of_draws=lambda pair: pair.draws.std())\n"
     (tmp_path / "of_draws.py").write_text(code)

@@ -131,6 +131,18 @@ def test_scores_of_a_call_that_was_given_up_and_arrived_all_the_same_are_stored_
     assert store.client.get_run(run.run_id).data.metrics == {"test/psnr": 18.0}
 
 
+def test_a_score_that_is_no_more_becomes_nan_once_and_curves_and_times_stay(runs: Path) -> None:
+    store = open_store(runs, None, "ablate")
+    run = StoredRun(store, parent_run(store, "study"))
+    run.scores({"test/psnr": 17.5, "test/dark": 1.0, "val/psnr_curve": 9.0, "ms_per_frame": 5.0})
+    for _ in range(2):
+        run.scores({"test/psnr": 17.5, "test/dark": math.nan}, whole=True)
+    kept = store.client.get_run(run.run_id).data.metrics
+    assert math.isnan(kept.pop("test/dark"))
+    assert kept == {"test/psnr": 17.5, "val/psnr_curve": 9.0, "ms_per_frame": 5.0}
+    assert len(store.client.get_metric_history(run.run_id, "test/dark")) == 2
+
+
 _OPEN = """
 import sys
 from pathlib import Path

@@ -12,6 +12,7 @@ from filelock import FileLock
 
 from ablate import analysis, tracking
 from ablate.analysis import RESIMULATION, FramePictures
+from ablate.analysis.tables import head
 from ablate.comparison.frame_times import TIMES, time_networks, timed_on, untimed
 from ablate.comparison.opened import Study
 from ablate.comparison.reading import pictures, provenance, runtime_points
@@ -54,7 +55,8 @@ def _compare_study(settings: StudySettings, rebuild: bool, time_here: bool) -> s
     notes = None if rebuild else _kept(marker, made_from)
     if notes is None:
         notes = write_comparison(study, settings.study)
-        write_json(marker, {**made_from, "for_readers": notes})
+        written = sorted(path.name for path in folder.iterdir())
+        write_json(marker, {**made_from, "for_readers": notes, "written": written})
     try:
         within(_TRACKING_S, lambda: _track(settings, study, notes))
         tracked = ""
@@ -82,14 +84,16 @@ def _made_from(study: Study) -> dict[str, Any]:
     runs = {f"{run.name} of {run.data}": run.compared_state() for run in study.usable.all}
     read = [study.folder / TIMES, *sorted((conf_folder() / "component").glob("*.yaml"))]
     chosen = {"reference": study.reference, "notes": list(study.usable.notes), "code": tracking.source_digest()}
-    return {"runs": runs, "files": digest_of_files(read), **chosen}
+    titles = [head(metric) for metric in sorted(set(study.table["metric"]))]  # as far as this command knows
+    return {"runs": runs, "files": digest_of_files(read), "metrics": titles, **chosen}
 
 
 def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
-    """What a reader of the comparison on disk must know; None where it was made from something else."""
+    """What a reader of the comparison on disk must know; None where a file lacks, or it is of something else."""
     there = known_json(marker)
-    notes = there.pop("for_readers", None)
-    return notes if there == made_from and isinstance(notes, list) else None
+    notes, written = there.pop("for_readers", None), there.pop("written", None)
+    whole = written and all((marker.parent / name).exists() for name in written)
+    return notes if whole and there == made_from else None
 
 
 def write_comparison(study: Study, title: str) -> list[str]:
@@ -184,9 +188,10 @@ def _track(settings: StudySettings, study: Study, notes: Sequence[str]) -> None:
         for path in files:
             run.artifact(path, "vector" if path.suffix == ".pdf" else None)
         run.tags(provenance(study.usable.all))
-        for row in study.scalars[study.scalars["metric"] == FRAME_TIME].to_dict("records"):
-            if (run_id := ids.get(f"{row['variant']}/seed{row['seed']}")) is not None:
-                StoredRun(run.store, run_id).scores({FRAME_TIME: row["value"]})
+        for row in study.runs.to_dict("records"):
+            run_id = ids.get(f"{row['variant']}/seed{row['seed']}")
+            if run_id is not None and FRAME_TIME in row:
+                StoredRun(run.store, run_id).scores({FRAME_TIME: row[FRAME_TIME]})
         headline = table[table["metric"].isin(shown_in(Shown.headline))]
         _describe(run, runs, ids, headline, notes)
         run.tags({STATE: state})
@@ -210,7 +215,10 @@ def _describe(
     spaced = [row if set(row) <= set("|-: ") else row.replace(" |", "\u00a0\u00a0|") for row in rows]
     run.describe("\n\n".join([links, "\n".join(spaced), *cautions]))
     means = table[["metric", "variant", "mean"]].dropna().itertuples(index=False)
-    run.scores({re.sub(r"[^\w/. -]", "_", f"test/{metric}/{variant}"): float(mean) for metric, variant, mean in means})
+    run.scores(
+        {re.sub(r"[^\w/. -]", "_", f"test/{metric}/{variant}"): float(mean) for metric, variant, mean in means},
+        whole=True,
+    )
 
 
 def _verdicts_in_words(verdicts: Path) -> str:

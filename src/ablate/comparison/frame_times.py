@@ -22,7 +22,7 @@ from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import digest, written_whole
 from ablate.threads import torch_threads
 from ablate.tracking import hardware
-from ablate.training import chosen_device, generate, load_generator
+from ablate.training import TrainingPrecision, chosen_device, generate, load_generator
 
 TIMES = "frame_times.csv"  # in the folder of a study
 NETWORK = "network"  # the part of a frame's time that is not one of its maps
@@ -152,7 +152,8 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
             turn = number * len(read)
             made = {of: make[of[0]](shown[of[0]], turn + k, *of[1:]) for k, of in enumerate(read)}
             for network in turns:
-                spec, precision = generators[network].spec, settings[network].training.precision
+                spec = generators[network].spec
+                precision = TrainingPrecision[runs[network].spec["semantic"]["training"]["precision"]]
                 kind, pairs = kinds[network], data[kinds[network]].pairs
                 (maps, map_ms), mask = made[reads[network]], pairs.mask(spec.space)
                 converter = pairs.converter if spec.space is Space.beam else None

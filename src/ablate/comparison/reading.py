@@ -28,7 +28,7 @@ def scored_frames(runs: Sequence[Run]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """
     frames, scalars = [], []
     first: dict[str, Run] = {}  # of each data set: the run that has most values of re-simulation
-    for run in sorted(runs, key=lambda run: -(run.scores["source"] == RESIMULATED).sum()):
+    for run in sorted(runs, key=lambda run: -(run.scores["source"] == RESIMULATED).sum() - len(run.result["scalars"])):
         first.setdefault(run.data, run)
     for run in runs:
         own: dict[str, Any] = {"variant": run.label, "seed": run.seed, "data": run.data}

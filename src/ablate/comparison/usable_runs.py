@@ -101,8 +101,8 @@ def check_alike(runs: Sequence[Run]) -> None:
     scored: dict[str, tuple[Run, str, str]] = {}  # by the name that values have: the last part of a path
     for run in runs:
         other = of_label.setdefault(run.label, run)
-        model, others = (each.spec["semantic"]["model"] for each in (run, other))
-        if keys := ", ".join(key for key, *_ in differences(model, others, "model")):
+        own, others = (levels_of({**each.spec["semantic"], "data": {}}) for each in (run, other))
+        if keys := ", ".join(key for key, *_ in differences(own, others)):
             raise ConfigurationError(f"{other.folder} and {run.folder} have one label and differ in {keys}: remove one")
         if (twin := of_hash.setdefault(run.result["hash"], run)).folder != run.folder:
             raise ConfigurationError(f"{twin.folder} and {run.folder} are the same run, which counts once: remove one")

@@ -3,6 +3,7 @@
 A new metric of the package is one module below `ablate.metrics` with a function and its `Metric`.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from pkgutil import walk_packages
@@ -24,6 +25,7 @@ METRIC_SETS = {
     "all": tuple(name for name, metric in METRICS.items() if metric.computed),
     "paper": tuple(name for name, metric in METRICS.items() if metric.computed and metric.shown & Shown.table),
 }
+_COLUMNS = frozenset({"variant", "seed", "data", "encoding"})  # of runs.csv, beside those of metrics
 _OWN: dict[str, Metric] = {}  # of the user, since they were chosen
 
 
@@ -84,6 +86,9 @@ def choose_metrics(asked: str | Iterable[str] = "all") -> dict[str, Metric]:
                 raise ValueError(f"metrics: two of them are called {metric.name}")
     if not chosen:
         raise ValueError(f"metrics: none is named; {_allowed()}")
+    titles = Counter(metric.title for metric in {**METRICS, **chosen}.values())
+    if twice := [title for title, count in titles.items() if count > 1]:
+        raise ValueError(f"metrics: two of them have the title {twice[0]}; a column of a table has one")
     return chosen
 
 
@@ -104,8 +109,10 @@ def _imported(path: str) -> Metric:
     if not callable(metric.of_image or metric.of_draws):
         raise ValueError(f"metrics={path}: is no function; {_allowed()}")
     check_name(f"metrics={path}: name", metric.name)
-    if metric.name in METRICS or metric.name.startswith(FLOOR_PREFIX) or is_bound(metric.name):
-        raise ValueError(f"metrics={path}: {metric.name} is the name of another metric, or of an end of an interval")
+    taken = metric.name in METRICS or metric.name in _COLUMNS
+    if taken or metric.name.startswith(FLOOR_PREFIX) or is_bound(metric.name):
+        other = "another metric, of an end of an interval, or of a column of runs.csv"
+        raise ValueError(f"metrics={path}: {metric.name} is the name of {other}")
     _OWN[metric.name] = metric  # in place of an earlier one of that name
     return metric
 

@@ -127,7 +127,7 @@ class _Copy:
         ended = Status.killed if ended is Status.running else ended  # the process itself was killed
         if run.state is State.finished:
             ended = Status.finished
-            stored.scores(logged(run.result["scalars"]), changed_ms, stored.model(run.label))
+            stored.scores(logged(run.result["scalars"]), changed_ms, stored.model(run.label), whole=True)
             stored.artifact(run.scores_file)
             stored.copy_newest(self.folder)
         stored.mark(ended, changed_ms)

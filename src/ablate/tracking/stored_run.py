@@ -5,6 +5,7 @@ Of a task such as `precision`, what the store shows is on disk first, and the st
 
 import json
 import logging
+import math
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -63,10 +64,13 @@ class StoredRun:
                 self._client.log_image(self.run_id, np.asarray(image), key=key, step=step)
             self._images.add(name)
 
-    def scores(self, values: Mapping[str, float], time_ms: int | None = None, model: str | None = None) -> None:
+    def scores(
+        self, values: Mapping[str, float], time_ms: int | None = None, model: str | None = None, whole: bool = False
+    ) -> None:
         """Log one value for each name at step 0; NaN and infinite values are left out.
 
-        A value that replaces another one is logged one step later, because MLflow keeps both.
+        A value that replaces another one is logged one step later, because MLflow keeps both. Where these values are
+        the `whole` of `test/` and `val/`, others that MLflow has become NaN, as it cannot forget them.
 
         The same values of the same time are stored once, also where a server takes a call that was given up. With the
         id of a model they are that model's too, on the data set of the run.
@@ -74,7 +78,10 @@ class StoredRun:
         run = self._client.get_run(self.run_id)
         known = run.data.metrics
         used = run.inputs.dataset_inputs if model else []
-        new = {k: float(v) for k, v in values.items() if abs(float(v)) < 1e300 and known.get(k) != float(v)}
+        finite = {k: float(v) for k, v in values.items() if abs(float(v)) < 1e300}
+        scored = [k for k in known if whole and k.startswith(("test/", "val/")) and not k.endswith("_curve")]
+        new = {k: v for k, v in finite.items() if known.get(k) != v}
+        new |= {k: math.nan for k in scored if k not in finite and math.isfinite(known[k])}
         logged_ms = time_ms or int(time.time() * 1000)
         steps = {k: self._client.get_metric_history(self.run_id, k)[-1].step + 1 for k in new.keys() & known.keys()}
         model_and_data = (model, used[0].dataset.name, used[0].dataset.digest) if used else (model,)

@@ -80,7 +80,7 @@ def boxplot_panels(
                     place = [places[row["variant"]] - 0.37] * 2
                     axes.plot([row["lower"], row["upper"]], place, color="black", lw=1.8, solid_capstyle="butt")
             axes.set_xlabel(axis_title(metric, f"Δ {{}} to {reference}"))
-        one_legend(figure, panels, 3 if len(panels) > 1 else 1)
+        one_legend(figure, panels, 3)
         return save_figure(figure, stem)
 
 

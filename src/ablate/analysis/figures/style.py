@@ -20,7 +20,7 @@ from ablate.analysis.scored import REFERENCE, RESIMULATION
 from ablate.metrics import Direction, Resimulation, metric_of
 from ablate.storage import written_whole
 
-COLUMN_IN, PAGE_IN = 3.5, 7.16  # widths of a column and a page of an IEEE paper, inches
+PAGE_IN = 7.16  # width of a page of an IEEE paper, inches
 PNG_DPI = 200
 ROW_IN, HEAD_IN, LEGEND_IN = 0.19, 0.55, 0.25  # of a figure of panels
 HINTS = {Direction.higher: "better →", Direction.lower: "← better", Direction.zero: "0 is right", Direction.none: ""}
@@ -72,9 +72,7 @@ def metric_panels(
     """
     across = min(across, len(metrics))
     down = -(-len(metrics) // across)
-    width = PAGE_IN if across > 1 else COLUMN_IN
-    legend_in = LEGEND_IN * (1 if across > 1 else 2)  # its entries stand below each other in a narrow figure
-    figure = new_figure(width, legend_in + down * (head_in + row_in * max(len(rows), 2)))
+    figure = new_figure(PAGE_IN, LEGEND_IN + down * (head_in + row_in * max(len(rows), 2)))
     grid = list(figure.subplots(down, across, squeeze=False, sharey=True).ravel())
     places = range(len(rows), 0, -1)
     for axes in grid[: len(metrics)]:
