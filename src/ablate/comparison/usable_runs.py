@@ -64,9 +64,15 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
         part = f"{'takes' if len(blocks) == 1 else 'take'} part in effects and verdicts only"
         aside[f"left aside, made from other pairs than {chosen}"] = [run.name for run in others if run not in blocks]
         aside[f"on another anatomy or data set than {chosen} {part}"] = [run.name for run in blocks]
+    swept = {key for run in runs for key in run.changed if key.startswith(("training.", "crops.", "evaluation."))}
+    told = [  # what some labels tell, and others do not
+        f"{key} is {value} in {label}."
+        for key in sorted(swept - {"training.loss"})
+        for label, value in {r.label: levels_of(r.spec["semantic"])[key] for r in runs if key not in r.changed}.items()
+    ]
     counted = {f"{len(names)} run{'s' * (len(names) > 1)} {what}": names for what, names in aside.items() if names}
-    notes = tuple(f"{what}: {listed(names)}." for what, names in counted.items())
-    return UsableRuns(tuple(runs), tuple(blocks), notes)
+    notes = [f"{what}: {listed(names)}." for what, names in counted.items()]
+    return UsableRuns(tuple(runs), tuple(blocks), (*notes, *told))
 
 
 def without_anatomy(data: Mapping[str, Any]) -> dict[str, Any]:

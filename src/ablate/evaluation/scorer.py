@@ -134,6 +134,8 @@ class Scorer:
         missing, notes = not_computed(self.metrics.values(), self._mask, len(frames), self.inception)
         computed = [metric for name, metric in self.metrics.items() if name not in missing]
         speckle, fid = ([m for m in computed if m.uses(kind)] for kind in (FeatureKind.speckle, FeatureKind.inception))
+        # a metric of the user's may not be made for threads: its random numbers would be of all frames
+        ours = self.metrics.keys() <= METRICS.keys()
         draws = self.settings.noise_draws if any(metric.of_draws for metric in computed) else 1
 
         def score_batch(batch: np.ndarray, images: np.ndarray) -> list[tuple[dict[str, float], Features]]:
@@ -141,7 +143,11 @@ class Scorer:
                 drawn = np.stack([images, *(images_of(batch, draw) for draw in range(1, draws))], axis=1)
             else:
                 drawn = np.broadcast_to(images[:, None], (len(images), min(draws, 2), *images.shape[1:]))
-            return in_parts(lambda k, _: self._score_frame(batch[k], drawn[k], bool(speckle)), len(batch), 1)
+
+            def scored_frame(k: int, _: int = 0) -> tuple[dict[str, float], Features]:
+                return self._score_frame(batch[k], drawn[k], bool(speckle))
+
+            return in_parts(scored_frame, len(batch), 1) if ours else [*map(scored_frame, range(len(batch)))]
 
         scored: list[tuple[dict[str, float], Features]] = []
         of_inception: list[Features] = []

@@ -49,6 +49,11 @@ def parsed(words: Sequence[str]) -> list[Override]:
     return OverridesParser.create().parse_overrides(list(words))
 
 
+def quoted(path: object) -> str:
+    """A path as Hydra reads it in `key=value`, whatever characters are in it."""
+    return "'" + str(path).replace("'", "\\'") + "'"
+
+
 def job_of(
     words: Sequence[str], swept: Collection[str] = (), fixed: Sequence[str] = (), config: DictConfig | None = None
 ) -> Job:
@@ -133,6 +138,8 @@ def cells(params: DictConfig | Mapping[str, Any] | None, words: Sequence[str]) -
     `params`, which is `hydra.sweeper.params`, may list `cells` that are no product, such as those of a fraction of a
     factorial: a cell is a line of words. Where the command line sets a key too, its value counts.
     """
+    if several := [o.input_line for o in parsed(words) if o.key_or_group == "study" and o.is_sweep_override()]:
+        raise ConfigurationError(f"{several[0]}: allowed is one study a command, as each has a sweep of its own")
     # Not resolved: `${levels:8}` is that of each job's own frame.
     given = OmegaConf.to_container(params, resolve=False) if isinstance(params, DictConfig) else dict(params or {})
     assert isinstance(given, dict)

@@ -8,12 +8,12 @@ import pandas as pd
 from ablate import networks
 from ablate.anatomy import load_tissues
 from ablate.dataset.encoding import fitted, label_values
-from ablate.jobs.compose import job_of
+from ablate.jobs.compose import job_of, quoted
 from ablate.jobs.scale import PAPER_CROP, PAPER_ROWS, paper_levels
 from ablate.networks import GeneratorSpec, PatchDiscriminator, Space
 from ablate.runs.job import Job, parameters
 from ablate.settings.conf import components_of_networks, named_components, variant_names
-from ablate.settings.study import StudySettings
+from ablate.settings.study import SceneKind, StudySettings
 from ablate.ultrasound.probe import fan_of
 from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings
 
@@ -64,6 +64,8 @@ def _variants(jobs: Sequence[Job]) -> list[tuple[str, StudySettings]]:
     s = jobs[0].settings
     height, width = s.simulator.image_shape
     sizes = [f"preset={s.preset}", f"model.width={s.model.width}", f"simulator.image_shape=[{height},{width}]"]
+    if s.scene.kind is SceneKind.pairs:  # which have other maps
+        sizes += ["scene=pairs", f"scene.folder={quoted(s.scene.folder)}"]
     rows = {} if jobs[0].label in variant_names() else {jobs[0].label: s}
     for name in variant_names():
         m = job_of([*sizes, f"variant={name}"]).settings

@@ -14,7 +14,7 @@ from ablate.metrics import METRICS, FeatureKind, choose_metrics, inception_file,
 from ablate.networks import Attenuation, Family, Position, Space, check_custom, conditions
 from ablate.networks.spec import OF_POSITION, OF_SURFACES
 from ablate.runs.data_set import checked_folder
-from ablate.runs.job import Job
+from ablate.runs.job import Job, not_shared
 from ablate.runs.place import check_place
 from ablate.setting import shown
 from ablate.settings.conf import variant_names
@@ -49,9 +49,13 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
             if folder.exists():
                 _check_writable(folder)
     if starts or jobs[0].settings.task is Task.plan:
-        first: dict[object, Job] = {}
+        first, of_study = dict[object, Job](), dict[object, Job]()
         for job in jobs:
             check_place(job)
+            other = of_study.setdefault(job.settings.study_dir, job)
+            if unlike := not_shared(other.semantic, job.semantic, {*dict(other.changed), *dict(job.changed)}):
+                values = ", ".join(f"{key}: {there} there, {here} here" for key, there, here in unlike)
+                raise ConfigurationError(f"{other.name} and {job.name} are no one study: {values}; fix these keys")
             if (other := first.setdefault((job.settings.study_dir, job.hash), job)).folder != job.folder:
                 keys = ", ".join(sorted({key for key, _ in {*job.changed} ^ {*other.changed}})) or "variant"
                 raise ConfigurationError(f"{keys}: decides nothing here, {other.name} and {job.name} are the same run")

@@ -1,8 +1,8 @@
 """Miniatures to scale: the levels and the crop that keep the paper's millimetres in a frame of fewer pixels.
 
 The configuration reaches both as OmegaConf resolvers, which read the frame's rows from the job's own
-`simulator.image_shape`: `${levels:4}` and `${crop:}`. For pairs made elsewhere it is `${png_shape:}`, and for another
-probe than the paper's `${fan_shape:}`, whose pulse is no finer than the frame can show: `${two_pixels:0.3}`.
+`simulator.image_shape`: `${levels:4}` and `${crop:}`. That shape is `${fan_shape:256}`, the fan in so many rows,
+or for pairs made elsewhere `${png_shape:}`. No pulse is finer than the frame can show: `${two_pixels:0.3}`.
 """
 
 import math
@@ -10,11 +10,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from ablate.networks.spec import DEPTHS, GeneratorSpec, Space
-from ablate.settings.conf import conf_folder
 from ablate.training.settings import SMALLEST_CROP, TrainingSettings
 from ablate.ultrasound.probe import fan_of, square_pixels
 from ablate.ultrasound.settings import ConvexProbe, Probe, SimulatorSettings, probe_from
@@ -23,7 +21,6 @@ PAPER_SHAPE = SimulatorSettings().image_shape
 PAPER_ROWS = PAPER_SHAPE[0]
 PAPER_CROP = TrainingSettings().crop
 _UNET_LEVELS = DEPTHS[-1]
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # every job asks, and libyaml is ten times faster
 
 
 def levels(at_paper: int, rows: int) -> int:
@@ -56,8 +53,8 @@ def register_resolvers() -> None:
         # the side of a crop of an image; in beam space 0, whole frames
         "crop": lambda *, _root_: 0 if str(_root_.model.space) == Space.beam else crop(_rows(_root_)),
         "png_shape": _png_shape,
-        # an image of the probe's fan with square pixels and the rows that the preset has
-        "fan_shape": lambda *, _root_: list(square_pixels(_probe(_root_), _preset_rows(str(_root_.preset)))),
+        # an image of the probe's fan with so many rows and square pixels
+        "fan_shape": lambda rows, *, _root_: list(square_pixels(_probe(_root_), int(rows))),
         # a length in mm, or that of two rows of the image where this is more
         "two_pixels": lambda least_mm, *, _root_: max(
             float(least_mm), round(2 * fan_of(_probe(_root_)).size_mm[0] / max(_rows(_root_), 1), 3)
@@ -72,15 +69,6 @@ def _probe(root: DictConfig) -> Probe:
     with suppress(ValueError):
         return probe_from({str(name): value for name, value in root.probe.items()})
     return ConvexProbe()
-
-
-def _preset_rows(preset: str) -> int:
-    """The rows of the frames of a preset; the paper's where neither it nor what it builds on says so."""
-    path = conf_folder() / "preset" / f"{preset}.yaml"
-    own = (yaml.load(path.read_text("utf-8"), _LOADER) if path.exists() else None) or {}
-    if shape := (own.get("simulator") or {}).get("image_shape"):
-        return int(shape[0])
-    return next((_preset_rows(str(parent)) for parent in own.get("defaults") or []), PAPER_ROWS)
 
 
 def _png_shape(*, _root_: DictConfig) -> list[int]:

@@ -45,7 +45,7 @@ class DataSet:
     @property
     def exists(self) -> bool:
         """Whether it has been laid out; some of its pairs may be missing."""
-        return (self.folder / "about.json").exists()
+        return all((self.folder / name).exists() for name in ("about.json", "pairs.zarr"))
 
     @cached_property
     def about(self) -> dict[str, Any]:

@@ -123,6 +123,7 @@ def not_shared(a: Mapping[str, Any], b: Mapping[str, Any], labelled: Collection[
     if "preset" in labelled:
         return []
     told = (*_OF_A_RUN, "encoding", "model", *(semantic_key(key) for key in labelled))
+    told += ("data",) if "probe" in labelled else ()
     width = () if "model.width" in labelled else ("model.width",)
     return [
         (key, there, here)

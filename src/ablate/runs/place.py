@@ -10,7 +10,7 @@ from ablate.metrics import METRIC_SETS, METRICS, METRICS_VERSION, choose_metrics
 from ablate.runs.job import Job, differences, not_shared
 from ablate.runs.run import Run, State, runs_of
 from ablate.setting import plain
-from ablate.settings.study import ConfigurationError, StudySettings
+from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.storage import write_json
 from ablate.user_code import source_digest
 
@@ -74,8 +74,10 @@ def forget_scores(jobs: Iterable[Job]) -> None:
     """Let finished runs be scored again, as those of an earlier version of the metrics are; files stay until then."""
     runs = [run for job in jobs if job.settings.evaluation.again and (run := finished_run(job)) is not None]
     for run in runs:
-        if not run.checkpoint.exists():
-            raise ConfigurationError(f"evaluation.again=true: {run.checkpoint} is missing, nothing can be rendered")
+        from ablate.training.checkpoint import read_checkpoint  # loads PyTorch
+
+        with refusing("evaluation.again=true: "):
+            read_checkpoint(run.checkpoint)
     for run in runs:
         write_json(run.folder / "result.json", {**run.result, "metrics_version": 0})
         shutil.rmtree(run.data_set.folder / "resimulation", ignore_errors=True)

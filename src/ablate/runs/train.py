@@ -21,7 +21,7 @@ from ablate.metrics.features import CENTRE
 from ablate.networks import Generator, Space, conditions, draws_noise
 from ablate.runs.data_set import DataSet, maps_needed
 from ablate.runs.job import Job, parameters, precision_of
-from ablate.runs.place import claim_place, finished_run, sources_of, with_earlier_metrics
+from ablate.runs.place import claim_place, finished_run, names_of, sources_of, with_earlier_metrics
 from ablate.runs.prepare import prepare_data
 from ablate.runs.run import Run, State
 from ablate.runs.store_copy import copying, log_samples
@@ -66,7 +66,8 @@ def _run(job: Job) -> None:
         clock, started = time.perf_counter(), _now()
         for file in (run.scores_file, run.pictures_file, run.folder / "result.json"):
             remove_partial(file)
-        before = run.result if run.result.get("hash") == job.hash and run.state is not State.unusable else {}
+        known = run.result.get("hash") == job.hash and run.state is not State.unusable and run.checkpoint.exists()
+        before = run.result if known else {}
         scalars, notes = _train_and_score(job, run, data, log)
         first_scored = _now()
         if before:  # trained by an earlier call; now scored by more metrics, or by another version of them
@@ -78,6 +79,8 @@ def _run(job: Job) -> None:
         elif run.starts:
             started = str(run.starts[0].get("time", started))
         asked = with_earlier_metrics(job)
+        if lost := names_of(before.get("metrics", ())) - names_of(asked.metrics):
+            _LOG.warning("values of %s are no longer kept: name them in metrics= too", ", ".join(sorted(lost)))
         result = {
             **{"hash": job.hash, "label": job.label, "seed": job.settings.seed},
             **{"data": data.name, "pixels": data.pixels},

@@ -12,8 +12,9 @@ from ablate.jobs.launch import Launch
 from ablate.jobs.preflight import check
 from ablate.runs.data_set import maps_needed
 from ablate.runs.job import Job
-from ablate.runs.place import claim_place, finished_run, forget_scores
+from ablate.runs.place import claim_place, finished_run, forget_scores, sources_of
 from ablate.runs.prepare import offered, prepare_data
+from ablate.runs.run import State, runs_of
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, Task, refusing
 
 #: The function of each task that starts no jobs.
@@ -164,4 +165,10 @@ def compare(jobs: Sequence[Job]) -> int:
 
     for settings in _studies(jobs):
         print(compare_study(settings, rebuild=True))
+        asked, runs = sources_of(settings.metrics), runs_of(settings.study_dir)
+        done = [run.result["sources"] for run in runs if run.state is State.finished]
+        stale = [name for name, source in asked.items() if any(of.get(name) != source for of in done)]
+        if settings.evaluation.again or stale:
+            words = ", ".join(stale) or "evaluation.again"
+            print(f"Note: {words}: task=compare scores nothing, the command that trained the runs does.")
     return 0

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ablate.jobs.compose import job_of
+from ablate.jobs.compose import job_of, quoted
 from ablate.setting import plain
 from ablate.settings.study import SceneKind, StudySettings
 from ablate.storage import write_image, write_json, written_whole
@@ -107,9 +107,9 @@ def command_line(settings: StudySettings, state: State, *words: str) -> str:
     wanted = replace(settings, probe=state.probe, simulator=state.simulator)
     overrides = [f"preset={wanted.preset}", f"scene={wanted.scene.kind}", f"probe={wanted.probe.kind}"]
     if wanted.scene.kind is SceneKind.folder:
-        overrides.append(f"scene.folder={_quoted(Path(wanted.scene.folder or '').resolve())}")
+        overrides.append(f"scene.folder={quoted(Path(wanted.scene.folder or '').resolve())}")
     if wanted.runs_dir != StudySettings.runs_dir:
-        overrides.append(f"runs_dir={_quoted(wanted.runs_dir)}")
+        overrides.append(f"runs_dir={quoted(wanted.runs_dir)}")
     unchanged = job_of([*overrides, "task=describe"]).settings
     for section in _SECTIONS:
         asked, known = plain(getattr(wanted, section)), plain(getattr(unchanged, section))
@@ -118,8 +118,3 @@ def command_line(settings: StudySettings, state: State, *words: str) -> str:
                 text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
                 overrides.append(f"{section}.{name}={text}")
     return shlex.join(["python", "-m", "ablate", *words, *overrides])
-
-
-def _quoted(path: object) -> str:
-    """A path as Hydra reads it, whatever characters are in it."""
-    return "'" + str(path).replace("'", "\\'") + "'"

@@ -22,7 +22,7 @@ _CLUTTER_CELLS_PER_SIGMA = 2.0
 #: Lines are dealt to so many sets, and the power of these echoes is estimated from products of different sets.
 _CLUTTER_SETS = 8
 #: So many variances of the sum are taken from its power: one heavy path is no haze. It vanishes with many rays.
-_CLUTTER_VARIANCES = 1.5
+_CLUTTER_VARIANCES = 2.0
 
 
 #: An echo received from a surface.
