@@ -63,6 +63,14 @@ def test_an_order_of_labels_that_follows_the_seed_is_no_component(tmp_path: Path
     assert (judged.design.factors, len(runs)) == (["model.attenuation"], 5)
 
 
+def test_what_some_labels_tell_is_said_of_the_others(tmp_path: Path) -> None:
+    jobs = swept(tmp_path, "training.steps=4,5")
+    answered(jobs)
+    assert not any("training.steps" in note for note in usable_runs(jobs[0].settings.study_dir).notes)
+    answered(swept(tmp_path, "variant=nsa2h", "training.steps=2"))
+    assert "training.steps is 2 in nsa2h." in usable_runs(jobs[0].settings.study_dir).notes
+
+
 def test_a_key_that_decides_nothing_is_no_component(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="share the place"):
         swept(tmp_path, "training.threads=1,2")

@@ -305,10 +305,6 @@ UNUSABLE: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda run: replace_in_scores(run, metric={"mae": "x/../../../stolen"}),
         AGAIN.format("ValueError"),
     ),
-    "scores of an earlier version": (
-        lambda run: replace_in_scores(run, source={"resimulation": "floor"}),
-        "with a per_image.parquet that cannot be used (source floor): start it again",
-    ),
     "another version of the metrics": (
         lambda run: change(run, metrics_version=METRICS_VERSION - 1),
         f"scored by version {METRICS_VERSION - 1} of the metrics, not {METRICS_VERSION}: start it again",

@@ -39,6 +39,7 @@ from ablate.runs.prepare import prepare_data
 from ablate.runs.train import run_job, scorer
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_json
+from ablate.threads import torch_threads
 
 TINY = ["preset=tiny", "simulator.image_shape=[512,710]", "dataset.test=0.4", "training.steps=2", "training.crop=32"]
 TINY += ["training.validate_every=0"]
@@ -51,6 +52,21 @@ def job(runs: Path, *more: str) -> Job:
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("runs")
+
+
+def test_a_metric_of_ones_own_is_never_asked_in_two_threads(
+    data: Data, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    code = (
+        "import threading\n\nseen = set()\n\n\ndef mine(pair):\n    seen.add(threading.get_ident())\n    return 0.0\n"
+    )
+    (tmp_path / "of_threads.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    settings = StudySettings()
+    of_mine = Scorer(data.pairs, data.tissues, settings.probe, settings.evaluation, choose_metrics("of_threads.mine"))
+    with torch_threads(4):
+        of_mine.score(Part.test, lambda frames, _: data.pairs.read("target", frames), draws_noise=False)
+    assert len(sys.modules["of_threads"].seen) == 1
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
+from skimage.io import imsave
 
 from ablate.anatomy import validate_scene_folder
 from ablate.jobs.compose import jobs_of
@@ -67,6 +69,15 @@ def test_a_job_that_is_no_variant_of_conf_has_a_row(changed: str) -> None:
     table = described([job])
     assert list(table.index) == [job.label, *variant_names()]
     assert table.loc[job.label].equals(described(jobs_of(["-m", changed, *target])).iloc[0].rename(job.label))
+
+
+def test_pairs_made_elsewhere_have_the_networks_that_are_trained_on_them(tmp_path: Path) -> None:
+    for name in ("segmentation", "image", "attenuation"):
+        (tmp_path / name).mkdir()
+        imsave(tmp_path / name / "0.png", np.ones((128, 150), np.uint8), check_contrast=False)
+    words = ["scene=pairs", f"scene.folder={tmp_path}"]
+    alone, swept = described(jobs_of(words)), described(jobs_of(["-m", *words, "variant=sa2h,nsa2h"]))
+    assert alone.loc[["sa2h", "nsa2h"]].equals(swept)
 
 
 def test_the_text_is_whole_and_readable_at_120_columns() -> None:

@@ -34,6 +34,14 @@ def test_a_key_of_what_is_not_there_is_no_component(tmp_path: Path, words: str) 
         check(jobs)
 
 
+def test_a_sweep_that_is_no_study_is_refused_before_its_first_training(tmp_path: Path) -> None:
+    words = ["-m", "preset=quick", f"runs_dir={tmp_path}", "model.space=beam,image"]
+    with pytest.raises(ConfigurationError, match=r"are no one study: .*training\.crop: 0 there, 128 here"):
+        check(jobs_of(words))
+    check(jobs_of([*words, "training.crop=0"]))
+    check(jobs_of([*words[:3], "probe=convex,linear"]))
+
+
 def test_a_batch_has_at_most_as_many_crops_as_there_are_training_frames(tmp_path: Path) -> None:
     def check_batch(size: int) -> None:
         check(jobs_of([f"runs_dir={tmp_path}", "dataset.frames=200", f"training.batch_size={size}"]))

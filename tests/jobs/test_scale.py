@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from skimage.io import imsave
 
-from ablate.jobs.compose import jobs_of
+from ablate.jobs.compose import job_of, jobs_of
 from ablate.jobs.scale import PAPER_ROWS, crop, levels, paper_levels
 from ablate.networks import receptive_field
 
@@ -54,6 +54,15 @@ def test_images_made_elsewhere_are_to_the_scale_of_their_own_pixels(tmp_path: Pa
     assert (job.settings.model.depth, job.settings.training.crop, job.label) == (7, 256, "sa2h.depth-7")
     (nowhere,) = jobs_of(["scene=pairs", f"scene.folder={tmp_path}/nowhere"])
     assert nowhere.settings.simulator.image_shape[0] == PAPER_ROWS
+
+
+@pytest.mark.parametrize("shape", ["[64, 89]", "${fan_shape:64}"])
+def test_a_preset_of_ones_own_has_the_image_that_it_says(tmp_path: Path, shape: str) -> None:
+    (tmp_path / "preset").mkdir()
+    lines = ["# @package _global_", "defaults: [tiny]", "preset: mine", "simulator:", f"  image_shape: {shape}"]
+    (tmp_path / "preset" / "mine.yaml").write_text("\n".join(lines))
+    settings = job_of(["preset=mine"], fixed=[f"hydra.searchpath=[file://{tmp_path}]"]).settings
+    assert settings.simulator.image_shape == (64, 89)
 
 
 def test_each_job_of_a_sweep_over_presets_is_to_its_own_scale() -> None:

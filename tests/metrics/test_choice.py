@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ablate import user_code
 from ablate.metrics import METRIC_SETS, METRICS, Pair, choose_metrics, evaluate_image
+from ablate.user_code import source_digest
 
 PAGE = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text()
 
@@ -36,6 +38,16 @@ def test_two_of_one_name_are_refused(monkeypatch, tmp_path):
         choose_metrics(["first_of_two.floor_mae"])
     with pytest.raises(ValueError, match=r"error_upper is the name of .* an end of an interval"):
         choose_metrics(["first_of_two.error_upper"])
+
+
+def test_the_code_of_a_metric_is_that_of_the_moment_when_it_was_chosen(monkeypatch, tmp_path):
+    (tmp_path / "edit_later.py").write_text("def bias(pair):\n    return 1.0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    choose_metrics(["edit_later.bias"])
+    (tmp_path / "edit_later.py").write_text("def bias(pair):\n    return 2.0\n")
+    scored_by = source_digest("edit_later.bias")
+    user_code._digest.cache_clear()
+    assert scored_by != source_digest("edit_later.bias")
 
 
 def test_no_column_of_a_table_stands_for_two(monkeypatch, tmp_path):

@@ -161,6 +161,10 @@ def test_one_word_scores_a_finished_run_again_and_trains_none(finished: Path) ->
     assert scored["test/mae"] == pytest.approx(whole["scalars"]["test/mae"])
     checkpoint = jobs[0].run.checkpoint
     assert checkpoint.read_bytes() == before[checkpoint]
+    checkpoint.write_bytes(before[checkpoint][:100])
+    with pytest.raises(ConfigurationError, match=r"evaluation\.again=true: .*last\.ckpt: not a readable checkpoint"):
+        tasks.study(jobs, again)
+    assert jobs[0].run.state is State.finished, "its scores are still good"
     checkpoint.unlink()
     with pytest.raises(ConfigurationError, match=r"evaluation\.again=true: .*last\.ckpt"):
         tasks.study(jobs, again)
@@ -192,7 +196,9 @@ def test_compare_rebuilds_from_disk_and_plan_tells_what_is_there(
     report.unlink()
     assert run("task=compare", *TINY, f"runs_dir={finished}") == 0
     assert report.exists()
-    capsys.readouterr()
+    assert "scores nothing" not in capsys.readouterr().out
+    assert run("task=compare", *TINY, f"runs_dir={finished}", "evaluation.again=true") == 0
+    assert "Note: evaluation.again: task=compare scores nothing" in capsys.readouterr().out
     assert run("task=plan", *SWEEP, "seed=0,1", f"runs_dir={finished}") == 0
     printed = capsys.readouterr().out
     assert printed.count(" finished ") == 2

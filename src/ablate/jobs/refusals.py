@@ -34,7 +34,8 @@ def in_one_line(words: Sequence[str] = ()) -> Iterator[None]:
         # Hydra's own, where a file of conf/ is named by something that is no text, or cannot be read.
         if isinstance(error, ConfigurationError):
             raise
-        raise ConfigurationError(_of_a_file(error, words) or _of_a_group(words) or _one_line(error)) from error
+        known = "" if isinstance(error, YAMLError) else _of_a_group(words)  # a YAMLError names file and line
+        raise ConfigurationError(known or _one_line(error)) from error
 
 
 def _unreadable(error: OverrideParseException) -> str:
@@ -46,17 +47,6 @@ def _unreadable(error: OverrideParseException) -> str:
         return _one_line(error)
     hint = "without the comma at its end" if value.endswith(",") else f"in quotes: \"{key}='...'\""
     return f"{key}: Hydra cannot read the value {shown(value)}; give it {hint}"
-
-
-def _of_a_file(error: Exception, words: Sequence[str]) -> str:
-    """A file of conf/, or of `--config-dir`, that cannot be read; empty where the error is another."""
-    if isinstance(error, YAMLError):
-        return _one_line(error)  # it names file and line
-    why = {UnicodeDecodeError: "a file that is not UTF-8", RecursionError: "defaults that lead back to the same file"}
-    if type(error) not in why:
-        return ""
-    named = [word for word in words if (conf_folder() / word.partition("=")[0]).is_dir()]
-    return f"{', '.join(named) or 'config.yaml'}: {why[type(error)]}"
 
 
 def _of_a_group(words: Sequence[str]) -> str:

@@ -14,7 +14,6 @@ from filelock import FileLock
 
 from ablate.evaluation import check_stored_scores
 from ablate.metrics import METRICS_VERSION
-from ablate.metrics.metric import SOURCES
 from ablate.runs.data_set import DataSet
 from ablate.setting import check_name
 from ablate.settings.conf import build
@@ -182,8 +181,6 @@ class Run:
             return State.resumable, f"unreadable ({type(error).__name__}: {self.scores_file.name}): start it again"
         if (set(self.scores["variant"]), set(self.scores["seed"])) != ({self.label}, {self.seed}):
             wrong_scores = "it holds values of another run"
-        if unknown := set(self.scores["source"]) - set(SOURCES):
-            wrong_scores = f"source {', '.join(map(str, sorted(unknown)))}"
         if not (self.scores["split"] == "test").any():
             wrong_scores = "it holds no value on the test frames"
         if wrong_scores:

@@ -36,12 +36,8 @@ def forest_figure(
     """Draw the verdicts: a row a component, and below them how components change each other's effects.
 
     The unit of an improvement is the band of its component. Components without an effect are left out. The files are a
-    PNG and a PDF at `stem`, a path without suffix; none without an effect.
-
-    Parameters
-    ----------
-    verdicts, runs, pairs : DataFrame
-        What `verdict_table`, `improvements` and `interactions` give of these `components`.
+    PNG and a PDF at `stem`, a path without suffix; none without an effect. `verdicts`, `runs` and `pairs` are what
+    `verdict_table`, `improvements` and `interactions` give of these `components`.
     """
     shown = verdicts[verdicts["effect"].notna()].reset_index(drop=True)
     if shown.empty:

@@ -44,16 +44,8 @@ def boxplot_panels(
     Boxes are quartiles, whiskers the 5th and 95th percentile over frames; the grey band and the line in it are the re-
     simulation's difference; the bar under a box is the interval of the median shift over sites. Metrics without pairs
     are left out. The files are a PNG and a PDF at `stem`, a path without suffix; none without the reference or a second
-    variant.
-
-    Parameters
-    ----------
-    per_image : DataFrame
-        As for `comparison_table`.
-    paired : DataFrame, optional
-        What `paired_table` gives, for the intervals.
-    components : sequence of Component
-        Changes of these are written in short.
+    variant. `per_image` is as for `comparison_table`; the intervals are those of `paired`, which `paired_table` gives.
+    Changes of `components` are written in short.
     """
     drawn: dict[str, dict[str, np.ndarray]] = {}
     for metric in metrics:
@@ -95,14 +87,7 @@ def seed_plot(
     """Draw one ring a training at its mean over the test frames of which all have a value, with the re-simulation.
 
     The grey band is the range of the reference's trainings. Metrics without a finite value are left out. The files are
-    as for `boxplot_panels`, none without a network.
-
-    Parameters
-    ----------
-    per_image, scalars : DataFrame
-        As for `comparison_table`.
-    components : sequence of Component
-        Changes of these are written in short.
+    as for `boxplot_panels`, none without a network. `per_image` and `scalars` are as for `comparison_table`.
     """
     values = finite_values(per_image, scalars)
     networks = values[values["variant"] != RESIMULATION]

@@ -42,15 +42,9 @@ def seed_claims(
     each row is judged alone, most studies of eight variants hold a false claim (docs/statistics.md); so `differs` is
     said only after Holm's correction over all rows, and `suggested` of a row that differs when taken alone.
 
-    Parameters
-    ----------
-    per_image, scalars : DataFrame
-        As for `comparison_table`; costs are not judged. A mean is over the frames of which all runs have a value.
-
-    Returns
-    -------
-    DataFrame
-        Columns variant, metric, verdict, seeds, shift, lower, upper (the interval of one row alone), p, p_holm.
+    `per_image` and `scalars` are as for `comparison_table`; costs are not judged. A mean is over the frames of which
+    all runs have a value. Columns are variant, metric, verdict, seeds, shift, lower, upper (the interval of one row
+    alone), p, p_holm.
     """
     values = finite_values(per_image, scalars)
     values = values[values["variant"] != RESIMULATION]

@@ -150,15 +150,8 @@ def run_means(
 ) -> pd.DataFrame:
     """Mean of every metric of every run, or of the runs of a design, over the test frames of which all have a value.
 
-    Parameters
-    ----------
-    per_image, scalars : DataFrame
-        As for `comparison_table`, with a column data where the runs have several data sets.
-
-    Returns
-    -------
-    DataFrame
-        Columns metric, variant, seed, data (empty where there is one data set), value, and the design's factors.
+    `per_image` and `scalars` are as for `comparison_table`, with a column data where the runs have several data sets.
+    Columns are metric, variant, seed, data (empty where there is one data set), value, and the design's factors.
     """
     values = finite_values(per_image, scalars)
     values = values[values["variant"] != RESIMULATION]

@@ -15,13 +15,8 @@ class Order(NamedTuple):
 def observed_order(n: np.ndarray, error: np.ndarray, metric: str = "") -> Order | None:
     """Fit the order at which an error falls with the number of rays, or of anything else; None with fewer than two n.
 
-    Parameters
-    ----------
-    n : (k,) float, positive
-    error : (k,) float
-        Points that are not positive and finite are left out.
-    metric : str
-        PSNR is converted to the root-mean-square error, 255 x 10^(-PSNR / 20).
+    `n`, (k,), are positive; points whose `error`, (k,), is not positive and finite are left out. Of the metric PSNR it
+    is converted to the root-mean-square error, 255 x 10^(-PSNR / 20).
     """
     n, error = np.asarray(n, float), np.asarray(error, float)
     if metric.startswith("psnr"):
@@ -41,17 +36,8 @@ def pareto_front(
 ) -> np.ndarray:
     """Find the points that no other point beats: with a smaller error in no more time, or equal in less.
 
-    Parameters
-    ----------
-    ms, error : (n,) float
-        Smaller is better in both.
-    lower, upper : (n,) float, optional
-        The spread of the times. Another point takes no more time unless its lower bound is above this one's upper.
-
-    Returns
-    -------
-    (k,) int
-        Indices of the front, by increasing time; of equal points the first.
+    All are (n,) float. `lower` and `upper` are the spread of the times: another point takes no more time unless its
+    lower bound is above this one's upper. Returns indices by increasing time, (k,) int; of equal points the first.
     """
     lower, upper = ms if lower is None else lower, ms if upper is None else upper
     order = np.lexsort((error, ms))
