@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 COMPARISON = "comparison"  # folder beside those of the variants
 #: The keys of `Job.semantic` in which the runs of one study may differ besides what their labels say.
 _OF_A_RUN = ("seed", "training.seed", "training.loss", "data.scene.anatomy_seed")
+_NOT_OF_ALL = ("crops", "fan_fraction"), ("training", "discriminator_width")  # of crops, and of a discriminator
 _OF_THE_DATA = ("scene", "probe", "simulator", "dataset")
 
 
@@ -124,6 +125,7 @@ def not_shared(a: Mapping[str, Any], b: Mapping[str, Any], labelled: Collection[
         return []
     told = (*_OF_A_RUN, "encoding", "model", *(semantic_key(key) for key in labelled))
     told += ("data",) if "probe" in labelled else ()
+    told += tuple(f"{part}.{name}" for part, name in _NOT_OF_ALL if any(name not in of.get(part, {}) for of in (a, b)))
     width = () if "model.width" in labelled else ("model.width",)
     return [
         (key, there, here)
