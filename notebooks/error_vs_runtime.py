@@ -25,6 +25,8 @@ from ablate.analysis import error_vs_runtime, pareto_front
 from ablate.comparison.frame_times import timed_on
 from ablate.comparison.opened import found_study
 from ablate.comparison.reading import runtime_points
+from ablate.metrics import metric_of
+from ablate.storage import read_json
 
 study = found_study()
 folder = Path(mkdtemp())
@@ -45,10 +47,9 @@ Image(png, width=1000)
 # %%
 times = ["ms", "lower", "upper"]
 wide = points.pivot(index=["series", *times], columns="metric", values="error").reset_index().sort_values("ms")
-front = pareto_front(
-    wide["ms"].to_numpy(), wide["pchi2"].to_numpy(), wide["lower"].to_numpy(), wide["upper"].to_numpy()
-)
-print("on the front of time and patch chi-square:", ", ".join(wide["series"].iloc[front]))
+judged = "pchi2" if "pchi2" in wide else points["metric"].iloc[0]
+front = pareto_front(wide["ms"].to_numpy(), wide[judged].to_numpy(), wide["lower"].to_numpy(), wide["upper"].to_numpy())
+print(f"on the front of time and {metric_of(judged).label}:", ", ".join(wide["series"].iloc[front]))
 wide.round(3)
 
 # %% [markdown]
@@ -61,6 +62,7 @@ wide.round(3)
 # %%
 measured = study.folder.parent / "precision"
 if (measured / "precision.png").exists():
+    print("measured with the networks of", read_json(measured / "run.json")["study"])
     display(Image(measured / "precision.png", width=1000))
     errors = pd.read_csv(measured / "precision.csv", keep_default_na=False, na_values=["nan"])
     fastest = errors.loc[errors.groupby(["series", "metric"])["ms"].idxmin()]

@@ -11,7 +11,7 @@ import numpy as np
 
 from ablate.anatomy import Scene
 from ablate.networks.spec import OF_SURFACES, Space
-from ablate.ultrasound import Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
+from ablate.ultrasound import Display, Probe, Simulator, SimulatorSettings, TimeGain, fan_mask, with_patient_gain
 from ablate.ultrasound.probe import pixel_polar
 from ablate.viewer.generators import Trained, open_generator, trained_at
 from ablate.viewer.session import Moving, Quality, State, Views
@@ -72,8 +72,9 @@ class Engine:
                     return trained.render((segmentation, attenuation, beam), low, mask, probe, state.seed, moving)
 
                 image, ms[name] = self._once(f"{name}, {quality}", (trained, *place, state.seed), render)
-                images.append(image if state.display is None else state.display.shown(image, depth, settings))
-                notes[name] = trained.reservation(state)
+                shown = state.display if state.display != Display() else None
+                images.append(image if shown is None else shown.shown(image, depth, settings))
+                notes[name], _ = self._once(f"{name}, note", (trained, *place[1:]), partial(trained.reservation, state))
             except (OSError, ValueError, KeyError) as error:
                 images.append(None)
                 notes[name] = " ".join(str(error).split())
