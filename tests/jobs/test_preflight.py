@@ -38,6 +38,7 @@ def test_a_sweep_that_is_no_study_is_refused_before_its_first_training(tmp_path:
     words = ["-m", "preset=quick", f"runs_dir={tmp_path}", "model.space=beam,image"]
     with pytest.raises(ConfigurationError, match=r"are no one study: .*training\.crop: 0 there, 128 here"):
         check(jobs_of(words))
+    check(jobs_of([*words, "task=simulate"]))
     check(jobs_of([*words, "training.crop=0"]))
     check(jobs_of([*words[:3], "probe=convex,linear"]))
 

@@ -53,7 +53,8 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
         for job in jobs:
             check_place(job)
             other = of_study.setdefault(job.settings.study_dir, job)
-            if unlike := not_shared(other.semantic, job.semantic, {*dict(other.changed), *dict(job.changed)}):
+            unlike = not_shared(other.semantic, job.semantic, {*dict(other.changed), *dict(job.changed)})
+            if unlike and job.settings.task is not Task.simulate:
                 values = ", ".join(f"{key}: {there} there, {here} here" for key, there, here in unlike)
                 raise ConfigurationError(f"{other.name} and {job.name} are no one study: {values}; fix these keys")
             if (other := first.setdefault((job.settings.study_dir, job.hash), job)).folder != job.folder:
