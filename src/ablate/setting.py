@@ -140,7 +140,7 @@ def _checked(one: Setting, value: Any) -> Any:
     is_tuple = get_origin(one.kind) is tuple
     kinds, values = (get_args(one.kind), value) if is_tuple else ((one.kind,), (value,))
     if kinds[0] not in (int, float):
-        if value == "" or (one.kind is bool and not isinstance(value, bool)):  # "" is a shell variable that is not set
+        if (one.kind, value) == (str, "") or (one.kind is bool and not isinstance(value, bool)):
             raise ValueError
         return value
     if not isinstance(values, (tuple, list)) or len(values) != len(kinds):

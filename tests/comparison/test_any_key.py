@@ -71,6 +71,16 @@ def test_what_some_labels_tell_is_said_of_the_others(tmp_path: Path) -> None:
     assert "training.steps is 2 in nsa2h." in usable_runs(jobs[0].settings.study_dir).notes
 
 
+def test_a_key_that_some_runs_lack_is_compared_where_it_is(tmp_path: Path) -> None:
+    """Without a discriminator nothing has its width."""
+    jobs = swept(tmp_path, "training.discriminator_width=0.5,0.7") + swept(tmp_path, "training.loss=none")
+    for job in jobs:
+        finish(job)
+    usable = usable_runs(jobs[0].settings.study_dir)
+    assert len(usable.all) == 9
+    assert "training.discriminator_width is None in sa2h.loss-none." in usable.notes
+
+
 def test_a_key_that_decides_nothing_is_no_component(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="share the place"):
         swept(tmp_path, "training.threads=1,2")

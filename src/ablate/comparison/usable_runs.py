@@ -65,11 +65,11 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
         aside[f"left aside, made from other pairs than {chosen}"] = [run.name for run in others if run not in blocks]
         aside[f"on another anatomy or data set than {chosen} {part}"] = [run.name for run in blocks]
     swept = {key for run in runs for key in run.changed if key.startswith(("training.", "crops.", "evaluation."))}
-    told = [  # what some labels tell, and others do not
-        f"{key} is {value} in {label}."
-        for key in sorted(swept - {"training.loss"})
-        for label, value in {r.label: levels_of(r.spec["semantic"])[key] for r in runs if key not in r.changed}.items()
-    ]
+    told = []  # what some labels tell, and others, which differ in it, do not
+    for key in sorted(swept - {"training.loss"}):
+        levels = {run.label: levels_of(run.spec["semantic"]).get(key) for run in runs if key not in run.changed}
+        if levels and (len(set(levels.values())) > 1 or reference not in levels):
+            told.append(f"{key} is {', '.join(f'{value} in {label}' for label, value in levels.items())}.")
     counted = {f"{len(names)} run{'s' * (len(names) > 1)} {what}": names for what, names in aside.items() if names}
     notes = [f"{what}: {listed(names)}." for what, names in counted.items()]
     return UsableRuns(tuple(runs), tuple(blocks), (*notes, *told))

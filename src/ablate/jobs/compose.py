@@ -50,7 +50,7 @@ def parsed(words: Sequence[str]) -> list[Override]:
 
 
 def quoted(path: object) -> str:
-    """A path as Hydra reads it in `key=value`, whatever characters are in it."""
+    """A path as Hydra reads it in `key=value`, with blanks, commas, brackets and quotes."""
     return "'" + str(path).replace("'", "\\'") + "'"
 
 

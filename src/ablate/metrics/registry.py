@@ -25,7 +25,7 @@ METRIC_SETS = {
     "all": tuple(name for name, metric in METRICS.items() if metric.computed),
     "paper": tuple(name for name, metric in METRICS.items() if metric.computed and metric.shown & Shown.table),
 }
-_COLUMNS = frozenset({"variant", "seed", "data", "encoding"})  # of runs.csv, beside those of metrics
+_COLUMNS = {"variant", "seed", "data", "encoding", "encoding_seed", "probe", "preset", "scene"}  # of runs.csv
 _OWN: dict[str, Metric] = {}  # of the user, since they were chosen
 
 

@@ -66,8 +66,8 @@ def _run(job: Job) -> None:
         clock, started = time.perf_counter(), _now()
         for file in (run.scores_file, run.pictures_file, run.folder / "result.json"):
             remove_partial(file)
-        known = run.result.get("hash") == job.hash and run.state is not State.unusable and run.checkpoint.exists()
-        before = run.result if known else {}
+        there = run.result if run.result.get("hash") == job.hash and run.state is not State.unusable else {}
+        before = there if run.checkpoint.exists() else {}
         scalars, notes = _train_and_score(job, run, data, log)
         first_scored = _now()
         if before:  # trained by an earlier call; now scored by more metrics, or by another version of them
@@ -79,7 +79,7 @@ def _run(job: Job) -> None:
         elif run.starts:
             started = str(run.starts[0].get("time", started))
         asked = with_earlier_metrics(job)
-        if lost := names_of(before.get("metrics", ())) - names_of(asked.metrics):
+        if lost := names_of(there.get("metrics", ())) - names_of(asked.metrics):
             _LOG.warning("values of %s are no longer kept: name them in metrics= too", ", ".join(sorted(lost)))
         result = {
             **{"hash": job.hash, "label": job.label, "seed": job.settings.seed},

@@ -169,6 +169,5 @@ def compare(jobs: Sequence[Job]) -> int:
         done = [run.result["sources"] for run in runs if run.state is State.finished]
         stale = [name for name, source in asked.items() if any(of.get(name) != source for of in done)]
         if settings.evaluation.again or stale:
-            words = ", ".join(stale) or "evaluation.again"
-            print(f"Note: {words}: task=compare scores nothing, the command that trained the runs does.")
+            print(f"Note: {', '.join(stale) or 'evaluation.again'}: task=compare scores nothing, task=study does.")
     return 0

@@ -90,7 +90,7 @@ class Hand:
         inwards = np.tile(pose[:3, 2], (len(face), 1))
         depth = self._skin.depth(face, inwards)
         hard = bool(self._skin.hard_at(face, inwards).any())
-        if depth.min() > _DEEPEST_MM:
+        if depth.min() > max(_DEEPEST_MM, self._press_mm):
             return f"inside the body: the face is {depth.min():.0f} mm under the skin"
         return _words(bool(np.isfinite(depth).all() and depth.max() > 0), hard)
 

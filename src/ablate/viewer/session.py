@@ -93,7 +93,8 @@ class Session:
             if abs(changes[name]) > 180:
                 changes[name] = (changes[name] + 180) % 360 - 180
         for name in {"rock_deg", "tilt_deg"} & changes.keys():
-            changes[name] = min(max(changes[name], -MOST_TURNED_DEG), MOST_TURNED_DEG)
+            most = max(MOST_TURNED_DEG, abs(getattr(self.hold, name)))  # a pose may be held beyond
+            changes[name] = min(max(changes[name], -most), most)
         hold = replace(self.hold, **changes)
         held = self.hand.place(hold)
         if held is None:

@@ -120,12 +120,13 @@ class Page:
 
         While the operator looks back in the cine loop, the frame that he looks at stays.
         """
-        if self.session.frozen and self.loop and self.shown is not self.loop[-1]:
-            return
-        self.shown = views
+        looks_back = self.session.frozen and bool(self.loop) and self.shown is not self.loop[-1]
         self.loop.add(views)
         if self.sweep is not None:
             self.sweep.add(views)
+        if looks_back:
+            return
+        self.shown = views
 
         def draw() -> None:
             try:
