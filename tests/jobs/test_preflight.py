@@ -36,7 +36,7 @@ def test_a_key_of_what_is_not_there_is_no_component(tmp_path: Path, words: str) 
 
 def test_a_sweep_that_is_no_study_is_refused_before_its_first_training(tmp_path: Path) -> None:
     words = ["-m", "preset=quick", f"runs_dir={tmp_path}", "model.space=beam,image"]
-    with pytest.raises(ConfigurationError, match=r"are no one study: .*training\.crop: 0 there, 128 here"):
+    with pytest.raises(ConfigurationError, match=r"cannot be one study: .*training\.crop: 0 there, 128 here"):
         check(jobs_of(words))
     check(jobs_of([*words, "task=simulate"]))
     check(jobs_of([*words, "training.crop=0"]))

@@ -92,8 +92,7 @@ def _kept(marker: Path, made_from: Mapping[str, Any]) -> list[str] | None:
     """What a reader of the comparison on disk must know; None where a file lacks, or it is of something else."""
     there = known_json(marker)
     notes, written = there.pop("for_readers", None), there.pop("written", None)
-    whole = written and all((marker.parent / name).exists() for name in written)
-    return notes if whole and there == made_from else None
+    return notes if written and there == made_from and all((marker.parent / n).exists() for n in written) else None
 
 
 def write_comparison(study: Study, title: str) -> list[str]:

@@ -67,7 +67,8 @@ def usable_runs(study_dir: Path, reference: str = REFERENCE) -> UsableRuns:
     swept = {key for run in runs for key in run.changed if key.startswith(("training.", "crops.", "evaluation."))}
     told = []  # what some labels tell, and others, which differ in it, do not
     for key in sorted(swept - {"training.loss"}):
-        levels = {run.label: levels_of(run.spec["semantic"]).get(key) for run in runs if key not in run.changed}
+        untold = {run.label: levels_of(run.spec["semantic"]) for run in runs if key not in run.changed}
+        levels = {label: of_run[key] for label, of_run in untold.items() if key in of_run}
         if levels and (len(set(levels.values())) > 1 or reference not in levels):
             told.append(f"{key} is {', '.join(f'{value} in {label}' for label, value in levels.items())}.")
     counted = {f"{len(names)} run{'s' * (len(names) > 1)} {what}": names for what, names in aside.items() if names}

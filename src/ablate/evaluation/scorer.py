@@ -134,7 +134,7 @@ class Scorer:
         missing, notes = not_computed(self.metrics.values(), self._mask, len(frames), self.inception)
         computed = [metric for name, metric in self.metrics.items() if name not in missing]
         speckle, fid = ([m for m in computed if m.uses(kind)] for kind in (FeatureKind.speckle, FeatureKind.inception))
-        # a metric of the user's may not be made for threads: its random numbers would be of all frames
+        # A metric of the user's may not be made for threads, such as one that draws from NumPy's global generator.
         ours = self.metrics.keys() <= METRICS.keys()
         draws = self.settings.noise_draws if any(metric.of_draws for metric in computed) else 1
 

@@ -56,7 +56,7 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
             unlike = not_shared(other.semantic, job.semantic, {*dict(other.changed), *dict(job.changed)})
             if unlike and job.settings.task is not Task.simulate:
                 values = ", ".join(f"{key}: {there} there, {here} here" for key, there, here in unlike)
-                raise ConfigurationError(f"{other.name} and {job.name} are no one study: {values}; fix these keys")
+                raise ConfigurationError(f"{other.name} and {job.name} cannot be one study: {values}; make them equal")
             if (other := first.setdefault((job.settings.study_dir, job.hash), job)).folder != job.folder:
                 keys = ", ".join(sorted({key for key, _ in {*job.changed} ^ {*other.changed}})) or "variant"
                 raise ConfigurationError(f"{keys}: decides nothing here, {other.name} and {job.name} are the same run")

@@ -14,7 +14,7 @@ from ablate.metrics.patches import check_pair, patch_chi2
 
 # Names in stored scores, once for all rooms that write or read them.
 SCORE_COLUMNS = ("frame", "site", "metric", "value")  # of an evaluation, one row a metric of a frame
-SOURCES = MODEL, RESIMULATED = ("model", "resimulation")  # of images: the trained generator, or simulated again
+MODEL, RESIMULATED = "model", "resimulation"  # of images: the trained generator, or simulated again
 STORED_COLUMNS = (*SCORE_COLUMNS, "source", "split", "variant", "seed")  # `per_image.parquet` of a run
 SCALAR_COLUMNS = ("variant", "seed", "metric", "value")  # one row a metric of a run; `BOUNDS` may follow
 BOUNDS = ("lower", "upper")  # ends of an interval: columns of tables, and suffixes as in `test/fd_speckle_lower`

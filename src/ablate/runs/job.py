@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 COMPARISON = "comparison"  # folder beside those of the variants
 #: The keys of `Job.semantic` in which the runs of one study may differ besides what their labels say.
 _OF_A_RUN = ("seed", "training.seed", "training.loss", "data.scene.anatomy_seed")
-_NOT_OF_ALL = ("crops", "fan_fraction"), ("training", "discriminator_width")  # of crops, and of a discriminator
+_NOT_OF_ALL = ("crops", "fan_fraction"), ("training", "discriminator_width")  # only of crops, only of a discriminator
 _OF_THE_DATA = ("scene", "probe", "simulator", "dataset")
 
 

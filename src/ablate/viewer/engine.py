@@ -72,8 +72,8 @@ class Engine:
                     return trained.render((segmentation, attenuation, beam), low, mask, probe, state.seed, moving)
 
                 image, ms[name] = self._once(f"{name}, {quality}", (trained, *place, state.seed), render)
-                shown = state.display if state.display != Display() else None
-                images.append(image if shown is None else shown.shown(image, depth, settings))
+                controls = None if state.display == Display() else state.display
+                images.append(image if controls is None else controls.shown(image, depth, settings))
                 notes[name], _ = self._once(f"{name}, note", (trained, *place[1:]), partial(trained.reservation, state))
             except (OSError, ValueError, KeyError) as error:
                 images.append(None)
