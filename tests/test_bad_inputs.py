@@ -105,6 +105,7 @@ COMMAND_LINES: list[tuple[list[str], str]] = [
     (["variant=sa2h,nsa2h"], r"asks for several jobs: add -m"),
     (["hydra/launcher=joblib"], r"hydra/launcher=joblib starts the jobs of a sweep: add -m"),
     (["-m", "hydra/sweeper=mine", "seed=0,1"], r"hydra/sweeper=mine"),
+    (["-m", "variant=glob(sa2h*)"], r"variant=glob\(sa2h\*\): allowed are lists and ranges, as variant=sa2h,nsa2h"),
     (["-m", "seed=range(3,0)"], r"seed=range\(3,0\): a sweep without a job"),
     (["-m", "variant=sa2h,"], r"variant: Hydra cannot read the value 'sa2h,'; give it without the comma at its end"),
     # Names and folders.

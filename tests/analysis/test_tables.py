@@ -211,6 +211,11 @@ def test_the_caption_tells_a_floor_from_a_level(large):
     assert "floor" not in alone
 
 
+def test_the_caption_counts_one_test_frame_too(large):
+    one = large.assign(n=large["seeds"], sd=np.nan)
+    assert "over 1 test frame, 3 seeds" in analysis.to_latex(one)
+
+
 def test_special_signs_are_escaped():
     assert latex_text(r"a_b%c&d#$e\f~^{}") == (
         r"a\_b\%c\&d\#\$e\textbackslash{}f\textasciitilde{}\textasciicircum{}\{\}"

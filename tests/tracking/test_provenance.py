@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ablate.tracking import git_state, packages
+from ablate.tracking import git_state, packages, source_digest
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -65,3 +65,13 @@ def test_packages_are_those_that_the_project_names() -> None:
     assert list(versions)[:2] == ["python", project["name"]]
     assert len(versions) == 2 + len(project["dependencies"])
     assert versions["numpy"] == np.__version__
+
+
+@pytest.mark.parametrize("name", ["code.py", "tissues.csv", "captions.jinja", "house.mplstyle"])
+def test_the_digest_of_the_source_knows_tables_and_templates(tmp_path: Path, name: str) -> None:
+    (tmp_path / "deep").mkdir()
+    changed = tmp_path / "deep" / name
+    changed.write_text("1")
+    before = source_digest(tmp_path)
+    changed.write_text("2")
+    assert source_digest(tmp_path) != before

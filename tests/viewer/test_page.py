@@ -104,6 +104,31 @@ def test_a_slider_moves_the_probe_and_a_picture_of_it_comes(client: Client, view
     np.testing.assert_allclose(100 * position, viewer.session.state.pose[:3, 3], atol=0.01)
 
 
+def test_what_comes_while_an_earlier_change_is_answered_counts(client: Client, viewer: Viewer) -> None:
+    with viewer.page.lock:  # the answer to the first takes its time, and then shows its state in all controls
+        client.set("Around (°)", 11.0)
+        client.set("Tilt (°)", 7.0)
+        time.sleep(0.3)
+    settle(client, viewer)
+    assert (viewer.session.hold.angle_deg, viewer.session.hold.tilt_deg) == (11.0, 7.0)
+
+
+def test_of_a_drag_what_is_stale_is_left_out_and_of_keys_nothing(client: Client, viewer: Viewer) -> None:
+    asked: list[float] = []
+    viewer.session.listeners.append(lambda: asked.append(viewer.session.hold.angle_deg))
+    try:
+        with viewer.page.lock:
+            for angle in range(1, 11):
+                client.set("Around (°)", float(angle))
+            for _ in range(3):
+                client.press("Probe: around the body, to the right on the page")
+            time.sleep(0.3)
+        settle(client, viewer)
+    finally:
+        viewer.session.listeners.pop()
+    assert asked == [1.0, 10.0, 13.0, 16.0, 19.0]
+
+
 def test_a_preset_is_gone_to_and_forgotten_at_the_next_step(client: Client, viewer: Viewer) -> None:
     name = list(viewer.session.presets)[2]
     client.set("Plane", name)

@@ -197,7 +197,7 @@ def to_latex(table: pd.DataFrame, reference: str = REFERENCE, label: str = "tab:
     if not double:
         shown = shown.droplevel(1, axis="columns")
     styler = shown.style.set_table_styles([{"selector": "footnotesize", "props": ":;"}])
-    caption, form = latex_text(_caption(table, per_frame, metrics)), "l" + "r" * len(columns)
+    caption, form = latex_text(_caption(table, metrics)), "l" + "r" * len(columns)
     layout: dict[str, Any] = {"environment": "table*", "position_float": "centering", "multicol_align": "c"}
     lines = styler.to_latex(column_format=form, caption=caption, label=label, hrules=True, **layout).splitlines()
     # Styler has no rules below titles that span columns, and none between blocks of rows.
@@ -212,11 +212,11 @@ def to_latex(table: pd.DataFrame, reference: str = REFERENCE, label: str = "tab:
     return "\n".join([r"% needs \usepackage{booktabs}", *lines]) + "\n"
 
 
-def _caption(table: pd.DataFrame, per_frame: pd.DataFrame, metrics: list[str]) -> str:
+def _caption(table: pd.DataFrame, metrics: list[str]) -> str:
     networks = table[table["variant"] != RESIMULATION]
     few, many = (int(f(networks["seeds"])) if len(networks) else 0 for f in (min, max))
     seeds = f"{many} seed{'' if many == 1 else 's'}" if few == many else f"{few} to {many} seeds"
-    frames = int((per_frame["n"] / per_frame["seeds"]).max()) if len(per_frame) else 0
+    frames = int((table["n"] / table["seeds"]).max())
     note = f" {resimulation_note(metrics)}" if RESIMULATION in set(table["variant"]) else ""
-    text = f"Mean and standard deviation over {frames} test frames, {seeds} a network."
+    text = f"Mean and standard deviation over {frames} test frame{'' if frames == 1 else 's'}, {seeds} a network."
     return f"{text} Bold is the best network.{note}"

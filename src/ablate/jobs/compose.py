@@ -13,7 +13,7 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import Override, ValueType
 from omegaconf import DictConfig, OmegaConf
 
 from ablate.jobs.refusals import in_one_line
@@ -160,10 +160,10 @@ def _product(overrides: Sequence[Override]) -> Iterator[list[str]]:
         key = override.get_key_element()
         if not override.is_sweep_override():
             values[key] = [f"{key}={override.get_value_element_as_str()}"]
-        elif override.is_discrete_sweep():
+        elif override.is_discrete_sweep() and override.value_type is not ValueType.GLOB_CHOICE_SWEEP:
             values[key] = [f"{key}={value}" for value in override.sweep_string_iterator()]
         else:
-            raise ValueError(f"{override.input_line}: allowed are lists and ranges; an interval needs its own sweeper")
+            raise ValueError(f"{override.input_line}: allowed are lists and ranges, as variant=sa2h,nsa2h")
     for combination in itertools.product(*values.values()):
         yield list(combination)
 

@@ -15,6 +15,7 @@ from ablate.storage import digest_of_files
 
 _PACKAGE = Path(ablate.__file__).parent
 _DISTRIBUTION = "ablate-ultrasound"  # what an installer calls this package
+_SOURCES = (".py", ".csv", ".jinja", ".mplstyle")
 
 
 def git_state(package: Path = _PACKAGE) -> dict[str, str]:
@@ -44,8 +45,8 @@ def git_state(package: Path = _PACKAGE) -> dict[str, str]:
 
 
 def source_digest(package: Path = _PACKAGE) -> str:
-    """Digest of the names and contents of the package's source files, which may lie in no repository."""
-    return digest_of_files(sorted(package.rglob("*.py")))
+    """Digest of the names and contents of the package's code, tables and templates, which may lie in no repository."""
+    return digest_of_files(sorted(path for path in package.rglob("*") if path.suffix in _SOURCES))
 
 
 def environment() -> str:

@@ -39,11 +39,11 @@ def add_row(page: Page) -> None:
     """Add what is at hand whatever tab is open: freeze, new speckle, reset; also by keys."""
     session, gui = page.session, page.server.gui
     frozen = gui.add_checkbox("Freeze (F)", initial_value=False, hint="holds the picture; the probe moves on")
-    frozen.on_update(page.does(lambda _: session.freeze(frozen.value)))
+    frozen.on_update(page.does(session.freeze))
     page.keep_equal(frozen, lambda: session.frozen)
     actions = {"Speckle": session.new_speckle, "Reset": session.reset}
     group = gui.add_button_group("New (N, R)", tuple(actions), hint="other scatterers; settings as at first")
-    group.on_click(page.does(lambda _: actions[group.value]()))
+    group.on_click(page.in_turn(lambda event: actions[event.target.value]()))
     page.add_key("F", "Freeze, or let the picture move", lambda: session.freeze(not session.frozen))
     page.add_key("N", "New speckle", session.new_speckle)
     page.add_key("R", "Reset", session.reset)
@@ -54,9 +54,9 @@ def add_move_tab(page: Page) -> None:
     session, gui = page.session, page.server.gui
     chosen = gui.add_dropdown("Plane", (_PLACE, *session.presets), initial_value=_PLACE, hint="goes there at once")
 
-    def go(_: Any) -> None:
-        if chosen.value in session.presets:
-            session.to_preset(chosen.value)
+    def go(name: str) -> None:
+        if name in session.presets:
+            session.to_preset(name)
 
     def held() -> str:
         names = (name for name, pose in session.presets.items() if np.array_equal(pose, session.state.pose))
@@ -76,7 +76,7 @@ def add_move_tab(page: Page) -> None:
         _add_slider(page, label, (lowest, highest, 1.0), name, lambda: session.hold, session.move, hint)
     looks = {"plane": lambda client: page.body.face(client, session.state), "body": page.body.face_body}
     look = gui.add_button_group("Look at", tuple(looks), hint="turns the 3-D view")
-    look.on_click(page.does(lambda event: looks[look.value](event.client)))
+    look.on_click(page.in_turn(lambda event: looks[event.target.value](event.client)))
     with gui.add_folder("See through (1 is opaque, 0 hidden)", expand_by_default=False):
         for name in page.body.tissues:
             read, write = partial(page.body.opacity_of, name), partial(page.body.see_through, name)
@@ -108,7 +108,7 @@ def add_hands(page: Page) -> None:
         if phase == "end":
             offset.clear()
 
-    page.body.grabbed = page.tells(grab)
+    page.body.grabbed = page.in_turn(grab)
 
 
 def add_scan_tab(page: Page) -> None:
@@ -142,5 +142,5 @@ def add_scan_tab(page: Page) -> None:
             label = f"at {round(100 * number / (_TGC_SLIDERS - 1))} %"
             page.add_slider(label, (-20.0, 20.0, 1.0), partial(level, number), partial(set_level, number))
     moving = gui.add_dropdown("Moving", tuple(map(str, Moving)), hint="what is rendered while the probe moves")
-    moving.on_update(page.does(lambda _: session.show(moving=Moving(moving.value))))
+    moving.on_update(page.does(lambda mode: session.show(moving=Moving(mode))))
     page.keep_equal(moving, lambda: str(session.state.moving))

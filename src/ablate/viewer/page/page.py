@@ -2,8 +2,8 @@
 
 import math
 import threading
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -38,6 +38,8 @@ class Page:
         self.lock, self._paper = threading.RLock(), threading.RLock()
         self._pencil = ThreadPoolExecutor(1, "pencil")
         self._drawing = self._pencil.submit(lambda: None)
+        self._hand = ThreadPoolExecutor(1, "hand")  # answers what browsers send, in the order in which it came
+        self._waiting: tuple[object, Future[None]] | None = None  # of a slider, and what it may still wait for
         self._words = ""
         self.images = server.gui.add_panel()
         with self.images.add_tab("Images"):
@@ -62,28 +64,47 @@ class Page:
 
         slider = self.server.gui.add_slider(label, lowest, highest, step, shown(), hint=hint or None)
         # The 8 of a typed 80 may be out of range and is not meant; when the box is left, the browser clamps its number.
-        slider.on_update(self.does(lambda _: lowest <= slider.value <= highest and write(round(slider.value, digits))))
+        move = self.does(lambda value: lowest <= value <= highest and write(round(value, digits)), streams=True)
+        slider.on_update(move)
         self.keep_equal(slider, shown)
 
     def add_button(self, label: str, work: Callable[[], object]) -> None:
         """Add a button that does some work."""
-        self.server.gui.add_button(label).on_click(self.does(lambda _: work()))
+        self.server.gui.add_button(label).on_click(self.in_turn(lambda _: work()))
 
     def add_key(self, key: str, words: str, work: Callable[[], object]) -> None:
         """Add a key that does some work."""
-        self.server.gui.add_command(words, hotkey=key).on_trigger(self.does(lambda _: work()))
+        self.server.gui.add_command(words, hotkey=key).on_trigger(self.in_turn(lambda _: work()))
 
     def keep_equal(self, control: Any, read: Callable[[], object]) -> None:
         """Have a control show what `read` gives."""
         self.refreshers.append(lambda: setattr(control, "value", read()))
 
-    def does(self, work: Callable[[Any], object]) -> Callable[[Any], None]:
-        """Make a callback for events of a browser, which gives the event to `work`.
+    def does(self, work: Callable[[Any], object], streams: bool = False) -> Callable[[Any], Coroutine[Any, Any, None]]:
+        """Make a callback for changes of a control, which gives its new value to `work`, as `in_turn` does.
 
-        Errors are shown as in `tells`. Changes that the program makes itself call it too, and are left out.
+        The value is read when it arrives, because the answer to an earlier change sets all controls to the state before
+        it. Of a control that `streams` values, one that still waits gives way to the next. Changes that the program
+        makes itself call it too, and are left out.
         """
         answer = self.tells(work)
-        return lambda event: None if event.client is None else answer(event)
+
+        async def take(event: Any) -> None:  # async, so that the thread that received the value calls it at once
+            if event.client is not None:
+                if self._waiting is not None and self._waiting[0] is answer and streams:
+                    self._waiting[1].cancel()
+                self._waiting = answer, self._hand.submit(answer, event.target.value)
+
+        return take
+
+    def in_turn(self, work: Callable[..., object]) -> Callable[..., None]:
+        """Do the same work after all that was asked for before, in a thread that may take its time, as in `tells`."""
+        answer = self.tells(work)
+
+        def ask(*arguments: Any) -> None:
+            self._waiting = answer, self._hand.submit(answer, *arguments)
+
+        return ask
 
     def tells(self, work: Callable[..., object]) -> Callable[..., None]:
         """Do the same work, one at a time; what goes wrong is shown in a sentence and not raised."""
@@ -138,7 +159,8 @@ class Page:
         self._drawing = self._pencil.submit(draw)
 
     def close(self) -> None:
-        """End the thread that draws, after the frame that it draws now."""
+        """End the threads that answer and draw, after what they do now."""
+        self._hand.shutdown()
         self._pencil.shutdown()
 
     @property

@@ -56,7 +56,7 @@ def add_compare_tab(page: Page, runs: Path) -> None:
     page.add_button("Look for new runs", look_again)
     trained = gui.add_markdown(invitation())
     difference = gui.add_checkbox("Difference to the simulated image", initial_value=False)
-    difference.on_update(page.does(lambda _: page.lay_out(difference=difference.value)))
+    difference.on_update(page.does(lambda wanted: page.lay_out(difference=wanted)))
     numbers = gui.add_markdown("")
     page.painters.append(lambda views: setattr(numbers, "content", _distances(page.layout.names, views)))
     named()
@@ -101,7 +101,7 @@ def _add_calipers(page: Page) -> None:
             answer.content = "The points are not on this plane."
 
     page.painters.append(follow)
-    page.body.clicked = page.tells(click)
+    page.body.clicked = page.in_turn(click)
     page.add_button("Clear the points", clear)
 
 
@@ -127,8 +127,8 @@ def add_keep_tab(page: Page) -> None:
         simulator = replace(state.simulator, time_gain_db=curve, dynamic_range_db=range_db)
         command.value = command_line(seeded, replace(state, simulator=simulator), "task=render", f"pose={pose}")
 
-    def switch(_: Any) -> None:
-        if record.value:
+    def switch(records: bool) -> None:
+        if records:
             page.sweep = Sweep()
             answer.content = "Recording: every frame that is shown is a pose of the sweep."
         elif (sweep := page.sweep) is not None:
@@ -164,8 +164,8 @@ def _add_cine(page: Page) -> None:
         page.shown = page.loop.before(seconds)
         page.paint(page.shown)
 
-    def start(_: Any) -> None:
-        if play.value:
+    def start(plays: bool) -> None:
+        if plays:
             look_back(LOOP_S)
             threading.Thread(target=run, name="cine", daemon=True).start()
 
@@ -187,6 +187,6 @@ def _add_cine(page: Page) -> None:
         if not session.frozen:
             back.value, play.value = 0.0, False
 
-    back.on_update(page.does(lambda _: look_back(back.value)))
+    back.on_update(page.does(look_back, streams=True))
     play.on_update(page.does(start))
     page.refreshers.append(refresh)
