@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from ablate.anatomy import load_tissues
-from ablate.dataset import fitted, label_values
+from ablate.dataset import label_values
 from ablate.dataset.encoding import HALF_RANGE
 from ablate.jobs.compose import jobs_of
 from ablate.networks import Generator, GeneratorSpec, conditions, count_generator, export_onnx
@@ -91,7 +91,7 @@ def spec_of(arguments: argparse.Namespace, width: float) -> GeneratorSpec:
     given = [f"preset={arguments.preset}", f"variant={arguments.variant}", "simulator.image_shape=[1000,1386]"]
     settings = jobs_of(given)[0].settings
     values = label_values(tuple(load_tissues().values()), settings.encoding)
-    return replace(fitted(settings.model, values), width=width)
+    return replace(settings.model, labels=values.shape[1], width=width)
 
 
 def drawn_generator(spec: GeneratorSpec) -> Generator:

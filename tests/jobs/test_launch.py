@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from ablate.jobs.compose import jobs_of
-from ablate.jobs.launch import VISIBLE, Launch, devices_to_share, least_busy, start_here
+from ablate.jobs.launch import VISIBLE, Launch, devices_to_share, start_here
 from ablate.runs.job import Job
 from ablate.settings.study import ConfigurationError, Task
 from ablate.tasks import command
@@ -224,11 +224,6 @@ def test_only_devices_that_are_visible_are_dealt(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv(VISIBLE, "GPU-5a, GPU-7c")
     assert devices_to_share("auto") == ("GPU-5a", "GPU-7c")
     assert devices_to_share("cpu") == ()
-
-
-def test_the_least_busy_device_is_next() -> None:
-    assert [least_busy("ab", busy) for busy in ([], ["a"], ["a", "b"], ["a", "b", "a"])] == ["a", "b", "a", "b"]
-    assert least_busy((), []) is None
 
 
 def test_each_study_of_a_sweep_is_compared_when_another_launcher_has_ended(

@@ -135,7 +135,7 @@ def _in_turns(runs: Mapping[str, Run], settings: Mapping[str, StudySettings], de
         network: (
             load_generator(run.checkpoint)
             if run.checkpoint.is_file()
-            else Generator(dataset.fitted(settings[network].model, values[network])).eval()
+            else Generator(replace(settings[network].model, labels=values[network].shape[1])).eval()
         ).to(device)
         for network, run in runs.items()
     }

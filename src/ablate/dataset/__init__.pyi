@@ -6,7 +6,6 @@ from .encoding import alike_labels as alike_labels
 from .encoding import counted_clipping as counted_clipping
 from .encoding import decode_grey_levels as decode_grey_levels
 from .encoding import encode_grey_levels as encode_grey_levels
-from .encoding import fitted as fitted
 from .encoding import label_values as label_values
 from .encoding import network_inputs as network_inputs
 from .export_formats import write_contact_sheet as write_contact_sheet

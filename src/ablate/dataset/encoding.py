@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -16,7 +15,6 @@ import numpy as np
 
 from ablate.anatomy import Tissue, TissueKind, echogenicity_order
 from ablate.dataset.split import Drawn
-from ablate.networks.spec import GeneratorSpec
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -74,11 +72,6 @@ def alike_labels(tissues: Sequence[Tissue], values: np.ndarray) -> list[str]:
     names, rows = ("outside the fan", *(tissue.name for tissue in tissues)), values.tolist()
     groups = {tuple(row): [name for name, own in zip(names, rows, strict=True) if own == row] for row in rows}
     return [f"The network reads the same for {' and '.join(group)}." for group in groups.values() if len(group) > 1]
-
-
-def fitted(spec: GeneratorSpec, values: np.ndarray) -> GeneratorSpec:
-    """The specification for labels with these `values` of `label_values`."""
-    return replace(spec, labels=values.shape[1])
 
 
 def encode_grey_levels(levels: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:

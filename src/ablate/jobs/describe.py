@@ -7,7 +7,7 @@ import pandas as pd
 
 from ablate import networks
 from ablate.anatomy import load_tissues
-from ablate.dataset.encoding import fitted, label_values
+from ablate.dataset.encoding import label_values
 from ablate.jobs.compose import job_of, quoted
 from ablate.jobs.scale import PAPER_CROP, PAPER_ROWS, paper_levels
 from ablate.networks import GeneratorSpec, PatchDiscriminator, Space
@@ -74,7 +74,8 @@ def _variants(jobs: Sequence[Job]) -> list[tuple[str, StudySettings]]:
 
 
 def _row(settings: StudySettings) -> dict[str, object]:
-    spec = fitted(settings.model, label_values(tuple(load_tissues().values()), settings.encoding))
+    values = label_values(tuple(load_tissues().values()), settings.encoding)
+    spec = replace(settings.model, labels=values.shape[1])
     rows = settings.simulator.image_shape[0]
     at_paper = paper_levels(spec.depth, rows)
     row: dict[str, object] = {

@@ -91,7 +91,8 @@ def _start(launcher: Any, n_jobs: int, jobs: Sequence[Numbered], work: Work) -> 
         while coming or running:
             while coming and len(running) < n_jobs:
                 numbered = coming.pop(0)
-                device = least_busy(devices, [taken for _, _, taken in running.values()])
+                busy = [taken for _, _, taken in running.values()]
+                device = min(devices, key=busy.count, default=None)  # the one that fewest have
                 arguments = launcher.hydra_context, launcher.config, numbered, work, Singleton.get_state()
                 content = cloudpickle.dumps((run_in_process, arguments))
                 process = _started(content, n_jobs, device)
@@ -160,8 +161,3 @@ def devices_to_share(device: str) -> tuple[str, ...]:
     visible = os.environ.get(VISIBLE, ",".join(map(str, range(count))))
     named = [name.strip() for name in visible.split(",")][:count]
     return tuple(named) if len(named) > 1 else ()
-
-
-def least_busy(devices: Sequence[str], busy: Sequence[str | None]) -> str | None:
-    """The device that fewest of the running jobs have, the first of several; None where there are no devices."""
-    return min(devices, key=busy.count, default=None)

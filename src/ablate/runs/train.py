@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -176,7 +177,7 @@ def _train_and_score(job: Job, run: Run, data: DataSet, log: LocalLog) -> tuple[
     s, pairs = job.settings, data.pairs
     started = time.perf_counter()
     values = dataset.label_values(data.tissues, s.encoding, s.label_seed)
-    spec, cut = dataset.fitted(s.model, values), s.crops
+    spec, cut = replace(s.model, labels=values.shape[1]), s.crops
     settings = CropSettings(s.training.crop, s.training.batch_size, cut.fan_fraction, cut.flip, s.seed, spec.space)
     crops = Crops(pairs, pairs.frames(Part.train), frozenset(conditions(spec)), values, settings)
     trained = train(

@@ -25,7 +25,7 @@ from ablate.setting import plain
 from ablate.training.settings import TRAINING_VERSION, AdversarialLoss, Reconstruction, TrainingSettings
 
 # The seeds of a batch lie below 2^62 (`Crops`), so with this bit no second draw repeats a first one.
-_SECOND_DRAW = 1 << 62
+SECOND_DRAW = 1 << 62
 # The running average follows faster at first: min(decay, (1 + t) / (10 + t)) at step t.
 _EMA_LAG = 10
 
@@ -94,7 +94,7 @@ class PairGAN(LightningModule):
         mask, image = batch["mask"].float(), batch["target"]
         seeds = batch["noise_seed"]
         if self.settings.reconstruction is Reconstruction.crps and draws_noise(self.spec):
-            seeds = torch.cat((seeds, second_seeds(seeds)))
+            seeds = torch.cat((seeds, seeds ^ SECOND_DRAW))
         rendered = self._rendered(maps, seeds)
         fake, *second = (mask * (draw.float() + 1) - 1 for draw in rendered.split(len(image)))  # black outside the fan
         losses: dict[str, Tensor] = {}
@@ -195,8 +195,3 @@ def crps_of_two_draws(first: Tensor, second: Tensor, target: Tensor) -> Tensor:
     posterior sampling in image recovery problems", NeurIPS 2023, train a conditional GAN with two draws.
     """
     return ((first - target).abs() + (second - target).abs() - (first - second).abs()) / 2
-
-
-def second_seeds(noise_seed: Tensor) -> Tensor:
-    """Derive the seeds of the second draw from those of the first, (N,) int64 both."""
-    return torch.bitwise_xor(noise_seed, _SECOND_DRAW)

@@ -182,8 +182,12 @@ def _row(
     return row | {"improvement": improvement, "error": error, "p": model.p_value(averaged), "p_band": below}
 
 
-def _require_told(component: Component, design: Design | None) -> None:
-    """Raise ValueError where a design says nothing of a component; the message says why."""
+def _require_judged(component: Component, design: Design | None) -> tuple[str, float]:
+    """A component's metric and band; raises ValueError where it cannot be judged by them, and the message says why."""
+    if component.metric is None or component.band is None:
+        raise ValueError(UNDECLARED)
+    if metric_of(component.metric).better is Direction.none:
+        raise ValueError("it has no metric that judges it")
     if design is None or component.key not in design.factors:
         raise ValueError("no run goes without it")
     here, there = design.cells[component.key].cat.categories
@@ -192,15 +196,6 @@ def _require_told(component: Component, design: Design | None) -> None:
         told = abs(here - there) >= abs(component.on - component.off) - 1  # type: ignore[operator]
     if not told:
         raise ValueError(f"the runs compare {here} with {there}")
-
-
-def _require_judged(component: Component, design: Design | None) -> tuple[str, float]:
-    """A component's metric and band; raises ValueError where it cannot be judged by them."""
-    if component.metric is None or component.band is None:
-        raise ValueError(UNDECLARED)
-    if metric_of(component.metric).better is Direction.none:
-        raise ValueError("it has no metric that judges it")
-    _require_told(component, design)
     return component.metric, component.band
 
 

@@ -181,11 +181,6 @@ def ladders(base: SimulatorSettings) -> dict[str, dict[int, SimulatorSettings]]:
     return {name: {v: replace(base, **{name: v}) for v in sorted(chosen)} for name, chosen in values.items()}
 
 
-def series_name(name: str) -> str:
-    """Name a ladder as tables and figures do."""
-    return f"simulator, {name.replace('_', ' ')}"
-
-
 def measure_simulator(bench: Bench) -> tuple[Frames, list[Row], list[Row]]:
     """Measure the simulator: the reference, rows of errors and times, and rows of convergence, limits and stages.
 
@@ -205,11 +200,11 @@ def measure_simulator(bench: Bench) -> tuple[Frames, list[Row], list[Row]]:
     points: list[Row] = []
     details: list[Row] = []
     for name, ladder in ladders(base).items():
-        measured = render_all(bench, list(ladder.values()), seeds, name)
+        measured, words = render_all(bench, list(ladder.values()), seeds, name), name.replace("_", " ")
         for value, ((rendered, other), ms) in zip(ladder, measured, strict=True):
             errors = errors_of(rendered)
-            points += each(series_name(name), value, ms, values=errors)
-            points += each(OTHER_SERIES, f"{name.replace('_', ' ')} {value}", ms, values=errors_of(other))
+            points += each(f"simulator, {words}", value, ms, values=errors)
+            points += each(OTHER_SERIES, f"{words} {value}", ms, values=errors_of(other))
             if name == "rays":
                 to_half = errors_of(rendered, half)
                 changes = {metric: relative_change(metric, errors[metric], to_half[metric]) for metric in errors}
@@ -218,7 +213,7 @@ def measure_simulator(bench: Bench) -> tuple[Frames, list[Row], list[Row]]:
                 usual = rendered
     for name in _GRIDS:
         for setting, errors in _converging(bench, name).items():
-            details += each("convergence", series_name(name), setting, values=errors)
+            details += each("convergence", f"simulator, {name.replace('_', ' ')}", setting, values=errors)
     in_float64 = replace(base, precision=SimulatorPrecision.float64)
     (((double,), _),) = render_all(bench, [in_float64], seeds[:1], "float64")
     limits = errors_of(usual, double)  # of the signal chain in single precision, on the same paths
