@@ -23,7 +23,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 8 to 19 minutes on two cores
+sweep: $(STAMP) ## simulate, train and compare SA2H, SA2H-att and NSA2H; 8 to 22 minutes on two cores
 	$(BIN)/python -m ablate -m variant=sa2h,sa2h-att,nsa2h
 
 answer: $(STAMP) ## which components earn their keep: 52 trainings in two anatomies, nine beside them and 36 of the extension, kept in docs/results; resumable
