@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from ablate.analysis import effects_table, factorial_effects, find_design, run_means
+from ablate.analysis.scored import RESIMULATION, finite_values
 from ablate.analysis.statistics.effects import defining_relation
 from support.components import without
 
@@ -218,3 +219,17 @@ def test_cells_of_two_anatomies_are_counted_once():
     labels = study_of(LEAVE_ONE_OUT)
     twice = labels | {f"{label}.anatomy_seed-1": made for label, made in labels.items()}
     assert find_design(twice, FACTORS).name == "one change at a time around sa2h (6 cells)"
+
+
+def test_the_level_of_the_resimulation_is_over_the_frames_of_the_networks() -> None:
+    """Every network equals the re-simulation on every frame, and one has no value on the hard half of them."""
+    rows = [
+        (v, s, f, f, "mae_smooth", np.nan if (v, s) == ("sa2h-att", 2) and f > 11 else 10.0 + 30.0 * (f > 11))
+        for v, seeds in ((RESIMULATION, (0,)), ("sa2h", (0, 1, 2)), ("sa2h-att", (0, 1, 2)))
+        for s in seeds
+        for f in range(24)
+    ]
+    values = finite_values(pd.DataFrame(rows, columns=["variant", "seed", "frame", "site", "metric", "value"]))
+    assert values.groupby("variant")["value"].mean().to_dict() == dict.fromkeys(
+        (RESIMULATION, "sa2h", "sa2h-att"), 10.0
+    )

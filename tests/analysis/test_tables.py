@@ -211,9 +211,11 @@ def test_the_caption_tells_a_floor_from_a_level(large):
     assert "floor" not in alone
 
 
-def test_the_caption_counts_one_test_frame_too(large):
-    one = large.assign(n=large["seeds"], sd=np.nan)
-    assert "over 1 test frame, 3 seeds" in analysis.to_latex(one)
+def test_the_caption_tells_of_frames_only_where_there_are_values_of_frames(large):
+    one = large.assign(n=large["seeds"], dropped=0, sd=np.nan)
+    assert r"\caption{Mean, 3 seeds a network." in analysis.to_latex(one)
+    less = large.assign(n=large["n"] - large["seeds"], dropped=large["seeds"])  # one frame of each run is infinite
+    assert "over 24 test frames, 3 seeds" in analysis.to_latex(less)
 
 
 def test_special_signs_are_escaped():

@@ -179,6 +179,29 @@ def test_a_number_is_judged_on_its_declared_levels_alone(here: float, other: flo
     assert judged or row["why"] == f"the runs compare {here} with {other}"
 
 
+@pytest.mark.parametrize(("on", "judged"), [(1e-3, True), (1e-4, True), (2e-3, False), ("1e-3", False)])
+def test_a_level_that_no_run_has_judges_nothing(on: object, judged: bool) -> None:
+    """YAML reads 1e-3 as text; the other level would be taken for the one with the component."""
+    key = "training.learning_rate"
+    design = find_design({"sa2h": {key: 1e-3}, "sa2h.rate": {key: 1e-4}}, (key,))
+    assert design is not None
+    rows = [(v, s, "", 9.0 + s + 5 * (v == "sa2h.rate")) for v in design.cells.index for s in range(3)]
+    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric="mae_smooth")
+    rate = Component("rate", key, on, metric="mae_smooth", band=0.5)
+    row = analysis.verdict_table(runs.join(design.cells, on="variant"), design, [rate]).iloc[0]
+    assert pd.notna(row["effect"]) == judged
+    assert judged or row["why"] == "the runs compare 0.001 with 0.0001"
+
+
+def test_a_cost_judges_nothing_because_the_seeds_of_a_network_share_one_time() -> None:
+    pair = with_and_without("none")
+    rows = [(v, s, "", 40.0 + 2 * (v == "sa2h-att")) for v in pair.cells.index for s in range(3)]
+    runs = pd.DataFrame(rows, columns=["variant", "seed", "data", "value"]).assign(metric="ms_per_frame")
+    fast = replace(COMPONENTS[NAMES.index("att")], metric="ms_per_frame")
+    row = analysis.verdict_table(runs.join(pair.cells, on="variant"), pair, [fast]).iloc[0]
+    assert (row["verdict"], row["why"]) == ("undecided", "it has no metric that judges it")
+
+
 def test_what_cannot_be_judged_says_why(design: Design, cells: pd.DataFrame) -> None:
     means = means_of(cells, design, response(cells, {}, {}))
     nothing = verdict_table(means, None)

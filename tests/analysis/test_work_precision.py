@@ -51,3 +51,7 @@ def test_pareto_front_against_brute_force() -> None:
         front = pareto_front(ms, error)
         assert {(ms[k], error[k]) for k in front} == expected
         assert len(front) == len(expected)
+
+
+def test_a_point_without_an_error_is_not_on_the_front() -> None:
+    assert pareto_front(np.array([1.0, 2.0, 3.0]), np.array([np.nan, 5.0, 4.0])).tolist() == [1, 2]

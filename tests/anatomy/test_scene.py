@@ -1,6 +1,7 @@
 """A scene: its identity and imports; kept on disk the same again, made anew when the file is not what was written."""
 
 import logging
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,8 +13,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from ablate.anatomy import Scene, Structure, Tissue, content_hash, fetal_abdomen, load_tissues
+from ablate.anatomy import Scene, Structure, Tissue, fetal_abdomen, load_tissues
 from ablate.anatomy.scene import cached_scene
+from support.scene_hash import content_hash
 
 TISSUES = load_tissues()
 
@@ -50,8 +52,10 @@ def test_hash_changes_with_shape_tissue_background_and_order_but_not_with_the_na
 
 
 def test_hash_is_the_same_in_another_process(built: Callable[[int, int], Scene]) -> None:
-    code = "from ablate.anatomy import *; print(content_hash(fetal_abdomen(4000, seed=4)))"
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    code = "from ablate.anatomy import fetal_abdomen; from support.scene_hash import content_hash"
+    code += "; print(content_hash(fetal_abdomen(4000, seed=4)))"
+    tests = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=tests)
     assert result.stdout.strip() == content_hash(built(4_000, 4)) != content_hash(built(4_000, 0))
 
 
@@ -105,15 +109,11 @@ def test_second_call_reads_the_same_scene_and_other_parameters_are_another_file(
     assert [path.suffix for path in (tmp_path / "new").iterdir()] == [".npz", ".npz"]
 
 
-@pytest.mark.parametrize("harm", ["empty", "cut", "other scene"])
+@pytest.mark.parametrize("harm", ["empty", "cut"])
 def test_broken_file_is_built_again(tmp_path: Path, caplog: pytest.LogCaptureFixture, build: Mock, harm: str) -> None:
     cached_scene(tmp_path, build)
     path = next(tmp_path.iterdir())
-    if harm == "other scene":
-        with np.load(path) as arrays:
-            np.savez(path, **{**arrays, "vertices": arrays["vertices"] + 1.0})
-    else:
-        path.write_bytes(path.read_bytes()[:500] if harm == "cut" else b"")
+    path.write_bytes(path.read_bytes()[:500] if harm == "cut" else b"")
     with caplog.at_level(logging.WARNING):
         again = cached_scene(tmp_path, build)
     assert build.call_count == 2
@@ -158,7 +158,7 @@ def test_a_file_with_any_bit_flipped_gives_the_scene_that_was_written(tmp_path: 
 LIGHT = """
 import sys
 from ablate.anatomy.scene import FEWEST_TRIANGLES
-from ablate.anatomy import Scene, SiteGrid, Structure, Tissue, content_hash
+from ablate.anatomy import Scene, SiteGrid, Structure, Tissue
 from ablate.anatomy import fetal_sites, load_tissues, validate_scene_folder
 Scene((), load_tissues()["fat"], "fat"), fetal_sites()
 print([name for name in ("trimesh", "scipy", "skimage", "torch", "mapbox_earcut") if name in sys.modules])

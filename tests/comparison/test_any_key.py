@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from ablate.comparison.usable_runs import check_alike, usable_runs
 from ablate.jobs.compose import jobs_of
 from ablate.metrics.metric import RESIMULATED
 from ablate.runs.job import Job
+from ablate.runs.place import check_place, sources_of
 from ablate.runs.run import Run
 from ablate.settings.study import ConfigurationError
 from support.finished_runs import finish
@@ -97,11 +99,37 @@ def test_two_data_sets_of_one_recipe_are_never_mixed(tmp_path: Path) -> None:
 
 def test_different_code_of_one_metric_is_never_mixed(tmp_path: Path) -> None:
     jobs = swept(tmp_path, "variant=sa2h,nsa2h")
-    check_alike([finish(job, sources={"my.bias": "1"} if job.label == "sa2h" else {}) for job in jobs])
-    for name, source in (("my.bias", "2"), ("yours.bias", "1")):  # values have the last part of the path as their name
+    check_alike([finish(job, sources={"my.bias": "bias 1"} if job.label == "sa2h" else {}) for job in jobs])
+    for name, source in (("my.bias", "bias 2"), ("yours.bias", "bias 1"), ("my.error", "bias 3")):
         finish(jobs[-1], sources={name: source})
-        with pytest.raises(ConfigurationError, match=r"bias has scored .* by different code: repeat the command"):
+        with pytest.raises(
+            ConfigurationError, match=r"(bias|error) has scored .* by different code: repeat the command"
+        ):
             usable_runs(jobs[0].settings.study_dir)
+
+
+def test_a_metric_is_known_by_the_name_that_its_values_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "from ablate.metrics import Direction, Metric\ndef bias(pair):\n    return 1.0\n"
+    code += "error = Metric('bias', 'Bias', 'share', Direction.lower, of_image=bias)\n"
+    (tmp_path / "two_of_one_name.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    sources = sources_of(["psnr", "two_of_one_name.bias", "two_of_one_name.error"])
+    assert [source.partition(" ")[0] for source in sources.values()] == ["bias", "bias"]
+
+
+@pytest.mark.parametrize("words", [["preset=tiny"], ["-m", "preset=tiny,quick"]])
+def test_runs_of_one_preset_share_their_training_also_where_another_preset_was_swept(
+    tmp_path: Path, words: list[str]
+) -> None:
+    given = [f"runs_dir={tmp_path}", "study_name=s"]
+    for job in jobs_of(["-m", "variant=sa2h", "preset=tiny,quick", *given]):
+        finish(job)
+    for changed, refused in ((["training.steps=7"], True), ([], False)):
+        added = jobs_of([*words, "variant=nsa2h", *changed, *given])[0]
+        with (
+            pytest.raises(ConfigurationError, match=r"training\.steps: .* there, 7 here") if refused else nullcontext()
+        ):
+            check_place(added)
 
 
 def test_two_networks_under_one_label_are_never_averaged(tmp_path: Path) -> None:

@@ -128,6 +128,17 @@ def test_a_new_network_is_timed_together_with_all_others(study: Path, measured: 
     assert set(times_of(study).values()) == {20.0}
 
 
+def test_times_of_two_moments_are_never_in_one_column(study: Path, measured: list[set[str]], tmp_path: Path) -> None:
+    time_networks(study, runs_of(study))
+    (study / "nsa2h").rename(tmp_path / "away")
+    write_run(study, "lsa2h", 3.0)
+    time_networks(study, runs_of(study))
+    (tmp_path / "away").rename(study / "nsa2h")
+    time_networks(study, runs_of(study))
+    assert len(measured) == 3
+    assert set(times_of(study).values()) == {30.0}
+
+
 def test_another_machine_is_timed_anew_and_the_old_one_kept(
     study: Path, measured: list[set[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -42,7 +42,7 @@ def test_npy_and_csv_hold_the_same_poses(tmp_path: Path) -> None:
         (np.full((1, 4, 4), np.nan), "pose 0: pose must be finite"),
         (np.eye(3), r"must hold poses of shape \(n, 4, 4\), not float64 of \(3, 3\)"),
         ("", "no column x; the columns are '', and x, y, z"),
-        ("x,y,z,qw,qx,qy,qz\n", "no row below the names of the columns"),
+        ("x,y,z,qw,qx,qy,qz\n", r"must hold poses of shape \(n, 4, 4\), not float64 of \(0, 4, 4\)"),
         ("x,y,z,qw,qx,qy\n0,0,0,1,0,0\n", "no column qz"),
         ("x,y,z,qw,qx,qy,qz\n0,0,0,1,1,0,0\n", "row 0: the quaternion must have length 1, not 1.414"),
         (

@@ -9,7 +9,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from ablate.anatomy import Scene, SiteGrid, Structure, Tissue, fetal_abdomen, fetal_sites, load_scene, load_sites
-from ablate.dataset import Dropped, place_probe, probe_poses, resample_grid
+from ablate.dataset import Dropped, place_probe, resample_grid
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import face_points
 
@@ -51,7 +51,7 @@ def test_poses_are_rigid_and_touch_the_skin() -> None:
 
 def test_angles_turn_about_the_axis_and_the_probe_looks_inward() -> None:
     grid = SiteGrid((0, 0, 1), (0, -1, 0), (0.0,), (0.0, 90.0), (0.0,), (0.0,))
-    front, side = probe_poses(cylinder(100), grid, press_mm=5)
+    front, side = place_probe(cylinder(100), grid, press_mm=5).poses
     np.testing.assert_allclose(front[:3, 3], [0, -95, 0], atol=0.1)
     np.testing.assert_allclose(front[:3, 2], [0, 1, 0], atol=0.01)
     np.testing.assert_allclose(front[:3, 0], np.cross(front[:3, 2], [0, 0, 1]), atol=0.01)  # x = z cross axis
@@ -60,7 +60,7 @@ def test_angles_turn_about_the_axis_and_the_probe_looks_inward() -> None:
 
 def test_roll_turns_to_the_sagittal_plane_and_tilt_rocks_within_the_plane() -> None:
     grid = SiteGrid((0, 0, 1), (0, -1, 0), (0.0,), (0.0,), (0.0, 15.0), (0.0, 90.0))
-    upright, sagittal, tilted, _ = probe_poses(cylinder(100), grid, press_mm=0)
+    upright, sagittal, tilted, _ = place_probe(cylinder(100), grid, press_mm=0).poses
     assert abs(sagittal[:3, 0] @ [0, 0, 1]) == pytest.approx(1, abs=0.01)
     np.testing.assert_allclose(tilted[:3, 1], upright[:3, 1], atol=1e-9)
     assert tilted[:3, 2] @ upright[:3, 2] == pytest.approx(np.cos(np.deg2rad(15)))
@@ -69,7 +69,7 @@ def test_roll_turns_to_the_sagittal_plane_and_tilt_rocks_within_the_plane() -> N
 def test_a_press_that_is_no_number_is_refused() -> None:
     grid = SiteGrid((0, 0, 1), (0, -1, 0), (0.0,), (0.0,), (0.0,), (0.0,))
     with pytest.raises(ValueError, match="press_mm=nan: allowed are finite numbers"):
-        probe_poses(cylinder(100), grid, press_mm=float("nan"))
+        place_probe(cylinder(100), grid, press_mm=float("nan"))
 
 
 @pytest.mark.parametrize(("tilt", "press_mm"), [(-20.0, 0.0), (0.0, 3.0), (15.0, 8.0)])
@@ -77,7 +77,7 @@ def test_on_a_flat_skin_the_arc_reaches_the_press_and_no_deeper(tilt: float, pre
     """The lowest point of a rocked arc is that of its circle: its centre stays 40 mm - press above a flat skin."""
     slab = scene((box((-100, 0, -100), (100, 80, 100)), SKIN))
     grid = SiteGrid((0, 0, 1), (0, -1, 0), (0.0,), (0.0,), (tilt,), (0.0, 90.0))
-    for m in probe_poses(slab, grid, press_mm):
+    for m in place_probe(slab, grid, press_mm).poses:
         centre = m[:3, 3] - 40 * m[:3, 2]
         assert centre[1] == pytest.approx(press_mm - 40, abs=0.01)
         assert dense_face(m)[:, 1].max() == pytest.approx(press_mm, abs=0.01)
@@ -105,7 +105,7 @@ def test_over_a_groove_the_probe_rests_on_its_edges() -> None:
     left, right = box((-80, 0, -80), (-5, 60, 80)), box((5, 0, -80), (80, 60, 80))
     floor = box((-80, 30, -80), (80, 60, 80))
     grid = SiteGrid((0, 0, 1), (0, -1, 0), (0.0,), (0.0,), (0.0,), (0.0,))
-    (pose,) = probe_poses(scene((left, SKIN), (right, SKIN), (floor, SKIN)), grid, press_mm=4)
+    (pose,) = place_probe(scene((left, SKIN), (right, SKIN), (floor, SKIN)), grid, press_mm=4).poses
     assert pose[1, 3] == pytest.approx(4 + 40 - np.sqrt(40**2 - 5**2), abs=0.12)
     face = dense_face(pose)
     assert face[np.abs(face[:, 0]) > 5][:, 1].max() <= 4 + 0.1  # the arc is looked at every 1.7 mm
@@ -166,9 +166,9 @@ def test_directions_that_miss_are_dropped_and_nothing_left_is_an_error() -> None
     assert placed.dropped[Dropped.no_skin] == 2
     beyond = SiteGrid((0, 0, 1), (0, -1, 0), (500.0,), (0.0,), (0.0,), (0.0,))
     with pytest.raises(ValueError, match=r"no probe pose can be used.*1 the direction misses the body"):
-        probe_poses(cylinder(100), beyond, 5)
+        place_probe(cylinder(100), beyond, 5)
     with pytest.raises(ValueError, match="no structure"):
-        probe_poses(Scene((), Tissue("gel"), "empty"), GRID, 5)
+        place_probe(Scene((), Tissue("gel"), "empty"), GRID, 5)
 
 
 @pytest.mark.parametrize("where", ["fetal", "ircad11"])
@@ -206,6 +206,12 @@ def test_a_grid_is_resampled_over_its_own_ranges() -> None:
     assert counts == [13, 19, 9, 3]
     assert (fine.heights_mm[0], fine.heights_mm[-1]) == (-20, 20)
     assert 13 * 19 * 9 * 3 == 6669  # the paper's number of frames
+
+
+@pytest.mark.parametrize("angles", [(340.0, 0.0, 20.0), (-20.0, 0.0, 20.0), (20.0, 0.0, -20.0)])
+def test_angles_that_pass_zero_are_resampled_between_their_ends(angles: tuple[float, ...]) -> None:
+    fine = resample_grid(replace(GRID, angles_deg=angles), (1, 5, 1, 1))
+    assert [(angle + 180) % 360 - 180 for angle in fine.angles_deg] == [-20.0, -10.0, 0.0, 10.0, 20.0]
 
 
 def test_no_place_comes_twice_in_a_grid() -> None:

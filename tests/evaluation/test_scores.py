@@ -36,6 +36,7 @@ from ablate.runs.data_set import maps_needed
 from ablate.runs.job import Job
 from ablate.runs.place import finished_run
 from ablate.runs.prepare import prepare_data
+from ablate.runs.run import State
 from ablate.runs.train import run_job, scorer
 from ablate.settings.study import ConfigurationError, StudySettings
 from ablate.storage import write_json
@@ -330,3 +331,21 @@ def test_metrics_added_later_are_computed_without_training(runs: Path, network: 
     run_job(more)
     assert json.loads((few.folder / "result.json").read_text())["scalars"] == pytest.approx(again["scalars"])
     assert (few.folder / "last.ckpt").stat().st_mtime_ns == checkpoint, "scored again, not trained again"
+
+
+def test_a_run_whose_scores_are_in_the_making_is_not_finished(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Killed between its files, it had new scores and a result that told of the old ones."""
+    few, more = (job(runs, "study_name=killed", f"metrics=[{names}]") for names in ("mae", "mae,psnr"))
+    run_job(few)
+
+    def killed(*_: object, **__: object) -> None:
+        raise InterruptedError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez_compressed", killed)  # of pictures, after the scores
+        with pytest.raises(InterruptedError):
+            run_job(more)
+    assert few.run.state is State.resumable
+    run_job(more)
+    assert few.run.state is State.finished
+    assert {"train/seconds", "seconds", "test/psnr"} <= few.run.result["scalars"].keys()

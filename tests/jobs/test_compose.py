@@ -18,6 +18,8 @@ from ablate.settings.conf import components, variant_names
 from ablate.settings.study import ConfigurationError, SceneKind, SceneSettings, StudySettings
 from support.studies import study_group
 
+ALIKE = "quick", "quick"  # the presets of two runs
+
 
 def test_a_sweep_is_the_product_of_its_values() -> None:
     jobs = jobs_of(["-m", "variant=sa2h,nsa2h", "seed=0,1"])
@@ -98,7 +100,7 @@ def test_the_study_has_each_network_equally_often_in_both_anatomies() -> None:
     assert {anatomy for _, anatomy in runs} == {3, 4}
     assert all(count == (4 if label == "sa2h" else 2) for (label, _), count in runs.items())
     assert len(runs) == 2 * (1 + len(components())), "each component is switched off alone"
-    assert not [d for job in jobs for d in not_shared(jobs[0].semantic, job.semantic, dict(job.changed))]
+    assert not [d for job in jobs for d in not_shared(jobs[0].semantic, job.semantic, dict(job.changed), ALIKE)]
     orders = {job.settings.label_seed for job in jobs if job.settings.encoding is Encoding.arbitrary}
     assert len(orders) == 2, "an order of the labels for each seed"
 
@@ -106,7 +108,7 @@ def test_the_study_has_each_network_equally_often_in_both_anatomies() -> None:
 def test_the_study_and_the_runs_beside_it_are_one_study() -> None:
     jobs, beside = study_group("full_model"), study_group("full_model_beside")
     assert {job.settings.study_dir for job in beside} == {jobs[0].settings.study_dir}
-    assert not [d for job in beside for d in not_shared(jobs[0].semantic, job.semantic, dict(job.changed))]
+    assert not [d for job in beside for d in not_shared(jobs[0].semantic, job.semantic, dict(job.changed), ALIKE)]
     assert not {job.folder for job in jobs} & {job.folder for job in beside}
     of_both = {job.label: levels_of(job.semantic) for job in (*jobs, *beside)}
     factors = [*(component.key for component in components()), *(key for job in beside for key in dict(job.changed))]

@@ -49,7 +49,7 @@ def every_frame(per_image: pd.DataFrame, metric: str | None = None) -> pd.DataFr
 def finite_values(per_image: pd.DataFrame, scalars: pd.DataFrame | None = None) -> pd.DataFrame:
     """The finite values of both tables, with the columns variant, seed, metric, value, and data where they have it.
 
-    Of networks they are those of frames of which all runs have one, or means of runs would be over different frames. A
+    They are those of frames of which all runs of networks have one, or means of runs would be over different frames. A
     run without one finite value of a metric does not count.
     """
     data = [*({"data"} & set(per_image))]
@@ -57,7 +57,9 @@ def finite_values(per_image: pd.DataFrame, scalars: pd.DataFrame | None = None) 
     run = finite["variant"] + " " + finite["seed"].astype(str)
     alike = [finite["variant"] == RESIMULATION, *(finite[name] for name in ("metric", *data))]
     of_frame, of_all = (run.groupby(by).transform("nunique") for by in ([*alike, finite["frame"]], alike))
-    shared = finite.loc[(of_frame == of_all) | alike[0], [*SCALAR_COLUMNS, *data]]
+    networks, frame = finite[(of_frame == of_all) & ~alike[0]], ["metric", *data, "frame"]
+    floor = finite[alike[0]].merge(networks[frame].drop_duplicates(), on=frame)
+    shared = pd.concat([networks, floor], ignore_index=True)[[*SCALAR_COLUMNS, *data]]
     if scalars is None:
         return shared
     return pd.concat([shared, scalars.loc[np.isfinite(scalars["value"]), [*SCALAR_COLUMNS, *data]]])

@@ -216,7 +216,7 @@ def _caption(table: pd.DataFrame, metrics: list[str]) -> str:
     networks = table[table["variant"] != RESIMULATION]
     few, many = (int(f(networks["seeds"])) if len(networks) else 0 for f in (min, max))
     seeds = f"{many} seed{'' if many == 1 else 's'}" if few == many else f"{few} to {many} seeds"
-    frames = int((table["n"] / table["seeds"]).max())
+    frames = int(((table["n"] + table["dropped"]) / table["seeds"]).max())  # 1 of metrics with a value a run
     note = f" {resimulation_note(metrics)}" if RESIMULATION in set(table["variant"]) else ""
-    text = f"Mean and standard deviation over {frames} test frame{'' if frames == 1 else 's'}, {seeds} a network."
-    return f"{text} Bold is the best network.{note}"
+    text = f"Mean and standard deviation over {frames} test frames" if frames > 1 else "Mean"
+    return f"{text}, {seeds} a network. Bold is the best network.{note}"

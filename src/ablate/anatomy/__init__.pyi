@@ -5,7 +5,6 @@ from .scene import ANATOMY_VERSION as ANATOMY_VERSION
 from .scene import Scene as Scene
 from .scene import Structure as Structure
 from .scene import bounds_mm as bounds_mm
-from .scene import content_hash as content_hash
 from .scene_folder import load_scene as load_scene
 from .scene_folder import load_sites as load_sites
 from .scene_folder import mesh_files as mesh_files

@@ -73,10 +73,13 @@ def validate_scene_folder(folder: str | Path) -> SceneFolder:
         meshes.append((mesh, tissues[values.one_of(entry.get("tissue"), tissues, f"{where}.tissue")]))
     background = tissues[values.one_of(content.get("background", "coupling_gel"), tissues, f"{path}: background")]
     labels = checked_labels(content["labels"], folder, tissues, f"{path}: labels") if content.get("labels") else None
-    for mesh, _ in meshes if labels else ():
+    in_space = {"RAS": "labels are"} if labels else {}
+    for mesh, _ in meshes:
         with mesh.open("rb") as stream:
-            if b"SPACE=LPS" in stream.read(512):  # as 3D Slicer marks it
-                raise ValueError(f"{path}: {mesh.name} is in LPS, but labels are in RAS; export it as RAS")
+            head = stream.read(512)
+        in_space |= {space: f"{mesh.name} is" for space in ("LPS", "RAS") if f"SPACE={space}".encode() in head}
+    if len(in_space) > 1:  # as 3D Slicer marks meshes
+        raise ValueError(f"{path}: {in_space['LPS']} in LPS, but {in_space['RAS']} in RAS; export all as RAS")
     names = [*(name for name, _ in (labels.structures if labels else ())), *(mesh.name for mesh, _ in meshes)]
     sites = _sites(content["sites"], f"{path}: sites", mm_per_unit, names) if content.get("sites") else None
     return SceneFolder(folder.resolve().name, mm_per_unit, background, tuple(meshes), sites, labels)

@@ -11,7 +11,7 @@ import pandas as pd
 from filelock import FileLock
 
 from ablate import analysis, tracking
-from ablate.analysis import RESIMULATION, FramePictures
+from ablate.analysis import RESIMULATION, FramePictures, listed
 from ablate.analysis.tables import head
 from ablate.comparison.frame_times import TIMES, time_networks, timed_on, untimed
 from ablate.comparison.opened import Study
@@ -192,6 +192,8 @@ def _track(settings: StudySettings, study: Study, notes: Sequence[str]) -> None:
             if run_id is not None and FRAME_TIME in row:
                 StoredRun(run.store, run_id).scores({FRAME_TIME: row[FRAME_TIME]})
         headline = table[table["metric"].isin(shown_in(Shown.headline))]
+        if earlier := run.artifacts() - {path.name for path in files}:
+            notes = [*notes, f"Files of earlier comparisons, which are not made any more: {listed(sorted(earlier))}."]
         _describe(run, runs, ids, headline, notes)
         run.tags({STATE: state})
     run.mark(Status.finished)

@@ -112,9 +112,8 @@ def time_networks(study_dir: Path, runs: Sequence[Run]) -> str:
             measured = _in_turns(to_time, settings, device).assign(machine=machine)
     except (OSError, ValueError, KeyError, RuntimeError, ImportError) as error:  # no pairs, no GPU, no Embree, ...
         return f"Times were not measured: {' '.join(str(error).split())}."
-    before = times[here & ~times["network"].isin(to_time.keys())]
     with written_whole(study_dir / TIMES) as partial:
-        pd.concat([times[~here], before, measured[list(_KEPT)]]).to_csv(partial, index=False)
+        pd.concat([times[~here], measured[list(_KEPT)]]).to_csv(partial, index=False)
     return ""
 
 

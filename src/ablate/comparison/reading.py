@@ -101,11 +101,11 @@ def pictures(runs: Sequence[Run], reference: str = REFERENCE) -> list[FramePictu
 def provenance(runs: Sequence[Run]) -> dict[str, str]:
     """Data sets, code and hardware of a study; where its runs differ, each value names its runs."""
     texts = {"data": ", ".join(dict.fromkeys(f"{run.data} (pixels {run.result['pixels']})" for run in runs))}
-    recorded = {run.name: run.made_with for run in runs if run.made_with}
+    recorded = {run.name: run.made_with for run in runs}
     for key in (key for key in ABOUT_CODE if any(key in about for about in recorded.values())):
         names: dict[str, list[str]] = {}
         for name, about in recorded.items():
-            names.setdefault(str(about.get(key, "")), []).append(name)
+            names.setdefault(str(about.get(key, "unknown")), []).append(name)
         several = "; ".join(f"{value} ({', '.join(whose)})" for value, whose in names.items())
         texts[key] = several if len(names) > 1 else next(iter(names))
     return texts

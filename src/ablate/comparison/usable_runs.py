@@ -105,7 +105,7 @@ def levels_of(semantic: Mapping[str, Any]) -> dict[str, object]:
 def check_alike(runs: Sequence[Run]) -> None:
     """Refuse two networks under one label, one run under two, two codes of a metric, other pixels of one recipe."""
     first, of_label, of_hash = dict[str, Run](), dict[str, Run](), dict[str, Run]()
-    scored: dict[str, tuple[Run, str, str]] = {}  # by the name that values have: the last part of a path
+    scored: dict[str, tuple[Run, str, str]] = {}  # by the name that values have
     for run in runs:
         other = of_label.setdefault(run.label, run)
         own, others = (levels_of({**each.spec["semantic"], "data": {}}) for each in (run, other))
@@ -114,7 +114,7 @@ def check_alike(runs: Sequence[Run]) -> None:
         if (twin := of_hash.setdefault(run.result["hash"], run)).folder != run.folder:
             raise ConfigurationError(f"{twin.folder} and {run.folder} are the same run, which counts once: remove one")
         for name, source in run.result["sources"].items():
-            other, *code = scored.setdefault(name.rpartition(".")[2], (run, name, source))
+            other, *code = scored.setdefault(source.partition(" ")[0], (run, name, source))
             if code != [name, source]:
                 again = "repeat the command with this metric and the variants and seeds of both"
                 raise ConfigurationError(f"{name} has scored {other.name} and {run.name} by different code: {again}")

@@ -48,8 +48,7 @@ class Crops:
 
     Crops are drawn from `frames`, (k,) int. `maps` says which maps are included besides, `values` come from
     `label_values`. As many frames as fit into `in_memory_bytes` are kept in memory, as `Pairs.stored` has them: Zarr
-    takes longer to find a frame than the crop is cut in. A ValueError when a batch is larger than the number of frames,
-    or no pixel lies in the fan.
+    takes longer to find a frame than the crop is cut in. A ValueError when a batch is larger than the number of frames.
     """
 
     def __init__(
@@ -69,8 +68,6 @@ class Crops:
         self.positions = pairs.positions(settings.space) if maps & OF_POSITION else {}
         self.positions = {name: value for name, value in self.positions.items() if name in maps}
         self.names = ("segmentation", "target", *sorted(maps - {"segmentation", "target"} - OF_POSITION))
-        if not self.mask.any():
-            raise ValueError(f"{pairs.folder}: no pixel of the frames lies in the fan")
         self._kept = in_memory_bytes // sum(self._stored(name, frames[0]).nbytes for name in self.names)
         self._in_memory = {name: self._stored(name, self.frames[: self._kept]) for name in self.names}
 

@@ -61,8 +61,6 @@ def _of_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(f"{where}: no column {missing[0]}; {columns}")
     if other := [name for name in named if name not in (*COLUMNS, "site") or named.count(name) > 1]:
         raise ValueError(f"{where}: column {shown(other[0])}; allowed are {', '.join(COLUMNS)} and site, each once")
-    if not rows:
-        raise ValueError(f"{where}: no row below the names of the columns")
     poses, sites = np.tile(np.eye(4), (len(rows), 1, 1)), np.arange(len(rows), dtype=np.int64)
     for i, row in enumerate(rows):
         try:

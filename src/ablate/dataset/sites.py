@@ -139,13 +139,17 @@ class Placement:
 def resample_grid(grid: SiteGrid, counts: Sequence[int] | None) -> SiteGrid:
     """The same ranges with other counts of heights, angles, tilts and rolls, equally spaced; None keeps the grid.
 
-    A count of one keeps the middle of its range, and a range of one value has that value alone.
+    A count of one keeps the middle of its range, and a range of one value has that value alone. Angles and rolls
+    that do not rise go round: 340, 0, 20 is a range of 40 degrees.
     """
     if counts is None:
         return grid
     spread: dict[str, Any] = {}
     for name, count in zip(("heights_mm", "angles_deg", "tilts_deg", "rolls_deg"), counts, strict=True):
-        lower, upper = min(getattr(grid, name)), max(getattr(grid, name))
+        given = np.asarray(getattr(grid, name), float)
+        if name in ("angles_deg", "rolls_deg") and (np.diff(given) < 0).any():
+            given = np.unwrap(given, period=360)
+        lower, upper = min(given), max(given)
         places = np.linspace(lower, upper, count) if count > 1 else [(lower + upper) / 2]
         spread[name] = tuple(np.unique(places).tolist())
     return replace(grid, **spread)
@@ -191,11 +195,6 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
             f"scene '{scene.name}': no probe pose can be used; check sites.heights and sites.angles ({placement})"
         )
     return placement
-
-
-def probe_poses(scene: Scene, grid: SiteGrid, press_mm: float) -> np.ndarray:
-    """The usable poses, (n, 4, 4) float64, of `place_probe` alone."""
-    return place_probe(scene, grid, press_mm).poses
 
 
 def _region(scene: Scene, grid: SiteGrid) -> Skin | None:

@@ -69,10 +69,8 @@ def job_of(
         return Job(made, label_of(made, changed), tuple(sorted(changed.items())))
 
 
-@cache
-def _settings_of(words: tuple[str, ...]) -> StudySettings:
-    """Composed once for all jobs of a sweep, which mostly share what their labels are told from."""
-    return settings(composed(words))
+#: Composed once for all jobs of a sweep, which mostly share what their labels are told from.
+_settings_of = cache(lambda words: settings(composed(words)))
 
 
 def variant_model(name: str) -> GeneratorSpec:

@@ -16,7 +16,6 @@ from ablate.networks.spec import OF_POSITION, OF_SURFACES
 from ablate.runs.data_set import checked_folder
 from ablate.runs.job import Job, not_shared
 from ablate.runs.place import check_place
-from ablate.setting import shown
 from ablate.settings.conf import variant_names
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, Task, refusing
 from ablate.training import TrainingPrecision
@@ -30,7 +29,6 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
 
     Jobs that run `elsewhere`, on the nodes of a cluster, must be known by the same hash here and there.
     """
-    _check_place_of_runs(jobs[0].settings)
     for job in jobs:
         if elsewhere and job.settings.task is Task.study and job.settings.training.precision is TrainingPrecision.auto:
             differ = "it may be another on the node that runs the job than here"
@@ -53,7 +51,8 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
         for job in jobs:
             check_place(job)
             other = of_study.setdefault(job.settings.study_dir, job)
-            unlike = not_shared(other.semantic, job.semantic, {*dict(other.changed), *dict(job.changed)})
+            labelled, preset = {*dict(other.changed), *dict(job.changed)}, (other.settings.preset, job.settings.preset)
+            unlike = not_shared(other.semantic, job.semantic, labelled, preset)
             if unlike and job.settings.task is not Task.simulate:
                 values = ", ".join(f"{key}: {there} there, {here} here" for key, there, here in unlike)
                 raise ConfigurationError(f"{other.name} and {job.name} cannot be one study: {values}; make them equal")
@@ -172,16 +171,6 @@ def _check_metrics(s: StudySettings) -> None:
     if where is not None and needs_inception(chosen) and (s.task is Task.study or where != "download"):
         with refusing(f"evaluation.inception={where}: "):
             inception_file(where)
-
-
-def _check_place_of_runs(s: StudySettings) -> None:
-    """Refuse a `runs_dir` that can hold no folder, whatever the task."""
-    try:
-        if s.results.exists() and not s.results.is_dir():
-            raise ConfigurationError(f"runs_dir: {shown(str(s.results))} is a file; allowed is a folder")
-        s.study_dir.exists()
-    except OSError as error:
-        raise ConfigurationError(f"runs_dir={shown(s.runs_dir)}: {os.strerror(error.errno or 0)}") from error
 
 
 def _check_writable(folder: Path) -> None:

@@ -37,7 +37,6 @@ LOCAL_WIDTHS = (64, 128, 128, 256, 512)
 # Channels after each down-sampling; deeper levels of the U-Net have as many as the last.
 UNET_WIDTHS = (64, 128, 256, 512)
 LEAK = 0.2
-SMALLEST = 32
 
 
 class DownBlock(nn.Module):
@@ -192,12 +191,9 @@ class PatchDiscriminator(nn.Module):
     def forward(self, maps: Tensor, image: Tensor) -> Tensor:
         """Score patches: logits, (N, 1, H / 8 - 2, W / 8 - 2), positive for real.
 
-        `maps`, (N, C, H, W), are the conditions. `image`, (N, 1, H, W), is real or generated, black outside the fan;
-        a ValueError if it is smaller than 32 x 32 pixels.
+        `maps`, (N, C, H, W), are the conditions. `image`, (N, 1, H, W), is real or generated, black outside the fan,
+        and has at least 32 x 32 pixels.
         """
-        height, width = image.shape[-2:]
-        if min(height, width) < SMALLEST:
-            raise ValueError(f"image: {height} x {width} pixels, allowed are {SMALLEST} x {SMALLEST} and more")
         stacked = laid_out(torch.cat((maps, image.to(maps.dtype)), dim=1))
         features = F.leaky_relu(self.first(stacked), LEAK)
         for layer in self.inner:

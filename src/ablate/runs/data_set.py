@@ -16,7 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ablate import dataset
-from ablate.anatomy import Tissue
+from ablate.anatomy import ANATOMY_VERSION, Tissue
 from ablate.dataset import DERIVED, PAIRS_VERSION, Pairs, Part, PngFolder, SplitBy, open_pairs
 from ablate.evaluation import describes_fan
 from ablate.metrics import speckle_features
@@ -110,7 +110,8 @@ def about_data(settings: StudySettings) -> dict[str, Any]:
     """What every pair of the data set is made from, as JSON values."""
     if settings.scene.kind is SceneKind.pairs:
         checked = checked_folder(settings)
-        scene = {"kind": "pairs", "files": dataset.content_digest(checked)}
+        scene: dict[str, Any] = {"kind": "pairs", "files": dataset.content_digest(checked)}
+        scene |= {"version": ANATOMY_VERSION} if checked.tissues else {}  # whose values networks read
         drawn = ("split", "validation", "test", "seed") if checked.parts is None else ()
         chosen = {name: plain(settings.dataset)[name] for name in drawn}
         probe = checked.probe or settings.probe  # it tells depths

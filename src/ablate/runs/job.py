@@ -115,13 +115,16 @@ def differences(a: Any, b: Any, key: str = "") -> Iterator[tuple[str, Any, Any]]
         yield key, a, b
 
 
-def not_shared(a: Mapping[str, Any], b: Mapping[str, Any], labelled: Collection[str]) -> list[tuple[str, Any, Any]]:
+def not_shared(
+    a: Mapping[str, Any], b: Mapping[str, Any], labelled: Collection[str], presets: tuple[object, object]
+) -> list[tuple[str, Any, Any]]:
     """What differs between two runs of one study, given by `Job.semantic`, and should not.
 
     The runs of a study share pairs, training, crops, evaluation and width. They may differ in what their labels tell
-    apart: network, encoding, seed, adversarial loss, anatomy, and the configuration keys `labelled`.
+    apart: network, encoding, seed, adversarial loss, anatomy, and the configuration keys `labelled`. Runs of two
+    `presets`, if labels tell them, may differ in everything.
     """
-    if "preset" in labelled:
+    if "preset" in labelled and presets[0] != presets[1]:
         return []
     told = (*_OF_A_RUN, "encoding", "model", *(semantic_key(key) for key in labelled))
     told += ("data",) if "probe" in labelled else ()

@@ -12,7 +12,7 @@ from ablate.runs.run import Run, State, runs_of
 from ablate.setting import plain
 from ablate.settings.study import ConfigurationError, StudySettings, refusing
 from ablate.storage import write_json
-from ablate.user_code import source_digest
+from ablate.user_code import load, source_digest
 
 
 def check_place(job: Job) -> None:
@@ -26,7 +26,8 @@ def check_place(job: Job) -> None:
         if run.folder == job.folder:
             unlike = list(differences(there, job.semantic))
         else:
-            unlike = not_shared(there, job.semantic, {*run.changed, *dict(job.changed)})
+            preset = run.spec["settings"].get("preset"), job.settings.preset
+            unlike = not_shared(there, job.semantic, {*run.changed, *dict(job.changed)}, preset)
         if unlike:
             values = ", ".join(f"{k}: {a} there, {b} here" for k, a, b in unlike)
             another = f"{run.folder} holds another configuration ({values})"
@@ -90,8 +91,9 @@ def names_of(asked: str | Iterable[str]) -> set[str]:
 
 
 def sources_of(asked: str | Iterable[str]) -> dict[str, str]:
-    """The digest of the code of each metric of the user's, by its path."""
-    return {name: source_digest(name) for name in sorted(names_of(asked)) if name not in METRICS and "." in name}
+    """By the path of each metric of the user's: the name that its values have, and the digest of its code."""
+    paths = [name for name in sorted(names_of(asked)) if name not in METRICS and "." in name]
+    return {path: f"{getattr(load(path), 'name', path.rpartition('.')[2])} {source_digest(path)}" for path in paths}
 
 
 def with_earlier_metrics(job: Job) -> StudySettings:

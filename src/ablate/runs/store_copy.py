@@ -142,8 +142,13 @@ def _opened(settings: StudySettings, run: Run) -> StoredRun:
     data = digest(run.spec["semantic"]["data"])
     tags = {"variant": label, "seed": str(of_run["seed"]), "study": settings.study, "data_hash": data}
     started = next((line["time"] for line in tracking.read_log(run.folder)[0]), None)
+    tags["begun"] = str(started)
     stored = StoredRun(store, tracking.child_run(store, parent.run_id, run.name, run.hash, tags, started))
     stored.mark(Status.running)
+    again = ""
+    if (begun := stored.tag("begun")) not in (None, tags["begun"]):
+        again = " **Trained again**: curves and pictures of steps that an earlier training has logged are that one's."
+        _LOG.warning("%s: MLflow has a run of an earlier training, begun %s; its curves stay there", run.name, begun)
     stored.tags({k: v for k, v in run.made_with.items() if k in ABOUT_CODE})
     stored.describe(
         f"`{label}`, seed {of_run['seed']}, of the study `{settings.study}`. **Model metrics**: `test/` was measured "
@@ -152,6 +157,7 @@ def _opened(settings: StudySettings, run: Run) -> StoredRun:
         "`train/` and `val/` are curves; the step of all these is the number of images seen. **Artifacts**: every "
         "metric of every frame in `per_image.parquet`; configuration, code and environment in `provenance`. **Tags**: "
         "`config_hash` is a digest of the settings that decide the result; `git_dirty`: not all code was committed."
+        + again
     )
     stored.parameters({"variant": label, **named_components(build(GeneratorSpec, of_run["model"])), **_sorted_by(run)})
     for folder in (settings.results / "data").glob(f"*-{data}"):

@@ -68,6 +68,8 @@ def _run(job: Job) -> None:
         for file in (run.scores_file, run.pictures_file, run.folder / "result.json"):
             remove_partial(file)
         there = run.result if run.result.get("hash") == job.hash and run.state is not State.unusable else {}
+        if there:  # until all is written, files may be newer than what this says of them
+            write_json(run.folder / "result.json", {**there, "metrics_version": 0})
         before = there if run.checkpoint.exists() else {}
         scalars, notes = _train_and_score(job, run, data, log)
         first_scored = _now()

@@ -91,7 +91,7 @@ def components() -> tuple[Component, ...]:
     files = {path.stem: path for path in (conf_folder() / "component").glob("*.yaml")}
     names = [*(name for name in _COMPONENTS if name in files), *sorted(files.keys() - set(_COMPONENTS))]
     known = keys()
-    declared = []
+    declared: list[Component] = []
     for name in names:
         where = f"conf/component/{name}.yaml"
         values = yaml.safe_load(files[name].read_text("utf-8"))
@@ -105,6 +105,8 @@ def components() -> tuple[Component, ...]:
             raise ValueError(f"{where}: {error}") from error
         if component.key not in known:
             raise ValueError(f"{where}: key={component.key} is no key of the configuration, such as model.noise")
+        if twins := [other.name for other in declared if other.key == component.key]:
+            raise ValueError(f"{where}: key={component.key} is declared by {twins[0]}.yaml; allowed is one file a key")
         declared.append(component)
     return tuple(declared)
 

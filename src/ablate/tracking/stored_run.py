@@ -116,6 +116,10 @@ class StoredRun:
         """Set the description on the run's first page."""
         self.tags({"mlflow.note.content": markdown})
 
+    def artifacts(self) -> set[str]:
+        """Names of the files that lie in no folder."""
+        return {file.path for file in self._client.list_artifacts(self.run_id) if not file.is_dir}
+
     def artifact(self, path: Path, folder: str | None = None) -> None:
         self._client.log_artifact(self.run_id, str(path), folder)
 

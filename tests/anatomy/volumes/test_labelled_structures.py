@@ -77,6 +77,14 @@ def test_a_thin_sheet_and_a_thin_vessel_do_not_vanish() -> None:
         assert mesh.extents == pytest.approx(np.array(order[thin].shape), abs=1)
 
 
+def test_a_sheet_keeps_its_volume_between_thick_slices() -> None:
+    spacing_mm = (0.3, 0.3, 5.0)
+    order = np.zeros((24, 216, 28), np.uint8)
+    order[12, 8:-8, 8:-8] = 1
+    (mesh,) = surfaces(order, spacing_mm)
+    assert mesh.volume == pytest.approx(order.sum() * np.prod(spacing_mm), rel=0.02)
+
+
 def test_a_plane_is_smooth_and_where_the_labels_change() -> None:
     """The steps of a plane that is tilted against the voxels are not seen; unsmoothed ones are half a voxel high."""
     points = places_mm((60, 60, 60), CUBE)

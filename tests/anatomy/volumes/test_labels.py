@@ -14,11 +14,13 @@ from nibabel.affines import apply_affine, from_matvec
 from scipy.ndimage import gaussian_filter, maximum_filter
 from scipy.spatial.transform import Rotation
 
-from ablate.anatomy import content_hash, load_scene, load_tissues, validate_scene_folder
+from ablate.anatomy import load_scene, load_tissues, validate_scene_folder
 from ablate.anatomy.volumes import label_map
 from ablate.anatomy.volumes import labelled_structures as module
+from ablate.anatomy.volumes.labelled_structures import read_order
 from ablate.ultrasound import ConvexProbe, Simulator, SimulatorSettings
 from ablate.ultrasound.probe import pixel_coordinates_mm
+from support.scene_hash import content_hash
 
 OBLIQUE = from_matvec(
     Rotation.from_euler("xyz", [25, -30, 40], degrees=True).as_matrix() * [1.1, 1.3, 2.4], [-60, 9, 4]
@@ -156,7 +158,7 @@ def test_a_mesh_that_3d_slicer_wrote_in_lps_does_not_join_labels_in_ras(tmp_path
             stream.write("structures: [{mesh: tumour.obj, tissue: liver}]\n" if space == "RAS" else "")
         if space == "RAS":
             validate_scene_folder(folder)
-    with pytest.raises(ValueError, match=r"scene\.yaml: tumour\.obj is in LPS, but labels are in RAS; export it"):
+    with pytest.raises(ValueError, match=r"scene\.yaml: tumour\.obj is in LPS, but labels are in RAS; export all"):
         validate_scene_folder(folder)
 
 
@@ -213,3 +215,37 @@ def test_memory_is_less_than_three_times_the_volume(tmp_path: Path, caplog: pyte
     tracemalloc.stop()
     assert peak < 3 * size
     assert caplog.text == ""
+
+
+def test_meshes_that_3d_slicer_wrote_in_two_spaces_are_not_one_body(tmp_path: Path) -> None:
+    mesh = trimesh.creation.icosphere(2, radius=9).export(file_type="obj")
+    structures = [{"mesh": f"{name}.obj", "tissue": "liver"} for name in ("liver", "tumour")]
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump({"structures": structures}))
+    (tmp_path / "liver.obj").write_text(f"# 3D Slicer output. SPACE=LPS\n{mesh}")
+    for space in ("LPS", "RAS"):
+        (tmp_path / "tumour.obj").write_text(f"# 3D Slicer output. SPACE={space}\n{mesh}")
+        if space == "LPS":
+            validate_scene_folder(tmp_path)
+    with pytest.raises(ValueError, match=r"liver\.obj is in LPS, but tumour\.obj is in RAS; export all as RAS"):
+        validate_scene_folder(tmp_path)
+
+
+@pytest.mark.parametrize(("spacing", "tilt"), [((1, 1, 1), 15), ((1, 1, 5), 0), ((1, 1, 5), 15)])
+def test_a_lung_is_filled_across_the_body_in_a_tilted_volume_of_thick_slices(
+    tmp_path: Path, spacing: tuple[float, float, float], tilt: float
+) -> None:
+    """A trunk along z in sagittal slices: the upper border of the volume cuts its lung open, slices across do not."""
+    size = np.array([100, 100, 100 // spacing[2]])
+    front, up, side = np.indices(size) * np.reshape(spacing, (3, 1, 1, 1))
+    lung = (np.hypot(side - 50, front - 50) < 25) & (up > 40)
+    trunk = (np.hypot(side - 50, front - 50) < 45) & ~lung
+    axes = np.eye(3)[:, [1, 2, 0]]  # voxels go to the front, up, and to the side
+    affine = from_matvec(Rotation.from_euler("y", tilt, degrees=True).as_matrix() @ axes * spacing, [0, 0, 0])
+    nibabel.save(nibabel.Nifti1Image(np.where(trunk, 40, -900).astype(np.int16), affine), tmp_path / "ct.nii.gz")
+    liver = ((np.hypot(side - 50, front - 50) < 10) & (up > 5) & (up < 20)).astype(np.uint8)
+    body = {"file": "ct.nii.gz", "above": -300, "tissue": "soft_tissue"}
+    folder = write(tmp_path, liver, affine, tissues={1: "liver"}, body=body)
+    labels = validate_scene_folder(folder).labels
+    assert labels is not None
+    order, _ = read_order(labels, "labels")
+    assert (order[lung] == 1).all()

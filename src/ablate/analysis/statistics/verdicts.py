@@ -14,7 +14,7 @@ from ablate.analysis.statistics.component_claims import FEWEST_SEEDS
 from ablate.analysis.statistics.designs import Design
 from ablate.analysis.statistics.effects import LinearModel, fit_effects
 from ablate.analysis.statistics.paired import holm, where_known
-from ablate.metrics import Direction, metric_of
+from ablate.metrics import Direction, Group, metric_of
 from ablate.metrics.metric import FRAME_TIME
 
 ALPHA = 0.05
@@ -186,12 +186,15 @@ def _require_judged(component: Component, design: Design | None) -> tuple[str, f
     """A component's metric and band; raises ValueError where it cannot be judged by them, and the message says why."""
     if component.metric is None or component.band is None:
         raise ValueError(UNDECLARED)
-    if metric_of(component.metric).better is Direction.none:
+    judge = metric_of(component.metric)
+    if judge.better is Direction.none or judge.group is Group.cost:  # all runs of a network have one measured time
         raise ValueError("it has no metric that judges it")
     if design is None or component.key not in design.factors:
         raise ValueError("no run goes without it")
     here, there = design.cells[component.key].cat.categories
-    told = component.off is None or {here, there} - set(component.levels_on) == {component.off}
+    on = set(component.levels_on)
+    told = component.off is None or {here, there} - on == {component.off}
+    told &= component.on is None or len({here, there} & on) == 1
     if component.key == DEPTH and component.off is not None:  # small frames may have a level less
         told = abs(here - there) >= abs(component.on - component.off) - 1  # type: ignore[operator]
     if not told:

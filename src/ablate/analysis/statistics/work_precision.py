@@ -44,4 +44,4 @@ def pareto_front(
     place = np.argsort(order)
     better = (error[None] < error[:, None]) & (lower[None] <= upper[:, None])
     earlier = (error[None] == error[:, None]) & (place[None] < place[:, None])
-    return order[~(better | earlier).any(axis=1)[order]]
+    return order[(np.isfinite(error) & ~(better | earlier).any(axis=1))[order]]

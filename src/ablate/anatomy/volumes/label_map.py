@@ -25,7 +25,7 @@ _SQUARE = 1e-3  # largest cosine between two axes
 _SLAB_VOXELS = 2**21
 #: NRRD names its world, as left-posterior-superior or LPS; the factors take it to RAS+.
 _SPACES = {"ras": (1, 1, 1), "lps": (-1, -1, 1), "las": (-1, 1, 1)}
-LABELS_VERSION = 1  # of the surfaces that are made from labels: raised when they change
+LABELS_VERSION = 2  # of the surfaces that are made from labels: raised when they change
 TABLE = "totalsegmentator"  # classes of its task `total`, version 2
 LARGEST_LABEL = 65_535
 MOST_STRUCTURES = 254  # they are counted in 8 bits, with the body

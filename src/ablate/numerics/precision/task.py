@@ -137,7 +137,8 @@ def tables(points: pd.DataFrame, details: pd.DataFrame) -> dict[str, pd.DataFram
     limits = "Single precision, bf16 and engines: how far they move a frame"
     shown = points[points["series"] != OTHER_SERIES].rename(columns={"metric": "quantity", "error": "value"})
     errors = _spread_out(shown, _cell)
-    errors.insert(0, "ms", shown.drop_duplicates(["series", "setting"])["ms"].map("{:.1f}".format).to_list())
+    ms = shown.groupby(["series", "setting"])["ms"].first()
+    errors.insert(0, "ms", ms.reindex(errors.index).map("{:.1f}".format))
     fits = {
         "RMS error of the image" if metric == "psnr" else metric_of(metric).label: (f"{p:.2f}", f"{error:.2f}")
         for metric, (p, error) in _orders(points).items()
