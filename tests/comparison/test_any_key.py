@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -102,9 +101,7 @@ def test_different_code_of_one_metric_is_never_mixed(tmp_path: Path) -> None:
     check_alike([finish(job, sources={"my.bias": "bias 1"} if job.label == "sa2h" else {}) for job in jobs])
     for name, source in (("my.bias", "bias 2"), ("yours.bias", "bias 1"), ("my.error", "bias 3")):
         finish(jobs[-1], sources={name: source})
-        with pytest.raises(
-            ConfigurationError, match=r"(bias|error) has scored .* by different code: repeat the command"
-        ):
+        with pytest.raises(ConfigurationError, match=r"(bias|error) has scored .* by different code: repeat"):
             usable_runs(jobs[0].settings.study_dir)
 
 
@@ -124,12 +121,9 @@ def test_runs_of_one_preset_share_their_training_also_where_another_preset_was_s
     given = [f"runs_dir={tmp_path}", "study_name=s"]
     for job in jobs_of(["-m", "variant=sa2h", "preset=tiny,quick", *given]):
         finish(job)
-    for changed, refused in ((["training.steps=7"], True), ([], False)):
-        added = jobs_of([*words, "variant=nsa2h", *changed, *given])[0]
-        with (
-            pytest.raises(ConfigurationError, match=r"training\.steps: .* there, 7 here") if refused else nullcontext()
-        ):
-            check_place(added)
+    check_place(jobs_of([*words, "variant=nsa2h", *given])[0])
+    with pytest.raises(ConfigurationError, match=r"training\.steps: .* there, 7 here"):
+        check_place(jobs_of([*words, "variant=nsa2h", "training.steps=7", *given])[0])
 
 
 def test_two_networks_under_one_label_are_never_averaged(tmp_path: Path) -> None:

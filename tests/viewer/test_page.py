@@ -126,7 +126,8 @@ def test_of_a_drag_what_is_stale_is_left_out_and_of_keys_nothing(client: Client,
         settle(client, viewer)
     finally:
         viewer.session.listeners.pop()
-    assert asked == [1.0, 10.0, 13.0, 16.0, 19.0]
+    assert asked[-4:] == [10.0, 13.0, 16.0, 19.0]
+    assert asked[:-4] in ([], [1.0]), "the first may have been answered at once"
 
 
 def test_a_preset_is_gone_to_and_forgotten_at_the_next_step(client: Client, viewer: Viewer) -> None:
@@ -295,6 +296,7 @@ def test_a_click_on_a_frozen_picture_measures_what_it_shows(client: Client, view
     held = viewer.session.state.pose
     seen = held @ (5.0, 0.0, 40.0, 1.0)  # a point of the fan as it is drawn
     viewer.page.body.clicked(seen[:3] + 200 * held[:3, 1] + 50 * held[:3, 0], -200 * held[:3, 1] - 50 * held[:3, 0])
+    client.until(lambda: len(viewer.page.layout.points))
     point = np.linalg.inv(shown.state.pose) @ (*viewer.page.layout.points[0], 1.0)
     np.testing.assert_allclose(point[:3], (5, 0, 40), atol=1e-6)
     client.until(lambda: "mm deep" in client.texts())

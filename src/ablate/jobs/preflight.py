@@ -16,6 +16,7 @@ from ablate.networks.spec import OF_POSITION, OF_SURFACES
 from ablate.runs.data_set import checked_folder
 from ablate.runs.job import Job, not_shared
 from ablate.runs.place import check_place
+from ablate.setting import shown
 from ablate.settings.conf import variant_names
 from ablate.settings.study import ConfigurationError, SceneKind, StudySettings, Task, refusing
 from ablate.training import TrainingPrecision
@@ -29,6 +30,7 @@ def check(jobs: Sequence[Job], elsewhere: bool = False) -> None:
 
     Jobs that run `elsewhere`, on the nodes of a cluster, must be known by the same hash here and there.
     """
+    _check_place_of_runs(jobs[0].settings)
     for job in jobs:
         if elsewhere and job.settings.task is Task.study and job.settings.training.precision is TrainingPrecision.auto:
             differ = "it may be another on the node that runs the job than here"
@@ -171,6 +173,16 @@ def _check_metrics(s: StudySettings) -> None:
     if where is not None and needs_inception(chosen) and (s.task is Task.study or where != "download"):
         with refusing(f"evaluation.inception={where}: "):
             inception_file(where)
+
+
+def _check_place_of_runs(s: StudySettings) -> None:
+    """Refuse a `runs_dir` that can hold no folder, whatever the task."""
+    try:
+        if s.results.exists() and not s.results.is_dir():
+            raise ConfigurationError(f"runs_dir: {shown(str(s.results))} is a file; allowed is a folder")
+        s.study_dir.exists()
+    except OSError as error:
+        raise ConfigurationError(f"runs_dir={shown(s.runs_dir)}: {os.strerror(error.errno or 0)}") from error
 
 
 def _check_writable(folder: Path) -> None:

@@ -39,7 +39,6 @@ from ablate.viewer.worker import Worker
 #: Whatever the library's default, the page is shown to this machine only.
 HOST = "127.0.0.1"
 NEEDS = f"task=view needs viser: {installing('view')}"
-_LOOK_EVERY_S = 3600.0
 _CONTROLS_PX, _IMAGES_PX = 290, 640  # widths, for a window of 1366 px
 _MOST_SITES = 60  # of a list that can be searched by eye
 
@@ -55,7 +54,7 @@ def view(jobs: Sequence[Job]) -> int:
         webbrowser.open(address)
     try:
         while True:
-            time.sleep(_LOOK_EVERY_S)
+            time.sleep(3600.0)
     except KeyboardInterrupt as stopped:
         if type(stopped) is not KeyboardInterrupt:  # a signal, which has a number of its own
             raise

@@ -29,8 +29,8 @@ SMOOTHING = 0.7  # standard deviation of the Gaussian, voxels
 _TRUNCATE = 3.0  # of the Gaussian, standard deviations
 _REACH, _HIDDEN = 3.0, 1.25  # distances are cut there, and walls hidden that deep, in the voxels' longest side
 _SLOPE = 0.5  # a hidden wall leaves the visible one by this much a unit of length, so that they do not coincide
-#: Levels tried for the volume, first far apart, then about the one found, in the voxels' longest side.
-_COARSE, _FINE, _MOST_FINE = np.linspace(-1.5, 0.75, 7), np.linspace(-0.15, 0.15, 5), 4
+#: Levels tried for the volume, first far apart, then nearer about the one found, in the voxels' longest side.
+_LEVELS = (np.linspace(-1.5, 0.75, 7), np.linspace(-0.225, 0.225, 5), np.linspace(-0.0375, 0.0375, 5))
 _FRACTION = 2.0**-14  # of a voxel, to which vertices are rounded, so that those of neighbouring blocks are equal
 Blocks = list[tuple[np.ndarray, np.ndarray]]  # first voxel, (3,), and content with margins, of each
 
@@ -49,12 +49,9 @@ def label_surface(
     `box` is that of all voxels of the number, as `scipy.ndimage.find_objects` gives it.
     """
     blocks = _blocks(order, number, box, _margin(spacing_mm))
-    side, voxels = max(spacing_mm), int((order[tuple(box)] == number).sum())
-    level = _level_of_volume(blocks, number, spacing_mm, side * _COARSE, voxels)
-    for _ in range(_MOST_FINE):  # until it lies between the levels that are tried
-        before, level = level, _level_of_volume(blocks, number, spacing_mm, level + side * _FINE, voxels)
-        if abs(level - before) < 0.999 * side * _FINE[-1]:
-            break
+    level, voxels = 0.0, int((order[tuple(box)] == number).sum())
+    for steps in _LEVELS:
+        level = _level_of_volume(blocks, number, spacing_mm, level + max(spacing_mm) * steps, voxels)
     parts = (_triangles(_fields(block, number, spacing_mm)[0], level, start) for start, block in blocks)
     vertices, faces = trimesh.util.append_faces(*zip(*parts, strict=True))
     return np.round(vertices / _FRACTION) * _FRACTION, faces

@@ -20,7 +20,6 @@ from ablate.viewer.session import Views
 _NONE = "none"
 _TRAINS = "No run with weights here. `make sweep` trains three, and `python -m ablate variant=sa2h` trains one."
 _INVITES = "**Measure:** click the fan in the 3-D view: tissue, distance, angle, and with four clicks an ellipse."
-_FEWEST_POSES = 3
 _LAST_S = 0.5  # the last frame of the cine loop stays for so long, and one at which the probe rested
 
 
@@ -138,7 +137,7 @@ def add_keep_tab(page: Page) -> None:
                 f"{count} poses in `{file.parent}`, with `sweep.gif`. The command makes pairs of them. Poses "
             )
             answer.content += "beside each other look alike, so its test frames are not unseen sites (docs/anatomy.md)."
-            if count >= _FEWEST_POSES:
+            if count >= 3:  # one of each part
                 words = "task=simulate", f"dataset.poses={file}", f"dataset.frames={count}"
                 command.value = command_line(settings, session.state, *words)
 
