@@ -92,3 +92,18 @@ def test_the_studys_page_links_to_report_and_comparison(stopped_once: Job) -> No
     report = (stopped_once.settings.study_dir / "comparison" / "report.html").read_text("utf-8")
     assert study.data.tags.get("git_commit", "") in report  # there is none outside a checkout
     assert study.data.tags["hardware"] in report
+
+
+def test_what_the_store_keeps_of_an_earlier_training_or_comparison_is_said(stopped_once: Job, tmp_path: Path) -> None:
+    """MLflow forgets neither curves nor files."""
+    client, study, _ = runs_of(stopped_once)
+    (tmp_path / "boxplots.png").write_bytes(b"of two variants, one of which is gone")
+    client.log_artifact(study.info.run_id, str(tmp_path / "boxplots.png"))
+    shutil.rmtree(stopped_once.folder)
+    (job,) = jobs_of(["variant=sa2h", f"runs_dir={stopped_once.settings.results}", *TINY])
+    run_job(job)
+    compare_study(job.settings)
+    _, study, child = runs_of(job)
+    said = study.data.tags["mlflow.note.content"]
+    assert "Files of earlier comparisons, which are not made any more: boxplots.png." in said
+    assert "**Trained again**" in child.data.tags["mlflow.note.content"]
