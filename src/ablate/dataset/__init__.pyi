@@ -30,6 +30,7 @@ from .simulate import simulate_pairs as simulate_pairs
 from .sites import Dropped as Dropped
 from .sites import Placement as Placement
 from .sites import place_probe as place_probe
+from .sites import probe_poses as probe_poses
 from .sites import resample_grid as resample_grid
 from .split import Part as Part
 from .split import SplitBy as SplitBy

@@ -197,6 +197,11 @@ def place_probe(scene: Scene, grid: SiteGrid, press_mm: float, probe: Probe | No
     return placement
 
 
+def probe_poses(scene: Scene, grid: SiteGrid, press_mm: float) -> np.ndarray:
+    """The usable poses, (n, 4, 4) float64, of `place_probe` alone."""
+    return place_probe(scene, grid, press_mm).poses
+
+
 def _region(scene: Scene, grid: SiteGrid) -> Skin | None:
     """The surfaces that a fan should meet; None where the grid names none."""
     if not grid.region:

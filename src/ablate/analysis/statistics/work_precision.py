@@ -1,20 +1,12 @@
 """What a work-precision table says: the order at which an error falls, and the points that no other one beats."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 
-class Order(NamedTuple):
-    """error = c n^-order, fitted on logarithms by least squares; the standard error is NaN with two points."""
+def observed_order(n: np.ndarray, error: np.ndarray, metric: str = "") -> tuple[float, float] | None:
+    """Fit the order of error = c n^-order on logarithms by least squares; None with fewer than two n.
 
-    order: float
-    standard_error: float
-
-
-def observed_order(n: np.ndarray, error: np.ndarray, metric: str = "") -> Order | None:
-    """Fit the order at which an error falls with the number of rays, or of anything else; None with fewer than two n.
-
+    Returns the order and its standard error, which is NaN with two points. n are rays, or anything else.
     `n`, (k,), are positive; points whose `error`, (k,), is not positive and finite are left out. Of the metric PSNR it
     is converted to the root-mean-square error, 255 x 10^(-PSNR / 20).
     """
@@ -28,7 +20,7 @@ def observed_order(n: np.ndarray, error: np.ndarray, metric: str = "") -> Order 
     line, covariance = np.polyfit(x, y, 1, cov="unscaled")
     residual, free = y - np.polyval(line, x), len(x) - 2
     error_of_slope = float(np.sqrt(residual @ residual / free * covariance[0, 0])) if free else float("nan")
-    return Order(-float(line[0]), error_of_slope)
+    return -float(line[0]), error_of_slope
 
 
 def pareto_front(

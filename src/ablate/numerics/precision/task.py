@@ -106,7 +106,7 @@ def _orders(points: pd.DataFrame) -> dict[str, tuple[float, float]]:
     for metric, group in points[points["series"] == RAYS_SERIES].groupby("metric", sort=False):
         rays = group["setting"].astype(float).to_numpy()
         if fit := observed_order(rays, group["error"].to_numpy(float), str(metric)):
-            orders[str(metric)] = (fit.order, fit.standard_error)
+            orders[str(metric)] = fit
     return orders
 
 
